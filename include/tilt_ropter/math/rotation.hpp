@@ -1,0 +1,89 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+
+/// Rotations: the few functions of SO(3) that a rigid body needs.
+///
+/// Quaternions are Hamilton and rotate from body to world. Their tangent space is the body frame:
+/// q = q_bar (x) Exp(dtheta). Formulas follow J. Solà, "Quaternion kinematics for the error-state
+/// Kalman filter", 2017. Nothing here throws or allocates; all of it works with automatic
+/// differentiation, at zero too.
+namespace tilt_ropter {
+
+template <typename Scalar>
+using Vector3 = Eigen::Matrix<Scalar, 3, 1>;
+template <typename Scalar>
+using Matrix3 = Eigen::Matrix<Scalar, 3, 3>;
+
+/// Cross-product matrix: skew(a) * b = a x b.
+template <typename Derived>
+[[nodiscard]] Matrix3<typename Derived::Scalar> skew(const Eigen::MatrixBase<Derived>& a) {
+  using Scalar = typename Derived::Scalar;
+  Matrix3<Scalar> m;
+  m << Scalar(0), -a.z(), a.y(), a.z(), Scalar(0), -a.x(), -a.y(), a.x(), Scalar(0);
+  return m;
+}
+
+/// Quaternion of a rotation vector theta [rad] (Solà, Eq. 101). A series below 1e-3 rad keeps the
+/// derivative finite at zero.
+template <typename Derived>
+[[nodiscard]] Eigen::Quaternion<typename Derived::Scalar> quaternion_exp(
+    const Eigen::MatrixBase<Derived>& theta) {
+  using std::cos;
+  using std::sin;
+  using std::sqrt;
+  using Scalar = typename Derived::Scalar;
+  const Scalar square = theta.squaredNorm();
+  Scalar real, scale;
+  if (square < Scalar(1e-6)) {
+    real = Scalar(1) - square / Scalar(8) + square * square / Scalar(384);
+    scale = Scalar(0.5) - square / Scalar(48) + square * square / Scalar(3840);
+  } else {
+    const Scalar angle = sqrt(square);
+    const Scalar half = angle / Scalar(2);
+    real = cos(half);
+    scale = sin(half) / angle;
+  }
+  return {real, Scalar(scale * theta.x()), Scalar(scale * theta.y()), Scalar(scale * theta.z())};
+}
+
+/// Rotation vector [rad] of a unit quaternion, the shorter of the two ways, |theta| <= pi
+/// (Solà, Eq. 105).
+template <typename Scalar>
+[[nodiscard]] Vector3<Scalar> quaternion_log(const Eigen::Quaternion<Scalar>& q) {
+  using std::atan2;
+  using std::sqrt;
+  const Scalar sign = q.w() < Scalar(0) ? Scalar(-1) : Scalar(1);
+  const Scalar w = sign * q.w();
+  const Scalar square = q.vec().squaredNorm();
+  Scalar scale;
+  if (square < Scalar(1e-6)) {
+    const Scalar ratio = square / (w * w);
+    scale = Scalar(2) / w * (Scalar(1) - ratio / Scalar(3) + ratio * ratio / Scalar(5));
+  } else {
+    const Scalar n = sqrt(square);
+    scale = Scalar(2) * atan2(n, w) / n;
+  }
+  return (sign * scale) * q.vec();
+}
+
+/// Quaternion of a rotation by `yaw` [rad] about world z.
+template <typename Scalar>
+[[nodiscard]] Eigen::Quaternion<Scalar> quaternion_from_yaw(const Scalar& yaw) {
+  using std::cos;
+  using std::sin;
+  return {cos(yaw / Scalar(2)), Scalar(0), Scalar(0), sin(yaw / Scalar(2))};
+}
+
+/// Heading [rad] of the body x axis in the world's xy plane, in (-pi, pi].
+template <typename Scalar>
+[[nodiscard]] Scalar yaw_of(const Eigen::Quaternion<Scalar>& q) {
+  using std::atan2;
+  return atan2(Scalar(2) * (q.w() * q.z() + q.x() * q.y()),
+               Scalar(1) - Scalar(2) * (q.y() * q.y() + q.z() * q.z()));
+}
+
+}  // namespace tilt_ropter

@@ -1,0 +1,106 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+/// What moves: wrench, body state and the NMPC's state, with their packed form.
+namespace tilt_ropter {
+
+/// Force [N] and torque [N m] that act at the CoM, both in the body frame.
+template <typename Scalar = double>
+struct Wrench {
+  Vector3<Scalar> force = Vector3<Scalar>::Zero();
+  Vector3<Scalar> torque = Vector3<Scalar>::Zero();
+};
+
+/// Pose and twist of the body frame: what a state estimator delivers.
+template <typename Scalar = double>
+struct BodyState {
+  Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< CoM in the world frame (ENU) [m]
+  Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< CoM in the world frame [m/s]
+  Eigen::Quaternion<Scalar> orientation =
+      Eigen::Quaternion<Scalar>::Identity();                   ///< body -> world, unit
+  Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< body frame [rad/s]
+};
+
+/// State of the paper's NMPC, x = (F, M, p, v, q, w) (paper, Sec. States and Inputs): the body and
+/// the wrench of its actuators.
+template <typename Scalar = double>
+struct State {
+  Wrench<Scalar> wrench;
+  BodyState<Scalar> body;
+};
+
+/// Tangent vector of a State: (dF, dM, dp, dv, dtheta, dw), dtheta in the body frame.
+template <typename Scalar = double>
+using StateTangent = Eigen::Matrix<Scalar, 18, 1>;
+
+/// Packed State in the paper's order (F, M, p, v, q, w), q as (w, x, y, z).
+template <typename Scalar = double>
+using PackedState = Eigen::Matrix<Scalar, 19, 1>;
+
+/// The one place where quaternions turn from Eigen's storage order (x, y, z, w) into the paper's
+/// (w, x, y, z).
+template <typename Scalar>
+[[nodiscard]] PackedState<Scalar> pack(const State<Scalar>& x) {
+  PackedState<Scalar> packed;
+  const Eigen::Quaternion<Scalar>& q = x.body.orientation;
+  packed << x.wrench.force, x.wrench.torque, x.body.position, x.body.velocity, q.w(), q.x(), q.y(),
+      q.z(), x.body.angular_velocity;
+  return packed;
+}
+
+/// Inverse of pack(). The quaternion is taken as it comes, not normalised.
+template <typename Scalar>
+[[nodiscard]] State<Scalar> unpack(const PackedState<Scalar>& packed) {
+  State<Scalar> x;
+  x.wrench.force = packed.template segment<3>(0);
+  x.wrench.torque = packed.template segment<3>(3);
+  x.body.position = packed.template segment<3>(6);
+  x.body.velocity = packed.template segment<3>(9);
+  x.body.orientation = Eigen::Quaternion<Scalar>(packed(12), packed(13), packed(14), packed(15));
+  x.body.angular_velocity = packed.template segment<3>(16);
+  return x;
+}
+
+/// x (+) dx: the state reached from x along the tangent vector dx.
+template <typename Scalar>
+[[nodiscard]] State<Scalar> retract(const State<Scalar>& x, const StateTangent<Scalar>& dx) {
+  State<Scalar> y;
+  y.wrench.force = x.wrench.force + dx.template segment<3>(0);
+  y.wrench.torque = x.wrench.torque + dx.template segment<3>(3);
+  y.body.position = x.body.position + dx.template segment<3>(6);
+  y.body.velocity = x.body.velocity + dx.template segment<3>(9);
+  y.body.orientation =
+      (x.body.orientation * quaternion_exp(dx.template segment<3>(12))).normalized();
+  y.body.angular_velocity = x.body.angular_velocity + dx.template segment<3>(15);
+  return y;
+}
+
+/// y (-) x: the tangent vector at x that reaches y, so retract(x, difference(y, x)) = y.
+template <typename Scalar>
+[[nodiscard]] StateTangent<Scalar> difference(const State<Scalar>& y, const State<Scalar>& x) {
+  StateTangent<Scalar> dx;
+  dx << y.wrench.force - x.wrench.force, y.wrench.torque - x.wrench.torque,
+      y.body.position - x.body.position, y.body.velocity - x.body.velocity,
+      quaternion_log(
+          Eigen::Quaternion<Scalar>(x.body.orientation.conjugate() * y.body.orientation)),
+      y.body.angular_velocity - x.body.angular_velocity;
+  return dx;
+}
+
+/// True if every number is finite and the quaternion can be normalised.
+template <typename Scalar>
+[[nodiscard]] bool is_finite(const BodyState<Scalar>& x) noexcept {
+  return x.position.allFinite() && x.velocity.allFinite() && x.orientation.coeffs().allFinite() &&
+         x.orientation.squaredNorm() > Scalar(1e-6) && x.angular_velocity.allFinite();
+}
+
+template <typename Scalar>
+[[nodiscard]] bool is_finite(const Wrench<Scalar>& w) noexcept {
+  return w.force.allFinite() && w.torque.allFinite();
+}
+
+}  // namespace tilt_ropter

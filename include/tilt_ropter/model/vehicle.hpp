@@ -1,0 +1,174 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+
+#include <Eigen/Core>
+
+#include <array>
+#include <cmath>
+#include <string>
+
+/// What the vehicle is: every parameter of it, plain data with units, and the reference vehicle.
+namespace tilt_ropter {
+
+inline constexpr double pi = 3.14159265358979323846;
+
+/// Acceleration of gravity [m/s^2], the paper's; it points along world -z.
+inline constexpr double gravity = 9.81;
+
+struct RigidBodyParameters {
+  double mass = 1.0;  ///< [kg]
+  Eigen::Matrix3d inertia =
+      Eigen::Matrix3d::Identity();  ///< about the CoM, in the body frame [kg m^2]
+};
+
+/// Direction in which a rotor turns, seen from where its thrust points to.
+enum class Spin { counter_clockwise = 1, clockwise = -1 };
+
+/// Where a rotor sits. Its frame has its origin where the propeller's axis meets the arm's, x along
+/// the arm outward; at tilt angle alpha the thrust points along (0, -sin alpha, cos alpha) there.
+struct RotorGeometry {
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< origin in the body frame [m]
+  Eigen::Matrix3d orientation =
+      Eigen::Matrix3d::Identity();  ///< rotor frame -> body frame, a rotation matrix
+  Spin spin = Spin::counter_clockwise;
+  bool tilts = true;  ///< false: alpha is always zero, thrust along the rotor frame's z
+};
+
+/// A rotor at the end of an arm of `length` [m] in the body's xy plane at `azimuth` [rad] from x.
+[[nodiscard]] inline RotorGeometry rotor_on_arm(double azimuth, double length, Spin spin) {
+  RotorGeometry rotor;
+  const double c = std::cos(azimuth), s = std::sin(azimuth);
+  rotor.position << length * c, length * s, 0.0;
+  rotor.orientation << c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0;
+  rotor.spin = spin;
+  return rotor;
+}
+
+/// Motor and propeller; the same for all rotors of a vehicle.
+struct RotorParameters {
+  double thrust_coefficient = 1.0e-6;  ///< thrust / speed^2 [N s^2 / rad^2]
+  double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
+  double min_thrust = 0.0;             ///< [N]
+  double max_thrust = 10.0;            ///< [N]
+  double time_constant = 0.03;         ///< of the speed's first-order lag [s]
+};
+
+/// Servo that tilts an arm; the same for all arms of a vehicle.
+struct ServoParameters {
+  double time_constant =
+      0.08;                ///< of the angle's first-order lag (paper, Sec. External Wrench) [s]
+  double max_rate = 8.0;   ///< [rad/s]
+  double min_angle = -pi;  ///< [rad]
+  double max_angle = pi;   ///< [rad]
+  double dead_time = 0.0;  ///< from command to first motion [s]
+};
+
+/// Two passive wheels on the body's y axis, through the CoM.
+struct WheelParameters {
+  double radius = 0.1;      ///< [m]
+  double half_track = 0.2;  ///< CoM to wheel centre along body y [m]
+};
+
+/// Electrical power P = electronics + c sum Omega^3, with c such that hover takes `hover`.
+struct PowerParameters {
+  double electronics = 20.0;  ///< drawn without any thrust [W]
+  double hover = 600.0;       ///< total in hover [W]
+};
+
+template <int Rotors = 4>
+struct Vehicle {
+  RigidBodyParameters body;
+  std::array<RotorGeometry, Rotors> rotors;
+  RotorParameters rotor;
+  ServoParameters servo;
+  WheelParameters wheels;
+  PowerParameters power;
+};
+
+inline void validate(const RigidBodyParameters& p) {
+  require_positive("RigidBodyParameters.mass [kg]", p.mass);
+  require_inertia("RigidBodyParameters.inertia", p.inertia);
+}
+
+inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
+  require_finite(field + ".position [m]", p.position);
+  require_finite(field + ".orientation", p.orientation);
+  require((p.orientation.transpose() * p.orientation).isIdentity(1e-6) &&
+              p.orientation.determinant() > 0.0,
+          field + ".orientation", p.orientation, "a rotation matrix");
+}
+
+inline void validate(const RotorParameters& p) {
+  require_positive("RotorParameters.thrust_coefficient [N s^2]", p.thrust_coefficient);
+  require_non_negative("RotorParameters.torque_ratio [m]", p.torque_ratio);
+  require_non_negative("RotorParameters.min_thrust [N]", p.min_thrust);
+  require(std::isfinite(p.max_thrust) && p.max_thrust > p.min_thrust,
+          "RotorParameters.max_thrust [N]", p.max_thrust, "finite and > min_thrust");
+  require_positive("RotorParameters.time_constant [s]", p.time_constant);
+}
+
+inline void validate(const ServoParameters& p) {
+  require_positive("ServoParameters.time_constant [s]", p.time_constant);
+  require_positive("ServoParameters.max_rate [rad/s]", p.max_rate);
+  require_finite("ServoParameters.min_angle [rad]", p.min_angle);
+  require(std::isfinite(p.max_angle) && p.max_angle > p.min_angle,
+          "ServoParameters.max_angle [rad]", p.max_angle, "finite and > min_angle");
+  require_non_negative("ServoParameters.dead_time [s]", p.dead_time);
+}
+
+inline void validate(const WheelParameters& p) {
+  require_positive("WheelParameters.radius [m]", p.radius);
+  require_positive("WheelParameters.half_track [m]", p.half_track);
+}
+
+inline void validate(const PowerParameters& p) {
+  require_non_negative("PowerParameters.electronics [W]", p.electronics);
+  require(std::isfinite(p.hover) && p.hover > p.electronics, "PowerParameters.hover [W]", p.hover,
+          "finite and > electronics");
+}
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed. Whether the
+/// geometry can give every wrench is for Allocation to say, which needs its rank.
+template <int Rotors>
+void validate(const Vehicle<Rotors>& vehicle) {
+  validate(vehicle.body);
+  for (int i = 0; i < Rotors; ++i)
+    validate(vehicle.rotors[static_cast<std::size_t>(i)],
+             "Vehicle.rotors[" + std::to_string(i) + "]");
+  validate(vehicle.rotor);
+  validate(vehicle.servo);
+  validate(vehicle.wheels);
+  validate(vehicle.power);
+}
+
+/// The Tilt-Ropter of the paper: a plus frame numbered like PX4's "Quad +", 1 right (-y), 2 left
+/// (+y), 3 front (+x), 4 back (-x). Rotors 1 and 2 turn counter-clockwise seen from above and their
+/// arms carry the wheels. Each value is marked as the paper's or as our estimate.
+[[nodiscard]] inline Vehicle<4> tilt_ropter_vehicle() {
+  Vehicle<4> v;
+  v.body.mass = 1.5;                                                   // paper, Sec. Hardware
+  v.body.inertia = Eigen::Vector3d(0.014, 0.014, 0.025).asDiagonal();  // estimate
+  const double arm = 0.17;                                             // estimate
+  v.rotors = {rotor_on_arm(-pi / 2, arm, Spin::counter_clockwise),     // paper, Sec. Frames
+              rotor_on_arm(pi / 2, arm, Spin::counter_clockwise),      // paper
+              rotor_on_arm(0.0, arm, Spin::clockwise),                 // paper
+              rotor_on_arm(pi, arm, Spin::clockwise)};                 // paper
+  v.rotor.thrust_coefficient = 1.4e-6;                                 // estimate
+  v.rotor.torque_ratio = 0.016;                                        // estimate
+  v.rotor.min_thrust = 0.0;                                            // estimate
+  v.rotor.max_thrust = 12.0;                                           // estimate
+  v.rotor.time_constant = 0.03;                                        // estimate
+  v.servo.time_constant = 0.08;                                        // estimate
+  v.servo.max_rate = 8.0;                                              // estimate
+  v.servo.min_angle = -pi;                                             // estimate
+  v.servo.max_angle = pi;                                              // estimate
+  v.servo.dead_time = 0.0;                                             // estimate
+  v.wheels.radius = 0.11;                                              // estimate
+  v.wheels.half_track = 0.20;                                          // estimate
+  v.power.electronics = 20.0;  // estimate; known only to lie between 15 and 40
+  v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
+  return v;
+}
+
+}  // namespace tilt_ropter
