@@ -15,6 +15,15 @@ struct Wrench {
   Vector3<Scalar> torque = Vector3<Scalar>::Zero();
 };
 
+/// Speed and tilt angle of every rotor: as commanded, measured, modelled or true.
+template <int Rotors, typename Scalar = double>
+struct ActuatorState {
+  Eigen::Matrix<Scalar, Rotors, 1> rotor_speed =
+      Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [rad/s], >= 0
+  Eigen::Matrix<Scalar, Rotors, 1> tilt_angle =
+      Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< about the rotor frame's x [rad]
+};
+
 /// Pose and twist of the body frame: what a state estimator delivers.
 template <typename Scalar = double>
 struct BodyState {
