@@ -65,7 +65,8 @@ template <typename Scalar>
     scale = Scalar(2) / w * (Scalar(1) - ratio / Scalar(3) + ratio * ratio / Scalar(5));
   } else {
     const Scalar n = sqrt(square);
-    scale = Scalar(2) * atan2(n, w) / n;
+    const Scalar half = atan2(n, w);
+    scale = Scalar(2) * half / n;
   }
   return (sign * scale) * q.vec();
 }

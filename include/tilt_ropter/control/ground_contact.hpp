@@ -1,0 +1,92 @@
+#pragma once
+
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+
+#include <Eigen/Core>
+
+#include <cmath>
+
+/// Contact of the wheels with flat ground as the controller sees it: the paper's indicator delta
+/// (paper, Sec. Problem Formulation) with tolerance and hysteresis, and what a node on the ground
+/// is told about the forces there.
+namespace tilt_ropter {
+
+struct GroundContactSettings {
+  double wheel_radius = 0.11;         ///< height of the CoM on the ground [m]
+  double enter_height = 0.010;        ///< lower than this above the radius: on the ground [m]
+  double leave_height = 0.030;        ///< higher than this: in the air [m]
+  double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
+  double down_force = 0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+};
+
+inline void validate(const GroundContactSettings& s) {
+  require_positive("GroundContactSettings.wheel_radius [m]", s.wheel_radius);
+  require_positive("GroundContactSettings.enter_height [m]", s.enter_height);
+  require(std::isfinite(s.leave_height) && s.leave_height > s.enter_height,
+          "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
+  require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
+  require_finite("GroundContactSettings.down_force [N]", s.down_force);
+}
+
+/// Mode of contact and the external wrench that belongs to each mode. The normal force estimated on
+/// the ground must not be carried into nodes whose reference is in the air (it would look like lift
+/// at take-off), so the wrench last seen in the air is kept for them.
+class GroundContact {
+ public:
+  /// Throws std::invalid_argument for settings out of range.
+  explicit GroundContact(const GroundContactSettings& settings) : settings_(settings) {
+    validate(settings);
+  }
+
+  /// Takes the measured height of the CoM [m] and the estimated external wrench (body frame).
+  /// True if the vehicle has just left the ground: the estimate still holds the ground's force then
+  /// and is better replaced by air_wrench(). Numbers that are not finite change nothing.
+  bool update(double height, const Wrench<>& external) noexcept {
+    if (!std::isfinite(height) || !is_finite(external)) return false;
+    const double clearance = height - settings_.wheel_radius;
+    const bool was_on_ground = on_ground_;
+    on_ground_ = clearance < (on_ground_ ? settings_.leave_height : settings_.enter_height);
+    if (on_ground_ != was_on_ground) ++mode_changes_;
+    const bool lifted_off = was_on_ground && !on_ground_;
+    if (!on_ground_ && !lifted_off) air_wrench_ = external;
+    if (on_ground_) ground_wrench_ = external;
+    return lifted_off;
+  }
+
+  [[nodiscard]] bool on_ground() const { return on_ground_; }
+  [[nodiscard]] int mode_changes() const { return mode_changes_; }
+
+  /// External wrench last seen in the air, body frame.
+  [[nodiscard]] const Wrench<>& air_wrench() const { return air_wrench_; }
+
+  /// Fills delta, freedom and external wrench of a node whose reference is set; `orientation` is
+  /// the vehicle's now, body -> world.
+  void apply(const Eigen::Quaterniond& orientation, WheeledFlightNode& node) const {
+    const double clearance = node.reference.position.z() - settings_.wheel_radius;
+    node.on_ground = on_ground_ && std::abs(clearance) < settings_.reference_tolerance;
+    node.freedom = {};
+    node.external = air_wrench_;
+    if (!node.on_ground) return;
+    // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
+    // thrust up. So the vertical and the roll are held, and their share of the estimate is left out.
+    node.freedom.linear.z() = 0.0;
+    node.freedom.angular.x() = 0.0;
+    Eigen::Vector3d horizontal = orientation * ground_wrench_.force;
+    horizontal.z() = 0.0;
+    node.external.force = orientation.conjugate() * horizontal;
+    node.external.torque = ground_wrench_.torque;
+    node.external.torque.x() = 0.0;
+  }
+
+  [[nodiscard]] const GroundContactSettings& settings() const { return settings_; }
+
+ private:
+  GroundContactSettings settings_;
+  bool on_ground_ = false;
+  int mode_changes_ = 0;
+  Wrench<> air_wrench_, ground_wrench_;
+};
+
+}  // namespace tilt_ropter

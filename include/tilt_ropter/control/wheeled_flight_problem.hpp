@@ -1,0 +1,261 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/rigid_body.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+
+#include <cstddef>
+#include <limits>
+#include <vector>
+
+/// The paper's optimal-control problem (paper, Sec. Nonlinear Model Predictive Control): 19 states
+/// (F, M, p, v, q, w), 6 inputs (dF, dM), bounds on wrench, wrench rate and body rate, and the
+/// non-holonomic conditions of ground contact, posed to MultipleShooting.
+namespace tilt_ropter {
+
+/// Weights of the squared errors, per axis; the cost has no 1/2 and no time step in it.
+struct NmpcWeights {
+  Eigen::Vector3d force{0.02, 0.02, 0.02};          ///< F - F_r, body [1/N^2]
+  Eigen::Vector3d torque{0.2, 0.2, 0.2};            ///< M - M_r, body [1/(N m)^2]
+  Eigen::Vector3d position{60.0, 60.0, 80.0};       ///< world [1/m^2]
+  Eigen::Vector3d velocity{6.0, 6.0, 8.0};          ///< world [s^2/m^2]
+  Eigen::Vector3d orientation{30.0, 30.0, 30.0};    ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
+  Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< body [s^2/rad^2]
+  Eigen::Vector3d force_rate{0.02, 0.02, 0.02};     ///< dF [s^2/N^2]
+  Eigen::Vector3d torque_rate{0.2, 0.2, 0.2};       ///< dM [s^2/(N m)^2]
+  double terminal = 5.0;                            ///< factor on the state's weights at the end
+  Eigen::Vector3d ground{1e3, 1e3, 1e3};  ///< v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2]
+};
+
+/// Bounds on wrench, wrench rate and body rate, all in the body frame. Infinite means none.
+struct NmpcBounds {
+  Eigen::Vector3d force_rate{20.0, 20.0, 40.0};     ///< |dF| <= [N/s]
+  Eigen::Vector3d torque_rate{4.0, 4.0, 4.0};       ///< |dM| <= [N m/s]
+  Eigen::Vector3d force_min{-6.0, -6.0, 0.0};       ///< [N]
+  Eigen::Vector3d force_max{6.0, 6.0, 30.0};        ///< [N]
+  Eigen::Vector3d torque_min{-1.5, -1.5, -1.5};     ///< [N m]
+  Eigen::Vector3d torque_max{1.5, 1.5, 1.5};        ///< [N m]
+  Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
+};
+
+/// The bounds of the paper's table (paper, Tab. NMPC Parameters for Real-World Experiments). They
+/// allow 0.13 m/s^2 sideways without leaning and need 7 s from rest thrust to hover.
+[[nodiscard]] inline NmpcBounds paper_bounds() {
+  NmpcBounds b;
+  b.force_rate.setConstant(2.0);
+  b.torque_rate.setConstant(2.0);
+  b.force_min << -0.2, -0.2, 0.0;
+  b.force_max << 0.2, 0.2, 20.0;
+  b.torque_min.setConstant(-20.0);
+  b.torque_max.setConstant(20.0);
+  b.angular_velocity << 2.0, 2.0, 1.5;
+  return b;
+}
+
+/// What the problem needs beyond the model.
+struct WheeledFlightSettings {
+  int intervals = 20;     ///< N (paper: 20)
+  double interval = 0.1;  ///< length of one [s] (paper: 0.1)
+  NmpcWeights weights;
+  NmpcBounds bounds;
+  double row_penalty = 1e4;    ///< price of violating a bound by one unit
+  double wheel_radius = 0.11;  ///< height of the CoM on the ground [m]
+};
+
+inline void validate(const NmpcWeights& w) {
+  require_non_negative("NmpcWeights.force [1/N^2]", w.force);
+  require_non_negative("NmpcWeights.torque [1/(N m)^2]", w.torque);
+  require_non_negative("NmpcWeights.position [1/m^2]", w.position);
+  require_non_negative("NmpcWeights.velocity [s^2/m^2]", w.velocity);
+  require_non_negative("NmpcWeights.orientation [1/rad^2]", w.orientation);
+  require_non_negative("NmpcWeights.angular_velocity [s^2/rad^2]", w.angular_velocity);
+  require_positive("NmpcWeights.force_rate [s^2/N^2]", w.force_rate);
+  require_positive("NmpcWeights.torque_rate [s^2/(N m)^2]", w.torque_rate);
+  require_positive("NmpcWeights.terminal", w.terminal);
+  require_non_negative("NmpcWeights.ground", w.ground);
+}
+
+inline void validate(const NmpcBounds& b) {
+  require((b.force_rate.array() > 0.0).all(), "NmpcBounds.force_rate [N/s]", b.force_rate,
+          "> 0 in every entry");
+  require((b.torque_rate.array() > 0.0).all(), "NmpcBounds.torque_rate [N m/s]", b.torque_rate,
+          "> 0 in every entry");
+  require_ordered("NmpcBounds.force [N]", b.force_min, b.force_max);
+  require_ordered("NmpcBounds.torque [N m]", b.torque_min, b.torque_max);
+  require((b.angular_velocity.array() > 0.0).all(), "NmpcBounds.angular_velocity [rad/s]",
+          b.angular_velocity, "> 0 in every entry");
+}
+
+inline void validate(const WheeledFlightSettings& s) {
+  require(s.intervals >= 1 && s.intervals <= 1000, "WheeledFlightSettings.intervals", s.intervals,
+          "in [1, 1000]");
+  require_positive("WheeledFlightSettings.interval [s]", s.interval);
+  validate(s.weights);
+  validate(s.bounds);
+  require_positive("WheeledFlightSettings.row_penalty", s.row_penalty);
+  require_positive("WheeledFlightSettings.wheel_radius [m]", s.wheel_radius);
+}
+
+/// What a node should do and what acts on it.
+struct WheeledFlightNode {
+  BodyState<> reference;      ///< p_r, v_r, q_r, w_r
+  Wrench<> wrench_reference;  ///< F_r, M_r (body frame)
+  Wrench<> external;          ///< F_e, M_e during the interval that starts here (body frame)
+  Freedom<> freedom;          ///< what the ground leaves free during that interval
+  bool on_ground = false;     ///< the paper's delta: non-holonomic conditions apply here
+};
+
+class WheeledFlightProblem {
+ public:
+  static constexpr int states = 18, inputs = 6, rows = 15, equalities = 3;
+  using State = tilt_ropter::State<>;
+  using D = ProblemDimensions<WheeledFlightProblem>;
+  using Model = QuadraticModel<states, inputs>;
+
+  /// Throws std::invalid_argument for parameters or settings out of range.
+  WheeledFlightProblem(const RigidBodyParameters& body, const WheeledFlightSettings& settings)
+      : body_(body), settings_(settings) {
+    validate(settings);
+    nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+    const NmpcBounds& b = settings.bounds;
+    const D::Rows none = D::Rows::Constant(std::numeric_limits<double>::infinity());
+    upper_ << b.force_max, b.torque_max, b.angular_velocity, b.force_rate, b.torque_rate;
+    lower_ << b.force_min, b.torque_min, -b.angular_velocity, -b.force_rate, -b.torque_rate;
+    // The measured state is not ours to bound, and the last node has no input.
+    first_upper_ = last_upper_ = none;
+    first_lower_ = last_lower_ = -none;
+    first_upper_.tail<6>() = upper_.tail<6>();
+    first_lower_.tail<6>() = lower_.tail<6>();
+    last_upper_.head<9>() = upper_.head<9>();
+    last_lower_.head<9>() = lower_.head<9>();
+    penalty_.setConstant(settings.row_penalty);
+  }
+
+  [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
+  [[nodiscard]] WheeledFlightNode& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const WheeledFlightNode& node(int k) const {
+    return nodes_[static_cast<std::size_t>(k)];
+  }
+
+  [[nodiscard]] int horizon() const { return settings_.intervals; }
+  [[nodiscard]] State retract(const State& x, const D::Tangent& dx) const {
+    return tilt_ropter::retract(x, dx);
+  }
+  [[nodiscard]] D::Tangent difference(const State& y, const State& x) const {
+    return tilt_ropter::difference(y, x);
+  }
+
+  [[nodiscard]] State step(int k, const State& x, const D::Input& u) const {
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom);
+  }
+  [[nodiscard]] State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const {
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
+  }
+
+  /// e' Q e + u' R u with e = (F - F_r, M - M_r, p - p_r, v - v_r, 2 vec(q (x) q_r^-1), w - w_r).
+  [[nodiscard]] double cost(int k, const State& x, const D::Input& u) const {
+    const D::Tangent e = error(k, x);
+    const double state_cost = e.dot(state_weights(k).cwiseProduct(e));
+    return k == horizon() ? state_cost : state_cost + u.dot(input_weights().cwiseProduct(u));
+  }
+
+  void cost_model(int k, const State& x, const D::Input& u, Model& model) const {
+    const D::Tangent e = error(k, x);
+    const D::Tangent q = 2.0 * state_weights(k);
+    model.lx = q.cwiseProduct(e);
+    model.lxx = q.asDiagonal();
+    // d e_q = (w I - [v]x) R(q) dtheta for q (x) q_r^-1 = (w, v).
+    const Eigen::Quaterniond turn = attitude_error(k, x);
+    Eigen::Matrix3d by_angle = -skew(turn.vec());
+    by_angle.diagonal().array() += turn.w();
+    const Eigen::Matrix3d jacobian = by_angle * x.body.orientation.toRotationMatrix();
+    const Eigen::Matrix3d weighted = q.segment<3>(12).asDiagonal() * jacobian;
+    model.lx.segment<3>(12) = weighted.transpose() * e.segment<3>(12);
+    model.lxx.block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
+    if (k == horizon()) return;
+    const D::Input r = 2.0 * input_weights();
+    model.lu = r.cwiseProduct(u);
+    model.luu = r.asDiagonal();
+  }
+
+  [[nodiscard]] D::Rows row_values(int, const State& x, const D::Input& u) const {
+    D::Rows value;
+    value << x.wrench.force, x.wrench.torque, x.body.angular_velocity, u;
+    return value;
+  }
+  void row_derivatives(int, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
+    C.setZero();
+    E.setZero();
+    C.block<6, 6>(0, 0).setIdentity();
+    C.block<3, 3>(6, 15).setIdentity();
+    E.block<6, 6>(9, 0).setIdentity();
+  }
+  [[nodiscard]] const D::Rows& lower(int k) const {
+    return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
+  }
+  [[nodiscard]] const D::Rows& upper(int k) const {
+    return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
+  }
+  [[nodiscard]] const D::Rows& penalty(int) const { return penalty_; }
+
+  /// v_By, w_x and p_z - r (paper, Eq. mpc_subject), where the node is on the ground.
+  [[nodiscard]] D::Equalities equality_values(int, const State& x) const {
+    const Eigen::Vector3d velocity = x.body.orientation.conjugate() * x.body.velocity;
+    return {velocity.y(), x.body.angular_velocity.x(),
+            x.body.position.z() - settings_.wheel_radius};
+  }
+  void equality_derivatives(int, const State& x, D::EqualitiesX& H) const {
+    const Eigen::Matrix3d to_body = x.body.orientation.conjugate().toRotationMatrix();
+    const Eigen::Vector3d velocity = to_body * x.body.velocity;
+    H.setZero();
+    H.block<1, 3>(0, 9) = to_body.row(1);
+    H.block<1, 3>(0, 12) = skew(velocity).row(1);
+    H(1, 15) = 1.0;
+    H(2, 8) = 1.0;
+  }
+  [[nodiscard]] D::Equalities equality_weights(int k) const {
+    if (!node(k).on_ground) return D::Equalities::Zero();
+    return 2.0 * settings_.weights.ground;
+  }
+
+ private:
+  // The rotation from reference to body, on the half of the sphere where it is the shorter one.
+  [[nodiscard]] Eigen::Quaterniond attitude_error(int k, const State& x) const {
+    Eigen::Quaterniond turn = x.body.orientation * node(k).reference.orientation.conjugate();
+    if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
+    return turn;
+  }
+
+  [[nodiscard]] D::Tangent error(int k, const State& x) const {
+    const WheeledFlightNode& n = node(k);
+    D::Tangent e;
+    e << x.wrench.force - n.wrench_reference.force, x.wrench.torque - n.wrench_reference.torque,
+        x.body.position - n.reference.position, x.body.velocity - n.reference.velocity,
+        2.0 * attitude_error(k, x).vec(), x.body.angular_velocity - n.reference.angular_velocity;
+    return e;
+  }
+
+  [[nodiscard]] D::Tangent state_weights(int k) const {
+    const NmpcWeights& w = settings_.weights;
+    D::Tangent q;
+    q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
+    return k == horizon() ? D::Tangent(w.terminal * q) : q;
+  }
+  [[nodiscard]] D::Input input_weights() const {
+    D::Input r;
+    r << settings_.weights.force_rate, settings_.weights.torque_rate;
+    return r;
+  }
+
+  RigidBody<> body_;
+  WheeledFlightSettings settings_;
+  std::vector<WheeledFlightNode> nodes_;
+  D::Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <tilt_ropter/model/rotor.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+
+/// Electrical power from rotor speeds.
+namespace tilt_ropter {
+
+/// P = electronics + c sum Omega^3, the aerodynamic power of propellers at rest in air, with c such
+/// that hover, m g shared equally by all rotors, takes PowerParameters.hover (paper, Sec. Energy
+/// Efficiency). Only the constructor throws; nothing allocates.
+class PowerModel {
+ public:
+  /// Throws std::invalid_argument on parameters that validate() refuses.
+  template <int Rotors>
+  explicit PowerModel(const Vehicle<Rotors>& vehicle) : electronics_(vehicle.power.electronics) {
+    validate(vehicle.power);
+    validate(vehicle.body);
+    validate(vehicle.rotor);
+    const double hover_speed =
+        speed_from_thrust(vehicle.body.mass * gravity / Rotors, vehicle.rotor.thrust_coefficient);
+    coefficient_ =
+        (vehicle.power.hover - electronics_) / (Rotors * hover_speed * hover_speed * hover_speed);
+  }
+
+  /// Power [W] at rotor speeds [rad/s], a vector of any length. A speed that is negative, not
+  /// finite, or beyond 1e9 rad/s counts as zero.
+  template <typename Derived>
+  [[nodiscard]] typename Derived::Scalar power(
+      const Eigen::MatrixBase<Derived>& rotor_speed) const noexcept {
+    using Scalar = typename Derived::Scalar;
+    Scalar sum(0);
+    for (Eigen::Index i = 0; i < rotor_speed.size(); ++i) {
+      const Scalar& speed = rotor_speed(i);
+      if (speed > Scalar(0) && speed < Scalar(1e9)) sum += speed * speed * speed;
+    }
+    return Scalar(electronics_) + Scalar(coefficient_) * sum;
+  }
+
+  /// c [W s^3].
+  [[nodiscard]] double coefficient() const noexcept { return coefficient_; }
+
+ private:
+  double electronics_;
+  double coefficient_ = 0.0;
+};
+
+}  // namespace tilt_ropter

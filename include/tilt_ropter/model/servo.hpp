@@ -1,0 +1,135 @@
+#pragma once
+
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+/// Servo that tilts an arm: first-order lag (paper, Sec. External Wrench Estimation) with rate
+/// limit, range and dead time.
+namespace tilt_ropter {
+
+/// Angle of one servo. Between two updates the command is held and
+/// d(angle)/dt = clamp((command - angle) / time_constant, +-max_rate) is solved in closed form: a
+/// ramp while the rate limit holds, an exponential afterwards. So the result does not depend on how
+/// often update() is called. Nothing allocates; only the constructor throws.
+///
+/// Commands that wait for their dead time to pass stand in a ring of `capacity` entries. Two
+/// commands closer than dead_time / (capacity - 1) share an entry: the later one takes effect when
+/// the earlier one would have, that is up to this much too soon. At updates further apart than that
+/// (1 kHz: dead times up to 63 ms) the dead time is exact.
+template <typename Scalar = double>
+class Servo {
+ public:
+  static constexpr std::size_t capacity = 64;
+
+  /// Stands at angle zero, or the nearest one in range. Throws std::invalid_argument on parameters
+  /// that validate() refuses.
+  explicit Servo(const ServoParameters& parameters = {}) : parameters_(parameters) {
+    validate(parameters);
+    angle_ = command_ = bounded(Scalar(0));
+  }
+
+  /// Brings the angle to `time` [s] under the earlier commands, then takes `command` [rad], cut to
+  /// the range, which acts from time + dead_time on. The first update only starts the clock. A
+  /// command or time that is not finite, or a time before the last one, changes nothing. Returns
+  /// the angle at `time`.
+  Scalar update(double time, const Scalar& command) noexcept {
+    using std::abs;
+    const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
+                        abs(command) < Scalar(std::numeric_limits<double>::infinity());
+    if (!usable) return angle_;
+    if (!started_) time_ = time;
+    started_ = true;
+    push(time + parameters_.dead_time, bounded(command));
+    while (waiting_ > 0 && queue_[first_].time <= time) {
+      move_to(queue_[first_].time);
+      command_ = queue_[first_].command;
+      first_ = (first_ + 1) % capacity;
+      --waiting_;
+    }
+    move_to(time);
+    return angle_;
+  }
+
+  /// Sets angle and command [rad], cut to the range, at `time` [s] and forgets waiting commands.
+  void reset(const Scalar& angle, double time) noexcept {
+    angle_ = command_ = bounded(angle);
+    time_ = time;
+    started_ = std::isfinite(time);
+    waiting_ = 0;
+  }
+
+  [[nodiscard]] const Scalar& angle() const noexcept { return angle_; }  ///< [rad]
+
+  /// Rate [rad/s] right after the last update, within +-max_rate.
+  [[nodiscard]] Scalar rate() const noexcept {
+    const Scalar rate = (command_ - angle_) / Scalar(parameters_.time_constant);
+    const Scalar limit = Scalar(parameters_.max_rate);
+    if (rate > limit) return limit;
+    return rate < -limit ? Scalar(-limit) : rate;
+  }
+
+ private:
+  struct Waiting {
+    double time = 0.0;  ///< at which the command takes effect [s]
+    Scalar command{};
+  };
+
+  void push(double time, const Scalar& command) noexcept {
+    const double spacing = parameters_.dead_time / static_cast<double>(capacity - 1);
+    if (waiting_ > 0) {
+      Waiting& youngest = queue_[(first_ + waiting_ - 1) % capacity];
+      if (time - youngest.time < spacing || waiting_ == capacity) {
+        youngest.command = command;
+        return;
+      }
+    }
+    queue_[(first_ + waiting_) % capacity] = {time, command};
+    ++waiting_;
+  }
+
+  void move_to(double time) noexcept {
+    using std::abs;
+    using std::exp;
+    const double duration = time - time_;
+    if (duration <= 0.0) return;
+    time_ = time;
+    const Scalar rate = Scalar(parameters_.max_rate);
+    const Scalar time_constant = Scalar(parameters_.time_constant);
+    Scalar error = command_ - angle_;
+    Scalar rest = Scalar(duration);
+    // Beyond this error the rate limit holds.
+    const Scalar knee = rate * time_constant;
+    if (abs(error) > knee) {
+      const Scalar ramp = (abs(error) - knee) / rate;
+      const Scalar direction = error > Scalar(0) ? Scalar(1) : Scalar(-1);
+      if (ramp >= rest) {
+        angle_ += direction * rate * rest;
+        return;
+      }
+      error = direction * knee;
+      rest -= ramp;
+    }
+    angle_ = command_ - error * exp(-rest / time_constant);
+  }
+
+  [[nodiscard]] Scalar bounded(const Scalar& angle) const noexcept {
+    const Scalar lower = Scalar(parameters_.min_angle), upper = Scalar(parameters_.max_angle);
+    if (!(angle > lower)) return lower;
+    return angle < upper ? angle : upper;
+  }
+
+  ServoParameters parameters_;
+  Scalar angle_{};
+  Scalar command_{};
+  double time_ = 0.0;
+  bool started_ = false;
+  std::array<Waiting, capacity> queue_{};
+  std::size_t first_ = 0;
+  std::size_t waiting_ = 0;
+};
+
+}  // namespace tilt_ropter

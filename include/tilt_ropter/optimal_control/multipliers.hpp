@@ -1,0 +1,226 @@
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+
+#include <nlopt.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <vector>
+
+/// The dual of a quadratic program with identity Hessian, solved by NLopt:
+///
+///     min over z of 1/2 |z|^2 + elastic penalty of the rows G z + b <= 0
+///     dual:  min_{0 <= lambda <= rho}  1/2 lambda' (G G' + I/sigma) lambda - b' lambda,
+///     z = -G' lambda.
+///
+/// The upper bound rho on a multiplier is the exact L1 penalty on its row, so a solution exists for
+/// every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
+namespace tilt_ropter {
+
+/// NLopt's algorithms that can solve the dual; all reach the same point.
+enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
+
+struct DualSettings {
+  DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
+  int max_evaluations = 500;  ///< of the dual's gradient in one call of NLopt
+  double tolerance = 1e-9;    ///< on the scaled projected gradient of an accepted solution
+};
+
+/// Minimiser of the dual above, with room for `capacity` rows. NLopt allocates in each call (its
+/// workspace, about 100 kB with the vector storage set here); nothing else does after construction.
+class DualSolver {
+ public:
+  explicit DualSolver(int capacity, const DualSettings& settings = {})
+      : settings_(settings),
+        optimizers_(static_cast<std::size_t>(capacity) + 1),
+        hessian_(capacity, capacity),
+        factor_(capacity, capacity),
+        linear_(capacity),
+        upper_(capacity),
+        scale_(capacity),
+        iterate_(capacity),
+        gradient_(capacity),
+        candidate_(capacity),
+        lower_(Eigen::VectorXd::Zero(capacity)),
+        reduced_(capacity),
+        free_(static_cast<std::size_t>(capacity)) {}
+
+  /// Solves for `lambda` (in: warm start; out: solution) with the lower triangle of H = G G' +
+  /// I/sigma (size x size), offsets b and bounds rho. Returns false if no finite solution was
+  /// found; lambda is then what it was. Never throws.
+  template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
+  [[nodiscard]] bool solve(const Eigen::MatrixBase<Hessian>& H, const Eigen::MatrixBase<Offset>& b,
+                           const Eigen::MatrixBase<Bound>& rho,
+                           Eigen::MatrixBase<Multiplier>& lambda) noexcept {
+    size_ = static_cast<int>(b.size());
+    if (size_ == 0) return true;
+    // Jacobi scaling: unit diagonal, multipliers in units of their row.
+    scale_.head(size_) = H.diagonal().array().max(1e-300).sqrt().inverse();
+    for (int j = 0; j < size_; ++j)
+      for (int i = j; i < size_; ++i) {
+        hessian_(i, j) = H(i, j) * scale_(i) * scale_(j);
+        hessian_(j, i) = hessian_(i, j);
+      }
+    linear_.head(size_) = b.cwiseProduct(scale_.head(size_));
+    upper_.head(size_) = rho.cwiseQuotient(scale_.head(size_));
+    iterate_.head(size_) =
+        lambda.cwiseQuotient(scale_.head(size_)).cwiseMax(0.0).cwiseMin(upper_.head(size_));
+    if (!linear_.head(size_).allFinite() || !iterate_.head(size_).allFinite()) return false;
+
+    const double tolerance =
+        settings_.tolerance * (1.0 + linear_.head(size_).cwiseAbs().maxCoeff());
+    refine(tolerance);
+    for (int round = 0; round < max_rounds && !optimize(tolerance); ++round) refine(tolerance);
+    if (!iterate_.head(size_).allFinite()) return false;
+    lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_));
+    return true;
+  }
+
+  /// Gradient evaluations that NLopt asked for since construction.
+  [[nodiscard]] long evaluations() const { return evaluations_; }
+
+ private:
+  struct Destroy {
+    void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
+  };
+  using Optimizer = std::unique_ptr<nlopt_opt_s, Destroy>;
+  static constexpr int max_rounds = 3;
+  static constexpr unsigned vector_storage = 8;  // NLopt's own choice takes 21 MB a call
+
+  static nlopt_algorithm algorithm(DualAlgorithm name) {
+    switch (name) {
+      case DualAlgorithm::lbfgs:
+        return NLOPT_LD_LBFGS;
+      case DualAlgorithm::variable_metric:
+        return NLOPT_LD_VAR2;
+      case DualAlgorithm::ccsa:
+        return NLOPT_LD_CCSAQ;
+      case DualAlgorithm::slsqp:
+        return NLOPT_LD_SLSQP;
+      case DualAlgorithm::truncated_newton:
+        break;
+    }
+    return NLOPT_LD_TNEWTON_PRECOND_RESTART;
+  }
+
+  static double objective(unsigned n, const double* x, double* gradient, void* self_pointer) {
+    DualSolver& self = *static_cast<DualSolver*>(self_pointer);
+    const Eigen::Map<const Eigen::VectorXd> lambda(x, static_cast<Eigen::Index>(n));
+    ++self.evaluations_;
+    self.gradient_.head(n).noalias() = self.hessian_.topLeftCorner(n, n).lazyProduct(lambda);
+    const double value = lambda.dot(0.5 * self.gradient_.head(n) - self.linear_.head(n));
+    if (gradient != nullptr) {
+      Eigen::Map<Eigen::VectorXd> g(gradient, static_cast<Eigen::Index>(n));
+      g = self.gradient_.head(n) - self.linear_.head(n);
+      // A solution to tolerance needs no further evaluation.
+      if (self.projected_gradient(lambda, g) <= self.stop_) {
+        self.iterate_.head(n) = lambda;
+        self.solved_ = true;
+        nlopt_force_stop(self.optimizers_[n].get());
+      }
+    }
+    return value;
+  }
+
+  template <typename Point, typename Gradient>
+  double projected_gradient(const Point& x, const Gradient& g) const {
+    const auto step = (x - g).cwiseMax(0.0).cwiseMin(upper_.head(x.size())) - x;
+    return step.cwiseAbs().maxCoeff();
+  }
+
+  /// One call of NLopt from iterate_. True if the dual is then solved to tolerance.
+  bool optimize(double tolerance) {
+    Optimizer& optimizer = optimizers_[static_cast<std::size_t>(size_)];
+    if (!optimizer) {
+      optimizer.reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
+      if (!optimizer) return false;
+      nlopt_set_lower_bounds(optimizer.get(), lower_.data());
+      nlopt_set_maxeval(optimizer.get(), settings_.max_evaluations);
+      nlopt_set_vector_storage(optimizer.get(), vector_storage);
+      nlopt_set_ftol_rel(optimizer.get(), 1e-15);
+    }
+    nlopt_set_min_objective(optimizer.get(), objective, this);
+    nlopt_set_upper_bounds(optimizer.get(), upper_.data());
+    stop_ = tolerance;
+    solved_ = false;
+    candidate_.head(size_) = iterate_.head(size_);
+    double value = 0.0;
+    // NLopt's return code says little (positive even if all was NaN): the point itself is judged.
+    nlopt_optimize(optimizer.get(), candidate_.data(), &value);
+    if (solved_) return true;
+    if (candidate_.head(size_).allFinite())
+      iterate_.head(size_) = candidate_.head(size_).cwiseMax(0.0).cwiseMin(upper_.head(size_));
+    return residual() <= tolerance;
+  }
+
+  double residual() {
+    gradient_.head(size_).noalias() =
+        hessian_.topLeftCorner(size_, size_).lazyProduct(iterate_.head(size_));
+    gradient_.head(size_) -= linear_.head(size_);
+    return projected_gradient(iterate_.head(size_), gradient_.head(size_));
+  }
+
+  /// Newton's method on the rows that iterate_ holds free, to rounding: what NLopt finds to a few
+  /// digits, a Cholesky factorisation of the free rows finishes. Keeps iterate_ unless it gets
+  /// better.
+  void refine(double tolerance) {
+    double best = residual();
+    for (int pass = 0; pass < 4 && best > tolerance; ++pass) {
+      int free = 0;
+      candidate_.head(size_) = iterate_.head(size_);
+      for (int i = 0; i < size_; ++i) {
+        const double next = iterate_(i) - gradient_(i);
+        if (next <= 0.0)
+          candidate_(i) = 0.0;
+        else if (next >= upper_(i))
+          candidate_(i) = upper_(i);
+        else
+          free_[static_cast<std::size_t>(free++)] = i;
+      }
+      if (free == 0) return;
+      for (int i = 0; i < free; ++i) candidate_(free_[static_cast<std::size_t>(i)]) = 0.0;
+      gradient_.head(size_).noalias() =
+          hessian_.topLeftCorner(size_, size_).lazyProduct(candidate_.head(size_));
+      for (int j = 0; j < free; ++j) {
+        const int column = free_[static_cast<std::size_t>(j)];
+        reduced_(j) = linear_(column) - gradient_(column);
+        for (int i = j; i < free; ++i)
+          factor_(i, j) = hessian_(free_[static_cast<std::size_t>(i)], column);
+      }
+      Eigen::Ref<Eigen::MatrixXd> block = factor_.topLeftCorner(free, free);
+      const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> cholesky(block);
+      if (cholesky.info() != Eigen::Success) break;
+      cholesky.matrixL().solveInPlace(reduced_.head(free));
+      cholesky.matrixU().solveInPlace(reduced_.head(free));
+      for (int i = 0; i < free; ++i) {
+        const int row = free_[static_cast<std::size_t>(i)];
+        candidate_(row) = std::min(std::max(reduced_(i), 0.0), upper_(row));
+      }
+      if (!candidate_.head(size_).allFinite()) break;
+      iterate_.head(size_).swap(candidate_.head(size_));
+      const double now = residual();
+      if (!(now < best)) {
+        iterate_.head(size_).swap(candidate_.head(size_));
+        residual();
+        return;
+      }
+      best = now;
+    }
+  }
+
+  DualSettings settings_;
+  std::vector<Optimizer> optimizers_;  // by size, made when first needed
+  Eigen::MatrixXd hessian_, factor_;
+  Eigen::VectorXd linear_, upper_, scale_, iterate_, gradient_, candidate_, lower_, reduced_;
+  std::vector<int> free_;
+  int size_ = 0;
+  double stop_ = 0.0;
+  bool solved_ = false;
+  long evaluations_ = 0;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,193 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <cmath>
+
+/// The figure eight of the paper's experiments, in the air and on the ground (paper, Sec.
+/// Real-World Experiments).
+namespace tilt_ropter {
+
+/// Where the body x axis points on the way: always to the same yaw (in the air), or along the
+/// horizontal direction of motion (on the ground, whose wheels do not slip sideways).
+enum class HeadingMode { fixed, along_velocity };
+
+/// A lemniscate of Gerono, p = center + Rz(direction) (a_x sin s, a_y sin 2s, a_z sin s), passed
+/// `laps` times from its crossing (s = 0) and back to it, from rest to rest. The default amplitude
+/// is an estimate, as the paper gives no size: with it both of the paper's limits are reached, to
+/// 1 %. With the heading along such a small eight it is the yaw rate that limits (to 1.2 m/s);
+/// (2.0, 0.6, 0) m keeps 1.5 m/s.
+struct FigureEightParameters {
+  Eigen::Vector3d center = Eigen::Vector3d::Zero();  ///< the crossing, world frame [m]
+  Eigen::Vector3d amplitude{
+      1.5, 0.5, 0.5};       ///< half the extent along the eight, across it and up (0: level) [m]
+  double direction = 0.0;   ///< of the long axis, about world z [rad]
+  int laps = 2;             ///< whole eights
+  double ramp_laps = 0.25;  ///< part of the way on which it speeds up, and slows down [laps]
+  double max_speed = 1.5;   ///< (paper, Sec. Aerial Flight) [m/s]
+  double max_acceleration = 1.5;  ///< (paper, Sec. Aerial Flight) [m/s^2]
+  HeadingMode heading = HeadingMode::fixed;
+  double yaw = 0.0;           ///< of the body, with HeadingMode::fixed [rad]
+  double max_yaw_rate = 1.5;  ///< with HeadingMode::along_velocity (paper, NMPC table) [rad/s]
+  double start_time = 0.0;    ///< [s]
+};
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed.
+inline void validate(const FigureEightParameters& p) {
+  require_finite("FigureEightParameters.center [m]", p.center);
+  const Eigen::Vector3d& a = p.amplitude;
+  require(a.x() >= 0.01 && a.x() <= 1e4, "FigureEightParameters.amplitude.x [m]", a.x(),
+          "between 0.01 and 10000");
+  require(a.y() >= 0.05 * a.x() && a.y() <= 2.0 * a.x(), "FigureEightParameters.amplitude.y [m]",
+          a.y(), "between 0.05 and 2 times amplitude.x");
+  require(std::abs(a.z()) <= 1e4, "FigureEightParameters.amplitude.z [m]", a.z(),
+          "between -10000 and 10000");
+  require_finite("FigureEightParameters.direction [rad]", p.direction);
+  require(p.laps >= 1, "FigureEightParameters.laps", p.laps, ">= 1");
+  require(p.ramp_laps >= 0.05 && p.ramp_laps <= std::min(1.0, 0.5 * p.laps),
+          "FigureEightParameters.ramp_laps", p.ramp_laps,
+          ">= 0.05, <= 1 and no more than half of laps");
+  require_positive("FigureEightParameters.max_speed [m/s]", p.max_speed);
+  require_positive("FigureEightParameters.max_acceleration [m/s^2]", p.max_acceleration);
+  require_finite("FigureEightParameters.yaw [rad]", p.yaw);
+  require_positive("FigureEightParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
+  require_finite("FigureEightParameters.start_time [s]", p.start_time);
+}
+
+/// A reference along the eight: the phase s runs at a constant rate and is brought there and back
+/// to rest by a polynomial with zero slope and curvature at both ends, so the jerk is continuous.
+/// The rate is the highest that keeps every limit along the whole way (less 0.01 % for the
+/// sampling that finds it). Speed and acceleration are lengths of the three-dimensional vectors.
+class FigureEight {
+ public:
+  /// Takes about a millisecond. Throws std::invalid_argument on bad parameters.
+  explicit FigureEight(const FigureEightParameters& parameters = {}) : parameters_(parameters) {
+    validate(parameters);
+    cos_direction_ = std::cos(parameters.direction);
+    sin_direction_ = std::sin(parameters.direction);
+    fixed_orientation_ = quaternion_from_yaw(parameters.yaw);
+    set_phase_rate(1.0);
+    set_phase_rate(0.9999 * allowed_phase_rate());
+  }
+
+  /// Defined for every time [s]; at rest before the start and after the end, a NaN counts as
+  /// before. The sign of the quaternion does not jump on the way. Does not throw or allocate.
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
+    return at(time - parameters_.start_time);
+  }
+
+  [[nodiscard]] double start_time() const noexcept { return parameters_.start_time; }
+  [[nodiscard]] double end_time() const noexcept { return parameters_.start_time + duration_; }
+  [[nodiscard]] double duration() const noexcept { return duration_; }
+  [[nodiscard]] const FigureEightParameters& parameters() const noexcept { return parameters_; }
+
+  /// Moves the whole motion in time. Throws std::invalid_argument if `time` is not finite.
+  void set_start_time(double time) {
+    require_finite("FigureEight.start_time [s]", time);
+    parameters_.start_time = time;
+  }
+
+ private:
+  static constexpr double one_lap = 6.28318530717958647692;  // of the phase: 2 pi
+
+  struct Phase {
+    double angle, rate, acceleration;
+  };
+
+  [[nodiscard]] double ramp_angle() const noexcept { return one_lap * parameters_.ramp_laps; }
+
+  void set_phase_rate(double rate) noexcept {
+    phase_rate_ = rate;
+    // On the ramp the mean rate is half of the final one.
+    ramp_duration_ = 2.0 * ramp_angle() / rate;
+    duration_ = (one_lap * parameters_.laps + 2.0 * ramp_angle()) / rate;
+  }
+
+  /// The phase rate at which the tightest limit is just reached, while the present one is 1.
+  [[nodiscard]] double allowed_phase_rate() const noexcept {
+    // Slowing down mirrors speeding up, and all laps between are alike.
+    const double horizon = std::min(0.5 * duration_, ramp_duration_ + one_lap);
+    const double interval = 1e-3;
+    double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0;
+    for (int i = 0; i * interval < horizon + interval; ++i) {
+      const ReferencePoint point = at(i * interval);
+      speed = std::max(speed, point.velocity.norm());
+      acceleration = std::max(acceleration, point.acceleration.norm());
+      yaw_rate = std::max(yaw_rate, std::abs(point.angular_velocity.z()));
+    }
+    double rate = std::min(parameters_.max_speed / speed,
+                           std::sqrt(parameters_.max_acceleration / acceleration));
+    if (yaw_rate > 0.0) rate = std::min(rate, parameters_.max_yaw_rate / yaw_rate);
+    return rate;
+  }
+
+  /// Phase at `elapsed` seconds on the first ramp: its rate goes as 10 x^3 - 15 x^4 + 6 x^5.
+  [[nodiscard]] Phase ramp(double elapsed) const noexcept {
+    const double x = elapsed / ramp_duration_;
+    const double x2 = x * x;
+    return {phase_rate_ * ramp_duration_ * x2 * x2 * (2.5 + x * (x - 3.0)),
+            phase_rate_ * x2 * x * (10.0 + x * (6.0 * x - 15.0)),
+            phase_rate_ / ramp_duration_ * 30.0 * x2 * (1.0 - x) * (1.0 - x)};
+  }
+
+  [[nodiscard]] Phase phase(double elapsed) const noexcept {
+    if (!(elapsed > 0.0)) return {0.0, 0.0, 0.0};
+    if (elapsed < ramp_duration_) return ramp(elapsed);
+    if (elapsed < duration_ - ramp_duration_)
+      return {ramp_angle() + phase_rate_ * (elapsed - ramp_duration_), phase_rate_, 0.0};
+    const Phase mirrored = ramp(std::max(0.0, duration_ - elapsed));
+    return {one_lap * parameters_.laps - mirrored.angle, mirrored.rate, -mirrored.acceleration};
+  }
+
+  [[nodiscard]] Eigen::Vector3d to_world(const Eigen::Vector3d& v) const noexcept {
+    return {cos_direction_ * v.x() - sin_direction_ * v.y(),
+            sin_direction_ * v.x() + cos_direction_ * v.y(), v.z()};
+  }
+
+  [[nodiscard]] ReferencePoint at(double elapsed) const noexcept {
+    const Phase s = phase(elapsed);
+    const double sin_1 = std::sin(s.angle), cos_1 = std::cos(s.angle);
+    const double sin_2 = 2.0 * sin_1 * cos_1, cos_2 = 1.0 - 2.0 * sin_1 * sin_1;
+
+    // The eight and its derivatives by the phase, in its own axes.
+    const Eigen::Vector3d& a = parameters_.amplitude;
+    const Eigen::Vector3d path(a.x() * sin_1, a.y() * sin_2, a.z() * sin_1);
+    const Eigen::Vector3d d1(a.x() * cos_1, 2.0 * a.y() * cos_2, a.z() * cos_1);
+    const Eigen::Vector3d d2(-a.x() * sin_1, -4.0 * a.y() * sin_2, -a.z() * sin_1);
+
+    ReferencePoint point;
+    point.position = parameters_.center + to_world(path);
+    point.velocity = to_world(d1 * s.rate);
+    point.acceleration = to_world(d2 * (s.rate * s.rate) + d1 * s.acceleration);
+    point.orientation = fixed_orientation_;
+    if (parameters_.heading == HeadingMode::fixed) return point;
+
+    // The tangent swings about the eight's -y axis, by less than half a turn to either side:
+    // measured from there its angle never jumps. It is that of the path, so defined at rest too.
+    const double tangent = std::atan2(d1.x(), -d1.y()) - 0.25 * one_lap;
+    point.orientation = quaternion_from_yaw(parameters_.direction + tangent);
+    const double cross = d1.x() * d2.y() - d1.y() * d2.x();
+    const double square = d1.x() * d1.x() + d1.y() * d1.y();
+    const double turn_1 = cross / square;  // first and second derivative of the tangent's angle
+    const double cross_1 = -8.0 * d1.x() * a.y() * cos_2 + d1.y() * a.x() * cos_1;
+    const double square_1 = 2.0 * (d1.x() * d2.x() + d1.y() * d2.y());
+    const double turn_2 = (cross_1 - turn_1 * square_1) / square;
+    point.angular_velocity.z() = turn_1 * s.rate;
+    point.angular_acceleration.z() = turn_2 * s.rate * s.rate + turn_1 * s.acceleration;
+    return point;
+  }
+
+  FigureEightParameters parameters_;
+  double cos_direction_ = 1.0, sin_direction_ = 0.0;
+  Eigen::Quaterniond fixed_orientation_;
+  double phase_rate_ = 1.0;
+  double ramp_duration_ = 0.0, duration_ = 0.0;
+};
+
+}  // namespace tilt_ropter

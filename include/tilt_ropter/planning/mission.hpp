@@ -1,0 +1,247 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/planning/figure_eight.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/planning/transition.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <cstddef>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+/// A whole job: motions one after another, each with the phase of the job it belongs to.
+namespace tilt_ropter {
+
+/// What the vehicle is about; `rest` and `ground` are on the wheels, the others off them.
+enum class MissionPhase { rest, take_off, hover, air, landing, ground };
+
+[[nodiscard]] constexpr const char* to_string(MissionPhase phase) noexcept {
+  switch (phase) {
+    case MissionPhase::rest:
+      return "rest";
+    case MissionPhase::take_off:
+      return "take_off";
+    case MissionPhase::hover:
+      return "hover";
+    case MissionPhase::air:
+      return "air";
+    case MissionPhase::landing:
+      return "landing";
+    case MissionPhase::ground:
+      return "ground";
+  }
+  return "unknown";
+}
+
+/// Rest at one place.
+class Hold {
+ public:
+  /// `duration` [s]. Throws std::invalid_argument unless it is positive and the place finite.
+  Hold(const Waypoint& place, double duration) : duration_(duration) {
+    validate(place, "Hold.place");
+    require_positive("Hold.duration [s]", duration);
+    point_.position = place.position;
+    point_.orientation = quaternion_from_yaw(place.yaw);
+  }
+
+  [[nodiscard]] ReferencePoint operator()(double) const noexcept { return point_; }
+  [[nodiscard]] double start_time() const noexcept { return start_time_; }
+  [[nodiscard]] double end_time() const noexcept { return start_time_ + duration_; }
+
+  /// Moves the rest in time. Throws std::invalid_argument if `time` is not finite.
+  void set_start_time(double time) {
+    require_finite("Hold.start_time [s]", time);
+    start_time_ = time;
+  }
+
+ private:
+  ReferencePoint point_;
+  double start_time_ = 0.0, duration_;
+};
+
+/// One motion of a mission.
+struct MissionSegment {
+  MissionPhase phase;
+  std::variant<Hold, Transition, FigureEight> motion;
+
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
+    return std::visit([time](const auto& m) { return m(time); }, motion);
+  }
+  [[nodiscard]] double start_time() const noexcept {  ///< [s]
+    return std::visit([](const auto& m) { return m.start_time(); }, motion);
+  }
+  [[nodiscard]] double end_time() const noexcept {  ///< [s]
+    return std::visit([](const auto& m) { return m.end_time(); }, motion);
+  }
+};
+
+/// A reference made of segments, each from rest to rest, so that all of it is as smooth as they
+/// are. Where two meet the quaternion may change its sign, not its rotation.
+class Mission {
+ public:
+  /// Lays the segments one after another from `start_time` [s] on, whatever start they had. Throws
+  /// std::invalid_argument if there is none, and naming the segment if one does not begin where
+  /// the last one ended, to 1e-6 m and 1e-6 rad.
+  explicit Mission(std::vector<MissionSegment> segments, double start_time = 0.0)
+      : segments_(std::move(segments)) {
+    require(!segments_.empty(), "Mission.segments.size()", segments_.size(), ">= 1");
+    double time = start_time;
+    for (std::size_t i = 0; i < segments_.size(); ++i) {
+      std::visit([time](auto& m) { m.set_start_time(time); }, segments_[i].motion);
+      if (i > 0) require_join(i, segments_[i - 1](time), segments_[i](time));
+      time = segments_[i].end_time();
+    }
+  }
+
+  /// Defined for every time [s]; at rest before the start and after the end, a NaN counts as
+  /// before. Does not throw or allocate.
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
+    return segment_at(time)(time);
+  }
+
+  /// The phase at `time` [s]: before the start the first, after the end the last.
+  [[nodiscard]] MissionPhase phase(double time) const noexcept { return segment_at(time).phase; }
+
+  [[nodiscard]] double start_time() const noexcept { return segments_.front().start_time(); }
+  [[nodiscard]] double end_time() const noexcept { return segments_.back().end_time(); }
+  [[nodiscard]] double duration() const noexcept { return end_time() - start_time(); }
+
+  /// In the order of time.
+  [[nodiscard]] const std::vector<MissionSegment>& segments() const noexcept { return segments_; }
+
+ private:
+  [[nodiscard]] const MissionSegment& segment_at(double time) const noexcept {
+    std::size_t i = 0;
+    while (i + 1 < segments_.size() && time >= segments_[i].end_time()) ++i;
+    return segments_[i];
+  }
+
+  void require_join(std::size_t i, const ReferencePoint& end, const ReferencePoint& begin) const {
+    const std::string name =
+        "Mission.segments[" + std::to_string(i) + "] (" + to_string(segments_[i].phase) + ")";
+    const double gap = (begin.position - end.position).norm();
+    require(gap <= 1e-6, name + " distance from the end of the segment before it [m]", gap,
+            "<= 1e-6");
+    const Eigen::Quaterniond turn = end.orientation.conjugate() * begin.orientation;
+    const double angle = quaternion_log(turn).norm();
+    require(angle <= 1e-6, name + " turn from the end of the segment before it [rad]", angle,
+            "<= 1e-6");
+  }
+
+  std::vector<MissionSegment> segments_;
+};
+
+/// The paper's job in one: an eight in the air, a similar one on the ground, and up again.
+struct HybridMissionParameters {
+  Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start, and crossing of the eights [m]
+  double yaw = 0.0;                                  ///< at the start and in the air [rad]
+  double direction = 0.0;                        ///< of the eights' long axis, about world z [rad]
+  double wheel_radius = 0.11;                    ///< height of the CoM on the ground (estimate) [m]
+  double flight_height = 1.5;                    ///< height of the CoM in hover [m]
+  double rest_time = 1.0;                        ///< of each rest on the ground [s]
+  double hover_time = 2.0;                       ///< of each hover [s]
+  double climb_speed = 0.8;                      ///< [m/s]
+  double climb_acceleration = 1.0;               ///< [m/s^2]
+  double descent_speed = 0.5;                    ///< [m/s]
+  double descent_acceleration = 0.5;             ///< [m/s^2]
+  Eigen::Vector3d air_amplitude{1.5, 0.5, 0.5};  ///< see FigureEightParameters (estimate) [m]
+  Eigen::Vector2d ground_amplitude{2.0, 0.6};    ///< likewise, level (estimate) [m]
+  int laps = 2;                                  ///< of each eight
+  double max_speed = 1.5;             ///< of both eights (paper, Sec. Aerial Flight) [m/s]
+  double max_acceleration = 1.5;      ///< of both eights (paper, Sec. Aerial Flight) [m/s^2]
+  double max_yaw_rate = 1.5;          ///< on the ground and in the turn before landing [rad/s]
+  double max_yaw_acceleration = 1.5;  ///< in the turn before landing [rad/s^2]
+  double start_time = 0.0;            ///< [s]
+};
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed. The shape of the
+/// eights is for FigureEight to check.
+inline void validate(const HybridMissionParameters& p) {
+  require_finite("HybridMissionParameters.origin [m]", p.origin);
+  require_finite("HybridMissionParameters.yaw [rad]", p.yaw);
+  require_finite("HybridMissionParameters.direction [rad]", p.direction);
+  require_positive("HybridMissionParameters.wheel_radius [m]", p.wheel_radius);
+  require(std::isfinite(p.flight_height) && p.flight_height > p.wheel_radius,
+          "HybridMissionParameters.flight_height [m]", p.flight_height,
+          "finite and > wheel_radius");
+  require_positive("HybridMissionParameters.rest_time [s]", p.rest_time);
+  require_positive("HybridMissionParameters.hover_time [s]", p.hover_time);
+  require_positive("HybridMissionParameters.climb_speed [m/s]", p.climb_speed);
+  require_positive("HybridMissionParameters.climb_acceleration [m/s^2]", p.climb_acceleration);
+  require_positive("HybridMissionParameters.descent_speed [m/s]", p.descent_speed);
+  require_positive("HybridMissionParameters.descent_acceleration [m/s^2]", p.descent_acceleration);
+  require(std::abs(p.air_amplitude.z()) < p.flight_height - p.wheel_radius,
+          "HybridMissionParameters.air_amplitude.z [m]", p.air_amplitude.z(),
+          "less than flight_height - wheel_radius to either side");
+  require(p.laps >= 1, "HybridMissionParameters.laps", p.laps, ">= 1");
+  require_positive("HybridMissionParameters.max_speed [m/s]", p.max_speed);
+  require_positive("HybridMissionParameters.max_acceleration [m/s^2]", p.max_acceleration);
+  require_positive("HybridMissionParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
+  require_positive("HybridMissionParameters.max_yaw_acceleration [rad/s^2]",
+                   p.max_yaw_acceleration);
+  require_finite("HybridMissionParameters.start_time [s]", p.start_time);
+}
+
+/// Rest, take-off, hover, an eight in the air, a turn into the ground eight's direction, hover,
+/// landing, rest, the eight on the ground with the heading along it, rest, take-off, hover,
+/// landing, rest. Throws std::invalid_argument on bad parameters.
+[[nodiscard]] inline Mission hybrid_mission(const HybridMissionParameters& p = {}) {
+  validate(p);
+  FigureEightParameters air;
+  air.center << p.origin, p.flight_height;
+  air.amplitude = p.air_amplitude;
+  air.direction = p.direction;
+  air.laps = p.laps;
+  air.max_speed = p.max_speed;
+  air.max_acceleration = p.max_acceleration;
+  air.yaw = p.yaw;
+
+  FigureEightParameters ground = air;
+  ground.center.z() = p.wheel_radius;
+  ground.amplitude << p.ground_amplitude, 0.0;
+  ground.heading = HeadingMode::along_velocity;
+  ground.max_yaw_rate = p.max_yaw_rate;
+  const FigureEight ground_eight(ground);
+
+  // The places, on the ground and above it, before and after the turn.
+  const Waypoint start{ground.center, p.yaw}, above_start{air.center, p.yaw};
+  const double ground_yaw = yaw_of(ground_eight(ground_eight.start_time()).orientation);
+  const Waypoint turned{ground.center, ground_yaw}, above_turned{air.center, ground_yaw};
+
+  TransitionParameters turn;
+  turn.from = above_start;
+  turn.to = above_turned;
+  turn.max_yaw_rate = p.max_yaw_rate;
+  turn.max_yaw_acceleration = p.max_yaw_acceleration;
+
+  const Hold rest(turned, p.rest_time), hover(above_turned, p.hover_time);
+  const Transition down =
+      landing(above_turned, p.wheel_radius, p.descent_speed, p.descent_acceleration);
+  const auto up = [&p](const Waypoint& from) {
+    return take_off(from, p.flight_height, p.climb_speed, p.climb_acceleration);
+  };
+  return Mission({{MissionPhase::rest, Hold(start, p.rest_time)},
+                  {MissionPhase::take_off, up(start)},
+                  {MissionPhase::hover, Hold(above_start, p.hover_time)},
+                  {MissionPhase::air, FigureEight(air)},
+                  {MissionPhase::hover, Transition(turn)},
+                  {MissionPhase::hover, hover},
+                  {MissionPhase::landing, down},
+                  {MissionPhase::rest, rest},
+                  {MissionPhase::ground, ground_eight},
+                  {MissionPhase::rest, rest},
+                  {MissionPhase::take_off, up(turned)},
+                  {MissionPhase::hover, hover},
+                  {MissionPhase::landing, down},
+                  {MissionPhase::rest, rest}},
+                 p.start_time);
+}
+
+}  // namespace tilt_ropter

@@ -1,0 +1,362 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <random>
+#include <string>
+#include <vector>
+
+/// Sensors to look at the plant with: noise, bias, rate and delay.
+///
+/// Every sensor is constructed from its parameters and a seed and has
+///
+///     std::optional<Measurement> sample(double time, <truth at that time>) noexcept
+///
+/// to be called at every step of the plant, with absolute time [s] that does not run backwards. The
+/// first call takes a measurement and starts the grid of the sensor's rate; each later one takes
+/// one when the grid's next instant has come. A measurement is handed out once, `delay` after it
+/// was taken, and bears the time at which it was taken. The same seed and the same calls give the
+/// same bits, whatever the standard library. Memory is taken at construction only. A truth or time
+/// that is not finite is not measured.
+namespace tilt_ropter {
+
+/// White Gaussian noise by Marsaglia's polar method, because std::normal_distribution differs from
+/// one standard library to the other.
+class GaussianNoise {
+ public:
+  explicit GaussianNoise(std::uint64_t seed) : generator_(seed) {}
+
+  /// A draw of zero mean and unit variance.
+  [[nodiscard]] double draw() noexcept {
+    if (has_spare_) {
+      has_spare_ = false;
+      return spare_;
+    }
+    double u = 0.0, v = 0.0, square = 0.0;
+    do {
+      u = uniform();
+      v = uniform();
+      square = u * u + v * v;
+    } while (square >= 1.0 || square <= 0.0);
+    const double scale = std::sqrt(-2.0 * std::log(square) / square);
+    spare_ = scale * v;
+    has_spare_ = true;
+    return scale * u;
+  }
+
+  /// `Size` independent draws of standard deviation `deviation`.
+  template <int Size>
+  [[nodiscard]] Eigen::Matrix<double, Size, 1> draw(double deviation) noexcept {
+    Eigen::Matrix<double, Size, 1> sample;
+    for (int i = 0; i < Size; ++i) sample(i) = deviation * draw();
+    return sample;
+  }
+
+ private:
+  /// In [-1, 1), 53 bits.
+  double uniform() noexcept { return static_cast<double>(generator_() >> 11U) * 0x1.0p-52 - 1.0; }
+
+  std::mt19937_64 generator_;
+  double spare_ = 0.0;
+  bool has_spare_ = false;
+};
+
+namespace detail {
+
+/// First in, first out, each value when its time has come. Holds at most `capacity` values; one
+/// more replaces the newest, so nothing ever waits longer than it should.
+template <typename Value>
+class DelayQueue {
+ public:
+  explicit DelayQueue(std::size_t capacity) : entries_(capacity) {}
+
+  void push(double due, const Value& value) noexcept {
+    if (count_ < entries_.size())
+      entries_[(first_ + count_++) % entries_.size()] = {due, value};
+    else
+      entries_[(first_ + count_ - 1) % entries_.size()].value = value;
+  }
+
+  /// The oldest value whose time has come, at most once each. A nanosecond of rounding is forgiven.
+  [[nodiscard]] std::optional<Value> pop(double time) noexcept {
+    if (count_ == 0 || !(entries_[first_].due <= time + 1e-9)) return std::nullopt;
+    const std::size_t oldest = first_;
+    first_ = (first_ + 1) % entries_.size();
+    --count_;
+    return entries_[oldest].value;
+  }
+
+ private:
+  struct Entry {
+    double due = 0.0;
+    Value value;
+  };
+  std::vector<Entry> entries_;
+  std::size_t first_ = 0, count_ = 0;
+};
+
+/// What all sensors share: when to take a measurement and when to hand it out.
+template <typename Measurement>
+class SensorTiming {
+ public:
+  SensorTiming(double rate, double delay)
+      : rate_(rate), delay_(delay), queue_(static_cast<std::size_t>(rate * delay) + 4) {}
+
+  /// True if a measurement is to be taken now. A thousandth of a period of rounding is forgiven.
+  [[nodiscard]] bool due(double time) noexcept {
+    if (!std::isfinite(time)) return false;
+    if (!started_) start_ = time;
+    const double instant = std::floor((time - start_) * rate_ + 1e-3);
+    if (started_ && instant <= last_instant_) return false;
+    started_ = true;
+    last_instant_ = instant;
+    return true;
+  }
+
+  void push(const Measurement& measurement) noexcept {
+    queue_.push(measurement.time + delay_, measurement);
+  }
+
+  [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
+
+ private:
+  double rate_, delay_;
+  DelayQueue<Measurement> queue_;
+  bool started_ = false;
+  double start_ = 0.0, last_instant_ = 0.0;
+};
+
+inline void require_timing(const std::string& sensor, double rate, double delay) {
+  require_positive(sensor + ".rate [Hz]", rate);
+  require_non_negative(sensor + ".delay [s]", delay);
+  require(rate * delay <= 1e5, sensor + ".delay [s]", delay, "at most 1e5 periods of the rate");
+}
+
+}  // namespace detail
+
+/// Gyroscope and accelerometer at the CoM. The defaults are those of a small MEMS unit.
+struct ImuSensorParameters {
+  double rate = 200.0;                          ///< [Hz]
+  double delay = 0.0;                           ///< [s]
+  double gyro_noise_density = 2.0e-4;           ///< [rad/s/sqrt(Hz)]
+  double accelerometer_noise_density = 2.0e-3;  ///< [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;               ///< random walk of the bias [rad/s^2/sqrt(Hz)]
+  double accelerometer_bias_walk = 3.0e-4;      ///< random walk of the bias [m/s^3/sqrt(Hz)]
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< at the start [rad/s]
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< at the start [m/s^2]
+};
+
+inline void validate(const ImuSensorParameters& p) {
+  detail::require_timing("ImuSensorParameters", p.rate, p.delay);
+  require_non_negative("ImuSensorParameters.gyro_noise_density", p.gyro_noise_density);
+  require_non_negative("ImuSensorParameters.accelerometer_noise_density",
+                       p.accelerometer_noise_density);
+  require_non_negative("ImuSensorParameters.gyro_bias_walk", p.gyro_bias_walk);
+  require_non_negative("ImuSensorParameters.accelerometer_bias_walk", p.accelerometer_bias_walk);
+  require_finite("ImuSensorParameters.gyro_bias [rad/s]", p.gyro_bias);
+  require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
+}
+
+class ImuSensor {
+ public:
+  struct Measurement {
+    double time = 0.0;                                           ///< when it was taken [s]
+    Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< body frame [rad/s]
+    Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();    ///< body frame [m/s^2]
+  };
+
+  /// Throws std::invalid_argument.
+  ImuSensor(const ImuSensorParameters& parameters, std::uint64_t seed)
+      : parameters_((validate(parameters), parameters)),
+        timing_(parameters.rate, parameters.delay),
+        noise_(seed),
+        gyro_bias_(parameters.gyro_bias),
+        accelerometer_bias_(parameters.accelerometer_bias) {}
+
+  [[nodiscard]] std::optional<Measurement> sample(double time,
+                                                  const Eigen::Vector3d& angular_velocity,
+                                                  const Eigen::Vector3d& specific_force) noexcept {
+    if (angular_velocity.allFinite() && specific_force.allFinite() && timing_.due(time)) {
+      const ImuSensorParameters& p = parameters_;
+      const double root_rate = std::sqrt(p.rate);
+      Measurement m;
+      m.time = time;
+      m.angular_velocity =
+          angular_velocity + gyro_bias_ + noise_.draw<3>(p.gyro_noise_density * root_rate);
+      m.specific_force = specific_force + accelerometer_bias_ +
+                         noise_.draw<3>(p.accelerometer_noise_density * root_rate);
+      timing_.push(m);
+      gyro_bias_ += noise_.draw<3>(p.gyro_bias_walk / root_rate);
+      accelerometer_bias_ += noise_.draw<3>(p.accelerometer_bias_walk / root_rate);
+    }
+    return timing_.pop(time);
+  }
+
+  /// True biases, for comparison with an estimate: rad/s and m/s^2.
+  [[nodiscard]] const Eigen::Vector3d& gyro_bias() const noexcept { return gyro_bias_; }
+  [[nodiscard]] const Eigen::Vector3d& accelerometer_bias() const noexcept {
+    return accelerometer_bias_;
+  }
+
+ private:
+  ImuSensorParameters parameters_;
+  detail::SensorTiming<Measurement> timing_;
+  GaussianNoise noise_;
+  Eigen::Vector3d gyro_bias_, accelerometer_bias_;
+};
+
+/// Pose of the body, as motion capture gives it.
+struct PoseSensorParameters {
+  double rate = 100.0;                ///< [Hz]
+  double delay = 0.01;                ///< [s]
+  double position_noise = 5.0e-4;     ///< standard deviation per axis, world frame [m]
+  double orientation_noise = 2.0e-3;  ///< standard deviation per axis, body frame [rad]
+};
+
+inline void validate(const PoseSensorParameters& p) {
+  detail::require_timing("PoseSensorParameters", p.rate, p.delay);
+  require_non_negative("PoseSensorParameters.position_noise [m]", p.position_noise);
+  require_non_negative("PoseSensorParameters.orientation_noise [rad]", p.orientation_noise);
+}
+
+class PoseSensor {
+ public:
+  struct Measurement {
+    double time = 0.0;                                                ///< when it was taken [s]
+    Eigen::Vector3d position = Eigen::Vector3d::Zero();               ///< world frame [m]
+    Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();  ///< body -> world, unit
+  };
+
+  /// Throws std::invalid_argument.
+  PoseSensor(const PoseSensorParameters& parameters, std::uint64_t seed)
+      : parameters_((validate(parameters), parameters)),
+        timing_(parameters.rate, parameters.delay),
+        noise_(seed) {}
+
+  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
+    if (is_finite(truth) && timing_.due(time)) {
+      Measurement m;
+      m.time = time;
+      m.position = truth.position + noise_.draw<3>(parameters_.position_noise);
+      m.orientation =
+          (truth.orientation * quaternion_exp(noise_.draw<3>(parameters_.orientation_noise)))
+              .normalized();
+      timing_.push(m);
+    }
+    return timing_.pop(time);
+  }
+
+ private:
+  PoseSensorParameters parameters_;
+  detail::SensorTiming<Measurement> timing_;
+  GaussianNoise noise_;
+};
+
+/// Rotor speeds, as the motor controllers report them.
+struct RotorSpeedSensorParameters {
+  double rate = 500.0;  ///< [Hz]
+  double delay = 0.0;   ///< [s]
+  double noise = 5.0;   ///< standard deviation [rad/s]
+};
+
+inline void validate(const RotorSpeedSensorParameters& p) {
+  detail::require_timing("RotorSpeedSensorParameters", p.rate, p.delay);
+  require_non_negative("RotorSpeedSensorParameters.noise [rad/s]", p.noise);
+}
+
+template <int Rotors = 4>
+class RotorSpeedSensor {
+ public:
+  struct Measurement {
+    double time = 0.0;  ///< when it was taken [s]
+    Eigen::Matrix<double, Rotors, 1> rotor_speed =
+        Eigen::Matrix<double, Rotors, 1>::Zero();  ///< [rad/s], >= 0
+  };
+
+  /// Throws std::invalid_argument.
+  RotorSpeedSensor(const RotorSpeedSensorParameters& parameters, std::uint64_t seed)
+      : parameters_((validate(parameters), parameters)),
+        timing_(parameters.rate, parameters.delay),
+        noise_(seed) {}
+
+  [[nodiscard]] std::optional<Measurement> sample(
+      double time, const Eigen::Matrix<double, Rotors, 1>& rotor_speed) noexcept {
+    if (rotor_speed.allFinite() && timing_.due(time)) {
+      Measurement m;
+      m.time = time;
+      m.rotor_speed = (rotor_speed + noise_.template draw<Rotors>(parameters_.noise)).cwiseMax(0.0);
+      timing_.push(m);
+    }
+    return timing_.pop(time);
+  }
+
+ private:
+  RotorSpeedSensorParameters parameters_;
+  detail::SensorTiming<Measurement> timing_;
+  GaussianNoise noise_;
+};
+
+/// The whole body state with white noise: in place of sensors and estimator, to try a controller.
+struct StateSensorParameters {
+  double rate = 1000.0;                  ///< [Hz]
+  double delay = 0.0;                    ///< [s]
+  double position_noise = 1.0e-3;        ///< standard deviations per axis: world frame [m]
+  double velocity_noise = 1.0e-2;        ///< world frame [m/s]
+  double orientation_noise = 3.0e-3;     ///< body frame [rad]
+  double angular_velocity_noise = 1e-2;  ///< body frame [rad/s]
+};
+
+inline void validate(const StateSensorParameters& p) {
+  detail::require_timing("StateSensorParameters", p.rate, p.delay);
+  require_non_negative("StateSensorParameters.position_noise [m]", p.position_noise);
+  require_non_negative("StateSensorParameters.velocity_noise [m/s]", p.velocity_noise);
+  require_non_negative("StateSensorParameters.orientation_noise [rad]", p.orientation_noise);
+  require_non_negative("StateSensorParameters.angular_velocity_noise [rad/s]",
+                       p.angular_velocity_noise);
+}
+
+class StateSensor {
+ public:
+  struct Measurement {
+    double time = 0.0;  ///< when it was taken [s]
+    BodyState<> body;
+  };
+
+  /// Throws std::invalid_argument.
+  StateSensor(const StateSensorParameters& parameters, std::uint64_t seed)
+      : parameters_((validate(parameters), parameters)),
+        timing_(parameters.rate, parameters.delay),
+        noise_(seed) {}
+
+  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
+    if (is_finite(truth) && timing_.due(time)) {
+      const StateSensorParameters& p = parameters_;
+      Measurement m;
+      m.time = time;
+      m.body.position = truth.position + noise_.draw<3>(p.position_noise);
+      m.body.velocity = truth.velocity + noise_.draw<3>(p.velocity_noise);
+      m.body.orientation =
+          (truth.orientation * quaternion_exp(noise_.draw<3>(p.orientation_noise))).normalized();
+      m.body.angular_velocity = truth.angular_velocity + noise_.draw<3>(p.angular_velocity_noise);
+      timing_.push(m);
+    }
+    return timing_.pop(time);
+  }
+
+ private:
+  StateSensorParameters parameters_;
+  detail::SensorTiming<Measurement> timing_;
+  GaussianNoise noise_;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,146 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/LU>
+
+#include <algorithm>
+#include <cmath>
+
+/// One passive wheel on flat ground, z = 0 in the world frame.
+///
+/// The wheel is a thin disc that turns freely about body y. Its lowest point touches the ground:
+///
+///         body y (axle, n)
+///           |
+///       ----o----   disc       normal force     N = k depth max(0, 1 + c d(depth)/dt)
+///        \  |r /               tangential force f = -(k_t z + d_t slip), |f| <= mu N
+///     ____\_|_/____ z = 0      bristle          dz/dt = slip, |z| <= mu N / k_t
+///
+/// The normal force is Hunt and Crossley's (1975): it never pulls, starts from zero and only takes
+/// energy. The bristle z is the contact patch's elastic displacement, along the rolling direction
+/// and along the axle; below the friction circle it holds without creep, at the circle it slides.
+namespace tilt_ropter {
+
+/// The ground and the wheels on it; the same for both wheels.
+struct WheelContactParameters {
+  double stiffness = 3000.0;             ///< normal to the ground, one wheel [N/m]
+  double dissipation = 4.0;              ///< damping force / (spring force x speed) [s/m]
+  double friction = 0.8;                 ///< Coulomb coefficient, static and sliding
+  double bristle_stiffness = 1.0e4;      ///< of the contact patch along the ground, one wheel [N/m]
+  double bristle_damping = 20.0;         ///< of the contact patch along the ground [N s/m]
+  double rolling_resistance = 0.018;     ///< resisting torque / (normal force x radius)
+  double rolling_regularisation = 0.01;  ///< rim speed below which that torque fades to 0 [m/s]
+  double wheel_inertia = 4.0e-4;         ///< of one wheel about the axle [kg m^2]
+  double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - body pitch rate) [N m s]
+  Eigen::Vector3d axle_position =
+      Eigen::Vector3d::Zero();  ///< middle of the axle, from the CoM, body frame [m]
+};
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed.
+inline void validate(const WheelContactParameters& p) {
+  require_positive("WheelContactParameters.stiffness [N/m]", p.stiffness);
+  require_non_negative("WheelContactParameters.dissipation [s/m]", p.dissipation);
+  require_non_negative("WheelContactParameters.friction", p.friction);
+  require_positive("WheelContactParameters.bristle_stiffness [N/m]", p.bristle_stiffness);
+  require_non_negative("WheelContactParameters.bristle_damping [N s/m]", p.bristle_damping);
+  require_non_negative("WheelContactParameters.rolling_resistance", p.rolling_resistance);
+  require_positive("WheelContactParameters.rolling_regularisation [m/s]", p.rolling_regularisation);
+  require_positive("WheelContactParameters.wheel_inertia [kg m^2]", p.wheel_inertia);
+  require_non_negative("WheelContactParameters.bearing_friction [N m s]", p.bearing_friction);
+  require_finite("WheelContactParameters.axle_position [m]", p.axle_position);
+}
+
+/// Upper estimate of the rates [1/s] at which contact, wheel spin and body answer each other, at
+/// three times the vehicle's weight on one wheel: an explicit integration has to be quicker.
+[[nodiscard]] inline double fastest_contact_rate(const WheelContactParameters& p,
+                                                 const WheelParameters& wheels,
+                                                 const RigidBodyParameters& body) {
+  const double lever = std::hypot(wheels.radius, wheels.half_track) + p.axle_position.norm();
+  const double load = 3.0 * body.mass * gravity;
+  // Rim or contact point velocity per impulse [1/kg].
+  const double of_body = 1.0 / body.mass + lever * lever * body.inertia.inverse().norm();
+  const double of_spin = wheels.radius * wheels.radius / p.wheel_inertia;
+  return std::max({p.bearing_friction / p.wheel_inertia, p.bristle_damping * (of_spin + of_body),
+                   p.rolling_resistance * load * of_spin / p.rolling_regularisation,
+                   p.dissipation * load * of_body,
+                   std::sqrt(p.bristle_stiffness * (of_spin + of_body)),
+                   std::sqrt(2.0 * p.stiffness * of_body)});
+}
+
+struct WheelState {
+  double angle = 0.0;  ///< turned about body y, relative to the world, not wrapped [rad]
+  double spin = 0.0;   ///< its rate: positive rolls along body x [rad/s]
+  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();  ///< along the rolling direction, axle [m]
+};
+
+/// What one wheel does to the body and to itself.
+struct WheelForces {
+  double normal_force = 0.0;    ///< of the ground, >= 0 [N]
+  double axle_torque = 0.0;     ///< on the wheel about body y: friction, rolling, bearing [N m]
+  double bearing_torque = 0.0;  ///< on the body about body y [N m]
+  Wrench<> ground;  ///< on the body at the CoM, body frame; the axle passes on no torque
+                    ///< about body y, which goes into axle_torque
+  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();  ///< the state's, cut to the friction circle
+  Eigen::Vector2d slip = Eigen::Vector2d::Zero();     ///< of the rim, as the bristle [m/s]
+};
+
+/// Forces of wheel 0 (right, -y) or 1 (left, +y) (as wheel_in_body). `rotation` is that of
+/// `body.orientation`, `wheels` is valid. Never throws or allocates; finite for any finite state, a
+/// wheel that lies flat too.
+[[nodiscard]] inline WheelForces wheel_contact(const WheelContactParameters& p,
+                                               const WheelParameters& wheels, int wheel,
+                                               const BodyState<>& body,
+                                               const Eigen::Matrix3d& rotation,
+                                               const WheelState& state) noexcept {
+  WheelForces result;
+  const double relative_spin = state.spin - body.angular_velocity.y();
+  result.bearing_torque = p.bearing_friction * relative_spin;
+  result.axle_torque = -result.bearing_torque;
+
+  // All below in the world frame. Below 1e-3 rad from lying flat the lowest point has no sure
+  // direction any more and moves to the centre instead.
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+  const Eigen::Vector3d axle = rotation.col(1);
+  const double upright = std::max(std::hypot(axle.x(), axle.y()), 1e-3);
+  const Eigen::Vector3d centre =
+      rotation * p.axle_position + (wheel == 0 ? -wheels.half_track : wheels.half_track) * axle;
+  const Eigen::Vector3d spoke = (wheels.radius / upright) * (axle.z() * axle - up);
+  const double depth = -(body.position.z() + centre.z() + spoke.z());
+  if (!(depth > 0.0)) return result;
+
+  const Eigen::Vector3d spin_rate = rotation * body.angular_velocity;
+  const Eigen::Vector3d rim_velocity =
+      body.velocity + spin_rate.cross(centre) + (spin_rate + relative_spin * axle).cross(spoke);
+  const double normal = p.stiffness * depth * std::max(0.0, 1.0 - p.dissipation * rim_velocity.z());
+
+  const Eigen::Vector3d rolling(axle.y() / upright, -axle.x() / upright, 0.0);
+  const Eigen::Vector3d sideways(-rolling.y(), rolling.x(), 0.0);
+  const auto cut = [](const Eigen::Vector2d& a, double limit) -> Eigen::Vector2d {
+    const double length = a.norm();
+    return length > limit ? Eigen::Vector2d(a * (limit / length)) : a;
+  };
+  const double circle = p.friction * normal;
+  result.normal_force = normal;
+  result.slip << rolling.dot(rim_velocity), sideways.dot(rim_velocity);
+  result.bristle = cut(state.bristle, circle / p.bristle_stiffness);
+  const Eigen::Vector2d friction =
+      cut(-p.bristle_stiffness * result.bristle - p.bristle_damping * result.slip, circle);
+
+  const Eigen::Vector3d force = normal * up + friction.x() * rolling + friction.y() * sideways;
+  const double drive = axle.dot(spoke.cross(force));
+  result.ground.force = rotation.transpose() * force;
+  result.ground.torque =
+      rotation.transpose() * ((centre + spoke).cross(force) - drive * axle).eval();
+
+  const double slow = p.rolling_regularisation / wheels.radius;
+  result.axle_torque += drive - p.rolling_resistance * normal * wheels.radius * state.spin /
+                                    std::hypot(state.spin, slow);
+  return result;
+}
+
+}  // namespace tilt_ropter

@@ -1,0 +1,243 @@
+#include <tilt_ropter/model/rigid_body.hpp>
+
+#include "support/autodiff.hpp"
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Dual;
+using test_support::Random;
+
+RigidBodyParameters lopsided_body() {
+  RigidBodyParameters body;
+  body.mass = 1.5;
+  body.inertia << 0.0137, 0.0004, -0.0007, 0.0004, 0.0143, 0.0003, -0.0007, 0.0003, 0.0246;
+  return body;
+}
+
+State<> random_state(Random& random) {
+  State<> x;
+  x.wrench = {random.vector(10.0), random.vector(1.0)};
+  x.body.position = random.vector(5.0);
+  x.body.velocity = random.vector(5.0);
+  x.body.orientation = random.orientation();
+  x.body.angular_velocity = random.vector(6.0);
+  return x;
+}
+
+template <typename Scalar>
+State<Scalar> cast(const State<>& x) {
+  State<Scalar> y;
+  y.wrench.force = x.wrench.force.cast<Scalar>();
+  y.wrench.torque = x.wrench.torque.cast<Scalar>();
+  y.body.position = x.body.position.cast<Scalar>();
+  y.body.velocity = x.body.velocity.cast<Scalar>();
+  y.body.orientation = x.body.orientation.cast<Scalar>();
+  y.body.angular_velocity = x.body.angular_velocity.cast<Scalar>();
+  return y;
+}
+
+// An independent second model: spatial equation of motion in body coordinates, with a rotation
+// matrix instead of a quaternion, integrated by many small steps.
+State<> spatial_reference(const RigidBodyParameters& p, State<> x,
+                          const Eigen::Matrix<double, 6, 1>& u, const Wrench<>& external,
+                          double duration) {
+  const int steps = 4000;
+  const double dt = duration / steps;
+  Eigen::Matrix3d R = x.body.orientation.toRotationMatrix();
+  Eigen::Vector3d nu = R.transpose() * x.body.velocity;  // body-frame velocity
+  for (int i = 0; i < steps; ++i) {
+    const double t = (i + 0.5) * dt;
+    const Eigen::Vector3d force = x.wrench.force + t * u.head<3>() + external.force;
+    const Eigen::Vector3d torque = x.wrench.torque + t * u.tail<3>() + external.torque;
+    const auto rates = [&](const Eigen::Matrix3d& rotation, const Eigen::Vector3d& v,
+                           const Eigen::Vector3d& w) {
+      const Eigen::Vector3d g = rotation.transpose() * Eigen::Vector3d(0, 0, -gravity);
+      return std::make_pair(
+          Eigen::Vector3d(force / p.mass + g - w.cross(v)),
+          Eigen::Vector3d(p.inertia.ldlt().solve(torque - w.cross(p.inertia * w))));
+    };
+    Eigen::Vector3d& w = x.body.angular_velocity;
+    const auto [a1, b1] = rates(R, nu, w);  // midpoint rule
+    const Eigen::Vector3d w_mid = w + dt / 2 * b1, nu_mid = nu + dt / 2 * a1;
+    const Eigen::Matrix3d R_mid =
+        R * Eigen::AngleAxisd(dt / 2 * w.norm(), w.normalized()).toRotationMatrix();
+    const auto [a2, b2] = rates(R_mid, nu_mid, w_mid);
+    x.body.position += dt * R_mid * nu_mid;
+    R = R * Eigen::AngleAxisd(dt * w_mid.norm(), w_mid.normalized()).toRotationMatrix();
+    nu += dt * a2;
+    w += dt * b2;
+  }
+  x.wrench.force += duration * u.head<3>();
+  x.wrench.torque += duration * u.tail<3>();
+  x.body.velocity = R * nu;
+  x.body.orientation = Eigen::Quaterniond(R);
+  return x;
+}
+
+void expect_sensitivity_is_the_derivative(const State<>& x, const Eigen::Matrix<double, 6, 1>& u,
+                                          const Wrench<>& external, const Freedom<>& freedom,
+                                          double dt) {
+  const RigidBodyParameters parameters = lopsided_body();
+  RigidBody<>::StateJacobian A;
+  RigidBody<>::InputJacobian B;
+  const State<> next = RigidBody<>(parameters).step(x, u, external, dt, freedom, A, B);
+
+  using D = Dual<24>;
+  const Eigen::Matrix<double, 18, 24> truth = test_support::jacobian_at_zero<18, 24>(
+      [&](const Eigen::Matrix<D, 24, 1>& d) -> Eigen::Matrix<D, 18, 1> {
+        const State<D> start = retract<D>(cast<D>(x), d.template head<18>());
+        const Eigen::Matrix<D, 6, 1> input = u.cast<D>() + d.template tail<6>();
+        Wrench<D> ext;
+        ext.force = external.force.cast<D>();
+        ext.torque = external.torque.cast<D>();
+        Freedom<D> free;
+        free.linear = freedom.linear.cast<D>();
+        free.angular = freedom.angular.cast<D>();
+        return difference<D>(RigidBody<D>(parameters).step(start, input, ext, D(dt), free),
+                             cast<D>(next));
+      });
+  const double scale = 1.0 + truth.cwiseAbs().maxCoeff();
+  EXPECT_LT((truth.leftCols<18>() - A).cwiseAbs().maxCoeff(), 1e-12 * scale);
+  EXPECT_LT((truth.rightCols<6>() - B).cwiseAbs().maxCoeff(), 1e-12 * scale);
+}
+
+TEST(RigidBody, SensitivityIsTheDerivativeOfTheStep) {
+  Random random(1);
+  for (int i = 0; i < 500; ++i) {
+    const State<> x = random_state(random);
+    Eigen::Matrix<double, 6, 1> u;
+    u << random.vector(20.0), random.vector(4.0);
+    Freedom<> freedom;
+    if (i % 3 == 1) freedom = {Eigen::Vector3d(1, 1, 0), Eigen::Vector3d(0, 1, 1)};
+    expect_sensitivity_is_the_derivative(x, u, {random.vector(3.0), random.vector(0.3)}, freedom,
+                                         random.uniform(0.01, 0.1));
+  }
+}
+
+TEST(RigidBody, SensitivityHoldsAtRestAtHalfTurnsAndWithoutThrust) {
+  const Eigen::Matrix<double, 6, 1> none = Eigen::Matrix<double, 6, 1>::Zero();
+  State<> x;
+  expect_sensitivity_is_the_derivative(x, none, {}, {}, 0.1);
+  for (const Eigen::Quaterniond& half_turn :
+       {Eigen::Quaterniond(0, 1, 0, 0), Eigen::Quaterniond(0, 0, 1, 0),
+        Eigen::Quaterniond(0, 0, 0, 1), Eigen::Quaterniond(-1, 0, 0, 0)}) {
+    x.body.orientation = half_turn;
+    expect_sensitivity_is_the_derivative(x, none, {}, {}, 0.1);
+    x.body.angular_velocity = Eigen::Vector3d(1e-8, 0, 0);
+    expect_sensitivity_is_the_derivative(x, none, {}, {}, 0.1);
+  }
+}
+
+TEST(RigidBody, AgreesWithAnIndependentModelInBodyCoordinates) {
+  Random random(2);
+  const RigidBodyParameters parameters = lopsided_body();
+  const RigidBody<> body(parameters);
+  for (int i = 0; i < 20; ++i) {
+    State<> x = random_state(random);
+    x.body.angular_velocity /= 2.0;
+    Eigen::Matrix<double, 6, 1> u;
+    u << random.vector(5.0), random.vector(0.2);
+    const Wrench<> external{random.vector(1.0), random.vector(0.1)};
+    const double duration = 0.1;
+    const State<> truth = spatial_reference(parameters, x, u, external, duration);
+    State<> y = x;
+    for (int k = 0; k < 20; ++k) y = body.step(y, u, external, duration / 20);
+    EXPECT_LT(difference(y, truth).norm(), 2e-6);
+  }
+}
+
+TEST(RigidBody, ConvergesWithOrderFour) {
+  Random random(3);
+  const RigidBody<> body(lopsided_body());
+  const State<> x = random_state(random);
+  Eigen::Matrix<double, 6, 1> u;
+  u << random.vector(5.0), random.vector(0.5);
+  const auto integrate = [&](int steps) {
+    State<> y = x;
+    for (int k = 0; k < steps; ++k) y = body.step(y, u, {}, 0.4 / steps);
+    return y;
+  };
+  const State<> truth = integrate(4096);
+  const double coarse = difference(integrate(16), truth).norm();
+  const double fine = difference(integrate(32), truth).norm();
+  EXPECT_NEAR(std::log2(coarse / fine), 4.0, 0.4);
+}
+
+TEST(RigidBody, FreeBodyKeepsEnergyAndAngularMomentum) {
+  const RigidBodyParameters parameters = lopsided_body();
+  const RigidBody<> body(parameters);
+  State<> x;
+  x.body.velocity = Eigen::Vector3d(0.3, -0.2, 0.0);
+  x.body.angular_velocity = Eigen::Vector3d(1.0, 2.0, -0.5);
+  const auto momentum = [&](const State<>& s) -> Eigen::Vector3d {
+    return s.body.orientation * (parameters.inertia * s.body.angular_velocity);
+  };
+  const auto energy = [&](const State<>& s) {
+    return 0.5 * s.body.angular_velocity.dot(parameters.inertia * s.body.angular_velocity);
+  };
+  const Eigen::Vector3d momentum_before = momentum(x);
+  const double energy_before = energy(x);
+  for (int i = 0; i < 60000; ++i) x = body.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, 1e-3);
+  EXPECT_LT((momentum(x) - momentum_before).norm(), 1e-9 * momentum_before.norm());
+  EXPECT_NEAR(energy(x), energy_before, 1e-6 * energy_before);
+  EXPECT_NEAR(x.body.velocity.x(), 0.3, 1e-12);
+  EXPECT_NEAR(x.body.position.z(), -0.5 * gravity * 60.0 * 60.0, 1e-6);
+}
+
+TEST(RigidBody, HeldAxesDoNotAccelerate) {
+  Random random(4);
+  const RigidBody<> body(lopsided_body());
+  State<> x = random_state(random);
+  x.body.angular_velocity.x() = 0.0;
+  Freedom<> wheels_down;
+  wheels_down.linear.z() = 0.0;
+  wheels_down.angular.x() = 0.0;
+  const State<> next = body.step(x, Eigen::Matrix<double, 6, 1>::Ones(), {}, 0.1, wheels_down);
+  EXPECT_DOUBLE_EQ(next.body.velocity.z(), x.body.velocity.z());
+  EXPECT_DOUBLE_EQ(next.body.angular_velocity.x(), 0.0);
+  EXPECT_GT(std::abs(next.body.velocity.x() - x.body.velocity.x()), 1e-3);
+}
+
+TEST(RigidBody, DerivativeIsTheLimitOfTheStep) {
+  Random random(5);
+  const RigidBody<> body(lopsided_body());
+  const State<> x = random_state(random);
+  const double dt = 1e-7;
+  const State<> next = body.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, dt);
+  const BodyDerivative<> d = body.derivative(x.body, x.wrench);
+  EXPECT_LT(((next.body.velocity - x.body.velocity) / dt - d.acceleration).norm(), 1e-5);
+  EXPECT_LT(((next.body.position - x.body.position) / dt - d.velocity).norm(), 1e-5);
+  EXPECT_LT(
+      ((next.body.angular_velocity - x.body.angular_velocity) / dt - d.angular_acceleration).norm(),
+      1e-3);
+  EXPECT_LT(
+      ((next.body.orientation.coeffs() - x.body.orientation.coeffs()) / dt - d.orientation.coeffs())
+          .norm(),
+      1e-5);
+}
+
+TEST(RigidBody, WorksInSinglePrecision) {
+  const RigidBody<float> body(lopsided_body());
+  State<float> x;
+  x.wrench.force.z() = 1.5f * 9.81f;
+  x = body.step(x, Eigen::Matrix<float, 6, 1>::Zero(), {}, 0.1f);
+  EXPECT_LT(x.body.velocity.norm(), 1e-5f);
+}
+
+TEST(RigidBody, RefusesParametersThatNoBodyHas) {
+  RigidBodyParameters p;
+  p.mass = -1.0;
+  EXPECT_THROW(RigidBody<>{p}, std::invalid_argument);
+  p.mass = 1.0;
+  p.inertia = Eigen::Vector3d(1.0, 1.0, 3.0).asDiagonal();
+  EXPECT_THROW(RigidBody<>{p}, std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
