@@ -18,7 +18,8 @@ struct GroundContactSettings {
   double enter_height = 0.010;        ///< lower than this above the radius: on the ground [m]
   double leave_height = 0.030;        ///< higher than this: in the air [m]
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
-  double down_force = 0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+  double down_force =
+      0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
 };
 
 inline void validate(const GroundContactSettings& s) {
@@ -48,14 +49,16 @@ class GroundContact {
     const double clearance = height - settings_.wheel_radius;
     const bool was_on_ground = on_ground_;
     on_ground_ = clearance < (on_ground_ ? settings_.leave_height : settings_.enter_height);
-    if (on_ground_ != was_on_ground) ++mode_changes_;
+    if (on_ground_ != was_on_ground && started_) ++mode_changes_;
     const bool lifted_off = was_on_ground && !on_ground_;
+    started_ = true;
     if (!on_ground_ && !lifted_off) air_wrench_ = external;
     if (on_ground_) ground_wrench_ = external;
     return lifted_off;
   }
 
   [[nodiscard]] bool on_ground() const { return on_ground_; }
+  /// Changes of mode after the first update.
   [[nodiscard]] int mode_changes() const { return mode_changes_; }
 
   /// External wrench last seen in the air, body frame.
@@ -70,7 +73,8 @@ class GroundContact {
     node.external = air_wrench_;
     if (!node.on_ground) return;
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
-    // thrust up. So the vertical and the roll are held, and their share of the estimate is left out.
+    // thrust up. So the vertical and the roll are held, and their share of the estimate is left
+    // out.
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
     Eigen::Vector3d horizontal = orientation * ground_wrench_.force;
@@ -84,7 +88,7 @@ class GroundContact {
 
  private:
   GroundContactSettings settings_;
-  bool on_ground_ = false;
+  bool on_ground_ = false, started_ = false;
   int mode_changes_ = 0;
   Wrench<> air_wrench_, ground_wrench_;
 };

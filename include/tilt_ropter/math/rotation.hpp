@@ -13,6 +13,8 @@
 /// differentiation, at zero too.
 namespace tilt_ropter {
 
+inline constexpr double pi = 3.14159265358979323846;
+
 template <typename Scalar>
 using Vector3 = Eigen::Matrix<Scalar, 3, 1>;
 template <typename Scalar>

@@ -7,30 +7,27 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 
 /// Checks of parameters at construction. Each throws std::invalid_argument with a sentence that
 /// names the field, its value and what is allowed; none is called in a control loop.
 namespace tilt_ropter {
 
-/// Throws "`field` = `value`: must be `allowed`" unless `ok`.
+/// Throws "`field` = `value`: must be `allowed`" unless `ok`. `value` is anything that can be
+/// printed; vectors and matrices are printed in one line.
 template <typename Value>
 void require(bool ok, const std::string& field, const Value& value, const std::string& allowed) {
   if (ok) return;
   std::ostringstream message;
   message.precision(9);
-  message << field << " = " << value << ": must be " << allowed;
+  message << field << " = ";
+  if constexpr (std::is_base_of_v<Eigen::EigenBase<Value>, Value>)
+    message << value.format(Eigen::IOFormat(9, Eigen::DontAlignCols, ", ",
+                                            value.cols() == 1 ? ", " : "; ", "", "", "(", ")"));
+  else
+    message << value;
+  message << ": must be " << allowed;
   throw std::invalid_argument(message.str());
-}
-
-/// The same for a vector or matrix, printed in one line.
-template <typename Derived>
-void require(bool ok, const std::string& field, const Eigen::MatrixBase<Derived>& value,
-             const std::string& allowed) {
-  if (ok) return;
-  const Eigen::IOFormat one_line(9, Eigen::DontAlignCols, ", ", "; ", "", "", "(", ")");
-  std::ostringstream message;
-  message << value.format(one_line);
-  require(false, field, message.str(), allowed);
 }
 
 inline void require_finite(const std::string& field, double value) {
@@ -47,18 +44,18 @@ inline void require_non_negative(const std::string& field, double value) {
 
 template <typename Derived>
 void require_finite(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite(), field, value, "finite in every entry");
+  require(value.allFinite(), field, value.derived(), "finite in every entry");
 }
 
 template <typename Derived>
 void require_non_negative(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite() && (value.array() >= 0.0).all(), field, value,
+  require(value.allFinite() && (value.array() >= 0.0).all(), field, value.derived(),
           "finite and >= 0 in every entry");
 }
 
 template <typename Derived>
 void require_positive(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite() && (value.array() > 0.0).all(), field, value,
+  require(value.allFinite() && (value.array() > 0.0).all(), field, value.derived(),
           "finite and > 0 in every entry");
 }
 
@@ -66,7 +63,7 @@ void require_positive(const std::string& field, const Eigen::MatrixBase<Derived>
 template <typename Lower, typename Upper>
 void require_ordered(const std::string& field, const Eigen::MatrixBase<Lower>& lower,
                      const Eigen::MatrixBase<Upper>& upper) {
-  require((lower.array() <= upper.array()).all(), field + " lower bound", lower,
+  require((lower.array() <= upper.array()).all(), field + " lower bound", lower.derived(),
           "<= the upper bound in every entry");
 }
 

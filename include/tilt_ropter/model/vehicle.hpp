@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 
 #include <Eigen/Core>
@@ -10,8 +11,6 @@
 
 /// What the vehicle is: every parameter of it, plain data with units, and the reference vehicle.
 namespace tilt_ropter {
-
-inline constexpr double pi = 3.14159265358979323846;
 
 /// Acceleration of gravity [m/s^2], the paper's; it points along world -z.
 inline constexpr double gravity = 9.81;
@@ -79,7 +78,7 @@ struct PowerParameters {
 template <int Rotors = 4>
 struct Vehicle {
   RigidBodyParameters body;
-  std::array<RotorGeometry, Rotors> rotors;
+  std::array<RotorGeometry, static_cast<std::size_t>(Rotors)> rotors;
   RotorParameters rotor;
   ServoParameters servo;
   WheelParameters wheels;

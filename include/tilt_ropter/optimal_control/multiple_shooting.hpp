@@ -39,7 +39,8 @@ struct SolverSettings {
   int max_rounds = 8;              ///< of adding rows within one quadratic program
   double sigma = 1e9;              ///< quadratic part of the penalty on violated rows
   double max_multiplier = 1e6;     ///< bound on an equality's multiplier
-  bool update_multipliers = true;  ///< of equalities, after each iteration
+  bool update_multipliers = true;  ///< of equalities, in solve(): conditions met exactly, not only
+                                   ///< by weight; feedback() never does, as noise would pile up
   DualSettings dual;
 };
 
@@ -154,27 +155,7 @@ class MultipleShooting {
 
   /// Step 3 to 5 from the measured initial state; needs a prepare() before. Afterwards state(k) and
   /// input(k) are the new plan, or the old one if the report says failed or rejected.
-  const SolveReport& feedback(const State& x0) noexcept {
-    const auto start = Clock::now();
-    report_.iterations = 1;
-    const Tangent dx0 = problem_.difference(x0, node(0).x);
-    if (!dx0.allFinite()) {
-      report_.status = SolveStatus::rejected;
-    } else if (!prepared_ || !solve_quadratic_program(dx0)) {
-      report_.status = SolveStatus::failed;
-    } else {
-      report_.kkt = std::max(report_.kkt, dx0.cwiseAbs().maxCoeff());
-      for (int k = 0; k <= horizon_; ++k) {
-        node(k).x = trial(k).x;
-        node(k).u = trial(k).u;
-      }
-      store_multipliers();
-      report_.status = SolveStatus::iterated;
-    }
-    prepared_ = false;
-    report_.feedback_us = since(start);
-    return report_;
-  }
+  const SolveReport& feedback(const State& x0) noexcept { return take_step(x0, false); }
 
   /// Iterates to convergence from the current guess with the initial state fixed to x0.
   const SolveReport& solve(const State& x0) noexcept {
@@ -193,6 +174,7 @@ class MultipleShooting {
         break;
       }
       prepare_us += report_.prepare_us;
+      if (settings_.update_multipliers) report_.kkt = std::max(report_.kkt, report_.max_equality);
       if (report_.kkt <= settings_.tolerance) {
         status = SolveStatus::converged;
         break;
@@ -202,7 +184,7 @@ class MultipleShooting {
         status = SolveStatus::time_limit;
         break;
       }
-      feedback(x0);
+      take_step(x0, settings_.update_multipliers);
       feedback_us += report_.feedback_us;
       if (report_.status != SolveStatus::iterated) {
         status = report_.status;
@@ -229,7 +211,8 @@ class MultipleShooting {
     Rows value = Rows::Zero();  // of the rows at (x, u)
     typename Dimensions::RowsX C = Dimensions::RowsX::Zero();
     typename Dimensions::RowsU E = Dimensions::RowsU::Zero();
-    std::array<bool, 2 * nc> in_set{};  // working set: lower bounds first, then upper
+    std::array<bool, 2 * static_cast<std::size_t>(nc)>
+        in_set{};  // working set: lower bounds first, then upper
   };
   struct Trial {
     State x{};
@@ -262,6 +245,29 @@ class MultipleShooting {
   Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
   const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
   Trial& trial(int k) { return trial_[static_cast<std::size_t>(k)]; }
+
+  const SolveReport& take_step(const State& x0, bool update_multipliers) {
+    const auto start = Clock::now();
+    report_.iterations = 1;
+    const Tangent dx0 = problem_.difference(x0, node(0).x);
+    if (!dx0.allFinite()) {
+      report_.status = SolveStatus::rejected;
+    } else if (!prepared_ || !solve_quadratic_program(dx0)) {
+      report_.status = SolveStatus::failed;
+    } else {
+      report_.kkt = std::max(report_.kkt, dx0.cwiseAbs().maxCoeff());
+      for (int k = 0; k <= horizon_; ++k) {
+        node(k).x = trial(k).x;
+        node(k).u = trial(k).u;
+      }
+      store_multipliers();
+      if (update_multipliers) update_equality_multipliers();
+      report_.status = SolveStatus::iterated;
+    }
+    prepared_ = false;
+    report_.feedback_us = since(start);
+    return report_;
+  }
 
   // Step 1: every interval's end state and derivative, every node's quadratic model and rows.
   bool linearise() {
@@ -488,8 +494,10 @@ class MultipleShooting {
       ++report_.active_rows;
       if (multipliers_(i) >= bounds_(i)) ++report_.given_up_rows;
     }
+  }
+
+  void update_equality_multipliers() {
     if constexpr (ne > 0) {
-      if (!settings_.update_multipliers) return;
       for (int k = 1; k <= horizon_; ++k) {
         const auto weights = problem_.equality_weights(k);
         const auto h = problem_.equality_values(k, node(k).x);

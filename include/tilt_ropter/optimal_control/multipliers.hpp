@@ -76,7 +76,9 @@ class DualSolver {
     refine(tolerance);
     for (int round = 0; round < max_rounds && !optimize(tolerance); ++round) refine(tolerance);
     if (!iterate_.head(size_).allFinite()) return false;
-    lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_));
+    lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_)).cwiseMin(rho);
+    for (int i = 0; i < size_; ++i)
+      if (iterate_(i) >= upper_(i)) lambda(i) = rho(i);  // rounding must not hide a row given up
     return true;
   }
 

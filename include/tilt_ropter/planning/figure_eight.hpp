@@ -94,7 +94,7 @@ class FigureEight {
   }
 
  private:
-  static constexpr double one_lap = 6.28318530717958647692;  // of the phase: 2 pi
+  static constexpr double one_lap = 2.0 * pi;  // of the phase: 2 pi
 
   struct Phase {
     double angle, rate, acceleration;

@@ -105,32 +105,33 @@ class DelayQueue {
   std::size_t first_ = 0, count_ = 0;
 };
 
-/// What all sensors share: when to take a measurement and when to hand it out.
-template <typename Measurement>
-class SensorTiming {
+/// What all sensors share: parameters, noise, when to take a measurement and when to hand it out.
+template <typename Parameters, typename Measurement>
+class SensorCore {
  public:
-  SensorTiming(double rate, double delay)
-      : rate_(rate), delay_(delay), queue_(static_cast<std::size_t>(rate * delay) + 4) {}
+  SensorCore(const Parameters& given, std::uint64_t seed)
+      : parameters((validate(given), given)),
+        noise(seed),
+        queue_(static_cast<std::size_t>(given.rate * given.delay) + 4) {}
 
   /// True if a measurement is to be taken now. A thousandth of a period of rounding is forgiven.
   [[nodiscard]] bool due(double time) noexcept {
     if (!std::isfinite(time)) return false;
     if (!started_) start_ = time;
-    const double instant = std::floor((time - start_) * rate_ + 1e-3);
+    const double instant = std::floor((time - start_) * parameters.rate + 1e-3);
     if (started_ && instant <= last_instant_) return false;
     started_ = true;
     last_instant_ = instant;
     return true;
   }
 
-  void push(const Measurement& measurement) noexcept {
-    queue_.push(measurement.time + delay_, measurement);
-  }
-
+  void push(const Measurement& m) noexcept { queue_.push(m.time + parameters.delay, m); }
   [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
 
+  Parameters parameters;
+  GaussianNoise noise;
+
  private:
-  double rate_, delay_;
   DelayQueue<Measurement> queue_;
   bool started_ = false;
   double start_ = 0.0, last_instant_ = 0.0;
@@ -158,11 +159,13 @@ struct ImuSensorParameters {
 
 inline void validate(const ImuSensorParameters& p) {
   detail::require_timing("ImuSensorParameters", p.rate, p.delay);
-  require_non_negative("ImuSensorParameters.gyro_noise_density", p.gyro_noise_density);
-  require_non_negative("ImuSensorParameters.accelerometer_noise_density",
+  require_non_negative("ImuSensorParameters.gyro_noise_density [rad/s/sqrt(Hz)]",
+                       p.gyro_noise_density);
+  require_non_negative("ImuSensorParameters.accelerometer_noise_density [m/s^2/sqrt(Hz)]",
                        p.accelerometer_noise_density);
-  require_non_negative("ImuSensorParameters.gyro_bias_walk", p.gyro_bias_walk);
-  require_non_negative("ImuSensorParameters.accelerometer_bias_walk", p.accelerometer_bias_walk);
+  require_non_negative("ImuSensorParameters.gyro_bias_walk [rad/s^2/sqrt(Hz)]", p.gyro_bias_walk);
+  require_non_negative("ImuSensorParameters.accelerometer_bias_walk [m/s^3/sqrt(Hz)]",
+                       p.accelerometer_bias_walk);
   require_finite("ImuSensorParameters.gyro_bias [rad/s]", p.gyro_bias);
   require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
 }
@@ -177,29 +180,27 @@ class ImuSensor {
 
   /// Throws std::invalid_argument.
   ImuSensor(const ImuSensorParameters& parameters, std::uint64_t seed)
-      : parameters_((validate(parameters), parameters)),
-        timing_(parameters.rate, parameters.delay),
-        noise_(seed),
+      : core_(parameters, seed),
         gyro_bias_(parameters.gyro_bias),
         accelerometer_bias_(parameters.accelerometer_bias) {}
 
   [[nodiscard]] std::optional<Measurement> sample(double time,
                                                   const Eigen::Vector3d& angular_velocity,
                                                   const Eigen::Vector3d& specific_force) noexcept {
-    if (angular_velocity.allFinite() && specific_force.allFinite() && timing_.due(time)) {
-      const ImuSensorParameters& p = parameters_;
+    if (angular_velocity.allFinite() && specific_force.allFinite() && core_.due(time)) {
+      const ImuSensorParameters& p = core_.parameters;
       const double root_rate = std::sqrt(p.rate);
       Measurement m;
       m.time = time;
       m.angular_velocity =
-          angular_velocity + gyro_bias_ + noise_.draw<3>(p.gyro_noise_density * root_rate);
+          angular_velocity + gyro_bias_ + core_.noise.draw<3>(p.gyro_noise_density * root_rate);
       m.specific_force = specific_force + accelerometer_bias_ +
-                         noise_.draw<3>(p.accelerometer_noise_density * root_rate);
-      timing_.push(m);
-      gyro_bias_ += noise_.draw<3>(p.gyro_bias_walk / root_rate);
-      accelerometer_bias_ += noise_.draw<3>(p.accelerometer_bias_walk / root_rate);
+                         core_.noise.draw<3>(p.accelerometer_noise_density * root_rate);
+      core_.push(m);
+      gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
+      accelerometer_bias_ += core_.noise.draw<3>(p.accelerometer_bias_walk / root_rate);
     }
-    return timing_.pop(time);
+    return core_.pop(time);
   }
 
   /// True biases, for comparison with an estimate: rad/s and m/s^2.
@@ -209,9 +210,7 @@ class ImuSensor {
   }
 
  private:
-  ImuSensorParameters parameters_;
-  detail::SensorTiming<Measurement> timing_;
-  GaussianNoise noise_;
+  detail::SensorCore<ImuSensorParameters, Measurement> core_;
   Eigen::Vector3d gyro_bias_, accelerometer_bias_;
 };
 
@@ -239,27 +238,23 @@ class PoseSensor {
 
   /// Throws std::invalid_argument.
   PoseSensor(const PoseSensorParameters& parameters, std::uint64_t seed)
-      : parameters_((validate(parameters), parameters)),
-        timing_(parameters.rate, parameters.delay),
-        noise_(seed) {}
+      : core_(parameters, seed) {}
 
   [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
-    if (is_finite(truth) && timing_.due(time)) {
+    if (is_finite(truth) && core_.due(time)) {
       Measurement m;
       m.time = time;
-      m.position = truth.position + noise_.draw<3>(parameters_.position_noise);
-      m.orientation =
-          (truth.orientation * quaternion_exp(noise_.draw<3>(parameters_.orientation_noise)))
-              .normalized();
-      timing_.push(m);
+      m.position = truth.position + core_.noise.draw<3>(core_.parameters.position_noise);
+      m.orientation = (truth.orientation *
+                       quaternion_exp(core_.noise.draw<3>(core_.parameters.orientation_noise)))
+                          .normalized();
+      core_.push(m);
     }
-    return timing_.pop(time);
+    return core_.pop(time);
   }
 
  private:
-  PoseSensorParameters parameters_;
-  detail::SensorTiming<Measurement> timing_;
-  GaussianNoise noise_;
+  detail::SensorCore<PoseSensorParameters, Measurement> core_;
 };
 
 /// Rotor speeds, as the motor controllers report them.
@@ -285,25 +280,22 @@ class RotorSpeedSensor {
 
   /// Throws std::invalid_argument.
   RotorSpeedSensor(const RotorSpeedSensorParameters& parameters, std::uint64_t seed)
-      : parameters_((validate(parameters), parameters)),
-        timing_(parameters.rate, parameters.delay),
-        noise_(seed) {}
+      : core_(parameters, seed) {}
 
   [[nodiscard]] std::optional<Measurement> sample(
       double time, const Eigen::Matrix<double, Rotors, 1>& rotor_speed) noexcept {
-    if (rotor_speed.allFinite() && timing_.due(time)) {
+    if (rotor_speed.allFinite() && core_.due(time)) {
       Measurement m;
       m.time = time;
-      m.rotor_speed = (rotor_speed + noise_.template draw<Rotors>(parameters_.noise)).cwiseMax(0.0);
-      timing_.push(m);
+      m.rotor_speed =
+          (rotor_speed + core_.noise.template draw<Rotors>(core_.parameters.noise)).cwiseMax(0.0);
+      core_.push(m);
     }
-    return timing_.pop(time);
+    return core_.pop(time);
   }
 
  private:
-  RotorSpeedSensorParameters parameters_;
-  detail::SensorTiming<Measurement> timing_;
-  GaussianNoise noise_;
+  detail::SensorCore<RotorSpeedSensorParameters, Measurement> core_;
 };
 
 /// The whole body state with white noise: in place of sensors and estimator, to try a controller.
@@ -334,29 +326,27 @@ class StateSensor {
 
   /// Throws std::invalid_argument.
   StateSensor(const StateSensorParameters& parameters, std::uint64_t seed)
-      : parameters_((validate(parameters), parameters)),
-        timing_(parameters.rate, parameters.delay),
-        noise_(seed) {}
+      : core_(parameters, seed) {}
 
   [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
-    if (is_finite(truth) && timing_.due(time)) {
-      const StateSensorParameters& p = parameters_;
+    if (is_finite(truth) && core_.due(time)) {
+      const StateSensorParameters& p = core_.parameters;
       Measurement m;
       m.time = time;
-      m.body.position = truth.position + noise_.draw<3>(p.position_noise);
-      m.body.velocity = truth.velocity + noise_.draw<3>(p.velocity_noise);
+      m.body.position = truth.position + core_.noise.draw<3>(p.position_noise);
+      m.body.velocity = truth.velocity + core_.noise.draw<3>(p.velocity_noise);
       m.body.orientation =
-          (truth.orientation * quaternion_exp(noise_.draw<3>(p.orientation_noise))).normalized();
-      m.body.angular_velocity = truth.angular_velocity + noise_.draw<3>(p.angular_velocity_noise);
-      timing_.push(m);
+          (truth.orientation * quaternion_exp(core_.noise.draw<3>(p.orientation_noise)))
+              .normalized();
+      m.body.angular_velocity =
+          truth.angular_velocity + core_.noise.draw<3>(p.angular_velocity_noise);
+      core_.push(m);
     }
-    return timing_.pop(time);
+    return core_.pop(time);
   }
 
  private:
-  StateSensorParameters parameters_;
-  detail::SensorTiming<Measurement> timing_;
-  GaussianNoise noise_;
+  detail::SensorCore<StateSensorParameters, Measurement> core_;
 };
 
 }  // namespace tilt_ropter

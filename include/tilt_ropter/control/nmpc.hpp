@@ -1,0 +1,220 @@
+#pragma once
+
+#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+
+/// The Tilt-Ropter's controller (paper, Sec. Control): the wrench that tracks a reference in the
+/// air and on the ground, one real-time iteration per call.
+namespace tilt_ropter {
+
+enum class NmpcStatus {
+  solved,         ///< the wrench comes from a plan made from this measurement
+  bad_state,      ///< the measurement was not finite: the last plan goes on
+  solver_failed,  ///< no plan from this measurement: the last plan goes on
+  no_plan,        ///< no plan, or it has run out: the safe wrench
+};
+
+struct NmpcSettings {
+  WheeledFlightSettings problem;
+  SolverSettings solver;
+  GroundContactSettings ground;
+  /// A plan older than this is not followed; the safe wrench is commanded [s].
+  double max_plan_age = 0.2;
+  /// So many failures in a row, and the next solve starts cold from the measured state.
+  int failures_before_reset = 3;
+  /// False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: what the reference's acceleration
+  /// and the estimated external wrench ask for, which leaves no offset at rest.
+  bool wrench_feedforward = true;
+};
+
+inline void validate(const NmpcSettings& s) {
+  validate(s.problem);
+  validate(s.solver);
+  validate(s.ground);
+  require(s.ground.wheel_radius == s.problem.wheel_radius, "NmpcSettings.ground.wheel_radius [m]",
+          s.ground.wheel_radius, "the same as problem.wheel_radius");
+  require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
+  require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
+          s.failures_before_reset, ">= 1");
+}
+
+/// The paper's parameters: its table of bounds, N and interval, and its reference wrench.
+[[nodiscard]] inline NmpcSettings paper_nmpc_settings() {
+  NmpcSettings s;
+  s.problem.intervals = 20;
+  s.problem.interval = 0.1;
+  s.problem.bounds = paper_bounds();
+  s.wrench_feedforward = false;
+  return s;
+}
+
+struct NmpcResult {
+  NmpcStatus status = NmpcStatus::no_plan;
+  Wrench<> wrench;         ///< to command now, body frame; finite and within the bounds
+  Wrench<> rate;           ///< its rate in the plan, body frame [N/s; N m/s]
+  bool on_ground = false;  ///< mode of contact
+  SolveReport report;      ///< of the solver; of the last one if it was not called
+};
+
+class Nmpc {
+ public:
+  /// Throws std::invalid_argument for parameters or settings out of range. Allocates; the functions
+  /// below allocate nothing outside NLopt and never throw.
+  explicit Nmpc(const RigidBodyParameters& body, const NmpcSettings& settings = {})
+      : settings_(checked(settings)),
+        body_(body),
+        contact_(settings.ground),
+        solver_(WheeledFlightProblem(body, settings.problem), settings.solver) {
+    body_state_.position.z() = settings.problem.wheel_radius;
+    result_.wrench = safe_wrench();
+  }
+
+  /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
+  /// reference, linearisation, factorisation. `reference` is any callable that returns a
+  /// ReferencePoint for a time; `external` is the estimated external wrench (body frame). True if
+  /// the vehicle has just left the ground: see GroundContact::update.
+  template <typename Reference>
+  bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
+    const bool lifted_off = contact_.update(body_state_.position.z(), external);
+    WheeledFlightProblem& problem = solver_.problem();
+    for (int k = 0; k <= solver_.horizon(); ++k)
+      set_node(reference(time + settings_.problem.interval * k), problem.node(k));
+    if (cold_) {
+      State<> start;
+      start.body = body_state_;
+      start.wrench = result_.wrench;
+      solver_.reset(start);
+    }
+    prepared_ = solver_.prepare();
+    return lifted_off;
+  }
+
+  /// The wrench to command from the body state measured at `time` [s]. Needs a prepare() before.
+  [[nodiscard]] const NmpcResult& feedback(double time, const BodyState<>& measured) noexcept {
+    if (!std::isfinite(time) || !is_finite(measured))
+      return continue_last_plan(time, NmpcStatus::bad_state);
+    body_state_ = measured;
+    body_state_.orientation.normalize();
+    State<> x;
+    x.body = body_state_;
+    x.wrench = has_plan_ ? planned_wrench(time - plan_time_) : result_.wrench;
+    result_.report = solver_.feedback(x);
+    if (!prepared_ || result_.report.status != SolveStatus::iterated)
+      return continue_last_plan(time, NmpcStatus::solver_failed);
+    prepared_ = false;
+    failures_ = 0;
+    cold_ = false;
+    has_plan_ = true;
+    plan_time_ = time;
+    result_.status = NmpcStatus::solved;
+    set_command(0.0);
+    return result_;
+  }
+
+  [[nodiscard]] const GroundContact& contact() const { return contact_; }
+  [[nodiscard]] const MultipleShooting<WheeledFlightProblem>& solver() const { return solver_; }
+  [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
+
+ private:
+  static const NmpcSettings& checked(const NmpcSettings& settings) {
+    validate(settings);
+    return settings;
+  }
+
+  void set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
+    node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
+    contact_.apply(body_state_.orientation, node);
+    node.wrench_reference = {};
+    if (!settings_.wrench_feedforward) {
+      node.wrench_reference.force.z() =
+          node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
+      return;
+    }
+    const Eigen::Vector3d& w = point.angular_velocity;
+    Wrench<>& feedforward = node.wrench_reference;
+    feedforward.force = body_.mass * (point.orientation.conjugate() *
+                                      (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
+                        node.external.force;
+    feedforward.torque = body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) -
+                         node.external.torque;
+    if (node.on_ground) {
+      // The wheels give the force along the axle, the ground the vertical one and the roll torque.
+      feedforward.force.y() = 0.0;
+      feedforward.force.z() = settings_.ground.down_force;
+      feedforward.torque.x() = 0.0;
+    }
+  }
+
+  /// Wrench of the last plan `age` [s] after its measurement: linear in each interval.
+  [[nodiscard]] Wrench<> planned_wrench(double age) const {
+    const double interval = settings_.problem.interval;
+    const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
+    const int k = std::min(static_cast<int>(clamped / interval), solver_.horizon() - 1);
+    const Wrench<>& start = solver_.state(k).wrench;
+    const auto& rate = solver_.input(k);
+    const double t = clamped - interval * k;
+    return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
+  }
+
+  [[nodiscard]] Wrench<> within_bounds(const Wrench<>& wrench) const {
+    const NmpcBounds& b = settings_.problem.bounds;
+    return {wrench.force.cwiseMax(b.force_min).cwiseMin(b.force_max),
+            wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
+  }
+
+  /// Without a plan: carry the weight, turn nothing; on the ground, almost no thrust.
+  [[nodiscard]] Wrench<> safe_wrench() const {
+    Wrench<> wrench;
+    wrench.force.z() = contact_.on_ground() ? settings_.ground.down_force : body_.mass * gravity;
+    return within_bounds(wrench);
+  }
+
+  void set_command(double age) {
+    result_.wrench = planned_wrench(age);
+    const int k =
+        std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
+    const auto& rate = solver_.input(k);
+    result_.rate = {rate.head<3>(), rate.tail<3>()};
+    result_.on_ground = contact_.on_ground();
+  }
+
+  const NmpcResult& continue_last_plan(double time, NmpcStatus status) {
+    prepared_ = false;
+    if (++failures_ >= settings_.failures_before_reset) cold_ = true;
+    const double age = time - plan_time_;
+    if (has_plan_ && age >= 0.0 && age <= settings_.max_plan_age) {
+      set_command(age);
+      result_.status = status;
+    } else {
+      has_plan_ = false;
+      cold_ = true;
+      result_.wrench = safe_wrench();
+      result_.rate = {};
+      result_.on_ground = contact_.on_ground();
+      result_.status = NmpcStatus::no_plan;
+    }
+    return result_;
+  }
+
+  NmpcSettings settings_;
+  RigidBodyParameters body_;
+  GroundContact contact_;
+  MultipleShooting<WheeledFlightProblem> solver_;
+  BodyState<> body_state_;  // the last good measurement
+  NmpcResult result_;
+  double plan_time_ = 0.0;
+  int failures_ = 0;
+  bool prepared_ = false, has_plan_ = false, cold_ = true;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,102 @@
+#include <tilt_ropter/control/ground_contact.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+namespace tilt_ropter {
+namespace {
+
+const Wrench<> lift{Eigen::Vector3d(0.3, -0.2, 14.0), Eigen::Vector3d(0.1, 0.2, 0.3)};
+const Wrench<> breeze{Eigen::Vector3d(0.1, 0.2, -0.3), Eigen::Vector3d(0.01, 0.02, 0.03)};
+
+WheeledFlightNode node_at(double height) {
+  WheeledFlightNode node;
+  node.reference.position.z() = height;
+  return node;
+}
+
+TEST(GroundContact, ModeHasHysteresis) {
+  GroundContact contact(GroundContactSettings{});  // radius 0.11, enter 0.01, leave 0.03
+  contact.update(0.11, {});
+  EXPECT_TRUE(contact.on_ground());
+  contact.update(0.135, {});  // between the thresholds: as before
+  EXPECT_TRUE(contact.on_ground());
+  contact.update(0.145, {});
+  EXPECT_FALSE(contact.on_ground());
+  contact.update(0.125, {});
+  EXPECT_FALSE(contact.on_ground());
+  contact.update(0.115, {});
+  EXPECT_TRUE(contact.on_ground());
+  EXPECT_EQ(contact.mode_changes(), 2);
+}
+
+TEST(GroundContact, NoiseAtTheThresholdChangesTheModeOnce) {
+  GroundContact contact(GroundContactSettings{});
+  contact.update(1.0, {});
+  for (int i = 0; i < 1000; ++i) contact.update(0.13 - 2e-5 * i + 0.004 * std::sin(37.0 * i), {});
+  EXPECT_TRUE(contact.on_ground());
+  EXPECT_EQ(contact.mode_changes(), 1);
+}
+
+TEST(GroundContact, ForcesOfTheGroundStayOnTheGround) {
+  GroundContact contact(GroundContactSettings{});
+  contact.update(1.0, breeze);
+  contact.update(0.11, lift);
+  EXPECT_EQ(contact.air_wrench().force, breeze.force);
+  WheeledFlightNode air = node_at(0.5), ground = node_at(0.11);
+  contact.apply(Eigen::Quaterniond::Identity(), air);
+  contact.apply(Eigen::Quaterniond::Identity(), ground);
+  EXPECT_FALSE(air.on_ground);
+  EXPECT_EQ(air.external.force, breeze.force);
+  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+  EXPECT_TRUE(ground.on_ground);
+  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, -0.2, 0.0));
+  EXPECT_EQ(ground.external.torque, Eigen::Vector3d(0.0, 0.2, 0.3));
+  EXPECT_EQ(ground.freedom.linear, Eigen::Vector3d(1, 1, 0));
+  EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
+}
+
+TEST(GroundContact, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
+  GroundContact contact(GroundContactSettings{});
+  const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
+  contact.update(0.11, {pitched.conjugate() * Eigen::Vector3d(0.3, -0.2, 14.0), {0, 0, 0}});
+  WheeledFlightNode node = node_at(0.11);
+  contact.apply(pitched, node);
+  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0.3, -0.2, 0.0)).norm(), 1e-12);
+}
+
+TEST(GroundContact, LeavingTheGroundIsToldOnceAndKeepsTheAirsWrench) {
+  GroundContact contact(GroundContactSettings{});
+  EXPECT_FALSE(contact.update(0.5, breeze));
+  EXPECT_FALSE(contact.update(0.11, lift));
+  EXPECT_TRUE(contact.update(0.2, lift));
+  EXPECT_EQ(contact.air_wrench().force, breeze.force);
+  EXPECT_FALSE(contact.update(0.3, breeze));
+}
+
+TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
+  GroundContact contact(GroundContactSettings{});
+  contact.update(0.11, breeze);
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(contact.update(nan, breeze));
+  EXPECT_FALSE(contact.update(5.0, {Eigen::Vector3d::Constant(nan), Eigen::Vector3d::Zero()}));
+  EXPECT_TRUE(contact.on_ground());
+  EXPECT_EQ(contact.mode_changes(), 0);
+}
+
+TEST(GroundContact, SettingsOutOfRangeAreRefused) {
+  GroundContactSettings s;
+  s.leave_height = s.enter_height;
+  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
+  s = {};
+  s.wheel_radius = 0.0;
+  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
+  s = {};
+  s.down_force = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,197 @@
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+
+#include "support/autodiff.hpp"
+#include "support/benchmark_problem.hpp"
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Dual;
+using test_support::Random;
+using D = WheeledFlightProblem::D;
+
+State<> random_state(Random& random) {
+  State<> x;
+  x.wrench = {random.vector(10.0), random.vector(1.0)};
+  x.body.position = random.vector(3.0);
+  x.body.velocity = random.vector(3.0);
+  x.body.orientation = random.orientation();
+  x.body.angular_velocity = random.vector(4.0);
+  return x;
+}
+
+WheeledFlightProblem random_problem(Random& random) {
+  WheeledFlightSettings settings;
+  settings.weights.orientation << 30.0, 20.0, 10.0;
+  WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    const State<> r = random_state(random);
+    problem.node(k).reference = r.body;
+    problem.node(k).wrench_reference = r.wrench;
+    problem.node(k).external = {random.vector(1.0), random.vector(0.1)};
+    problem.node(k).on_ground = true;
+  }
+  return problem;
+}
+
+// The cost's error vector as written in the paper, for automatic differentiation.
+template <typename Scalar>
+Eigen::Matrix<Scalar, 18, 1> paper_error(const State<Scalar>& x, const WheeledFlightNode& node) {
+  using Quaternion = Eigen::Quaternion<Scalar>;
+  Quaternion turn =
+      x.body.orientation * Quaternion(node.reference.orientation.conjugate().cast<Scalar>());
+  Vector3<Scalar> eq = Scalar(2) * turn.vec();
+  if (turn.w() < Scalar(0)) eq = -eq;
+  Eigen::Matrix<Scalar, 18, 1> e;
+  e << x.wrench.force - node.wrench_reference.force.cast<Scalar>(),
+      x.wrench.torque - node.wrench_reference.torque.cast<Scalar>(),
+      x.body.position - node.reference.position.cast<Scalar>(),
+      x.body.velocity - node.reference.velocity.cast<Scalar>(), eq,
+      x.body.angular_velocity - node.reference.angular_velocity.cast<Scalar>();
+  return e;
+}
+
+template <typename Scalar>
+State<Scalar> moved(const State<>& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
+  State<Scalar> y;
+  y.wrench.force = x.wrench.force.cast<Scalar>();
+  y.wrench.torque = x.wrench.torque.cast<Scalar>();
+  y.body.position = x.body.position.cast<Scalar>();
+  y.body.velocity = x.body.velocity.cast<Scalar>();
+  y.body.orientation = x.body.orientation.cast<Scalar>();
+  y.body.angular_velocity = x.body.angular_velocity.cast<Scalar>();
+  return retract<Scalar>(y, d);
+}
+
+TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
+  Random random(41);
+  for (int i = 0; i < 200; ++i) {
+    const WheeledFlightProblem problem = random_problem(random);
+    const int k = i % 2 == 0 ? 3 : problem.horizon();
+    const NmpcWeights& w = problem.settings().weights;
+    const State<> x = random_state(random);
+    D::Input u;
+    u << random.vector(10.0), random.vector(2.0);
+
+    using S = Dual<18>;
+    const Eigen::Matrix<double, 18, 18> jacobian = test_support::jacobian_at_zero<18, 18>(
+        [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 18, 1> {
+          return paper_error<S>(moved<S>(x, d), problem.node(k));
+        });
+    const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
+    Eigen::Matrix<double, 18, 1> q;
+    q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
+    if (k == problem.horizon()) q *= w.terminal;
+
+    WheeledFlightProblem::Model model;
+    problem.cost_model(k, x, u, model);
+    const Eigen::Matrix<double, 18, 18> hessian =
+        2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
+    const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * q.cwiseProduct(e);
+    EXPECT_LT((model.lxx - hessian).cwiseAbs().maxCoeff(), 1e-12 * hessian.cwiseAbs().maxCoeff());
+    EXPECT_LT((model.lx - gradient).cwiseAbs().maxCoeff(), 1e-12 * gradient.cwiseAbs().maxCoeff());
+    double cost = e.dot(q.cwiseProduct(e));
+    if (k < problem.horizon()) {
+      Eigen::Matrix<double, 6, 1> r;
+      r << w.force_rate, w.torque_rate;
+      cost += u.dot(r.cwiseProduct(u));
+      EXPECT_LT((model.lu - 2.0 * r.cwiseProduct(u)).norm(), 1e-12);
+    }
+    EXPECT_NEAR(problem.cost(k, x, u), cost, 1e-12 * cost);
+  }
+}
+
+TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
+  Random random(42);
+  for (int i = 0; i < 200; ++i) {
+    const WheeledFlightProblem problem = random_problem(random);
+    const State<> x = random_state(random);
+    using S = Dual<18>;
+    const Eigen::Matrix<double, 3, 18> truth = test_support::jacobian_at_zero<3, 18>(
+        [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 3, 1> {
+          const State<S> y = moved<S>(x, d);
+          const Vector3<S> velocity =
+              y.body.orientation.toRotationMatrix().transpose() * y.body.velocity;
+          return {velocity.y(), y.body.angular_velocity.x(), y.body.position.z()};
+        });
+    D::EqualitiesX H;
+    problem.equality_derivatives(1, x, H);
+    EXPECT_LT((H - truth).cwiseAbs().maxCoeff(), 1e-12 * (1.0 + truth.cwiseAbs().maxCoeff()));
+    EXPECT_NEAR(problem.equality_values(1, x)(2),
+                x.body.position.z() - problem.settings().wheel_radius, 1e-15);
+  }
+}
+
+TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
+  Random random(43);
+  WheeledFlightSettings settings;
+  settings.bounds = paper_bounds();
+  const WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+  const State<> x = random_state(random);
+  const D::Input u = D::Input::Ones();
+  D::RowsX C;
+  D::RowsU E;
+  problem.row_derivatives(2, x, u, C, E);
+  const D::Rows before = problem.row_values(2, x, u);
+  for (int i = 0; i < 18; ++i) {
+    const D::Tangent d = 1e-3 * D::Tangent::Unit(i);
+    EXPECT_LT((problem.row_values(2, problem.retract(x, d), u) - before - C * d).norm(), 1e-12);
+  }
+  for (int i = 0; i < 6; ++i)
+    EXPECT_LT((problem.row_values(2, x, u + D::Input::Unit(i)) - before - E.col(i)).norm(), 1e-12);
+
+  EXPECT_DOUBLE_EQ(problem.upper(2)(0), 0.2);    // F_x
+  EXPECT_DOUBLE_EQ(problem.lower(2)(2), 0.0);    // F_z
+  EXPECT_DOUBLE_EQ(problem.upper(2)(8), 1.5);    // w_z
+  EXPECT_DOUBLE_EQ(problem.lower(2)(14), -2.0);  // dM_z
+  EXPECT_TRUE(std::isinf(problem.upper(0)(0)));  // the measured state is not bounded
+  EXPECT_DOUBLE_EQ(problem.upper(0)(9), 2.0);
+  EXPECT_TRUE(std::isinf(problem.upper(20)(9)));  // and the last node has no input
+}
+
+TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
+  Random random(44);
+  WheeledFlightProblem problem = random_problem(random);
+  problem.node(4).on_ground = false;
+  EXPECT_EQ(problem.equality_weights(4), Eigen::Vector3d::Zero());
+  EXPECT_EQ(problem.equality_weights(5), Eigen::Vector3d(2.0 * problem.settings().weights.ground));
+}
+
+TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
+  const auto message = [](const WheeledFlightSettings& settings) -> std::string {
+    try {
+      WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto expect_refused = [&](auto change, const std::string& text) {
+    WheeledFlightSettings s;
+    change(s);
+    EXPECT_NE(message(s).find(text), std::string::npos) << message(s);
+  };
+  expect_refused([](auto& s) { s.intervals = 0; }, "intervals = 0: must be in [1, 1000]");
+  expect_refused([](auto& s) { s.interval = -0.1; }, "interval [s] = -0.1: must be finite and > 0");
+  expect_refused([](auto& s) { s.bounds.force_min.x() = 7.0; },
+                 "NmpcBounds.force [N] lower bound = (7, ");
+  expect_refused([&](auto& s) { s.bounds.torque_max.y() = nan; }, "NmpcBounds.torque [N m]");
+  expect_refused([](auto& s) { s.bounds.force_rate.z() = 0.0; }, "NmpcBounds.force_rate [N/s]");
+  expect_refused([](auto& s) { s.bounds.torque_rate.z() = -1.0; }, "NmpcBounds.torque_rate");
+  expect_refused([](auto& s) { s.bounds.angular_velocity.z() = -1.0; }, "NmpcBounds.angular_vel");
+  expect_refused([](auto& s) { s.weights.position.z() = -1.0; }, "NmpcWeights.position [1/m^2]");
+  expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
+  expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
+  expect_refused([&](auto& s) { s.row_penalty = 0.0; }, "row_penalty");
+  expect_refused([&](auto& s) { s.wheel_radius = 0.0; }, "wheel_radius [m]");
+}
+
+}  // namespace
+}  // namespace tilt_ropter

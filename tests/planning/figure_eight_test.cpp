@@ -1,0 +1,382 @@
+#include <tilt_ropter/planning/figure_eight.hpp>
+
+#include <gtest/gtest.h>
+#include <unsupported/Eigen/AutoDiff>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+constexpr double two_pi = 6.28318530717958647692;
+
+FigureEightParameters ground_parameters() {
+  FigureEightParameters p;
+  p.center.z() = 0.11;
+  p.amplitude << 2.0, 0.6, 0.0;
+  p.heading = HeadingMode::along_velocity;
+  return p;
+}
+
+/// Shapes, places, ramps and limits from all over the allowed range.
+FigureEightParameters random_parameters(std::mt19937& generator) {
+  const auto uniform = [&generator](double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(generator);
+  };
+  FigureEightParameters p;
+  p.center << uniform(-5, 5), uniform(-5, 5), uniform(0, 5);
+  p.amplitude << uniform(0.2, 5), 0.0, uniform(-2, 2);
+  p.amplitude.y() = p.amplitude.x() * uniform(0.05, 2.0);
+  p.direction = uniform(-4, 4);
+  p.laps = std::uniform_int_distribution<int>(1, 3)(generator);
+  p.ramp_laps = uniform(0.05, std::min(1.0, 0.5 * p.laps));
+  p.max_speed = uniform(0.3, 3);
+  p.max_acceleration = uniform(0.3, 5);
+  p.max_yaw_rate = uniform(0.3, 3);
+  p.heading = uniform(0, 1) < 0.5 ? HeadingMode::fixed : HeadingMode::along_velocity;
+  p.yaw = uniform(-4, 4);
+  p.start_time = uniform(-10, 10);
+  return p;
+}
+
+/// The shapes at the edges of what is allowed, both heading modes, and the defaults.
+std::vector<FigureEightParameters> cases() {
+  std::vector<FigureEightParameters> all{FigureEightParameters{}, ground_parameters()};
+  for (const double ratio : {0.05, 2.0})
+    for (const double ramp : {0.05, 0.5}) {
+      FigureEightParameters p = ground_parameters();
+      p.amplitude << 1.0, ratio, 0.3;
+      p.laps = 1;
+      p.ramp_laps = ramp;
+      all.push_back(p);
+    }
+  std::mt19937 generator(1);
+  for (int i = 0; i < 20; ++i) all.push_back(random_parameters(generator));
+  return all;
+}
+
+struct Peaks {
+  double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0;
+};
+
+Peaks peaks_of(const FigureEight& eight, int samples) {
+  Peaks peaks;
+  for (int i = 0; i <= samples; ++i) {
+    const ReferencePoint r = eight(eight.start_time() + eight.duration() * i / samples);
+    peaks.speed = std::max(peaks.speed, r.velocity.norm());
+    peaks.acceleration = std::max(peaks.acceleration, r.acceleration.norm());
+    peaks.yaw_rate = std::max(peaks.yaw_rate, std::abs(r.angular_velocity.z()));
+  }
+  return peaks;
+}
+
+std::string message_of(const FigureEightParameters& p) {
+  try {
+    FigureEight eight(p);
+  } catch (const std::invalid_argument& error) {
+    return error.what();
+  }
+  return "accepted";
+}
+
+/// The eight once more, for any Scalar and written another way: by the integral of the ramp's
+/// rate, rotation matrices, and the tangent's angle from the quotient of its components.
+template <typename Scalar>
+struct Model {
+  const FigureEightParameters& p;
+  double duration;
+
+  Scalar phase(const Scalar& time) const {
+    const Scalar t = time - p.start_time;
+    const double rate = two_pi * (p.laps + 2.0 * p.ramp_laps) / duration;
+    const double ramp = 2.0 * two_pi * p.ramp_laps / rate;
+    const auto ramp_phase = [&](const Scalar& x) {
+      return Scalar((rate * ramp) *
+                    (x * x * x * x * x * x - 3.0 * x * x * x * x * x + 2.5 * x * x * x * x));
+    };
+    if (t < ramp) return ramp_phase(Scalar(t / ramp));
+    if (t > duration - ramp)
+      return Scalar(two_pi * p.laps - ramp_phase(Scalar((duration - t) / ramp)));
+    return Scalar((t - 0.5 * ramp) * rate);
+  }
+
+  Eigen::Matrix<Scalar, 3, 1> position(const Scalar& time) const {
+    using std::sin;
+    const Scalar s = phase(time);
+    const Scalar x = p.amplitude.x() * sin(s), y = p.amplitude.y() * sin(Scalar(2.0 * s));
+    return {Scalar(p.center.x() + std::cos(p.direction) * x - std::sin(p.direction) * y),
+            Scalar(p.center.y() + std::sin(p.direction) * x + std::cos(p.direction) * y),
+            Scalar(p.center.z() + p.amplitude.z() * sin(s))};
+  }
+
+  Scalar yaw(const Scalar& time) const {
+    using std::atan2;
+    using std::cos;
+    const Scalar s = phase(time);
+    return p.direction + atan2(Scalar(2.0 * p.amplitude.y() * cos(Scalar(2.0 * s))),
+                               Scalar(p.amplitude.x() * cos(s)));
+  }
+};
+
+using First = Eigen::AutoDiffScalar<Eigen::Matrix<double, 1, 1>>;
+using Second = Eigen::AutoDiffScalar<Eigen::Matrix<First, 1, 1>>;
+
+Second seed(double time) {
+  Second t;
+  t.value() = First(time, 1, 0);
+  t.derivatives()(0) = First(1.0);
+  return t;
+}
+
+double value(const Second& s) {
+  return s.value().value();
+}
+double first(const Second& s) {
+  return s.derivatives()(0).value();
+}
+double second(const Second& s) {
+  const auto& d = s.derivatives()(0).derivatives();
+  return d(0);
+}
+
+}  // namespace
+
+TEST(FigureEight, NeverExceedsALimitAndReachesTheTightest) {
+  for (const FigureEightParameters& p : cases()) {
+    const FigureEight eight(p);
+    const Peaks peaks = peaks_of(eight, 50021);
+    const double speed = peaks.speed / p.max_speed;
+    const double acceleration = peaks.acceleration / p.max_acceleration;
+    const double yaw_rate = peaks.yaw_rate / p.max_yaw_rate;
+    EXPECT_LE(speed, 1.0);
+    EXPECT_LE(acceleration, 1.0);
+    EXPECT_LE(yaw_rate, 1.0);
+    EXPECT_GE(std::max({speed, acceleration, yaw_rate}), 0.99)
+        << "amplitude " << p.amplitude.transpose() << ", ramp " << p.ramp_laps;
+  }
+}
+
+TEST(FigureEight, EveryLimitActs) {
+  const FigureEightParameters defaults = ground_parameters();
+  for (const int limit : {0, 1, 2}) {
+    FigureEightParameters p = defaults;
+    (limit == 0 ? p.max_speed : limit == 1 ? p.max_acceleration : p.max_yaw_rate) = 0.2;
+    const Peaks peaks = peaks_of(FigureEight(p), 5000);
+    const double reached = limit == 0   ? peaks.speed
+                           : limit == 1 ? peaks.acceleration
+                                        : peaks.yaw_rate;
+    EXPECT_GT(reached, 0.99 * 0.2);
+    EXPECT_GT(FigureEight(p).duration(), FigureEight(defaults).duration());
+  }
+  // In the fixed mode the body does not turn, so the limit on turning must not slow it down.
+  FigureEightParameters fixed;
+  const double duration = FigureEight(fixed).duration();
+  fixed.max_yaw_rate = 1e-3;
+  EXPECT_DOUBLE_EQ(FigureEight(fixed).duration(), duration);
+}
+
+TEST(FigureEight, DefaultsReachThePapersLimitsInTheAirAndItsSpeedOnTheGround) {
+  const Peaks air = peaks_of(FigureEight{}, 20000);
+  EXPECT_NEAR(air.speed, 1.5, 0.015);
+  EXPECT_NEAR(air.acceleration, 1.5, 0.015);
+  const Peaks ground = peaks_of(FigureEight(ground_parameters()), 20000);
+  EXPECT_NEAR(ground.speed, 1.5, 0.015);
+  EXPECT_GT(ground.acceleration, 1.1);
+  EXPECT_LT(ground.yaw_rate, 1.5);
+}
+
+TEST(FigureEight, IsTheLemniscateOfItsParameters) {
+  FigureEightParameters p;
+  p.center << 1.0, -2.0, 3.0;
+  p.direction = 0.25 * two_pi;  // the long axis along world y
+  p.laps = 1;
+  const FigureEight eight(p);
+  Eigen::Vector3d low = p.center, high = p.center;
+  const int samples = 20000;
+  for (int i = 0; i <= samples; ++i) {
+    const Eigen::Vector3d position = eight(eight.duration() * i / samples).position;
+    low = low.cwiseMin(position);
+    high = high.cwiseMax(position);
+    // Rotated back to its own axes: y^2 = 4 (b/a)^2 x^2 (1 - (x/a)^2) and z = c x / a.
+    const Eigen::Vector3d d = position - p.center;
+    const double x = d.y() / p.amplitude.x(), y = -d.x() / p.amplitude.y();
+    ASSERT_NEAR(y * y, 4.0 * x * x * (1.0 - x * x), 1e-12);
+    ASSERT_NEAR(d.z(), p.amplitude.z() * x, 1e-12);
+  }
+  const Eigen::Vector3d half_extent(p.amplitude.y(), p.amplitude.x(), p.amplitude.z());
+  EXPECT_LT((low - (p.center - half_extent)).norm(), 1e-6);
+  EXPECT_LT((high - (p.center + half_extent)).norm(), 1e-6);
+}
+
+TEST(FigureEight, PassesTheCrossingTwicePerLap) {
+  for (const int laps : {1, 2, 3}) {
+    FigureEightParameters p;
+    p.laps = laps;
+    const FigureEight eight(p);
+    int crossings = 0;  // of the plane x = 0, ends not counted
+    double last = 0.0;
+    for (int i = 1; i < 5000; ++i) {
+      const double x = eight(eight.duration() * i / 5000).position.x();
+      if (x * last < 0.0) ++crossings;
+      last = x;
+    }
+    EXPECT_EQ(crossings, 2 * laps - 1);
+  }
+}
+
+TEST(FigureEight, IsRestBeforeStartAndAfterEndAtTheCrossing) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (const FigureEightParameters& p : cases()) {
+    const FigureEight eight(p);
+    const double start = eight.start_time(), end = eight.end_time();
+    EXPECT_DOUBLE_EQ(start, p.start_time);
+    for (const double time :
+         {start, start - 1.0, -infinity, nan, end + 1e-9, end + 1.0, infinity}) {
+      const ReferencePoint r = eight(time);
+      EXPECT_LT((r.position - p.center).norm(), 1e-12);
+      EXPECT_EQ(r.velocity.norm(), 0.0);
+      EXPECT_EQ(r.acceleration.norm(), 0.0);
+      EXPECT_EQ(r.angular_velocity.norm(), 0.0);
+      EXPECT_EQ(r.angular_acceleration.norm(), 0.0);
+      EXPECT_NEAR(r.orientation.norm(), 1.0, 1e-12);
+      EXPECT_LT(r.orientation.angularDistance(eight(start).orientation), 1e-9);
+    }
+  }
+}
+
+TEST(FigureEight, RatesAreThoseOfAutomaticDifferentiation) {
+  std::mt19937 generator(2);
+  for (const FigureEightParameters& p : cases()) {
+    const FigureEight eight(p);
+    const Model<Second> model{p, eight.duration()};
+    std::uniform_real_distribution<double> any_time(eight.start_time(), eight.end_time());
+    for (int i = 0; i < 200; ++i) {
+      const double time = any_time(generator);
+      const ReferencePoint r = eight(time);
+      const auto position = model.position(seed(time));
+      for (int k = 0; k < 3; ++k) {
+        ASSERT_NEAR(r.position(k), value(position(k)), 1e-11);
+        ASSERT_NEAR(r.velocity(k), first(position(k)), 1e-11);
+        ASSERT_NEAR(r.acceleration(k), second(position(k)), 1e-10);
+      }
+      if (p.heading == HeadingMode::fixed) {
+        ASSERT_LT(r.orientation.angularDistance(quaternion_from_yaw(p.yaw)), 1e-12);
+        ASSERT_EQ(r.angular_velocity.norm() + r.angular_acceleration.norm(), 0.0);
+      } else {
+        const Second yaw = model.yaw(seed(time));
+        ASSERT_LT(r.orientation.angularDistance(quaternion_from_yaw(value(yaw))), 1e-10);
+        ASSERT_NEAR(r.angular_velocity.z(), first(yaw), 1e-9);
+        ASSERT_NEAR(r.angular_acceleration.z(), second(yaw), 1e-8);
+        ASSERT_EQ(r.angular_velocity.head<2>().norm(), 0.0);
+        ASSERT_EQ(r.angular_acceleration.head<2>().norm(), 0.0);
+      }
+    }
+  }
+}
+
+TEST(FigureEight, RatesAreThoseOfFiniteDifferences) {
+  const double h = 1e-5;
+  for (const FigureEightParameters& p : {FigureEightParameters{}, ground_parameters()}) {
+    const FigureEight eight(p);
+    for (double time = -0.5; time < eight.duration() + 0.5; time += 0.0317) {
+      const ReferencePoint r = eight(time), before = eight(time - h), after = eight(time + h);
+      ASSERT_LT((r.velocity - (after.position - before.position) / (2 * h)).norm(), 1e-8);
+      ASSERT_LT((r.acceleration - (after.velocity - before.velocity) / (2 * h)).norm(), 1e-8);
+      const Eigen::Quaterniond turn = before.orientation.conjugate() * after.orientation;
+      ASSERT_LT((r.angular_velocity - quaternion_log(turn) / (2 * h)).norm(), 1e-8);
+      ASSERT_LT(
+          (r.angular_acceleration - (after.angular_velocity - before.angular_velocity) / (2 * h))
+              .norm(),
+          1e-8);
+    }
+  }
+}
+
+TEST(FigureEight, JerkIsContinuousEvenWhereTheRampsBeginAndEnd) {
+  for (const FigureEightParameters& p : {FigureEightParameters{}, ground_parameters()}) {
+    const FigureEight eight(p);
+    const double h = 1e-3;
+    Eigen::Vector3d last_jerk = Eigen::Vector3d::Zero();
+    Eigen::Quaterniond last_orientation = eight(0.0).orientation;
+    for (double time = -0.1; time < eight.duration() + 0.1; time += h) {
+      const Eigen::Vector3d jerk = (eight(time + h).acceleration - eight(time).acceleration) / h;
+      ASSERT_LT(jerk.norm(), 8.0);                             // bounded [m/s^3]
+      ASSERT_LT((jerk - last_jerk).norm(), 40.0 * h) << time;  // a jump would not shrink with h
+      last_jerk = jerk;
+      const Eigen::Quaterniond orientation = eight(time).orientation;
+      ASSERT_GT(orientation.dot(last_orientation), 0.99) << "the quaternion changed its sign";
+      last_orientation = orientation;
+    }
+  }
+}
+
+TEST(FigureEight, OnTheGroundRollsAlongBodyXAndStaysLevel) {
+  const FigureEight eight(ground_parameters());
+  int moving = 0;
+  for (double time = 0.0; time < eight.duration(); time += 0.01) {
+    const ReferencePoint r = eight(time);
+    const Eigen::Vector3d body_velocity = r.orientation.conjugate() * r.velocity;
+    ASSERT_LT(std::abs(body_velocity.y()), 1e-9);
+    ASSERT_LT(std::abs(body_velocity.z()), 1e-9);
+    ASSERT_GE(body_velocity.x(), 0.0);
+    if (body_velocity.x() > 0.1) ++moving;
+    ASSERT_DOUBLE_EQ(r.position.z(), 0.11);
+    ASSERT_LT((r.orientation * Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitZ()).norm(), 1e-12);
+    // Lateral acceleration of a wheeled vehicle: speed times yaw rate.
+    const Eigen::Vector3d body_acceleration = r.orientation.conjugate() * r.acceleration;
+    ASSERT_NEAR(body_acceleration.y(), body_velocity.x() * r.angular_velocity.z(), 1e-9);
+  }
+  EXPECT_GT(moving, 1500);
+}
+
+TEST(FigureEight, IsMovedInTimeAsAWhole) {
+  FigureEight eight(ground_parameters());
+  const ReferencePoint before = eight(5.0);
+  eight.set_start_time(3.0);
+  EXPECT_LT((eight(8.0).position - before.position).norm(), 1e-12);
+  EXPECT_LT((eight(8.0).velocity - before.velocity).norm(), 1e-12);
+  EXPECT_DOUBLE_EQ(eight.end_time(), 3.0 + eight.duration());
+  EXPECT_DOUBLE_EQ(eight.parameters().start_time, 3.0);
+  EXPECT_THROW(eight.set_start_time(std::numeric_limits<double>::quiet_NaN()),
+               std::invalid_argument);
+}
+
+TEST(FigureEight, RefusesBadParametersByName) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto refused = [](const std::string& expected, const auto& change) {
+    FigureEightParameters p;
+    change(p);
+    EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
+  };
+  using P = FigureEightParameters;
+  refused("FigureEightParameters.center [m] = (0; nan; 0): must be finite in every entry",
+          [=](P& p) { p.center.y() = nan; });
+  refused("amplitude.x [m] = 0: must be between 0.01 and 10000",
+          [](P& p) { p.amplitude.x() = 0.0; });
+  refused("amplitude.y [m] = 4: must be between 0.05 and 2 times amplitude.x",
+          [](P& p) { p.amplitude.y() = 4.0; });
+  refused("amplitude.z [m] = nan: must be between -10000 and 10000",
+          [=](P& p) { p.amplitude.z() = nan; });
+  refused("direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
+  refused("laps = 0: must be >= 1", [](P& p) { p.laps = 0; });
+  refused("ramp_laps = 0: must be >= 0.05", [](P& p) { p.ramp_laps = 0.0; });
+  refused("ramp_laps = 0.6: must be >= 0.05, <= 1 and no more than half of laps", [](P& p) {
+    p.laps = 1;
+    p.ramp_laps = 0.6;
+  });
+  refused("max_speed [m/s] = 0: must be finite and > 0", [](P& p) { p.max_speed = 0.0; });
+  refused("max_acceleration [m/s^2] = -1: must be finite and > 0",
+          [](P& p) { p.max_acceleration = -1.0; });
+  refused("yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
+  refused("max_yaw_rate [rad/s] = 0: must be finite and > 0", [](P& p) { p.max_yaw_rate = 0.0; });
+  refused("start_time [s] = nan: must be finite", [=](P& p) { p.start_time = nan; });
+  EXPECT_EQ(message_of(FigureEightParameters{}), "accepted");
+}
