@@ -19,7 +19,7 @@ struct GroundContactSettings {
   double leave_height = 0.030;        ///< higher than this: in the air [m]
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
-      0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+      0.25;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
 };
 
 inline void validate(const GroundContactSettings& s) {

@@ -12,6 +12,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <vector>
 
 /// The Tilt-Ropter's controller (paper, Sec. Control): the wrench that tracks a reference in the
 /// air and on the ground, one real-time iteration per call.
@@ -74,8 +76,8 @@ class Nmpc {
       : settings_(checked(settings)),
         body_(body),
         contact_(settings.ground),
-        solver_(WheeledFlightProblem(body, settings.problem), settings.solver) {
-    body_state_.position.z() = settings.problem.wheel_radius;
+        solver_(WheeledFlightProblem(body, settings.problem), settings.solver),
+        points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
     result_.wrench = safe_wrench();
   }
 
@@ -85,33 +87,40 @@ class Nmpc {
   /// the vehicle has just left the ground: see GroundContact::update.
   template <typename Reference>
   bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
-    const bool lifted_off = contact_.update(body_state_.position.z(), external);
-    WheeledFlightProblem& problem = solver_.problem();
-    for (int k = 0; k <= solver_.horizon(); ++k)
-      set_node(reference(time + settings_.problem.interval * k), problem.node(k));
-    if (cold_) {
-      State<> start;
-      start.body = body_state_;
-      start.wrench = result_.wrench;
-      solver_.reset(start);
-    }
-    prepared_ = solver_.prepare();
+    bool lifted_off = false;
+    if (is_finite(external)) external_ = external;
+    if (!cold_) lifted_off = contact_.update(body_state_.position.z(), external_);
+    for (std::size_t k = 0; k < points_.size(); ++k)
+      points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
+    set_nodes();
+    prepared_ = true;
+    if (!cold_) (void)solver_.prepare();
     return lifted_off;
   }
 
   /// The wrench to command from the body state measured at `time` [s]. Needs a prepare() before.
+  /// After a cold start or repeated failure this one call does the work of prepare(), too.
   [[nodiscard]] const NmpcResult& feedback(double time, const BodyState<>& measured) noexcept {
     if (!std::isfinite(time) || !is_finite(measured))
       return continue_last_plan(time, NmpcStatus::bad_state);
     body_state_ = measured;
     body_state_.orientation.normalize();
+    if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
     State<> x;
     x.body = body_state_;
-    x.wrench = has_plan_ ? planned_wrench(time - plan_time_) : result_.wrench;
-    result_.report = solver_.feedback(x);
-    if (!prepared_ || result_.report.status != SolveStatus::iterated)
-      return continue_last_plan(time, NmpcStatus::solver_failed);
+    if (cold_) {
+      contact_.update(body_state_.position.z(), external_);
+      set_nodes();
+      x.wrench = has_plan_ ? planned_wrench(time - plan_time_) : safe_wrench();
+      solver_.reset(x);
+      (void)solver_.prepare();
+    } else {
+      x.wrench = planned_wrench(time - plan_time_);
+    }
     prepared_ = false;
+    result_.report = solver_.feedback(x);
+    if (result_.report.status != SolveStatus::iterated)
+      return continue_last_plan(time, NmpcStatus::solver_failed);
     failures_ = 0;
     cold_ = false;
     has_plan_ = true;
@@ -129,6 +138,11 @@ class Nmpc {
   static const NmpcSettings& checked(const NmpcSettings& settings) {
     validate(settings);
     return settings;
+  }
+
+  void set_nodes() {
+    for (std::size_t k = 0; k < points_.size(); ++k)
+      set_node(points_[k], solver_.problem().node(static_cast<int>(k)));
   }
 
   void set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
@@ -210,7 +224,9 @@ class Nmpc {
   RigidBodyParameters body_;
   GroundContact contact_;
   MultipleShooting<WheeledFlightProblem> solver_;
+  std::vector<ReferencePoint> points_;
   BodyState<> body_state_;  // the last good measurement
+  Wrench<> external_;       // the last good estimate
   NmpcResult result_;
   double plan_time_ = 0.0;
   int failures_ = 0;

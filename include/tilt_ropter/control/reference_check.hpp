@@ -1,0 +1,100 @@
+#pragma once
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <vector>
+
+/// Does a reference ask for more than the bounds give? To be answered before flying it.
+namespace tilt_ropter {
+
+/// The worst violation of one bound on one axis.
+struct BoundViolation {
+  const char* bound;  ///< "force", "torque", "angular_velocity", "force_rate", "torque_rate"
+  int axis;           ///< 0, 1, 2: body x, y, z
+  double time;        ///< when [s]
+  double required;    ///< what the reference asks for, in the bound's unit
+  double allowed;     ///< the bound that it passes
+};
+
+/// Compares the wrench, wrench rate and body rate that follow from a reference by inverse dynamics
+/// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground the
+/// wheels carry weight, side force and roll torque, and the bounds are asked for the rest. Where
+/// the reference leaves the ground or lands, the change of force must fit into the horizon. Returns
+/// an empty list if all fits. Allocates; throws std::invalid_argument for a body, settings or times
+/// out of range.
+template <typename Reference>
+[[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
+                                                          double end,
+                                                          const RigidBodyParameters& body,
+                                                          const NmpcSettings& settings,
+                                                          double step = 0.01) {
+  validate(body);
+  validate(settings);
+  require_positive("check_reference.step [s]", step);
+  require(std::isfinite(start) && std::isfinite(end) && end > start, "check_reference.end [s]", end,
+          "finite and > start");
+
+  using Vector6 = Eigen::Matrix<double, 6, 1>;
+  const NmpcBounds& bounds = settings.problem.bounds;
+  static constexpr std::array<const char*, 5> names = {"force", "torque", "angular_velocity",
+                                                       "force_rate", "torque_rate"};
+  std::array<BoundViolation, 15> worst{};
+  std::array<double, 15> excess{};
+  const auto compare = [&](std::size_t bound, double time, const Eigen::Vector3d& required,
+                           const Eigen::Vector3d& lower, const Eigen::Vector3d& upper) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const double over = required(axis) - upper(axis), under = lower(axis) - required(axis);
+      const std::size_t i = 3 * bound + static_cast<std::size_t>(axis);
+      if (std::fmax(over, under) <= excess[i]) continue;
+      excess[i] = std::fmax(over, under);
+      worst[i] = {names[bound], axis, time, required(axis),
+                  over > under ? upper(axis) : lower(axis)};
+    }
+  };
+
+  const double horizon = settings.problem.intervals * settings.problem.interval;
+  Vector6 last = Vector6::Zero();
+  bool last_on_ground = false;
+  const long samples = std::lround(std::ceil((end - start) / step));
+  for (long i = 0; i <= samples; ++i) {
+    const double time = start + step * static_cast<double>(i);
+    const ReferencePoint point = reference(time);
+    const bool on_ground = std::abs(point.position.z() - settings.ground.wheel_radius) <
+                           settings.ground.reference_tolerance;
+    const Eigen::Vector3d& w = point.angular_velocity;
+    Vector6 wrench;
+    wrench << body.mass * (point.orientation.conjugate() *
+                           (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))),
+        body.inertia * point.angular_acceleration + w.cross(body.inertia * w);
+    if (on_ground) {
+      wrench(1) = wrench(3) = 0.0;
+      wrench(2) = settings.ground.down_force;
+    }
+    compare(0, time, wrench.head<3>(), bounds.force_min, bounds.force_max);
+    compare(1, time, wrench.tail<3>(), bounds.torque_min, bounds.torque_max);
+    compare(2, time, w, -bounds.angular_velocity, bounds.angular_velocity);
+    if (i > 0) {
+      const Vector6 rate = (wrench - last) / (on_ground == last_on_ground ? step : horizon);
+      compare(3, time, rate.head<3>(), -bounds.force_rate, bounds.force_rate);
+      compare(4, time, rate.tail<3>(), -bounds.torque_rate, bounds.torque_rate);
+    }
+    last = wrench;
+    last_on_ground = on_ground;
+  }
+
+  std::vector<BoundViolation> violations;
+  for (std::size_t i = 0; i < worst.size(); ++i)
+    if (excess[i] > 0.0) violations.push_back(worst[i]);
+  return violations;
+}
+
+}  // namespace tilt_ropter

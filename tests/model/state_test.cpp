@@ -1,0 +1,89 @@
+#include <tilt_ropter/model/state.hpp>
+
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Random;
+
+State<> random_state(Random& random) {
+  State<> x;
+  x.wrench = {random.vector(10.0), random.vector(1.0)};
+  x.body = {random.vector(5.0), random.vector(5.0), random.orientation(), random.vector(6.0)};
+  return x;
+}
+
+TEST(State, PackedOrderIsThePapersWithTheQuaternionsRealPartFirst) {
+  State<> x;
+  x.wrench = {Eigen::Vector3d(1, 2, 3), Eigen::Vector3d(4, 5, 6)};
+  x.body.position << 7, 8, 9;
+  x.body.velocity << 10, 11, 12;
+  x.body.orientation = Eigen::Quaterniond(13, 14, 15, 16);  // (w, x, y, z)
+  x.body.angular_velocity << 17, 18, 19;
+  const PackedState<> packed = pack(x);
+  for (int i = 0; i < 19; ++i) EXPECT_EQ(packed(i), i + 1.0);
+  EXPECT_EQ(pack(unpack(packed)), packed);
+  EXPECT_EQ(unpack(packed).body.orientation.w(), 13.0);
+}
+
+TEST(State, DifferenceUndoesRetract) {
+  Random random(61);
+  for (int i = 0; i < 1000; ++i) {
+    const State<> x = random_state(random);
+    StateTangent<> dx;
+    for (int j = 0; j < 18; ++j) dx(j) = random.normal(0.5);
+    if (i % 10 == 0) dx *= 1e-8;
+    EXPECT_LT((difference(retract(x, dx), x) - dx).norm(), 1e-12 * (1.0 + dx.norm()) + 1e-14);
+  }
+}
+
+TEST(State, RetractUndoesDifferenceEvenForOppositeQuaternions) {
+  Random random(62);
+  for (int i = 0; i < 1000; ++i) {
+    const State<> x = random_state(random);
+    State<> y = random_state(random);
+    if (i % 10 == 0) y.body.orientation.coeffs() = -x.body.orientation.coeffs();
+    const State<> z = retract(x, difference(y, x));
+    EXPECT_LT(difference(z, y).norm(), 1e-12);
+  }
+}
+
+TEST(State, OrientationErrorIsInTheBodyFrame) {
+  State<> x;
+  x.body.orientation = Eigen::AngleAxisd(1.0, Eigen::Vector3d::UnitZ());
+  State<> y = x;
+  y.body.orientation = x.body.orientation * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitX());
+  EXPECT_LT((difference(y, x).segment<3>(12) - Eigen::Vector3d(0.3, 0, 0)).norm(), 1e-15);
+}
+
+TEST(State, FinitenessLooksAtEveryNumber) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  BodyState<> state;
+  EXPECT_TRUE(is_finite(state));
+  state.position.z() = nan;
+  EXPECT_FALSE(is_finite(state));
+  state = {};
+  state.velocity.x() = std::numeric_limits<double>::infinity();
+  EXPECT_FALSE(is_finite(state));
+  state = {};
+  state.angular_velocity.y() = nan;
+  EXPECT_FALSE(is_finite(state));
+  state = {};
+  state.orientation.w() = nan;
+  EXPECT_FALSE(is_finite(state));
+  state.orientation.coeffs().setZero();
+  EXPECT_FALSE(is_finite(state));
+  Wrench<> wrench;
+  EXPECT_TRUE(is_finite(wrench));
+  wrench.torque.y() = nan;
+  EXPECT_FALSE(is_finite(wrench));
+}
+
+}  // namespace
+}  // namespace tilt_ropter
