@@ -1,20 +1,18 @@
 #pragma once
 
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/allocation_matrix.hpp>
 #include <tilt_ropter/model/rotor.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/SVD>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <string>
-#include <vector>
 
 /// Control allocation (paper, Sec. Control Allocation): from a wrench to rotor speeds and tilt
 /// angles and back.
@@ -23,8 +21,8 @@ namespace tilt_ropter {
 enum class AllocationStatus {
   ok,               ///< the wanted wrench, by the least thrusts
   null_space_used,  ///< the wanted wrench, by other thrusts that are within limits
-  angle_held,       ///< but for a rotor with almost no thrust, whose angle is still on its way
-  limited,          ///< out of reach: see AllocationResult::lost
+  angle_held,       ///< but for rotors of almost no thrust; lost is at most 2 h for each
+  limited,          ///< out of reach; force or torque were scaled
   rejected          ///< an input is not finite: the command repeats the last one, lost is zero
 };
 
@@ -56,29 +54,26 @@ struct ActuatorRates {
       Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [rad/s]
 };
 
-/// W = A T with W = (F, M) at the CoM in the body frame and T = (T_1l, T_1v, ..., T_nl, T_nv), the
-/// lateral and vertical thrusts T_il = T_i sin(alpha_i), T_iv = T_i cos(alpha_i) (paper, Eq.
-/// allocation). In its rotor frame rotor i pushes along (0, -T_il, T_iv); its force f = R_i (...)
-/// has the torque r_i x f - spin_i torque_ratio f. Column T_il of a rotor that does not tilt is 0.
+/// Allocation for any number of tilting or fixed rotors, by the Moore-Penrose inverse of
+/// AllocationMatrix, computed once.
 ///
 /// Beyond the paper:
 /// - An angle turns the nearest way from the last one, within the servo's range; where the range
 ///   ends it goes over to the equivalent angle (+- 2 pi) inside, if there is one.
 /// - Below h = max(hold_thrust, min_thrust) an angle goes only the share (T/h)^2 of the way to its
-///   target, so a path of wrenches through zero thrust turns it in many small steps; the rotor
-///   pushes with what of its thrust lies along the angle.
+///   target, so a path of wrenches through zero thrust turns it in many small steps; meanwhile
+///   the rotor pushes with what of its thrust lies along the angle, and with min_thrust at least.
 /// - Thrusts or angles out of limits are first brought inside by the null space of A, by the least
 ///   change. If that fails, the torque is kept and the force scaled by the largest factor in
-///   [0, 1] that can be reached; if no such factor is enough, the torque is scaled by the largest
-///   factor in [0, 1], with any such share of the force. With servo ranges between pi and 2 pi
-///   (not convex) or min_thrust > 0 this is a local search: limits hold and `lost` is right, but
-///   the factor may be less than the largest.
+///   [0, 1] that can be reached; if there is none, the torque is first scaled by the largest factor
+///   that some scaled force allows. With servo ranges between pi and 2 pi (a set that is not
+///   convex) the factors may be less than the largest; a tilting rotor's min_thrust is not part of
+///   the scaling but enforced after it. In any case limits hold and `lost` says what was given up.
 ///
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
 /// rotors, a few us when limits are hit.
 template <int Rotors = 4, typename Scalar = double>
 class Allocation {
-  static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
   using Limits = detail::ThrustLimits<Rotors, Scalar>;
   using Point = typename Limits::Point;
 
@@ -92,31 +87,19 @@ class Allocation {
   explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters = {})
       : limits_(checked(vehicle, parameters)),
         rotor_(vehicle.rotor),
-        hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))),
-        min_angle_(Scalar(vehicle.servo.min_angle)),
-        max_angle_(Scalar(vehicle.servo.max_angle)) {
-    Eigen::Matrix<double, 6, components> matrix = Eigen::Matrix<double, 6, components>::Zero();
-    std::vector<int> columns;
-    double size = 0.0, torque = 0.0;
-    for (int i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
-      tilts_[static_cast<std::size_t>(i)] = rotor.tilts;
-      for (const int column : {2 * i, 2 * i + 1}) {
-        const bool lateral = column % 2 == 0;
-        if (lateral && !rotor.tilts) continue;
-        const Eigen::Vector3d force = lateral ? Eigen::Vector3d(-rotor.orientation.col(1))
-                                              : Eigen::Vector3d(rotor.orientation.col(2));
-        const double drag = static_cast<int>(rotor.spin) * vehicle.rotor.torque_ratio;
-        matrix.col(column) << force, rotor.position.cross(force) - drag * force;
-        columns.push_back(column);
-      }
-      size = std::max(size, rotor.position.norm() + vehicle.rotor.torque_ratio);
-      torque += (rotor.position.norm() + vehicle.rotor.torque_ratio) * vehicle.rotor.max_thrust;
+        hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))) {
+    const AllocationMatrix<Rotors> allocation(vehicle);
+    matrix_ = allocation.matrix.template cast<Scalar>();
+    pseudoinverse_ = allocation.pseudoinverse.template cast<Scalar>();
+    null_space_.topLeftCorner(components, allocation.null_space.cols()) =
+        allocation.null_space.template cast<Scalar>();
+    double lever = 0.0;
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      tilts_[i] = vehicle.rotors[i].tilts;
+      lever += vehicle.rotors[i].position.norm() + vehicle.rotor.torque_ratio;
     }
     max_force_ = Scalar(Rotors * vehicle.rotor.max_thrust);
-    max_torque_ = Scalar(torque);
-    matrix_ = matrix.template cast<Scalar>();
-    invert(matrix, columns, size);
+    max_torque_ = Scalar(lever * vehicle.rotor.max_thrust);
   }
 
   /// A, 6 x 2n; columns T_1l, T_1v, ..., rows F [1], M [m].
@@ -168,9 +151,7 @@ class Allocation {
                                    std::min(thrust.dot(unit), Scalar(rotor_.max_thrust)));
       const Scalar missed = (thrust - size * unit).norm();
       if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
-        result.status = missed <= hold_thrust_ && size > Scalar(rotor_.min_thrust)
-                            ? AllocationStatus::angle_held
-                            : AllocationStatus::limited;
+        result.status = AllocationStatus::angle_held;
       thrust = size * unit;
       result.command.rotor_speed(i) = speed_from_thrust(size, rotor_.thrust_coefficient);
       result.command.tilt_angle(i) = angle;
@@ -182,7 +163,7 @@ class Allocation {
   }
 
   /// Rates of angles and speeds that follow a wrench rate [N/s, N m/s] without limits (paper, Eq.
-  /// allocation_inverse). At thrusts T below h = hold_thrust the denominators T^2 and T stay at h^2
+  /// allocation_inverse). At thrusts T below h the denominators T^2 and T stay at h^2
   /// and h, so everything is finite and falls to zero with T. Inputs that are not finite or
   /// overflow give zero rates.
   [[nodiscard]] ActuatorRates<Rotors, Scalar> rates(
@@ -212,45 +193,6 @@ class Allocation {
     return vehicle;
   }
 
-  /// Pseudo-inverse and null space, without the columns that no rotor has. Torques are measured in
-  /// units of `size` [m] times a force, so that the rank is that of the shape and not of its size.
-  void invert(const Eigen::Matrix<double, 6, components>& matrix, const std::vector<int>& columns,
-              double size) {
-    Eigen::Matrix<double, 6, 1> scale;
-    scale << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / std::max(size, 1e-9));
-    const auto count = static_cast<Eigen::Index>(columns.size());
-    Eigen::MatrixXd scaled(6, count);
-    for (Eigen::Index j = 0; j < count; ++j)
-      scaled.col(j) = scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
-    Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    svd.setThreshold(1e-6);
-    require_rank(svd.matrixU(), svd.rank());
-
-    const Eigen::MatrixXd inverse = svd.matrixV().leftCols(6) *
-                                    svd.singularValues().cwiseInverse().asDiagonal() *
-                                    svd.matrixU().transpose() * scale.asDiagonal();
-    pseudoinverse_.setZero();
-    null_space_.setZero(components + 1, count - 6);
-    for (Eigen::Index j = 0; j < count; ++j) {
-      const int row = columns[static_cast<std::size_t>(j)];
-      pseudoinverse_.row(row) = inverse.row(j).template cast<Scalar>();
-      null_space_.row(row) = svd.matrixV().row(j).tail(count - 6).template cast<Scalar>();
-    }
-  }
-
-  static void require_rank(const Eigen::MatrixXd& left, Eigen::Index rank) {
-    static constexpr const char* names[] = {"force x",  "force y",  "force z",
-                                            "torque x", "torque y", "torque z"};
-    std::string missing;
-    for (int axis = 0; axis < 6 && rank < 6; ++axis)
-      if (left.row(axis).tail(6 - rank).norm() > 1e-6)
-        missing += (missing.empty() ? "" : ", ") + std::string(names[axis]);
-    require(rank == 6, "rank of Allocation.matrix()", rank,
-            "6, but " + std::to_string(6 - rank) +
-                " direction(s) of the wrench cannot be produced; out of reach by themselves: " +
-                missing);
-  }
-
   [[nodiscard]] Eigen::Matrix<Scalar, components, 1> least_thrusts(
       const Vector3<Scalar>& force, const Vector3<Scalar>& torque) const noexcept {
     return pseudoinverse_.template leftCols<3>() * force +
@@ -263,22 +205,10 @@ class Allocation {
 
   /// Tilt angle for a thrust vector, seen from the last one.
   [[nodiscard]] Scalar next_angle(const Vector2& thrust, Scalar last) const noexcept {
-    last = std::max(min_angle_, std::min(last, max_angle_));
-    const Scalar target = nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
+    last = limits_.bounded_angle(last);
+    const Scalar target = limits_.nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
     const Scalar weight = thrust.squaredNorm() / (hold_thrust_ * hold_thrust_);
     return weight < Scalar(1) ? last + weight * (target - last) : target;
-  }
-
-  /// The angle in range that is equivalent to `angle` (+- 2 pi k) and nearest to `last`; if there
-  /// is none, the nearer end of the range.
-  [[nodiscard]] Scalar nearest_angle(Scalar angle, Scalar last) const noexcept {
-    const Scalar turn = Scalar(2.0 * pi);
-    angle += turn * std::round((last - angle) / turn);
-    if (angle > max_angle_) angle -= turn * std::ceil((angle - max_angle_) / turn);
-    if (angle >= min_angle_) return angle;
-    angle += turn * std::ceil((min_angle_ - angle) / turn);
-    if (angle <= max_angle_) return angle;
-    return angle - max_angle_ < min_angle_ + turn - angle ? max_angle_ : min_angle_;
   }
 
   [[nodiscard]] ActuatorState<Rotors, Scalar> within_limits(
@@ -291,8 +221,7 @@ class Allocation {
       command.rotor_speed(i) =
           std::isfinite(speed) ? std::max(slowest, std::min(speed, fastest)) : slowest;
       if (tilts_[static_cast<std::size_t>(i)])
-        command.tilt_angle(i) =
-            std::max(min_angle_, std::min(std::isfinite(angle) ? angle : Scalar(0), max_angle_));
+        command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
     }
     return command;
   }
@@ -300,20 +229,13 @@ class Allocation {
   Limits limits_;
   RotorParameters rotor_;
   Scalar hold_thrust_;
-  Scalar min_angle_;
-  Scalar max_angle_;
   Scalar max_force_{};
   Scalar max_torque_{};
   Matrix matrix_;
   Pseudoinverse pseudoinverse_;
-  typename Limits::Directions null_space_;
+  typename Limits::Directions null_space_ = Limits::Directions::Zero();
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
 };
-
-template <int Rotors>
-Allocation(const Vehicle<Rotors>&) -> Allocation<Rotors, double>;
-template <int Rotors>
-Allocation(const Vehicle<Rotors>&, const AllocationParameters&) -> Allocation<Rotors, double>;
 
 /// Writes the thrusts to command to `x`, by the ladder of the class comment.
 template <int Rotors, typename Scalar>
@@ -346,24 +268,32 @@ AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
                                        Scalar(0)};
   if (limits_.contains(x, floored)) return AllocationStatus::ok;
 
-  typename Limits::Coordinates y = Limits::Coordinates::Zero(null_space_.cols());
+  typename Limits::Coordinates y = Limits::Coordinates::Zero();
   Point excess;
   if (limits_.approach(force + torque, floored, y, x, excess))
     return AllocationStatus::null_space_used;
 
   Scalar share;
-  y.setZero();
-  if (limits_.largest_share(torque, force, plain, share, y, x)) return AllocationStatus::limited;
+  if (limits_.largest_share(torque, force, plain, share, y, x))
+    return share < Scalar(1) ? AllocationStatus::limited : AllocationStatus::null_space_used;
 
   // The force, at right angles to the null space, becomes one more direction; its share of [0, 1]
   // is the last component, at the same scale.
   const Scalar size = force.norm();
-  typename Limits::Directions directions(components + 1, null_space_.cols() + 1);
-  directions << null_space_, force;
-  directions(components, null_space_.cols()) = size;
-  if (size > Scalar(0)) directions.col(null_space_.cols()) /= std::sqrt(Scalar(2)) * size;
-  y.setZero(directions.cols());
-  limits_.largest_share(Point::Zero(), torque, {directions, nullptr, size}, share, y, x);
+  typename Limits::Directions directions = null_space_;
+  auto column = directions.template rightCols<1>();
+  column = force;
+  column(components) = size;
+  if (size > Scalar(0)) column /= std::sqrt(Scalar(2)) * size;
+  y.setZero();
+  if (!limits_.largest_share(Point::Zero(), torque, {directions, nullptr, size}, share, y, x))
+    return AllocationStatus::limited;
+
+  // A hair less torque, so that rounding leaves room for the largest share of the force.
+  torque *= share * Scalar(1.0 - 1e-6);
+  y(y.size() - 1) = Scalar(0);
+  const Point without_share = x;
+  if (!limits_.largest_share(torque, force, plain, share, y, x)) x = without_share;
   return AllocationStatus::limited;
 }
 

@@ -49,9 +49,10 @@ class Rotor {
     const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
                         abs(command) < Scalar(std::numeric_limits<double>::infinity());
     if (!usable) return speed_;
-    if (started_)
-      speed_ +=
-          Scalar(-std::expm1((time_ - time) / parameters_.time_constant)) * (command_ - speed_);
+    if (started_) {
+      const Scalar passed = Scalar(-std::expm1((time_ - time) / parameters_.time_constant));
+      speed_ = bounded(speed_ + passed * (command_ - speed_));
+    }
     time_ = time;
     started_ = true;
     command_ = bounded(command);

@@ -107,13 +107,13 @@ class Servo {
       const Scalar ramp = (abs(error) - knee) / rate;
       const Scalar direction = error > Scalar(0) ? Scalar(1) : Scalar(-1);
       if (ramp >= rest) {
-        angle_ += direction * rate * rest;
+        angle_ = bounded(angle_ + direction * rate * rest);
         return;
       }
       error = direction * knee;
       rest -= ramp;
     }
-    angle_ = command_ - error * exp(-rest / time_constant);
+    angle_ = bounded(command_ - error * exp(-rest / time_constant));
   }
 
   [[nodiscard]] Scalar bounded(const Scalar& angle) const noexcept {

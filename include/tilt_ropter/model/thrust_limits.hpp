@@ -30,14 +30,14 @@ template <int Rotors, typename Scalar>
 class ThrustLimits {
  public:
   static constexpr int components = 2 * Rotors;
-  /// Null space of an allocation of rank 6, and one column for a share of the force.
+  /// Null space of an allocation of rank 6, and one column for a share of the force; those not
+  /// needed are zero.
   static constexpr int max_directions = components - 5;
 
   /// (T_1l, T_1v, ..., T_nl, T_nv, share): the last entry is held in [0, share_width].
   using Point = Eigen::Matrix<Scalar, components + 1, 1>;
-  using Directions =
-      Eigen::Matrix<Scalar, components + 1, Eigen::Dynamic, 0, components + 1, max_directions>;
-  using Coordinates = Eigen::Matrix<Scalar, Eigen::Dynamic, 1, 0, max_directions, 1>;
+  using Directions = Eigen::Matrix<Scalar, components + 1, max_directions>;
+  using Coordinates = Eigen::Matrix<Scalar, max_directions, 1>;
   using Vector2 = Eigen::Matrix<Scalar, 2, 1>;
   using Matrix2 = Eigen::Matrix<Scalar, 2, 2>;
   using Floors = std::array<Vector2, static_cast<std::size_t>(Rotors)>;
@@ -52,6 +52,8 @@ class ThrustLimits {
   explicit ThrustLimits(const Vehicle<Rotors>& vehicle)
       : min_thrust_(Scalar(vehicle.rotor.min_thrust)),
         max_thrust_(Scalar(vehicle.rotor.max_thrust)),
+        min_angle_(Scalar(vehicle.servo.min_angle)),
+        max_angle_(Scalar(vehicle.servo.max_angle)),
         tolerance_(Scalar(100) * std::numeric_limits<Scalar>::epsilon() * max_thrust_) {
     const double middle = 0.5 * (vehicle.servo.min_angle + vehicle.servo.max_angle);
     const double half_width = 0.5 * (vehicle.servo.max_angle - vehicle.servo.min_angle);
@@ -60,12 +62,30 @@ class ThrustLimits {
     upper_edge_ = direction(Scalar(middle + half_width));
     // Below -1 every direction is in range, without regard to rounding.
     cos_half_width_ = Scalar(half_width < pi - 1e-9 ? std::cos(half_width) : -2.0);
+    convex_ = half_width <= 0.5 * pi || half_width >= pi - 1e-9;
     for (std::size_t i = 0; i < Rotors; ++i) tilts_[i] = vehicle.rotors[i].tilts;
   }
 
   /// (T_l, T_v) of unit thrust at a tilt angle [rad].
   [[nodiscard]] static Vector2 direction(Scalar angle) noexcept {
     return {std::sin(angle), std::cos(angle)};
+  }
+
+  /// The nearest angle within the servo's range [rad].
+  [[nodiscard]] Scalar bounded_angle(Scalar angle) const noexcept {
+    return std::max(min_angle_, std::min(angle, max_angle_));
+  }
+
+  /// The angle in range that is equivalent to `angle` (+- 2 pi k) and nearest to `last`; if there
+  /// is none, the nearer end of the range.
+  [[nodiscard]] Scalar nearest_angle(Scalar angle, Scalar last) const noexcept {
+    const Scalar turn = Scalar(2.0 * pi);
+    angle += turn * std::round((last - angle) / turn);
+    if (angle > max_angle_) angle -= turn * std::ceil((angle - max_angle_) / turn);
+    if (angle >= min_angle_) return angle;
+    angle += turn * std::ceil((min_angle_ - angle) / turn);
+    if (angle <= max_angle_) return angle;
+    return angle - max_angle_ < min_angle_ + turn - angle ? max_angle_ : min_angle_;
   }
 
   /// Distance [N] up to which a point counts as being in the set.
@@ -76,22 +96,22 @@ class ThrustLimits {
     return evaluate(base, space).distance2 <= tolerance_ * tolerance_;
   }
 
-  /// Looks for the point of base + directions y within limits that has the smallest |y|, or the
+  /// Looks for the point of base + directions y within limits of small |y|, or the one
   /// nearest to them. `y` is the start and the end of the search. Returns whether `x`, the end
   /// point, is within limits, and `excess`, its vector from the set.
   bool approach(const Point& base, const Space& space, Coordinates& y, Point& x,
                 Point& excess) const noexcept {
-    // A weak pull to y = 0 makes the answer unique, hence continuous in the base; it is let go at
-    // the end.
-    const Scalar weak = std::sqrt(std::numeric_limits<Scalar>::epsilon());
-    Scalar pull = weak;
+    // From a cold start a weak pull to y = 0 makes the answer unique, hence continuous in the base;
+    // it is let go at the end. Weaker ones make a valley too narrow for Newton's method.
+    const Scalar epsilon = std::numeric_limits<Scalar>::epsilon();
+    Scalar pull = y.squaredNorm() > Scalar(0) ? Scalar(0) : Scalar(1e-3);
     Evaluation now = evaluate(x = base + space.directions * y, space);
     for (int iteration = 0; iteration < 40; ++iteration) {
-      if (now.distance2 <= tolerance_ * tolerance_ || y.size() == 0) break;
+      if (now.distance2 <= tolerance_ * tolerance_) break;
       Coordinates gradient = space.directions.transpose() * now.excess;
       gradient += pull * y;
-      bool descends = gradient.squaredNorm() >
-                      Scalar(100) * std::numeric_limits<Scalar>::epsilon() * now.distance2;
+      const Scalar enough = pull > Scalar(0) ? std::sqrt(epsilon) : Scalar(100) * epsilon;
+      bool descends = gradient.squaredNorm() > enough * now.distance2;
       if (descends) {
         const Scalar value = now.distance2 + pull * y.squaredNorm();
         const auto try_step = [&](const Coordinates& step) {
@@ -104,8 +124,9 @@ class ThrustLimits {
           now = next;
           return true;
         };
-        descends = try_step(newton_step(space.directions, now, gradient, pull + weak)) ||
-                   try_step(-gradient / (Scalar(1) + pull));
+        descends =
+            try_step(newton_step(space.directions, now, gradient, pull + Scalar(100) * epsilon)) ||
+            try_step(-gradient / (Scalar(1) + pull));
       }
       if (!descends && pull <= Scalar(0)) break;
       if (!descends) pull = Scalar(0);
@@ -121,39 +142,37 @@ class ThrustLimits {
                      Coordinates& y, Point& x) const noexcept {
     Point excess;
     share = Scalar(1);
+    bool inside = false;
     for (int iteration = 0; iteration < 20; ++iteration) {
-      if (approach(base + share * along, space, y, x, excess)) return true;
-      const Scalar slope = excess.dot(along);
-      if (!(slope * share > excess.squaredNorm())) break;
-      share -= excess.squaredNorm() / slope;
+      inside = approach(base + share * along, space, y, x, excess);
+      if (inside || !(share > Scalar(0))) break;
+      const Scalar slope = excess.dot(along), distance2 = excess.squaredNorm();
+      share = slope * share > distance2 ? share - distance2 / slope : Scalar(0);
     }
-    // No answer, or a servo range that is not convex: bisection.
-    Coordinates inside = y;
-    if (!approach(base, space, inside, x, excess)) {
-      share = Scalar(0);
-      y = inside;
-      return false;
-    }
-    Scalar reached(0), upper = share;
-    for (int iteration = 0; iteration < 30; ++iteration) {
-      share = (reached + upper) / Scalar(2);
-      y = inside;
-      if (approach(base + share * along, space, y, x, excess)) {
-        reached = share;
-        inside = y;
+    if (inside && (convex_ || share > Scalar(0))) return true;
+    if (!approach(base, space, y, x, excess)) return false;
+    // Without convexity, or at the end of the iterations above: bisection.
+    Coordinates start = y;
+    Scalar reached(0), upper(1);
+    for (int iteration = 0; iteration < 24; ++iteration) {
+      const Scalar middle = (reached + upper) / Scalar(2);
+      y = start;
+      if (approach(base + middle * along, space, y, x, excess)) {
+        reached = middle;
+        start = y;
       } else {
-        upper = share;
+        upper = middle;
       }
     }
     share = reached;
-    y = inside;
+    y = start;
     x = base + share * along + space.directions * y;
     return true;
   }
 
  private:
   struct Evaluation {
-    Point excess;                           ///< x minus its projection onto the set
+    Point excess;  ///< x minus its projection onto the set
     std::array<Matrix2, static_cast<std::size_t>(Rotors)> curvature;  ///< derivative of the excess
     Scalar share_curvature;
     Scalar distance2;
@@ -208,10 +227,9 @@ class ThrustLimits {
   [[nodiscard]] static Coordinates newton_step(const Directions& directions, const Evaluation& at,
                                                const Coordinates& gradient,
                                                Scalar regularisation) noexcept {
-    using Hessian =
-        Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic, 0, max_directions, max_directions>;
-    const Eigen::Index size = gradient.size();
-    Hessian hessian = regularisation * Hessian::Identity(size, size);
+    Eigen::Matrix<Scalar, max_directions, max_directions> hessian;
+    hessian.setZero();
+    hessian.diagonal().setConstant(regularisation);
     for (int i = 0; i < Rotors; ++i) {
       const Matrix2& curvature = at.curvature[static_cast<std::size_t>(i)];
       if (!(curvature.squaredNorm() > Scalar(0))) continue;
@@ -225,11 +243,14 @@ class ThrustLimits {
 
   Scalar min_thrust_;
   Scalar max_thrust_;
+  Scalar min_angle_;
+  Scalar max_angle_;
   Scalar tolerance_;
   Scalar cos_half_width_;
   Vector2 middle_;
   Vector2 lower_edge_;
   Vector2 upper_edge_;
+  bool convex_;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
 };
 

@@ -1,0 +1,18 @@
+# What our own tests, examples and benchmarks are compiled with. None of it reaches a user's target.
+set(TILT_ROPTER_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion
+  -Wdouble-promotion -Wold-style-cast -Werror)
+
+function(tilt_ropter_own_target target)
+  target_link_libraries(${target} PRIVATE tilt_ropter::tilt_ropter)
+  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS})
+  set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
+endfunction()
+
+# The same for programs whose speed counts: all optimisation, on request for this very processor.
+function(tilt_ropter_fast_target target)
+  tilt_ropter_own_target(${target})
+  target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O3>)
+  if(TILT_ROPTER_NATIVE)
+    target_compile_options(${target} PRIVATE -march=native)
+  endif()
+endfunction()

@@ -1,0 +1,192 @@
+// The main job: take off, fly the paper's figure eight, land, drive a similar one, take off again,
+// hover, land. The plant runs at 1 kHz and is not the vehicle that the controller believes in.
+
+#include "support/flight_controller.hpp"
+#include "support/mission_figures.hpp"
+#include "support/mission_log.hpp"
+
+#include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <unistd.h>
+#include <CLI/CLI.hpp>
+
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <exception>
+#include <filesystem>
+#include <iostream>
+#include <string>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  std::string output = "results";
+  std::uint64_t seed = 1;
+  double mass_error = 0.03, inertia_error = 0.10;
+  bool no_pictures = false;
+};
+
+constexpr double step = 1e-3;       // of the plant [s]
+constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
+
+std::vector<std::string> columns() {
+  std::vector<std::string> names = {"time_s", "phase", "on_ground"};
+  const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
+    for (const std::string& part : parts) names.push_back(name + "_" + part);
+  };
+  const std::vector<std::string> axes = {"x", "y", "z"}, rotors = {"1", "2", "3", "4"};
+  add("position_m", axes);
+  add("reference_m", axes);
+  add("velocity_mps", axes);
+  add("orientation", {"w", "x", "y", "z"});
+  add("angular_velocity_radps", axes);
+  add("command_force_n", axes);
+  add("command_torque_nm", axes);
+  add("estimated_force_n", axes);
+  add("estimated_torque_nm", axes);
+  add("external_force_n", axes);
+  add("external_torque_nm", axes);
+  add("tilt_command_rad", rotors);
+  add("tilt_model_rad", rotors);
+  add("tilt_true_rad", rotors);
+  add("rotor_speed_radps", rotors);
+  for (const char* name : {"power_w", "prepare_us", "feedback_us", "active_rows", "kkt"})
+    names.emplace_back(name);
+  return names;
+}
+
+void log_row(examples::MissionLog& log, const Mission& mission, const Plant<4>& plant,
+             const examples::FlightController& controller, double power) {
+  const double time = plant.time();
+  const BodyState<>& body = plant.body();
+  const NmpcResult& result = controller.result();
+  const Eigen::Quaterniond& q = body.orientation;
+  log.add(time).add(static_cast<int>(mission.phase(time))).add(result.on_ground);
+  log.add_all(body.position).add_all(mission(time).position).add_all(body.velocity);
+  log.add(q.w()).add(q.x()).add(q.y()).add(q.z()).add_all(body.angular_velocity);
+  log.add_all(result.wrench.force).add_all(result.wrench.torque);
+  log.add_all(controller.external().force).add_all(controller.external().torque);
+  log.add_all(plant.external_wrench().force).add_all(plant.external_wrench().torque);
+  log.add_all(controller.command().tilt_angle).add_all(controller.applied().tilt_angle);
+  log.add_all(plant.actuators().tilt_angle).add_all(plant.actuators().rotor_speed);
+  log.add(power).add(result.report.prepare_us).add(result.report.feedback_us);
+  log.add(result.report.active_rows).add(result.report.kkt);
+  log.end_row();
+}
+
+// A bar on a terminal, a line for each phase elsewhere.
+void show_progress(double time, const Mission& mission) {
+  const int percent = static_cast<int>(100.0 * time / mission.duration());
+  const char* phase = to_string(mission.phase(time));
+  static const bool terminal = isatty(STDERR_FILENO) != 0;
+  static const char* last_phase = nullptr;
+  if (terminal) {
+    std::cerr << "\r[" << std::string(static_cast<std::size_t>(percent / 4), '#')
+              << std::string(static_cast<std::size_t>(25 - percent / 4), '.') << "] " << percent
+              << " %  " << phase << "        " << std::flush;
+  } else if (phase != last_phase) {
+    std::cerr << percent << " % " << phase << std::endl;
+  }
+  last_phase = phase;
+}
+
+void draw_pictures(const std::string& directory) {
+  std::cout << "drawing pictures in " << directory << " (gnuplot)" << std::endl;
+  const std::string script = TILT_ROPTER_EXAMPLES_DIR "/hybrid_mission.gp";
+  const std::string command = "cd '" + directory + "' && gnuplot '" + script + "'";
+  if (std::system(command.c_str()) != 0)
+    std::cerr << "no pictures: gnuplot is missing or failed on " << script << '\n';
+}
+
+int fly(const Options& options) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();  // what the controller believes
+  Vehicle<4> truth = vehicle;
+  truth.body.mass *= 1.0 + options.mass_error;
+  truth.body.inertia *= 1.0 + options.inertia_error;
+
+  const HybridMissionParameters job;
+  const Mission mission = hybrid_mission(job);
+  const NmpcSettings settings;
+  for (const BoundViolation& v :
+       check_reference(mission, mission.start_time(), mission.end_time(), vehicle.body, settings))
+    std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
+              << " at " << v.time << " s, allowed is " << v.allowed << '\n';
+
+  Plant<4> plant(truth);
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = 1000.0;
+  ImuSensor imu(imu_parameters, options.seed);
+  RotorSpeedSensor<4> rotor_speeds({}, options.seed + 1000);
+  StateSensor state({}, options.seed + 2000);
+  examples::FlightController controller(vehicle, settings);
+  const PowerModel power(truth);
+
+  std::filesystem::create_directories(options.output);
+  examples::MissionLog log(options.output + "/hybrid_mission.csv", columns());
+  examples::MissionFigures figures(job.flight_height);
+  ActuatorState<4> command;
+  BodyState<> measured;
+  const auto start = std::chrono::steady_clock::now();
+  const long steps = std::lround(mission.duration() / step);
+  for (long i = 0; i < steps; ++i) {
+    const double time = plant.time();
+    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
+      controller.on_rotor_speeds(m->rotor_speed);
+    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+      controller.on_imu(m->time, m->angular_velocity, m->specific_force);
+    if (const auto m = state.sample(time, plant.body())) measured = m->body;
+    if (i % steps_per_tick == 0) {
+      controller.prepare(time, mission);
+      command = controller.on_state(time, measured);
+      const NmpcResult& result = controller.result();
+      figures.on_control(result.status == NmpcStatus::solved,
+                         result.report.prepare_us + result.report.feedback_us,
+                         result.report.feedback_us);
+      log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
+    }
+    if (i % 1000 == 0) show_progress(time, mission);
+    if (!plant.step(command, {}, step)) throw std::runtime_error("the plant broke");
+    figures.on_plant(mission.phase(plant.time()), plant.body().position,
+                     mission(plant.time()).position, plant.body().velocity.z(),
+                     power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
+  }
+  const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
+  std::cerr << "\r100 %" << std::string(50, ' ') << std::endl;
+  figures.print(std::cout, controller.nmpc().contact().mode_changes());
+  std::cout << "mission_duration_s: " << mission.duration() << '\n'
+            << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
+  if (!options.no_pictures) draw_pictures(options.output);
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Flies the hybrid mission: take off, figure eight, land, drive, take off, land."};
+  Options options;
+  app.add_option("-o,--output", options.output, "directory for the log and the pictures")
+      ->capture_default_str();
+  app.add_option("--seed", options.seed, "of the sensors' noise")->capture_default_str();
+  app.add_option("--mass-error", options.mass_error, "true mass / believed mass - 1")
+      ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
+      ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_flag("--no-pictures", options.no_pictures, "write the log only");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return fly(options);
+  } catch (const std::exception& error) {
+    std::cerr << "hybrid_mission: " << error.what() << '\n';
+    return 1;
+  }
+}

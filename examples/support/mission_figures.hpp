@@ -1,0 +1,98 @@
+#pragma once
+
+#include <tilt_ropter/planning/mission.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <iomanip>
+#include <ostream>
+#include <vector>
+
+/// The figures by which a flown mission is judged, beside those of the paper.
+namespace examples {
+
+class MissionFigures {
+ public:
+  explicit MissionFigures(double flight_height) : flight_height_(flight_height) {}
+
+  /// One step of the plant: phase, where the CoM is and should be [m], its vertical speed [m/s],
+  /// power [W], and whether a wheel touches the ground.
+  void on_plant(tilt_ropter::MissionPhase phase, const Eigen::Vector3d& position,
+                const Eigen::Vector3d& reference, double vertical_speed, double power,
+                bool touching) {
+    using tilt_ropter::MissionPhase;
+    const double square = (position - reference).squaredNorm();
+    all_.add(square, power);
+    if (phase == MissionPhase::air) air_.add(square, power);
+    if (phase == MissionPhase::ground) ground_.add(square, power);
+    if (phase == MissionPhase::take_off || phase == MissionPhase::hover)
+      takeoff_overshoot_ = std::max(takeoff_overshoot_, position.z() - flight_height_);
+    if (touching && !was_touching_) touchdown_speed_ = std::max(touchdown_speed_, -vertical_speed);
+    was_touching_ = touching;
+  }
+
+  /// One tick of the controller.
+  void on_control(bool solved, double total_us, double feedback_us) {
+    if (!solved) ++failures_;
+    total_us_.push_back(total_us);
+    feedback_us_.push_back(feedback_us);
+  }
+
+  void print(std::ostream& out, int contact_mode_changes) {
+    const auto line = [&out](const char* key, double value, int digits) {
+      out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
+    };
+    line("air_rmse_m", air_.rmse(), 4);
+    line("paper_air_rmse_m", 0.052, 4);
+    line("ground_rmse_m", ground_.rmse(), 4);
+    line("paper_ground_rmse_m", 0.145, 4);
+    line("mission_rmse_m", all_.rmse(), 4);
+    line("paper_mission_rmse_m", 0.125, 4);
+    line("flight_power_w", air_.power(), 2);
+    line("paper_flight_power_w", 653.64, 2);
+    line("ground_power_w", ground_.power(), 2);
+    line("paper_ground_power_w", 47.38, 2);
+    line("power_saved_percent", 100.0 * (1.0 - ground_.power() / air_.power()), 2);
+    line("paper_power_saved_percent", 92.8, 2);
+    line("touchdown_speed_mps", touchdown_speed_, 3);
+    line("takeoff_overshoot_m", takeoff_overshoot_, 4);
+    line("contact_mode_changes", contact_mode_changes, 0);
+    line("nmpc_median_us", percentile(total_us_, 0.5), 1);
+    line("nmpc_p99_us", percentile(total_us_, 0.99), 1);
+    line("nmpc_max_us", percentile(total_us_, 1.0), 1);
+    line("nmpc_feedback_median_us", percentile(feedback_us_, 0.5), 1);
+    line("solver_failures", failures_, 0);
+  }
+
+ private:
+  struct Means {
+    double squares = 0.0, powers = 0.0;
+    long count = 0;
+    void add(double square, double power_now) {
+      squares += square;
+      powers += power_now;
+      ++count;
+    }
+    [[nodiscard]] double rmse() const { return std::sqrt(squares / static_cast<double>(count)); }
+    [[nodiscard]] double power() const { return powers / static_cast<double>(count); }
+  };
+
+  static double percentile(std::vector<double>& values, double share) {
+    if (values.empty()) return 0.0;
+    const auto index = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+    std::nth_element(values.begin(), values.begin() + index, values.end());
+    return values[static_cast<std::size_t>(index)];
+  }
+
+  double flight_height_;
+  Means all_, air_, ground_;
+  double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0;
+  bool was_touching_ = true;
+  int failures_ = 0;
+  std::vector<double> total_us_, feedback_us_;
+};
+
+}  // namespace examples

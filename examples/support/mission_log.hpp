@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cmath>
+#include <fstream>
+#include <iomanip>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace examples {
+
+/// A CSV file with a header line, one row a time: PlotJuggler and gnuplot open it.
+class MissionLog {
+ public:
+  /// Throws std::runtime_error if the file cannot be written.
+  MissionLog(const std::string& path, std::vector<std::string> columns)
+      : path_(path), columns_(std::move(columns)), file_(path) {
+    if (!file_) throw std::runtime_error("cannot write " + path);
+    file_ << std::setprecision(8);
+    for (std::size_t i = 0; i < columns_.size(); ++i) file_ << (i ? "," : "") << columns_[i];
+    file_ << '\n';
+  }
+
+  MissionLog& add(double value) {
+    file_ << (count_++ ? "," : "") << value;
+    return *this;
+  }
+
+  template <typename Vector>
+  MissionLog& add_all(const Vector& values) {
+    for (int i = 0; i < values.size(); ++i) add(values(i));
+    return *this;
+  }
+
+  /// Ends the row. Throws std::logic_error if it is not as wide as the header, std::runtime_error
+  /// if the disk is full.
+  void end_row() {
+    if (count_ != columns_.size())
+      throw std::logic_error(path_ + ": row of " + std::to_string(count_) + " values under " +
+                             std::to_string(columns_.size()) + " columns");
+    file_ << '\n';
+    if (!file_) throw std::runtime_error("cannot write " + path_);
+    count_ = 0;
+  }
+
+ private:
+  std::string path_;
+  std::vector<std::string> columns_;
+  std::ofstream file_;
+  std::size_t count_ = 0;
+};
+
+}  // namespace examples

@@ -1,0 +1,100 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/SVD>
+
+#include <algorithm>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+/// The allocation matrix of a vehicle's geometry (paper, Sec. Control Allocation).
+namespace tilt_ropter {
+
+/// W = A T with W = (F, M) at the CoM in the body frame and T = (T_1l, T_1v, ..., T_nl, T_nv), the
+/// lateral and vertical thrusts T_il = T_i sin(alpha_i), T_iv = T_i cos(alpha_i) (paper, Eq.
+/// allocation). Rotor i pushes along (0, -T_il, T_iv) in its rotor frame; that force f, turned to
+/// the body frame, has the torque r_i x f - spin_i torque_ratio f. Column T_il of a rotor that does
+/// not tilt is zero.
+template <int Rotors>
+struct AllocationMatrix {
+  static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
+  static constexpr int components = 2 * Rotors;
+
+  Eigen::Matrix<double, 6, components> matrix =
+      Eigen::Matrix<double, 6, components>::Zero();  ///< A; rows F [1] and M [m]
+  Eigen::Matrix<double, components, 6> pseudoinverse =
+      Eigen::Matrix<double, components, 6>::Zero();  ///< Moore-Penrose
+  Eigen::MatrixXd null_space;  ///< orthonormal columns, zero where a rotor does not tilt
+
+  /// Allocates. Throws std::invalid_argument on a geometry that cannot give every wrench, naming
+  /// the rank of A and what is out of reach.
+  explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) {
+    std::vector<int> columns;
+    double size = 1e-9;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
+      if (rotor.tilts) {
+        matrix.col(2 * i) = wrench_of(rotor, -rotor.orientation.col(1), vehicle.rotor);
+        columns.push_back(2 * i);
+      }
+      matrix.col(2 * i + 1) = wrench_of(rotor, rotor.orientation.col(2), vehicle.rotor);
+      columns.push_back(2 * i + 1);
+      size = std::max(size, rotor.position.norm() + vehicle.rotor.torque_ratio);
+    }
+    invert(columns, size);
+  }
+
+ private:
+  static Eigen::Matrix<double, 6, 1> wrench_of(const RotorGeometry& rotor,
+                                               const Eigen::Vector3d& force,
+                                               const RotorParameters& parameters) {
+    Eigen::Matrix<double, 6, 1> wrench;
+    wrench << force, rotor.position.cross(force) -
+                         static_cast<int>(rotor.spin) * parameters.torque_ratio * force;
+    return wrench;
+  }
+
+  /// Torques are measured in units of the vehicle's `size` [m], so that the rank is that of its
+  /// shape; with full rank the pseudo-inverse does not depend on it.
+  void invert(const std::vector<int>& columns, double size) {
+    Eigen::Matrix<double, 6, 1> scale;
+    scale << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / size);
+    const auto count = static_cast<Eigen::Index>(columns.size());
+    Eigen::MatrixXd scaled(6, count);
+    for (Eigen::Index j = 0; j < count; ++j)
+      scaled.col(j) = scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
+    Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    svd.setThreshold(1e-6);
+    require_rank(svd.matrixU(), svd.rank());
+
+    const Eigen::MatrixXd inverse = svd.matrixV().leftCols(6) *
+                                    svd.singularValues().cwiseInverse().asDiagonal() *
+                                    svd.matrixU().transpose() * scale.asDiagonal();
+    null_space.setZero(components, count - 6);
+    for (Eigen::Index j = 0; j < count; ++j) {
+      const int row = columns[static_cast<std::size_t>(j)];
+      pseudoinverse.row(row) = inverse.row(j);
+      null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
+    }
+  }
+
+  static void require_rank(const Eigen::MatrixXd& left_vectors, Eigen::Index rank) {
+    if (rank == 6) return;
+    static constexpr const char* names[] = {"force x",  "force y",  "force z",
+                                            "torque x", "torque y", "torque z"};
+    std::string missing;
+    for (int axis = 0; axis < 6; ++axis)
+      if (left_vectors.row(axis).tail(6 - rank).norm() > 1e-6)
+        missing += (missing.empty() ? "" : ", ") + std::string(names[axis]);
+    require(false, "rank of the allocation matrix", rank,
+            "6, but " + std::to_string(6 - rank) +
+                " direction(s) of the wrench cannot be produced; out of reach by themselves are " +
+                missing);
+  }
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,98 @@
+#include <tilt_ropter/math/validation.hpp>
+
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <string>
+
+namespace {
+
+using namespace tilt_ropter;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+/// What a check says, empty if it accepts.
+template <typename Check>
+std::string complaint(const Check& check) {
+  try {
+    check();
+  } catch (const std::invalid_argument& error) {
+    return error.what();
+  }
+  return {};
+}
+
+TEST(Validation, MessageNamesFieldValueAndWhatIsAllowed) {
+  EXPECT_EQ(complaint([] { require(false, "Wheel.radius [m]", -0.25, "> 0"); }),
+            "Wheel.radius [m] = -0.25: must be > 0");
+  EXPECT_EQ(complaint([] { require(true, "anything", -0.25, "> 0"); }), "");
+}
+
+TEST(Validation, VectorsAndMatricesStandInOneLine) {
+  EXPECT_EQ(complaint([] {
+              require(false, "gain", Eigen::Vector3d(1.0, -2.5, 3.0), "small");
+            }).find('\n'),
+            std::string::npos);
+  const std::string text = complaint([] {
+    Eigen::Matrix2d m;
+    m << 1.0, 2.0, 3.0, 4.0;
+    require(false, "gain", m, "small");
+  });
+  EXPECT_EQ(text, "gain = (1, 2; 3, 4): must be small");
+}
+
+TEST(Validation, ScalarsAreRefusedOutsideTheirRangeOnly) {
+  EXPECT_EQ(complaint([] { require_finite("a", -1.0); }), "");
+  EXPECT_EQ(complaint([] { require_positive("a", 1e-300); }), "");
+  EXPECT_EQ(complaint([] { require_non_negative("a", 0.0); }), "");
+  for (const double bad : {nan, infinity, -infinity}) {
+    EXPECT_NE(complaint([&] { require_finite("a", bad); }), "");
+    EXPECT_NE(complaint([&] { require_positive("a", bad); }), "");
+    EXPECT_NE(complaint([&] { require_non_negative("a", bad); }), "");
+  }
+  EXPECT_EQ(complaint([] { require_positive("a", 0.0); }), "a = 0: must be finite and > 0");
+  EXPECT_EQ(complaint([] { require_non_negative("a", -1.0); }), "a = -1: must be finite and >= 0");
+}
+
+TEST(Validation, OneBadEntryOfAVectorIsEnough) {
+  using Eigen::Vector2d;
+  EXPECT_EQ(complaint([] { require_finite("a", Vector2d(-1.0, 2.0)); }), "");
+  EXPECT_EQ(complaint([] { require_positive("a", Vector2d(1.0, 2.0)); }), "");
+  EXPECT_EQ(complaint([] { require_non_negative("a", Vector2d(0.0, 2.0)); }), "");
+  EXPECT_NE(complaint([] { require_finite("a", Vector2d(1.0, nan)); }), "");
+  EXPECT_NE(complaint([] { require_positive("a", Vector2d(1.0, 0.0)); }), "");
+  EXPECT_NE(complaint([] { require_positive("a", Vector2d(1.0, infinity)); }), "");
+  EXPECT_NE(complaint([] { require_non_negative("a", Vector2d(1.0, -1.0)); }), "");
+  EXPECT_NE(complaint([] { require_non_negative("a", Vector2d(nan, 1.0)); }), "");
+}
+
+TEST(Validation, BoundsMayBeInfiniteAndEqualButNotReversedOrNan) {
+  using Eigen::Vector2d;
+  const Vector2d upper(1.0, infinity);
+  EXPECT_EQ(complaint([&] { require_ordered("u", Vector2d(1.0, -infinity), upper); }), "");
+  EXPECT_NE(complaint([&] {
+              require_ordered("u", Vector2d(1.5, 0.0), upper);
+            }).find("u lower bound = (1.5, 0): must be <= the upper bound"),
+            std::string::npos);
+  EXPECT_NE(complaint([&] { require_ordered("u", Vector2d(nan, 0.0), upper); }), "");
+}
+
+TEST(Validation, InertiaMustBelongToSomeBody) {
+  const auto says = [](const Eigen::Matrix3d& inertia) {
+    return complaint([&] { require_inertia("J", inertia); });
+  };
+  const auto diagonal = [](double x, double y, double z) {
+    return Eigen::Matrix3d(Eigen::Vector3d(x, y, z).asDiagonal());
+  };
+  EXPECT_EQ(says(diagonal(0.014, 0.014, 0.025)), "");
+  EXPECT_EQ(says(diagonal(1.0, 1.0, 2.0)), "");  // a flat plate
+  EXPECT_NE(says(diagonal(1.0, 1.0, 2.01)).find("triangle inequality"), std::string::npos);
+  EXPECT_NE(says(diagonal(1.0, 0.0, 1.0)).find("positive definite"), std::string::npos);
+  EXPECT_NE(says(diagonal(1.0, nan, 1.0)).find("finite"), std::string::npos);
+  Eigen::Matrix3d lopsided = diagonal(1.0, 1.0, 1.0);
+  lopsided(0, 1) = 0.1;
+  EXPECT_NE(says(lopsided).find("symmetric"), std::string::npos);
+}
+
+}  // namespace

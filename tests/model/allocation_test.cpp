@@ -1,0 +1,617 @@
+#include <tilt_ropter/model/allocation.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "support/autodiff.hpp"
+#include "support/random.hpp"
+#include "support/vehicles.hpp"
+
+namespace {
+
+using namespace tilt_ropter;
+using Eigen::Vector3d;
+using test_support::omnidirectional_octocopter;
+using test_support::Random;
+using test_support::tilting_hexacopter;
+
+using Status = AllocationStatus;
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+int runs(int quick) {
+  return std::getenv("TILT_ROPTER_FULL") != nullptr ? 10 * quick : quick;
+}
+
+Wrench<> random_wrench(Random& random, double force, double torque) {
+  Wrench<> w;
+  w.force = random.vector(force);
+  w.torque = random.vector(torque);
+  return w;
+}
+
+Vehicle<4> with_range(double lower, double upper) {
+  Vehicle<4> v = tilt_ropter_vehicle();
+  v.servo.min_angle = lower;
+  v.servo.max_angle = upper;
+  return v;
+}
+
+template <int Rotors>
+ActuatorState<Rotors> hovering(const Vehicle<Rotors>& vehicle) {
+  ActuatorState<Rotors> state;
+  state.rotor_speed.setConstant(
+      speed_from_thrust(vehicle.body.mass * gravity / Rotors, vehicle.rotor.thrust_coefficient));
+  return state;
+}
+
+template <int Rotors>
+void expect_within_limits(const Vehicle<Rotors>& v, const ActuatorState<Rotors>& command) {
+  const double c = v.rotor.thrust_coefficient;
+  for (int i = 0; i < Rotors; ++i) {
+    ASSERT_GE(command.rotor_speed(i), speed_from_thrust(v.rotor.min_thrust, c));
+    ASSERT_LE(command.rotor_speed(i), speed_from_thrust(v.rotor.max_thrust, c));
+    if (v.rotors[static_cast<std::size_t>(i)].tilts) {
+      ASSERT_GE(command.tilt_angle(i), v.servo.min_angle);
+      ASSERT_LE(command.tilt_angle(i), v.servo.max_angle);
+    } else {
+      ASSERT_EQ(command.tilt_angle(i), 0.0);
+    }
+  }
+}
+
+double largest(const Wrench<>& w) {
+  return std::max(w.force.cwiseAbs().maxCoeff(), w.torque.cwiseAbs().maxCoeff());
+}
+
+Wrench<> difference(const Wrench<>& a, const Wrench<>& b) {
+  return {a.force - b.force, a.torque - b.torque};
+}
+
+/// What holds for every answer. Counts statuses.
+template <int Rotors>
+void expect_honest(const Vehicle<Rotors>& vehicle, double force, double torque, unsigned seed,
+                   std::vector<int>& count) {
+  const Allocation allocation(vehicle);
+  Random random(seed);
+  ActuatorState<Rotors> last = hovering(vehicle);
+  count.assign(5, 0);
+  const int n = runs(100000);
+  for (int i = 0; i < n; ++i) {
+    const Wrench<> wanted = random_wrench(random, force, torque);
+    const auto result = allocation.allocate(wanted, last);
+    ++count[static_cast<std::size_t>(result.status)];
+    expect_within_limits(vehicle, result.command);
+    const double size = std::max(1.0, largest(wanted));
+    // achieved is what the forward map says of the command, lost what is missing from wanted.
+    ASSERT_LT(largest(difference(allocation.wrench(result.command), result.achieved)),
+              1e-12 * size);
+    ASSERT_LT(largest({result.achieved.force + result.lost.force - wanted.force,
+                       result.achieved.torque + result.lost.torque - wanted.torque}),
+              1e-14 * size);
+    if (result.status == Status::ok || result.status == Status::null_space_used) {
+      ASSERT_LT(largest(result.lost), 1e-10);
+    }
+    if (result.status == Status::limited && vehicle.rotor.min_thrust <= 0.0) {
+      // The direction of the force is kept, its size never grows; so for the torque.
+      const double h = 2.0 * Rotors * AllocationParameters{}.hold_thrust;
+      ASSERT_LT(result.achieved.force.cross(wanted.force.normalized()).norm(), h);
+      ASSERT_LT(result.achieved.torque.cross(wanted.torque.normalized()).norm(), h);
+      ASSERT_LT(result.achieved.force.norm(), wanted.force.norm() + h);
+      ASSERT_LT(result.achieved.torque.norm(), wanted.torque.norm() + h);
+      ASSERT_GT(result.achieved.force.dot(wanted.force), -h * wanted.force.norm());
+    }
+    last = result.command;
+  }
+  EXPECT_EQ(count[4], 0);
+}
+
+TEST(Allocation, TiltRopterIsHonestOverRandomWrenches) {
+  std::vector<int> count;
+  expect_honest(tilt_ropter_vehicle(), 8.0, 0.5, 1, count);
+  EXPECT_GT(count[0], runs(99000));  // in this range almost nothing is limited
+  expect_honest(tilt_ropter_vehicle(), 25.0, 2.0, 2, count);
+  EXPECT_GT(count[0], runs(20000));
+  EXPECT_GT(count[1], runs(3000));
+  EXPECT_GT(count[3], runs(5000));
+}
+
+TEST(Allocation, ServoRangesAreKeptOverRandomWrenches) {
+  std::vector<int> count;
+  expect_honest(with_range(-0.5 * pi, 0.5 * pi), 15.0, 0.5, 3, count);
+  EXPECT_GT(std::min({count[0], count[1], count[3]}), runs(1000));
+  expect_honest(with_range(-2.0, 2.2), 15.0, 0.5, 4, count);  // not convex
+  EXPECT_GT(std::min({count[0], count[1], count[3]}), runs(1000));
+}
+
+TEST(Allocation, MinThrustIsKeptOverRandomWrenches) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.rotor.min_thrust = 0.5;
+  std::vector<int> count;
+  expect_honest(vehicle, 8.0, 0.5, 5, count);
+  EXPECT_GT(count[1], runs(3000));  // the null space raises what is too small
+  EXPECT_LT(count[3], runs(100));
+}
+
+TEST(Allocation, HexacopterIsHonestOverRandomWrenches) {
+  std::vector<int> count;
+  expect_honest(tilting_hexacopter(), 35.0, 3.0, 6, count);
+  EXPECT_GT(std::min({count[0], count[1], count[3]}), runs(1000));
+}
+
+TEST(Allocation, FixedRotorsNeverPullOverRandomWrenches) {
+  std::vector<int> count;
+  expect_honest(omnidirectional_octocopter(), 18.0, 1.5, 7, count);
+  EXPECT_EQ(count[0], 0);  // the least thrusts always pull somewhere
+  EXPECT_GT(std::min(count[1], count[3]), runs(1000));
+  Vehicle<8> idling = omnidirectional_octocopter();
+  idling.rotor.min_thrust = 0.5;
+  expect_honest(idling, 8.0, 0.5, 8, count);
+  EXPECT_GT(count[1], runs(50000));
+}
+
+TEST(Allocation, FloatReachesFloatPrecision) {
+  const Allocation<4, float> allocation(tilt_ropter_vehicle());
+  Random random(9);
+  ActuatorState<4, float> last;
+  for (int i = 0; i < 20000; ++i) {
+    const Wrench<> wanted = random_wrench(random, 20.0, 1.5);
+    const auto result =
+        allocation.allocate({wanted.force.cast<float>(), wanted.torque.cast<float>()}, last);
+    if (result.status == Status::ok || result.status == Status::null_space_used) {
+      ASSERT_LT(result.lost.force.norm(), 2e-3F);
+      ASSERT_LT(result.lost.torque.norm(), 2e-3F);
+    }
+    ASSERT_TRUE(result.command.rotor_speed.allFinite() && result.command.tilt_angle.allFinite());
+    last = result.command;
+  }
+}
+
+TEST(Allocation, HoverIsEqualThrustStraightUp) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation allocation(vehicle);
+  Wrench<> wanted;
+  wanted.force.z() = vehicle.body.mass * gravity;
+  const auto result = allocation.allocate(wanted, {});
+  EXPECT_EQ(result.status, Status::ok);
+  EXPECT_LT((result.command.rotor_speed - hovering(vehicle).rotor_speed).norm(), 1e-9);
+  EXPECT_LT(result.command.tilt_angle.norm(), 1e-14);
+}
+
+/// Largest of the rotors' thrusts over a grid of the null space, at its least.
+double least_largest_thrust(const AllocationMatrix<4>& allocation, const Wrench<>& wanted) {
+  Eigen::Matrix<double, 6, 1> packed;
+  packed << wanted.force, wanted.torque;
+  const Eigen::Matrix<double, 8, 1> base = allocation.pseudoinverse * packed;
+  double least = infinity;
+  for (double u = -15.0; u <= 15.0; u += 0.15) {
+    for (double v = -15.0; v <= 15.0; v += 0.15) {
+      const Eigen::Matrix<double, 8, 1> t = base + allocation.null_space * Eigen::Vector2d(u, v);
+      double most = 0.0;
+      for (int i = 0; i < 4; ++i) most = std::max(most, t.segment<2>(2 * i).norm());
+      least = std::min(least, most);
+    }
+  }
+  return least;
+}
+
+TEST(Allocation, NothingIsGivenUpThatAGridOverTheNullSpaceCouldReach) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation allocation(vehicle);
+  const AllocationMatrix<4> matrix(vehicle);
+  Random random(10);
+  int force_scaled = 0, torque_scaled = 0;
+  for (int i = 0; i < 200; ++i) {
+    const Wrench<> wanted = random_wrench(random, 40.0, i % 4 == 0 ? 8.0 : 2.0);
+    const auto result = allocation.allocate(wanted, {});
+    if (result.status != Status::limited) continue;
+    Wrench<> more = result.achieved;
+    if (result.lost.torque.norm() < 1e-9) {
+      ++force_scaled;
+      more.force += 0.05 * wanted.force.normalized();
+    } else {
+      ++torque_scaled;
+      more.torque += 0.03 * wanted.torque.normalized();
+    }
+    // Somewhat more is beyond max_thrust wherever the grid looks.
+    EXPECT_GT(least_largest_thrust(matrix, more), vehicle.rotor.max_thrust);
+  }
+  EXPECT_GT(force_scaled, 50);
+  EXPECT_GT(torque_scaled, 5);
+}
+
+TEST(Allocation, TorqueIsKeptWhenForceIsBeyondReach) {
+  const Allocation allocation(tilt_ropter_vehicle());
+  const Vector3d torque(0.3, -0.2, 0.4), direction = Vector3d(1.0, -2.0, 3.0).normalized();
+  const auto result = allocation.allocate({1000.0 * direction, torque}, {});
+  EXPECT_EQ(result.status, Status::limited);
+  EXPECT_LT((result.achieved.torque - torque).norm(), 1e-10);
+  EXPECT_LT(result.achieved.force.cross(direction).norm(), 1e-9);
+  EXPECT_GT(result.achieved.force.dot(direction), 30.0);
+  // The size of what is out of reach does not matter.
+  const auto huge = allocation.allocate({1e300 * direction, torque}, {});
+  EXPECT_LT((huge.achieved.force - result.achieved.force).norm(), 1e-8);
+}
+
+TEST(Allocation, TorqueBeyondReachIsScaledButForceThatCarriesItIsNotDropped) {
+  // A hexacopter with slanted fixed rotors has no null space; it can only push upwards.
+  Vehicle<6> vehicle = tilting_hexacopter();
+  vehicle.servo.min_angle = -1.0;
+  for (std::size_t i = 0; i < 6; ++i) {
+    RotorGeometry& rotor = vehicle.rotors[i];
+    const Eigen::AngleAxisd slant(i % 2 == 0 ? 0.5 : -0.5, Vector3d::UnitX());
+    rotor.orientation = rotor.orientation * slant.toRotationMatrix();
+    rotor.tilts = false;
+  }
+  const Allocation allocation(vehicle);
+  Wrench<> hover;
+  hover.force.z() = 15.0;
+  EXPECT_EQ(allocation.allocate(hover, {}).status, Status::ok);
+  // Roll beyond what 15 N of lift allow: as much of it as goes, and the lift stays.
+  hover.torque.x() = 50.0;
+  const auto result = allocation.allocate(hover, {});
+  EXPECT_EQ(result.status, Status::limited);
+  EXPECT_NEAR(result.achieved.force.z(), 15.0, 1e-3);
+  EXPECT_GT(result.achieved.torque.x(), 0.5);
+  EXPECT_LT(std::abs(result.achieved.torque.y()) + std::abs(result.achieved.torque.z()), 1e-9);
+  // Downwards it cannot push at all.
+  const auto down = allocation.allocate({Vector3d(0.0, 0.0, -5.0), Vector3d::Zero()}, {});
+  EXPECT_EQ(down.status, Status::limited);
+  EXPECT_LT(largest(down.achieved), 1e-9);
+  // Nor stand still when its rotors idle: the least it can is what it does.
+  vehicle.rotor.min_thrust = 0.3;
+  const auto idle = Allocation(vehicle).allocate({}, {});
+  EXPECT_EQ(idle.status, Status::limited);
+  expect_within_limits(vehicle, idle.command);
+  EXPECT_NEAR(idle.lost.force.z(), -6.0 * 0.3 * std::cos(0.5), 1e-9);
+}
+
+/// Largest change of a tilt angle per step along a path of wrenches; at thrusts above 2 h also its
+/// largest product with thrust / step.
+struct Turning {
+  double per_step = 0.0;
+  double times_thrust_per_step = 0.0;
+};
+
+template <typename Path>
+Turning turning(const Allocation<4>& allocation, const Path& path, double step) {
+  Turning turning;
+  ActuatorState<4> last = allocation.allocate(path(0.0), {}).command;
+  for (double s = step; s <= 1.0; s += step) {
+    const Wrench<> wanted = path(s);
+    const auto result = allocation.allocate(wanted, last);
+    Eigen::Matrix<double, 6, 1> packed, change;
+    packed << wanted.force, wanted.torque;
+    const Wrench<> before = path(s - step);
+    change << wanted.force - before.force, wanted.torque - before.torque;
+    const Eigen::Matrix<double, 8, 1> thrusts = allocation.pseudoinverse() * packed;
+    const Eigen::Matrix<double, 8, 1> changes = allocation.pseudoinverse() * change;
+    for (int i = 0; i < 4; ++i) {
+      const double turn = std::abs(result.command.tilt_angle(i) - last.tilt_angle(i));
+      turning.per_step = std::max(turning.per_step, turn);
+      const double thrust = thrusts.segment<2>(2 * i).norm();
+      if (thrust > 0.04)
+        turning.times_thrust_per_step = std::max(turning.times_thrust_per_step,
+                                                 turn * thrust / changes.segment<2>(2 * i).norm());
+    }
+    last = result.command;
+  }
+  return turning;
+}
+
+TEST(Allocation, AnglesAreContinuousOnPathsThroughZeroThrust) {
+  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  Random random(11);
+  for (int run = 0; run < runs(60); ++run) {
+    // Through zero exactly, closely, or at some distance.
+    const double miss = run % 3 == 0 ? 0.0 : std::pow(10.0, random.uniform(-6.0, 0.0));
+    const Wrench<> along = random_wrench(random, 2.0, 0.1), aside = random_wrench(random, 2.0, 0.1);
+    const auto path = [&](double s) {
+      const double t = 2.0 * s - 1.0;
+      return Wrench<>{t * along.force + miss * aside.force, t * along.torque + miss * aside.torque};
+    };
+    const Turning coarse = turning(allocation, path, 4e-4);
+    const Turning fine = turning(allocation, path, 1e-5);
+    // 40 times the steps: at zero thrust the turn per step falls as step^(2/3), 11.7 times.
+    EXPECT_LT(fine.per_step, 0.02) << run;
+    EXPECT_LT(fine.per_step, 0.2 * coarse.per_step) << run;
+    EXPECT_LT(fine.times_thrust_per_step, 1.01) << run;
+  }
+}
+
+TEST(Allocation, AnglesAreContinuousOnPathsThroughPi) {
+  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  Random random(12);
+  for (int run = 0; run < 30; ++run) {
+    // A force that turns twice about a random axis.
+    const Vector3d axis = random.vector(1.0).normalized(), start = axis.unitOrthogonal() * 10.0;
+    const auto path = [&](double s) {
+      const Vector3d force = Eigen::AngleAxisd(4.0 * pi * s, axis) * start;
+      return Wrench<>{force, Vector3d(0.05, 0.0, 0.1)};
+    };
+    EXPECT_LT(turning(allocation, path, 1e-4).times_thrust_per_step, 1.01);
+  }
+  // About body y the two side arms turn with the force, past pi and on to 4 pi.
+  ActuatorState<4> last;
+  for (int i = 0; i <= 4000; ++i) {
+    const double angle = 4.0 * pi * i / 4000.0;
+    const auto result = allocation.allocate(
+        {Vector3d(10.0 * std::sin(angle), 0.0, 10.0 * std::cos(angle)), Vector3d::Zero()}, last);
+    ASSERT_LT((result.command.tilt_angle - last.tilt_angle).head<2>().cwiseAbs().maxCoeff(), 0.02);
+    last = result.command;
+  }
+  EXPECT_NEAR(std::abs(last.tilt_angle(0)), 4.0 * pi, 1e-9);
+}
+
+TEST(Allocation, AtTheEndOfTheRangeTheEquivalentAngleInsideIsTaken) {
+  const Vehicle<4> vehicle = with_range(-pi, pi);
+  const Allocation allocation(vehicle);
+  ActuatorState<4> last;
+  for (int i = 0; i <= 4000; ++i) {
+    const double angle = 4.0 * pi * i / 4000.0;
+    const auto result = allocation.allocate(
+        {Vector3d(10.0 * std::sin(angle), 0.0, 10.0 * std::cos(angle)), Vector3d::Zero()}, last);
+    ASSERT_LT(largest(result.lost), 1e-10);
+    expect_within_limits(vehicle, result.command);
+    const double turn = std::abs(result.command.tilt_angle(0) - last.tilt_angle(0));
+    ASSERT_TRUE(turn < 0.02 || std::abs(turn - 2.0 * pi) < 0.02);
+    last = result.command;
+  }
+}
+
+TEST(Allocation, CommandsAreContinuousWhereLimitsBegin) {
+  // Thrust vectors along straight paths of wrenches into and out of what is reachable.
+  for (const Vehicle<4>& vehicle : {tilt_ropter_vehicle(), with_range(-0.5 * pi, 0.5 * pi)}) {
+    const Allocation allocation(vehicle);
+    Random random(13);
+    int limited = 0;
+    for (int run = 0; run < 100; ++run) {
+      Wrench<> from = random_wrench(random, 15.0, 1.0), to = random_wrench(random, 40.0, 1.0);
+      from.force.z() += 15.0;
+      to.force.z() += 25.0;
+      ActuatorState<4> last;
+      Eigen::Matrix<double, 8, 1> before = Eigen::Matrix<double, 8, 1>::Zero();
+      const int steps = 2000;
+      const double step =
+          std::hypot((to.force - from.force).norm(), (to.torque - from.torque).norm() / 0.17) /
+          steps;
+      for (int i = 0; i <= steps; ++i) {
+        const double s = static_cast<double>(i) / steps;
+        const auto result = allocation.allocate(
+            {(1.0 - s) * from.force + s * to.force, (1.0 - s) * from.torque + s * to.torque}, last);
+        Eigen::Matrix<double, 8, 1> thrusts;
+        for (int k = 0; k < 4; ++k) {
+          const double thrust =
+              thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor.thrust_coefficient);
+          thrusts(2 * k) = thrust * std::sin(result.command.tilt_angle(k));
+          thrusts(2 * k + 1) = thrust * std::cos(result.command.tilt_angle(k));
+        }
+        limited += result.status == Status::limited;
+        if (i > 0) {
+          EXPECT_LT((thrusts - before).norm(), 20.0 * step + 0.05)
+              << run << ' ' << i << ' ' << static_cast<int>(result.status);
+        }
+        before = thrusts;
+        last = result.command;
+      }
+    }
+    EXPECT_GT(limited, 10000);
+  }
+}
+
+TEST(Allocation, AtZeroThrustTheLastAngleIsHeld) {
+  const Allocation allocation(tilt_ropter_vehicle());
+  ActuatorState<4> last;
+  last.tilt_angle << 0.3, -1.2, 2.0, 3.1;
+  const auto result = allocation.allocate({}, last);
+  EXPECT_EQ(result.status, Status::ok);
+  EXPECT_EQ(result.command.tilt_angle, last.tilt_angle);
+  EXPECT_EQ(result.command.rotor_speed.norm(), 0.0);
+}
+
+TEST(Allocation, BelowTheHoldThrustAngleFollowsAndLosesLittle) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  AllocationParameters parameters;
+  parameters.hold_thrust = 0.5;
+  const Allocation steady(vehicle, parameters);
+  const Allocation usual(vehicle);
+  Wrench<> wanted;
+  wanted.force << 0.6, 0.0, 0.8;  // about 0.3 N per rotor
+  ActuatorState<4> last;
+  EXPECT_EQ(usual.allocate(wanted, last).status, Status::ok);
+  auto result = steady.allocate(wanted, last);
+  EXPECT_EQ(result.status, Status::angle_held);
+  EXPECT_GT(largest(result.lost), 1e-3);
+  EXPECT_LT(result.lost.force.norm(), 4.0 * 2.0 * parameters.hold_thrust);
+  // Kept up, the wrench is reached.
+  for (int i = 0; i < 400; ++i) result = steady.allocate(wanted, result.command);
+  EXPECT_EQ(result.status, Status::ok);
+  EXPECT_LT(largest(result.lost), 1e-10);
+}
+
+TEST(Allocation, ForwardMapHasTheColumnsOfTheMatrixAsDerivatives) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation allocation(vehicle);
+  Random random(14);
+  for (int run = 0; run < runs(1000); ++run) {
+    ActuatorState<4> at;
+    for (int i = 0; i < 4; ++i) {
+      at.rotor_speed(i) = run % 10 == 0 ? 0.0 : random.uniform(0.0, 3000.0);
+      at.tilt_angle(i) = random.uniform(-pi, pi);
+    }
+    const auto jacobian = test_support::jacobian_at_zero<6, 8>([&](const auto& dual) {
+      using Dual = test_support::Dual<8>;
+      ActuatorState<4, Dual> moved;
+      for (int i = 0; i < 4; ++i) {
+        moved.rotor_speed(i) = at.rotor_speed(i) + dual(2 * i);
+        moved.tilt_angle(i) = at.tilt_angle(i) + dual(2 * i + 1);
+      }
+      const Wrench<Dual> wrench = allocation.wrench(moved);
+      Eigen::Matrix<Dual, 6, 1> packed;
+      packed << wrench.force, wrench.torque;
+      return packed;
+    });
+    for (int i = 0; i < 4; ++i) {
+      const double c = vehicle.rotor.thrust_coefficient, speed = at.rotor_speed(i);
+      const double sine = std::sin(at.tilt_angle(i)), cosine = std::cos(at.tilt_angle(i));
+      const auto lateral = allocation.matrix().col(2 * i);
+      const auto vertical = allocation.matrix().col(2 * i + 1);
+      EXPECT_LT(
+          (jacobian.col(2 * i) - 2.0 * c * speed * (sine * lateral + cosine * vertical)).norm(),
+          1e-15);
+      EXPECT_LT((jacobian.col(2 * i + 1) - c * speed * speed * (cosine * lateral - sine * vertical))
+                    .norm(),
+                1e-12);
+    }
+  }
+}
+
+TEST(Allocation, BrokenSensorsCountAsRotorsAtRest) {
+  const Allocation allocation(tilt_ropter_vehicle());
+  ActuatorState<4> state = hovering(tilt_ropter_vehicle());
+  ActuatorState<4> without = state;
+  without.rotor_speed(0) = without.rotor_speed(1) = without.rotor_speed(2) = 0.0;
+  state.rotor_speed(0) = nan;
+  state.rotor_speed(1) = 1e300;
+  state.tilt_angle(2) = infinity;
+  EXPECT_LT(largest(difference(allocation.wrench(state), allocation.wrench(without))), 1e-15);
+}
+
+TEST(Allocation, RatesAreTheDerivativesOfTheInverseMap) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation allocation(vehicle);
+  Random random(15);
+  using Dual = test_support::Dual<1>;
+  for (int run = 0; run < runs(2000); ++run) {
+    const Wrench<> wrench = random_wrench(random, 8.0, 0.5), rate = random_wrench(random, 5.0, 2.0);
+    const ActuatorRates<4> rates = allocation.rates(wrench, rate);
+    Eigen::Matrix<Dual, 6, 1> packed;
+    for (int i = 0; i < 3; ++i) {
+      packed(i) = Dual(wrench.force(i), Eigen::Matrix<double, 1, 1>(rate.force(i)));
+      packed(i + 3) = Dual(wrench.torque(i), Eigen::Matrix<double, 1, 1>(rate.torque(i)));
+    }
+    const Eigen::Matrix<Dual, 8, 1> thrusts = allocation.pseudoinverse().cast<Dual>() * packed;
+    for (int i = 0; i < 4; ++i) {
+      const Dual size =
+          sqrt(Dual(thrusts(2 * i) * thrusts(2 * i) + thrusts(2 * i + 1) * thrusts(2 * i + 1)));
+      if (size.value() < 0.02) continue;
+      const Dual angle = atan2(thrusts(2 * i), thrusts(2 * i + 1));
+      const Dual speed = speed_from_thrust(size, vehicle.rotor.thrust_coefficient);
+      EXPECT_NEAR(rates.tilt_rate(i), angle.derivatives()(0),
+                  1e-11 * (1.0 + std::abs(rates.tilt_rate(i))));
+      EXPECT_NEAR(rates.rotor_acceleration(i), speed.derivatives()(0),
+                  1e-11 * (1.0 + std::abs(rates.rotor_acceleration(i))));
+    }
+  }
+}
+
+TEST(Allocation, RatesAreDifferencesOfCommands) {
+  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  Random random(16);
+  for (int run = 0; run < 200; ++run) {
+    const Wrench<> wrench = random_wrench(random, 8.0, 0.5), rate = random_wrench(random, 5.0, 2.0);
+    const auto at = [&](double t) {
+      return Wrench<>{wrench.force + t * rate.force, wrench.torque + t * rate.torque};
+    };
+    const auto now = allocation.allocate(wrench, {});
+    const auto before = allocation.allocate(at(-1e-6), now.command).command;
+    const auto after = allocation.allocate(at(1e-6), now.command).command;
+    const ActuatorRates<4> rates = allocation.rates(wrench, rate);
+    for (int i = 0; i < 4; ++i) {
+      const double tilt = (after.tilt_angle(i) - before.tilt_angle(i)) / 2e-6;
+      const double speed = (after.rotor_speed(i) - before.rotor_speed(i)) / 2e-6;
+      if (now.command.rotor_speed(i) < 400.0) continue;
+      EXPECT_NEAR(rates.tilt_rate(i), tilt, 1e-5 * (1.0 + std::abs(tilt)));
+      EXPECT_NEAR(rates.rotor_acceleration(i), speed, 1e-4 * (1.0 + std::abs(speed)));
+    }
+  }
+}
+
+TEST(Allocation, RatesAreFiniteAtZeroThrustAndZeroForNonsense) {
+  const Allocation allocation(tilt_ropter_vehicle());
+  Wrench<> rate;
+  rate.force << 1.0, 2.0, 3.0;
+  const ActuatorRates<4> at_rest = allocation.rates({}, rate);
+  EXPECT_EQ(at_rest.tilt_rate.norm() + at_rest.rotor_acceleration.norm(), 0.0);
+  for (const double bad : {nan, infinity, 1e300}) {
+    Wrench<> wrench;
+    wrench.force.setConstant(bad);
+    EXPECT_EQ(allocation.rates(wrench, wrench).tilt_rate.norm(), 0.0);
+    EXPECT_TRUE(allocation.rates(wrench, rate).rotor_acceleration.allFinite());
+  }
+}
+
+TEST(Allocation, NonFiniteInputIsRejectedAndTheLastCommandRepeated) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation allocation(vehicle);
+  const ActuatorState<4> last = hovering(vehicle);
+  for (const double bad : {nan, infinity, -infinity}) {
+    Wrench<> wanted;
+    wanted.torque.y() = bad;
+    const auto result = allocation.allocate(wanted, last);
+    EXPECT_EQ(result.status, Status::rejected);
+    EXPECT_EQ(result.command.rotor_speed, last.rotor_speed);
+    EXPECT_EQ(result.command.tilt_angle, last.tilt_angle);
+    EXPECT_LT(largest(difference(result.achieved, allocation.wrench(last))), 1e-15);
+    EXPECT_EQ(largest(result.lost), 0.0);
+    ActuatorState<4> broken = last;
+    broken.tilt_angle(1) = bad;
+    broken.rotor_speed(2) = bad;
+    const auto repaired = allocation.allocate({}, broken);
+    EXPECT_EQ(repaired.status, Status::rejected);
+    expect_within_limits(vehicle, repaired.command);
+    EXPECT_EQ(repaired.command.tilt_angle(0), last.tilt_angle(0));
+  }
+}
+
+TEST(Allocation, AnyInputGivesAFiniteCommandWithinLimits) {
+  const std::vector<double> pool{nan,  infinity, -infinity, 0.0,   5e-324, 1e300, -1e300,
+                                 1e-9, 1.0,      -3.0,      100.0, -0.02,  15.0};
+  const Vehicle<4> vehicles[] = {tilt_ropter_vehicle(), with_range(-1.5, 1.5), with_range(-2, 2.5)};
+  Random random(17);
+  const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 12.999))]; };
+  for (Vehicle<4> vehicle : vehicles) {
+    for (const double min_thrust : {0.0, 0.4}) {
+      vehicle.rotor.min_thrust = min_thrust;
+      const Allocation allocation(vehicle);
+      for (int i = 0; i < runs(20000); ++i) {
+        Wrench<> wanted;
+        ActuatorState<4> last;
+        for (int k = 0; k < 3; ++k) {
+          // Mostly finite, so that not nearly all are rejected.
+          wanted.force(k) = i % 3 == 0 ? pick() : random.uniform(-30.0, 30.0);
+          wanted.torque(k) = i % 5 == 0 ? pick() : random.uniform(-2.0, 2.0);
+        }
+        for (int k = 0; k < 4; ++k) {
+          last.rotor_speed(k) = i % 7 == 0 ? pick() : 1000.0;
+          last.tilt_angle(k) = i % 7 == 1 ? pick() : 0.0;
+        }
+        const auto result = allocation.allocate(wanted, last);
+        expect_within_limits(vehicle, result.command);
+        ASSERT_TRUE(is_finite(result.achieved) && is_finite(result.lost));
+        ASSERT_TRUE(allocation.rates(wanted, wanted).tilt_rate.allFinite());
+        const bool finite =
+            is_finite(wanted) && last.rotor_speed.allFinite() && last.tilt_angle.allFinite();
+        ASSERT_EQ(result.status == Status::rejected, !finite);
+      }
+    }
+  }
+}
+
+TEST(Allocation, ConstructionRefusesWhatItCannotServe) {
+  EXPECT_THROW(Allocation{test_support::flat_quadrotor()}, std::invalid_argument);
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.rotor.max_thrust = nan;
+  EXPECT_THROW(Allocation{vehicle}, std::invalid_argument);
+  AllocationParameters parameters;
+  parameters.hold_thrust = 0.0;
+  EXPECT_THROW(Allocation(tilt_ropter_vehicle(), parameters), std::invalid_argument);
+}
+
+}  // namespace

@@ -1,0 +1,147 @@
+#include <tilt_ropter/model/rotor.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "support/autodiff.hpp"
+#include "support/random.hpp"
+
+namespace {
+
+using namespace tilt_ropter;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+constexpr double infinity = std::numeric_limits<double>::infinity();
+constexpr double coefficient = 1.4e-6;
+
+RotorParameters parameters() {
+  RotorParameters p;
+  p.thrust_coefficient = coefficient;
+  p.min_thrust = 0.1;
+  p.max_thrust = 12.0;
+  p.time_constant = 0.03;
+  return p;
+}
+
+TEST(Rotor, ThrustAndSpeedInvertEachOther) {
+  test_support::Random random(1);
+  for (int i = 0; i < 1000; ++i) {
+    const double thrust = std::pow(10.0, random.uniform(-300.0, 3.0));
+    const double speed = speed_from_thrust(thrust, coefficient);
+    EXPECT_NEAR(thrust_from_speed(speed, coefficient), thrust, 1e-14 * thrust);
+  }
+  EXPECT_NEAR(speed_from_thrust(1.4F, coefficient), 1000.0F, 1e-3F);
+}
+
+TEST(Rotor, ThrustAndSpeedOfNonsenseAreZero) {
+  for (const double bad : {-1.0, 0.0, -0.0, nan, infinity, -infinity, 1e300 * 1e300}) {
+    EXPECT_EQ(thrust_from_speed(bad, coefficient), 0.0);
+    EXPECT_EQ(speed_from_thrust(bad, coefficient), 0.0);
+  }
+  EXPECT_EQ(thrust_from_speed(1e300, coefficient), 0.0);
+  EXPECT_TRUE(std::isfinite(speed_from_thrust(1e308, coefficient)));
+}
+
+TEST(Rotor, DerivativesAreRightAndFiniteAtZero) {
+  using Dual = test_support::Dual<1>;
+  const Dual speed = thrust_from_speed(Dual(500.0, 1, 0), coefficient);
+  EXPECT_NEAR(speed.derivatives()(0), 2.0 * coefficient * 500.0, 1e-15);
+  const Dual thrust = speed_from_thrust(Dual(2.0, 1, 0), coefficient);
+  EXPECT_NEAR(thrust.derivatives()(0), 0.5 / std::sqrt(coefficient * 2.0), 1e-10);
+  const Dual zero = speed_from_thrust(Dual(0.0, 1, 0), coefficient);
+  for (Eigen::Index i = 0; i < zero.derivatives().size(); ++i)
+    EXPECT_EQ(zero.derivatives()(i), 0.0);
+}
+
+TEST(Rotor, StepResponseIsTheExponential) {
+  Rotor<> rotor(parameters());
+  rotor.reset(500.0, 2.0);
+  EXPECT_EQ(rotor.update(2.0, 1500.0), 500.0);
+  for (const double time : {2.001, 2.01, 2.05, 2.3})
+    EXPECT_NEAR(rotor.update(time, 1500.0), 1500.0 - 1000.0 * std::exp(-(time - 2.0) / 0.03), 1e-9);
+}
+
+TEST(Rotor, ResultDoesNotDependOnHowTimeIsDivided) {
+  test_support::Random random(2);
+  for (int run = 0; run < 100; ++run) {
+    Rotor<> coarse(parameters()), fine(parameters());
+    double time = random.uniform(-5.0, 5.0);
+    coarse.reset(900.0, time);
+    fine.reset(900.0, time);
+    for (int step = 0; step < 20; ++step) {
+      const double command = random.uniform(0.0, 3000.0), end = time + random.uniform(0.0, 0.1);
+      coarse.update(time, command);
+      for (int i = 0; i < 7; ++i) fine.update(time + (end - time) * i / 7.0, command);
+      time = end;
+      EXPECT_NEAR(coarse.update(time, command), fine.update(time, command), 1e-9);
+    }
+  }
+}
+
+TEST(Rotor, StaysBetweenTheSpeedsOfMinAndMaxThrust) {
+  Rotor<> rotor(parameters());
+  EXPECT_NEAR(rotor.thrust(), 0.1, 1e-12);
+  rotor.update(0.0, 1e300);
+  rotor.update(10.0, -1e300);
+  EXPECT_NEAR(rotor.thrust(), 12.0, 1e-9);
+  EXPECT_LE(rotor.speed(), rotor.max_speed());
+  rotor.update(20.0, 0.0);
+  EXPECT_NEAR(rotor.thrust(), 0.1, 1e-9);
+  EXPECT_GE(rotor.speed(), rotor.min_speed());
+}
+
+TEST(Rotor, NonsenseChangesNothing) {
+  Rotor<> rotor(parameters()), undisturbed(parameters());
+  for (Rotor<>* r : {&rotor, &undisturbed}) {
+    r->reset(500.0, 0.0);
+    r->update(0.0, 1000.0);
+    r->update(0.01, 1500.0);
+  }
+  const double speed = rotor.speed();
+  for (const double bad : {nan, infinity, -infinity}) {
+    EXPECT_EQ(rotor.update(0.02, bad), speed);
+    EXPECT_EQ(rotor.update(bad, 700.0), speed);
+  }
+  EXPECT_EQ(rotor.update(0.005, 700.0), speed);
+  EXPECT_EQ(rotor.update(0.03, 800.0), undisturbed.update(0.03, 800.0));
+}
+
+TEST(Rotor, RandomInputNeverLeavesTheLimits) {
+  test_support::Random random(3);
+  const std::vector<double> pool{nan,    infinity, -infinity, 0.0,  5e-324, 1e300,
+                                 -1e300, 10.0,     -1.0,      1e-9, 1000.0};
+  const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 10.999))]; };
+  Rotor<> rotor(parameters());
+  for (int i = 0; i < 200000; ++i) {
+    if (i % 1000 == 0) rotor.reset(pick(), pick());
+    rotor.update(pick(), pick());
+    ASSERT_TRUE(rotor.speed() >= rotor.min_speed() && rotor.speed() <= rotor.max_speed());
+  }
+}
+
+TEST(Rotor, FloatAndDualFollowDouble) {
+  using Dual = test_support::Dual<1>;
+  Rotor<> rotor(parameters());
+  Rotor<float> single(parameters());
+  Rotor<Dual> dual(parameters());
+  dual.update(0.0, Dual(1000.0, 1, 0));
+  rotor.update(0.0, 1000.0);
+  single.update(0.0, 1000.0F);
+  rotor.update(0.02, 1000.0);
+  EXPECT_NEAR(single.update(0.02, 1000.0F), rotor.speed(), 1e-3);
+  const Dual speed = dual.update(0.02, Dual(1000.0));
+  EXPECT_NEAR(speed.value(), rotor.speed(), 1e-12);
+  EXPECT_NEAR(speed.derivatives()(0), 1.0 - std::exp(-0.02 / 0.03), 1e-14);
+}
+
+TEST(Rotor, RefusesParametersThatValidateRefuses) {
+  RotorParameters bad;
+  bad.time_constant = 0.0;
+  EXPECT_THROW(Rotor<>{bad}, std::invalid_argument);
+}
+
+}  // namespace

@@ -1,0 +1,105 @@
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+namespace {
+
+using namespace tilt_ropter;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+struct Rejection {
+  std::string field;
+  std::string value;
+  std::function<void(Vehicle<4>&)> spoil;
+};
+
+TEST(Vehicle, ReferenceVehicleIsValid) {
+  EXPECT_NO_THROW(validate(tilt_ropter_vehicle()));
+}
+
+TEST(Vehicle, DefaultsOfEveryPartAreValid) {
+  EXPECT_NO_THROW(validate(RigidBodyParameters{}));
+  EXPECT_NO_THROW(validate(RotorGeometry{}));
+  EXPECT_NO_THROW(validate(RotorParameters{}));
+  EXPECT_NO_THROW(validate(ServoParameters{}));
+  EXPECT_NO_THROW(validate(WheelParameters{}));
+  EXPECT_NO_THROW(validate(PowerParameters{}));
+}
+
+TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
+  using V = Vehicle<4>;
+  const std::vector<Rejection> rejections{
+      {"RigidBodyParameters.mass", "-1", [](V& v) { v.body.mass = -1.0; }},
+      {"RigidBodyParameters.inertia", "nan", [](V& v) { v.body.inertia(1, 1) = nan; }},
+      {"RigidBodyParameters.inertia", "9", [](V& v) { v.body.inertia(2, 2) = 9.0; }},
+      {"Vehicle.rotors[2].position", "nan", [](V& v) { v.rotors[2].position.x() = nan; }},
+      {"Vehicle.rotors[3].orientation", "inf",
+       [](V& v) { v.rotors[3].orientation(0, 0) = std::numeric_limits<double>::infinity(); }},
+      {"Vehicle.rotors[0].orientation", "2",
+       [](V& v) { v.rotors[0].orientation = 2.0 * Eigen::Matrix3d::Identity(); }},
+      {"Vehicle.rotors[1].orientation", "-1",
+       [](V& v) { v.rotors[1].orientation = -Eigen::Matrix3d::Identity(); }},
+      {"RotorParameters.thrust_coefficient", "0", [](V& v) { v.rotor.thrust_coefficient = 0.0; }},
+      {"RotorParameters.torque_ratio", "-0.5", [](V& v) { v.rotor.torque_ratio = -0.5; }},
+      {"RotorParameters.min_thrust", "-2", [](V& v) { v.rotor.min_thrust = -2.0; }},
+      {"RotorParameters.max_thrust", "0", [](V& v) { v.rotor.max_thrust = 0.0; }},
+      {"RotorParameters.max_thrust", "nan", [](V& v) { v.rotor.max_thrust = nan; }},
+      {"RotorParameters.time_constant", "0", [](V& v) { v.rotor.time_constant = 0.0; }},
+      {"ServoParameters.time_constant", "-3", [](V& v) { v.servo.time_constant = -3.0; }},
+      {"ServoParameters.max_rate", "0", [](V& v) { v.servo.max_rate = 0.0; }},
+      {"ServoParameters.min_angle", "nan", [](V& v) { v.servo.min_angle = nan; }},
+      {"ServoParameters.max_angle", "-4", [](V& v) { v.servo.max_angle = -4.0; }},
+      {"ServoParameters.dead_time", "-0.1", [](V& v) { v.servo.dead_time = -0.1; }},
+      {"WheelParameters.radius", "0", [](V& v) { v.wheels.radius = 0.0; }},
+      {"WheelParameters.half_track", "-1", [](V& v) { v.wheels.half_track = -1.0; }},
+      {"PowerParameters.electronics", "-1", [](V& v) { v.power.electronics = -1.0; }},
+      {"PowerParameters.hover", "20", [](V& v) { v.power.hover = 20.0; }},
+  };
+  for (const Rejection& rejection : rejections) {
+    Vehicle<4> vehicle = tilt_ropter_vehicle();
+    rejection.spoil(vehicle);
+    try {
+      validate(vehicle);
+      ADD_FAILURE() << rejection.field << " = " << rejection.value << " was accepted";
+    } catch (const std::invalid_argument& error) {
+      const std::string text = error.what();
+      EXPECT_EQ(text.rfind(rejection.field, 0), 0U) << text;
+      EXPECT_NE(text.find(rejection.value), std::string::npos) << text;
+      EXPECT_NE(text.find(": must be "), std::string::npos) << text;
+    }
+  }
+}
+
+TEST(Vehicle, ArmsPointOutwardAndStayLevel) {
+  for (const double azimuth : {0.0, 0.3, pi / 2, pi, -2.0}) {
+    const RotorGeometry rotor = rotor_on_arm(azimuth, 0.3, Spin::clockwise);
+    EXPECT_NO_THROW(validate(rotor));
+    EXPECT_NEAR(rotor.position.norm(), 0.3, 1e-15);
+    EXPECT_LT((0.3 * rotor.orientation.col(0) - rotor.position).norm(), 1e-15);
+    EXPECT_LT((rotor.orientation.col(2) - Eigen::Vector3d::UnitZ()).norm(), 1e-15);
+    EXPECT_EQ(rotor.spin, Spin::clockwise);
+    EXPECT_TRUE(rotor.tilts);
+  }
+}
+
+TEST(Vehicle, TiltRopterIsNumberedLikeAPlusQuadrotor) {
+  const Vehicle<4> v = tilt_ropter_vehicle();
+  const double arm = v.rotors[0].position.norm();
+  EXPECT_LT((v.rotors[0].position - Eigen::Vector3d(0.0, -arm, 0.0)).norm(), 1e-15);
+  EXPECT_LT((v.rotors[1].position - Eigen::Vector3d(0.0, arm, 0.0)).norm(), 1e-15);
+  EXPECT_LT((v.rotors[2].position - Eigen::Vector3d(arm, 0.0, 0.0)).norm(), 1e-15);
+  EXPECT_LT((v.rotors[3].position - Eigen::Vector3d(-arm, 0.0, 0.0)).norm(), 1e-15);
+  EXPECT_EQ(v.rotors[0].spin, Spin::counter_clockwise);
+  EXPECT_EQ(v.rotors[1].spin, Spin::counter_clockwise);
+  EXPECT_EQ(v.rotors[2].spin, Spin::clockwise);
+  EXPECT_EQ(v.rotors[3].spin, Spin::clockwise);
+  EXPECT_GT(4.0 * v.rotor.max_thrust, 2.0 * v.body.mass * gravity);
+}
+
+}  // namespace

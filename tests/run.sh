@@ -1,0 +1,60 @@
+#!/usr/bin/env bash
+set -euo pipefail
+
+usage() {
+  cat <<'HELP'
+usage: tests/run.sh [--full] [--benchmark]
+
+Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
+errors into build-tests/ and runs every test. The last lines are the summary.
+
+  --full       the long forms of the tests too (TILT_ROPTER_FULL=1), and clang-tidy
+  --benchmark  instead of the tests, build the benchmarks for this processor into
+               build-benchmarks/ and run them
+  --help       this text
+HELP
+}
+
+full=
+benchmark=
+for argument in "$@"; do
+  case $argument in
+    --full) full=1 ;;
+    --benchmark) benchmark=1 ;;
+    --help | -h) usage && exit 0 ;;
+    *) echo "unknown option: $argument" >&2 && usage >&2 && exit 2 ;;
+  esac
+done
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev)
+
+build() {  # directory, CMake options
+  echo "== Configuring and building into $1/"
+  cmake --log-level=WARNING -S . -B "$1" -G Ninja -DCMAKE_BUILD_TYPE=Release "${@:2}"
+  cmake --build "$1" --parallel "$(nproc)"
+}
+
+if [[ $benchmark ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" libbenchmark-dev
+  build build-benchmarks -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=OFF \
+    -DTILT_ROPTER_BUILD_BENCHMARKS=ON -DTILT_ROPTER_NATIVE=ON
+  for program in build-benchmarks/tests/benchmark/*_benchmark; do
+    echo "== Running $program"
+    "$program"
+  done
+  exit 0
+fi
+
+packages+=(clang libgtest-dev libcli11-dev)
+timeout=300
+if [[ $full ]]; then
+  packages+=(clang-tidy)
+  timeout=7200
+  export TILT_ROPTER_FULL=1
+fi
+bash cmake/install_missing.sh "${packages[@]}"
+build build-tests -DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON \
+  -DTILT_ROPTER_BUILD_BENCHMARKS=OFF
+echo "== Running the tests, two at a time"
+cd build-tests
+ctest --parallel 2 --output-on-failure --timeout $timeout

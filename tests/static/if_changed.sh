@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# if_changed.sh STAMP PATH... -- COMMAND...
+# Runs COMMAND unless it passed before and nothing below the paths changed since: what depends on
+# the sources alone need not be shown twice.
+set -euo pipefail
+
+stamp=$1
+shift
+paths=()
+while [[ $1 != -- ]]; do
+  paths+=("$1")
+  shift
+done
+shift
+
+if [[ -e $stamp && -z $(find "${paths[@]}" -newer "$stamp" -print -quit) ]]; then
+  echo "passed before, nothing changed since"
+  exit 0
+fi
+mkdir -p "$(dirname "$stamp")"
+touch "$stamp.started"
+"$@"
+mv "$stamp.started" "$stamp"

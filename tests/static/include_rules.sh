@@ -1,0 +1,49 @@
+#!/usr/bin/env bash
+# include_rules.sh INCLUDE_DIR
+# Who may include whom below INCLUDE_DIR/tilt_ropter. Prints every violation, fails if there is one.
+set -euo pipefail
+shopt -s inherit_errexit
+
+cd "$1"
+umbrella=tilt_ropter/tilt_ropter.hpp
+headers=$(find tilt_ropter -name '*.hpp' ! -path $umbrella | sort)
+# Lines like "tilt_ropter/model/state.hpp <tilt_ropter/math/rotation.hpp>".
+includes=$(grep -rE --include='*.hpp' '^\s*#\s*include\b' tilt_ropter |
+  sed -E 's/:\s*#\s*include\s*([<"][^>"]*[>"]).*/ \1/')
+
+violations=$(
+  awk -v umbrella=$umbrella '
+    BEGIN {
+      may["math"] = "math"
+      may["model"] = "math model"
+      may["estimation"] = "math model estimation"
+      may["planning"] = "math planning"
+      may["optimal_control"] = "math optimal_control"
+      may["control"] = "math model planning optimal_control control"
+      may["simulation"] = "math model planning simulation"
+    }
+    {
+      split($1, header, "/")
+      split($2, included, "/")
+      room = header[2]
+      if ($2 ~ /^<tilt_ropter\//)
+        ok = $1 == umbrella || index(" " may[room] " ", " " included[2] " ")
+      else if ($2 == "<nlopt.h>")
+        ok = room == "optimal_control" || $1 ~ /estimation\/servo_identification.hpp$/
+      else  # Eigen and the standard library
+        ok = $2 ~ /^<Eigen\/[A-Za-z]+>$/ || $2 ~ /^<[a-z_]+>$/
+      if (!ok) print $1 " may not include " $2
+    }' <<< "$includes"
+  for header in $headers; do
+    grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
+  done
+  # `#pragma once` hides circles from the compiler.
+  pairs=$(sed -nE 's/ <(tilt_ropter\/.*)>/ \1/p' <<< "$includes")
+  tsort <<< "$pairs" 2>&1 > /dev/null | sed -n 's/^tsort: tilt/in a circle: tilt/p' || true
+)
+
+if [[ $violations ]]; then
+  echo "$violations"
+  exit 1
+fi
+echo "include rules hold"

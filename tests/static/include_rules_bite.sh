@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# include_rules_bite.sh INCLUDE_DIR
+# The check of the include rules finds each kind of violation, planted into a copy of the headers.
+set -euo pipefail
+
+check=$(dirname "$0")/include_rules.sh
+copy=$(mktemp -d)
+trap 'rm -rf "$copy"' EXIT
+
+plant() {  # header, line: the check must name the header
+  rm -rf "${copy:?}/tilt_ropter"
+  cp -r "$1/tilt_ropter" "$copy"
+  echo "$3" >> "$copy/tilt_ropter/$2"
+  if output=$(bash "$check" "$copy") || [[ $output != *"$2"* ]]; then
+    echo "not found: $3 in $2"
+    exit 1
+  fi
+}
+
+plant "$1" math/rotation.hpp '#include <tilt_ropter/model/state.hpp>'
+plant "$1" model/state.hpp '#  include <tilt_ropter/planning/reference.hpp>'
+plant "$1" planning/reference.hpp '#include <tilt_ropter/model/state.hpp>'
+plant "$1" model/frames.hpp '#include <nlopt.h>'
+plant "$1" model/state.hpp '#include "vehicle.hpp"'
+plant "$1" model/state.hpp '#include <boost/version.hpp>'
+plant "$1" model/state.hpp '#include <tilt_ropter/model/frames.hpp>'  # a circle
+plant "$1" model/not_in_the_umbrella.hpp '#pragma once'
+echo "every planted violation was found"
