@@ -116,7 +116,7 @@ int fly(const Options& options) {
   const Mission mission = hybrid_mission(job);
   const NmpcSettings settings;
   for (const BoundViolation& v :
-       check_reference(mission, mission.start_time(), mission.end_time(), vehicle.body, settings))
+       check_reference(mission, mission.start_time(), mission.end_time(), vehicle, settings))
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
               << " at " << v.time << " s, allowed is " << v.allowed << '\n';
 

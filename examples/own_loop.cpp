@@ -11,7 +11,7 @@ int main() {
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
   ActuatorModel<4> actuators(vehicle);               // where the servos are, without encoders
   WrenchObserver<> observer(vehicle.body);           // external force and torque
-  Nmpc nmpc(vehicle.body);                           // the controller
+  Nmpc nmpc(vehicle);                                // the controller
   const auto reference = [](double) {                // any callable: time -> ReferencePoint
     ReferencePoint point;
     point.position << 0.0, 0.0, 1.5;

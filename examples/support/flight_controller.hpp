@@ -22,7 +22,7 @@ class FlightController {
       : allocation_(vehicle),
         actuators_(vehicle),
         observer_(vehicle.body),
-        nmpc_(vehicle.body, settings) {}
+        nmpc_(vehicle, settings) {}
 
   /// Speeds reported by the motor controllers [rad/s].
   void on_rotor_speeds(const Eigen::Vector4d& speeds) { rotor_speeds_ = speeds; }
@@ -54,13 +54,13 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& applied() const { return applied_; }
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
   [[nodiscard]] const tilt_ropter::Wrench<>& external() const { return observer_.external(); }
-  [[nodiscard]] const tilt_ropter::Nmpc& nmpc() const { return nmpc_; }
+  [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
 
  private:
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
   tilt_ropter::WrenchObserver<> observer_;
-  tilt_ropter::Nmpc nmpc_;
+  tilt_ropter::Nmpc<4> nmpc_;
   tilt_ropter::NmpcResult result_;
   tilt_ropter::ActuatorState<4> command_, applied_;
   Eigen::Vector4d rotor_speeds_ = Eigen::Vector4d::Zero();

@@ -9,6 +9,7 @@ namespace tilt_ropter {
 namespace {
 
 const Wrench<> lift{Eigen::Vector3d(0.3, -0.2, 14.0), Eigen::Vector3d(0.1, 0.2, 0.3)};
+const WheelParameters wheels{0.11, 0.2};
 const Wrench<> breeze{Eigen::Vector3d(0.1, 0.2, -0.3), Eigen::Vector3d(0.01, 0.02, 0.03)};
 
 WheeledFlightNode node_at(double height) {
@@ -18,7 +19,7 @@ WheeledFlightNode node_at(double height) {
 }
 
 TEST(GroundContact, ModeHasHysteresis) {
-  GroundContact contact(GroundContactSettings{});  // radius 0.11, enter 0.01, leave 0.03
+  GroundContact contact(wheels);  // radius 0.11, enter 0.01, leave 0.03
   contact.update(0.11, {});
   EXPECT_TRUE(contact.on_ground());
   contact.update(0.135, {});  // between the thresholds: as before
@@ -33,7 +34,7 @@ TEST(GroundContact, ModeHasHysteresis) {
 }
 
 TEST(GroundContact, NoiseAtTheThresholdChangesTheModeOnce) {
-  GroundContact contact(GroundContactSettings{});
+  GroundContact contact(wheels);
   contact.update(1.0, {});
   for (int i = 0; i < 1000; ++i) contact.update(0.13 - 2e-5 * i + 0.004 * std::sin(37.0 * i), {});
   EXPECT_TRUE(contact.on_ground());
@@ -41,7 +42,7 @@ TEST(GroundContact, NoiseAtTheThresholdChangesTheModeOnce) {
 }
 
 TEST(GroundContact, ForcesOfTheGroundStayOnTheGround) {
-  GroundContact contact(GroundContactSettings{});
+  GroundContact contact(wheels);
   contact.update(1.0, breeze);
   contact.update(0.11, lift);
   EXPECT_EQ(contact.air_wrench().force, breeze.force);
@@ -59,7 +60,7 @@ TEST(GroundContact, ForcesOfTheGroundStayOnTheGround) {
 }
 
 TEST(GroundContact, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
-  GroundContact contact(GroundContactSettings{});
+  GroundContact contact(wheels);
   const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
   contact.update(0.11, {pitched.conjugate() * Eigen::Vector3d(0.3, -0.2, 14.0), {0, 0, 0}});
   WheeledFlightNode node = node_at(0.11);
@@ -68,7 +69,7 @@ TEST(GroundContact, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
 }
 
 TEST(GroundContact, LeavingTheGroundIsToldOnceAndKeepsTheAirsWrench) {
-  GroundContact contact(GroundContactSettings{});
+  GroundContact contact(wheels);
   EXPECT_FALSE(contact.update(0.5, breeze));
   EXPECT_FALSE(contact.update(0.11, lift));
   EXPECT_TRUE(contact.update(0.2, lift));
@@ -77,7 +78,7 @@ TEST(GroundContact, LeavingTheGroundIsToldOnceAndKeepsTheAirsWrench) {
 }
 
 TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
-  GroundContact contact(GroundContactSettings{});
+  GroundContact contact(wheels);
   contact.update(0.11, breeze);
   const double nan = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(contact.update(nan, breeze));
@@ -89,13 +90,11 @@ TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
 TEST(GroundContact, SettingsOutOfRangeAreRefused) {
   GroundContactSettings s;
   s.leave_height = s.enter_height;
-  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
-  s = {};
-  s.wheel_radius = 0.0;
-  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
+  EXPECT_THROW((GroundContact{wheels, s}), std::invalid_argument);
+  EXPECT_THROW((GroundContact{WheelParameters{0.0, 0.2}, {}}), std::invalid_argument);
   s = {};
   s.down_force = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(GroundContact{s}, std::invalid_argument);
+  EXPECT_THROW((GroundContact{wheels, s}), std::invalid_argument);
 }
 
 }  // namespace

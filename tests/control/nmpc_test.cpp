@@ -10,7 +10,8 @@
 namespace tilt_ropter {
 namespace {
 
-const RigidBodyParameters body = tilt_ropter_vehicle().body;
+const Vehicle<4> vehicle = tilt_ropter_vehicle();
+const RigidBodyParameters body = vehicle.body;
 
 ReferencePoint hover(double) {
   ReferencePoint point;
@@ -36,7 +37,7 @@ void expect_within_bounds(const NmpcResult& result, const NmpcBounds& bounds) {
 // A rigid body that gets exactly the wrench that is planned, with an unknown force.
 class IdealLoop {
  public:
-  explicit IdealLoop(const NmpcSettings& settings = {}) : nmpc(body, settings) {
+  explicit IdealLoop(const NmpcSettings& settings = {}) : nmpc(vehicle, settings) {
     state.body = hovering();
   }
 
@@ -56,7 +57,7 @@ class IdealLoop {
   }
 
   RigidBody<> plant{body};
-  Nmpc nmpc;
+  Nmpc<4> nmpc;
   State<> state;
   Wrench<> unknown;
   double time = 0.0;
@@ -154,7 +155,7 @@ TEST(Nmpc, ABadReferenceOrEstimateFailsWithAFiniteCommandAndRecovers) {
 }
 
 TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
-  Nmpc nmpc(body);
+  Nmpc nmpc(vehicle);
   nmpc.prepare(0.0, hover, {});
   BodyState<> bad = hovering();
   bad.orientation.coeffs().setZero();
@@ -166,9 +167,9 @@ TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
 TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   // Down on the ground the estimate is the normal force, whatever the thrust.
   NmpcSettings settings;
-  Nmpc nmpc(body, settings);
+  Nmpc nmpc(vehicle, settings);
   BodyState<> standing;
-  standing.position.z() = settings.ground.wheel_radius;
+  standing.position.z() = vehicle.wheels.radius;
   const auto rest = [&](double) {
     ReferencePoint point;
     point.position = standing.position;
@@ -191,16 +192,13 @@ TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
 TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
   const auto message = [](const NmpcSettings& settings) -> std::string {
     try {
-      Nmpc nmpc(body, settings);
+      Nmpc nmpc(vehicle, settings);
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
     return "accepted";
   };
   NmpcSettings s;
-  s.ground.wheel_radius = 0.2;
-  EXPECT_NE(message(s).find("NmpcSettings.ground.wheel_radius [m] = 0.2"), std::string::npos);
-  s = {};
   s.max_plan_age = 0.0;
   EXPECT_NE(message(s).find("NmpcSettings.max_plan_age"), std::string::npos);
   s = {};

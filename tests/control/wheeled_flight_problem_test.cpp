@@ -29,7 +29,7 @@ State<> random_state(Random& random) {
 WheeledFlightProblem random_problem(Random& random) {
   WheeledFlightSettings settings;
   settings.weights.orientation << 30.0, 20.0, 10.0;
-  WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     const State<> r = random_state(random);
     problem.node(k).reference = r.body;
@@ -123,8 +123,8 @@ TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
     D::EqualitiesX H;
     problem.equality_derivatives(1, x, H);
     EXPECT_LT((H - truth).cwiseAbs().maxCoeff(), 1e-12 * (1.0 + truth.cwiseAbs().maxCoeff()));
-    EXPECT_NEAR(problem.equality_values(1, x)(2),
-                x.body.position.z() - problem.settings().wheel_radius, 1e-15);
+    EXPECT_NEAR(problem.equality_values(1, x)(2), x.body.position.z() - WheelParameters{}.radius,
+                1e-15);
   }
 }
 
@@ -132,7 +132,7 @@ TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
   Random random(43);
   WheeledFlightSettings settings;
   settings.bounds = paper_bounds();
-  const WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+  const WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
   const State<> x = random_state(random);
   const D::Input u = D::Input::Ones();
   D::RowsX C;
@@ -166,7 +166,7 @@ TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
 TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   const auto message = [](const WheeledFlightSettings& settings) -> std::string {
     try {
-      WheeledFlightProblem problem(test_support::benchmark_body(), settings);
+      WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
@@ -190,7 +190,8 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
   expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
   expect_refused([&](auto& s) { s.row_penalty = 0.0; }, "row_penalty");
-  expect_refused([&](auto& s) { s.wheel_radius = 0.0; }, "wheel_radius [m]");
+  EXPECT_THROW((WheeledFlightProblem{test_support::benchmark_body(), {0.0, 0.2}}),
+               std::invalid_argument);
 }
 
 }  // namespace

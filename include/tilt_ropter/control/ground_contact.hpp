@@ -14,7 +14,6 @@
 namespace tilt_ropter {
 
 struct GroundContactSettings {
-  double wheel_radius = 0.11;         ///< height of the CoM on the ground [m]
   double enter_height = 0.010;        ///< lower than this above the radius: on the ground [m]
   double leave_height = 0.030;        ///< higher than this: in the air [m]
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
@@ -23,7 +22,6 @@ struct GroundContactSettings {
 };
 
 inline void validate(const GroundContactSettings& s) {
-  require_positive("GroundContactSettings.wheel_radius [m]", s.wheel_radius);
   require_positive("GroundContactSettings.enter_height [m]", s.enter_height);
   require(std::isfinite(s.leave_height) && s.leave_height > s.enter_height,
           "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
@@ -36,8 +34,11 @@ inline void validate(const GroundContactSettings& s) {
 /// at take-off), so the wrench last seen in the air is kept for them.
 class GroundContact {
  public:
-  /// Throws std::invalid_argument for settings out of range.
-  explicit GroundContact(const GroundContactSettings& settings) : settings_(settings) {
+  /// The wheels' radius is the height of the CoM on the ground. Throws std::invalid_argument for
+  /// settings out of range.
+  explicit GroundContact(const WheelParameters& wheels, const GroundContactSettings& settings = {})
+      : settings_(settings), wheel_radius_(wheels.radius) {
+    validate(wheels);
     validate(settings);
   }
 
@@ -46,7 +47,7 @@ class GroundContact {
   /// and is better replaced by air_wrench(). Numbers that are not finite change nothing.
   bool update(double height, const Wrench<>& external) noexcept {
     if (!std::isfinite(height) || !is_finite(external)) return false;
-    const double clearance = height - settings_.wheel_radius;
+    const double clearance = height - wheel_radius_;
     const bool was_on_ground = on_ground_;
     on_ground_ = clearance < (on_ground_ ? settings_.leave_height : settings_.enter_height);
     if (on_ground_ != was_on_ground && started_) ++mode_changes_;
@@ -67,8 +68,7 @@ class GroundContact {
   /// Fills delta, freedom and external wrench of a node whose reference is set; `orientation` is
   /// the vehicle's now, body -> world.
   void apply(const Eigen::Quaterniond& orientation, WheeledFlightNode& node) const {
-    const double clearance = node.reference.position.z() - settings_.wheel_radius;
-    node.on_ground = on_ground_ && std::abs(clearance) < settings_.reference_tolerance;
+    node.on_ground = on_ground_ && is_ground_reference(node.reference.position.z());
     node.freedom = {};
     node.external = air_wrench_;
     if (!node.on_ground) return;
@@ -84,10 +84,14 @@ class GroundContact {
     node.external.torque.x() = 0.0;
   }
 
-  [[nodiscard]] const GroundContactSettings& settings() const { return settings_; }
+  /// True if a reference at `height` [m] is one on the ground.
+  [[nodiscard]] bool is_ground_reference(double height) const {
+    return std::abs(height - wheel_radius_) < settings_.reference_tolerance;
+  }
 
  private:
   GroundContactSettings settings_;
+  double wheel_radius_;
   bool on_ground_ = false, started_ = false;
   int mode_changes_ = 0;
   Wrench<> air_wrench_, ground_wrench_;

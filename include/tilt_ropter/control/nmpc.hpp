@@ -43,8 +43,6 @@ inline void validate(const NmpcSettings& s) {
   validate(s.problem);
   validate(s.solver);
   validate(s.ground);
-  require(s.ground.wheel_radius == s.problem.wheel_radius, "NmpcSettings.ground.wheel_radius [m]",
-          s.ground.wheel_radius, "the same as problem.wheel_radius");
   require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
   require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
           s.failures_before_reset, ">= 1");
@@ -68,15 +66,17 @@ struct NmpcResult {
   SolveReport report;      ///< of the solver; of the last one if it was not called
 };
 
+template <int Rotors = 4>
 class Nmpc {
  public:
   /// Throws std::invalid_argument for parameters or settings out of range. Allocates; the functions
   /// below allocate nothing outside NLopt and never throw.
-  explicit Nmpc(const RigidBodyParameters& body, const NmpcSettings& settings = {})
+  explicit Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings = {})
       : settings_(checked(settings)),
-        body_(body),
-        contact_(settings.ground),
-        solver_(WheeledFlightProblem(body, settings.problem), settings.solver),
+        body_(vehicle.body),
+        contact_(vehicle.wheels, settings.ground),
+        solver_(WheeledFlightProblem(vehicle.body, vehicle.wheels, settings.problem),
+                settings.solver),
         points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
     result_.wrench = safe_wrench();
   }

@@ -29,21 +29,23 @@ struct BoundViolation {
 /// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground the
 /// wheels carry weight, side force and roll torque, and the bounds are asked for the rest. Where
 /// the reference leaves the ground or lands, the change of force must fit into the horizon. Returns
-/// an empty list if all fits. Allocates; throws std::invalid_argument for a body, settings or times
-/// out of range.
-template <typename Reference>
+/// an empty list if all fits. Allocates; throws std::invalid_argument for a vehicle, settings or
+/// times out of range.
+template <typename Reference, int Rotors>
 [[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
                                                           double end,
-                                                          const RigidBodyParameters& body,
-                                                          const NmpcSettings& settings,
+                                                          const Vehicle<Rotors>& vehicle,
+                                                          const NmpcSettings& settings = {},
                                                           double step = 0.01) {
-  validate(body);
+  validate(vehicle);
   validate(settings);
   require_positive("check_reference.step [s]", step);
   require(std::isfinite(start) && std::isfinite(end) && end > start, "check_reference.end [s]", end,
           "finite and > start");
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
+  const RigidBodyParameters& body = vehicle.body;
+  const GroundContact contact(vehicle.wheels, settings.ground);
   const NmpcBounds& bounds = settings.problem.bounds;
   static constexpr std::array<const char*, 5> names = {"force", "torque", "angular_velocity",
                                                        "force_rate", "torque_rate"};
@@ -68,8 +70,7 @@ template <typename Reference>
   for (long i = 0; i <= samples; ++i) {
     const double time = start + step * static_cast<double>(i);
     const ReferencePoint point = reference(time);
-    const bool on_ground = std::abs(point.position.z() - settings.ground.wheel_radius) <
-                           settings.ground.reference_tolerance;
+    const bool on_ground = contact.is_ground_reference(point.position.z());
     const Eigen::Vector3d& w = point.angular_velocity;
     Vector6 wrench;
     wrench << body.mass * (point.orientation.conjugate() *

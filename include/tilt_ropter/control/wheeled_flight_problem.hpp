@@ -63,8 +63,7 @@ struct WheeledFlightSettings {
   double interval = 0.1;  ///< length of one [s] (paper: 0.1)
   NmpcWeights weights;
   NmpcBounds bounds;
-  double row_penalty = 1e4;    ///< price of violating a bound by one unit
-  double wheel_radius = 0.11;  ///< height of the CoM on the ground [m]
+  double row_penalty = 1e4;  ///< price of violating a bound by one unit
 };
 
 inline void validate(const NmpcWeights& w) {
@@ -98,7 +97,6 @@ inline void validate(const WheeledFlightSettings& s) {
   validate(s.weights);
   validate(s.bounds);
   require_positive("WheeledFlightSettings.row_penalty", s.row_penalty);
-  require_positive("WheeledFlightSettings.wheel_radius [m]", s.wheel_radius);
 }
 
 /// What a node should do and what acts on it.
@@ -118,8 +116,10 @@ class WheeledFlightProblem {
   using Model = QuadraticModel<states, inputs>;
 
   /// Throws std::invalid_argument for parameters or settings out of range.
-  WheeledFlightProblem(const RigidBodyParameters& body, const WheeledFlightSettings& settings)
-      : body_(body), settings_(settings) {
+  WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
+                       const WheeledFlightSettings& settings = {})
+      : body_(body), wheel_radius_(wheels.radius), settings_(settings) {
+    validate(wheels);
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
     const NmpcBounds& b = settings.bounds;
@@ -206,8 +206,7 @@ class WheeledFlightProblem {
   /// v_By, w_x and p_z - r (paper, Eq. mpc_subject), where the node is on the ground.
   [[nodiscard]] D::Equalities equality_values(int, const State& x) const {
     const Eigen::Vector3d velocity = x.body.orientation.conjugate() * x.body.velocity;
-    return {velocity.y(), x.body.angular_velocity.x(),
-            x.body.position.z() - settings_.wheel_radius};
+    return {velocity.y(), x.body.angular_velocity.x(), x.body.position.z() - wheel_radius_};
   }
   void equality_derivatives(int, const State& x, D::EqualitiesX& H) const {
     const Eigen::Matrix3d to_body = x.body.orientation.conjugate().toRotationMatrix();
@@ -253,6 +252,7 @@ class WheeledFlightProblem {
   }
 
   RigidBody<> body_;
+  double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
   D::Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;

@@ -24,8 +24,8 @@ namespace tilt_ropter::detail {
 ///
 /// Sought is a point of an affine space x = base + directions y in C. It is found by minimising
 /// the squared distance from C, a convex function of y (for ranges up to pi or from 2 pi on), with
-/// a regularised semismooth Newton method; where a Newton step fails to descend, the gradient step
-/// does, since directions are orthonormal. Bounded, deterministic; nothing throws or allocates.
+/// a regularised semismooth Newton method with backtracking. Bounded, deterministic; nothing throws
+/// or allocates.
 template <int Rotors, typename Scalar>
 class ThrustLimits {
  public:
@@ -110,8 +110,7 @@ class ThrustLimits {
       if (now.distance2 <= tolerance_ * tolerance_) break;
       Coordinates gradient = space.directions.transpose() * now.excess;
       gradient += pull * y;
-      const Scalar enough = pull > Scalar(0) ? std::sqrt(epsilon) : Scalar(100) * epsilon;
-      bool descends = gradient.squaredNorm() > enough * now.distance2;
+      bool descends = gradient.squaredNorm() > Scalar(100) * epsilon * now.distance2;
       if (descends) {
         const Scalar value = now.distance2 + pull * y.squaredNorm();
         const auto try_step = [&](const Coordinates& step) {
@@ -124,9 +123,11 @@ class ThrustLimits {
           now = next;
           return true;
         };
-        descends =
-            try_step(newton_step(space.directions, now, gradient, pull + Scalar(100) * epsilon)) ||
-            try_step(-gradient / (Scalar(1) + pull));
+        Coordinates step =
+            newton_step(space.directions, now, gradient, pull + Scalar(100) * epsilon);
+        descends = false;
+        for (int trial = 0; trial < 10 && !descends; ++trial, step /= Scalar(3))
+          descends = try_step(step);
       }
       if (!descends && pull <= Scalar(0)) break;
       if (!descends) pull = Scalar(0);
