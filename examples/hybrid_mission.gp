@@ -6,7 +6,7 @@ log = "hybrid_mission.csv"
 set datafile separator ","
 set datafile columnheaders
 
-# ---- Look: the colour-blind safe palette of Okabe and Ito, one colour for one meaning
+# ---- Look: the colour-blind safe palette of Okabe and Ito
 blue = "#0072B2"; red = "#D55E00"; green = "#009E73"; purple = "#CC79A7"
 ink = "#222222"; grey = "#666666"; pale = "#B0B0B0"; sand = "#F6DDB8"
 array axis_name[3] = ["x", "y", "z"]
@@ -20,23 +20,11 @@ set border 3 lc rgb grey
 set tics nomirror out scale 0.6 textcolor rgb ink
 set grid back lt 1 lc rgb "#C8C8C8" lw 0.5
 set style fill solid noborder
-set style line 1 lw 1.5; set style line 2 lw 2
-set key horizontal samplen 2.5 reverse Left width 1 textcolor rgb ink
-title_font = "DejaVu Sans Bold,14"
+set style line 1 lw 1.5
+set style line 2 lw 2
+set key samplen 2.5 reverse Left textcolor rgb ink
 
-picture(name, height) = sprintf("set terminal pngcairo size 1200,%d font 'DejaVu Sans,11'; \
-  set output '%s.png'", height, name)
-# Panels one below the other that share the time axis, from the left margin to `right`.
-panels(rows, right, title) = sprintf("set multiplot layout %d,1 margins 0.08,%g,0.08,0.88 \
-  spacing 0,0.03 title \"%s\" font '%s' offset 0,-0.3", rows, right, title, title_font)
-multi(title) = sprintf("set multiplot title \"%s\" font '%s' offset 0,-0.3", title, title_font)
-end_multi = "unset multiplot; set lmargin -1; set rmargin -1; set tmargin -1; set bmargin -1; \
-  unset title; set xtics auto; set xrange [0:run_max]; set autoscale y; \
-  set key on inside maxrows auto"
-with_times = "set xlabel 'time [s]'; set format x '%g'"
-no_times = "unset xlabel; set format x ''"
-
-# ---- Columns; where a function needs no argument, gnuplot still wants one
+# ---- Columns; a function wants an argument even where it needs none
 t(_) = column("time_s")
 in(phase) = column("phase") == phase
 only(condition, value) = condition ? value : NaN
@@ -47,8 +35,10 @@ touching(_) = column("external_force_n_z") > 0.1  # the plant's own force of the
 tilt_deg(of, rotor) = column(sprintf("tilt_%s_rad_%d", of, rotor)) * 180 / pi
 speed(rotor) = column(sprintf("rotor_speed_radps_%d", rotor))
 mean_speed(_) = (speed(1) + speed(2) + speed(3) + speed(4)) / 4
+power(_) = column("power_w")
+prepare(_) = column("prepare_us"); feedback(_) = column("feedback_us")
 
-# ---- Where each phase starts, and when the controller changes its contact mode
+# ---- Where each phase starts, when the controller changes its contact mode, means of the run
 array start[64]; array kind[64]; array change[64]
 phases = 0; changes = 0; now = NaN; mode = NaN
 on_phase(p) = p == now ? p : \
@@ -56,22 +46,41 @@ on_phase(p) = p == now ? p : \
 on_mode(m) = (m == 1 - mode ? (changes = changes + 1, change[changes] = t(0)) : 0, mode = m)
 stats log using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
 stats log using (t(0)) name "run" nooutput
+stats log using (x("position")):(y("position")) name "plan" nooutput
+stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
+stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
+stats log using (prepare(0)):(feedback(0)) name "solve" nooutput
+air_rmse = sqrt(air_mean_x); ground_rmse = sqrt(ground_mean_x)
 start[phases + 1] = run_max
 
-# Names stand above the uppermost panel, those of short phases a line higher: no overlap.
-shade_phases = "do for [i = 1:phases] { \
-  set object i rectangle from first start[i], graph 0 to first start[i+1], graph 1 \
-    behind fillstyle solid noborder fillcolor rgb phase_colour[kind[i]] }"
+# ---- Pictures: a title and panels between margins in pixels. Each starts from the same settings.
+picture(name, pixels, title) = sprintf("unset multiplot; height = %d.0; gap = 28; \
+  set terminal pngcairo size 1200,%d font 'DejaVu Sans,11'; set output '%s.png'; \
+  set xrange [0:run_max]; set autoscale y; set xtics auto; unset logscale; unset title; \
+  set multiplot title \"%s\" font 'DejaVu Sans Bold,14' offset 0,-0.3", \
+  pixels, pixels, name, title) . "; " . shade_phases . "; " . key_below
+panel(left, right, top, bottom) = sprintf("set lmargin at screen %g; set rmargin at screen %g; \
+  set tmargin at screen %g; set bmargin at screen %g", \
+  left / 1200.0, 1 - right / 1200.0, 1 - top / height, bottom / height)
+
+# Row `i` of `n` over the time of the whole run, the phases shaded and, in the first row, named:
+# those of short phases a line higher, so that no two names overlap.
+row_top(i, n, below) = 90 + (i - 1) * (height - 90 - below + gap) / n
+row(i, n, right, below) = panel(95, right, row_top(i, n, below), \
+  height - row_top(i + 1, n, below) + gap) . "; set xrange [0:run_max]; " . \
+  (i == n ? "set xlabel 'time [s]'; set format x '%g'" : "unset xlabel; set format x ''") . "; " . \
+  (i == 1 ? name_phases : "unset label")
 name_phases = "do for [i = 1:phases] { \
   set label i phase_name[kind[i]] at first (start[i] + start[i+1]) / 2, graph 1 center \
     offset 0, (start[i+1] - start[i] < 0.035 * run_max ? 1.5 : 0.6) font ',9' textcolor rgb grey }"
-no_names = "do for [i = 1:phases] { unset label i }"
+shade_phases = "do for [i = 1:phases] { \
+  set object i rectangle from first start[i], graph 0 to first start[i+1], graph 1 \
+    behind fillstyle solid noborder fillcolor rgb phase_colour[kind[i]] }"
+key_below = "set key on vertical maxrows 1 at screen 0.5, 24 / height center"
 
 # ---- 3-D: the reference wide and pale below, the flown way thin above
-stats log using (x("position")):(y("position")) name "plan" nooutput
-eval picture("trajectory_3d", 800)
-set title "Flown trajectory of the centre of mass" font title_font offset 0,-1.5
-set key at screen 0.5,0.08 center maxrows 1
+eval picture("trajectory_3d", 800, "Flown trajectory of the centre of mass")
+unset object
 set view 62,32,1.75; set view equal xyz; set xyplane at 0; set border 127 + 256 + 512 lc rgb pale
 set xrange [plan_min_x - 0.2 : plan_max_x + 0.2]; set yrange [plan_min_y - 0.2 : plan_max_y + 0.2]
 set zrange [0:*]
@@ -80,161 +89,137 @@ set xtics 0.5 offset 0,-0.3; set ytics 0.5 offset 0.3,-0.2; set ztics 0.5
 splot log using (x("reference")):(y("reference")):(z("reference")) with lines \
         lc rgb "#CFCFCF" lw 7 title "reference", \
       "" using (only(!in(3) && !in(5), x("position"))):(y("position")):(z("position")) \
-        with lines lc rgb ink lw 2 title "take-off, hover, landing", \
+        with lines ls 2 lc rgb ink title "take-off, hover, landing", \
       "" using (only(in(3), x("position"))):(y("position")):(z("position")) \
         with lines ls 2 lc rgb blue title "in the air", \
       "" using (only(in(5), x("position"))):(y("position")):(z("position")) \
         with lines ls 2 lc rgb red title "on the ground"
-unset title; set border 3 lc rgb grey; set key maxrows auto inside
-set xtics auto offset 0,0; set ytics auto offset 0,0; set ylabel offset 0,0
-set xlabel offset 0,0.3; set xrange [0:run_max]; set autoscale y
-eval shade_phases
+set border 3 lc rgb grey; set xtics offset 0,0; set ytics auto offset 0,0
+set xlabel offset 0,0.3; set ylabel offset 0,0
 
 # ---- Tracking error
-stats log using (only(in(3), distance_mm(0)**2)) name "air" nooutput
-stats log using (only(in(5), distance_mm(0)**2)) name "ground" nooutput
-eval picture("tracking_error", 1000)
-eval panels(3, 0.975, "Tracking error: flown minus reference position, world frame")
-eval name_phases; eval no_times
-set key bottom right
+eval picture("tracking_error", 1000, "Tracking error: flown minus reference position, world frame")
+eval row(1, 3, 30, 65)
+set key horizontal inside bottom right maxrows auto
 set ylabel "horizontal error [mm]"
 plot for [a = 1:2] log using (t(0)):(error_mm(a)) with lines ls 1 lc rgb axis_colour[a] \
   title axis_name[a]
-eval no_names
+eval row(2, 3, 30, 65)
 set ylabel "vertical error [mm]"
 plot log using (t(0)):(error_mm(3)) with lines ls 1 lc rgb axis_colour[3] title axis_name[3]
-eval with_times
+eval row(3, 3, 30, 65)
 set ylabel "distance to reference [mm]"; set logscale y; set yrange [0.1:*]
 plot log using (t(0)):(distance_mm(0)) with lines ls 1 lc rgb ink notitle, \
-     "" using (t(0)):(only(in(3), sqrt(air_mean))) with lines lw 3 lc rgb blue \
-       title sprintf("RMSE in the air %.1f mm (paper: 52 mm)", sqrt(air_mean)), \
-     "" using (t(0)):(only(in(5), sqrt(ground_mean))) with lines lw 3 lc rgb red \
-       title sprintf("RMSE on the ground %.1f mm (paper: 145 mm)", sqrt(ground_mean))
-unset multiplot; unset logscale y; set autoscale y
+     "" using (t(0)):(only(in(3), air_rmse)) with lines lw 3 lc rgb blue \
+       title sprintf("RMSE in the air %.1f mm (paper: 52 mm)", air_rmse), \
+     "" using (t(0)):(only(in(5), ground_rmse)) with lines lw 3 lc rgb red \
+       title sprintf("RMSE on the ground %.1f mm (paper: 145 mm)", ground_rmse)
 
 # ---- Height and contact: the whole run, below it each change of the contact mode enlarged
-eval picture("height_and_contact", 900)
-eval multi("Height of the centre of mass and contact with the ground")
-set lmargin at screen 0.08; set rmargin at screen 0.975
-set tmargin at screen 0.88; set bmargin at screen 0.5
-eval name_phases; eval with_times
-set key at screen 0.5,0.03 center maxrows 1
+eval picture("height_and_contact", 950, "Height of the centre of mass and contact with the ground")
+eval row(1, 1, 30, 490)
 set ylabel "height [m]"; set yrange [0:*]; set y2range [0:1]
+flown(condition, scale) = only(condition, scale * z("position"))
 plot log using (t(0)):(column("on_ground") * 0.05) axes x1y2 with fillsteps lc rgb sand \
-       title "controller's contact mode: on the ground", \
+       title "controller's contact mode", \
      "" using (t(0)):(z("reference")) with lines lc rgb pale lw 5 title "reference", \
-     "" using (t(0)):(only(!touching(0), z("position"))) with lines ls 2 lc rgb blue \
-       title "flown, wheels free", \
-     "" using (t(0)):(only(touching(0), z("position"))) with lines ls 2 lc rgb red \
-       title "flown, wheels touch"
-eval no_names; unset object
-set tmargin at screen 0.41; set bmargin at screen 0.14; set autoscale y
-do for [i = 1:changes > 4 ? 4 : changes] {
-  set lmargin at screen 0.08 + (i - 1) * 0.23; set rmargin at screen 0.08 + (i - 1) * 0.23 + 0.205
-  set xrange [change[i] - 0.5 : change[i] + 1]; set xtics 0.5
+     "" using (t(0)):(flown(!touching(0), 1)) with lines ls 2 lc rgb blue title "wheels free", \
+     "" using (t(0)):(flown(touching(0), 1)) with lines ls 2 lc rgb red title "wheels touch"
+unset object; unset label; unset key; set xtics 0.5; set yrange [*:*<250]
+do for [i = 1:(changes > 4 ? 4 : changes)] {
+  eval panel(95 + (i - 1) * 281.7, 1105 - (i - 1) * 281.7 - 230, 555, 110)
+  set xrange [change[i] - 0.5 : change[i] + 1]
   set title sprintf("mode changes at %.2f s", change[i]) offset 0,-0.6
-  if (i == 1) { set ylabel "height [mm]" } else { unset ylabel }
-  plot log using (t(0)):(column("on_ground")) axes x1y2 with fillsteps lc rgb sand notitle, \
-     "" using (t(0)):(1e3 * z("reference")) with lines lc rgb pale lw 5 notitle, \
-     "" using (t(0)):(only(!touching(0), 1e3 * z("position"))) with lines ls 2 lc rgb blue notitle, \
-     "" using (t(0)):(only(touching(0), 1e3 * z("position"))) with lines ls 2 lc rgb red notitle
+  set ylabel (i == 1 ? "height [mm]" : "")
+  plot log using (t(0)):(column("on_ground")) axes x1y2 with fillsteps lc rgb sand, \
+       "" using (t(0)):(1e3 * z("reference")) with lines lc rgb pale lw 5, \
+       "" using (t(0)):(flown(!touching(0), 1e3)) with lines ls 2 lc rgb blue, \
+       "" using (t(0)):(flown(touching(0), 1e3)) with lines ls 2 lc rgb red
 }
-eval end_multi; eval shade_phases
 
 # ---- External wrench. The estimate is a low-pass of the truth: ranges that fit the estimate keep
-# it readable, and only the truth's contact impacts are cut.
-eval picture("external_wrench", 1300)
-eval panels(6, 0.975, "External wrench in the body frame: estimated (dark), true (pale, impacts cut)")
-eval name_phases; eval no_times
-set key top center
+# it readable, and only the truth's contact impacts are cut. Whichever is noisier lies below.
+eval picture("external_wrench", 1300, "External force and torque in the body frame: true and \
+estimated (which also holds the model's errors)")
+is_true(layer, i) = (layer == 0) == (i <= 3)
+source(layer, i) = is_true(layer, i) ? "external_" : "estimated_"
 do for [i = 1:6] {
-  a = i > 3 ? i - 3 : i
+  a = (i - 1) % 3 + 1
   what = (i > 3 ? "torque_nm_" : "force_n_").axis_name[a]
+  set xrange [0:run_max]; set autoscale y
   stats log using (column("estimated_".what)) name "span" nooutput
-  set yrange [span_min - 0.2 * (span_max - span_min) : span_max + 0.2 * (span_max - span_min)]
-  set ylabel (i > 3 ? "M_".axis_name[a]." [N m]" : "F_".axis_name[a]." [N]")
-  if (i == 6) { eval with_times }
-  plot log using (t(0)):(column("external_".what)) with lines lw 3 lc rgb pale title "true", \
-       "" using (t(0)):(column("estimated_".what)) with lines ls 1 lc rgb axis_colour[a] \
-         title "estimated"
-  eval no_names
+  set yrange [span_min - 0.15 * (span_max - span_min) : span_max + 0.15 * (span_max - span_min)]
+  set ylabel sprintf(i > 3 ? "M_%s [N m]" : "F_%s [N]", axis_name[a])
+  eval row(i, 6, 30, 100)
+  plot for [layer = 0:1] log using (t(0)):(column(source(layer, i).what)) with lines ls 1 \
+    lc rgb (is_true(layer, i) ? ink : red) title (is_true(layer, i) ? "true" : "estimated")
+  unset key
 }
-unset multiplot; set autoscale y
 
-# ---- Tilt angles; beside each the two seconds around its largest servo lag
-eval picture("tilt_angles", 1200)
-eval multi("Tilt angles of the arms")
-set key at screen 0.5,0.025 center
-eval name_phases; eval no_times
+# ---- Tilt angles, and beside each the two seconds around its largest servo lag
+eval picture("tilt_angles", 1200, "Tilt angles of the arms, and the largest servo lags enlarged")
+set key width 2; gap = 45
 do for [r = 1:4] {
+  set xrange [0:run_max]; set autoscale y; set xtics auto
   stats log using (t(0)):(abs(tilt_deg("command", r) - tilt_deg("true", r))) name "lag" nooutput
-  set tmargin at screen 1.11 - 0.205 * r; set bmargin at screen 0.93 - 0.205 * r
-  if (r == 4) { eval with_times }
   do for [zoom = 0:1] {
-    set lmargin at screen zoom ? 0.74 : 0.08; set rmargin at screen zoom ? 0.975 : 0.68
-    if (zoom) { set xrange [lag_pos_max_y - 1 : lag_pos_max_y + 1]; unset ylabel } \
-    else { set xrange [0:run_max]; set ylabel rotor_name[r]." [deg]" }
-    plot log using (t(0)):(tilt_deg("command", r)) with lines lw 3 lc rgb pale \
-           title "commanded", \
-         "" using (t(0)):(tilt_deg("true", r)) with lines ls 2 lc rgb rotor_colour[r] \
+    eval row(r, 4, zoom ? 30 : 385, 100)
+    if (zoom) {
+      set lmargin at screen 0.74; unset label; unset ylabel; set format x "%g"
+      set xrange [lag_pos_max_y - 1 : lag_pos_max_y + 1]; set xtics 0.5
+    } else { set ylabel rotor_name[r]." [deg]" }
+    plot log using (t(0)):(tilt_deg("command", r)) with lines lw 3 lc rgb pale title "commanded", \
+         "" using (t(0)):(tilt_deg("true", r)) with lines lw 2.5 lc rgb rotor_colour[r] \
            title "true", \
-         "" using (t(0)):(tilt_deg("model", r)) with lines ls 1 dt 2 lc rgb ink \
-           title "modelled by the controller"
-    eval no_names; unset key
+         "" using (t(0)):(tilt_deg("model", r)) with lines ls 1 dt 2 lc rgb ink title "modelled"
+    unset key
   }
 }
-eval end_multi
 
 # ---- Rotor speeds
-eval picture("rotor_speeds", 900)
-eval panels(2, 0.975, "Rotor speeds")
-eval name_phases; eval no_times
-set key bottom center
+eval picture("rotor_speeds", 900, "Rotor speeds")
+eval row(1, 2, 30, 90)
 set ylabel "speed [rad/s]"; set yrange [0:*]
 plot for [r = 1:4] log using (t(0)):(speed(r)) with lines ls 1 lc rgb rotor_colour[r] \
   title rotor_name[r]
-eval no_names; eval with_times
+unset key
+eval row(2, 2, 30, 90)
 set ylabel "speed minus mean of the four [rad/s]"; set autoscale y
 plot for [r = 1:4] log using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
-  lc rgb rotor_colour[r] title rotor_name[r]
-unset multiplot
+  lc rgb rotor_colour[r]
 
-# ---- Power: means over the two figure eights, as the paper's
-power(_) = column("power_w")
-stats log using (only(in(3), power(0))) name "air" nooutput
-stats log using (only(in(5), power(0))) name "ground" nooutput
+# ---- Power, and its means over the two figure eights as the paper has them
 paper_air = 653.64; paper_ground = 47.38
-eval picture("power", 800)
-eval panels(1, 0.975, sprintf("Electrical power: driving takes %.1f %% of flying (paper: %.1f %%)", \
-  100 * ground_mean / air_mean, 100 * paper_ground / paper_air))
-eval name_phases
-set key at screen 0.975,0.02 right
+eval picture("power", 800, sprintf("Electrical power: driving takes %.1f %% of what flying takes \
+(paper: %.1f %%)", 100 * ground_mean_y / air_mean_y, 100 * paper_ground / paper_air))
+eval row(1, 1, 30, 65)
+set key vertical at graph 0.66, graph 0.5 center maxrows auto
 set ylabel "power [W]"; set yrange [0:*]
-middle(phase) = (only(in(phase), t(0)))
-plot log using (t(0)):(power(0)) with lines ls 1 lc rgb pale title "power", \
-     "" using (t(0)):(only(in(3), air_mean)) with lines lw 3 lc rgb blue \
-       title sprintf("mean in the air %.1f W", air_mean), \
-     "" using (t(0)):(only(in(5), ground_mean)) with lines lw 3 lc rgb red \
-       title sprintf("mean on the ground %.1f W", ground_mean), \
-     paper_air lc rgb blue dt 2 title sprintf("paper %.2f W", paper_air), \
-     paper_ground lc rgb red dt 2 title sprintf("paper %.2f W", paper_ground)
-eval no_names
-unset multiplot; set autoscale y
+plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
+     "" using (t(0)):(only(in(3), air_mean_y)) with lines lw 3.5 lc rgb blue \
+       title sprintf("mean in the air: %.2f W", air_mean_y), \
+     paper_air lc rgb blue lw 1.2 dt 2 title sprintf("paper: %.2f W", paper_air), \
+     "" using (t(0)):(only(in(5), ground_mean_y)) with lines lw 3.5 lc rgb red \
+       title sprintf("mean on the ground: %.2f W", ground_mean_y), \
+     paper_ground lc rgb red lw 1.2 dt 2 title sprintf("paper: %.2f W", paper_ground)
 
-# ---- Solve times: when, and how many ticks take longer (log axes: a few ticks are preempted)
-eval picture("solve_times", 1000)
-eval multi("Time of the controller's solve")
-set lmargin at screen 0.08; set rmargin at screen 0.975
-set tmargin at screen 0.88; set bmargin at screen 0.52
-eval name_phases; eval with_times
-set key top right; set logscale y; set yrange [1:20000]; set ylabel "time [{/Symbol m}s]"
-plot log using (t(0)):(column("prepare_us")) with points pt 7 ps 0.3 lc rgb blue notitle, \
-     "" using (t(0)):(column("feedback_us")) with points pt 7 ps 0.3 lc rgb red notitle, \
-     NaN with points pt 7 lc rgb blue title "prepare (before the measurement)", \
-     NaN with points pt 7 lc rgb red title "feedback (measurement to command)"
-eval no_names; unset object
-set tmargin at screen 0.43; set bmargin at screen 0.09
-set xrange [1:20000]; set logscale x; set xlabel "time [{/Symbol m}s]"; set yrange [*:*]
-stats log using (column("prepare_us")) name "prepare" nooutput
-stats log using (column("feedback_us")) name "feedback" nooutput
-eval end_multi
+# ---- Solve times: when, and how many ticks take longer. Logarithmic axes keep both the usual tick
+# and the few in which the operating system ran something else.
+eval picture("solve_times", 1000, "Computing time of the controller per tick")
+eval row(1, 1, 30, 510)
+set ylabel "time [{/Symbol m}s]"; set yrange [1:20000]; set logscale y
+plot log using (t(0)):(prepare(0)) with points pt 7 ps 0.3 lc rgb blue notitle, \
+     "" using (t(0)):(feedback(0)) with points pt 7 ps 0.3 lc rgb red notitle, \
+     NaN with points pt 7 lc rgb blue title sprintf( \
+       "prepare, before the measurement: median %.1f {/Symbol m}s", solve_median_x), \
+     NaN with points pt 7 lc rgb red title sprintf( \
+       "feedback, measurement to command: median %.1f {/Symbol m}s", solve_median_y)
+unset object; unset label; unset key
+eval panel(95, 30, 570, 110)
+# The share of what is larger is the cumulative distribution of the negative.
+set xrange [0:-4.3]; set yrange [5e-5:1.2]; set xlabel "time [{/Symbol m}s]"
+set xtics ("1" 0, "10" -1, "100" -2, "1000" -3, "10000" -4)
+set ytics ("100" 1, "10" 0.1, "1" 0.01, "0.1" 0.001, "0.01" 0.0001)
+set ylabel "ticks that take at least as long [%]"
+plot log using (-log10(prepare(0))):(1) smooth cnorm with lines ls 2 lc rgb blue, \
+     "" using (-log10(feedback(0))):(1) smooth cnorm with lines ls 2 lc rgb red

