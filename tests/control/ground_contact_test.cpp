@@ -12,14 +12,20 @@ const Wrench<> lift{Eigen::Vector3d(0.3, -0.2, 14.0), Eigen::Vector3d(0.1, 0.2, 
 const WheelParameters wheels{0.11, 0.2};
 const Wrench<> breeze{Eigen::Vector3d(0.1, 0.2, -0.3), Eigen::Vector3d(0.01, 0.02, 0.03)};
 
-WheeledFlightNode node_at(double height) {
+// The node of a reference at `height` for an upright vehicle of 2 kg, or another orientation.
+WheeledFlightNode node_at(const GroundContact& contact, double height,
+                          double side_acceleration = 0.0,
+                          const Eigen::Quaterniond& orientation = Eigen::Quaterniond::Identity()) {
+  ReferencePoint point;
+  point.position.z() = height;
+  point.acceleration.y() = side_acceleration;
   WheeledFlightNode node;
-  node.reference.position.z() = height;
+  contact.apply(orientation, 2.0, point, node);
   return node;
 }
 
 TEST(GroundContact, ModeHasHysteresis) {
-  GroundContact contact(wheels);  // radius 0.11, enter 0.01, leave 0.03
+  GroundContact contact(wheels);  // radius 0.11, enter 0.005, leave 0.03
   contact.update(0.11, {});
   EXPECT_TRUE(contact.on_ground());
   contact.update(0.135, {});  // between the thresholds: as before
@@ -28,7 +34,7 @@ TEST(GroundContact, ModeHasHysteresis) {
   EXPECT_FALSE(contact.on_ground());
   contact.update(0.125, {});
   EXPECT_FALSE(contact.on_ground());
-  contact.update(0.115, {});
+  contact.update(0.114, {});
   EXPECT_TRUE(contact.on_ground());
   EXPECT_EQ(contact.mode_changes(), 2);
 }
@@ -46,14 +52,12 @@ TEST(GroundContact, ForcesOfTheGroundStayOnTheGround) {
   contact.update(1.0, breeze);
   contact.update(0.11, lift);
   EXPECT_EQ(contact.air_wrench().force, breeze.force);
-  WheeledFlightNode air = node_at(0.5), ground = node_at(0.11);
-  contact.apply(Eigen::Quaterniond::Identity(), air);
-  contact.apply(Eigen::Quaterniond::Identity(), ground);
+  const WheeledFlightNode air = node_at(contact, 0.5), ground = node_at(contact, 0.11);
   EXPECT_FALSE(air.on_ground);
   EXPECT_EQ(air.external.force, breeze.force);
   EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
   EXPECT_TRUE(ground.on_ground);
-  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, -0.2, 0.0));
+  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 0.0, 0.0));
   EXPECT_EQ(ground.external.torque, Eigen::Vector3d(0.0, 0.2, 0.3));
   EXPECT_EQ(ground.freedom.linear, Eigen::Vector3d(1, 1, 0));
   EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
@@ -63,9 +67,22 @@ TEST(GroundContact, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
   GroundContact contact(wheels);
   const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
   contact.update(0.11, {pitched.conjugate() * Eigen::Vector3d(0.3, -0.2, 14.0), {0, 0, 0}});
-  WheeledFlightNode node = node_at(0.11);
-  contact.apply(pitched, node);
-  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0.3, -0.2, 0.0)).norm(), 1e-12);
+  const WheeledFlightNode node = node_at(contact, 0.11, 0.0, pitched);
+  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0.3, 0.0, 0.0)).norm(), 1e-12);
+}
+
+TEST(GroundContact, TheWheelsGiveTheSideForceOfACurveWhateverIsEstimated) {
+  GroundContact contact(wheels);
+  contact.update(0.11, lift);
+  EXPECT_DOUBLE_EQ(node_at(contact, 0.11, 1.5).external.force.y(), 3.0);
+}
+
+TEST(GroundContact, CloseToTheGroundTheAirsWrenchIsNotLearnt) {
+  GroundContact contact(wheels);
+  contact.update(0.5, breeze);
+  contact.update(0.13, lift);  // in the air still, but the wheels may touch already
+  EXPECT_FALSE(contact.on_ground());
+  EXPECT_EQ(contact.air_wrench().force, breeze.force);
 }
 
 TEST(GroundContact, LeavingTheGroundIsToldOnceAndKeepsTheAirsWrench) {

@@ -1,3 +1,4 @@
+#include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/allocation.hpp>
 
 #include <gtest/gtest.h>
@@ -548,6 +549,53 @@ TEST(Allocation, RatesAreFiniteAtZeroThrustAndZeroForNonsense) {
   }
 }
 
+/// Largest error [N] of the force that lagging actuators apply on a smooth path of wrenches.
+double lag_error(double lag_compensation) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  AllocationParameters parameters;
+  parameters.lag_compensation = lag_compensation;
+  const Allocation allocation(vehicle, parameters);
+  ActuatorModel<4> actuators(vehicle);
+  ActuatorState<4> last = hovering(vehicle);
+  actuators.reset(last, 0.0);
+  double error = 0.0;
+  for (int i = 0; i < 2000; ++i) {
+    const double time = 0.002 * i;
+    Wrench<> wanted, rate;
+    wanted.force << 3.0 * std::sin(3.0 * time), 0.0, 15.0 + std::cos(2.0 * time);
+    rate.force << 9.0 * std::cos(3.0 * time), 0.0, -2.0 * std::sin(2.0 * time);
+    const auto result = allocation.allocate(wanted, rate, last);
+    const Wrench<> applied = allocation.wrench(actuators.update(time, result.command));
+    if (time > 1.0) error = std::max(error, (applied.force - wanted.force).norm());
+    last = result.command;
+  }
+  return error;
+}
+
+TEST(Allocation, CommandsThatRunAheadUndoTheLagOfTheActuators) {
+  const double lagging = lag_error(0.0);
+  EXPECT_GT(lagging, 0.3);
+  EXPECT_LT(lag_error(1.0), 0.1 * lagging);
+  EXPECT_NEAR(lag_error(0.5), 0.5 * lagging, 0.15 * lagging);
+}
+
+TEST(Allocation, CommandsThatRunAheadStayWithinLimits) {
+  const Vehicle<4> vehicle = with_range(-1.0, 1.0);
+  const Allocation allocation(vehicle);
+  Random random(18);
+  ActuatorState<4> last;
+  for (int i = 0; i < 20000; ++i) {
+    const Wrench<> wanted = random_wrench(random, 15.0, 1.0);
+    const Wrench<> rate = random_wrench(random, i % 2 == 0 ? 1e300 : 500.0, 500.0);
+    const auto result = allocation.allocate(wanted, rate, last);
+    expect_within_limits(vehicle, result.command);
+    last = result.command;
+  }
+  const auto rejected = allocation.allocate({Vector3d(nan, 0.0, 0.0), Vector3d::Zero()}, {}, last);
+  EXPECT_EQ(rejected.status, Status::rejected);
+  EXPECT_EQ(rejected.command.tilt_angle, last.tilt_angle);
+}
+
 TEST(Allocation, NonFiniteInputIsRejectedAndTheLastCommandRepeated) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation allocation(vehicle);
@@ -613,6 +661,11 @@ TEST(Allocation, ConstructionRefusesWhatItCannotServe) {
   AllocationParameters parameters;
   parameters.hold_thrust = 0.0;
   EXPECT_THROW(Allocation(tilt_ropter_vehicle(), parameters), std::invalid_argument);
+  for (const double bad : {-0.1, 1.1, nan}) {
+    parameters = {};
+    parameters.lag_compensation = bad;
+    EXPECT_THROW(Allocation(tilt_ropter_vehicle(), parameters), std::invalid_argument);
+  }
 }
 
 }  // namespace

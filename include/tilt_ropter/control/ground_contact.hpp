@@ -3,6 +3,7 @@
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
 
@@ -14,11 +15,11 @@
 namespace tilt_ropter {
 
 struct GroundContactSettings {
-  double enter_height = 0.010;        ///< lower than this above the radius: on the ground [m]
+  double enter_height = 0.005;        ///< lower than this above the radius: on the ground [m]
   double leave_height = 0.030;        ///< higher than this: in the air [m]
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
-      0.25;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+      0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
 };
 
 inline void validate(const GroundContactSettings& s) {
@@ -53,7 +54,7 @@ class GroundContact {
     if (on_ground_ != was_on_ground && started_) ++mode_changes_;
     const bool lifted_off = was_on_ground && !on_ground_;
     started_ = true;
-    if (!on_ground_ && !lifted_off) air_wrench_ = external;
+    if (!on_ground_ && clearance > settings_.leave_height && !lifted_off) air_wrench_ = external;
     if (on_ground_) ground_wrench_ = external;
     return lifted_off;
   }
@@ -65,21 +66,24 @@ class GroundContact {
   /// External wrench last seen in the air, body frame.
   [[nodiscard]] const Wrench<>& air_wrench() const { return air_wrench_; }
 
-  /// Fills delta, freedom and external wrench of a node whose reference is set; `orientation` is
-  /// the vehicle's now, body -> world.
-  void apply(const Eigen::Quaterniond& orientation, WheeledFlightNode& node) const {
-    node.on_ground = on_ground_ && is_ground_reference(node.reference.position.z());
+  /// Fills delta, freedom and external wrench of a node whose reference is `point`; `orientation`
+  /// is the vehicle's now, body -> world, `mass` what it weighs [kg].
+  void apply(const Eigen::Quaterniond& orientation, double mass, const ReferencePoint& point,
+             WheeledFlightNode& node) const {
+    node.on_ground = on_ground_ && is_ground_reference(point.position.z());
     node.freedom = {};
     node.external = air_wrench_;
     if (!node.on_ground) return;
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
     // thrust up. So the vertical and the roll are held, and their share of the estimate is left
-    // out.
+    // out. Along the axle it is the same: any side force and the wheels' own add up to what the
+    // curve needs, so the wheels are told to give all of it.
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
     Eigen::Vector3d horizontal = orientation * ground_wrench_.force;
     horizontal.z() = 0.0;
     node.external.force = orientation.conjugate() * horizontal;
+    node.external.force.y() = mass * (point.orientation.conjugate() * point.acceleration).y();
     node.external.torque = ground_wrench_.torque;
     node.external.torque.x() = 0.0;
   }

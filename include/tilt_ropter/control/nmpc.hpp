@@ -147,7 +147,7 @@ class Nmpc {
 
   void set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
-    contact_.apply(body_state_.orientation, node);
+    contact_.apply(body_state_.orientation, body_.mass, point, node);
     node.wrench_reference = {};
     if (!settings_.wrench_feedforward) {
       node.wrench_reference.force.z() =
@@ -162,7 +162,7 @@ class Nmpc {
     feedforward.torque = body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) -
                          node.external.torque;
     if (node.on_ground) {
-      // The wheels give the force along the axle, the ground the vertical one and the roll torque.
+      // The wheels give the side force, the ground the vertical one and the roll torque.
       feedforward.force.y() = 0.0;
       feedforward.force.z() = settings_.ground.down_force;
       feedforward.torque.x() = 0.0;
