@@ -1,8 +1,8 @@
-# Draws the hybrid mission: reads hybrid_mission.csv in the current directory and writes the
-# pictures beside it. Columns are taken by name, and whatever depends on the run (the phases, the
-# means, the ranges, the windows that are enlarged) is found in the data.
+# Draws the hybrid mission: reads hybrid_mission.csv and solve_times.csv in the current directory and
+# writes the pictures beside them. Columns are taken by name, and whatever depends on the run (the
+# phases, the means, the ranges, the windows that are enlarged) is found in the data.
 
-log = "hybrid_mission.csv"
+log = "hybrid_mission.csv"; times = "solve_times.csv"
 set datafile separator ","
 set datafile columnheaders
 
@@ -44,12 +44,12 @@ phases = 0; changes = 0; now = NaN; mode = NaN
 on_phase(p) = p == now ? p : \
   (phases = phases + 1, start[phases] = t(0), kind[phases] = p + 1, now = p)
 on_mode(m) = (m == 1 - mode ? (changes = changes + 1, change[changes] = t(0)) : 0, mode = m)
+stats times using (prepare(0)):(feedback(0)) name "solve" nooutput
 stats log using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
 stats log using (t(0)) name "run" nooutput
 stats log using (x("position")):(y("position")) name "plan" nooutput
 stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
 stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
-stats log using (prepare(0)):(feedback(0)) name "solve" nooutput
 air_rmse = sqrt(air_mean_x); ground_rmse = sqrt(ground_mean_x)
 start[phases + 1] = run_max
 
@@ -208,7 +208,7 @@ plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
 eval picture("solve_times", 1000, "Computing time of the controller per tick")
 eval row(1, 1, 30, 510)
 set ylabel "time [{/Symbol m}s]"; set yrange [1:20000]; set logscale y
-plot log using (t(0)):(prepare(0)) with points pt 7 ps 0.3 lc rgb blue notitle, \
+plot times using (t(0)):(prepare(0)) with points pt 7 ps 0.3 lc rgb blue notitle, \
      "" using (t(0)):(feedback(0)) with points pt 7 ps 0.3 lc rgb red notitle, \
      NaN with points pt 7 lc rgb blue title sprintf( \
        "prepare, before the measurement: median %.1f {/Symbol m}s", solve_median_x), \
@@ -221,5 +221,5 @@ set xrange [0:-4.3]; set yrange [5e-5:1.2]; set xlabel "time [{/Symbol m}s]"
 set xtics ("1" 0, "10" -1, "100" -2, "1000" -3, "10000" -4)
 set ytics ("100" 1, "10" 0.1, "1" 0.01, "0.1" 0.001, "0.01" 0.0001)
 set ylabel "ticks that take at least as long [%]"
-plot log using (-log10(prepare(0))):(1) smooth cnorm with lines ls 2 lc rgb blue, \
+plot times using (-log10(prepare(0))):(1) smooth cnorm with lines ls 2 lc rgb blue, \
      "" using (-log10(feedback(0))):(1) smooth cnorm with lines ls 2 lc rgb red

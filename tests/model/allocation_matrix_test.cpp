@@ -90,7 +90,7 @@ TEST(AllocationMatrix, TooFewColumnsAndCoincidentRotorsAreRefused) {
 }
 
 TEST(AllocationMatrix, RankDoesNotDependOnTheSizeOfTheVehicle) {
-  for (const double scale : {1e-3, 1.0, 1e3}) {
+  for (const double scale : {1e-8, 1.0, 1e8}) {
     Vehicle<4> vehicle = tilt_ropter_vehicle(), flat = flat_quadrotor();
     vehicle.rotor.torque_ratio *= scale;
     flat.rotor.torque_ratio *= scale;

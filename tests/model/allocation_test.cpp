@@ -367,6 +367,48 @@ TEST(Allocation, AtTheEndOfTheRangeTheEquivalentAngleInsideIsTaken) {
   }
 }
 
+/// Largest change of the commanded thrust vectors [N] per length of path, along random straight
+/// paths as long as the wanted wrench is reached.
+template <int Rotors>
+double steepest(const Vehicle<Rotors>& vehicle, double force, double torque, int steps) {
+  const Allocation allocation(vehicle);
+  Random random(3);
+  double slope = 0.0;
+  for (int run = 0; run < 30; ++run) {
+    const Wrench<> from = random_wrench(random, force, torque);
+    const Wrench<> to = random_wrench(random, force, torque);
+    ActuatorState<Rotors> last;
+    Eigen::Matrix<double, 2 * Rotors, 1> thrusts, before;
+    before.setZero();
+    bool reached = false;
+    for (int i = 0; i <= steps; ++i) {
+      const double s = static_cast<double>(i) / steps;
+      const auto result = allocation.allocate(
+          {(1.0 - s) * from.force + s * to.force, (1.0 - s) * from.torque + s * to.torque}, last);
+      for (int k = 0; k < Rotors; ++k) {
+        const double angle = result.command.tilt_angle(k);
+        const double thrust =
+            thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor.thrust_coefficient);
+        thrusts.template segment<2>(2 * k) << thrust * std::sin(angle), thrust * std::cos(angle);
+      }
+      const bool reached_before = reached;
+      reached = result.status == Status::ok || result.status == Status::null_space_used;
+      if (reached && reached_before) slope = std::max(slope, (thrusts - before).norm() * steps);
+      before = thrusts;
+      last = result.command;
+    }
+  }
+  return slope;
+}
+
+TEST(Allocation, NullSpaceIsUsedContinuously) {
+  // A jump would show as a slope that grows with the number of steps.
+  const Vehicle<8> octocopter = omnidirectional_octocopter();
+  EXPECT_LT(steepest(octocopter, 12.0, 1.0, 4000), 1.2 * steepest(octocopter, 12.0, 1.0, 500));
+  const Vehicle<4> narrow = with_range(-0.5 * pi, 0.5 * pi);
+  EXPECT_LT(steepest(narrow, 15.0, 1.0, 8000), 1.2 * steepest(narrow, 15.0, 1.0, 500));
+}
+
 /// Largest change per step of the commanded thrust vectors [N] along random straight paths into
 /// what is out of reach.
 double largest_jump(const Vehicle<4>& vehicle, int steps, int& limited) {

@@ -32,12 +32,16 @@ struct AllocationParameters {
   /// Share of the actuators' time constants by which commands run ahead of a moving wrench, so that
   /// first-order lags arrive with it: 1 inverts them, 0 leaves them.
   double lag_compensation = 1.0;
+  /// Thrust below which an angle runs ahead by less, falling with the thrust's square: its rate is
+  /// mostly noise there, and lags matter little. As a share of one rotor's thrust in hover.
+  double calm_share = 0.1;
 };
 
 inline void validate(const AllocationParameters& p) {
   require_positive("AllocationParameters.hold_thrust [N]", p.hold_thrust);
   require(p.lag_compensation >= 0.0 && p.lag_compensation <= 1.0,
           "AllocationParameters.lag_compensation", p.lag_compensation, "in [0, 1]");
+  require_positive("AllocationParameters.calm_share", p.calm_share);
 }
 
 /// What to command, what wrench it gives, and what of the wanted wrench it does not: wanted =
@@ -96,6 +100,7 @@ class Allocation {
         servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
         rotor_lead_(Scalar(parameters.lag_compensation * vehicle.rotor.time_constant)),
         max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
+        calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
         hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))) {
     const AllocationMatrix<Rotors> allocation(vehicle);
     matrix_ = allocation.matrix.template cast<Scalar>();
@@ -179,8 +184,13 @@ class Allocation {
     AllocationResult<Rotors, Scalar> result = allocate(wanted, last);
     if (result.status == AllocationStatus::rejected) return result;
     const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
-    result.command.tilt_angle +=
-        servo_lead_ * ahead.tilt_rate.cwiseMax(-max_tilt_rate_).cwiseMin(max_tilt_rate_);
+    for (int i = 0; i < Rotors; ++i) {
+      const Scalar thrust =
+          thrust_from_speed(result.command.rotor_speed(i), rotor_.thrust_coefficient);
+      const Scalar calm = std::min(Scalar(1), thrust / calm_thrust_);
+      const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
+      result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
+    }
     result.command.rotor_speed += rotor_lead_ * ahead.rotor_acceleration;
     result.command = within_limits(result.command);
     return result;
@@ -252,7 +262,7 @@ class Allocation {
 
   Limits limits_;
   RotorParameters rotor_;
-  Scalar servo_lead_, rotor_lead_, max_tilt_rate_;
+  Scalar servo_lead_, rotor_lead_, max_tilt_rate_, calm_thrust_;
   Scalar hold_thrust_;
   Scalar max_force_{};
   Scalar max_torque_{};
@@ -311,14 +321,7 @@ AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
   column(components) = size;
   if (size > Scalar(0)) column /= std::sqrt(Scalar(2)) * size;
   y.setZero();
-  if (!limits_.largest_share(Point::Zero(), torque, {directions, nullptr, size}, share, y, x))
-    return AllocationStatus::limited;
-
-  // A hair less torque, so that rounding leaves room for the largest share of the force.
-  torque *= share * Scalar(1.0 - 1e-6);
-  y(y.size() - 1) = Scalar(0);
-  const Point without_share = x;
-  if (!limits_.largest_share(torque, force, plain, share, y, x)) x = without_share;
+  limits_.largest_share(Point::Zero(), torque, {directions, nullptr, size}, share, y, x);
   return AllocationStatus::limited;
 }
 
