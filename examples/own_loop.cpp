@@ -6,7 +6,8 @@
 
 using namespace tilt_ropter;
 
-int main() {
+int main(int argc, char**) {
+  if (argc > 1) return std::puts("usage: own_loop    (hovers for 10 s, says how; no options)"), 0;
   const Vehicle<4> vehicle = tilt_ropter_vehicle();  // or your own
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
   ActuatorModel<4> actuators(vehicle);               // where the servos are, without encoders

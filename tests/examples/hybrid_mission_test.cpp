@@ -1,6 +1,7 @@
 // The main job flown by the example program as a user runs it, judged by what it prints.
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <cstdio>
@@ -17,16 +18,16 @@ namespace fs = std::filesystem;
 
 const std::string program = HYBRID_MISSION_PROGRAM;  // set by CMake
 
-struct Run {
+struct Flight {
   int exit_code = -1;
   std::map<std::string, double> figures;
   std::string output, csv;
 };
 
-Run run(const std::string& arguments) {
-  Run result;
+Flight run(const std::string& arguments) {
+  Flight result;
   const fs::path directory =
-      fs::path(testing::TempDir()) / ("hybrid_mission_" + std::to_string(std::rand()));
+      fs::path(testing::TempDir()) / ("hybrid_mission_" + std::to_string(getpid()));
   const std::string command =
       "'" + program + "' --output '" + directory.string() + "' " + arguments + " 2>&1";
   FILE* pipe = popen(command.c_str(), "r");
@@ -48,8 +49,8 @@ Run run(const std::string& arguments) {
   return result;
 }
 
-const Run& flown() {
-  static const Run result = run("--no-pictures --seed 1");
+const Flight& flown() {
+  static const Flight result = run("--no-pictures --seed 1");
   return result;
 }
 
@@ -94,13 +95,13 @@ TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {
 }
 
 TEST(HybridMission, HelpAndBadArguments) {
-  const Run help = run("--help");
+  const Flight help = run("--help");
   EXPECT_EQ(help.exit_code, 0);
   EXPECT_NE(help.output.find("--mass-error"), std::string::npos);
-  const Run bad = run("--mass-error -3");
+  const Flight bad = run("--mass-error -3");
   EXPECT_NE(bad.exit_code, 0);
   EXPECT_NE(bad.output.find("--mass-error"), std::string::npos);
-  const Run unwritable = run("--output /proc/nowhere --no-pictures");
+  const Flight unwritable = run("--output /proc/nowhere --no-pictures");
   EXPECT_NE(unwritable.exit_code, 0);
 }
 

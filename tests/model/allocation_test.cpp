@@ -638,6 +638,20 @@ TEST(Allocation, CommandsThatRunAheadStayWithinLimits) {
   EXPECT_EQ(rejected.command.tilt_angle, last.tilt_angle);
 }
 
+TEST(Allocation, CommandsRunAheadLessWhereThrustIsSmall) {
+  AllocationParameters eager, calm;
+  eager.calm_share = 1e-6;
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  // A hundredth of hover: a tenth of the thrust at which calm begins.
+  const Wrench<> faint{Vector3d(0.0, 0.0, 0.01 * vehicle.body.mass * gravity), Vector3d::Zero()};
+  const Wrench<> sideways{Vector3d(0.2, 0.0, 0.0), Vector3d::Zero()};
+  const double full =
+      Allocation(vehicle, eager).allocate(faint, sideways, {}).command.tilt_angle(0);
+  EXPECT_GT(std::abs(full), 0.01);
+  EXPECT_NEAR(Allocation(vehicle, calm).allocate(faint, sideways, {}).command.tilt_angle(0),
+              0.01 * full, 1e-9);
+}
+
 TEST(Allocation, NonFiniteInputIsRejectedAndTheLastCommandRepeated) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation allocation(vehicle);

@@ -357,7 +357,7 @@ TEST(FigureEight, RefusesBadParametersByName) {
     EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
   };
   using P = FigureEightParameters;
-  refused("FigureEightParameters.center [m] = (0; nan; 0): must be finite in every entry",
+  refused("FigureEightParameters.center [m] = (0, nan, 0): must be finite in every entry",
           [=](P& p) { p.center.y() = nan; });
   refused("amplitude.x [m] = 0: must be between 0.01 and 10000",
           [](P& p) { p.amplitude.x() = 0.0; });

@@ -226,7 +226,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
     EXPECT_NE(message.find(expected), std::string::npos) << message;
   };
   using P = HybridMissionParameters;
-  refused("HybridMissionParameters.origin [m] = (nan; 0): must be finite in every entry",
+  refused("HybridMissionParameters.origin [m] = (nan, 0): must be finite in every entry",
           [=](P& p) { p.origin.x() = nan; });
   refused(".yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
   refused(".direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
@@ -299,7 +299,7 @@ TEST(Mission, RefusesNothingAndBadTimes) {
   EXPECT_EQ(message_of([] {
               return Hold({{0.0, 0.0, std::numeric_limits<double>::infinity()}, 0.0}, 1.0);
             }),
-            "Hold.place.position [m] = (0; 0; inf): must be finite in every entry");
+            "Hold.place.position [m] = (0, 0, inf): must be finite in every entry");
   EXPECT_EQ(message_of([] {
               return Mission({{MissionPhase::hover, Hold(here, 1.0)}},
                              std::numeric_limits<double>::quiet_NaN());

@@ -252,7 +252,7 @@ TEST(Transition, RefusesBadParametersByName) {
     EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
   };
   using P = TransitionParameters;
-  refused("TransitionParameters.from.position [m] = (nan; 0; 0): must be finite in every entry",
+  refused("TransitionParameters.from.position [m] = (nan, 0, 0): must be finite in every entry",
           [=](P& p) { p.from.position.x() = nan; });
   refused("TransitionParameters.to.yaw [rad] = nan: must be finite", [=](P& p) { p.to.yaw = nan; });
   refused("start_time [s] = nan: must be finite", [=](P& p) { p.start_time = nan; });
