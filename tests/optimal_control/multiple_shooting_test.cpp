@@ -248,10 +248,10 @@ TEST(MultipleShooting, SettingsOutOfRangeAreRefusedByName) {
   s.tolerance = std::numeric_limits<double>::quiet_NaN();
   EXPECT_NE(message(s).find("SolverSettings.tolerance"), std::string::npos);
   s = {};
-  s.max_active_rows = -1;
-  EXPECT_NE(message(s).find("SolverSettings.max_active_rows = -1"), std::string::npos);
+  s.program.max_active_rows = -1;
+  EXPECT_NE(message(s).find("QuadraticProgramSettings.max_active_rows = -1"), std::string::npos);
   s = {};
-  s.dual.max_evaluations = 0;
+  s.program.dual.max_evaluations = 0;
   EXPECT_NE(message(s).find("DualSettings.max_evaluations"), std::string::npos);
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/math/validation.hpp>
+
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 
@@ -26,9 +28,14 @@ enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp
 
 struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
-  int max_evaluations = 500;  ///< of the dual's gradient in one call of NLopt
-  double tolerance = 1e-9;    ///< on the scaled projected gradient of an accepted solution
+  int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
+  double tolerance = 1e-9;   ///< on the scaled projected gradient of an accepted solution
 };
+
+inline void validate(const DualSettings& s) {
+  require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
+  require_positive("DualSettings.tolerance", s.tolerance);
+}
 
 /// Minimiser of the dual above, with room for `capacity` rows. NLopt allocates in each call (its
 /// workspace, about 100 kB with the vector storage set here); nothing else does after construction.
@@ -45,6 +52,7 @@ class DualSolver {
         iterate_(capacity),
         gradient_(capacity),
         candidate_(capacity),
+        step_(capacity),
         lower_(Eigen::VectorXd::Zero(capacity)),
         reduced_(capacity),
         free_(static_cast<std::size_t>(capacity)) {}
@@ -90,7 +98,7 @@ class DualSolver {
     void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
   };
   using Optimizer = std::unique_ptr<nlopt_opt_s, Destroy>;
-  static constexpr int max_rounds = 3;
+  static constexpr int max_rounds = 20, max_passes = 20;
   static constexpr unsigned vector_storage = 8;  // NLopt's own choice takes 21 MB a call
 
   static nlopt_algorithm algorithm(DualAlgorithm name) {
@@ -166,58 +174,60 @@ class DualSolver {
     return projected_gradient(iterate_.head(size_), gradient_.head(size_));
   }
 
-  /// Newton's method on the rows that iterate_ holds free, to rounding: what NLopt finds to a few
-  /// digits, a Cholesky factorisation of the free rows finishes. Keeps iterate_ unless it gets
-  /// better.
+  /// Projected Newton steps (Bertsekas 1982) from iterate_, each with its own Cholesky
+  /// factorisation of the rows that are not held at a bound: what NLopt finds to a few digits, and
+  /// what the last multipliers are off by, this finishes to rounding. Never increases the dual's
+  /// objective.
   void refine(double tolerance) {
-    double best = residual();
-    for (int pass = 0; pass < 4 && best > tolerance; ++pass) {
+    for (int pass = 0; pass < max_passes && residual() > tolerance; ++pass) {
+      const double before = objective_at(iterate_, gradient_);
       int free = 0;
-      candidate_.head(size_) = iterate_.head(size_);
+      step_.head(size_).setZero();
       for (int i = 0; i < size_; ++i) {
         const double next = iterate_(i) - gradient_(i);
-        if (next <= 0.0)
-          candidate_(i) = 0.0;
-        else if (next >= upper_(i))
-          candidate_(i) = upper_(i);
+        if (next <= 0.0 || next >= upper_(i))
+          step_(i) = -gradient_(i);
         else
           free_[static_cast<std::size_t>(free++)] = i;
       }
-      if (free == 0) return;
-      for (int i = 0; i < free; ++i) candidate_(free_[static_cast<std::size_t>(i)]) = 0.0;
-      gradient_.head(size_).noalias() =
-          hessian_.topLeftCorner(size_, size_).lazyProduct(candidate_.head(size_));
       for (int j = 0; j < free; ++j) {
         const int column = free_[static_cast<std::size_t>(j)];
-        reduced_(j) = linear_(column) - gradient_(column);
+        reduced_(j) = -gradient_(column);
         for (int i = j; i < free; ++i)
           factor_(i, j) = hessian_(free_[static_cast<std::size_t>(i)], column);
       }
-      Eigen::Ref<Eigen::MatrixXd> block = factor_.topLeftCorner(free, free);
-      const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> cholesky(block);
-      if (cholesky.info() != Eigen::Success) break;
-      cholesky.matrixL().solveInPlace(reduced_.head(free));
-      cholesky.matrixU().solveInPlace(reduced_.head(free));
-      for (int i = 0; i < free; ++i) {
-        const int row = free_[static_cast<std::size_t>(i)];
-        candidate_(row) = std::min(std::max(reduced_(i), 0.0), upper_(row));
+      if (free > 0) {
+        Eigen::Ref<Eigen::MatrixXd> block = factor_.topLeftCorner(free, free);
+        const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> cholesky(block);
+        if (cholesky.info() != Eigen::Success) return;
+        cholesky.matrixL().solveInPlace(reduced_.head(free));
+        cholesky.matrixU().solveInPlace(reduced_.head(free));
+        for (int i = 0; i < free; ++i) step_(free_[static_cast<std::size_t>(i)]) = reduced_(i);
       }
-      if (!candidate_.head(size_).allFinite()) break;
+      bool better = false;
+      for (double length = 1.0; length > 1e-4 && !better; length *= 0.5) {
+        candidate_.head(size_) = (iterate_.head(size_) + length * step_.head(size_))
+                                     .cwiseMax(0.0)
+                                     .cwiseMin(upper_.head(size_));
+        gradient_.head(size_).noalias() =
+            hessian_.topLeftCorner(size_, size_).lazyProduct(candidate_.head(size_));
+        gradient_.head(size_) -= linear_.head(size_);
+        better = objective_at(candidate_, gradient_) < before;
+      }
+      if (!better) return;
       iterate_.head(size_).swap(candidate_.head(size_));
-      const double now = residual();
-      if (!(now < best)) {
-        iterate_.head(size_).swap(candidate_.head(size_));
-        residual();
-        return;
-      }
-      best = now;
     }
+  }
+
+  /// The dual's objective where its gradient is known.
+  [[nodiscard]] double objective_at(const Eigen::VectorXd& x, const Eigen::VectorXd& g) const {
+    return 0.5 * x.head(size_).dot(g.head(size_) - linear_.head(size_));
   }
 
   DualSettings settings_;
   std::vector<Optimizer> optimizers_;  // by size, made when first needed
   Eigen::MatrixXd hessian_, factor_;
-  Eigen::VectorXd linear_, upper_, scale_, iterate_, gradient_, candidate_, lower_, reduced_;
+  Eigen::VectorXd linear_, upper_, scale_, iterate_, gradient_, candidate_, step_, lower_, reduced_;
   std::vector<int> free_;
   int size_ = 0;
   double stop_ = 0.0;

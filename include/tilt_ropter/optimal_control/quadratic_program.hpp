@@ -1,0 +1,262 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/optimal_control/riccati.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <vector>
+
+/// The quadratic program of one SQP step: the linear-quadratic problem of Riccati with two-sided
+/// rows lower <= value + C dx + E du <= upper at every node, each with a price for violating it.
+namespace tilt_ropter {
+
+struct QuadraticProgramSettings {
+  double row_tolerance = 1e-9;  ///< violation that makes a row join the working set
+  int max_active_rows = 150;    ///< room of the working set
+  int max_rounds = 20;          ///< of adding rows
+  double sigma = 1e9;           ///< quadratic part of the penalty on violated rows
+  DualSettings dual;
+};
+
+inline void validate(const QuadraticProgramSettings& s) {
+  require_positive("QuadraticProgramSettings.row_tolerance", s.row_tolerance);
+  require(s.max_active_rows > 0, "QuadraticProgramSettings.max_active_rows", s.max_active_rows,
+          "> 0");
+  require(s.max_rounds > 0, "QuadraticProgramSettings.max_rounds", s.max_rounds, "> 0");
+  require_positive("QuadraticProgramSettings.sigma", s.sigma);
+  validate(s.dual);
+}
+
+/// Rows of one node.
+template <int States, int Inputs, int Rows>
+struct NodeRows {
+  using Values = Eigen::Matrix<double, Rows, 1>;
+  Values value = Values::Zero();  ///< at the point of linearisation
+  Eigen::Matrix<double, Rows, States> C = Eigen::Matrix<double, Rows, States>::Zero();
+  Eigen::Matrix<double, Rows, Inputs> E = Eigen::Matrix<double, Rows, Inputs>::Zero();
+  Values lower = Values::Zero(), upper = Values::Zero();  ///< infinite: no bound
+  Values penalty = Values::Zero();  ///< L1 price of a violation: bound on the multiplier
+  /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
+  Values multiplier = Values::Zero();
+  Values predicted = Values::Zero();  ///< value + C dx + E du at the solution
+};
+
+/// Solves by the dual of the rows that matter (the working set): a row's gradient with respect to
+/// the coordinates z of Riccati comes from one adjoint sweep, all rows in one batch; NLopt solves
+/// for the multipliers; a forward sweep shows which rows the solution violates; they join, and so
+/// on. The rows that had a multiplier last time are the first working set, and their gradients need
+/// no measurement: they are prepare()'s.
+template <int States, int Inputs, int Rows>
+class QuadraticProgram {
+ public:
+  using Tangent = Eigen::Matrix<double, States, 1>;
+  using Input = Eigen::Matrix<double, Inputs, 1>;
+  using Values = Eigen::Matrix<double, Rows, 1>;
+  using Node = NodeRows<States, Inputs, Rows>;
+
+  /// Allocates everything for `horizon` intervals; settings must be valid.
+  QuadraticProgram(int horizon, const QuadraticProgramSettings& settings)
+      : settings_(settings),
+        horizon_(horizon),
+        riccati_(horizon),
+        nodes_(static_cast<std::size_t>(horizon) + 1),
+        dx_(nodes_.size(), Tangent::Zero()),
+        du_(nodes_.size(), Input::Zero()),
+        in_set_(nodes_.size()),
+        capacity_(std::min(settings.max_active_rows, 2 * Rows * (horizon + 1))),
+        dual_(capacity_, settings.dual),
+        gradients_(Inputs * horizon, capacity_),
+        adjoints_(States, capacity_),
+        products_(States + Inputs, capacity_),
+        gram_(capacity_, capacity_),
+        offsets_(capacity_),
+        bounds_(capacity_),
+        multipliers_(capacity_),
+        z_(Eigen::VectorXd::Zero(Inputs * horizon)) {
+    active_.reserve(static_cast<std::size_t>(capacity_));
+  }
+
+  [[nodiscard]] RiccatiStage<States, Inputs>& stage(int k) { return riccati_.stage(k); }
+  [[nodiscard]] const RiccatiStage<States, Inputs>& stage(int k) const { return riccati_.stage(k); }
+  [[nodiscard]] Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
+
+  /// Factorises the stages. False if the cost has no minimum.
+  [[nodiscard]] bool factorise() { return riccati_.factorise(); }
+
+  /// The first working set and its gradients; after factorise().
+  void prepare() {
+    active_.clear();
+    for (int k = horizon_; k >= 0; --k)
+      for (int i = 0; i < Rows; ++i) {
+        const double m = node(k).multiplier(i);
+        if (m == 0.0 || size() == capacity_) continue;
+        multipliers_(size()) = std::abs(m);
+        active_.push_back({k, i, m > 0.0 ? 1.0 : -1.0});
+      }
+    add_gradients(0);
+  }
+
+  /// The step dx(k), du(k) and multipliers for the initial step dx0; after prepare(). False if no
+  /// finite solution was found. The multipliers of the last solve stay then.
+  [[nodiscard]] bool solve(const Tangent& dx0) {
+    z_.setZero();
+    sweep(dx0);
+    for (int i = 0; i < size(); ++i) offsets_(i) = violation(row(i));
+    for (rounds_ = 1;; ++rounds_) {
+      const int count = size();
+      if (count > 0) {
+        auto lambda = multipliers_.head(count);
+        if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
+                         bounds_.head(count), lambda))
+          return false;
+        z_.noalias() = -(gradients_.leftCols(count) * lambda);
+        sweep(dx0);
+      }
+      if (rounds_ == settings_.max_rounds || !add_violated_rows()) break;
+    }
+    for (int k = 0; k <= horizon_; ++k)
+      if (!dx(k).allFinite() || !du(k).allFinite()) return false;
+    store_multipliers();
+    return true;
+  }
+
+  [[nodiscard]] const Tangent& dx(int k) const { return dx_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const Input& du(int k) const { return du_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] int rounds() const { return rounds_; }                ///< of the last solve
+  [[nodiscard]] int active_rows() const { return active_rows_; }      ///< rows with a multiplier
+  [[nodiscard]] int given_up_rows() const { return given_up_rows_; }  ///< with the largest possible
+
+ private:
+  /// A row of the working set: component of node k, at its upper (+1) or lower (-1) bound.
+  struct Row {
+    int k, component;
+    double side;
+    [[nodiscard]] std::size_t slot() const {
+      return static_cast<std::size_t>(side > 0.0 ? Rows + component : component);
+    }
+  };
+
+  [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
+  [[nodiscard]] const Row& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
+
+  /// Gradients by z of the rows from `first` on, which are ordered by falling node, by one adjoint
+  /// sweep for all of them, and their part of G G'.
+  void add_gradients(int first) {
+    const int last = size();
+    if (first == last) return;
+    int count = 0;  // rows whose node has been passed
+    for (int k = row(first).k; k >= 0; --k) {
+      if (k < horizon_ && count > 0) {
+        const auto& s = riccati_.stage(k);
+        products_.leftCols(count).noalias() = s.adjoint * adjoints_.leftCols(count);
+        gradients_.block(Inputs * k, first, Inputs, count) =
+            products_.bottomLeftCorner(Inputs, count);
+        adjoints_.leftCols(count) = products_.topLeftCorner(States, count);
+      }
+      for (; first + count < last && row(first + count).k == k; ++count) {
+        const Row& r = row(first + count);
+        auto adjoint = adjoints_.col(count);
+        auto gradient = gradients_.col(first + count);
+        gradient.setZero();
+        adjoint = r.side * node(k).C.row(r.component).transpose();
+        if (k < horizon_) {
+          const auto& s = riccati_.stage(k);
+          Input g = r.side * node(k).E.row(r.component).transpose();
+          if (!g.isZero(0.0)) {
+            s.L.template triangularView<Eigen::Lower>().solveInPlace(g);
+            gradient.template segment<Inputs>(Inputs * k) = g;
+            adjoint.noalias() -= s.Y.transpose() * g;
+          }
+        }
+        bounds_(first + count) = node(k).penalty(r.component);
+      }
+    }
+    gram_.block(first, 0, last - first, last).noalias() =
+        gradients_.middleCols(first, last - first).transpose() * gradients_.leftCols(last);
+    gram_.diagonal().segment(first, last - first).array() += 1.0 / settings_.sigma;
+  }
+
+  /// Linear-quadratic prediction for z.
+  void sweep(const Tangent& dx0) {
+    dx_[0] = dx0;
+    for (int k = 0; k <= horizon_; ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      Node& n = nodes_[i];
+      n.predicted = n.value;
+      n.predicted.noalias() += n.C * dx_[i];
+      if (k == horizon_) break;
+      const auto& s = riccati_.stage(k);
+      du_[i] = riccati_.input_step(k, dx_[i], z_.template segment<Inputs>(Inputs * k));
+      n.predicted.noalias() += n.E * du_[i];
+      dx_[i + 1] = s.defect;
+      dx_[i + 1].noalias() += s.A * dx_[i];
+      dx_[i + 1].noalias() += s.B * du_[i];
+    }
+  }
+
+  [[nodiscard]] double violation(const Row& r) const {
+    const Node& n = node(r.k);
+    return r.side > 0.0 ? n.predicted(r.component) - n.upper(r.component)
+                        : n.lower(r.component) - n.predicted(r.component);
+  }
+
+  /// Rows that the prediction violates join the working set. False if there were none.
+  bool add_violated_rows() {
+    const int first = size();
+    for (auto& flags : in_set_) flags.fill(false);
+    for (const Row& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
+    for (int k = horizon_; k >= 0; --k) {
+      const Node& n = node(k);
+      const Values over = n.predicted - n.upper, under = n.lower - n.predicted;
+      for (int i = 0; i < Rows; ++i) {
+        if (std::max(over(i), under(i)) <= settings_.row_tolerance) continue;
+        const Row r{k, i, over(i) > under(i) ? 1.0 : -1.0};
+        if (in_set_[static_cast<std::size_t>(k)][r.slot()] || size() == capacity_) continue;
+        active_.push_back(r);
+      }
+    }
+    const int last = size();
+    if (first == last) return false;
+    add_gradients(first);
+    for (int i = first; i < last; ++i) {
+      multipliers_(i) = 0.0;
+      // The row's value without any multiplier: its value now less what z contributes.
+      offsets_(i) = violation(row(i)) - gradients_.col(i).dot(z_);
+    }
+    return true;
+  }
+
+  void store_multipliers() {
+    for (Node& n : nodes_) n.multiplier.setZero();
+    active_rows_ = given_up_rows_ = 0;
+    for (int i = 0; i < size(); ++i) {
+      if (!(multipliers_(i) > 0.0)) continue;
+      const Row& r = row(i);
+      node(r.k).multiplier(r.component) += r.side * multipliers_(i);
+      ++active_rows_;
+      if (multipliers_(i) >= bounds_(i)) ++given_up_rows_;
+    }
+  }
+
+  QuadraticProgramSettings settings_;
+  int horizon_;
+  Riccati<States, Inputs> riccati_;
+  std::vector<Node> nodes_;
+  std::vector<Tangent> dx_;
+  std::vector<Input> du_;
+  std::vector<std::array<bool, 2 * static_cast<std::size_t>(Rows)>> in_set_;
+  int capacity_;
+  DualSolver dual_;
+  std::vector<Row> active_;
+  Eigen::MatrixXd gradients_;  // column i: gradient of row i by z
+  Eigen::MatrixXd adjoints_, products_, gram_;
+  Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
+  int rounds_ = 0, active_rows_ = 0, given_up_rows_ = 0;
+};
+
+}  // namespace tilt_ropter
