@@ -67,18 +67,19 @@ class Riccati {
       const Eigen::LLT<Eigen::Matrix<double, Inputs, Inputs>> cholesky(lambda);
       if (cholesky.info() != Eigen::Success) return false;
       s.L = cholesky.matrixL();
-      s.Y = s.cost.lux;
-      s.Y.noalias() += PB_.transpose() * s.A;
-      s.y = s.cost.lu;
-      s.y.noalias() += s.B.transpose() * p_;
-      s.L.template triangularView<Eigen::Lower>().solveInPlace(s.Y);
-      s.L.template triangularView<Eigen::Lower>().solveInPlace(s.y);
-      Bt_ = s.B.transpose();
-      s.L.template triangularView<Eigen::Lower>().solveInPlace(Bt_);
-      s.Bz = Bt_.transpose();
+      // One inverse of the small factor, and products in place of triangular solves.
+      inverse_.setIdentity();
+      s.L.template triangularView<Eigen::Lower>().solveInPlace(inverse_);
+      S_ = s.cost.lux;
+      S_.noalias() += PB_.transpose() * s.A;
+      s.Y.noalias() = inverse_ * S_;
+      Input gradient = s.cost.lu;
+      gradient.noalias() += s.B.transpose() * p_;
+      s.y.noalias() = inverse_ * gradient;
+      s.Bz.noalias() = s.B * inverse_.transpose();
       s.adjoint.template topRows<States>() = s.A.transpose();
-      s.adjoint.template topRows<States>().noalias() -= s.Y.transpose() * Bt_;
-      s.adjoint.template bottomRows<Inputs>() = Bt_;
+      s.adjoint.template topRows<States>().noalias() -= s.Y.transpose() * s.Bz.transpose();
+      s.adjoint.template bottomRows<Inputs>() = s.Bz.transpose();
 
       P_ = s.cost.lxx;
       P_.noalias() += s.A.transpose() * PA_;
@@ -106,7 +107,8 @@ class Riccati {
   std::vector<Stage> stages_;
   Eigen::Matrix<double, States, States> P_, PA_;
   Eigen::Matrix<double, States, Inputs> PB_;
-  Eigen::Matrix<double, Inputs, States> Bt_;
+  Eigen::Matrix<double, Inputs, States> S_;
+  Eigen::Matrix<double, Inputs, Inputs> inverse_;
   Tangent p_;
 };
 
