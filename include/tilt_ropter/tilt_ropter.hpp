@@ -22,6 +22,7 @@
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/mission.hpp>
