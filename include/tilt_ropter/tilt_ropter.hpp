@@ -28,6 +28,8 @@
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/transition.hpp>
+#include <tilt_ropter/simulation/delay_queue.hpp>
+#include <tilt_ropter/simulation/gaussian_noise.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 #include <tilt_ropter/simulation/wheel_contact.hpp>

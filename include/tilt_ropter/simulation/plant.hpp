@@ -4,7 +4,7 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/sensors.hpp>
+#include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/wheel_contact.hpp>
 
 #include <Eigen/Core>

@@ -4,6 +4,8 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/simulation/delay_queue.hpp>
+#include <tilt_ropter/simulation/gaussian_noise.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -12,9 +14,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
-#include <random>
 #include <string>
-#include <vector>
 
 /// Sensors to look at the plant with: noise, bias, rate and delay.
 ///
@@ -30,80 +30,7 @@
 /// that is not finite is not measured.
 namespace tilt_ropter {
 
-/// White Gaussian noise by Marsaglia's polar method, because std::normal_distribution differs from
-/// one standard library to the other.
-class GaussianNoise {
- public:
-  explicit GaussianNoise(std::uint64_t seed) : generator_(seed) {}
-
-  /// A draw of zero mean and unit variance.
-  [[nodiscard]] double draw() noexcept {
-    if (has_spare_) {
-      has_spare_ = false;
-      return spare_;
-    }
-    double u = 0.0, v = 0.0, square = 0.0;
-    do {
-      u = uniform();
-      v = uniform();
-      square = u * u + v * v;
-    } while (square >= 1.0 || square <= 0.0);
-    const double scale = std::sqrt(-2.0 * std::log(square) / square);
-    spare_ = scale * v;
-    has_spare_ = true;
-    return scale * u;
-  }
-
-  /// `Size` independent draws of standard deviation `deviation`.
-  template <int Size>
-  [[nodiscard]] Eigen::Matrix<double, Size, 1> draw(double deviation) noexcept {
-    Eigen::Matrix<double, Size, 1> sample;
-    for (int i = 0; i < Size; ++i) sample(i) = deviation * draw();
-    return sample;
-  }
-
- private:
-  /// In [-1, 1), 53 bits.
-  double uniform() noexcept { return static_cast<double>(generator_() >> 11U) * 0x1.0p-52 - 1.0; }
-
-  std::mt19937_64 generator_;
-  double spare_ = 0.0;
-  bool has_spare_ = false;
-};
-
 namespace detail {
-
-/// First in, first out, each value when its time has come. Holds at most `capacity` values; one
-/// more replaces the newest, so nothing ever waits longer than it should.
-template <typename Value>
-class DelayQueue {
- public:
-  explicit DelayQueue(std::size_t capacity) : entries_(capacity) {}
-
-  void push(double due, const Value& value) noexcept {
-    if (count_ < entries_.size())
-      entries_[(first_ + count_++) % entries_.size()] = {due, value};
-    else
-      entries_[(first_ + count_ - 1) % entries_.size()].value = value;
-  }
-
-  /// The oldest value whose time has come, at most once each. A nanosecond of rounding is forgiven.
-  [[nodiscard]] std::optional<Value> pop(double time) noexcept {
-    if (count_ == 0 || !(entries_[first_].due <= time + 1e-9)) return std::nullopt;
-    const std::size_t oldest = first_;
-    first_ = (first_ + 1) % entries_.size();
-    --count_;
-    return entries_[oldest].value;
-  }
-
- private:
-  struct Entry {
-    double due = 0.0;
-    Value value;
-  };
-  std::vector<Entry> entries_;
-  std::size_t first_ = 0, count_ = 0;
-};
 
 /// What all sensors share: parameters, noise, when to take a measurement and when to hand it out.
 template <typename Parameters, typename Measurement>

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+namespace tilt_ropter::detail {
+
+/// First in, first out, each value when its time has come. Holds at most `capacity` values; one
+/// more replaces the newest, so nothing ever waits longer than it should.
+template <typename Value>
+class DelayQueue {
+ public:
+  explicit DelayQueue(std::size_t capacity) : entries_(capacity) {}
+
+  void push(double due, const Value& value) noexcept {
+    if (count_ < entries_.size())
+      entries_[(first_ + count_++) % entries_.size()] = {due, value};
+    else
+      entries_[(first_ + count_ - 1) % entries_.size()].value = value;
+  }
+
+  /// The oldest value whose time has come, at most once each. A nanosecond of rounding is forgiven.
+  [[nodiscard]] std::optional<Value> pop(double time) noexcept {
+    if (count_ == 0 || !(entries_[first_].due <= time + 1e-9)) return std::nullopt;
+    const std::size_t oldest = first_;
+    first_ = (first_ + 1) % entries_.size();
+    --count_;
+    return entries_[oldest].value;
+  }
+
+ private:
+  struct Entry {
+    double due = 0.0;
+    Value value;
+  };
+  std::vector<Entry> entries_;
+  std::size_t first_ = 0, count_ = 0;
+};
+
+}  // namespace tilt_ropter::detail
