@@ -1,4 +1,5 @@
 #include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include "support/random.hpp"
 
