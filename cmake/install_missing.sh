@@ -3,6 +3,10 @@
 # Installs the Debian packages that are not there yet; asks nothing, downloads nothing otherwise.
 set -euo pipefail
 
+if [[ ${1-} == --help || ${1-} == -h || $# -eq 0 ]]; then
+  sed -n '2,3s/^# //p' "${BASH_SOURCE[0]}"
+  exit 0
+fi
 missing=()
 for package in "$@"; do
   status=$(dpkg-query -W -f='${db:Status-Status}' "$package" 2> /dev/null || true)

@@ -19,6 +19,7 @@
 #include <cstdlib>
 #include <exception>
 #include <filesystem>
+#include <iomanip>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -29,7 +30,7 @@ namespace {
 
 struct Options {
   std::string output = "results";
-  std::uint64_t seed = 1;
+  std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   bool no_pictures = false;
 };
@@ -99,12 +100,12 @@ void show_progress(double time, const Mission& mission) {
 void draw_pictures(const std::string& directory) {
   std::cout << "drawing pictures in " << directory << " (gnuplot)" << std::endl;
   const std::string script = TILT_ROPTER_EXAMPLES_DIR "/hybrid_mission.gp";
-  const std::string command = "cd '" + directory + "' && gnuplot '" + script + "'";
-  if (std::system(command.c_str()) != 0)
+  std::filesystem::current_path(directory);
+  if (std::system(("gnuplot '" + script + "'").c_str()) != 0)
     std::cerr << "no pictures: gnuplot is missing or failed on " << script << '\n';
 }
 
-int fly(const Options& options) {
+void fly(const Options& options) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();  // what the controller believes
   Vehicle<4> truth = vehicle;
   truth.body.mass *= 1.0 + options.mass_error;
@@ -121,9 +122,10 @@ int fly(const Options& options) {
   Plant<4> plant(truth);
   ImuSensorParameters imu_parameters;
   imu_parameters.rate = 1000.0;
-  ImuSensor imu(imu_parameters, options.seed);
-  RotorSpeedSensor<4> rotor_speeds({}, options.seed + 1000);
-  StateSensor state({}, options.seed + 2000);
+  const auto seed = static_cast<std::uint64_t>(options.seed);
+  ImuSensor imu(imu_parameters, seed);
+  RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
+  StateSensor state({}, seed + 2000);
   examples::FlightController controller(vehicle, settings);
   const PowerModel power(truth);
 
@@ -163,10 +165,8 @@ int fly(const Options& options) {
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   std::cerr << "\r100 %" << std::string(50, ' ') << std::endl;
   figures.print(std::cout, controller.nmpc().contact().mode_changes());
-  std::cout << "mission_duration_s: " << mission.duration() << '\n'
+  std::cout << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
             << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
-  if (!options.no_pictures) draw_pictures(options.output);
-  return 0;
 }
 
 }  // namespace
@@ -177,7 +177,9 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", options.output, "directory for the logs and the pictures")
       ->take_last()
       ->capture_default_str();
-  app.add_option("--seed", options.seed, "of the sensors' noise")->capture_default_str();
+  app.add_option("--seed", options.seed, "of the sensors' noise")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
   app.add_option("--mass-error", options.mass_error, "true mass / believed mass - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
@@ -187,7 +189,9 @@ int main(int argc, char** argv) {
   app.add_flag("--no-pictures", options.no_pictures, "write the log only");
   CLI11_PARSE(app, argc, argv);
   try {
-    return fly(options);
+    fly(options);  // the logs are closed when it returns
+    if (!options.no_pictures) draw_pictures(options.output);
+    return 0;
   } catch (const std::exception& error) {
     std::cerr << "hybrid_mission: " << error.what() << '\n';
     return 1;

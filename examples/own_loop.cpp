@@ -3,11 +3,15 @@
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #include <cstdio>
+#include <string>
 
 using namespace tilt_ropter;
 
-int main(int argc, char**) {
-  if (argc > 1) return std::puts("usage: own_loop    (hovers for 10 s, says how; no options)"), 0;
+int main(int argc, char** argv) {
+  if (argc > 1) {
+    std::puts("usage: own_loop    hovers for 10 s and says how; there are no options");
+    return std::string(argv[1]) == "--help" ? 0 : 2;
+  }
   const Vehicle<4> vehicle = tilt_ropter_vehicle();  // or your own
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
   ActuatorModel<4> actuators(vehicle);               // where the servos are, without encoders

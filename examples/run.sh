@@ -33,5 +33,4 @@ cmake --build build-examples --parallel "$(nproc)"
 
 echo "== Flying the hybrid mission"
 build-examples/examples/hybrid_mission --output results "$@"
-echo "== Pictures and log are in $PWD/results:"
-ls results
+echo "== The logs, and the pictures if asked for, are in $PWD/results, unless told otherwise"

@@ -45,7 +45,7 @@ if [[ $benchmark ]]; then
   exit 0
 fi
 
-packages+=(clang libgtest-dev libcli11-dev)
+packages+=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core)
 timeout=300
 if [[ $full ]]; then
   packages+=(clang-tidy)

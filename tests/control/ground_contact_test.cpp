@@ -104,6 +104,17 @@ TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
   EXPECT_EQ(contact.mode_changes(), 0);
 }
 
+TEST(GroundContact, AReferenceIsOneOnTheGroundWithinItsTolerance) {
+  GroundContactSettings settings;
+  settings.reference_tolerance = 2e-3;
+  GroundContact contact(wheels, settings);
+  contact.update(0.11, {});
+  EXPECT_TRUE(node_at(contact, 0.1119).on_ground);
+  EXPECT_TRUE(node_at(contact, 0.1081).on_ground);
+  EXPECT_FALSE(node_at(contact, 0.1121).on_ground);
+  EXPECT_FALSE(node_at(GroundContact(wheels), 0.11).on_ground);  // nothing measured yet
+}
+
 TEST(GroundContact, SettingsOutOfRangeAreRefused) {
   GroundContactSettings s;
   s.leave_height = s.enter_height;

@@ -189,6 +189,37 @@ TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   EXPECT_NEAR(wrench.force.z(), settings.ground.down_force, 0.1);
 }
 
+TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
+  // A plan may give up a bound (here the box of the force shrinks to what the start is out of); the
+  // command may not.
+  NmpcSettings settings;
+  settings.problem.bounds.force_min.z() = 0.0;
+  settings.problem.bounds.force_max.z() = 10.0;  // less than the weight: the safe wrench is cut
+  Nmpc nmpc(vehicle, settings);
+  BodyState<> bad = hovering();
+  bad.position.x() = std::nan("");
+  nmpc.prepare(0.0, hover, {});
+  const NmpcResult cut = nmpc.feedback(0.0, bad);
+  EXPECT_EQ(cut.status, NmpcStatus::no_plan);
+  EXPECT_DOUBLE_EQ(cut.wrench.force.z(), 10.0);
+}
+
+TEST(Nmpc, SoManyFailuresInARowDropTheWarmStart) {
+  const auto iterate_after_failures = [](int failures_before_reset) {
+    NmpcSettings settings;
+    settings.failures_before_reset = failures_before_reset;
+    settings.max_plan_age = 1.0;
+    IdealLoop loop(settings);
+    loop.state.body.position.x() = 0.5;
+    for (int i = 0; i < 30; ++i) (void)loop.tick(hover);
+    for (int i = 0; i < 3; ++i) (void)loop.tick(hover, {}, true);
+    (void)loop.tick(hover);
+    return loop.nmpc.solver().report().kkt;  // of the iterate that the tick started from
+  };
+  // A cold start begins with the whole horizon at the measured state, far from optimal.
+  EXPECT_GT(iterate_after_failures(3), 10.0 * iterate_after_failures(4));
+}
+
 TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
   const auto message = [](const NmpcSettings& settings) -> std::string {
     try {

@@ -22,6 +22,7 @@ struct Flight {
   int exit_code = -1;
   std::map<std::string, double> figures;
   std::string output, csv;
+  int pictures = 0;
 };
 
 Flight run(const std::string& arguments) {
@@ -41,10 +42,13 @@ Flight run(const std::string& arguments) {
       result.figures[line.substr(0, colon)] = std::atof(line.c_str() + colon + 2);
   }
   result.exit_code = pclose(pipe);
+  if (!fs::exists(directory)) return result;
   std::ifstream csv(directory / "hybrid_mission.csv", std::ios::binary);
   std::ostringstream text;
   text << csv.rdbuf();
   result.csv = text.str();
+  for (const auto& entry : fs::directory_iterator(directory))
+    if (entry.path().extension() == ".png" && entry.file_size() > 10000) ++result.pictures;
   fs::remove_all(directory);
   return result;
 }
@@ -92,6 +96,14 @@ TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {
   EXPECT_GT(flown().csv.size(), 1000000u);
   EXPECT_TRUE(run("--no-pictures --seed 1").csv == flown().csv);
   EXPECT_FALSE(run("--no-pictures --seed 2").csv == flown().csv);
+}
+
+TEST(HybridMission, LeavesItsPicturesWithoutAWarning) {
+  if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
+    GTEST_SKIP() << "gnuplot is not installed";
+  const Flight drawn = run("");
+  EXPECT_EQ(drawn.pictures, 8);
+  EXPECT_EQ(drawn.output.find("arning"), std::string::npos) << drawn.output;
 }
 
 TEST(HybridMission, HelpAndBadArguments) {

@@ -97,6 +97,18 @@ TEST(Rotation, DerivativeOfExpAtZeroIsHalfTheRotationVector) {
   EXPECT_LT((jacobian - expected).norm(), 1e-15);
 }
 
+TEST(Rotation, RightJacobianIsTheDerivativeOfExpInTheBodyFrame) {
+  for (const Vector3d& theta : rotation_vectors()) {
+    const Eigen::Matrix3d truth = test_support::jacobian_at_zero<3, 3>([&](const auto& dual) {
+      using Dual = test_support::Dual<3>;
+      const Vector3<Dual> shifted = theta.cast<Dual>() + dual;
+      const Eigen::Quaternion<Dual> from = quaternion_exp(theta).conjugate().cast<Dual>();
+      return quaternion_log(Eigen::Quaternion<Dual>(from * quaternion_exp(shifted)));
+    });
+    EXPECT_LT((right_jacobian(theta) - truth).norm(), 1e-13) << theta.transpose();
+  }
+}
+
 TEST(Rotation, SkewIsTheCrossProduct) {
   test_support::Random random(4);
   for (int i = 0; i < 100; ++i) {

@@ -151,6 +151,25 @@ TEST(MultipleShooting, InfeasibleStartIsSolvedAndSaysWhatWasGivenUp) {
   EXPECT_GT(report.max_violation, 0.1);
 }
 
+TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
+  const auto violation_at = [](double row_penalty) {
+    WheeledFlightSettings settings;
+    settings.row_penalty = row_penalty;
+    WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+    for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);
+    Solver solver(problem);
+    solver.reset(step_start());
+    EXPECT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
+    double largest = 0.0;
+    for (int k = 0; k <= problem.horizon(); ++k)
+      largest = std::max(largest, solver.row_multipliers(k).cwiseAbs().maxCoeff());
+    EXPECT_LE(largest, row_penalty);
+    return solver.report().max_violation;
+  };
+  EXPECT_LT(violation_at(1e4), 1e-6);
+  EXPECT_GT(violation_at(1.0), 1e-2);  // cheaper than keeping it
+}
+
 TEST(MultipleShooting, NonFiniteStartIsRejectedAndChangesNothing) {
   Solver solver(step_problem());
   solver.reset(step_start());

@@ -26,6 +26,7 @@ enum class NmpcStatus {
   no_plan,        ///< no plan, or it has run out: the safe wrench
 };
 
+/// What the controller can be told; the defaults fly the reference vehicle.
 struct NmpcSettings {
   WheeledFlightSettings problem;
   SolverSettings solver;
@@ -58,6 +59,7 @@ inline void validate(const NmpcSettings& s) {
   return s;
 }
 
+/// What leaves the controller.
 struct NmpcResult {
   NmpcStatus status = NmpcStatus::no_plan;
   Wrench<> wrench;         ///< to command now, body frame; finite and within the bounds
@@ -66,6 +68,8 @@ struct NmpcResult {
   SolveReport report;      ///< of the solver; of the last one if it was not called
 };
 
+/// prepare(), then measure, then feedback(), at any rate. In between, and whenever a measurement or
+/// a solve is bad, the last plan goes on; never more than the bounds leaves it.
 template <int Rotors = 4>
 class Nmpc {
  public:

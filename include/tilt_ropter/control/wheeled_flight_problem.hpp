@@ -108,6 +108,9 @@ struct WheeledFlightNode {
   bool on_ground = false;     ///< the paper's delta: non-holonomic conditions apply here
 };
 
+/// A problem as MultipleShooting takes it: 18 tangent coordinates (dF, dM, dp, dv, dtheta, dw), 6
+/// inputs (dF/dt, dM/dt), 15 rows (F, M, w, dF/dt, dM/dt), 3 ground conditions. The nodes'
+/// references and external wrenches are set from outside before each solve.
 class WheeledFlightProblem {
  public:
   static constexpr int states = 18, inputs = 6, rows = 15, equalities = 3;
@@ -148,6 +151,12 @@ class WheeledFlightProblem {
   }
   [[nodiscard]] D::Tangent difference(const State& y, const State& x) const {
     return tilt_ropter::difference(y, x);
+  }
+  /// d difference(retract(x, dx + e), retract(x, dx)) / de, for FullSpace.
+  [[nodiscard]] D::A retract_derivative(const State&, const D::Tangent& dx) const {
+    D::A derivative = D::A::Identity();
+    derivative.block<3, 3>(12, 12) = right_jacobian(dx.segment<3>(12));
+    return derivative;
   }
 
   [[nodiscard]] State step(int k, const State& x, const D::Input& u) const {

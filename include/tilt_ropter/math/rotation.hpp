@@ -73,6 +73,31 @@ template <typename Scalar>
   return (sign * scale) * q.vec();
 }
 
+/// Right Jacobian of SO(3): Exp(theta + e) = Exp(theta) Exp(J e) to first order in e
+/// (Solà, Eq. 143).
+template <typename Derived>
+[[nodiscard]] Matrix3<typename Derived::Scalar> right_jacobian(
+    const Eigen::MatrixBase<Derived>& theta) {
+  using std::sin;
+  using std::sqrt;
+  using Scalar = typename Derived::Scalar;
+  const Scalar square = theta.squaredNorm();
+  Scalar first, second;  // (1 - cos) / angle^2 and (angle - sin) / angle^3
+  if (square < Scalar(1e-6)) {
+    first = Scalar(0.5) - square / Scalar(24) + square * square / Scalar(720);
+    second = Scalar(1) / Scalar(6) - square / Scalar(120) + square * square / Scalar(5040);
+  } else {
+    const Scalar angle = sqrt(square);
+    const Scalar half_sine = sin(angle / Scalar(2));
+    first = Scalar(2) * half_sine * half_sine / square;
+    second = (angle - sin(angle)) / (square * angle);
+  }
+  const Matrix3<Scalar> cross = skew(theta);
+  Matrix3<Scalar> jacobian = second * cross * cross - first * cross;
+  jacobian.diagonal().array() += Scalar(1);
+  return jacobian;
+}
+
 /// Quaternion of a rotation by `yaw` [rad] about world z.
 template <typename Scalar>
 [[nodiscard]] Eigen::Quaternion<Scalar> quaternion_from_yaw(const Scalar& yaw) {

@@ -29,6 +29,7 @@ struct BodyDerivative {
   Vector3<Scalar> angular_acceleration;   ///< body frame [rad/s^2]
 };
 
+/// The model that the controller predicts with: F and M integrate their rates, the body follows.
 template <typename Scalar = double>
 class RigidBody {
  public:

@@ -30,6 +30,7 @@ enum class SolveStatus {
   rejected,         ///< the initial state is not finite; nothing was changed
 };
 
+/// Limits and tolerances; the defaults serve problems whose cost is of order 1 to 10^4.
 struct SolverSettings {
   int max_iterations = 100;        ///< of solve()
   double max_time = 1.0;           ///< of solve(), looked at between iterations [s]
@@ -69,6 +70,7 @@ struct SolveReport {
   double linearise_us = 0.0, factorise_us = 0.0, rows_us = 0.0;  ///< parts of prepare [us]
 };
 
+/// Owns the problem, the trajectory and the workspace. Two solvers share nothing.
 template <typename Problem>
 class MultipleShooting {
  public:

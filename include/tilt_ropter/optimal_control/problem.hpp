@@ -2,32 +2,37 @@
 
 #include <Eigen/Core>
 
+// clang-format off
 /// What a multiple-shooting problem is made of. A problem is any type `Problem` with
 ///
-///     static constexpr int states, inputs, rows, equalities;  // tangent dimension, counts per
-///     node using State = ...;                                       // a point of the state
-///     manifold using D = ProblemDimensions<Problem>;                    // vector and matrix types
-///     below
+///     static constexpr int states, inputs;    // dimensions of the tangent space and of the input
+///     static constexpr int rows, equalities;  // counts per node
+///     using State = ...;                      // a point of the state manifold
+///     using D = ProblemDimensions<Problem>;   // the vector and matrix types below
 ///
-///     int horizon() const;                                     // number of intervals N
-///     State retract(const State& x, const D::Tangent& dx) const;           // x (+) dx
-///     D::Tangent difference(const State& y, const State& x) const;         // y (-) x
+///     int horizon() const;                                          // number of intervals N
+///     State retract(const State& x, const D::Tangent& dx) const;    // x (+) dx
+///     D::Tangent difference(const State& y, const State& x) const;  // y (-) x
 ///
 ///     // end of interval k (0 <= k < N); the second one adds its derivative
 ///     State step(int k, const State& x, const D::Input& u) const;
 ///     State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const;
 ///
-///     // cost of node k (k = N: terminal, u is zero and means nothing) and its Gauss-Newton model
+///     // cost of node k (k = N: terminal, u is zero and means nothing) and its Gauss-Newton model;
+///     // what the model does not set stays as it was, zero at first
 ///     double cost(int k, const State& x, const D::Input& u) const;
-///     void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<...>& model) const;
+///     void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<nx, nu>& m) const;
 ///
-///     // rows: lower <= c(x, u) <= upper; an infinite bound is no bound
+///     // rows: lower <= c(x, u) <= upper; an infinite bound is no bound; the penalty bounds a
+///     // row's multiplier: the price of violating it by one unit
 ///     D::Rows row_values(int k, const State& x, const D::Input& u) const;
-///     void row_derivatives(int k, const State& x, const D::Input& u, D::RowsX& C, D::RowsU& E)
-///     const; const D::Rows& lower(int k) const;    const D::Rows& upper(int k) const; const
-///     D::Rows& penalty(int k) const;  // bound on a multiplier: the price of violating a row
+///     void row_derivatives(int k, const State& x, const D::Input& u,
+///                          D::RowsX& C, D::RowsU& E) const;
+///     const D::Rows& lower(int k) const;
+///     const D::Rows& upper(int k) const;
+///     const D::Rows& penalty(int k) const;
 ///
-///     // only if equalities > 0: h(x) = 0, weighted; a weight of zero switches the row off
+///     // only if equalities > 0: h(x) = 0 by weight; a weight of zero switches the row off
 ///     D::Equalities equality_values(int k, const State& x) const;
 ///     void equality_derivatives(int k, const State& x, D::EqualitiesX& H) const;
 ///     D::Equalities equality_weights(int k) const;
@@ -35,6 +40,7 @@
 /// All derivatives with respect to the state are in tangent coordinates, d/d(dx) of f(x (+) dx) at
 /// dx = 0. None of these functions may throw or allocate; they may return non-finite numbers, which
 /// the solver reports as a failure.
+// clang-format on
 namespace tilt_ropter {
 
 /// Vector and matrix types of a problem.
