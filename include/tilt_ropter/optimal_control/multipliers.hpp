@@ -81,7 +81,8 @@ class DualSolver {
 
     const double tolerance =
         settings_.tolerance * (1.0 + linear_.head(size_).cwiseAbs().maxCoeff());
-    refine(tolerance);
+    // The last multipliers are nearly right; without any, NLopt finds the rows that hold first.
+    if (iterate_.head(size_).maxCoeff() > 0.0) refine(tolerance);
     for (int round = 0; round < max_rounds && !optimize(tolerance); ++round) refine(tolerance);
     if (!iterate_.head(size_).allFinite()) return false;
     lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_)).cwiseMin(rho);

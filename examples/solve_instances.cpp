@@ -1,0 +1,384 @@
+// Solves instances of the benchmark's optimal-control problem from a CSV file, each from cold, and
+// writes what came out: to compare this solver with another, or with itself a month ago.
+//
+// In, a header line and one instance a line (see support/instances.hpp):
+//   id                       any text without a comma
+//   bounds                   paper or wide
+//   Fe_x Fe_y Fe_z           external force that the controller knows, body frame [N]
+//   Me_x Me_y Me_z           external torque, likewise [N m]
+//   F_x ... M_z              initial state: force [N] and torque [N m] of the rotors, body frame,
+//   p_x ... v_z              position [m] and velocity [m/s], world frame,
+//   q_w q_x q_y q_z          orientation, body to world; normalised when read,
+//   w_x w_y w_z              angular velocity, body frame [rad/s]
+//   ref_p_x ... ref_q_z      reference, constant over the horizon: position, velocity, orientation
+// Out, a header line and one line for each instance that could be read:
+//   id, status               converged, iteration_limit, time_limit, stalled, failed or rejected
+//   cost                     of the plan
+//   u0_1 ... u0_6            its first input: dF [N/s], then dM [N m/s]
+//   iterations, kkt          of the solver, and the KKT residual it reports
+//   max_violation            of the bounds, and
+//   max_defect               of continuity, recomputed here without the solver
+//   median_us                wall time of a solve [us]
+
+#include "support/instances.hpp"
+
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <unistd.h>
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <exception>
+#include <fstream>
+#include <iomanip>
+#include <iostream>
+#include <map>
+#include <random>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using Solver = MultipleShooting<WheeledFlightProblem>;
+
+struct Options {
+  std::string input, output;
+  double tolerance = 1e-6;
+  int repeat = 1, max_iterations = SolverSettings{}.max_iterations;
+  int generate = 0;
+  std::uint64_t seed = 1;
+  bool histogram = false;
+};
+
+constexpr const char* help_footer = R"(
+Columns in, header line required:
+  id,bounds(paper|wide), external wrench Fe_x..Fe_z [N], Me_x..Me_z [N m] (body frame),
+  initial state F_x..F_z [N], M_x..M_z [N m] (body frame), p_x..p_z [m], v_x..v_z [m/s] (world),
+  q_w,q_x,q_y,q_z (body to world), w_x..w_z [rad/s] (body), and the constant reference
+  ref_p_x..ref_p_z, ref_v_x..ref_v_z, ref_q_w,ref_q_x,ref_q_y,ref_q_z. In full:
+)";
+
+constexpr const char* help_footer_end = R"(
+Columns out:
+  id,status,cost,u0_1..u0_6 (dF [N/s], dM [N m/s]),iterations,kkt,max_violation,max_defect,median_us
+
+Exit code: 0 all lines were read, 1 some were not (standard error says which and why; the others are
+solved), 2 a file could not be read or written, above 100 wrong options.)";
+
+constexpr double mass = 1.5;  // [kg]
+
+WheeledFlightProblem benchmark_problem(examples::InstanceBounds bounds) {
+  RigidBodyParameters body;
+  body.mass = mass;
+  body.inertia = Eigen::Vector3d(0.0137, 0.0143, 0.0246).asDiagonal();
+  WheeledFlightSettings settings;  // the defaults are the benchmark's: N, weights, wide bounds
+  if (bounds == examples::InstanceBounds::paper) settings.bounds = paper_bounds();
+  return WheeledFlightProblem(body, {}, settings);
+}
+
+const char* to_string(SolveStatus status) {
+  switch (status) {
+    case SolveStatus::converged:
+      return "converged";
+    case SolveStatus::iterated:
+      return "iterated";
+    case SolveStatus::iteration_limit:
+      return "iteration_limit";
+    case SolveStatus::time_limit:
+      return "time_limit";
+    case SolveStatus::stalled:
+      return "stalled";
+    case SolveStatus::failed:
+      return "failed";
+    case SolveStatus::rejected:
+      return "rejected";
+  }
+  return "unknown";
+}
+
+/// The largest of the numbers seen; NaN if one of them was.
+struct Largest {
+  double value = 0.0;
+  void add(double x) {
+    if (!std::isnan(value) && !(x <= value)) value = x;
+  }
+};
+
+/// Cost of a plan and how far it is from being one, from the problem's plain functions alone.
+struct Audit {
+  double cost = 0.0;
+  Largest defect, violation;
+
+  Audit(const Solver& solver, const State<>& start) {
+    const WheeledFlightProblem& problem = solver.problem();
+    const auto add_defect = [this](const StateTangent<>& gap) {
+      for (Eigen::Index i = 0; i < gap.size(); ++i) defect.add(std::abs(gap(i)));
+    };
+    add_defect(problem.difference(solver.state(0), start));
+    for (int k = 0; k <= problem.horizon(); ++k) {
+      const State<>& x = solver.state(k);
+      const auto& u = solver.input(k);
+      cost += problem.cost(k, x, u);
+      if (k < problem.horizon())
+        add_defect(problem.difference(problem.step(k, x, u), solver.state(k + 1)));
+      const auto rows = problem.row_values(k, x, u);
+      for (Eigen::Index i = 0; i < rows.size(); ++i) {
+        violation.add(rows(i) - problem.upper(k)(i));
+        violation.add(problem.lower(k)(i) - rows(i));
+      }
+    }
+  }
+};
+
+class Batch {
+ public:
+  explicit Batch(const Options& options)
+      : repeat_(options.repeat),
+        paper_(benchmark_problem(examples::InstanceBounds::paper), settings(options)),
+        wide_(benchmark_problem(examples::InstanceBounds::wide), settings(options)) {}
+
+  [[nodiscard]] static std::string header() {
+    std::string line = "id,status,cost";
+    for (int i = 1; i <= 6; ++i) line += ",u0_" + std::to_string(i);
+    return line + ",iterations,kkt,max_violation,max_defect,median_us";
+  }
+
+  /// A line of the output, without its end.
+  [[nodiscard]] std::string solve(const examples::Instance& instance) {
+    using examples::to_csv;
+    Solver& solver = instance.bounds == examples::InstanceBounds::paper ? paper_ : wide_;
+    for (int k = 0; k <= solver.horizon(); ++k) {
+      WheeledFlightNode& node = solver.problem().node(k);
+      node.reference = instance.reference;
+      node.wrench_reference.force << 0.0, 0.0, mass * gravity;
+      node.external = instance.external;
+    }
+    if (!warm_) run(solver, instance.start);  // faults pages in, which nobody wants to time
+    warm_ = true;
+    times_us_.clear();
+    for (int i = 0; i < repeat_; ++i) times_us_.push_back(run(solver, instance.start));
+    const SolveReport& report = solver.report();
+    ++statuses_[to_string(report.status)];
+    if (report.status == SolveStatus::converged) ++iterations_[report.iterations];
+
+    const Audit audit(solver, instance.start);
+    std::string line = instance.id + ',' + to_string(report.status) + ',' + to_csv(audit.cost);
+    for (Eigen::Index i = 0; i < 6; ++i) line += ',' + to_csv(solver.input(0)(i));
+    line += ',' + std::to_string(report.iterations) + ',' + to_csv(report.kkt);
+    line += ',' + to_csv(audit.violation.value) + ',' + to_csv(audit.defect.value);
+    return line + ',' + to_csv(median_us());
+  }
+
+  void print_histogram(std::ostream& out) const {
+    int most = 1, total = 0, converged = 0;
+    for (const auto& [iterations, count] : iterations_) {
+      most = std::max(most, count);
+      converged += count;
+    }
+    out << "iterations  instances that converged\n";
+    const int last = iterations_.empty() ? -1 : iterations_.rbegin()->first;
+    for (int i = iterations_.empty() ? 0 : iterations_.begin()->first; i <= last; ++i) {
+      const auto found = iterations_.find(i);
+      const int count = found == iterations_.end() ? 0 : found->second;
+      const auto length = static_cast<std::size_t>((60L * count + most - 1) / most);
+      out << std::setw(10) << i << std::setw(8) << count << "  " << std::string(length, '#')
+          << '\n';
+    }
+    for (const auto& [status, count] : statuses_) {
+      total += count;
+      if (status != "converged") out << status << ": " << count << '\n';
+    }
+    const double percent = total == 0 ? 0.0 : 100.0 * converged / total;
+    out << "converged: " << converged << " of " << total << " (" << std::fixed
+        << std::setprecision(2) << percent << " %)\n";
+  }
+
+ private:
+  static SolverSettings settings(const Options& options) {
+    SolverSettings s;
+    s.tolerance = options.tolerance;
+    s.max_iterations = options.max_iterations;
+    return s;
+  }
+
+  /// Wall time of a cold solve [us].
+  static double run(Solver& solver, const State<>& start) {
+    const auto begin = Clock::now();
+    solver.reset(start);
+    (void)solver.solve(start);
+    return std::chrono::duration<double, std::micro>(Clock::now() - begin).count();
+  }
+
+  [[nodiscard]] double median_us() {
+    const auto middle = times_us_.begin() + static_cast<std::ptrdiff_t>(times_us_.size() / 2);
+    std::nth_element(times_us_.begin(), middle, times_us_.end());
+    return std::round(10.0 * *middle) / 10.0;
+  }
+
+  int repeat_;
+  bool warm_ = false;
+  Solver paper_, wide_;
+  std::vector<double> times_us_;
+  std::map<int, int> iterations_;
+  std::map<std::string, int> statuses_;
+};
+
+/// Random instances with wide bounds and STEP's reference. Distances from it are uniform in balls
+/// of 2 m, 2 m/s and 3 rad/s; it is turned by up to 150 degrees about any axis.
+class Generator {
+ public:
+  explicit Generator(std::uint64_t seed) : engine_(seed) {}
+
+  examples::Instance operator()(int number) {
+    examples::Instance instance;
+    instance.id = std::to_string(number);
+    instance.reference.position << 0.0, 0.0, 1.5;
+    State<>& x = instance.start;
+    x.wrench.force << 0.0, 0.0, mass * gravity;
+    x.body.position = instance.reference.position + in_ball(2.0);
+    x.body.velocity = in_ball(2.0);
+    const Eigen::Vector3d axis = in_ball(1.0).normalized();
+    x.body.orientation = quaternion_exp(uniform(0.0, 150.0 * pi / 180.0) * axis);
+    x.body.angular_velocity = in_ball(3.0);
+    return instance;
+  }
+
+ private:
+  double uniform(double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(engine_);
+  }
+  Eigen::Vector3d in_ball(double radius) {
+    for (;;) {
+      const double x = uniform(-1.0, 1.0), y = uniform(-1.0, 1.0), z = uniform(-1.0, 1.0);
+      const Eigen::Vector3d point(x, y, z);
+      if (point.squaredNorm() <= 1.0 && point.squaredNorm() > 1e-6) return radius * point;
+    }
+  }
+
+  std::mt19937_64 engine_;
+};
+
+/// On a terminal only, and only for runs that take a while.
+class Progress {
+ public:
+  explicit Progress(std::size_t total) : total_(total) {}
+  ~Progress() {
+    if (shown_) std::cerr << '\r' << std::string(50, ' ') << '\r' << std::flush;
+  }
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+
+  void show(std::size_t done) {
+    const auto now = Clock::now();
+    if (!terminal_ || now - last_ < std::chrono::milliseconds(500)) return;
+    last_ = now;
+    const std::chrono::duration<double> elapsed = now - start_;
+    const double left = elapsed.count() * static_cast<double>(total_ - done) /
+                        static_cast<double>(std::max<std::size_t>(done, 1));
+    std::cerr << '\r' << done << " of " << total_ << " solved, " << std::lround(left)
+              << " s to go        " << std::flush;
+    shown_ = true;
+  }
+
+ private:
+  std::size_t total_;
+  bool terminal_ = isatty(STDERR_FILENO) != 0, shown_ = false;
+  Clock::time_point start_ = Clock::now(), last_ = start_;
+};
+
+examples::InstanceFile read(const std::string& path) {
+  if (path == "-") return examples::read_instances(std::cin);
+  std::ifstream in(path, std::ios::binary);
+  if (!in) throw std::runtime_error("cannot read " + path);
+  examples::InstanceFile file = examples::read_instances(in);
+  if (in.bad()) throw std::runtime_error("cannot read " + path);
+  return file;
+}
+
+int run(const Options& options) {
+  examples::InstanceFile instances;
+  if (options.generate == 0) {
+    instances = read(options.input);
+    for (const examples::InstanceError& error : instances.errors)
+      std::cerr << options.input << ':' << error.line << ':' << error.column
+                << ": error: " << error.message << '\n';
+  }
+  const std::string output_name = options.output.empty() ? "standard output" : options.output;
+  std::ofstream file;
+  if (!options.output.empty()) file.open(options.output, std::ios::binary);
+  std::ostream& out = options.output.empty() ? std::cout : file;
+  const auto check_output = [&] {
+    if (!out) throw std::runtime_error("cannot write " + output_name);
+  };
+  check_output();
+
+  if (options.generate > 0) {
+    Generator generator(options.seed);
+    out << examples::instance_header() << '\n';
+    for (int i = 1; i <= options.generate; ++i) out << to_csv(generator(i)) << '\n';
+  } else {
+    Batch batch(options);
+    out << Batch::header() << '\n';
+    {
+      Progress progress(instances.instances.size());
+      for (std::size_t i = 0; i < instances.instances.size(); ++i) {
+        progress.show(i);
+        out << batch.solve(instances.instances[i]) << '\n';
+        check_output();
+      }
+    }
+    if (options.histogram) batch.print_histogram(std::cerr);
+  }
+  out.flush();
+  check_output();
+  return instances.errors.empty() ? 0 : 1;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Solves instances of the benchmark's optimal-control problem, each from cold (every state "
+      "the "
+      "initial one, every input zero), and writes one line for each."};
+  Options options;
+  CLI::Option* input =
+      app.add_option("input", options.input, "CSV file of instances, - for standard input");
+  app.add_option(
+         "--generate", options.generate,
+         "instead of solving, write so many random instances: within 2 m, 2 m/s, 150 degrees "
+         "and 3 rad/s of the reference, wide bounds")
+      ->check(CLI::Range(1, 100000000))
+      ->excludes(input);
+  app.add_option("-o,--output", options.output, "file to write instead of standard output");
+  app.add_option("--tolerance", options.tolerance, "on the KKT residual")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--max-iterations", options.max_iterations, "of each solve")
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  app.add_option("--repeat", options.repeat, "solve each so often; the median time is written")
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  app.add_option("--seed", options.seed, "of --generate")->capture_default_str();
+  app.add_flag("--histogram", options.histogram,
+               "print to standard error how many instances took how many iterations");
+  app.footer(help_footer + examples::instance_header() + '\n' + help_footer_end);
+  CLI11_PARSE(app, argc, argv);
+  if (options.input.empty() && options.generate == 0)
+    return app.exit(CLI::RequiredError("input or --generate"));
+  try {
+    return run(options);
+  } catch (const std::exception& error) {
+    std::cerr << "solve_instances: " << error.what() << '\n';
+    return 2;
+  }
+}

@@ -1,0 +1,243 @@
+#pragma once
+
+#include <tilt_ropter/model/state.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstddef>
+#include <istream>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+/// Instances of the benchmark's optimal-control problem as CSV, one a line under a header line that
+/// names every column. Numbers are as std::from_chars reads them, a `+` before them is allowed;
+/// blanks around a field do not count. There is no quoting. Blank lines are passed over; lines may
+/// end in CR LF, the last one need not end at all.
+namespace examples {
+
+enum class InstanceBounds { paper, wide };
+
+struct Instance {
+  std::string id;  ///< any text without comma or control characters
+  InstanceBounds bounds = InstanceBounds::wide;
+  tilt_ropter::Wrench<> external;  ///< Fe, Me: known to the controller, constant, body frame
+  tilt_ropter::State<> start;      ///< x_0
+  tilt_ropter::BodyState<>
+      reference;  ///< constant over the horizon; its angular velocity is always zero
+};
+
+inline constexpr std::array<std::string_view, 37> instance_columns = {
+    "id",      "bounds",  "Fe_x",    "Fe_y",    "Fe_z",    "Me_x",    "Me_y",    "Me_z",
+    "F_x",     "F_y",     "F_z",     "M_x",     "M_y",     "M_z",     "p_x",     "p_y",
+    "p_z",     "v_x",     "v_y",     "v_z",     "q_w",     "q_x",     "q_y",     "q_z",
+    "w_x",     "w_y",     "w_z",     "ref_p_x", "ref_p_y", "ref_p_z", "ref_v_x", "ref_v_y",
+    "ref_v_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"};
+
+/// What is wrong with a file, and where; both count from 1, columns in characters of UTF-8.
+struct InstanceError {
+  std::size_t line = 1;
+  std::size_t column = 1;
+  std::string message;
+};
+
+struct InstanceFile {
+  std::vector<Instance> instances;    ///< all lines that are right
+  std::vector<InstanceError> errors;  ///< one for each line that is not
+};
+
+namespace detail {
+
+using InstanceNumbers = Eigen::Matrix<double, 35, 1>;  // the columns after id and bounds, in order
+
+struct Field {
+  std::string_view text;  // without the blanks around it
+  std::size_t offset;     // in the line, in bytes
+};
+
+inline std::vector<Field> split(std::string_view line) {
+  constexpr std::string_view blanks = " \t";
+  std::vector<Field> fields;
+  for (std::size_t start = 0; start <= line.size();) {
+    const std::size_t end = std::min(line.find(',', start), line.size());
+    const std::string_view raw = line.substr(start, end - start);
+    const std::size_t first = std::min(raw.find_first_not_of(blanks), raw.size());
+    const std::size_t last = raw.find_last_not_of(blanks);
+    const std::size_t size = first == raw.size() ? 0 : last - first + 1;
+    fields.push_back({raw.substr(first, size), start + (size == 0 ? 0 : first)});
+    start = end + 1;
+  }
+  return fields;
+}
+
+inline bool is_control(char c) {
+  const auto byte = static_cast<unsigned char>(c);
+  return byte < 0x20 || byte == 0x7f;
+}
+
+/// For messages on a terminal: short, and no control characters.
+inline std::string quoted(std::string_view text) {
+  constexpr std::size_t longest = 40;
+  std::string shown(text.substr(0, longest));
+  std::replace_if(shown.begin(), shown.end(), is_control, '?');
+  return '"' + shown + (text.size() > longest ? "...\"" : "\"");
+}
+
+inline std::size_t column_of(std::string_view line, std::size_t offset) {
+  const auto starts_character = [](char c) {
+    return (static_cast<unsigned char>(c) & 0xC0) != 0x80;
+  };
+  const auto end = line.begin() + static_cast<std::ptrdiff_t>(std::min(offset, line.size()));
+  return 1 + static_cast<std::size_t>(std::count_if(line.begin(), end, starts_character));
+}
+
+/// Reads a whole field into `value`; what is wrong with it, or nothing.
+inline std::string read_number(std::string_view text, double& value) {
+  const bool plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
+  const std::string_view number = plus ? text.substr(1) : text;
+  const auto [end, code] = std::from_chars(number.data(), number.data() + number.size(), value);
+  if (code == std::errc::result_out_of_range) return "is out of the range of a double";
+  if (code != std::errc() || end != number.data() + number.size()) return "is not a number";
+  return std::isfinite(value) ? "" : "is not finite";
+}
+
+/// Normalises; false if there is no direction to keep.
+inline bool normalise(Eigen::Quaterniond& q) {
+  const double norm = q.coeffs().stableNorm();
+  if (!(norm > 1e-3) || !std::isfinite(norm)) return false;
+  q.coeffs() /= norm;
+  return true;
+}
+
+}  // namespace detail
+
+/// The header line, without its end.
+[[nodiscard]] inline std::string instance_header() {
+  std::string line;
+  for (const std::string_view name : instance_columns) (line += line.empty() ? "" : ",") += name;
+  return line;
+}
+
+/// True if `line` is the header line; else `error` says what its first difference is.
+[[nodiscard]] inline bool check_instance_header(std::string_view line, InstanceError& error) {
+  const std::vector<detail::Field> fields = detail::split(line);
+  const std::string expected = "; the header line must be " + instance_header();
+  for (std::size_t i = 0; i < std::min(fields.size(), instance_columns.size()); ++i)
+    if (fields[i].text != instance_columns[i]) {
+      error.column = detail::column_of(line, fields[i].offset);
+      error.message = "column is called " + detail::quoted(fields[i].text) + ", must be " +
+                      detail::quoted(instance_columns[i]) + expected;
+      return false;
+    }
+  if (fields.size() == instance_columns.size()) return true;
+  const bool surplus = fields.size() > instance_columns.size();
+  error.column =
+      detail::column_of(line, surplus ? fields[instance_columns.size()].offset : line.size());
+  error.message = "header has " + std::to_string(fields.size()) + " columns, must have " +
+                  std::to_string(instance_columns.size()) + expected;
+  return false;
+}
+
+/// The instance that `line` (without its end) holds, quaternions normalised; or nothing, and
+/// `error` says what is wrong at which column.
+[[nodiscard]] inline std::optional<Instance> parse_instance(std::string_view line,
+                                                            InstanceError& error) {
+  const std::vector<detail::Field> fields = detail::split(line);
+  const auto wrong = [&](std::size_t offset, std::string message) {
+    error.column = detail::column_of(line, offset);
+    error.message = std::move(message);
+    return std::nullopt;
+  };
+  constexpr std::size_t count = instance_columns.size();
+  if (fields.size() != count)
+    return wrong(fields.size() > count ? fields[count].offset : line.size(),
+                 std::to_string(fields.size()) + " fields, must be " + std::to_string(count));
+
+  Instance instance;
+  instance.id = std::string(fields[0].text);
+  if (instance.id.empty()) return wrong(fields[0].offset, "id is empty");
+  if (std::any_of(instance.id.begin(), instance.id.end(), detail::is_control))
+    return wrong(fields[0].offset, "id " + detail::quoted(instance.id) + " has control characters");
+  if (fields[1].text != "paper" && fields[1].text != "wide")
+    return wrong(fields[1].offset,
+                 "bounds = " + detail::quoted(fields[1].text) + ": must be paper or wide");
+  instance.bounds = fields[1].text == "paper" ? InstanceBounds::paper : InstanceBounds::wide;
+
+  detail::InstanceNumbers n;
+  for (std::size_t i = 2; i < count; ++i) {
+    const std::string problem =
+        detail::read_number(fields[i].text, n(static_cast<Eigen::Index>(i - 2)));
+    if (!problem.empty())
+      return wrong(fields[i].offset, std::string(instance_columns[i]) + " = " +
+                                         detail::quoted(fields[i].text) + " " + problem);
+  }
+  instance.external = {n.segment<3>(0), n.segment<3>(3)};
+  instance.start = tilt_ropter::unpack<double>(n.segment<19>(6));
+  instance.reference.position = n.segment<3>(25);
+  instance.reference.velocity = n.segment<3>(28);
+  instance.reference.orientation = Eigen::Quaterniond(n(31), n(32), n(33), n(34));
+  if (!detail::normalise(instance.start.body.orientation))
+    return wrong(fields[20].offset, "q is too near to zero or too large to be normalised");
+  if (!detail::normalise(instance.reference.orientation))
+    return wrong(fields[33].offset, "ref_q is too near to zero or too large to be normalised");
+  return instance;
+}
+
+/// Shortest text that reads back as the same double.
+[[nodiscard]] inline std::string to_csv(double value) {
+  std::array<char, 32> text{};
+  const auto result = std::to_chars(text.data(), text.data() + text.size(), value);
+  return {text.data(), result.ptr};
+}
+
+/// The line, without its end, that parse_instance() reads.
+[[nodiscard]] inline std::string to_csv(const Instance& instance) {
+  const Eigen::Quaterniond& q = instance.reference.orientation;
+  detail::InstanceNumbers n;
+  n << instance.external.force, instance.external.torque, tilt_ropter::pack(instance.start),
+      instance.reference.position, instance.reference.velocity, q.w(), q.x(), q.y(), q.z();
+  std::string line = instance.id;
+  line += instance.bounds == InstanceBounds::paper ? ",paper" : ",wide";
+  for (Eigen::Index i = 0; i < n.size(); ++i) (line += ',') += to_csv(n(i));
+  return line;
+}
+
+/// Reads a whole file. Without a right header line nothing else is read.
+[[nodiscard]] inline InstanceFile read_instances(std::istream& in) {
+  InstanceFile file;
+  InstanceError error;
+  std::string text;
+  for (bool header = true; std::getline(in, text); header = false, ++error.line) {
+    std::string_view line = text;
+    constexpr std::string_view byte_order_mark = "\xEF\xBB\xBF";
+    if (header && line.substr(0, byte_order_mark.size()) == byte_order_mark)
+      line.remove_prefix(byte_order_mark.size());
+    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    if (header) {
+      if (check_instance_header(line, error)) continue;
+      file.errors.push_back(error);
+      return file;
+    }
+    if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
+    if (auto instance = parse_instance(line, error))
+      file.instances.push_back(std::move(*instance));
+    else
+      file.errors.push_back(error);
+  }
+  // A first line of no text at all ends the loop before it begins.
+  if (error.line == 1) {
+    (void)check_instance_header("", error);
+    file.errors.push_back(error);
+  }
+  return file;
+}
+
+}  // namespace examples

@@ -1,0 +1,163 @@
+// The three scenarios of the benchmark's optimal-control problem in one table, beside the figures
+// that other solvers reached on them.
+
+#include "dense_riccati.hpp"
+#include "scenarios.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <vector>
+
+namespace {
+
+using benchmarks::ClosedLoop;
+using benchmarks::Scenario;
+using benchmarks::Solver;
+using tilt_ropter::SolveReport;
+using tilt_ropter::SolveStatus;
+
+constexpr const char* usage = R"(usage: scenarios_benchmark [--repeat R]
+
+Runs STEP (one solve from cold, 100 R times), AIR (figure eight in the air, 500 ticks, R times; one
+real-time iteration a tick, and to a KKT residual of 1e-6 each tick) and GROUND (figure eight on the
+ground, likewise one iteration a tick), on one thread. Prints for each
+
+  median, p99                wall time of a solve or an iteration [us]
+  linearise, factorise,      median of the phases of one iteration [us]: `rows` are gradients of the
+  rows, feedback             working set before the measurement, `feedback` is all that comes after
+                             it, NLopt included; where there are several iterations, the first three
+                             are those of the last one and `feedback` is their mean
+  iterations, active         their median, and the median of the rows with a multiplier
+  result                     optimum (STEP) or RMSE of the position [m]
+
+and what was published for it: acados tuned by hand and as it comes, an experiment in this method.
+
+  --repeat R   default 5
+  --help       this text
+
+Exit code 1 if a solve did not converge or STEP's optimum is not the known one.
+)";
+
+double quantile(std::vector<double> values, double share) {
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+class Row {
+ public:
+  void add(double us, const SolveReport& report) {
+    total_.push_back(us);
+    linearise_.push_back(report.linearise_us);
+    factorise_.push_back(report.factorise_us);
+    rows_.push_back(report.rows_us);
+    feedback_.push_back(report.feedback_us / std::max(report.iterations, 1));
+    iterations_.push_back(report.iterations);
+    active_.push_back(report.active_rows);
+  }
+
+  void print(const char* name, const std::string& result, const char* published) const {
+    std::printf("%-29s %7.0f %6.0f %9.1f %9.1f %6.1f %8.1f %10.0f %6.0f  %-11s %s\n", name,
+                quantile(total_, 0.5), quantile(total_, 0.99), quantile(linearise_, 0.5),
+                quantile(factorise_, 0.5), quantile(rows_, 0.5), quantile(feedback_, 0.5),
+                quantile(iterations_, 0.5), quantile(active_, 0.5), result.c_str(), published);
+    std::fflush(stdout);
+  }
+
+ private:
+  std::vector<double> total_, linearise_, factorise_, rows_, feedback_, iterations_, active_;
+};
+
+std::string text(const char* format, double value) {
+  char buffer[32];
+  std::snprintf(buffer, sizeof buffer, format, value);
+  return buffer;
+}
+
+bool run_step(int repeat) {
+  using Clock = std::chrono::steady_clock;
+  Solver solver(test_support::step_problem());
+  Row row;
+  bool sound = true;
+  for (int i = -2; i < 100 * repeat; ++i) {  // the first two fault pages in
+    const auto start = Clock::now();
+    solver.reset(test_support::step_start());
+    const SolveReport& report = solver.solve(test_support::step_start());
+    const double us = std::chrono::duration<double, std::micro>(Clock::now() - start).count();
+    sound = report.status == SolveStatus::converged && sound;
+    if (i >= 0) row.add(us, report);
+  }
+  // By IPOPT, with the quaternion normalised and R(q) as it is here.
+  constexpr double known = 2074.1813;
+  const double cost = solver.report().cost;
+  row.print("STEP   cold, to KKT 1e-6", text("%.4f", cost),
+            "   2000-2500        5500           -  2074.1813");
+  return sound && std::abs(cost - known) < 1e-4 * known;
+}
+
+bool run_loop(const Scenario& scenario, double (ClosedLoop::*control)(), int repeat,
+              const char* name, const char* published) {
+  ClosedLoop loop(scenario);
+  Row row;
+  for (int i = 0; i < ClosedLoop::ticks * repeat; ++i) {
+    const double us = (loop.*control)();
+    row.add(us, loop.report());
+  }
+  row.print(name, text("%.5f m", loop.rmse()), published);
+  return loop.sound();
+}
+
+void run_yardstick(int repeat) {
+  using Clock = std::chrono::steady_clock;
+  benchmarks::DenseRiccati riccati;
+  std::vector<double> us;
+  double sum = 0.0;
+  for (int i = 0; i < 500 * repeat; ++i) {
+    const auto start = Clock::now();
+    sum += riccati.pass().trace();
+    us.push_back(std::chrono::duration<double, std::micro>(Clock::now() - start).count());
+  }
+  std::printf("%-29s %7.1f %6.1f   (18 states, 6 inputs, N = 20; trace %.6g)\n",
+              "plain dense Riccati in Eigen", quantile(us, 0.5), quantile(us, 0.99),
+              sum / static_cast<double>(us.size()));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  int repeat = 5;
+  for (int i = 1; i < argc; ++i) {
+    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
+      std::fputs(usage, stdout);
+      return 0;
+    }
+    repeat = std::strcmp(argv[i], "--repeat") == 0 && i + 1 < argc ? std::atoi(argv[++i]) : 0;
+    if (repeat < 1) {
+      std::fputs(usage, stderr);
+      return 2;
+    }
+  }
+  std::printf("%-29s %7s %6s %9s %9s %6s %8s %10s %6s  %-11s %s\n%-112s %s\n", "", "median", "p99",
+              "linearise", "factorise", "rows", "feedback", "iterations", "active", "result",
+              "published:", "times in us", "acados tuned  as it comes  experiment  result");
+  bool sound = run_step(repeat);
+  sound = run_loop(benchmarks::air(), &ClosedLoop::iterate, repeat, "AIR    real-time iteration",
+                   "         211         397         131  0.04099 m") &&
+          sound;
+  sound = run_loop(benchmarks::air(), &ClosedLoop::converge, repeat, "AIR    to KKT 1e-6 each tick",
+                   "         920        1500           -  0.04099 m") &&
+          sound;
+  sound = run_loop(benchmarks::ground(), &ClosedLoop::iterate, repeat, "GROUND real-time iteration",
+                   "         184         346           -  0.0108 m") &&
+          sound;
+  run_yardstick(repeat);
+  if (!sound) std::fputs("a solve did not reach what was asked\n", stderr);
+  return sound ? 0 : 1;
+}

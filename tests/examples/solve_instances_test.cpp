@@ -1,0 +1,526 @@
+// The batch tool: its parser by itself, and the program as a user runs it.
+
+#include "../../examples/support/instances.hpp"
+
+#include "support/benchmark_problem.hpp"
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace {
+
+namespace fs = std::filesystem;
+using examples::Instance;
+using examples::instance_columns;
+using examples::instance_header;
+using examples::InstanceBounds;
+using examples::InstanceError;
+using examples::InstanceFile;
+using examples::parse_instance;
+using examples::read_instances;
+using examples::to_csv;
+
+const std::string program = SOLVE_INSTANCES_PROGRAM;  // set by CMake
+
+Instance step_instance() {
+  Instance instance;
+  instance.id = "step";
+  instance.start = test_support::step_start();
+  instance.reference.position << 0.0, 0.0, 1.5;
+  return instance;
+}
+
+Instance at_rest(const std::string& id) {
+  Instance instance;
+  instance.id = id;
+  instance.start.wrench.force = test_support::benchmark_hover_force();
+  return instance;
+}
+
+std::vector<std::string> split(const std::string& line) {
+  std::vector<std::string> fields;
+  std::istringstream in(line);
+  for (std::string field; std::getline(in, field, ',');) fields.push_back(field);
+  return fields;
+}
+
+/// A line of STEP with the field of one column replaced.
+std::string line_with(const std::string& column, const std::string& value) {
+  std::string line;
+  const std::vector<std::string> fields = split(to_csv(step_instance()));
+  for (std::size_t i = 0; i < fields.size(); ++i)
+    line += (i ? "," : "") + (instance_columns[i] == column ? value : fields[i]);
+  return line;
+}
+
+InstanceFile read(const std::string& text) {
+  std::istringstream in(text);
+  return read_instances(in);
+}
+
+std::string file_of(const std::vector<std::string>& lines) {
+  std::string text = instance_header() + '\n';
+  for (const std::string& line : lines) text += line + '\n';
+  return text;
+}
+
+TEST(Instances, WhatIsWrittenIsReadBack) {
+  test_support::Random random(1);
+  for (int i = 0; i < 1000; ++i) {
+    Instance in = step_instance();
+    in.id = "run " + std::to_string(i);
+    in.bounds = i % 2 == 0 ? InstanceBounds::paper : InstanceBounds::wide;
+    in.external = {random.vector(3.0), random.vector(1e-300)};
+    in.start.wrench = {random.vector(1e300), random.vector(0.1)};
+    in.start.body.position = random.vector(2.0);
+    in.start.body.velocity = random.vector(2.0);
+    in.start.body.orientation = random.orientation();
+    in.start.body.angular_velocity = random.vector(3.0);
+    in.reference.position = random.vector(1.0);
+    in.reference.velocity = random.vector(1.0);
+    in.reference.orientation = random.orientation();
+    InstanceError error;
+    const auto out = parse_instance(to_csv(in), error);
+    ASSERT_TRUE(out) << error.message;
+    EXPECT_EQ(out->id, in.id);
+    EXPECT_EQ(out->bounds, in.bounds);
+    EXPECT_EQ(out->external.force, in.external.force);
+    EXPECT_EQ(out->external.torque, in.external.torque);
+    EXPECT_EQ(out->start.wrench.force, in.start.wrench.force);
+    EXPECT_EQ(out->start.wrench.torque, in.start.wrench.torque);
+    EXPECT_EQ(out->start.body.position, in.start.body.position);
+    EXPECT_EQ(out->start.body.velocity, in.start.body.velocity);
+    EXPECT_EQ(out->start.body.angular_velocity, in.start.body.angular_velocity);
+    EXPECT_EQ(out->reference.position, in.reference.position);
+    EXPECT_EQ(out->reference.velocity, in.reference.velocity);
+    const auto apart = [](const Eigen::Quaterniond& a, const Eigen::Quaterniond& b) {
+      return (a.coeffs() - b.coeffs()).norm();
+    };
+    EXPECT_LT(apart(out->start.body.orientation, in.start.body.orientation), 1e-15);
+    EXPECT_LT(apart(out->reference.orientation, in.reference.orientation), 1e-15);
+  }
+}
+
+TEST(Instances, NumbersAreReadAsAWholeOrNotAtAll) {
+  InstanceError error;
+  const std::map<std::string, double> good = {{"+1.5", 1.5}, {" 2 ", 2.0}, {"\t1e3", 1e3},
+                                              {".5", 0.5},   {"5.", 5.0},  {"-0", 0.0}};
+  for (const auto& [text, value] : good) {
+    const auto instance = parse_instance(line_with("v_y", text), error);
+    ASSERT_TRUE(instance) << text << ": " << error.message;
+    EXPECT_EQ(instance->start.body.velocity.y(), value) << text;
+  }
+  const std::map<std::string, std::string> bad = {{"", "is not a number"},
+                                                  {" ", "is not a number"},
+                                                  {"1.0x", "is not a number"},
+                                                  {"x1", "is not a number"},
+                                                  {"1 2", "is not a number"},
+                                                  {"0x10", "is not a number"},
+                                                  {"--1", "is not a number"},
+                                                  {"+-1", "is not a number"},
+                                                  {"++1", "is not a number"},
+                                                  {"+", "is not a number"},
+                                                  {"1e", "is not a number"},
+                                                  {std::string("1\0", 2), "is not a number"},
+                                                  {"\"1\"", "is not a number"},
+                                                  {"nan", "is not finite"},
+                                                  {"-nan", "is not finite"},
+                                                  {"inf", "is not finite"},
+                                                  {"-Infinity", "is not finite"},
+                                                  {"1e999", "is out of the range of a double"},
+                                                  {"1e-999", "is out of the range of a double"}};
+  for (const auto& [text, message] : bad) {
+    error = {};
+    EXPECT_FALSE(parse_instance(line_with("v_y", text), error)) << text;
+    EXPECT_NE(error.message.find(message), std::string::npos) << error.message;
+    EXPECT_NE(error.message.find("v_y = "), std::string::npos) << error.message;
+  }
+}
+
+TEST(Instances, ErrorsNameLineAndColumnAndTheRestIsRead) {
+  const std::string good = to_csv(step_instance());
+  const std::string nan = line_with("Fe_y", "NaN");
+  const std::string zero = line_with("q_w", "0");
+  std::string no_turn = zero;  // all four components of q
+  for (const char* name : {"q_x", "q_y", "q_z"}) {
+    std::vector<std::string> fields = split(no_turn);
+    for (std::size_t i = 0; i < fields.size(); ++i)
+      if (instance_columns[i] == name) fields[i] = "0";
+    no_turn.clear();
+    for (const std::string& field : fields) no_turn += (no_turn.empty() ? "" : ",") + field;
+  }
+  const InstanceFile file = read(file_of({
+      good,                           // 2
+      nan,                            // 3: "step,wide,0,NaN"
+      line_with("bounds", "wied"),    // 4
+      "",                             // 5
+      "short,wide,1",                 // 6
+      good + ",1",                    // 7
+      no_turn,                        // 8
+      line_with("id", ""),            // 9
+      line_with("id", "a\x1b[2J"),    // 10
+      "\xC3\xA9\xC3\xA9,wied",        // 11: two characters, four bytes
+      line_with("bounds", " x"),      // 12: the blank is not the error
+      line_with("ref_q_z", "1e200"),  // 13: can be normalised
+      good,                           // 14
+  }));
+  ASSERT_EQ(file.instances.size(), 3u);
+  EXPECT_NEAR(file.instances[1].reference.orientation.z(), 1.0, 1e-15);
+  const std::vector<std::pair<std::size_t, std::size_t>> expected = {
+      {3, 13}, {4, 6},  {6, 13}, {7, good.size() + 2}, {8, no_turn.find("0,0,0,0,0.5") + 1}, {9, 1},
+      {10, 1}, {11, 8}, {12, 7}};
+  ASSERT_EQ(file.errors.size(), expected.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_EQ(file.errors[i].line, expected[i].first);
+    EXPECT_EQ(file.errors[i].column, expected[i].second) << file.errors[i].message;
+    EXPECT_EQ(file.errors[i].message.find('\x1b'), std::string::npos);
+  }
+}
+
+TEST(Instances, QuaternionsAreNormalised) {
+  InstanceError error;
+  const auto instance = parse_instance(line_with("ref_q_w", "7"), error);
+  ASSERT_TRUE(instance);
+  EXPECT_EQ(instance->reference.orientation.w(), 1.0);
+  EXPECT_FALSE(parse_instance(line_with("ref_q_w", "1e-9"), error));
+  EXPECT_NE(error.message.find("ref_q"), std::string::npos);
+}
+
+TEST(Instances, LineEndsBlankLinesAndByteOrderMarkDoNotMatter) {
+  const std::string a = to_csv(step_instance()), b = to_csv(at_rest("rest"));
+  const std::string h = instance_header();
+  for (const std::string& text :
+       {h + "\n" + a + "\n" + b + "\n", h + "\r\n" + a + "\r\n" + b + "\r\n",
+        h + "\n" + a + "\n" + b, h + "\n\n" + a + "\r\n \t\r\n\n" + b + "\n\n\n",
+        "\xEF\xBB\xBF" + h + "\n" + a + "\n" + b}) {
+    const InstanceFile file = read(text);
+    EXPECT_TRUE(file.errors.empty()) << file.errors[0].message;
+    ASSERT_EQ(file.instances.size(), 2u) << text;
+    EXPECT_EQ(to_csv(file.instances[1]), b);
+  }
+}
+
+TEST(Instances, AHeaderThatIsNotRightIsRefusedWithItsFirstDifference) {
+  const std::string h = instance_header();
+  const auto error = [](const std::string& header) {
+    const InstanceFile file = read(header + "\n" + to_csv(step_instance()) + "\n");
+    EXPECT_TRUE(file.instances.empty());
+    EXPECT_EQ(file.errors.size(), 1u);
+    return file.errors.empty() ? InstanceError{} : file.errors[0];
+  };
+  std::string renamed = h;
+  renamed.replace(renamed.find("Fe_z"), 4, "Fz");
+  EXPECT_EQ(error(renamed).column, h.find("Fe_z") + 1);
+  EXPECT_NE(error(renamed).message.find("\"Fz\", must be \"Fe_z\""), std::string::npos);
+  EXPECT_EQ(error(h + ",more").column, h.size() + 2);
+  EXPECT_NE(error(h + ",more").message.find("38 columns, must have 37"), std::string::npos);
+  EXPECT_EQ(error("id,bounds").column, 10u);
+  EXPECT_NE(error(to_csv(step_instance())).message.find("\"step\", must be \"id\""),
+            std::string::npos);
+  EXPECT_EQ(read("").errors.size(), 1u);
+  EXPECT_EQ(read("\n").errors.size(), 1u);
+  EXPECT_EQ(read("\n").errors[0].line, 1u);
+}
+
+TEST(Instances, WhateverTheTextSomethingSensibleComesOut) {
+  test_support::Random random(3);
+  const std::string good = to_csv(step_instance());
+  const std::string alphabet = "0123456789.,-+eEnaif \t\r\n\"\0\x80\xff;";
+  int accepted = 0;
+  for (int i = 0; i < 20000; ++i) {
+    std::string line = good;
+    const int changes = static_cast<int>(random.uniform(0.0, 4.0));
+    for (int j = 0; j < changes; ++j) {
+      const auto at =
+          static_cast<std::size_t>(random.uniform(0.0, static_cast<double>(line.size())));
+      const auto c =
+          static_cast<std::size_t>(random.uniform(0.0, static_cast<double>(alphabet.size())));
+      if (random.uniform(0.0, 1.0) < 0.5)
+        line[at] = alphabet[c];
+      else
+        line.erase(at, static_cast<std::size_t>(random.uniform(1.0, 5.0)));
+    }
+    InstanceError error;
+    if (const auto instance = parse_instance(line, error)) {
+      ++accepted;
+      EXPECT_TRUE(is_finite(instance->start.body) && is_finite(instance->start.wrench));
+      EXPECT_NEAR(instance->start.body.orientation.norm(), 1.0, 1e-12);
+    } else {
+      EXPECT_FALSE(error.message.empty());
+      EXPECT_GE(error.column, 1u);
+      EXPECT_LE(error.column, line.size() + 1);
+    }
+  }
+  EXPECT_GT(accepted, 1000);
+  EXPECT_LT(accepted, 19000);
+}
+
+// ---- the program ----
+
+class SolveInstances : public testing::Test {
+ protected:
+  struct Run {
+    int exit_code = -1;
+    std::string out, err;
+    std::vector<std::map<std::string, std::string>> rows;  // of out, by column
+
+    [[nodiscard]] double number(std::size_t row, const std::string& column) const {
+      return std::atof(rows.at(row).at(column).c_str());
+    }
+  };
+
+  void SetUp() override {
+    directory_ = fs::path(testing::TempDir()) / ("solve_instances_" + std::to_string(getpid()));
+    fs::create_directories(directory_);
+  }
+  void TearDown() override { fs::remove_all(directory_); }
+
+  [[nodiscard]] std::string path(const std::string& name) const {
+    return (directory_ / name).string();
+  }
+  void write(const std::string& name, const std::string& text) const {
+    std::ofstream(path(name), std::ios::binary) << text;
+  }
+  [[nodiscard]] std::string text(const std::string& name) const {
+    std::ostringstream text;
+    text << std::ifstream(path(name), std::ios::binary).rdbuf();
+    return text.str();
+  }
+
+  [[nodiscard]] Run run(const std::string& arguments) const {
+    const std::string command = "cd '" + directory_.string() + "' && '" + program + "' " +
+                                arguments + " >out.txt 2>err.txt";
+    const int status = std::system(command.c_str());
+    Run result;
+    result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    result.out = text("out.txt");
+    result.err = text("err.txt");
+    result.rows = rows(result.out);
+    return result;
+  }
+
+  static std::vector<std::map<std::string, std::string>> rows(const std::string& csv) {
+    std::vector<std::map<std::string, std::string>> rows;
+    std::istringstream in(csv);
+    std::string line;
+    std::getline(in, line);
+    if (line.rfind("id,status,", 0) != 0) return rows;
+    const std::vector<std::string> names = split(line);
+    while (std::getline(in, line)) {
+      const std::vector<std::string> fields = split(line);
+      EXPECT_EQ(fields.size(), names.size()) << line;
+      auto& row = rows.emplace_back();
+      for (std::size_t i = 0; i < std::min(fields.size(), names.size()); ++i)
+        row[names[i]] = fields[i];
+    }
+    return rows;
+  }
+
+  fs::path directory_;
+};
+
+TEST_F(SolveInstances, StepReachesItsKnownOptimum) {
+  write("in.csv", file_of({to_csv(step_instance())}));
+  const Run result = run("in.csv --repeat 3");
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_EQ(result.out.substr(0, result.out.find('\n')),
+            "id,status,cost,u0_1,u0_2,u0_3,u0_4,u0_5,u0_6,iterations,kkt,max_violation,max_defect,"
+            "median_us");
+  ASSERT_EQ(result.rows.size(), 1u);
+  EXPECT_EQ(result.rows[0].at("id"), "step");
+  EXPECT_EQ(result.rows[0].at("status"), "converged");
+  EXPECT_NEAR(result.number(0, "cost"), 2074.18, 1e-4 * 2074.18);
+  EXPECT_LE(result.number(0, "kkt"), 1e-6);
+  EXPECT_LE(result.number(0, "max_violation"), 1e-6);
+  EXPECT_LE(result.number(0, "max_defect"), 1e-6);
+  EXPECT_GT(result.number(0, "iterations"), 3);
+  EXPECT_GT(result.number(0, "median_us"), 10.0);
+  EXPECT_LE(std::abs(result.number(0, "u0_3")), 40.0 + 1e-6);
+  EXPECT_GT(std::abs(result.number(0, "u0_3")), 1.0);
+}
+
+TEST_F(SolveInstances, EveryColumnOfAnInstanceCounts) {
+  // At rest on the reference nothing is to be done; each change makes work.
+  std::vector<std::string> lines = {to_csv(at_rest("rest"))};
+  for (std::size_t i = 2; i < instance_columns.size(); ++i) {
+    std::vector<std::string> fields = split(lines[0]);
+    const double value = std::atof(fields[i].c_str());
+    // The first component of a quaternion only scales it, so it changes sides instead.
+    const bool scale = instance_columns[i] == "q_w" || instance_columns[i] == "ref_q_w";
+    if (scale) fields[i + 1] = "1";
+    fields[0] = instance_columns[i];
+    fields[i] = to_csv(scale ? 0.5 * value : value + 0.3);
+    std::string line;
+    for (const std::string& field : fields) line += (line.empty() ? "" : ",") + field;
+    lines.push_back(line);
+  }
+  write("in.csv", file_of(lines));
+  const Run result = run("in.csv");
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  ASSERT_EQ(result.rows.size(), lines.size());
+  EXPECT_LT(result.number(0, "cost"), 1e-12);
+  for (std::size_t i = 1; i < lines.size(); ++i)
+    EXPECT_GT(result.number(i, "cost"), 1e-3) << result.rows[i].at("id");
+}
+
+TEST_F(SolveInstances, BoundsAreTheOnesAskedFor) {
+  Instance far = at_rest("wide");
+  far.start.body.position << 2.0, 0.0, 0.0;
+  Instance paper = far;
+  paper.id = "paper";
+  paper.bounds = InstanceBounds::paper;
+  write("in.csv", file_of({to_csv(far), to_csv(paper)}));
+  const Run result = run("in.csv");
+  ASSERT_EQ(result.rows.size(), 2u) << result.err;
+  EXPECT_NEAR(result.number(0, "u0_1"), -20.0, 1e-6);
+  EXPECT_LE(std::abs(result.number(1, "u0_1")), 2.0 + 1e-6);
+  EXPECT_NEAR(std::abs(result.number(1, "u0_5")), 2.0, 1e-6);
+}
+
+TEST_F(SolveInstances, MalformedLinesAreReportedAndTheOthersSolved) {
+  write("in.csv", file_of({to_csv(at_rest("first")), line_with("Fe_y", "zero"), "two,fields",
+                           to_csv(at_rest("last"))}));
+  const Run result = run("in.csv");
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("in.csv:3:13: error: Fe_y = \"zero\" is not a number"),
+            std::string::npos)
+      << result.err;
+  EXPECT_NE(result.err.find("in.csv:4:11: error: 2 fields, must be 37"), std::string::npos);
+  ASSERT_EQ(result.rows.size(), 2u);
+  EXPECT_EQ(result.rows[0].at("id"), "first");
+  EXPECT_EQ(result.rows[1].at("id"), "last");
+  EXPECT_EQ(result.rows[1].at("status"), "converged");
+}
+
+TEST_F(SolveInstances, WhatWasSolvedBeforeDoesNotMatter) {
+  Instance impossible = at_rest("impossible");
+  impossible.start.body.position.x() = 1e200;
+  Instance hard = at_rest("hard");
+  hard.start.body.angular_velocity << 5.0, 0.0, 0.0;
+  hard.start.wrench.force << 9.0, 0.0, 14.7;
+  const std::string step = to_csv(step_instance());
+  write("in.csv", file_of({step, to_csv(hard), step, to_csv(impossible), step}));
+  const Run result = run("in.csv");
+  ASSERT_EQ(result.rows.size(), 5u) << result.err;
+  EXPECT_EQ(result.exit_code, 0);
+  EXPECT_EQ(result.rows[3].at("status"), "failed");
+  std::map<std::string, std::string> first = result.rows[0];
+  first.erase("median_us");
+  for (const std::size_t again : {2u, 4u})
+    for (const auto& [column, value] : first)
+      EXPECT_EQ(result.rows[again].at(column), value) << column;
+}
+
+TEST_F(SolveInstances, AViolationThatCannotBeAvoidedIsWritten) {
+  Instance beyond = at_rest("beyond");
+  beyond.start.wrench.force.x() = 9.0;  // the bound is 6, and the rate 20 N/s: 7 after 0.1 s
+  write("in.csv", file_of({to_csv(beyond)}));
+  const Run result = run("in.csv");
+  ASSERT_EQ(result.rows.size(), 1u) << result.err;
+  EXPECT_NEAR(result.number(0, "max_violation"), 1.0, 1e-3);
+  EXPECT_LT(result.number(0, "max_defect"), 1e-6);
+}
+
+TEST_F(SolveInstances, OptionsAct) {
+  write("in.csv", file_of({to_csv(step_instance())}));
+  const Run exact = run("in.csv"), rough = run("in.csv --tolerance 10"),
+            few = run("in.csv --max-iterations 2");
+  ASSERT_EQ(rough.rows.size(), 1u) << rough.err;
+  ASSERT_EQ(few.rows.size(), 1u) << few.err;
+  EXPECT_LT(rough.number(0, "iterations"), exact.number(0, "iterations"));
+  EXPECT_EQ(few.rows[0].at("status"), "iteration_limit");
+  EXPECT_EQ(few.number(0, "iterations"), 2);
+  // What is recomputed shows that this is no plan yet.
+  EXPECT_GT(few.number(0, "max_defect"), 1e-3);
+  const Run to_file = run("in.csv --output written.csv");
+  EXPECT_EQ(to_file.exit_code, 0);
+  EXPECT_TRUE(to_file.out.empty());
+  EXPECT_EQ(rows(text("written.csv")).size(), 1u);
+  const Run piped = run("- < in.csv");
+  EXPECT_EQ(piped.rows.size(), 1u);
+}
+
+TEST_F(SolveInstances, GeneratedInstancesLieWhereSaidAndAreSolved) {
+  ASSERT_EQ(run("--generate 300 --seed 7 -o seven.csv").exit_code, 0);
+  const InstanceFile file = read(text("seven.csv"));
+  ASSERT_TRUE(file.errors.empty());
+  ASSERT_EQ(file.instances.size(), 300u);
+  double farthest = 0.0, fastest = 0.0, widest = 0.0, spin = 0.0;
+  for (const Instance& instance : file.instances) {
+    const auto& body = instance.start.body;
+    farthest = std::max(farthest, (body.position - instance.reference.position).norm());
+    fastest = std::max(fastest, body.velocity.norm());
+    widest = std::max(widest, body.orientation.angularDistance(instance.reference.orientation));
+    spin = std::max(spin, body.angular_velocity.norm());
+  }
+  const auto near_below = [](double value, double limit) {
+    return value <= limit * (1.0 + 1e-12) && value > 0.9 * limit;
+  };
+  EXPECT_TRUE(near_below(farthest, 2.0)) << farthest;
+  EXPECT_TRUE(near_below(fastest, 2.0)) << fastest;
+  EXPECT_TRUE(near_below(widest, 150.0 * tilt_ropter::pi / 180.0)) << widest;
+  EXPECT_TRUE(near_below(spin, 3.0)) << spin;
+
+  EXPECT_EQ(run("--generate 300 --seed 7").out, text("seven.csv"));
+  EXPECT_NE(run("--generate 300 --seed 8").out, text("seven.csv"));
+
+  ASSERT_EQ(run("--generate 20 -o few.csv").exit_code, 0);
+  const Run solved = run("few.csv --histogram");
+  EXPECT_EQ(solved.exit_code, 0);
+  ASSERT_EQ(solved.rows.size(), 20u);
+  int converged = 0;
+  for (std::size_t i = 0; i < solved.rows.size(); ++i) {
+    if (solved.rows[i].at("status") != "converged") continue;
+    ++converged;
+    EXPECT_LE(solved.number(i, "kkt"), 1e-6);
+    EXPECT_LE(solved.number(i, "max_defect"), 1e-6);
+    EXPECT_LE(solved.number(i, "max_violation"), 1e-6);
+  }
+  EXPECT_GE(converged, 10);
+  EXPECT_NE(solved.err.find("converged: " + std::to_string(converged) + " of 20"),
+            std::string::npos)
+      << solved.err;
+}
+
+TEST_F(SolveInstances, FilesThatCannotBeUsedAreNamed) {
+  write("in.csv", file_of({to_csv(at_rest("rest"))}));
+  const Run missing = run("nowhere.csv");
+  EXPECT_EQ(missing.exit_code, 2);
+  EXPECT_NE(missing.err.find("cannot read nowhere.csv"), std::string::npos) << missing.err;
+  EXPECT_EQ(run(".").exit_code, 2);
+  const Run unwritable = run("in.csv --output nowhere/out.csv");
+  EXPECT_EQ(unwritable.exit_code, 2);
+  EXPECT_NE(unwritable.err.find("cannot write nowhere/out.csv"), std::string::npos);
+  EXPECT_EQ(run("in.csv --output /dev/full").exit_code, 2);
+  write("headless.csv", to_csv(at_rest("rest")) + '\n');
+  const Run headless = run("headless.csv");
+  EXPECT_EQ(headless.exit_code, 1);
+  EXPECT_NE(headless.err.find("headless.csv:1:1: error: "), std::string::npos) << headless.err;
+  EXPECT_TRUE(headless.rows.empty());
+}
+
+TEST_F(SolveInstances, HelpNamesEveryColumnAndBadOptionsAreRefused) {
+  const Run help = run("--help");
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_NE(help.out.find(instance_header()), std::string::npos);
+  EXPECT_NE(help.out.find("id,status,cost,u0_1"), std::string::npos);
+  for (const char* wrong : {"", "--repeat 0", "--tolerance -1", "--generate 0", "--no-such-option",
+                            "in.csv --generate 3"})
+    EXPECT_GT(run(wrong).exit_code, 100) << wrong;
+}
+
+}  // namespace
