@@ -103,8 +103,11 @@ class MultipleShooting {
   /// Cold start: every state x0, every input zero, no multipliers.
   void reset(const State& x0) {
     for (int k = 0; k <= horizon_; ++k) {
-      node(k) = Node{};
-      node(k).x = x0;
+      Node& n = node(k);
+      n.x = n.trial_x = x0;
+      n.u.setZero();
+      n.trial_u.setZero();
+      n.equality_multiplier.setZero();
       program_.node(k).multiplier.setZero();
     }
   }
@@ -165,6 +168,7 @@ class MultipleShooting {
     }
     node(0).x = x0;
     report_.step = 1.0;
+    last_equality_ = std::numeric_limits<double>::infinity();
     for (Node& n : nodes_) n.forget_weights();
     for (;; ++iteration) {
       const bool prepared = prepare();
@@ -186,6 +190,7 @@ class MultipleShooting {
     report_.prepare_us = prepare_us;
     report_.feedback_us = feedback_us;
     prepared_ = false;
+    equality_scale_ = 1.0;
     return report_;
   }
 
@@ -261,7 +266,7 @@ class MultipleShooting {
   void add_equalities(int k) {
     Node& n = node(k);
     auto& model = program_.stage(k).cost;
-    const auto weights = problem_.equality_weights(k);
+    const Equalities weights = equality_scale_ * problem_.equality_weights(k);
     if (k == 0 || !(weights.maxCoeff() > 0.0)) return;
     const auto h = problem_.equality_values(k, n.x);
     typename Dimensions::EqualitiesX H;
@@ -427,7 +432,7 @@ class MultipleShooting {
   double merit_of_equalities(int k, const State& x) const {
     double merit = 0.0;
     if constexpr (ne > 0) {
-      const auto weights = problem_.equality_weights(k);
+      const Equalities weights = equality_scale_ * problem_.equality_weights(k);
       if (k == 0 || !(weights.maxCoeff() > 0.0)) return 0.0;
       const auto h = problem_.equality_values(k, x);
       for (int i = 0; i < ne; ++i)
@@ -437,10 +442,15 @@ class MultipleShooting {
     return merit;
   }
 
+  // Multiplier step of the augmented Lagrangian; where it does not bring the conditions closer, the
+  // weights grow (Nocedal & Wright, Sec. 17.3).
   void update_equality_multipliers() {
     if constexpr (ne > 0) {
+      if (report_.max_equality > 0.5 * last_equality_ && report_.step == 1.0)
+        equality_scale_ = std::min(3.0 * equality_scale_, 1e4);
+      last_equality_ = report_.max_equality;
       for (int k = 1; k <= horizon_; ++k) {
-        const auto weights = problem_.equality_weights(k);
+        const Equalities weights = equality_scale_ * problem_.equality_weights(k);
         const auto h = problem_.equality_values(k, node(k).x);
         for (int i = 0; i < ne; ++i) {
           double& m = node(k).equality_multiplier(i);
@@ -457,6 +467,7 @@ class MultipleShooting {
   QuadraticProgram<nx, nu, nc> program_;
   std::vector<Node> nodes_;
   SolveReport report_;
+  double equality_scale_ = 1.0, last_equality_ = 0.0;
   bool prepared_ = false;
 };
 

@@ -18,7 +18,7 @@ struct QuadraticProgramSettings {
   double row_tolerance = 1e-9;  ///< violation that makes a row join the working set
   int max_active_rows = 150;    ///< room of the working set
   int max_rounds = 20;          ///< of adding rows
-  double sigma = 1e9;           ///< quadratic part of the penalty on violated rows
+  double sigma = 1e12;          ///< quadratic part of the penalty on violated rows
   DualSettings dual;
 };
 

@@ -1,0 +1,472 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/LU>
+
+#include <nlopt.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <memory>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+/// The plain way to solve a problem of optimal_control/problem.hpp: the whole nonlinear program
+/// handed to NLopt's SLSQP. It is slow and exact: dense matrices of all states and inputs, so time
+/// grows with the cube of the horizon (the Tilt-Ropter's 96 variables of 4 intervals: 20 ms, 480
+/// of 20: 3 s), but Hessians come from BFGS instead of Gauss-Newton, rows and equalities are hard,
+/// and NLopt sees everything. Meant as an oracle for tests, and for whoever wants just that.
+///
+///     variables     dx_1 .. dx_N, du_0 .. du_{N-1}: steps from a base trajectory, in tangent
+///                   coordinates; the initial state is fixed
+///     minimise      sum of cost(k, x_k (+) dx_k, u_k + du_k)
+///     subject to    continuity  step(x_k, u_k) (-) base_{k+1} - dx_{k+1} = 0
+///                   rows        lower <= c(x, u) <= upper, each finite bound by itself
+///                   equalities  h(x) = 0, where their weight is > 0 and k > 0
+///
+/// When SLSQP stops, the base moves to where it stopped, the steps are zero again, and SLSQP starts
+/// anew, until a whole call moves nothing: the final point then rests on derivatives at zero steps
+/// alone. At other steps the derivative of the retraction is needed. A problem whose retraction is
+/// not plain addition therefore has one more member,
+///
+///     // d difference(retract(x, dx + e), retract(x, dx)) / de at e = 0
+///     D::A retract_derivative(const State& x, const D::Tangent& dx) const;
+///
+/// and where it is absent it is taken to be the identity: exact where the retraction is addition;
+/// elsewhere a call of NLopt then goes astray far from its base, and it takes more of them.
+///
+/// Differences to MultipleShooting: penalties do not count, so a problem without a feasible point
+/// is reported as infeasible and not solved; equality weights only switch rows on and off; and
+/// equalities that no variable moves (a height that the problem holds anyway) make SLSQP's
+/// subproblem singular: a failure.
+namespace tilt_ropter {
+
+enum class FullSpaceStatus {
+  converged,   ///< NLopt moves nothing any more and the constraints hold, both within tolerance
+  limit,       ///< of calls of NLopt or time; the last point is kept
+  infeasible,  ///< NLopt moves nothing any more, but constraints are violated
+  failed,      ///< a non-finite number, a singular subproblem or no memory; the last base is kept
+  rejected,    ///< the initial state is not finite; nothing was changed
+};
+
+struct FullSpaceSettings {
+  int max_evaluations = 500;  ///< of the cost, in one call of NLopt
+  /// Largest step that counts as none, in scaled variables (a step of 1 costs about 1/2), and
+  /// largest violation of a constraint that counts as none.
+  double tolerance = 1e-9;
+  int max_rebases = 20;    ///< calls of NLopt in one solve
+  double max_time = 60.0;  ///< of one solve, looked at between evaluations [s]
+};
+
+inline void validate(const FullSpaceSettings& s) {
+  require(s.max_evaluations > 0, "FullSpaceSettings.max_evaluations", s.max_evaluations, "> 0");
+  require_positive("FullSpaceSettings.tolerance", s.tolerance);
+  require(s.max_rebases > 0, "FullSpaceSettings.max_rebases", s.max_rebases, "> 0");
+  require_positive("FullSpaceSettings.max_time [s]", s.max_time);
+}
+
+/// What a solve reports. The figures are those of the returned trajectory, from the problem's plain
+/// functions.
+struct FullSpaceReport {
+  FullSpaceStatus status = FullSpaceStatus::failed;
+  double cost = 0.0;
+  double max_defect = 0.0;     ///< of continuity, in tangent coordinates
+  double max_violation = 0.0;  ///< of rows
+  double max_equality = 0.0;   ///< of equalities with a weight, k > 0
+  int evaluations = 0;         ///< of the cost
+  int rebases = 0;             ///< calls of NLopt
+};
+
+template <typename Problem>
+class FullSpace {
+ public:
+  using Dimensions = ProblemDimensions<Problem>;
+  using State = typename Problem::State;
+  using Tangent = typename Dimensions::Tangent;
+  using Input = typename Dimensions::Input;
+  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = Dimensions::nc,
+                       ne = Dimensions::ne;
+
+  /// Throws std::invalid_argument for settings out of range or a horizon below 1.
+  explicit FullSpace(Problem problem, const FullSpaceSettings& settings = {})
+      : problem_(std::move(problem)), settings_(settings), horizon_(problem_.horizon()) {
+    validate(settings);
+    require(horizon_ >= 1, "Problem.horizon()", horizon_, ">= 1");
+    const auto nodes = static_cast<std::size_t>(horizon_) + 1;
+    nodes_.resize(nodes);
+    bounds_.reserve(2 * static_cast<std::size_t>(nc) * nodes);
+    equalities_.reserve(static_cast<std::size_t>(ne) * nodes);
+    const int size = (nx + nu) * horizon_;
+    for (Eigen::VectorXd* v : {&scale_, &variables_, &latest_, &before_latest_}) v->setZero(size);
+    optimizer_.reset(nlopt_create(NLOPT_LD_SLSQP, static_cast<unsigned>(size)));
+  }
+
+  [[nodiscard]] Problem& problem() { return problem_; }
+  [[nodiscard]] const Problem& problem() const { return problem_; }
+  [[nodiscard]] int horizon() const { return horizon_; }
+  [[nodiscard]] const State& state(int k) const { return node(k).base; }
+  [[nodiscard]] const Input& input(int k) const { return node(k).base_input; }
+  [[nodiscard]] const FullSpaceReport& report() const { return report_; }
+
+  /// Cold start: every state x0, every input zero.
+  void reset(const State& x0) {
+    for (int k = 0; k <= horizon_; ++k) set_guess(k, x0, Input::Zero());
+  }
+
+  /// Guess of the state and input at node k (the input of the last node means nothing).
+  void set_guess(int k, const State& x, const Input& u) {
+    node(k).base = x;
+    node(k).base_input = u;
+  }
+
+  /// Solves from the current guess, which reset() or set_guess() must have set at every node, with
+  /// the initial state fixed to x0. Never throws; NLopt allocates its workspace.
+  const FullSpaceReport& solve(const State& x0) noexcept {
+    report_ = {};
+    if (!problem_.difference(x0, x0).allFinite()) {
+      report_.status = FullSpaceStatus::rejected;
+      return report_;
+    }
+    node(0).base = x0;
+    node(horizon_).base_input.setZero();
+    const auto start = std::chrono::steady_clock::now();
+    const auto time_left = [&] {
+      const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - start;
+      return settings_.max_time - passed.count();
+    };
+    Call last = add_constraints() ? Call::moved : Call::failed;
+    while (last == Call::moved && report_.rebases < settings_.max_rebases && time_left() > 0.0)
+      last = call_nlopt(time_left());
+    audit();
+    const double infeasibility =
+        std::max({report_.max_defect, report_.max_violation, report_.max_equality});
+    if (last == Call::failed || !std::isfinite(report_.cost) || !std::isfinite(infeasibility))
+      report_.status = FullSpaceStatus::failed;
+    else if (last == Call::moved)
+      report_.status = FullSpaceStatus::limit;
+    else if (infeasibility > settings_.tolerance)
+      report_.status = FullSpaceStatus::infeasible;
+    else
+      report_.status = last == Call::settled ? FullSpaceStatus::converged : FullSpaceStatus::failed;
+    return report_;
+  }
+
+ private:
+  template <typename P, typename = void>
+  struct HasRetractDerivative : std::false_type {};
+  template <typename P>
+  struct HasRetractDerivative<P,
+                              std::void_t<decltype(std::declval<const P&>().retract_derivative(
+                                  std::declval<const State&>(), std::declval<const Tangent&>()))>>
+      : std::true_type {};
+  static constexpr bool curved = HasRetractDerivative<Problem>::value;
+
+  using A = typename Dimensions::A;
+  using B = typename Dimensions::B;
+  // NLopt's layout of the gradients of a vector of constraints.
+  using Jacobian =
+      Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+  using Vector = Eigen::Map<Eigen::VectorXd>;
+  using Point = Eigen::Map<const Eigen::VectorXd>;
+
+  struct Node {
+    State base{}, x{};  // x = base (+) dx
+    Input base_input = Input::Zero(), u = Input::Zero();
+    Tangent dx = Tangent::Zero();
+    A turn = A::Identity();  // derivative of the retraction at dx
+  };
+  struct Bound {  // a finite bound of a row: upper (side +1) or lower (-1)
+    int k, component;
+    double side;
+  };
+  struct Equality {
+    int k, component;
+  };
+  enum class Call { moved, settled, stuck, failed };  // what a call of NLopt did
+  struct Destroy {
+    void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
+  };
+
+  Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
+  const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
+
+  // Where the steps of node k stand among the variables: du_0, dx_1, du_1, dx_2, ..
+  static Eigen::Index input_at(int k) { return (nx + nu) * k; }
+  static Eigen::Index state_at(int k) { return (nx + nu) * k - nx; }
+
+  // Tells NLopt of every bound and equality that is there now.
+  bool add_constraints() {
+    if (!optimizer_) return false;
+    bounds_.clear();
+    equalities_.clear();
+    for (int k = 0; k <= horizon_; ++k) {
+      for (int i = 0; i < nc; ++i) {
+        if (std::isfinite(problem_.upper(k)(i))) bounds_.push_back({k, i, 1.0});
+        if (std::isfinite(problem_.lower(k)(i))) bounds_.push_back({k, i, -1.0});
+      }
+      if constexpr (ne > 0) {
+        const auto weights = problem_.equality_weights(k);
+        for (int i = 0; i < ne; ++i)
+          if (k > 0 && weights(i) > 0.0) equalities_.push_back({k, i});
+      }
+    }
+    nlopt_opt optimizer = optimizer_.get();
+    nlopt_remove_equality_constraints(optimizer);
+    nlopt_remove_inequality_constraints(optimizer);
+    const auto equalities =
+        static_cast<unsigned>(nx * horizon_) + static_cast<unsigned>(equalities_.size());
+    // Without tolerances: SLSQP's own tests would prefer a cheaper point at the edge of them.
+    return nlopt_set_min_objective(optimizer, cost, this) > 0 &&
+           nlopt_add_equality_mconstraint(optimizer, equalities, equality, this, nullptr) > 0 &&
+           (bounds_.empty() ||
+            nlopt_add_inequality_mconstraint(optimizer, static_cast<unsigned>(bounds_.size()), row,
+                                             this, nullptr) > 0);
+  }
+
+  // SLSQP starts from the identity as Hessian, so the variables are scaled until the diagonal of
+  // the cost's is one.
+  void choose_scale() {
+    for (int k = 0; k <= horizon_; ++k) {
+      QuadraticModel<nx, nu> model;
+      problem_.cost_model(k, node(k).base, node(k).base_input, model);
+      if (k > 0) scale_.segment<nx>(state_at(k)) = model.lxx.diagonal();
+      if (k < horizon_) scale_.segment<nu>(input_at(k)) = model.luu.diagonal();
+    }
+    scale_ = scale_.cwiseMax(1e-4).cwiseSqrt().cwiseInverse();
+  }
+
+  // One call of NLopt, from the base and to a new one.
+  Call call_nlopt(double time) {
+    choose_scale();
+    nlopt_result result = optimize(time, 0.0);
+    const auto limited = [&] {
+      return result == NLOPT_MAXEVAL_REACHED || result == NLOPT_MAXTIME_REACHED;
+    };
+    if (finite_ && gradients_ < 2 && !limited()) {
+      // No step was tried: either this is the very optimum, and a start beside it leads back, or
+      // SLSQP cannot solve its subproblem. NLopt's code is the same.
+      result = optimize(time, 1e-6);
+      if (finite_ && gradients_ < 2 && !limited()) return Call::stuck;
+    }
+    if (!finite_ || result == NLOPT_OUT_OF_MEMORY || result == NLOPT_INVALID_ARGS)
+      return Call::failed;
+    place(latest_);
+    for (Node& n : nodes_) {
+      n.base = n.x;
+      n.base_input = n.u;
+    }
+    ++report_.rebases;
+    const bool moved = latest_.cwiseAbs().maxCoeff() > settings_.tolerance;
+    return moved || limited() ? Call::moved : Call::settled;
+  }
+
+  // Lets NLopt run from steps of this size; ends in latest_.
+  nlopt_result optimize(double time, double size) {
+    nlopt_opt optimizer = optimizer_.get();
+    nlopt_set_maxeval(optimizer, settings_.max_evaluations);
+    nlopt_set_maxtime(optimizer, std::max(time, 1e-9));  // 0 would be no limit
+    nlopt_set_force_stop(optimizer, 0);
+    variables_.setConstant(size);
+    latest_.setZero();
+    before_latest_.setConstant(std::numeric_limits<double>::infinity());
+    finite_ = true;
+    gradients_ = 0;
+    double value = 0.0;
+    return nlopt_optimize(optimizer, variables_.data(), &value);
+  }
+
+  // Steps to states and inputs.
+  template <typename Variables>
+  void place(const Variables& v) {
+    for (int k = 0; k <= horizon_; ++k) {
+      Node& n = node(k);
+      n.x = n.base;
+      n.u = n.base_input;
+      if (k > 0) {
+        n.dx = scale_.segment<nx>(state_at(k)).cwiseProduct(v.template segment<nx>(state_at(k)));
+        n.x = problem_.retract(n.base, n.dx);
+        if constexpr (curved) n.turn = problem_.retract_derivative(n.base, n.dx);
+      }
+      if (k < horizon_)
+        n.u += scale_.segment<nu>(input_at(k)).cwiseProduct(v.template segment<nu>(input_at(k)));
+    }
+  }
+
+  // NLopt burns all its evaluations on a NaN.
+  void stop_unless(bool finite) {
+    if (finite) return;
+    finite_ = false;
+    nlopt_force_stop(optimizer_.get());
+  }
+
+  // SLSQP asks for gradients at every new iterate and at every full step from one. If such a point
+  // is no other than one of the last two, then either the full step is none, or no part of it
+  // makes anything better.
+  void look_for_the_end(const Point& v) {
+    const double moved = (v - latest_).cwiseAbs().maxCoeff();
+    const double moved_in_two = (v - before_latest_).cwiseAbs().maxCoeff();
+    before_latest_.swap(latest_);
+    latest_ = v;
+    if (gradients_++ > 0 && std::min(moved, moved_in_two) <= settings_.tolerance)
+      nlopt_force_stop(optimizer_.get());
+  }
+
+  static double cost(unsigned size, const double* v, double* gradient, void* self_pointer) {
+    auto& self = *static_cast<FullSpace*>(self_pointer);
+    const Point point(v, static_cast<Eigen::Index>(size));
+    ++self.report_.evaluations;
+    self.place(point);
+    double sum = 0.0;
+    for (int k = 0; k <= self.horizon_; ++k) {
+      const Node& n = self.node(k);
+      sum += self.problem_.cost(k, n.x, n.u);
+      if (gradient == nullptr) continue;
+      Vector g(gradient, static_cast<Eigen::Index>(size));
+      QuadraticModel<nx, nu> model;
+      self.problem_.cost_model(k, n.x, n.u, model);
+      if (k > 0) g.segment<nx>(state_at(k)) = n.turn.transpose() * model.lx;
+      if (k < self.horizon_) g.segment<nu>(input_at(k)) = model.lu;
+    }
+    self.stop_unless(std::isfinite(sum));
+    if (gradient != nullptr) {
+      Vector g(gradient, static_cast<Eigen::Index>(size));
+      g.array() *= self.scale_.array();
+      self.stop_unless(g.allFinite());
+      if (self.finite_) self.look_for_the_end(point);
+    }
+    return sum;
+  }
+
+  // Continuity of every interval, then equalities.
+  static void equality(unsigned count, double* result, unsigned size, const double* v,
+                       double* gradient, void* self_pointer) {
+    auto& self = *static_cast<FullSpace*>(self_pointer);
+    const Problem& problem = self.problem_;
+    self.place(Point(v, static_cast<Eigen::Index>(size)));
+    Vector value(result, static_cast<Eigen::Index>(count));
+    Jacobian jacobian(gradient, gradient ? static_cast<Eigen::Index>(count) : 0,
+                      static_cast<Eigen::Index>(size));
+    jacobian.setZero();
+    for (int k = 0; k < self.horizon_; ++k) {
+      const Node& n = self.node(k);
+      const Node& next = self.node(k + 1);
+      A by_state;
+      B by_input;
+      const State end =
+          gradient ? problem.step(k, n.x, n.u, by_state, by_input) : problem.step(k, n.x, n.u);
+      const Tangent reached = problem.difference(end, next.base);
+      value.segment<nx>(nx * k) = reached - next.dx;
+      if (!gradient) continue;
+      if constexpr (curved) {
+        const Eigen::PartialPivLU<A> turn(problem.retract_derivative(next.base, reached));
+        by_state = turn.solve(A(by_state * n.turn));
+        by_input = turn.solve(by_input);
+      }
+      if (k > 0) jacobian.block<nx, nx>(nx * k, state_at(k)) = by_state;
+      jacobian.block<nx, nu>(nx * k, input_at(k)) = by_input;
+      jacobian.block<nx, nx>(nx * k, state_at(k + 1)) = -A::Identity();
+    }
+    if constexpr (ne > 0) {
+      Eigen::Index index = nx * self.horizon_;
+      for (const Equality& e : self.equalities_) {
+        const Node& n = self.node(e.k);
+        value(index) = problem.equality_values(e.k, n.x)(e.component);
+        if (gradient) {
+          typename Dimensions::EqualitiesX H;
+          problem.equality_derivatives(e.k, n.x, H);
+          jacobian.block<1, nx>(index, state_at(e.k)) = H.row(e.component) * n.turn;
+        }
+        ++index;
+      }
+    }
+    self.finish(value, jacobian);
+  }
+
+  // Finite bounds of rows, as values <= 0.
+  static void row(unsigned count, double* result, unsigned size, const double* v, double* gradient,
+                  void* self_pointer) {
+    auto& self = *static_cast<FullSpace*>(self_pointer);
+    const Problem& problem = self.problem_;
+    self.place(Point(v, static_cast<Eigen::Index>(size)));
+    Vector value(result, static_cast<Eigen::Index>(count));
+    Jacobian jacobian(gradient, gradient ? static_cast<Eigen::Index>(count) : 0,
+                      static_cast<Eigen::Index>(size));
+    jacobian.setZero();
+    typename Dimensions::Rows c;
+    typename Dimensions::RowsX C;
+    typename Dimensions::RowsU E;
+    int evaluated = -1;
+    for (std::size_t i = 0; i < self.bounds_.size(); ++i) {
+      const Bound& b = self.bounds_[i];
+      const auto index = static_cast<Eigen::Index>(i);
+      const Node& n = self.node(b.k);
+      if (evaluated != b.k) {
+        c = problem.row_values(b.k, n.x, n.u);
+        if (gradient) problem.row_derivatives(b.k, n.x, n.u, C, E);
+        evaluated = b.k;
+      }
+      const double limit = (b.side > 0.0 ? problem.upper(b.k) : problem.lower(b.k))(b.component);
+      value(index) = b.side * (c(b.component) - limit);
+      if (!gradient) continue;
+      if (b.k > 0)
+        jacobian.block<1, nx>(index, state_at(b.k)) = b.side * C.row(b.component) * n.turn;
+      if (b.k < self.horizon_)
+        jacobian.block<1, nu>(index, input_at(b.k)) = b.side * E.row(b.component);
+    }
+    self.finish(value, jacobian);
+  }
+
+  void finish(const Vector& value, Jacobian& jacobian) {
+    stop_unless(value.allFinite());
+    jacobian.array().rowwise() *= scale_.transpose().array();
+    stop_unless(jacobian.allFinite());
+  }
+
+  // Figures of the base trajectory. A NaN stays one.
+  void audit() {
+    const auto raise = [](double& largest, double value) {
+      if (!(value <= largest)) largest = value;
+    };
+    for (int k = 0; k <= horizon_; ++k) {
+      const Node& n = node(k);
+      report_.cost += problem_.cost(k, n.base, n.base_input);
+      if (k < horizon_) {
+        const State end = problem_.step(k, n.base, n.base_input);
+        const Tangent defect = problem_.difference(end, node(k + 1).base);
+        for (int i = 0; i < nx; ++i) raise(report_.max_defect, std::abs(defect(i)));
+      }
+      const auto c = problem_.row_values(k, n.base, n.base_input);
+      for (int i = 0; i < nc; ++i) {
+        raise(report_.max_violation, c(i) - problem_.upper(k)(i));
+        raise(report_.max_violation, problem_.lower(k)(i) - c(i));
+      }
+    }
+    if constexpr (ne > 0)
+      for (const Equality& e : equalities_)
+        raise(report_.max_equality,
+              std::abs(problem_.equality_values(e.k, node(e.k).base)(e.component)));
+  }
+
+  Problem problem_;
+  FullSpaceSettings settings_;
+  int horizon_;
+  std::unique_ptr<nlopt_opt_s, Destroy> optimizer_;
+  std::vector<Node> nodes_;
+  std::vector<Bound> bounds_;
+  std::vector<Equality> equalities_;
+  Eigen::VectorXd scale_;                   // step = scale * variable
+  Eigen::VectorXd variables_;               // NLopt's
+  Eigen::VectorXd latest_, before_latest_;  // last points at which gradients were asked for
+  FullSpaceReport report_;
+  int gradients_ = 0;  // asked for in this call of NLopt
+  bool finite_ = true;
+};
+
+}  // namespace tilt_ropter

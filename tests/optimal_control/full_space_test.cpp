@@ -1,0 +1,259 @@
+#include <tilt_ropter/optimal_control/full_space.hpp>
+
+#include "support/benchmark_problem.hpp"
+#include "support/contradiction.hpp"
+#include "support/quadrotor.hpp"
+#include "support/unicycle.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Contradiction;
+using test_support::Quadrotor;
+using test_support::Unicycle;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+// Cost and largest violations of a trajectory, from the problem's plain functions alone.
+struct Audit {
+  double cost = 0.0, defect = 0.0, violation = 0.0;
+};
+
+template <typename Solver>
+Audit audit(const Solver& solver) {
+  const auto& problem = solver.problem();
+  Audit a;
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    const auto& x = solver.state(k);
+    const auto& u = solver.input(k);
+    a.cost += problem.cost(k, x, u);
+    const auto rows = problem.row_values(k, x, u);
+    a.violation = std::max(a.violation, (rows - problem.upper(k)).maxCoeff());
+    a.violation = std::max(a.violation, (problem.lower(k) - rows).maxCoeff());
+    if (k < problem.horizon())
+      a.defect = std::max(
+          a.defect,
+          problem.difference(problem.step(k, x, u), solver.state(k + 1)).cwiseAbs().maxCoeff());
+  }
+  return a;
+}
+
+Quadrotor::State thrown_quadrotor() {
+  Quadrotor::State x;
+  x.position << 0.3, -0.2, 0.1;
+  x.velocity << 0.5, 0.0, -0.2;
+  x.orientation = quaternion_exp(Eigen::Vector3d(0.6, -0.4, 0.8));
+  x.angular_velocity << 0.5, -1.0, 0.3;
+  return x;
+}
+
+WheeledFlightProblem short_flight() {
+  WheeledFlightSettings settings;
+  settings.intervals = 4;
+  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    problem.node(k).reference.position << 0.0, 0.0, 1.0;
+    problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
+  }
+  return problem;
+}
+
+State<> displaced_flight() {
+  State<> x;
+  x.wrench.force = test_support::benchmark_hover_force();
+  x.body.position << 0.1, -0.2, 0.9;
+  x.body.velocity << 0.1, 0.0, 0.2;
+  x.body.orientation = quaternion_exp(Eigen::Vector3d(0.2, -0.1, 0.4));
+  x.body.angular_velocity << 0.3, -0.2, 0.1;
+  return x;
+}
+
+TEST(FullSpace, ReportAgreesWithAnIndependentAudit) {
+  Unicycle problem({6});
+  const Eigen::Vector3d x0(-2.0, 0.0, 0.3);
+  for (const int evaluations : {1, 3, 10, 1000}) {
+    FullSpaceSettings settings;
+    settings.max_evaluations = evaluations;
+    if (evaluations < 1000) settings.max_rebases = 1;
+    FullSpace<Unicycle> solver(problem, settings);
+    solver.reset(x0);
+    const FullSpaceReport report = solver.solve(x0);
+    EXPECT_EQ(report.status,
+              evaluations == 1000 ? FullSpaceStatus::converged : FullSpaceStatus::limit);
+    EXPECT_LE(report.evaluations, evaluations);
+    const Audit a = audit(solver);
+    EXPECT_DOUBLE_EQ(report.cost, a.cost);
+    EXPECT_DOUBLE_EQ(report.max_defect, a.defect);
+    EXPECT_DOUBLE_EQ(report.max_violation, a.violation);
+  }
+}
+
+TEST(FullSpace, FindsTheOptimumFromAnyGuess) {
+  const Quadrotor problem({5});
+  const Quadrotor::State x0 = thrown_quadrotor();
+  FullSpace<Quadrotor> cold(problem), warm(problem);
+  cold.reset(x0);
+  const FullSpaceReport from_cold = cold.solve(x0);
+  // A guess that is turned by 1.5 rad.
+  Quadrotor::State turned = x0;
+  turned.orientation = x0.orientation * quaternion_exp(Eigen::Vector3d(0.9, -1.2, 0.0));
+  const Eigen::Vector4d hover = Eigen::Vector4d::Constant(Quadrotor::hover_thrust());
+  for (int k = 0; k <= 5; ++k) warm.set_guess(k, turned, hover);
+  const FullSpaceReport from_turned = warm.solve(x0);
+  EXPECT_EQ(from_turned.status, FullSpaceStatus::converged);
+  EXPECT_NEAR(from_turned.cost, from_cold.cost, 1e-12 * from_cold.cost);
+  EXPECT_EQ(from_turned.rebases, 2);  // all the way in one call of NLopt, and one that agrees
+  // From the optimum itself: one call of NLopt that looks at it and at one step.
+  const FullSpaceReport again = warm.solve(x0);
+  EXPECT_EQ(again.status, FullSpaceStatus::converged);
+  EXPECT_EQ(again.rebases, 1);
+  EXPECT_EQ(again.evaluations, 2);
+}
+
+// The quadrotor as a problem that does not know the derivative of its retraction.
+struct PlainQuadrotor : private Quadrotor {
+  using Quadrotor::cost, Quadrotor::cost_model, Quadrotor::row_values, Quadrotor::row_derivatives;
+  using Quadrotor::horizon, Quadrotor::retract, Quadrotor::difference, Quadrotor::step;
+  using Quadrotor::lower, Quadrotor::upper, Quadrotor::penalty;
+  using Quadrotor::states, Quadrotor::inputs, Quadrotor::rows, Quadrotor::equalities;
+  using State = Quadrotor::State;
+  using Quadrotor::Quadrotor;
+};
+
+TEST(FullSpace, DerivativeOfTheRetractionSavesCallsAndNotTheOptimum) {
+  FullSpace<Quadrotor> knowing(Quadrotor({5}));
+  FullSpace<PlainQuadrotor> plain(PlainQuadrotor(test_support::QuadrotorModel{5}));
+  const Quadrotor::State x0 = thrown_quadrotor();
+  knowing.reset(x0);
+  plain.reset(x0);
+  const FullSpaceReport with = knowing.solve(x0), without = plain.solve(x0);
+  EXPECT_EQ(with.status, FullSpaceStatus::converged);
+  EXPECT_EQ(without.status, FullSpaceStatus::converged);
+  EXPECT_NEAR(without.cost, with.cost, 1e-8 * with.cost);
+  EXPECT_LT(10 * with.evaluations, without.evaluations);
+}
+
+TEST(FullSpace, SaysThatThereIsNoFeasiblePoint) {
+  FullSpace<Contradiction> solver(Contradiction({4}));
+  const Contradiction::State x0(0.3);
+  solver.reset(x0);
+  const FullSpaceReport report = solver.solve(x0);
+  EXPECT_EQ(report.status, FullSpaceStatus::infeasible);
+  EXPECT_GE(report.max_violation, 1.0);
+  EXPECT_TRUE(std::isfinite(report.cost));
+}
+
+TEST(FullSpace, ConvergesAtOnceFromAnOptimumToTheLastBit) {
+  FullSpace<Quadrotor> solver(Quadrotor({5}));
+  const Quadrotor::State hovering;
+  for (int k = 0; k <= 5; ++k)
+    solver.set_guess(k, hovering, Eigen::Vector4d::Constant(Quadrotor::hover_thrust()));
+  const FullSpaceReport report = solver.solve(hovering);
+  EXPECT_EQ(report.status, FullSpaceStatus::converged);
+  EXPECT_LT(report.cost, 1e-15);
+}
+
+TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
+  // On the ground in a problem that holds height and roll, so that two equalities say nothing.
+  WheeledFlightProblem problem = short_flight();
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    problem.node(k).on_ground = true;
+    problem.node(k).freedom.linear.z() = 0.0;
+    problem.node(k).freedom.angular.x() = 0.0;
+  }
+  FullSpace<WheeledFlightProblem> solver(problem);
+  State<> x = displaced_flight();
+  x.body = {};
+  x.body.position.z() = WheelParameters{}.radius;
+  solver.reset(x);
+  EXPECT_EQ(solver.solve(x).status, FullSpaceStatus::failed);
+}
+
+TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
+  FullSpace<WheeledFlightProblem> solver(short_flight());
+  solver.reset(displaced_flight());
+  solver.solve(displaced_flight());
+  const auto plan = solver.input(0);
+  for (const double bad : {nan, std::numeric_limits<double>::infinity()}) {
+    State<> x = displaced_flight();
+    x.body.velocity.y() = bad;
+    EXPECT_EQ(solver.solve(x).status, FullSpaceStatus::rejected);
+    EXPECT_EQ(solver.input(0), plan);
+  }
+  EXPECT_EQ(solver.solve(displaced_flight()).status, FullSpaceStatus::converged);
+}
+
+TEST(FullSpace, NonFiniteProblemFailsAtOnceAndKeepsThePlan) {
+  FullSpace<WheeledFlightProblem> solver(short_flight());
+  solver.reset(displaced_flight());
+  solver.solve(displaced_flight());
+  const auto plan = solver.input(0);
+  solver.problem().node(2).reference.position.x() = nan;
+  const FullSpaceReport in_cost = solver.solve(displaced_flight());
+  EXPECT_EQ(in_cost.status, FullSpaceStatus::failed);
+  EXPECT_EQ(in_cost.evaluations, 1);
+  EXPECT_EQ(solver.input(0), plan);
+  solver.problem().node(2).reference.position.x() = 0.0;
+  solver.problem().node(1).external.force.x() = nan;
+  const FullSpaceReport in_step = solver.solve(displaced_flight());
+  EXPECT_EQ(in_step.status, FullSpaceStatus::failed);
+  EXPECT_EQ(in_step.evaluations, 1);
+  EXPECT_EQ(solver.input(0), plan);
+}
+
+TEST(FullSpace, LimitsAreKept) {
+  const Eigen::Vector3d x0(-2.0, 0.0, 0.3);
+  const auto solve = [&](const FullSpaceSettings& settings) {
+    FullSpace<Unicycle> solver(Unicycle({6}), settings);
+    solver.reset(x0);
+    return solver.solve(x0);
+  };
+  FullSpaceSettings s;
+  s.max_evaluations = 5;
+  s.max_rebases = 1;
+  EXPECT_EQ(solve(s).status, FullSpaceStatus::limit);
+  EXPECT_EQ(solve(s).evaluations, 5);
+  s = {};
+  s.max_rebases = 1;
+  EXPECT_EQ(solve(s).status, FullSpaceStatus::limit);
+  EXPECT_EQ(solve(s).rebases, 1);
+  s = {};
+  s.max_time = 1e-9;
+  EXPECT_EQ(solve(s).status, FullSpaceStatus::limit);
+  EXPECT_LE(solve(s).evaluations, 2);
+  s = {};
+  s.tolerance = 1e-2;
+  EXPECT_LT(solve(s).evaluations, solve({}).evaluations);
+}
+
+TEST(FullSpace, SettingsOutOfRangeAreRefusedByName) {
+  const auto message = [](const FullSpaceSettings& settings, int horizon) -> std::string {
+    try {
+      FullSpace<Unicycle> solver(Unicycle({horizon}), settings);
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  const auto expect_refused = [&](auto change, const std::string& text) {
+    FullSpaceSettings s;
+    change(s);
+    EXPECT_NE(message(s, 6).find(text), std::string::npos) << message(s, 6);
+  };
+  expect_refused([](auto& s) { s.max_evaluations = 0; }, "max_evaluations = 0: must be > 0");
+  expect_refused([](auto& s) { s.tolerance = -1.0; }, "FullSpaceSettings.tolerance = -1");
+  expect_refused([](auto& s) { s.max_rebases = 0; }, "FullSpaceSettings.max_rebases = 0");
+  expect_refused([](auto& s) { s.max_time = nan; }, "FullSpaceSettings.max_time [s] = nan");
+  EXPECT_EQ(message({}, 0), "Problem.horizon() = 0: must be >= 1");
+}
+
+}  // namespace
+}  // namespace tilt_ropter
