@@ -3,6 +3,7 @@
 #include "support/autodiff.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/random.hpp"
+#include "support/states.hpp"
 
 #include <gtest/gtest.h>
 
@@ -14,17 +15,8 @@ namespace {
 
 using test_support::Dual;
 using test_support::Random;
+using test_support::random_state;
 using D = WheeledFlightProblem::D;
-
-State<> random_state(Random& random) {
-  State<> x;
-  x.wrench = {random.vector(10.0), random.vector(1.0)};
-  x.body.position = random.vector(3.0);
-  x.body.velocity = random.vector(3.0);
-  x.body.orientation = random.orientation();
-  x.body.angular_velocity = random.vector(4.0);
-  return x;
-}
 
 WheeledFlightProblem random_problem(Random& random) {
   WheeledFlightSettings settings;
@@ -59,14 +51,7 @@ Eigen::Matrix<Scalar, 18, 1> paper_error(const State<Scalar>& x, const WheeledFl
 
 template <typename Scalar>
 State<Scalar> moved(const State<>& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
-  State<Scalar> y;
-  y.wrench.force = x.wrench.force.cast<Scalar>();
-  y.wrench.torque = x.wrench.torque.cast<Scalar>();
-  y.body.position = x.body.position.cast<Scalar>();
-  y.body.velocity = x.body.velocity.cast<Scalar>();
-  y.body.orientation = x.body.orientation.cast<Scalar>();
-  y.body.angular_velocity = x.body.angular_velocity.cast<Scalar>();
-  return retract<Scalar>(y, d);
+  return retract<Scalar>(test_support::cast<Scalar>(x), d);
 }
 
 TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {

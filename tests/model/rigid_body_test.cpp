@@ -2,6 +2,7 @@
 
 #include "support/autodiff.hpp"
 #include "support/random.hpp"
+#include "support/states.hpp"
 
 #include <gtest/gtest.h>
 
@@ -10,36 +11,16 @@
 namespace tilt_ropter {
 namespace {
 
+using test_support::cast;
 using test_support::Dual;
 using test_support::Random;
+using test_support::random_state;
 
 RigidBodyParameters lopsided_body() {
   RigidBodyParameters body;
   body.mass = 1.5;
   body.inertia << 0.0137, 0.0004, -0.0007, 0.0004, 0.0143, 0.0003, -0.0007, 0.0003, 0.0246;
   return body;
-}
-
-State<> random_state(Random& random) {
-  State<> x;
-  x.wrench = {random.vector(10.0), random.vector(1.0)};
-  x.body.position = random.vector(5.0);
-  x.body.velocity = random.vector(5.0);
-  x.body.orientation = random.orientation();
-  x.body.angular_velocity = random.vector(6.0);
-  return x;
-}
-
-template <typename Scalar>
-State<Scalar> cast(const State<>& x) {
-  State<Scalar> y;
-  y.wrench.force = x.wrench.force.cast<Scalar>();
-  y.wrench.torque = x.wrench.torque.cast<Scalar>();
-  y.body.position = x.body.position.cast<Scalar>();
-  y.body.velocity = x.body.velocity.cast<Scalar>();
-  y.body.orientation = x.body.orientation.cast<Scalar>();
-  y.body.angular_velocity = x.body.angular_velocity.cast<Scalar>();
-  return y;
 }
 
 // An independent second model: spatial equation of motion in body coordinates, with a rotation

@@ -1,6 +1,7 @@
 #include <tilt_ropter/model/state.hpp>
 
 #include "support/random.hpp"
+#include "support/states.hpp"
 
 #include <gtest/gtest.h>
 
@@ -11,13 +12,7 @@ namespace tilt_ropter {
 namespace {
 
 using test_support::Random;
-
-State<> random_state(Random& random) {
-  State<> x;
-  x.wrench = {random.vector(10.0), random.vector(1.0)};
-  x.body = {random.vector(5.0), random.vector(5.0), random.orientation(), random.vector(6.0)};
-  return x;
-}
+using test_support::random_state;
 
 TEST(State, PackedOrderIsThePapersWithTheQuaternionsRealPartFirst) {
   State<> x;

@@ -1,5 +1,6 @@
 #include <tilt_ropter/optimal_control/full_space.hpp>
 
+#include "support/audit.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/quadrotor.hpp"
@@ -16,35 +17,13 @@
 namespace tilt_ropter {
 namespace {
 
+using test_support::Audit;
+using test_support::audit;
 using test_support::Contradiction;
 using test_support::Quadrotor;
 using test_support::Unicycle;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-// Cost and largest violations of a trajectory, from the problem's plain functions alone.
-struct Audit {
-  double cost = 0.0, defect = 0.0, violation = 0.0;
-};
-
-template <typename Solver>
-Audit audit(const Solver& solver) {
-  const auto& problem = solver.problem();
-  Audit a;
-  for (int k = 0; k <= problem.horizon(); ++k) {
-    const auto& x = solver.state(k);
-    const auto& u = solver.input(k);
-    a.cost += problem.cost(k, x, u);
-    const auto rows = problem.row_values(k, x, u);
-    a.violation = std::max(a.violation, (rows - problem.upper(k)).maxCoeff());
-    a.violation = std::max(a.violation, (problem.lower(k) - rows).maxCoeff());
-    if (k < problem.horizon())
-      a.defect = std::max(
-          a.defect,
-          problem.difference(problem.step(k, x, u), solver.state(k + 1)).cwiseAbs().maxCoeff());
-  }
-  return a;
-}
 
 Quadrotor::State thrown_quadrotor() {
   Quadrotor::State x;

@@ -1,5 +1,6 @@
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
+#include "support/audit.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/random.hpp"
 
@@ -21,29 +22,6 @@ using test_support::step_problem;
 using test_support::step_start;
 
 using Solver = MultipleShooting<WheeledFlightProblem>;
-
-// Largest defect, violation and cost of a plan, from the problem's plain functions alone.
-struct Audit {
-  double cost = 0.0, defect = 0.0, violation = 0.0;
-};
-
-Audit audit(const Solver& solver) {
-  const WheeledFlightProblem& problem = solver.problem();
-  Audit a;
-  for (int k = 0; k <= problem.horizon(); ++k) {
-    const auto& x = solver.state(k);
-    const auto& u = solver.input(k);
-    a.cost += problem.cost(k, x, u);
-    const auto rows = problem.row_values(k, x, u);
-    a.violation = std::max(a.violation, (rows - problem.upper(k)).maxCoeff());
-    a.violation = std::max(a.violation, (problem.lower(k) - rows).maxCoeff());
-    if (k < problem.horizon())
-      a.defect = std::max(
-          a.defect,
-          problem.difference(problem.step(k, x, u), solver.state(k + 1)).cwiseAbs().maxCoeff());
-  }
-  return a;
-}
 
 TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
   Solver solver(step_problem());
@@ -95,7 +73,7 @@ TEST(MultipleShooting, ReportAgreesWithAnIndependentAudit) {
     solver.reset(x);
     const SolveReport report = solver.solve(x);
     ASSERT_EQ(report.status, SolveStatus::converged) << "start " << i;
-    const Audit a = audit(solver);
+    const test_support::Audit a = test_support::audit(solver);
     EXPECT_NEAR(a.cost, report.cost, 1e-9 * (1.0 + a.cost));
     EXPECT_NEAR(a.defect, report.max_defect, 1e-12);
     EXPECT_NEAR(a.violation, report.max_violation, 1e-12);

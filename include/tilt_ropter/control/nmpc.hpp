@@ -62,8 +62,9 @@ inline void validate(const NmpcSettings& s) {
 /// What leaves the controller.
 struct NmpcResult {
   NmpcStatus status = NmpcStatus::no_plan;
-  Wrench<> wrench;         ///< to command now, body frame; finite and within the bounds
-  Wrench<> rate;           ///< its rate in the plan, body frame [N/s; N m/s]
+  Wrench<> wrench;         ///< to apply now, body frame [N; N m]; finite and within the bounds
+  Wrench<> rate;           ///< its rate from now on, body frame [N/s; N m/s]: what lagging
+                           ///< actuators need to follow it, see Allocation::allocate
   bool on_ground = false;  ///< mode of contact
   SolveReport report;      ///< of the solver; of the last one if it was not called
 };
@@ -87,8 +88,8 @@ class Nmpc {
 
   /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
   /// reference, linearisation, factorisation. `reference` is any callable that returns a
-  /// ReferencePoint for a time; `external` is the estimated external wrench (body frame). True if
-  /// the vehicle has just left the ground: see GroundContact::update.
+  /// ReferencePoint for a time and does not throw; `external` is the estimated external wrench
+  /// (body frame). True if the vehicle has just left the ground: see GroundContact::update.
   template <typename Reference>
   bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
     bool lifted_off = false;

@@ -37,8 +37,10 @@ inline void validate(const DualSettings& s) {
   require_positive("DualSettings.tolerance", s.tolerance);
 }
 
-/// Minimiser of the dual above, with room for `capacity` rows. NLopt allocates in each call (its
-/// workspace, about 100 kB with the vector storage set here); nothing else does after construction.
+/// Minimiser of the dual above, with room for `capacity` rows. From cold NLopt finds the rows that
+/// hold, in short calls with projected Newton steps between them; from the last multipliers those
+/// steps come first, and NLopt confirms the result or goes on from it. NLopt allocates in each call
+/// and when a number of rows is met for the first time; nothing else does after construction.
 class DualSolver {
  public:
   explicit DualSolver(int capacity, const DualSettings& settings = {})
