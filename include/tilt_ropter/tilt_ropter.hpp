@@ -19,6 +19,7 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/optimal_control/block_product.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>

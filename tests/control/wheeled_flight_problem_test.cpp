@@ -120,8 +120,8 @@ TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
   const WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
   const State<> x = random_state(random);
   const D::Input u = D::Input::Ones();
-  D::RowsX C;
-  D::RowsU E;
+  D::RowsX C = D::RowsX::Zero();
+  D::RowsU E = D::RowsU::Zero();
   problem.row_derivatives(2, x, u, C, E);
   const D::Rows before = problem.row_values(2, x, u);
   for (int i = 0; i < 18; ++i) {

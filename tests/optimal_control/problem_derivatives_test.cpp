@@ -7,6 +7,7 @@
 #include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
+#include "support/states.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
@@ -73,8 +74,8 @@ void expect_exact_derivatives(const Problem& problem, int k, const typename Prob
 
   const auto rows = test_support::jacobian_at_zero<nc, nx + nu>(
       [&](const Vector& d) { return problem.template rows_of<S>(k, x_of(d), u_of(d)); });
-  typename D::RowsX C;
-  typename D::RowsU E;
+  typename D::RowsX C = D::RowsX::Zero();
+  typename D::RowsU E = D::RowsU::Zero();
   problem.row_derivatives(k, x, u, C, E);
   expect_equal(C, rows.template leftCols<nx>());
   expect_equal(E, rows.template rightCols<nu>());
@@ -109,6 +110,33 @@ TEST(ProblemDerivatives, AreExact) {
     expect_exact_derivatives(Quadrotor({5}), k, random_body(random),
                              Eigen::Vector4d(u(0), u(1), u(2), random.uniform(0.0, 4.0)));
   }
+}
+
+TEST(ProblemDerivatives, NothingIsOutsideTheDeclaredTransitionBlocks) {
+  using Blocks = WheeledFlightProblem::TransitionBlocks;
+  constexpr int size = Blocks::size;
+  Random random(73);
+  WheeledFlightProblem problem = test_support::step_problem();
+  Eigen::Matrix<double, 18, 24> seen = Eigen::Matrix<double, 18, 24>::Zero();
+  for (int i = 0; i < 100; ++i) {
+    WheeledFlightNode& node = problem.node(0);
+    node.external = {random.vector(3.0), random.vector(0.3)};
+    node.freedom.linear.z() = i % 2 == 0 ? 1.0 : 0.0;
+    node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
+    WheeledFlightProblem::D::A A;
+    WheeledFlightProblem::D::B B;
+    WheeledFlightProblem::D::Input u;
+    u << random.vector(5.0), random.vector(1.0);
+    (void)problem.step(0, test_support::random_state(random), u, A, B);
+    Eigen::Matrix<double, 18, 24> both;
+    both << A, B;
+    seen += both.cwiseAbs();
+  }
+  for (int row = 0; row < 18 / size; ++row)
+    for (int column = 0; column < 24 / size; ++column) {
+      const bool zero = seen.block<size, size>(size * row, size * column).isZero(0.0);
+      EXPECT_EQ(zero, !Blocks::nonzero(row, column)) << row << ' ' << column;
+    }
 }
 
 TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {

@@ -51,7 +51,7 @@ Path follow(const LinearQuadratic& lq, const Eigen::VectorXd& inputs,
     if (k == horizon) break;
     const Eigen::Vector2d du = inputs.segment<nu>(nu * k);
     path.cost += s.cost.lu.dot(du) + du.dot(s.cost.lux * dx) + 0.5 * du.dot(s.cost.luu * du);
-    path.squares += (s.L.transpose() * du + s.Y * dx + s.y).squaredNorm();
+    path.squares += (s.L().transpose() * du + s.Y() * dx + s.y).squaredNorm();
     const Eigen::Matrix<double, nx, 1> next = s.A * dx + s.B * du + s.defect;
     dx = next;
   }
@@ -89,7 +89,7 @@ TEST(Riccati, ZeroCoordinatesAreTheOptimalInputs) {
   EXPECT_NEAR(follow(lq, inputs, Eigen::Vector4d(1, -2, 0.5, 3)).squares, 0.0, 1e-16);
 }
 
-TEST(Riccati, AdjointIsTheTransposeOfTheClosedLoop) {
+TEST(Riccati, AdjointStepIsTheTransposeOfTheClosedLoop) {
   LinearQuadratic lq = random_problem(34);
   ASSERT_TRUE(lq.factorise());
   const auto& s = lq.stage(2);
@@ -98,16 +98,57 @@ TEST(Riccati, AdjointIsTheTransposeOfTheClosedLoop) {
     return s.A * dx + s.B * lq.input_step(2, dx, z);
   };
   const Eigen::Vector4d origin = next(Eigen::Vector4d::Zero(), Eigen::Vector2d::Zero());
-  for (int i = 0; i < nx; ++i)
-    EXPECT_LT((next(Eigen::Vector4d::Unit(i), Eigen::Vector2d::Zero()) - origin -
-               s.adjoint.row(i).transpose())
-                  .norm(),
-              1e-9);
-  for (int i = 0; i < nu; ++i)
-    EXPECT_LT((next(Eigen::Vector4d::Zero(), Eigen::Vector2d::Unit(i)) - origin -
-               s.adjoint.row(nx + i).transpose())
-                  .norm(),
-              1e-9);
+  // Row i: the function dx+(i). More rows than fit one tile, and not a multiple of it.
+  constexpr int count = batch_rows + 3;
+  LinearQuadratic::Batch after(2 * batch_rows, nx + nu), before = after;
+  after.setZero();
+  before.setConstant(7.0);
+  for (int i = 0; i < count; ++i) after(i, nu + i % nx) = 1.0;
+  lq.step_back(2, after, before, count);
+  lq.to_coordinates(2, before, count);
+  for (int i = 0; i < count; ++i) {
+    for (int j = 0; j < nx; ++j)
+      EXPECT_NEAR(before(i, nu + j),
+                  (next(Eigen::Vector4d::Unit(j), Eigen::Vector2d::Zero()) - origin)(i % nx), 1e-9);
+    for (int j = 0; j < nu; ++j)
+      EXPECT_NEAR(before(i, j),
+                  (next(Eigen::Vector4d::Zero(), Eigen::Vector2d::Unit(j)) - origin)(i % nx), 1e-9);
+  }
+}
+
+// x1 + x2 -> x1, x2 -> x2, u -> x2, in blocks of two.
+struct HalfTransition {
+  static constexpr int size = 2;
+  static constexpr bool nonzero(int row, int column) { return row == 0 ? column < 2 : column > 0; }
+};
+
+TEST(Riccati, ZeroBlocksChangeNothing) {
+  LinearQuadratic full = random_problem(36);
+  Riccati<nx, nu, HalfTransition> sparse(horizon);
+  for (int k = 0; k <= horizon; ++k) {
+    auto& s = full.stage(k);
+    s.A.bottomLeftCorner<2, 2>().setZero();
+    s.B.topRows<2>().setZero();
+    sparse.stage(k) = s;
+  }
+  ASSERT_TRUE(full.factorise());
+  ASSERT_TRUE(sparse.factorise());
+  for (int k = 0; k < horizon; ++k) {
+    EXPECT_LT((full.stage(k).factor - sparse.stage(k).factor).cwiseAbs().maxCoeff(), 1e-10);
+    EXPECT_LT((full.stage(k).y - sparse.stage(k).y).cwiseAbs().maxCoeff(), 1e-10);
+  }
+}
+
+TEST(Riccati, DampingIsAddedToEveryHessian) {
+  LinearQuadratic damped = random_problem(37), by_hand = random_problem(37);
+  for (int k = 0; k <= horizon; ++k) {
+    by_hand.stage(k).cost.lxx.diagonal().array() += 3.0;
+    by_hand.stage(k).cost.luu.diagonal().array() += 3.0;
+  }
+  ASSERT_TRUE(damped.factorise(3.0));
+  ASSERT_TRUE(by_hand.factorise());
+  for (int k = 0; k < horizon; ++k)
+    EXPECT_LT((damped.stage(k).factor - by_hand.stage(k).factor).cwiseAbs().maxCoeff(), 1e-12);
 }
 
 TEST(Riccati, RefusesACostWithoutMinimum) {

@@ -118,6 +118,24 @@ class WheeledFlightProblem {
   using D = ProblemDimensions<WheeledFlightProblem>;
   using Model = QuadraticModel<states, inputs>;
 
+  /// The wrench is the input's integral, nothing follows position or velocity but position, no
+  /// force turns the body, and within one interval a torque's rate does not reach the position.
+  struct TransitionBlocks {
+    static constexpr int size = 3;
+    static constexpr bool nonzero(int row, int column) {
+      constexpr bool table[6][8] = {
+          // F  M  p  v th  w dF dM
+          {1, 0, 0, 0, 0, 0, 1, 0},  // F
+          {0, 1, 0, 0, 0, 0, 0, 1},  // M
+          {1, 1, 1, 1, 1, 1, 1, 0},  // p
+          {1, 1, 0, 1, 1, 1, 1, 1},  // v
+          {0, 1, 0, 0, 1, 1, 0, 1},  // theta
+          {0, 1, 0, 0, 0, 1, 0, 1},  // w
+      };
+      return table[row][column];
+    }
+  };
+
   /// Throws std::invalid_argument for parameters or settings out of range.
   WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
                        const WheeledFlightSettings& settings = {})
@@ -198,11 +216,9 @@ class WheeledFlightProblem {
     return value;
   }
   void row_derivatives(int, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
-    C.setZero();
-    E.setZero();
-    C.block<6, 6>(0, 0).setIdentity();
-    C.block<3, 3>(6, 15).setIdentity();
-    E.block<6, 6>(9, 0).setIdentity();
+    C.diagonal().head<6>().setOnes();
+    C.block<3, 3>(6, 15).diagonal().setOnes();
+    E.block<6, 6>(9, 0).diagonal().setOnes();
   }
   [[nodiscard]] const D::Rows& lower(int k) const {
     return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;

@@ -409,7 +409,11 @@ class FullSpace {
       const Node& n = self.node(b.k);
       if (evaluated != b.k) {
         c = problem.row_values(b.k, n.x, n.u);
-        if (gradient) problem.row_derivatives(b.k, n.x, n.u, C, E);
+        if (gradient) {
+          C.setZero();
+          E.setZero();
+          problem.row_derivatives(b.k, n.x, n.u, C, E);
+        }
         evaluated = b.k;
       }
       const double limit = (b.side > 0.0 ? problem.upper(b.k) : problem.lower(b.k))(b.component);

@@ -206,6 +206,7 @@ class MultipleShooting {
     State trial_x{};
     Input trial_u = Input::Zero();
     Equalities equality_multiplier = Equalities::Zero();
+    bool model_has_equalities = false;  // in the cost model of the last linearisation
     // Weights of the merit function: defect of the interval that starts here, rows.
     Tangent defect_weight = Tangent::Zero();
     Rows row_weight = Rows::Zero();
@@ -245,6 +246,7 @@ class MultipleShooting {
         s.defect = problem_.difference(problem_.step(k, n.x, n.u, s.A, s.B), node(k + 1).x);
         report_.max_defect = std::max(report_.max_defect, s.defect.cwiseAbs().maxCoeff());
       }
+      if (n.model_has_equalities) s.cost = {};
       problem_.cost_model(k, n.x, n.u, s.cost);
       report_.cost += problem_.cost(k, n.x, n.u);
       if constexpr (ne > 0) add_equalities(k);
@@ -267,7 +269,8 @@ class MultipleShooting {
     Node& n = node(k);
     auto& model = program_.stage(k).cost;
     const Equalities weights = equality_scale_ * problem_.equality_weights(k);
-    if (k == 0 || !(weights.maxCoeff() > 0.0)) return;
+    n.model_has_equalities = k > 0 && weights.maxCoeff() > 0.0;
+    if (!n.model_has_equalities) return;
     const auto h = problem_.equality_values(k, n.x);
     typename Dimensions::EqualitiesX H;
     problem_.equality_derivatives(k, n.x, H);
@@ -464,7 +467,7 @@ class MultipleShooting {
   Problem problem_;
   SolverSettings settings_;
   int horizon_;
-  QuadraticProgram<nx, nu, nc> program_;
+  QuadraticProgram<nx, nu, nc, typename TransitionBlocksOf<Problem>::type> program_;
   std::vector<Node> nodes_;
   SolveReport report_;
   double equality_scale_ = 1.0, last_equality_ = 0.0;

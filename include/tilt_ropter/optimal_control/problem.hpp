@@ -2,6 +2,8 @@
 
 #include <Eigen/Core>
 
+#include <type_traits>
+
 // clang-format off
 /// What a multiple-shooting problem is made of. A problem is any type `Problem` with
 ///
@@ -18,8 +20,7 @@
 ///     State step(int k, const State& x, const D::Input& u) const;
 ///     State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const;
 ///
-///     // cost of node k (k = N: terminal, u is zero and means nothing) and its Gauss-Newton model;
-///     // what the model does not set stays as it was, zero at first
+///     // cost of node k (k = N: terminal, u is zero and means nothing) and its Gauss-Newton model
 ///     double cost(int k, const State& x, const D::Input& u) const;
 ///     void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<nx, nu>& m) const;
 ///
@@ -38,8 +39,9 @@
 ///     D::Equalities equality_weights(int k) const;
 ///
 /// All derivatives with respect to the state are in tangent coordinates, d/d(dx) of f(x (+) dx) at
-/// dx = 0. None of these functions may throw or allocate; they may return non-finite numbers, which
-/// the solver reports as a failure.
+/// dx = 0. A, B and H are set as a whole; entries of the model, C and E that are not set are what
+/// they were set to for that node before, zero at first. None of these functions may throw or
+/// allocate; they may return non-finite numbers, which the solver reports as a failure.
 // clang-format on
 namespace tilt_ropter {
 
@@ -68,6 +70,24 @@ struct QuadraticModel {
   Eigen::Matrix<double, States, States> lxx = Eigen::Matrix<double, States, States>::Zero();
   Eigen::Matrix<double, Inputs, States> lux = Eigen::Matrix<double, Inputs, States>::Zero();
   Eigen::Matrix<double, Inputs, Inputs> luu = Eigen::Matrix<double, Inputs, Inputs>::Zero();
+};
+
+/// Which square blocks of [A B] can be non-zero: here all. A problem that knows better says so in a
+/// type of this form named TransitionBlocks, and the solver is faster by what it need not multiply.
+template <int States, int Inputs>
+struct FullTransition {
+  static constexpr bool divides(int n) { return States % n == 0 && Inputs % n == 0; }
+  static constexpr int size = divides(4) ? 4 : divides(3) ? 3 : divides(2) ? 2 : 1;  ///< of a block
+  static constexpr bool nonzero(int /*row*/, int /*column*/) { return true; }
+};
+
+template <typename Problem, typename = void>
+struct TransitionBlocksOf {
+  using type = FullTransition<Problem::states, Problem::inputs>;
+};
+template <typename Problem>
+struct TransitionBlocksOf<Problem, std::void_t<typename Problem::TransitionBlocks>> {
+  using type = typename Problem::TransitionBlocks;
 };
 
 }  // namespace tilt_ropter

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <utility>
 #include <vector>
 
 /// The quadratic program of one SQP step: the linear-quadratic problem of Riccati with two-sided
@@ -50,7 +51,7 @@ struct NodeRows {
 /// for the multipliers; a forward sweep shows which rows the solution violates; they join, and so
 /// on. The rows that had a multiplier last time are the first working set, and their gradients need
 /// no measurement: they are prepare()'s.
-template <int States, int Inputs, int Rows>
+template <int States, int Inputs, int Rows, typename Blocks = FullTransition<States, Inputs>>
 class QuadraticProgram {
  public:
   using Tangent = Eigen::Matrix<double, States, 1>;
@@ -69,15 +70,15 @@ class QuadraticProgram {
         in_set_(nodes_.size()),
         capacity_(std::min(settings.max_active_rows, 2 * Rows * (horizon + 1))),
         dual_(capacity_, settings.dual),
-        gradients_(Inputs * horizon, capacity_),
-        adjoints_(States, capacity_),
-        products_(States + Inputs, capacity_),
+        gradients_(capacity_, Inputs * horizon),
         gram_(capacity_, capacity_),
         offsets_(capacity_),
         bounds_(capacity_),
         multipliers_(capacity_),
         z_(Eigen::VectorXd::Zero(Inputs * horizon)) {
     active_.reserve(static_cast<std::size_t>(capacity_));
+    const int room = (capacity_ + batch_rows - 1) / batch_rows * batch_rows;
+    for (Batch& batch : adjoints_) batch.setZero(room, States + Inputs);
   }
 
   [[nodiscard]] RiccatiStage<States, Inputs>& stage(int k) { return riccati_.stage(k); }
@@ -114,7 +115,7 @@ class QuadraticProgram {
         if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
                          bounds_.head(count), lambda))
           return false;
-        z_.noalias() = -(gradients_.leftCols(count) * lambda);
+        z_.noalias() = -(gradients_.topRows(count).transpose() * lambda);
         sweep(dx0);
       }
       if (rounds_ == settings_.max_rounds || !add_violated_rows()) break;
@@ -141,6 +142,8 @@ class QuadraticProgram {
     }
   };
 
+  using Batch = typename Riccati<States, Inputs, Blocks>::Batch;
+
   [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
   [[nodiscard]] const Row& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
 
@@ -149,35 +152,25 @@ class QuadraticProgram {
   void add_gradients(int first) {
     const int last = size();
     if (first == last) return;
-    int count = 0;  // rows whose node has been passed
+    gradients_.middleRows(first, last - first).setZero();
+    Batch *after = &adjoints_[0], *here = &adjoints_[1];
+    int count = 0;  // rows whose node has been reached
     for (int k = row(first).k; k >= 0; --k) {
-      if (k < horizon_ && count > 0) {
-        const auto& s = riccati_.stage(k);
-        products_.leftCols(count).noalias() = s.adjoint * adjoints_.leftCols(count);
-        gradients_.block(Inputs * k, first, Inputs, count) =
-            products_.bottomLeftCorner(Inputs, count);
-        adjoints_.leftCols(count) = products_.topLeftCorner(States, count);
-      }
+      if (count > 0) riccati_.step_back(k, *after, *here, count);
       for (; first + count < last && row(first + count).k == k; ++count) {
         const Row& r = row(first + count);
-        auto adjoint = adjoints_.col(count);
-        auto gradient = gradients_.col(first + count);
-        gradient.setZero();
-        adjoint = r.side * node(k).C.row(r.component).transpose();
-        if (k < horizon_) {
-          const auto& s = riccati_.stage(k);
-          Input g = r.side * node(k).E.row(r.component).transpose();
-          if (!g.isZero(0.0)) {
-            s.L.template triangularView<Eigen::Lower>().solveInPlace(g);
-            gradient.template segment<Inputs>(Inputs * k) = g;
-            adjoint.noalias() -= s.Y.transpose() * g;
-          }
-        }
+        here->row(count) << r.side * node(k).E.row(r.component),
+            r.side * node(k).C.row(r.component);
         bounds_(first + count) = node(k).penalty(r.component);
       }
+      if (k < horizon_) {
+        riccati_.to_coordinates(k, *here, count);
+        gradients_.block(first, Inputs * k, count, Inputs) = here->topLeftCorner(count, Inputs);
+      }
+      std::swap(after, here);
     }
     gram_.block(first, 0, last - first, last).noalias() =
-        gradients_.middleCols(first, last - first).transpose() * gradients_.leftCols(last);
+        gradients_.middleRows(first, last - first) * gradients_.topRows(last).transpose();
     gram_.diagonal().segment(first, last - first).array() += 1.0 / settings_.sigma;
   }
 
@@ -226,7 +219,7 @@ class QuadraticProgram {
     for (int i = first; i < last; ++i) {
       multipliers_(i) = 0.0;
       // The row's value without any multiplier: its value now less what z contributes.
-      offsets_(i) = violation(row(i)) - gradients_.col(i).dot(z_);
+      offsets_(i) = violation(row(i)) - gradients_.row(i).dot(z_);
     }
     return true;
   }
@@ -245,7 +238,7 @@ class QuadraticProgram {
 
   QuadraticProgramSettings settings_;
   int horizon_;
-  Riccati<States, Inputs> riccati_;
+  Riccati<States, Inputs, Blocks> riccati_;
   std::vector<Node> nodes_;
   std::vector<Tangent> dx_;
   std::vector<Input> du_;
@@ -253,8 +246,9 @@ class QuadraticProgram {
   int capacity_;
   DualSolver dual_;
   std::vector<Row> active_;
-  Eigen::MatrixXd gradients_;  // column i: gradient of row i by z
-  Eigen::MatrixXd adjoints_, products_, gram_;
+  Eigen::MatrixXd gradients_;  // row i: gradient of row i by z
+  Batch adjoints_[2];
+  Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
   int rounds_ = 0, active_rows_ = 0, given_up_rows_ = 0;
 };

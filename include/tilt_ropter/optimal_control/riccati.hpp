@@ -1,44 +1,58 @@
 #pragma once
 
+#include <tilt_ropter/optimal_control/block_product.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
+#include <cmath>
 #include <cstddef>
 #include <vector>
 
 /// The linear-quadratic problem of one SQP step without its inequalities, and its factorisation by
 /// one backward Riccati pass.
 ///
-/// With Lambda_k = L_k L_k' = R_k + B_k' P_{k+1} B_k and the coordinates
+/// With w = (du, dx) and M = [B A], the cost to go of node k is 1/2 w' H w + g' w with
 ///
-///     z_k = L_k' du_k + Y_k dx_k + y_k,   Y_k = L_k^-1 S_k,   y_k = L_k^-1 s_k,
+///     H = [luu lux; lux' lxx] + M' P M,    g = (lu, lx) + M' (p + P defect),
 ///
-/// (the distance from the unconstrained optimal input) completing the square turns the whole cost
-/// into 1/2 |z|^2 + const, with continuity eliminated (Rao, Wright & Rawlings, "Application of
-/// interior-point methods to model predictive control", 1998, for the recursion).
+/// P and p being those of node k + 1. The first columns [L; Y'] of the Cholesky factor of H, those
+/// of du, give the coordinates
+///
+///     z_k = L' du_k + Y dx_k + y_k,    y_k = L^-1 g_u,
+///
+/// (the distance from the unconstrained optimal input), and what they leave of H and g is the P and
+/// p of node k. Completing the square in this way turns the whole cost into 1/2 |z|^2 + const, with
+/// continuity eliminated (Rao, Wright & Rawlings, "Application of interior-point methods to model
+/// predictive control", 1998, for the recursion; Frison & Jorgensen, "Efficient implementation of
+/// the Riccati recursion", 2013, for its form as one Cholesky factorisation).
 namespace tilt_ropter {
 
 /// One interval of the linear-quadratic problem: dx_{k+1} = A dx_k + B du_k + defect.
 template <int States, int Inputs>
 struct RiccatiStage {
+  static constexpr int width = States + Inputs;
+
   Eigen::Matrix<double, States, States> A = Eigen::Matrix<double, States, States>::Identity();
   Eigen::Matrix<double, States, Inputs> B = Eigen::Matrix<double, States, Inputs>::Zero();
   Eigen::Matrix<double, States, 1> defect = Eigen::Matrix<double, States, 1>::Zero();
   QuadraticModel<States, Inputs> cost;
 
-  // Written by factorise():
-  Eigen::Matrix<double, Inputs, Inputs> L;  ///< Cholesky factor of Lambda, lower
-  Eigen::Matrix<double, Inputs, States> Y;
-  Eigen::Matrix<double, Inputs, 1> y;
-  Eigen::Matrix<double, States, Inputs> Bz;  ///< B L^-T: derivative of dx_{k+1} by z_k
-  /// [A - Bz Y, Bz]': one product gives the adjoint at node k and the derivative by z_k.
-  Eigen::Matrix<double, States + Inputs, States> adjoint;
+  // Written by factorise(); rows of du before those of dx, then zeros.
+  using Transition = Eigen::Matrix<double, padded(width), States>;
+  using Factor = Eigen::Matrix<double, padded(width), Inputs>;
+  Transition transition = Transition::Zero();  ///< [B A]'
+  Factor factor = Factor::Zero();              ///< [L; Y'], L lower triangular
+  Eigen::Matrix<double, Inputs, 1> y = Eigen::Matrix<double, Inputs, 1>::Zero();
+
+  [[nodiscard]] auto L() const { return factor.template topRows<Inputs>(); }
+  [[nodiscard]] auto Y() const { return factor.template middleRows<States>(Inputs).transpose(); }
 };
 
-/// The horizon: `stages` has N + 1 entries, of the last one only the cost is used.
-template <int States, int Inputs>
+/// The horizon: `stages` has N + 1 entries, of the last one only the cost is used. Of the Hessians
+/// only the lower triangles are used. `Blocks` says which blocks of [A B] can be non-zero: see
+/// TransitionBlocks.
+template <int States, int Inputs, typename Blocks = FullTransition<States, Inputs>>
 class Riccati {
  public:
   using Stage = RiccatiStage<States, Inputs>;
@@ -52,44 +66,33 @@ class Riccati {
   [[nodiscard]] Stage& stage(int k) { return stages_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Stage& stage(int k) const { return stages_[static_cast<std::size_t>(k)]; }
 
-  /// Backward pass. False if some Lambda is not positive definite (then the problem has no unique
-  /// minimum). No allocation.
-  [[nodiscard]] bool factorise() {
-    P_ = stages_.back().cost.lxx;
-    p_ = stages_.back().cost.lx;
+  /// Backward pass, with `damping` added to the diagonals of all Hessians. False if H_uu of some
+  /// node is not positive definite (then the problem has no unique minimum). No allocation.
+  [[nodiscard]] [[gnu::flatten]] bool factorise(double damping = 0.0) {
+    const auto& last = stages_.back().cost;
+    hessian_.template block<States, States>(Inputs, Inputs) = last.lxx;
+    hessian_.diagonal().array() += damping;
+    gradient_.template segment<States>(Inputs) = last.lx;
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
-      PB_.noalias() = P_ * s.B;
-      PA_.noalias() = P_ * s.A;
-      p_.noalias() += P_ * s.defect;
-      Eigen::Matrix<double, Inputs, Inputs> lambda = s.cost.luu;
-      lambda.noalias() += s.B.transpose() * PB_;
-      const Eigen::LLT<Eigen::Matrix<double, Inputs, Inputs>> cholesky(lambda);
-      if (cholesky.info() != Eigen::Success) return false;
-      s.L = cholesky.matrixL();
-      // One inverse of the small factor, and products in place of triangular solves.
-      inverse_.setIdentity();
-      s.L.template triangularView<Eigen::Lower>().solveInPlace(inverse_);
-      S_ = s.cost.lux;
-      S_.noalias() += PB_.transpose() * s.A;
-      s.Y.noalias() = inverse_ * S_;
-      Input gradient = s.cost.lu;
-      gradient.noalias() += s.B.transpose() * p_;
-      s.y.noalias() = inverse_ * gradient;
-      s.Bz.noalias() = s.B * inverse_.transpose();
-      s.adjoint.template topRows<States>() = s.A.transpose();
-      s.adjoint.template topRows<States>().noalias() -= s.Y.transpose() * s.Bz.transpose();
-      s.adjoint.template bottomRows<Inputs>() = s.Bz.transpose();
+      set_transition(s);
 
-      P_ = s.cost.lxx;
-      P_.noalias() += s.A.transpose() * PA_;
-      P_.noalias() -= s.Y.transpose() * s.Y;
-      PA_ = P_.transpose();
-      P_ = 0.5 * (P_ + PA_);  // rounding must not grow into asymmetry along the horizon
-      Tangent p = s.cost.lx;
-      p.noalias() += s.A.transpose() * p_;
-      p.noalias() -= s.Y.transpose() * s.y;
-      p_ = p;
+      product_.setZero();
+      add_product<FullColumns, States, States>(s.transition, cost_to_go(), product_);
+      const Tangent p = gradient_.template segment<States>(Inputs);
+      gradient_.template head<width>() << s.cost.lu, s.cost.lx;
+      gradient_.noalias() += s.transition * p;
+      gradient_.noalias() += product_ * s.defect;
+
+      hessian_.template topLeftCorner<Inputs, Inputs>() = s.cost.luu;
+      hessian_.template block<States, Inputs>(Inputs, 0) = s.cost.lux.transpose();
+      hessian_.template block<States, States>(Inputs, Inputs) = s.cost.lxx;
+      hessian_.template topRightCorner<Inputs, States>().setZero();
+      hessian_.diagonal().array() += damping;
+      const auto transition = [&s](int i, int j) { return s.transition(j, i); };
+      add_lower_product<Columns, States, width, 0>(product_, transition, hessian_);
+
+      if (!eliminate_inputs(s)) return false;
     }
     return true;
   }
@@ -97,19 +100,97 @@ class Riccati {
   /// Input step at node k for the state step dx and the coordinates z.
   [[nodiscard]] Input input_step(int k, const Tangent& dx, const Input& z) const {
     const Stage& s = stage(k);
-    Input du = z - s.y;
-    du.noalias() -= s.Y * dx;
-    s.L.transpose().template triangularView<Eigen::Upper>().solveInPlace(du);
-    return du;
+    Eigen::Matrix<double, rows, 1> w = Eigen::Matrix<double, rows, 1>::Zero();  // (du, dx)
+    w.template segment<States>(Inputs) = dx;
+    for (int j = Inputs - 1; j >= 0; --j)
+      w(j) = (z(j) - s.y(j) - s.factor.col(j).dot(w)) / s.factor(j, j);
+    return w.template head<Inputs>();
+  }
+
+  /// A batch of linear functions of the trajectory, one a row: its derivative by du_k, then by
+  /// dx_k. Room for a multiple of batch_rows.
+  using Batch = Eigen::Matrix<double, Eigen::Dynamic, States + Inputs>;
+
+  /// Adjoint step through interval k: from derivatives by dx_{k+1} (last columns of `after`) to
+  /// derivatives by (du_k, dx_k), for the first `count` rows.
+  void step_back(int k, const Batch& after, Batch& before, Eigen::Index count) const {
+    const Stage& s = stage(k);
+    const auto x = after.template rightCols<States>();
+    const auto transition = [&s](int i, int j) { return s.transition(j, i); };
+    before.topRows(count).setZero();
+    add_batch<Columns, States, width>(x, transition, before, count);
+  }
+
+  /// From derivatives by (du_k, dx_k) to those by (z_k, dx_k), for the first `count` rows.
+  void to_coordinates(int k, Batch& batch, Eigen::Index count) const {
+    const Stage& s = stage(k);
+    for (int j = 0; j < Inputs; ++j) {
+      auto column = batch.col(j).head(count);
+      for (int i = 0; i < j; ++i) column -= s.factor(j, i) * batch.col(i).head(count);
+      column /= s.factor(j, j);
+    }
+    auto by_state = batch.template rightCols<States>();
+    const auto minus_y = [&s](int i, int j) { return -s.factor(Inputs + j, i); };
+    add_batch<FullColumns, Inputs, States>(batch, minus_y, by_state, count);
   }
 
  private:
+  static constexpr int width = States + Inputs, rows = padded(width);
+  using FullColumns = FullBlocks<Blocks::size>;
+  /// Blocks of [B A].
+  struct Columns {
+    static constexpr int size = Blocks::size;
+    static constexpr bool nonzero(int row, int column) {
+      return Blocks::nonzero(row, (column + States / size) % (width / size));
+    }
+  };
+  static_assert(States % Blocks::size == 0 && Inputs % Blocks::size == 0);
+
+  // The blocks that stay zero are zero from the beginning.
+  static void set_transition(Stage& s) {
+    constexpr int size = Blocks::size;
+    for_each_index<States / size>([&](auto row) {
+      for_each_index<width / size>([&](auto column) {
+        if constexpr (Columns::nonzero(row, column)) {
+          auto block = s.transition.template block<size, size>(size * column, size * row);
+          if constexpr (size * column < Inputs)
+            block = s.B.template block<size, size>(size * row, size * column).transpose();
+          else
+            block = s.A.template block<size, size>(size * row, size * column - Inputs).transpose();
+        }
+      });
+    });
+  }
+
+  // P: symmetric, kept as the lower triangle that the last elimination left.
+  [[nodiscard]] auto cost_to_go() const {
+    return [this](int i, int j) {
+      return i >= j ? hessian_(Inputs + i, Inputs + j) : hessian_(Inputs + j, Inputs + i);
+    };
+  }
+
+  // The first columns of the Cholesky factorisation of H, and what they leave of H and g.
+  [[nodiscard]] bool eliminate_inputs(Stage& s) {
+    for (int j = 0; j < Inputs; ++j) {
+      auto column = s.factor.col(j);
+      column = hessian_.col(j);
+      for (int i = 0; i < j; ++i) column -= s.factor(j, i) * s.factor.col(i);
+      column.head(j).setZero();
+      if (!(column(j) > 0.0)) return false;
+      column *= 1.0 / std::sqrt(column(j));
+      s.y(j) = gradient_(j) / column(j);
+      gradient_ -= s.y(j) * column;
+    }
+    auto remainder = hessian_.template rightCols<States>();
+    const auto minus_y = [&s](int i, int j) { return -s.factor(Inputs + j, i); };
+    add_lower_product<FullColumns, Inputs, States, Inputs>(s.factor, minus_y, remainder);
+    return true;
+  }
+
   std::vector<Stage> stages_;
-  Eigen::Matrix<double, States, States> P_, PA_;
-  Eigen::Matrix<double, States, Inputs> PB_;
-  Eigen::Matrix<double, Inputs, States> S_;
-  Eigen::Matrix<double, Inputs, Inputs> inverse_;
-  Tangent p_;
+  typename Stage::Transition product_;  // M' P
+  Eigen::Matrix<double, rows, width> hessian_ = Eigen::Matrix<double, rows, width>::Zero();
+  Eigen::Matrix<double, rows, 1> gradient_ = Eigen::Matrix<double, rows, 1>::Zero();
 };
 
 }  // namespace tilt_ropter
