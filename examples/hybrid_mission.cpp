@@ -6,6 +6,7 @@
 #include "support/mission_log.hpp"
 
 #include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -32,6 +33,9 @@ struct Options {
   std::string output = "results";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
+  double servo_speed = tilt_ropter_vehicle().servo.max_rate;
+  double ground_thrust = GroundContactSettings{}.down_force;
+  bool no_actuator_rows = false;
   bool no_pictures = false;
 };
 
@@ -106,14 +110,17 @@ void draw_pictures(const std::string& directory) {
 }
 
 void fly(const Options& options) {
-  const Vehicle<4> vehicle = tilt_ropter_vehicle();  // what the controller believes
+  Vehicle<4> vehicle = tilt_ropter_vehicle();  // what the controller believes
+  vehicle.servo.max_rate = options.servo_speed;
   Vehicle<4> truth = vehicle;
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
 
   const HybridMissionParameters job;
   const Mission mission = hybrid_mission(job);
-  const NmpcSettings settings;
+  NmpcSettings settings;
+  settings.actuator_rows = !options.no_actuator_rows;
+  settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v :
        check_reference(mission, mission.start_time(), mission.end_time(), vehicle, settings))
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
@@ -127,6 +134,7 @@ void fly(const Options& options) {
   RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
   StateSensor state({}, seed + 2000);
   examples::FlightController controller(vehicle, settings);
+  const Allocation<4> allocation(vehicle);
   const PowerModel power(truth);
 
   std::filesystem::create_directories(options.output);
@@ -153,6 +161,9 @@ void fly(const Options& options) {
       figures.on_control(result.status == NmpcStatus::solved,
                          result.report.prepare_us + result.report.feedback_us,
                          result.report.feedback_us);
+      figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
+                        allocation.rates(result.wrench, result.rate).tilt_rate, truth.servo,
+                        steps_per_tick * step);
       times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
       log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
     }
@@ -186,6 +197,14 @@ int main(int argc, char** argv) {
   app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
+  app.add_option("--servo-speed", options.servo_speed, "of the servos, true and believed [rad/s]")
+      ->check(CLI::Range(0.1, 100.0))
+      ->capture_default_str();
+  app.add_option("--ground-thrust", options.ground_thrust, "vertical, asked for on the ground [N]")
+      ->check(CLI::Range(0.0, 10.0))
+      ->capture_default_str();
+  app.add_flag("--no-actuator-rows", options.no_actuator_rows,
+               "bound the wrench and its rate by boxes alone, as in the paper");
   app.add_flag("--no-pictures", options.no_pictures, "write the log only");
   CLI11_PARSE(app, argc, argv);
   try {

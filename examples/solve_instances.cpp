@@ -47,7 +47,7 @@ using namespace tilt_ropter;
 namespace {
 
 using Clock = std::chrono::steady_clock;
-using Solver = MultipleShooting<WheeledFlightProblem>;
+using Solver = MultipleShooting<WheeledFlightProblem<>>;
 
 struct Options {
   std::string input, output;
@@ -75,13 +75,13 @@ solved), 2 a file could not be read or written, above 100 wrong options.)";
 
 constexpr double mass = 1.5;  // [kg]
 
-WheeledFlightProblem benchmark_problem(examples::InstanceBounds bounds) {
+WheeledFlightProblem<> benchmark_problem(examples::InstanceBounds bounds) {
   RigidBodyParameters body;
   body.mass = mass;
   body.inertia = Eigen::Vector3d(0.0137, 0.0143, 0.0246).asDiagonal();
   WheeledFlightSettings settings;  // the defaults are the benchmark's: N, weights, wide bounds
   if (bounds == examples::InstanceBounds::paper) settings.bounds = paper_bounds();
-  return WheeledFlightProblem(body, {}, settings);
+  return WheeledFlightProblem<>(body, {}, settings);
 }
 
 const char* to_string(SolveStatus status) {
@@ -118,7 +118,7 @@ struct Audit {
   Largest defect, violation;
 
   Audit(const Solver& solver, const State<>& start) {
-    const WheeledFlightProblem& problem = solver.problem();
+    const WheeledFlightProblem<>& problem = solver.problem();
     const auto add_defect = [this](const StateTangent<>& gap) {
       for (Eigen::Index i = 0; i < gap.size(); ++i) defect.add(std::abs(gap(i)));
     };

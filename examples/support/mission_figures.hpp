@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <Eigen/Core>
@@ -41,6 +42,22 @@ class MissionFigures {
     feedback_us_.push_back(feedback_us);
   }
 
+  /// One tick of the controller, `tick` [s] after the last: tilt angles commanded and true [rad]
+  /// and the tilt rates of the wrench that is commanded [rad/s]. What a servo is asked for is the
+  /// speed at which it has to start towards its command, (command - true angle) / time constant,
+  /// before its own limit cuts it.
+  void on_servos(const Eigen::Vector4d& command, const Eigen::Vector4d& angle,
+                 const Eigen::Vector4d& planned, const tilt_ropter::ServoParameters& servo,
+                 double tick) {
+    const double demanded = (command - angle).cwiseAbs().maxCoeff() / servo.time_constant;
+    demanded_max_ = std::max(demanded_max_, demanded);
+    planned_max_ = std::max(planned_max_, planned.cwiseAbs().maxCoeff());
+    slope_max_ = std::max(slope_max_, (command - last_command_).cwiseAbs().maxCoeff() / tick);
+    last_command_ = command;
+    servo_speed_ = servo.max_rate;
+    if (demanded > servo.max_rate) ++exceeded_;
+  }
+
   void print(std::ostream& out, int contact_mode_changes) {
     const auto line = [&out](const char* key, double value, int digits) {
       out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
@@ -60,6 +77,12 @@ class MissionFigures {
     line("touchdown_speed_mps", touchdown_speed_, 3);
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
     line("contact_mode_changes", contact_mode_changes, 0);
+    line("servo_speed_radps", servo_speed_, 2);
+    line("tilt_rate_max_radps", demanded_max_, 2);
+    line("tilt_rate_exceeded_share",
+         static_cast<double>(exceeded_) / static_cast<double>(total_us_.size()), 5);
+    line("planned_tilt_rate_max_radps", planned_max_, 2);
+    line("tilt_command_slope_max_radps", slope_max_, 2);
     line("nmpc_median_us", percentile(total_us_, 0.5), 1);
     line("nmpc_p99_us", percentile(total_us_, 0.99), 1);
     line("nmpc_max_us", percentile(total_us_, 1.0), 1);
@@ -90,8 +113,10 @@ class MissionFigures {
   double flight_height_;
   Means all_, air_, ground_;
   double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0;
+  double servo_speed_ = 0.0, demanded_max_ = 0.0, planned_max_ = 0.0, slope_max_ = 0.0;
+  Eigen::Vector4d last_command_ = Eigen::Vector4d::Zero();
   bool was_touching_ = true;
-  int failures_ = 0;
+  int failures_ = 0, exceeded_ = 0;
   std::vector<double> total_us_, feedback_us_;
 };
 

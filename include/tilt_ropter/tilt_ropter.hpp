@@ -1,6 +1,7 @@
 #pragma once
 
 /// The whole library. A component compiles faster; each header stands alone.
+#include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/control/reference_check.hpp>

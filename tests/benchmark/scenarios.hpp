@@ -15,11 +15,11 @@ namespace benchmarks {
 
 using tilt_ropter::State;
 using tilt_ropter::WheeledFlightProblem;
-using Solver = tilt_ropter::MultipleShooting<WheeledFlightProblem>;
+using Solver = tilt_ropter::MultipleShooting<WheeledFlightProblem<>>;
 
 struct Scenario {
-  WheeledFlightProblem problem;
-  void (*set_reference)(WheeledFlightProblem&, double time);
+  WheeledFlightProblem<> problem;
+  void (*set_reference)(WheeledFlightProblem<>&, double time);
   State<> start;
   tilt_ropter::Wrench<> plant_wrench;  ///< external wrench on the true body, body frame
 };
@@ -30,7 +30,7 @@ inline Scenario air(int intervals = 20,
   tilt_ropter::WheeledFlightSettings settings;
   settings.intervals = intervals;
   settings.bounds = bounds;
-  return {WheeledFlightProblem(test_support::benchmark_body(), {}, settings),
+  return {WheeledFlightProblem<>(test_support::benchmark_body(), {}, settings),
           test_support::set_air_reference,
           test_support::air_start(),
           {Eigen::Vector3d(0.15, -0.10, 0.20), Eigen::Vector3d::Zero()}};
@@ -54,7 +54,7 @@ inline tilt_ropter::BodyState<> reference(double t) {
   return r;
 }
 
-inline void set_reference(WheeledFlightProblem& problem, double time) {
+inline void set_reference(WheeledFlightProblem<>& problem, double time) {
   for (int k = 0; k <= problem.horizon(); ++k) {
     tilt_ropter::WheeledFlightNode& node = problem.node(k);
     node.reference = reference(time + 0.1 * k);
@@ -76,7 +76,7 @@ inline Scenario ground() {
   State<> start;
   start.wrench.force << 0.0, 0.0, 0.2 * ground_data::weight;
   start.body = ground_data::reference(0.0);
-  return {WheeledFlightProblem(test_support::benchmark_body(), wheels, settings),
+  return {WheeledFlightProblem<>(test_support::benchmark_body(), wheels, settings),
           ground_data::set_reference,
           start,
           {Eigen::Vector3d(0.0, 0.0, 0.8 * ground_data::weight), Eigen::Vector3d(0.0, 0.0, 0.01)}};

@@ -1,8 +1,10 @@
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -107,6 +109,10 @@ TEST(Nmpc, PaperPresetIsThePapersTable) {
   EXPECT_EQ(s.problem.bounds.force_rate, Eigen::Vector3d(2.0, 2.0, 2.0));
   EXPECT_EQ(s.problem.bounds.torque_rate, Eigen::Vector3d(2.0, 2.0, 2.0));
   EXPECT_EQ(s.problem.bounds.angular_velocity, Eigen::Vector3d(2.0, 2.0, 1.5));
+  EXPECT_FALSE(s.actuator_rows);
+  EXPECT_TRUE((Nmpc(vehicle, s).solver().problem().upper(1).tail<12>().array() ==
+               std::numeric_limits<double>::infinity())
+                  .all());
 }
 
 TEST(Nmpc, ABadMeasurementContinuesTheLastPlanWithinBounds) {
@@ -204,6 +210,122 @@ TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
   EXPECT_DOUBLE_EQ(cut.wrench.force.z(), 10.0);
 }
 
+// What a vehicle with slow servos does along a fast, small circle with a box on the wrench rate
+// that bounds nothing.
+struct SlowServos {
+  double rmse = 0.0, planned = 0.0, demanded = 0.0;  // [m], tilt rates over the servos' speed
+  int failures = 0;
+};
+
+SlowServos fly_with_slow_servos(bool actuator_rows) {
+  Vehicle<4> slow = vehicle;
+  slow.servo.max_rate = 1.5;
+  NmpcSettings settings;
+  settings.problem.bounds.force_rate.setConstant(200.0);
+  settings.problem.bounds.torque_rate.setConstant(40.0);
+  settings.problem.weights.force_rate.setConstant(0.002);
+  settings.problem.weights.torque_rate.setConstant(0.02);
+  settings.actuator_rows = actuator_rows;
+  const auto circle = [](double t) {
+    const double radius = 0.2, rate = 4.0, c = std::cos(rate * t), s = std::sin(rate * t);
+    ReferencePoint point = hover(t);
+    point.position += radius * Eigen::Vector3d(c, s, 0.0);
+    point.velocity = radius * rate * Eigen::Vector3d(-s, c, 0.0);
+    point.acceleration = -radius * rate * rate * Eigen::Vector3d(c, s, 0.0);
+    return point;
+  };
+  Plant<4> plant(slow);
+  PlantState<4> start;
+  start.body = hovering();  // in the middle: has to catch up
+  start.actuators.rotor_speed.setConstant(
+      speed_from_thrust(body.mass * gravity / 4.0, slow.rotor.thrust_coefficient));
+  plant.reset(start);
+  const Allocation<4> allocation(slow);
+  Nmpc<4> nmpc(slow, settings);
+  ActuatorState<4> command = start.actuators;
+  SlowServos result;
+  const int ticks = 800;
+  for (int i = 0; i < ticks; ++i) {
+    const double time = plant.time();
+    nmpc.prepare(time, circle, {});
+    const NmpcResult& r = nmpc.feedback(time, plant.body());
+    if (r.status != NmpcStatus::solved) ++result.failures;
+    const double speed = slow.servo.max_rate;
+    const Eigen::Vector4d planned = allocation.rates(r.wrench, r.rate).tilt_rate / speed;
+    command = allocation.allocate(r.wrench, r.rate, command).command;
+    const Eigen::Vector4d demanded =
+        (command.tilt_angle - plant.actuators().tilt_angle) / slow.servo.time_constant / speed;
+    result.planned = std::max(result.planned, planned.cwiseAbs().maxCoeff());
+    result.demanded = std::max(result.demanded, demanded.cwiseAbs().maxCoeff());
+    EXPECT_TRUE(plant.step(command, {}, 0.01));
+    result.rmse += (plant.body().position - circle(plant.time()).position).squaredNorm() / ticks;
+  }
+  result.rmse = std::sqrt(result.rmse);
+  return result;
+}
+
+TEST(Nmpc, ActuatorRowsKeepSlowServosOutOfTheirSpeedLimit) {
+  const SlowServos with = fly_with_slow_servos(true), without = fly_with_slow_servos(false);
+  EXPECT_EQ(with.failures, 0);
+  EXPECT_LE(with.planned, ActuatorRowSettings{}.tilt_rate_share + 1e-6);
+  EXPECT_LE(with.demanded, 1.0);
+  EXPECT_GT(with.planned, 0.8);
+  EXPECT_GT(without.planned, 5.0);
+  EXPECT_GT(without.demanded, 5.0);
+  EXPECT_LT(with.rmse, 0.08);
+  EXPECT_GT(without.rmse, 2.0 * with.rmse);  // chases its own saturation
+}
+
+TEST(Nmpc, WhatIsCommandedKeepsToTheActuatorRowsWhateverTheStart) {
+  const Allocation<4> allocation(vehicle);
+  NmpcSettings settings;
+  settings.actuators.tilt_rate_share = 0.1;
+  const double limit = settings.actuators.tilt_rate_share * vehicle.servo.max_rate;
+  double fastest = 0.0;
+  for (int start = 0; start < 6; ++start) {
+    IdealLoop loop(settings);
+    const double side = start % 2 == 0 ? 1.0 : -1.0;
+    loop.state.body.position += side * start * Eigen::Vector3d(0.3, -0.2, 0.1);
+    loop.state.body.velocity << 0.0, side, -0.5 * start;
+    loop.state.body.orientation = quaternion_from_yaw(0.4 * side * start);
+    for (int i = 0; i < 150; ++i) {
+      const NmpcResult& result = loop.tick(hover);
+      ASSERT_EQ(result.status, NmpcStatus::solved);
+      expect_within_bounds(result, loop.nmpc.settings().problem.bounds);
+      const auto rates = allocation.rates(result.wrench, result.rate);
+      fastest = std::max(fastest, rates.tilt_rate.cwiseAbs().maxCoeff());
+    }
+  }
+  EXPECT_NEAR(fastest, limit, 1e-6);
+}
+
+TEST(Nmpc, WithoutThrustOnTheGroundTheCommandStaysFiniteAndWithinBounds) {
+  NmpcSettings settings;
+  settings.ground.down_force = 0.0;
+  Nmpc nmpc(vehicle, settings);
+  BodyState<> standing;
+  standing.position.z() = vehicle.wheels.radius;
+  const auto drive = [&](double t) {
+    ReferencePoint point;
+    point.position << 0.1 * std::sin(t), 0.0, vehicle.wheels.radius;
+    point.velocity << 0.1 * std::cos(t), 0.0, 0.0;
+    point.acceleration << -0.1 * std::sin(t), 0.0, 0.0;
+    return point;
+  };
+  double least = 1.0;
+  for (int i = 0; i < 500; ++i) {
+    const double time = 0.01 * i;
+    nmpc.prepare(time, drive, {Eigen::Vector3d(0.0, 0.0, 14.0), Eigen::Vector3d::Zero()});
+    standing.position.x() = drive(time).position.x();
+    standing.velocity = drive(time).velocity;
+    const NmpcResult& result = nmpc.feedback(time, standing);
+    ASSERT_EQ(result.status, NmpcStatus::solved);
+    expect_within_bounds(result, settings.problem.bounds);
+    least = std::min(least, result.wrench.force.norm());
+  }
+  EXPECT_LT(least, 0.05);
+}
+
 TEST(Nmpc, SoManyFailuresInARowDropTheWarmStart) {
   const auto iterate_after_failures = [](int failures_before_reset) {
     NmpcSettings settings;
@@ -235,6 +357,9 @@ TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
   s = {};
   s.failures_before_reset = 0;
   EXPECT_NE(message(s).find("NmpcSettings.failures_before_reset = 0"), std::string::npos);
+  s = {};
+  s.actuators.tilt_rate_share = 2.0;
+  EXPECT_NE(message(s).find("ActuatorRowSettings.tilt_rate_share = 2"), std::string::npos);
 }
 
 }  // namespace

@@ -16,12 +16,14 @@ namespace {
 using test_support::Dual;
 using test_support::Random;
 using test_support::random_state;
-using D = WheeledFlightProblem::D;
+using D = WheeledFlightProblem<>::D;
 
-WheeledFlightProblem random_problem(Random& random) {
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+WheeledFlightProblem<> random_problem(Random& random) {
   WheeledFlightSettings settings;
   settings.weights.orientation << 30.0, 20.0, 10.0;
-  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     const State<> r = random_state(random);
     problem.node(k).reference = r.body;
@@ -57,7 +59,7 @@ State<Scalar> moved(const State<>& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
 TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
   Random random(41);
   for (int i = 0; i < 200; ++i) {
-    const WheeledFlightProblem problem = random_problem(random);
+    const WheeledFlightProblem<> problem = random_problem(random);
     const int k = i % 2 == 0 ? 3 : problem.horizon();
     const NmpcWeights& w = problem.settings().weights;
     const State<> x = random_state(random);
@@ -74,7 +76,7 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
     q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
     if (k == problem.horizon()) q *= w.terminal;
 
-    WheeledFlightProblem::Model model;
+    WheeledFlightProblem<>::Model model;
     problem.cost_model(k, x, u, model);
     const Eigen::Matrix<double, 18, 18> hessian =
         2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
@@ -95,7 +97,7 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
 TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
   Random random(42);
   for (int i = 0; i < 200; ++i) {
-    const WheeledFlightProblem problem = random_problem(random);
+    const WheeledFlightProblem<> problem = random_problem(random);
     const State<> x = random_state(random);
     using S = Dual<18>;
     const Eigen::Matrix<double, 3, 18> truth = test_support::jacobian_at_zero<3, 18>(
@@ -117,7 +119,7 @@ TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
   Random random(43);
   WheeledFlightSettings settings;
   settings.bounds = paper_bounds();
-  const WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  const WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   const State<> x = random_state(random);
   const D::Input u = D::Input::Ones();
   D::RowsX C = D::RowsX::Zero();
@@ -140,9 +142,60 @@ TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
   EXPECT_TRUE(std::isinf(problem.upper(20)(9)));  // and the last node has no input
 }
 
+TEST(WheeledFlightProblem, WithRotorsTheActuatorRowsFollowThePapers) {
+  Random random(45);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const ActuatorRows<4> actuators(vehicle);
+  using Problem = WheeledFlightProblem<4>;
+  using Rows = ProblemDimensions<Problem>;
+  const Problem problem(vehicle.body, vehicle.wheels, {}, actuators);
+  const WheeledFlightProblem<> paper(vehicle.body, vehicle.wheels);
+  Rows::RowsX C = Rows::RowsX::Zero();
+  Rows::RowsU E = Rows::RowsU::Zero();
+  for (int i = 0; i < 100; ++i) {
+    // The matrices keep what an earlier call has set.
+    const State<> x = random_state(random);
+    D::Input u, w;
+    u << random.vector(20.0), random.vector(4.0);
+    w << x.wrench.force, x.wrench.torque;
+    const Rows::Rows values = problem.row_values(2, x, u);
+    EXPECT_EQ(values.head<15>(), paper.row_values(2, x, u));
+    EXPECT_EQ(values.tail<12>(), actuators.values(w, u));
+    problem.row_derivatives(2, x, u, C, E);
+    const double h = 1e-6;
+    for (int j = 0; j < 18; ++j) {
+      const D::Tangent d = h * D::Tangent::Unit(j);
+      const Rows::Rows slope = (problem.row_values(2, problem.retract(x, d), u) -
+                                problem.row_values(2, problem.retract(x, -d), u)) /
+                               (2.0 * h);
+      EXPECT_LT((slope - C.col(j)).norm(), 1e-6 * (1.0 + slope.norm()));
+    }
+    for (int j = 0; j < 6; ++j) {
+      const D::Input d = h * D::Input::Unit(j);
+      const Rows::Rows slope =
+          (problem.row_values(2, x, u + d) - problem.row_values(2, x, u - d)) / (2.0 * h);
+      EXPECT_LT((slope - E.col(j)).norm(), 1e-6 * (1.0 + slope.norm()));
+    }
+  }
+  for (const int k : {0, 1, problem.horizon()}) {
+    EXPECT_EQ(problem.upper(k).head<15>(), paper.upper(k));
+    EXPECT_EQ(problem.lower(k).head<15>(), paper.lower(k));
+    EXPECT_TRUE((problem.lower(k).tail<12>().array() == -infinity).all());
+    // The last node has no input, the first one's thrust is measured.
+    EXPECT_TRUE(
+        (problem.upper(k).segment<8>(15).array() == (k == problem.horizon() ? infinity : 0.0))
+            .all());
+    EXPECT_TRUE(
+        (problem.upper(k).tail<4>().array() == (k == 0 ? infinity : vehicle.rotor.max_thrust))
+            .all());
+  }
+  const Problem off(vehicle.body, vehicle.wheels);
+  EXPECT_TRUE((off.upper(1).tail<12>().array() == infinity).all());
+}
+
 TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
   Random random(44);
-  WheeledFlightProblem problem = random_problem(random);
+  WheeledFlightProblem<> problem = random_problem(random);
   problem.node(4).on_ground = false;
   EXPECT_EQ(problem.equality_weights(4), Eigen::Vector3d::Zero());
   EXPECT_EQ(problem.equality_weights(5), Eigen::Vector3d(2.0 * problem.settings().weights.ground));
@@ -151,7 +204,7 @@ TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
 TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   const auto message = [](const WheeledFlightSettings& settings) -> std::string {
     try {
-      WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+      WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
@@ -175,7 +228,7 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
   expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
   expect_refused([&](auto& s) { s.row_penalty = 0.0; }, "row_penalty");
-  EXPECT_THROW((WheeledFlightProblem{test_support::benchmark_body(), {0.0, 0.2}}),
+  EXPECT_THROW((WheeledFlightProblem<>{test_support::benchmark_body(), {0.0, 0.2}}),
                std::invalid_argument);
 }
 

@@ -92,6 +92,43 @@ TEST(HybridMission, NeverFailsToSolve) {
   EXPECT_GT(figure("nmpc_median_us"), 0.0);
 }
 
+// What is asked of the servos: the tilt rate of the commanded wrench, and the speed at which they
+// have to start towards their commands.
+TEST(HybridMission, AsksTheServosForNoMoreThanTheyCanAndTracksAsWell) {
+  EXPECT_LE(figure("planned_tilt_rate_max_radps"), 0.85 * 8.0 + 0.005);
+  EXPECT_LE(figure("tilt_rate_max_radps"), figure("servo_speed_radps"));
+  EXPECT_EQ(figure("tilt_rate_exceeded_share"), 0.0);
+
+  Flight boxes = run("--no-pictures --no-actuator-rows");
+  ASSERT_EQ(boxes.exit_code, 0) << boxes.output;
+  EXPECT_GT(boxes.figures["planned_tilt_rate_max_radps"], 12.0);
+  EXPECT_GT(boxes.figures["tilt_rate_max_radps"], 8.0);
+  EXPECT_GT(boxes.figures["tilt_rate_exceeded_share"], 0.0);
+  for (const char* rmse : {"air_rmse_m", "ground_rmse_m", "mission_rmse_m"})
+    EXPECT_LE(figure(rmse), 1.05 * boxes.figures[rmse]) << rmse;
+}
+
+TEST(HybridMission, AsksSlowerServosForNoMoreEither) {
+  Flight rows = run("--no-pictures --servo-speed 6");
+  Flight boxes = run("--no-pictures --servo-speed 6 --no-actuator-rows");
+  EXPECT_LE(rows.figures["tilt_rate_max_radps"], 6.0);
+  EXPECT_EQ(rows.figures["tilt_rate_exceeded_share"], 0.0);
+  EXPECT_GT(boxes.figures["tilt_rate_max_radps"], 8.0);
+  EXPECT_GT(boxes.figures["tilt_rate_exceeded_share"], 0.01);
+  EXPECT_LE(rows.figures["ground_rmse_m"], 0.012);  // the price: 0.0088 without the rows
+}
+
+TEST(HybridMission, VerySlowServosCanStillDriveWithTheRowsAndNotWithout) {
+  Flight rows = run("--no-pictures --servo-speed 2 --ground-thrust 1");
+  Flight boxes = run("--no-pictures --servo-speed 2 --ground-thrust 1 --no-actuator-rows");
+  EXPECT_LE(rows.figures["planned_tilt_rate_max_radps"], 0.85 * 2.0 + 0.005);
+  EXPECT_LE(rows.figures["ground_rmse_m"], 0.07);
+  EXPECT_EQ(rows.figures["contact_mode_changes"], 4);
+  EXPECT_EQ(rows.figures["solver_failures"], 0);
+  EXPECT_GT(boxes.figures["ground_rmse_m"], 0.5);
+  EXPECT_GT(boxes.figures["contact_mode_changes"], 4);  // it leaves the ground
+}
+
 TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {
   EXPECT_GT(flown().csv.size(), 1000000u);
   EXPECT_TRUE(run("--no-pictures --seed 1").csv == flown().csv);

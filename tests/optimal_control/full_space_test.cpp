@@ -34,10 +34,10 @@ Quadrotor::State thrown_quadrotor() {
   return x;
 }
 
-WheeledFlightProblem short_flight() {
+WheeledFlightProblem<> short_flight() {
   WheeledFlightSettings settings;
   settings.intervals = 4;
-  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -142,13 +142,13 @@ TEST(FullSpace, ConvergesAtOnceFromAnOptimumToTheLastBit) {
 
 TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
   // On the ground in a problem that holds height and roll, so that two equalities say nothing.
-  WheeledFlightProblem problem = short_flight();
+  WheeledFlightProblem<> problem = short_flight();
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).on_ground = true;
     problem.node(k).freedom.linear.z() = 0.0;
     problem.node(k).freedom.angular.x() = 0.0;
   }
-  FullSpace<WheeledFlightProblem> solver(problem);
+  FullSpace<WheeledFlightProblem<>> solver(problem);
   State<> x = displaced_flight();
   x.body = {};
   x.body.position.z() = WheelParameters{}.radius;
@@ -157,7 +157,7 @@ TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
 }
 
 TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
-  FullSpace<WheeledFlightProblem> solver(short_flight());
+  FullSpace<WheeledFlightProblem<>> solver(short_flight());
   solver.reset(displaced_flight());
   solver.solve(displaced_flight());
   const auto plan = solver.input(0);
@@ -171,7 +171,7 @@ TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
 }
 
 TEST(FullSpace, NonFiniteProblemFailsAtOnceAndKeepsThePlan) {
-  FullSpace<WheeledFlightProblem> solver(short_flight());
+  FullSpace<WheeledFlightProblem<>> solver(short_flight());
   solver.reset(displaced_flight());
   solver.solve(displaced_flight());
   const auto plan = solver.input(0);

@@ -21,7 +21,7 @@ using test_support::set_air_reference;
 using test_support::step_problem;
 using test_support::step_start;
 
-using Solver = MultipleShooting<WheeledFlightProblem>;
+using Solver = MultipleShooting<WheeledFlightProblem<>>;
 
 TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
   Solver solver(step_problem());
@@ -87,7 +87,7 @@ TEST(MultipleShooting, OptimumCannotBeImprovedByFeasibleChanges) {
   Solver solver(step_problem());
   solver.reset(step_start());
   const SolveReport report = solver.solve(step_start());
-  const WheeledFlightProblem& problem = solver.problem();
+  const WheeledFlightProblem<>& problem = solver.problem();
   Random random(12);
   int feasible = 0;
   for (int trial = 0; trial < 2000; ++trial) {
@@ -133,7 +133,7 @@ TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
   const auto violation_at = [](double row_penalty) {
     WheeledFlightSettings settings;
     settings.row_penalty = row_penalty;
-    WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+    WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
     for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);
     Solver solver(problem);
     solver.reset(step_start());
@@ -212,7 +212,7 @@ TEST(MultipleShooting, MultipliersMeetTheGroundConditionsCloserThanWeights) {
     settings.update_multipliers = update_multipliers;
     settings.max_iterations = 25;
     settings.tolerance = 1e-9;
-    WheeledFlightProblem problem = step_problem();
+    WheeledFlightProblem<> problem = step_problem();
     for (int k = 0; k <= problem.horizon(); ++k) {
       problem.node(k).on_ground = k >= 10;  // late enough for the vehicle to get there
       problem.node(k).reference.position << 0.0, 0.0, 0.3;

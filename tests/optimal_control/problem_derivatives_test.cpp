@@ -113,19 +113,19 @@ TEST(ProblemDerivatives, AreExact) {
 }
 
 TEST(ProblemDerivatives, NothingIsOutsideTheDeclaredTransitionBlocks) {
-  using Blocks = WheeledFlightProblem::TransitionBlocks;
+  using Blocks = WheeledFlightProblem<>::TransitionBlocks;
   constexpr int size = Blocks::size;
   Random random(73);
-  WheeledFlightProblem problem = test_support::step_problem();
+  auto problem = test_support::step_problem();
   Eigen::Matrix<double, 18, 24> seen = Eigen::Matrix<double, 18, 24>::Zero();
   for (int i = 0; i < 100; ++i) {
     WheeledFlightNode& node = problem.node(0);
     node.external = {random.vector(3.0), random.vector(0.3)};
     node.freedom.linear.z() = i % 2 == 0 ? 1.0 : 0.0;
     node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
-    WheeledFlightProblem::D::A A;
-    WheeledFlightProblem::D::B B;
-    WheeledFlightProblem::D::Input u;
+    WheeledFlightProblem<>::D::A A;
+    WheeledFlightProblem<>::D::B B;
+    WheeledFlightProblem<>::D::Input u;
     u << random.vector(5.0), random.vector(1.0);
     (void)problem.step(0, test_support::random_state(random), u, A, B);
     Eigen::Matrix<double, 18, 24> both;

@@ -83,11 +83,11 @@ Quadrotor::State thrown_quadrotor() {
   return x;
 }
 
-WheeledFlightProblem short_flight(const NmpcBounds& bounds) {
+WheeledFlightProblem<> short_flight(const NmpcBounds& bounds) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.bounds = bounds;
-  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -106,11 +106,11 @@ State<> displaced_flight() {
 }
 
 // The wheels touch the ground at `touch_down` and stay there.
-WheeledFlightProblem short_landing(int touch_down, double ground_weight) {
+WheeledFlightProblem<> short_landing(int touch_down, double ground_weight) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.weights.ground.setConstant(ground_weight);
-  WheeledFlightProblem problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     WheeledFlightNode& node = problem.node(k);
     node.wrench_reference.force = test_support::benchmark_hover_force();

@@ -29,8 +29,8 @@ inline Eigen::Vector3d benchmark_hover_force() {
 }
 
 /// STEP: hover at (0, 0, 1.5) from a displaced, turned and moving start; wide bounds.
-inline WheeledFlightProblem step_problem() {
-  WheeledFlightProblem problem(benchmark_body(), {});
+inline WheeledFlightProblem<> step_problem() {
+  WheeledFlightProblem<> problem(benchmark_body(), {});
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
     problem.node(k).wrench_reference.force = benchmark_hover_force();
@@ -60,13 +60,13 @@ inline Eigen::Vector3d air_velocity(double t) {
 }
 
 /// AIR: bounds of the paper's table.
-inline WheeledFlightProblem air_problem() {
+inline WheeledFlightProblem<> air_problem() {
   WheeledFlightSettings settings;
   settings.bounds = tilt_ropter::paper_bounds();
-  return WheeledFlightProblem(benchmark_body(), {}, settings);
+  return WheeledFlightProblem<>(benchmark_body(), {}, settings);
 }
 
-inline void set_air_reference(WheeledFlightProblem& problem, double time) {
+inline void set_air_reference(WheeledFlightProblem<>& problem, double time) {
   for (int k = 0; k <= problem.horizon(); ++k) {
     const double t = time + 0.1 * k;
     problem.node(k).reference.position = air_position(t);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
@@ -38,24 +39,31 @@ struct NmpcSettings {
   /// False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: what the reference's acceleration
   /// and the estimated external wrench ask for, which leaves no offset at rest.
   bool wrench_feedforward = true;
+  /// True: a plan keeps to what the servos' speed and the rotors' thrust allow, see ActuatorRows.
+  /// False: as in the paper, to the boxes of NmpcBounds alone.
+  bool actuator_rows = true;
+  ActuatorRowSettings actuators;  ///< no effect without actuator_rows
 };
 
 inline void validate(const NmpcSettings& s) {
   validate(s.problem);
   validate(s.solver);
   validate(s.ground);
+  validate(s.actuators);
   require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
   require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
           s.failures_before_reset, ">= 1");
 }
 
-/// The paper's parameters: its table of bounds, N and interval, and its reference wrench.
+/// The paper's parameters: its table of bounds, N and interval, its reference
+/// wrench, and no rows beyond its own.
 [[nodiscard]] inline NmpcSettings paper_nmpc_settings() {
   NmpcSettings s;
   s.problem.intervals = 20;
   s.problem.interval = 0.1;
   s.problem.bounds = paper_bounds();
   s.wrench_feedforward = false;
+  s.actuator_rows = false;
   return s;
 }
 
@@ -74,14 +82,18 @@ struct NmpcResult {
 template <int Rotors = 4>
 class Nmpc {
  public:
+  using Problem = WheeledFlightProblem<Rotors>;
+
   /// Throws std::invalid_argument for parameters or settings out of range. Allocates; the functions
   /// below allocate nothing outside NLopt and never throw.
   explicit Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings = {})
       : settings_(checked(settings)),
         body_(vehicle.body),
         contact_(vehicle.wheels, settings.ground),
-        solver_(WheeledFlightProblem(vehicle.body, vehicle.wheels, settings.problem),
-                settings.solver),
+        solver_(
+            Problem(vehicle.body, vehicle.wheels, settings.problem,
+                    settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
+            settings.solver),
         points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
     result_.wrench = safe_wrench();
   }
@@ -99,7 +111,14 @@ class Nmpc {
       points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
     set_nodes();
     prepared_ = true;
-    if (!cold_) (void)solver_.prepare();
+    if (!cold_) {
+      // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
+      // exact, and what is commanded keeps to them.
+      State<> first = solver_.state(0);
+      first.wrench = planned_wrench(time - plan_time_);
+      solver_.set_guess(0, first, solver_.input(0));
+      (void)solver_.prepare();
+    }
     return lifted_off;
   }
 
@@ -118,6 +137,7 @@ class Nmpc {
       set_nodes();
       x.wrench = has_plan_ ? planned_wrench(time - plan_time_) : safe_wrench();
       solver_.reset(x);
+      plan_start_ = x.wrench;
       (void)solver_.prepare();
     } else {
       x.wrench = planned_wrench(time - plan_time_);
@@ -130,16 +150,19 @@ class Nmpc {
     cold_ = false;
     has_plan_ = true;
     plan_time_ = time;
+    plan_start_ = solver_.state(0).wrench;
     result_.status = NmpcStatus::solved;
     set_command(0.0);
     return result_;
   }
 
   [[nodiscard]] const GroundContact& contact() const { return contact_; }
-  [[nodiscard]] const MultipleShooting<WheeledFlightProblem>& solver() const { return solver_; }
+  [[nodiscard]] const MultipleShooting<Problem>& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
 
  private:
+  using Actuators = ActuatorRows<Rotors>;
+
   static const NmpcSettings& checked(const NmpcSettings& settings) {
     validate(settings);
     return settings;
@@ -179,8 +202,8 @@ class Nmpc {
     const double interval = settings_.problem.interval;
     const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
     const int k = std::min(static_cast<int>(clamped / interval), solver_.horizon() - 1);
-    const Wrench<>& start = solver_.state(k).wrench;
-    const auto& rate = solver_.input(k);
+    const Wrench<>& start = k == 0 ? plan_start_ : solver_.state(k).wrench;
+    const Eigen::Matrix<double, 6, 1>& rate = solver_.input(k);
     const double t = clamped - interval * k;
     return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
   }
@@ -202,7 +225,7 @@ class Nmpc {
     result_.wrench = planned_wrench(age);
     const int k =
         std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
-    const auto& rate = solver_.input(k);
+    const Eigen::Matrix<double, 6, 1>& rate = solver_.input(k);
     result_.rate = {rate.head<3>(), rate.tail<3>()};
     result_.on_ground = contact_.on_ground();
   }
@@ -228,12 +251,13 @@ class Nmpc {
   NmpcSettings settings_;
   RigidBodyParameters body_;
   GroundContact contact_;
-  MultipleShooting<WheeledFlightProblem> solver_;
+  MultipleShooting<Problem> solver_;
   std::vector<ReferencePoint> points_;
   BodyState<> body_state_;  // the last good measurement
   Wrench<> external_;       // the last good estimate
   NmpcResult result_;
   double plan_time_ = 0.0;
+  Wrench<> plan_start_;  // at plan_time_
   int failures_ = 0;
   bool prepared_ = false, has_plan_ = false, cold_ = true;
 };

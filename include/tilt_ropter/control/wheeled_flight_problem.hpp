@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
@@ -63,7 +64,9 @@ struct WheeledFlightSettings {
   double interval = 0.1;  ///< length of one [s] (paper: 0.1)
   NmpcWeights weights;
   NmpcBounds bounds;
-  double row_penalty = 1e4;  ///< price of violating a bound by one unit
+  /// Price of violating a bound by one unit (of ActuatorRows: their rows' unit); a bound whose
+  /// multiplier would have to be larger is given up.
+  double row_penalty = 1e4;
 };
 
 inline void validate(const NmpcWeights& w) {
@@ -110,13 +113,25 @@ struct WheeledFlightNode {
 
 /// A problem as MultipleShooting takes it: 18 tangent coordinates (dF, dM, dp, dv, dtheta, dw), 6
 /// inputs (dF/dt, dM/dt), 15 rows (F, M, w, dF/dt, dM/dt), 3 ground conditions. The nodes'
-/// references and external wrenches are set from outside before each solve.
+/// references and external wrenches are set from outside before each solve. With `Rotors`, the
+/// rows of ActuatorRows follow the paper's 15.
+template <int Rotors = 0>
 class WheeledFlightProblem {
  public:
-  static constexpr int states = 18, inputs = 6, rows = 15, equalities = 3;
+  static constexpr int states = 18, inputs = 6, rows = 15 + ActuatorRows<Rotors>::rows,
+                       equalities = 3;
   using State = tilt_ropter::State<>;
   using D = ProblemDimensions<WheeledFlightProblem>;
   using Model = QuadraticModel<states, inputs>;
+  using Tangent = StateTangent<>;
+  using Input = Eigen::Matrix<double, 6, 1>;
+  using StateJacobian = Eigen::Matrix<double, 18, 18>;
+  using InputJacobian = Eigen::Matrix<double, 18, 6>;
+  using Rows = typename D::Rows;
+  using RowsX = typename D::RowsX;
+  using RowsU = typename D::RowsU;
+  using Equalities = Eigen::Vector3d;
+  using EqualitiesX = Eigen::Matrix<double, 3, 18>;
 
   /// The wrench is the input's integral, nothing follows position or velocity but position, no
   /// force turns the body, and within one interval a torque's rate does not reach the position.
@@ -136,24 +151,33 @@ class WheeledFlightProblem {
     }
   };
 
-  /// Throws std::invalid_argument for parameters or settings out of range.
+  /// `actuators` bounds nothing by default. Throws std::invalid_argument for parameters or settings
+  /// out of range.
   WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
-                       const WheeledFlightSettings& settings = {})
-      : body_(body), wheel_radius_(wheels.radius), settings_(settings) {
+                       const WheeledFlightSettings& settings = {},
+                       const ActuatorRows<Rotors>& actuators = {})
+      : body_(body), actuators_(actuators), wheel_radius_(wheels.radius), settings_(settings) {
     validate(wheels);
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+    const double infinity = std::numeric_limits<double>::infinity();
     const NmpcBounds& b = settings.bounds;
-    const D::Rows none = D::Rows::Constant(std::numeric_limits<double>::infinity());
-    upper_ << b.force_max, b.torque_max, b.angular_velocity, b.force_rate, b.torque_rate;
-    lower_ << b.force_min, b.torque_min, -b.angular_velocity, -b.force_rate, -b.torque_rate;
+    upper_.template head<15>() << b.force_max, b.torque_max, b.angular_velocity, b.force_rate,
+        b.torque_rate;
+    lower_.template head<15>() << b.force_min, b.torque_min, -b.angular_velocity, -b.force_rate,
+        -b.torque_rate;
+    if constexpr (Rotors > 0) {
+      upper_.template tail<3 * Rotors>() = actuators.upper();
+      lower_.template tail<3 * Rotors>().setConstant(-infinity);
+    }
     // The measured state is not ours to bound, and the last node has no input.
-    first_upper_ = last_upper_ = none;
-    first_lower_ = last_lower_ = -none;
-    first_upper_.tail<6>() = upper_.tail<6>();
-    first_lower_.tail<6>() = lower_.tail<6>();
-    last_upper_.head<9>() = upper_.head<9>();
-    last_lower_.head<9>() = lower_.head<9>();
+    first_upper_ = last_upper_ = upper_;
+    first_lower_ = last_lower_ = lower_;
+    first_upper_.template head<9>().setConstant(infinity);
+    first_lower_.template head<9>().setConstant(-infinity);
+    first_upper_.template tail<Rotors>().setConstant(infinity);
+    last_upper_.template segment<6 + 2 * Rotors>(9).setConstant(infinity);
+    last_lower_.template segment<6 + 2 * Rotors>(9).setConstant(-infinity);
     penalty_.setConstant(settings.row_penalty);
   }
 
@@ -164,36 +188,37 @@ class WheeledFlightProblem {
   }
 
   [[nodiscard]] int horizon() const { return settings_.intervals; }
-  [[nodiscard]] State retract(const State& x, const D::Tangent& dx) const {
+  [[nodiscard]] State retract(const State& x, const Tangent& dx) const {
     return tilt_ropter::retract(x, dx);
   }
-  [[nodiscard]] D::Tangent difference(const State& y, const State& x) const {
+  [[nodiscard]] Tangent difference(const State& y, const State& x) const {
     return tilt_ropter::difference(y, x);
   }
   /// d difference(retract(x, dx + e), retract(x, dx)) / de, for FullSpace.
-  [[nodiscard]] D::A retract_derivative(const State&, const D::Tangent& dx) const {
-    D::A derivative = D::A::Identity();
+  [[nodiscard]] StateJacobian retract_derivative(const State&, const Tangent& dx) const {
+    StateJacobian derivative = StateJacobian::Identity();
     derivative.block<3, 3>(12, 12) = right_jacobian(dx.segment<3>(12));
     return derivative;
   }
 
-  [[nodiscard]] State step(int k, const State& x, const D::Input& u) const {
+  [[nodiscard]] State step(int k, const State& x, const Input& u) const {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom);
   }
-  [[nodiscard]] State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const {
+  [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
+                           InputJacobian& B) const {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
   }
 
   /// e' Q e + u' R u with e = (F - F_r, M - M_r, p - p_r, v - v_r, 2 vec(q (x) q_r^-1), w - w_r).
-  [[nodiscard]] double cost(int k, const State& x, const D::Input& u) const {
-    const D::Tangent e = error(k, x);
+  [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
+    const Tangent e = error(k, x);
     const double state_cost = e.dot(state_weights(k).cwiseProduct(e));
     return k == horizon() ? state_cost : state_cost + u.dot(input_weights().cwiseProduct(u));
   }
 
-  void cost_model(int k, const State& x, const D::Input& u, Model& model) const {
-    const D::Tangent e = error(k, x);
-    const D::Tangent q = 2.0 * state_weights(k);
+  void cost_model(int k, const State& x, const Input& u, Model& model) const {
+    const Tangent e = error(k, x);
+    const Tangent q = 2.0 * state_weights(k);
     model.lx = q.cwiseProduct(e);
     model.lxx = q.asDiagonal();
     // d e_q = (w I - [v]x) R(q) dtheta for q (x) q_r^-1 = (w, v).
@@ -205,35 +230,40 @@ class WheeledFlightProblem {
     model.lx.segment<3>(12) = weighted.transpose() * e.segment<3>(12);
     model.lxx.block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
     if (k == horizon()) return;
-    const D::Input r = 2.0 * input_weights();
+    const Input r = 2.0 * input_weights();
     model.lu = r.cwiseProduct(u);
     model.luu = r.asDiagonal();
   }
 
-  [[nodiscard]] D::Rows row_values(int, const State& x, const D::Input& u) const {
-    D::Rows value;
-    value << x.wrench.force, x.wrench.torque, x.body.angular_velocity, u;
+  [[nodiscard]] Rows row_values(int, const State& x, const Input& u) const {
+    Rows value;
+    value.template head<15>() << x.wrench.force, x.wrench.torque, x.body.angular_velocity, u;
+    if constexpr (Rotors > 0)
+      value.template tail<3 * Rotors>() = actuators_.values(packed(x.wrench), u);
     return value;
   }
-  void row_derivatives(int, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
-    C.diagonal().head<6>().setOnes();
-    C.block<3, 3>(6, 15).diagonal().setOnes();
-    E.block<6, 6>(9, 0).diagonal().setOnes();
+  void row_derivatives(int, const State& x, const Input& u, RowsX& C, RowsU& E) const {
+    C.template topLeftCorner<6, 6>().diagonal().setOnes();
+    C.template block<3, 3>(6, 15).diagonal().setOnes();
+    E.template block<6, 6>(9, 0).diagonal().setOnes();
+    if constexpr (Rotors > 0)
+      actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
+                             E.template bottomRows<3 * Rotors>());
   }
-  [[nodiscard]] const D::Rows& lower(int k) const {
+  [[nodiscard]] const Rows& lower(int k) const {
     return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
   }
-  [[nodiscard]] const D::Rows& upper(int k) const {
+  [[nodiscard]] const Rows& upper(int k) const {
     return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
   }
-  [[nodiscard]] const D::Rows& penalty(int) const { return penalty_; }
+  [[nodiscard]] const Rows& penalty(int) const { return penalty_; }
 
   /// v_By, w_x and p_z - r (paper, Eq. mpc_subject), where the node is on the ground.
-  [[nodiscard]] D::Equalities equality_values(int, const State& x) const {
+  [[nodiscard]] Equalities equality_values(int, const State& x) const {
     const Eigen::Vector3d velocity = x.body.orientation.conjugate() * x.body.velocity;
     return {velocity.y(), x.body.angular_velocity.x(), x.body.position.z() - wheel_radius_};
   }
-  void equality_derivatives(int, const State& x, D::EqualitiesX& H) const {
+  void equality_derivatives(int, const State& x, EqualitiesX& H) const {
     const Eigen::Matrix3d to_body = x.body.orientation.conjugate().toRotationMatrix();
     const Eigen::Vector3d velocity = to_body * x.body.velocity;
     H.setZero();
@@ -242,8 +272,8 @@ class WheeledFlightProblem {
     H(1, 15) = 1.0;
     H(2, 8) = 1.0;
   }
-  [[nodiscard]] D::Equalities equality_weights(int k) const {
-    if (!node(k).on_ground) return D::Equalities::Zero();
+  [[nodiscard]] Equalities equality_weights(int k) const {
+    if (!node(k).on_ground) return Equalities::Zero();
     return 2.0 * settings_.weights.ground;
   }
 
@@ -255,32 +285,39 @@ class WheeledFlightProblem {
     return turn;
   }
 
-  [[nodiscard]] D::Tangent error(int k, const State& x) const {
+  [[nodiscard]] Tangent error(int k, const State& x) const {
     const WheeledFlightNode& n = node(k);
-    D::Tangent e;
+    Tangent e;
     e << x.wrench.force - n.wrench_reference.force, x.wrench.torque - n.wrench_reference.torque,
         x.body.position - n.reference.position, x.body.velocity - n.reference.velocity,
         2.0 * attitude_error(k, x).vec(), x.body.angular_velocity - n.reference.angular_velocity;
     return e;
   }
 
-  [[nodiscard]] D::Tangent state_weights(int k) const {
+  [[nodiscard]] Tangent state_weights(int k) const {
     const NmpcWeights& w = settings_.weights;
-    D::Tangent q;
+    Tangent q;
     q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
-    return k == horizon() ? D::Tangent(w.terminal * q) : q;
+    return k == horizon() ? Tangent(w.terminal * q) : q;
   }
-  [[nodiscard]] D::Input input_weights() const {
-    D::Input r;
+  [[nodiscard]] Input input_weights() const {
+    Input r;
     r << settings_.weights.force_rate, settings_.weights.torque_rate;
     return r;
   }
 
+  [[nodiscard]] static Input packed(const Wrench<>& wrench) {
+    Input w;
+    w << wrench.force, wrench.torque;
+    return w;
+  }
+
   RigidBody<> body_;
+  ActuatorRows<Rotors> actuators_;
   double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
-  D::Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
+  Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
 }  // namespace tilt_ropter

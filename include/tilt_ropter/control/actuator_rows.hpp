@@ -1,0 +1,149 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/allocation_matrix.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+/// What servos and rotors can do, as rows of the optimal-control problem (beyond the paper, whose
+/// box on the wrench rate lets an arm of little thrust turn at any speed).
+namespace tilt_ropter {
+
+struct ActuatorRowSettings {
+  /// Share of the servo's max_rate that a plan may ask for. What reaches the servo is more: a
+  /// command that is held for h seconds and runs ahead to invert a lag of T asks for h / (2 T) on
+  /// top, 6 % at 100 Hz and 80 ms, and about 10 % come from AllocationParameters.calm_share, by
+  /// which commands run ahead farther while a thrust grows.
+  double tilt_rate_share = 0.85;
+  /// A rotor of less thrust counts as one of this thrust, since its tilt rate is not defined at
+  /// zero; as in AllocationParameters [N].
+  double hold_thrust = 0.02;
+};
+
+inline void validate(const ActuatorRowSettings& s) {
+  require(s.tilt_rate_share > 0.0 && s.tilt_rate_share <= 1.0,
+          "ActuatorRowSettings.tilt_rate_share", s.tilt_rate_share, "in (0, 1]");
+  require_positive("ActuatorRowSettings.hold_thrust [N]", s.hold_thrust);
+}
+
+/// Three rows for each rotor under a wrench W = (F, M) that moves at u = dW/dt. With the least
+/// thrusts T = A^+ W, dT = A^+ u (see AllocationMatrix) and r = tilt_rate_share max_rate
+///
+///     ( (dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
+///     (-(dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
+///     sqrt(T_l^2 + T_v^2) <= max_thrust,
+///
+/// first the first of all rotors, then the second, then the third. h is the thrust of one rotor in
+/// hover, so there the first two are rad/s beyond r. Divided by the thrust's own square they would
+/// be so everywhere, in one row with two sides, but nearly singular on the ground, where the
+/// thrusts are a thirtieth: one linearisation per tick does not follow that. While u is constant
+/// dT_l T_v - T_l dT_v is, too, so between two nodes a tilt rate grows only where the thrust
+/// shrinks.
+///
+/// Wrenches that need the null space of A have other thrusts; the rows do not know of it. A rotor
+/// that does not tilt has the third row only.
+template <int Rotors>
+class ActuatorRows {
+ public:
+  static constexpr int rows = 3 * Rotors;
+  using Values = Eigen::Matrix<double, rows, 1>;
+  using Vector = Eigen::Matrix<double, 6, 1>;
+
+  /// No bounds: values and derivatives are zero and take no time.
+  ActuatorRows() = default;
+
+  /// Throws std::invalid_argument for a vehicle, settings or a geometry out of range.
+  explicit ActuatorRows(const Vehicle<Rotors>& vehicle, const ActuatorRowSettings& settings = {})
+      : enabled_(true) {
+    validate(vehicle);
+    validate(settings);
+    pseudoinverse_ = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
+    const double hover = vehicle.body.mass * gravity / Rotors;
+    scale_ = 1.0 / (hover * hover);
+    hold_square_ = settings.hold_thrust * settings.hold_thrust;
+    for (int i = 0; i < Rotors; ++i) {
+      upper_(2 * Rotors + i) = vehicle.rotor.max_thrust;
+      if (!vehicle.rotors[static_cast<std::size_t>(i)].tilts) continue;
+      max_rate_(i) = settings.tilt_rate_share * vehicle.servo.max_rate;
+      upper_(i) = upper_(Rotors + i) = 0.0;
+    }
+  }
+
+  /// Upper bounds of the rows, infinite for what is not bounded; there are no lower ones.
+  [[nodiscard]] const Values& upper() const { return upper_; }
+
+  [[nodiscard]] Values values(const Vector& wrench, const Vector& rate) const {
+    Values value = Values::Zero();
+    if (!enabled_) return value;
+    for (int i = 0; i < Rotors; ++i) {
+      const Rotor r = rotor(i, wrench, rate);
+      const double allowed = max_rate_(i) * std::fmax(r.square, hold_square_);
+      value(i) = scale_ * (r.cross - allowed);
+      value(Rotors + i) = scale_ * (-r.cross - allowed);
+      value(2 * Rotors + i) = std::sqrt(r.square);
+    }
+    return value;
+  }
+
+  /// Writes the derivatives by wrench and by its rate, rows x 6 each, but for those of the thrusts
+  /// by the rate, which are zero. A thrust of zero has no derivative; zero, one of its
+  /// subgradients, stands for it. Without bounds nothing is written.
+  template <typename ByWrench, typename ByRate>
+  void derivatives(const Vector& wrench, const Vector& rate, ByWrench&& by_wrench,
+                   ByRate&& by_rate) const {
+    if (!enabled_) return;
+    using Row = Eigen::Matrix<double, 1, 6>;
+    for (int i = 0; i < Rotors; ++i) {
+      const Rotor r = rotor(i, wrench, rate);
+      const auto lateral = pseudoinverse_.row(2 * i), vertical = pseudoinverse_.row(2 * i + 1);
+      const Row half_square = r.lateral * lateral + r.vertical * vertical;
+      const Row cross = scale_ * (r.lateral_rate * vertical - r.vertical_rate * lateral);
+      const bool held = r.square < hold_square_;
+      const Row allowed = (held ? 0.0 : 2.0 * scale_ * max_rate_(i)) * half_square;
+      by_wrench.row(i) = cross - allowed;
+      by_wrench.row(Rotors + i) = -cross - allowed;
+      by_wrench.row(2 * Rotors + i) =
+          (r.square > 0.0 ? 1.0 / std::sqrt(r.square) : 0.0) * half_square;
+      by_rate.row(i) = scale_ * (r.vertical * lateral - r.lateral * vertical);
+      by_rate.row(Rotors + i) = -by_rate.row(i);
+    }
+  }
+
+ private:
+  struct Rotor {
+    double lateral, vertical, lateral_rate, vertical_rate;  // T_l, T_v [N], dT_l, dT_v [N/s]
+    double square, cross;  // T_l^2 + T_v^2 [N^2], dT_l T_v - T_l dT_v [N^2/s]
+  };
+
+  [[nodiscard]] Rotor rotor(int i, const Vector& wrench, const Vector& rate) const {
+    Rotor r{};
+    r.lateral = pseudoinverse_.row(2 * i).dot(wrench);
+    r.vertical = pseudoinverse_.row(2 * i + 1).dot(wrench);
+    r.lateral_rate = pseudoinverse_.row(2 * i).dot(rate);
+    r.vertical_rate = pseudoinverse_.row(2 * i + 1).dot(rate);
+    r.square = r.lateral * r.lateral + r.vertical * r.vertical;
+    r.cross = r.lateral_rate * r.vertical - r.lateral * r.vertical_rate;
+    return r;
+  }
+
+  bool enabled_ = false;
+  double scale_ = 0.0, hold_square_ = 0.0;  // [1/N^2], [N^2]
+  Eigen::Matrix<double, Rotors, 1> max_rate_ = Eigen::Matrix<double, Rotors, 1>::Zero();
+  Values upper_ = Values::Constant(std::numeric_limits<double>::infinity());
+  Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor> pseudoinverse_ =
+      Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor>::Zero();
+};
+
+/// None: the problem has the paper's rows alone.
+template <>
+class ActuatorRows<0> {
+ public:
+  static constexpr int rows = 0;
+};
+
+}  // namespace tilt_ropter

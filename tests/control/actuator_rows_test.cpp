@@ -1,0 +1,215 @@
+#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+
+#include "support/autodiff.hpp"
+#include "support/random.hpp"
+#include "support/vehicles.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Dual;
+using test_support::Random;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+
+Vector6 random_wrench(Random& random, double force, double torque) {
+  Vector6 w;
+  w << random.vector(force), random.vector(torque);
+  return w;
+}
+
+Wrench<> unpacked(const Vector6& w) {
+  return {w.head<3>(), w.tail<3>()};
+}
+
+// The rows as the class comment has them, for automatic differentiation.
+template <int Rotors, typename S>
+Eigen::Matrix<S, 3 * Rotors, 1> written_out(const Vehicle<Rotors>& vehicle,
+                                            const Eigen::Matrix<S, 12, 1>& wrench_and_rate) {
+  using std::sqrt;
+  const ActuatorRowSettings settings;
+  const AllocationMatrix<Rotors> allocation(vehicle);
+  const Eigen::Matrix<S, 2 * Rotors, 1> T =
+      allocation.pseudoinverse.template cast<S>() * wrench_and_rate.template head<6>();
+  const Eigen::Matrix<S, 2 * Rotors, 1> dT =
+      allocation.pseudoinverse.template cast<S>() * wrench_and_rate.template tail<6>();
+  const double hover = vehicle.body.mass * gravity / Rotors;
+  Eigen::Matrix<S, 3 * Rotors, 1> rows = Eigen::Matrix<S, 3 * Rotors, 1>::Zero();
+  for (int i = 0; i < Rotors; ++i) {
+    const S square = T(2 * i) * T(2 * i) + T(2 * i + 1) * T(2 * i + 1);
+    const S cross = dT(2 * i) * T(2 * i + 1) - T(2 * i) * dT(2 * i + 1);
+    const double least = settings.hold_thrust * settings.hold_thrust;
+    if (vehicle.rotors[static_cast<std::size_t>(i)].tilts) {
+      const S allowed = S(settings.tilt_rate_share * vehicle.servo.max_rate) *
+                        (square > S(least) ? square : S(least));
+      rows(i) = (cross - allowed) / S(hover * hover);
+      rows(Rotors + i) = (-cross - allowed) / S(hover * hover);
+    }
+    if (square > S(0)) rows(2 * Rotors + i) = sqrt(square);
+  }
+  return rows;
+}
+
+template <int Rotors>
+void expect_exact(const Vehicle<Rotors>& vehicle, const Vector6& wrench, const Vector6& rate) {
+  const ActuatorRows<Rotors> rows(vehicle);
+  Eigen::Matrix<double, 12, 1> at;
+  at << wrench, rate;
+  using S = Dual<12>;
+  const auto truth = test_support::jacobian_at_zero<3 * Rotors, 12>(
+      [&](const Eigen::Matrix<S, 12, 1>& d) -> Eigen::Matrix<S, 3 * Rotors, 1> {
+        return written_out<Rotors, S>(vehicle, d + at.cast<S>());
+      });
+  using Jacobian = Eigen::Matrix<double, 3 * Rotors, 6>;
+  Jacobian by_wrench = Jacobian::Zero(), by_rate = Jacobian::Zero();
+  rows.derivatives(wrench, rate, by_wrench, by_rate);
+  const double size = 1.0 + truth.cwiseAbs().maxCoeff();
+  EXPECT_LT((by_wrench - truth.template leftCols<6>()).cwiseAbs().maxCoeff(), 1e-12 * size);
+  EXPECT_LT((by_rate - truth.template rightCols<6>()).cwiseAbs().maxCoeff(), 1e-12 * size);
+  const auto values = written_out<Rotors, double>(vehicle, at);
+  EXPECT_LT((rows.values(wrench, rate) - values).cwiseAbs().maxCoeff(),
+            1e-12 * (1.0 + values.cwiseAbs().maxCoeff()));
+}
+
+TEST(ActuatorRows, DerivativesAreExact) {
+  Random random(51);
+  for (int i = 0; i < 500; ++i) {
+    // From far below hold_thrust to far above max_thrust.
+    const double size = std::pow(10.0, random.uniform(-4.0, 2.0));
+    const Vector6 wrench = random_wrench(random, size, 0.1 * size);
+    const Vector6 rate = random_wrench(random, 40.0, 4.0);
+    expect_exact(tilt_ropter_vehicle(), wrench, rate);
+    expect_exact(test_support::tilting_hexacopter(), wrench, rate);
+    expect_exact(test_support::omnidirectional_octocopter(), wrench, rate);
+  }
+}
+
+TEST(ActuatorRows, ThrustZeroHasFiniteRowsThatHoldAndDerivatives) {
+  Random random(52);
+  const ActuatorRows<4> rows(tilt_ropter_vehicle());
+  for (int i = 0; i < 100; ++i) {
+    const Vector6 rate = random_wrench(random, 1000.0, 100.0);
+    expect_exact(tilt_ropter_vehicle(), Vector6::Zero(), rate);
+    EXPECT_TRUE((rows.values(Vector6::Zero(), rate).array() <= rows.upper().array()).all());
+    // Smaller than the square root of the smallest number.
+    expect_exact(tilt_ropter_vehicle(), 1e-170 * rate, rate);
+  }
+}
+
+TEST(ActuatorRows, TiltRateRowsHoldWhereAllocationsTiltRatesDo) {
+  Random random(53);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation<4> allocation(vehicle);
+  const ActuatorRowSettings settings;
+  const ActuatorRows<4> rows(vehicle, settings);
+  const double limit = settings.tilt_rate_share * vehicle.servo.max_rate;
+  int held = 0, broken = 0;
+  for (int i = 0; i < 5000; ++i) {
+    const double size = std::pow(10.0, random.uniform(-3.0, 1.5));
+    const Vector6 wrench = random_wrench(random, size, 0.1 * size);
+    const Vector6 rate = random_wrench(random, 12.0 * size, 1.2 * size);
+    const Eigen::Vector4d rates = allocation.rates(unpacked(wrench), unpacked(rate)).tilt_rate;
+    const auto values = rows.values(wrench, rate);
+    for (int r = 0; r < 4; ++r) {
+      if (std::abs(std::abs(rates(r)) - limit) < 1e-9 * limit) continue;
+      EXPECT_EQ(values(r) <= 0.0, rates(r) <= limit) << rates(r);
+      EXPECT_EQ(values(4 + r) <= 0.0, rates(r) >= -limit) << rates(r);
+      ++(std::abs(rates(r)) <= limit ? held : broken);
+    }
+  }
+  EXPECT_GT(held, 2000);
+  EXPECT_GT(broken, 2000);
+}
+
+TEST(ActuatorRows, InHoverARowIsTheTiltRateBeyondTheLimit) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation<4> allocation(vehicle);
+  const ActuatorRowSettings settings;
+  Vector6 wrench, rate;
+  wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
+  rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
+  const auto values = ActuatorRows<4>(vehicle, settings).values(wrench, rate);
+  const Eigen::Vector4d rates = allocation.rates(unpacked(wrench), unpacked(rate)).tilt_rate;
+  EXPECT_LT(
+      (values.head<4>().array() - (rates.array() - 0.85 * vehicle.servo.max_rate)).matrix().norm(),
+      1e-12);
+  EXPECT_GT(rates.cwiseAbs().minCoeff(), 1.0);
+}
+
+TEST(ActuatorRows, ThrustRowsHoldWhereAllocationNeedsNoOtherThrusts) {
+  Random random(54);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation<4> allocation(vehicle);
+  const ActuatorRows<4> rows(vehicle);
+  int within = 0, beyond = 0;
+  for (int i = 0; i < 2000; ++i) {
+    const Vector6 wrench = random_wrench(random, 30.0, 2.0);
+    const Eigen::Vector4d thrusts = rows.values(wrench, Vector6::Zero()).tail<4>();
+    const auto result = allocation.allocate(unpacked(wrench), ActuatorState<4>{});
+    const bool ok = (thrusts.array() <= rows.upper().tail<4>().array()).all();
+    EXPECT_EQ(ok, result.status == AllocationStatus::ok) << thrusts.transpose();
+    ++(ok ? within : beyond);
+    if (!ok) continue;
+    for (int r = 0; r < 4; ++r)
+      EXPECT_NEAR(
+          thrusts(r),
+          thrust_from_speed(result.command.rotor_speed(r), vehicle.rotor.thrust_coefficient), 1e-9);
+  }
+  EXPECT_GT(within, 300);
+  EXPECT_GT(beyond, 300);
+}
+
+TEST(ActuatorRows, RotorsThatDoNotTiltHaveTheThrustRowOnly) {
+  const Vehicle<8> vehicle = test_support::omnidirectional_octocopter();
+  const ActuatorRows<8> rows(vehicle);
+  EXPECT_TRUE((rows.upper().head<16>().array() == std::numeric_limits<double>::infinity()).all());
+  EXPECT_TRUE((rows.upper().tail<8>().array() == vehicle.rotor.max_thrust).all());
+}
+
+TEST(ActuatorRows, ByDefaultNothingIsBounded) {
+  const ActuatorRows<4> rows;
+  EXPECT_TRUE((rows.upper().array() == std::numeric_limits<double>::infinity()).all());
+  EXPECT_EQ(rows.values(Vector6::Ones(), Vector6::Ones()), ActuatorRows<4>::Values::Zero());
+  Eigen::Matrix<double, 12, 6> by_wrench = Eigen::Matrix<double, 12, 6>::Constant(3.0),
+                               by_rate = by_wrench;
+  rows.derivatives(Vector6::Ones(), Vector6::Ones(), by_wrench, by_rate);
+  EXPECT_TRUE((by_wrench.array() == 3.0).all());
+  EXPECT_TRUE((by_rate.array() == 3.0).all());
+}
+
+TEST(ActuatorRows, SettingsActAndAreRefusedByNameOutOfRange) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  Vector6 wrench, rate;
+  wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
+  rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
+  ActuatorRowSettings half, held;
+  half.tilt_rate_share = 0.5;
+  held.hold_thrust = 10.0;  // more than in hover
+  const double usual = ActuatorRows<4>(vehicle).values(wrench, rate)(0);
+  EXPECT_NEAR(ActuatorRows<4>(vehicle, half).values(wrench, rate)(0) - usual,
+              0.35 * vehicle.servo.max_rate, 1e-12);
+  EXPECT_LT(ActuatorRows<4>(vehicle, held).values(wrench, rate)(0), usual - 1.0);
+
+  const auto message = [&](double share, double thrust) -> std::string {
+    try {
+      ActuatorRows<4> rows(vehicle, {share, thrust});
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  EXPECT_EQ(message(1.0, 1e-3), "accepted");
+  EXPECT_NE(message(0.0, 0.02).find("tilt_rate_share = 0: must be in (0, 1]"), std::string::npos);
+  EXPECT_NE(message(1.1, 0.02).find("tilt_rate_share = 1.1"), std::string::npos);
+  EXPECT_NE(message(std::nan(""), 0.02).find("tilt_rate_share"), std::string::npos);
+  EXPECT_NE(message(0.9, 0.0).find("ActuatorRowSettings.hold_thrust [N] = 0"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
