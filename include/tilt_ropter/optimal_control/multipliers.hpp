@@ -39,8 +39,14 @@ inline void validate(const DualSettings& s) {
 
 /// Minimiser of the dual above, with room for `capacity` rows. From cold NLopt finds the rows that
 /// hold, in short calls with projected Newton steps between them; from the last multipliers those
-/// steps come first, and NLopt confirms the result or goes on from it. NLopt allocates in each call
-/// and when a number of rows is met for the first time; nothing else does after construction.
+/// steps come first, and NLopt confirms the result or goes on from it.
+///
+/// After construction only NLopt allocates (with a capacity beyond 300, Eigen's Cholesky
+/// factorisation does, too). A solve makes at most 20 calls of NLopt; one with n rows takes 2
+/// blocks of together at most 256 (n + 1) bytes (NLopt 2.7.1: 220 n from n = 8 on) and gives them
+/// back before it returns. For every n met for the first time 3 blocks of together at most 32 n +
+/// 512 bytes (16 n + 248) are taken and kept. These bounds are those of the default algorithm:
+/// lbfgs, variable_metric and ccsa take less, slsqp 1.6 MB a call at n = 150.
 class DualSolver {
  public:
   explicit DualSolver(int capacity, const DualSettings& settings = {})
