@@ -231,7 +231,7 @@ struct NloptInTicks {
 };
 
 TEST_F(HeapInTheLoop, RealTimeIterationsWhoseActiveRowsChange) {
-  using Solver = MultipleShooting<WheeledFlightProblem>;
+  using Solver = MultipleShooting<WheeledFlightProblem<>>;
   Solver solver(test_support::air_problem());
   State<> x = test_support::air_start();
   solver.reset(x);
@@ -274,7 +274,7 @@ TEST_F(HeapInTheLoop, AlmostAsManyActiveRowsAsThereIsRoomFor) {
     settings.intervals = intervals;
     settings.bounds.force_rate.setConstant(0.5);
     settings.bounds.torque_rate.setConstant(0.05);
-    MultipleShooting<WheeledFlightProblem> solver(
+    MultipleShooting<WheeledFlightProblem<>> solver(
         WheeledFlightProblem(test_support::benchmark_body(), {}, settings));
     for (int k = 0; k <= solver.horizon(); ++k)
       solver.problem().node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -296,7 +296,7 @@ TEST_F(HeapInTheLoop, AlmostAsManyActiveRowsAsThereIsRoomFor) {
 }
 
 TEST_F(HeapInTheLoop, SolvesFromAColdStart) {
-  MultipleShooting<WheeledFlightProblem> solver(test_support::step_problem());
+  MultipleShooting<WheeledFlightProblem<>> solver(test_support::step_problem());
   Random random(83);
   int converged = 0;
   for (int i = 0; i < ticks() / 10; ++i) {

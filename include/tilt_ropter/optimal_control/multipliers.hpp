@@ -29,7 +29,7 @@ enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp
 struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
-  double tolerance = 1e-9;   ///< on the scaled projected gradient of an accepted solution
+  double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
 };
 
 inline void validate(const DualSettings& s) {

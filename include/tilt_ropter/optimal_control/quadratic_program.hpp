@@ -17,7 +17,7 @@ namespace tilt_ropter {
 
 struct QuadraticProgramSettings {
   double row_tolerance = 1e-9;  ///< violation that makes a row join the working set
-  int max_active_rows = 150;    ///< room of the working set
+  int max_active_rows = 0;      ///< room of the working set; 0: 150, or 3 per node if that is more
   int max_rounds = 20;          ///< of adding rows
   double sigma = 1e12;          ///< quadratic part of the penalty on violated rows
   DualSettings dual;
@@ -25,8 +25,8 @@ struct QuadraticProgramSettings {
 
 inline void validate(const QuadraticProgramSettings& s) {
   require_positive("QuadraticProgramSettings.row_tolerance", s.row_tolerance);
-  require(s.max_active_rows > 0, "QuadraticProgramSettings.max_active_rows", s.max_active_rows,
-          "> 0");
+  require(s.max_active_rows >= 0, "QuadraticProgramSettings.max_active_rows", s.max_active_rows,
+          ">= 0");
   require(s.max_rounds > 0, "QuadraticProgramSettings.max_rounds", s.max_rounds, "> 0");
   require_positive("QuadraticProgramSettings.sigma", s.sigma);
   validate(s.dual);
@@ -68,7 +68,7 @@ class QuadraticProgram {
         dx_(nodes_.size(), Tangent::Zero()),
         du_(nodes_.size(), Input::Zero()),
         in_set_(nodes_.size()),
-        capacity_(std::min(settings.max_active_rows, 2 * Rows * (horizon + 1))),
+        capacity_(capacity(settings.max_active_rows, horizon)),
         dual_(capacity_, settings.dual),
         gradients_(capacity_, Inputs * horizon),
         gram_(capacity_, capacity_),
@@ -86,8 +86,9 @@ class QuadraticProgram {
   [[nodiscard]] Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
 
-  /// Factorises the stages. False if the cost has no minimum.
-  [[nodiscard]] bool factorise() { return riccati_.factorise(); }
+  /// Factorises the stages, with `damping` added to their Hessians' diagonals. False if the cost
+  /// has no minimum.
+  [[nodiscard]] bool factorise(double damping = 0.0) { return riccati_.factorise(damping); }
 
   /// The first working set and its gradients; after factorise().
   void prepare() {
@@ -115,7 +116,8 @@ class QuadraticProgram {
         if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
                          bounds_.head(count), lambda))
           return false;
-        z_.noalias() = -(gradients_.topRows(count).transpose() * lambda);
+        z_.setZero();  // a minus sign before the product would make a temporary
+        z_.noalias() -= gradients_.topRows(count).transpose() * lambda;
         sweep(dx0);
       }
       if (rounds_ == settings_.max_rounds || !add_violated_rows()) break;
@@ -131,6 +133,9 @@ class QuadraticProgram {
   [[nodiscard]] int rounds() const { return rounds_; }                ///< of the last solve
   [[nodiscard]] int active_rows() const { return active_rows_; }      ///< rows with a multiplier
   [[nodiscard]] int given_up_rows() const { return given_up_rows_; }  ///< with the largest possible
+  [[nodiscard]] int left_out_rows() const {
+    return left_out_rows_;
+  }  ///< violated, and found no room
 
  private:
   /// A row of the working set: component of node k, at its upper (+1) or lower (-1) bound.
@@ -144,6 +149,10 @@ class QuadraticProgram {
 
   using Batch = typename Riccati<States, Inputs, Blocks>::Batch;
 
+  static int capacity(int asked, int horizon) {
+    const int automatic = std::max(150, 3 * (horizon + 1));
+    return std::min(asked > 0 ? asked : automatic, 2 * Rows * (horizon + 1));
+  }
   [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
   [[nodiscard]] const Row& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
 
@@ -169,8 +178,27 @@ class QuadraticProgram {
       }
       std::swap(after, here);
     }
-    gram_.block(first, 0, last - first, last).noalias() =
-        gradients_.middleRows(first, last - first) * gradients_.topRows(last).transpose();
+    add_gram(first);
+  }
+
+  /// Rows from `first` on of G G', in pieces that Eigen packs on the stack. The gradient of a row
+  /// is zero after its node, and rows are ordered by falling node.
+  void add_gram(int first) {
+    constexpr int depth = std::max(1, 24 / Inputs), width = 512;
+    const int last = size();
+    gram_.block(first, 0, last - first, last).setZero();
+    int count = last - first;
+    for (int k = 0; k < horizon_; k += depth) {
+      while (count > 0 && row(first + count - 1).k < k) --count;
+      const int entries = Inputs * std::min(depth, horizon_ - k);
+      for (int i = first; i < first + count; i += width)
+        for (int j = 0; j < last; j += width) {
+          const int rows = std::min(width, first + count - i), columns = std::min(width, last - j);
+          gram_.block(i, j, rows, columns).noalias() +=
+              gradients_.block(i, Inputs * k, rows, entries) *
+              gradients_.block(j, Inputs * k, columns, entries).transpose();
+        }
+    }
     gram_.diagonal().segment(first, last - first).array() += 1.0 / settings_.sigma;
   }
 
@@ -201,6 +229,7 @@ class QuadraticProgram {
   /// Rows that the prediction violates join the working set. False if there were none.
   bool add_violated_rows() {
     const int first = size();
+    left_out_rows_ = 0;
     for (auto& flags : in_set_) flags.fill(false);
     for (const Row& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
     for (int k = horizon_; k >= 0; --k) {
@@ -209,8 +238,11 @@ class QuadraticProgram {
       for (int i = 0; i < Rows; ++i) {
         if (std::max(over(i), under(i)) <= settings_.row_tolerance) continue;
         const Row r{k, i, over(i) > under(i) ? 1.0 : -1.0};
-        if (in_set_[static_cast<std::size_t>(k)][r.slot()] || size() == capacity_) continue;
-        active_.push_back(r);
+        if (in_set_[static_cast<std::size_t>(k)][r.slot()]) continue;
+        if (size() < capacity_)
+          active_.push_back(r);
+        else
+          ++left_out_rows_;
       }
     }
     const int last = size();
@@ -250,7 +282,7 @@ class QuadraticProgram {
   Batch adjoints_[2];
   Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
-  int rounds_ = 0, active_rows_ = 0, given_up_rows_ = 0;
+  int rounds_ = 0, active_rows_ = 0, given_up_rows_ = 0, left_out_rows_ = 0;
 };
 
 }  // namespace tilt_ropter

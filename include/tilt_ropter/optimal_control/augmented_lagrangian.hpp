@@ -1,0 +1,113 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/trajectory.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// Equalities of a problem as part of its cost, sum over the nodes of (m + w h / 2) h with weights
+/// w and multipliers m: as rows of the dual they would cost ten times more. Multipliers bring h to
+/// zero where weights alone bring it near (Nocedal & Wright, "Numerical Optimization", Sec. 17.3).
+template <typename Problem>
+class AugmentedLagrangian {
+ public:
+  using D = ProblemDimensions<Problem>;
+  using State = typename Problem::State;
+  using Equalities = typename D::Equalities;
+  using Model = QuadraticModel<D::nx, D::nu>;
+
+  /// Allocates; the functions below do not.
+  AugmentedLagrangian(int horizon, double max_multiplier)
+      : multipliers_(static_cast<std::size_t>(horizon) + 1, Equalities::Zero()),
+        max_multiplier_(max_multiplier) {}
+
+  /// True if node k has an equality with a weight.
+  [[nodiscard]] bool has(const Problem& problem, int k) const {
+    if constexpr (D::ne > 0) return weights(problem, k).maxCoeff() > 0.0;
+    return false;
+  }
+  /// True if any node has.
+  [[nodiscard]] bool any(const Problem& problem) const {
+    for (std::size_t k = 0; k < multipliers_.size(); ++k)
+      if (has(problem, static_cast<int>(k))) return true;
+    return false;
+  }
+
+  void forget_multipliers() {
+    for (Equalities& m : multipliers_) m.setZero();
+  }
+  /// Weights are the problem's again.
+  void forget_scale() {
+    scale_ = 1.0;
+    last_residual_ = std::numeric_limits<double>::infinity();
+  }
+
+  /// Adds node k's part to the model of its cost. Returns the largest |h|.
+  double add_to_model(const Problem& problem, int k, const State& x, Model& model) const {
+    double largest = 0.0;
+    if constexpr (D::ne > 0) {
+      if (!has(problem, k)) return 0.0;
+      const Equalities w = weights(problem, k), h = problem.equality_values(k, x);
+      typename D::EqualitiesX H;
+      problem.equality_derivatives(k, x, H);
+      for (int i = 0; i < D::ne; ++i) {
+        if (!(w(i) > 0.0)) continue;
+        largest = std::max(largest, std::abs(h(i)));
+        model.lx += (w(i) * h(i) + multiplier(k)(i)) * H.row(i).transpose();
+        model.lxx += w(i) * H.row(i).transpose() * H.row(i);
+      }
+    }
+    return largest;
+  }
+
+  /// Node k's part of the cost.
+  [[nodiscard]] double value(const Problem& problem, int k, const State& x) const {
+    double sum = 0.0;
+    if constexpr (D::ne > 0) {
+      if (!has(problem, k)) return 0.0;
+      const Equalities w = weights(problem, k), h = problem.equality_values(k, x);
+      for (int i = 0; i < D::ne; ++i)
+        if (w(i) > 0.0) sum += (multiplier(k)(i) + 0.5 * w(i) * h(i)) * h(i);
+    }
+    return sum;
+  }
+
+  /// Multiplier step after a step to `trajectory`, from where the largest |h| was `residual`. Where
+  /// full steps do not bring the conditions closer, the weights grow.
+  void update(const Problem& problem, const Trajectory<Problem>& trajectory, double residual,
+              bool full_step) {
+    if constexpr (D::ne > 0) {
+      if (residual > 0.5 * last_residual_ && full_step) scale_ = std::min(3.0 * scale_, 1e4);
+      last_residual_ = residual;
+      for (int k = 1; k <= trajectory.horizon(); ++k) {
+        const Equalities w = weights(problem, k), h = problem.equality_values(k, trajectory.x(k));
+        for (int i = 0; i < D::ne; ++i) {
+          double& m = multipliers_[static_cast<std::size_t>(k)](i);
+          m = w(i) > 0.0 ? m + w(i) * h(i) : 0.0;
+          m = std::min(std::max(m, -max_multiplier_), max_multiplier_);
+        }
+      }
+    }
+  }
+
+ private:
+  // The measured state is not ours to change.
+  [[nodiscard]] Equalities weights(const Problem& problem, int k) const {
+    return k == 0 ? Equalities::Zero() : Equalities(scale_ * problem.equality_weights(k));
+  }
+  [[nodiscard]] const Equalities& multiplier(int k) const {
+    return multipliers_[static_cast<std::size_t>(k)];
+  }
+
+  std::vector<Equalities> multipliers_;
+  double max_multiplier_, scale_ = 1.0;
+  double last_residual_ = std::numeric_limits<double>::infinity();
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,121 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/trajectory.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// By how much a value is outside its bounds.
+[[nodiscard]] inline double violation(double value, double lower, double upper) {
+  return std::max(0.0, std::max(value - upper, lower - value));
+}
+
+/// The merit function of a line search: cost + weighted 1-norms of defects and violations (Nocedal
+/// & Wright, "Numerical Optimization", Sec. 15.4), whose weights follow the multipliers (Powell
+/// 1978).
+template <typename Problem, typename Program>
+class Merit {
+ public:
+  using D = ProblemDimensions<Problem>;
+  using Tangent = typename D::Tangent;
+  using Rows = typename D::Rows;
+
+  /// Allocates; the functions below do not.
+  explicit Merit(int horizon)
+      : defect_weights_(static_cast<std::size_t>(horizon) + 1),
+        row_weights_(defect_weights_.size()) {
+    forget();
+  }
+
+  void forget() {
+    for (Tangent& w : defect_weights_) w.setZero();
+    for (Rows& w : row_weights_) w.setZero();
+  }
+
+  /// Weights from the multipliers of a solved program; returns the merit's slope along its step.
+  double update(const Program& program, int horizon) {
+    double slope = 0.0;
+    Tangent adjoint = Tangent::Zero();  // multiplier of the continuity that ends at node k
+    for (int k = horizon; k >= 0; --k) {
+      const auto& s = program.stage(k);
+      const auto& rows = program.node(k);
+      Rows& row_weight = row_weights_[static_cast<std::size_t>(k)];
+      slope += s.cost.lx.dot(program.dx(k));
+      for (int i = 0; i < D::nc; ++i) {
+        follow(row_weight(i), rows.multiplier(i));
+        slope += row_weight(i) * (violation(rows.predicted(i), rows.lower(i), rows.upper(i)) -
+                                  violation(rows.value(i), rows.lower(i), rows.upper(i)));
+      }
+      if (k < horizon) {
+        Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
+        slope += s.cost.lu.dot(program.du(k));
+        for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), adjoint(i));
+        slope -= defect_weight.dot(s.defect.cwiseAbs());
+        adjoint = (s.A.transpose() * adjoint + s.cost.lux.transpose() * program.du(k)).eval();
+      }
+      adjoint += s.cost.lx;
+      adjoint.noalias() += s.cost.lxx * program.dx(k);
+      adjoint.noalias() += rows.C.transpose() * rows.multiplier;
+    }
+    return slope;
+  }
+
+  /// At the point where `program` was linearised, which has this cost.
+  [[nodiscard]] double value_here(const Problem& problem, const Program& program,
+                                  const AugmentedLagrangian<Problem>& equalities,
+                                  const Trajectory<Problem>& here, double cost) const {
+    double sum = cost;
+    for (int k = 0; k <= here.horizon(); ++k) {
+      sum += equalities.value(problem, k, here.x(k)) + of_rows(program, k, program.node(k).value);
+      if (k < here.horizon()) sum += defect_weight(k).dot(program.stage(k).defect.cwiseAbs());
+    }
+    return sum;
+  }
+
+  /// Anywhere else.
+  [[nodiscard]] double value(const Problem& problem, const Program& program,
+                             const AugmentedLagrangian<Problem>& equalities,
+                             const Trajectory<Problem>& at) const {
+    double sum = 0.0;
+    for (int k = 0; k <= at.horizon(); ++k) {
+      const auto& x = at.x(k);
+      const auto& u = at.u(k);
+      sum += problem.cost(k, x, u) + equalities.value(problem, k, x);
+      sum += of_rows(program, k, problem.row_values(k, x, u));
+      if (k < at.horizon())
+        sum +=
+            defect_weight(k).dot(problem.difference(problem.step(k, x, u), at.x(k + 1)).cwiseAbs());
+    }
+    return sum;
+  }
+
+ private:
+  static void follow(double& weight, double multiplier) {
+    const double m = 1.1 * std::abs(multiplier);
+    weight = std::max(m, 0.5 * (weight + m));
+  }
+
+  [[nodiscard]] const Tangent& defect_weight(int k) const {
+    return defect_weights_[static_cast<std::size_t>(k)];
+  }
+
+  [[nodiscard]] double of_rows(const Program& program, int k, const Rows& value) const {
+    const auto& rows = program.node(k);
+    const Rows& weight = row_weights_[static_cast<std::size_t>(k)];
+    double sum = 0.0;
+    for (int i = 0; i < D::nc; ++i)
+      sum += weight(i) * violation(value(i), rows.lower(i), rows.upper(i));
+    return sum;
+  }
+
+  std::vector<Tangent> defect_weights_;  // of the interval that starts at the node
+  std::vector<Rows> row_weights_;
+};
+
+}  // namespace tilt_ropter

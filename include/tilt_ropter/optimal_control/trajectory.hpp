@@ -1,0 +1,59 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// States at the nodes 0 .. N and inputs of the intervals 0 .. N - 1; the input N is zero.
+template <typename Problem>
+class Trajectory {
+ public:
+  using State = typename Problem::State;
+  using Tangent = typename ProblemDimensions<Problem>::Tangent;
+  using Input = typename ProblemDimensions<Problem>::Input;
+
+  /// Allocates; the functions below do not.
+  explicit Trajectory(int horizon)
+      : x_(static_cast<std::size_t>(horizon) + 1), u_(x_.size(), Input::Zero()) {}
+
+  [[nodiscard]] int horizon() const { return static_cast<int>(x_.size()) - 1; }
+  [[nodiscard]] State& x(int k) { return x_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const State& x(int k) const { return x_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] Input& u(int k) { return u_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const Input& u(int k) const { return u_[static_cast<std::size_t>(k)]; }
+
+  void swap(Trajectory& other) noexcept {
+    x_.swap(other.x_);
+    u_.swap(other.u_);
+  }
+
+  /// Moves the nodes `intervals` >= 0 ahead in time, interpolating between the old ones; beyond the
+  /// old end the last input goes on.
+  void shift(const Problem& problem, double intervals) {
+    const double whole = std::floor(std::min(intervals, 1.0 * horizon()));
+    for (int i = 0; i < static_cast<int>(whole); ++i) advance(problem, 1.0);
+    if (intervals > whole) advance(problem, std::min(intervals - whole, 1.0));
+  }
+
+ private:
+  // By part of one interval.
+  void advance(const Problem& problem, double part) {
+    const int n = horizon();
+    const State end = problem.step(n - 1, x(n), u(n - 1));
+    for (int k = 0; k <= n; ++k) {
+      const State& next = k < n ? x(k + 1) : end;
+      x(k) = problem.retract(x(k), part * problem.difference(next, x(k)));
+      if (k + 1 < n) u(k) += part * (u(k + 1) - u(k));
+    }
+  }
+
+  std::vector<State> x_;
+  std::vector<Input> u_;
+};
+
+}  // namespace tilt_ropter
