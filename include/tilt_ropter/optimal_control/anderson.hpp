@@ -25,14 +25,14 @@ class Anderson {
   [[nodiscard]] bool empty() const { return count_ == 0; }
   void clear() { count_ = next_ = 0; }
 
-  /// A move between two points and the change of f that came with it. Entries of f should be scaled
-  /// to matter alike.
-  void add(const Eigen::VectorXd& move, const Eigen::VectorXd& change) {
+  /// A move between two points and their f, whose entries should be scaled to matter alike.
+  void add(const Eigen::VectorXd& move, const Eigen::VectorXd& before,
+           const Eigen::VectorXd& after) {
     moves_.col(next_) = move;
-    changes_.col(next_) = change;
+    changes_.col(next_) = after - before;
     count_ = std::min(count_ + 1, static_cast<int>(moves_.cols()));
     for (int i = 0; i < count_; ++i)
-      gram_(i, next_) = gram_(next_, i) = changes_.col(i).dot(change);
+      gram_(i, next_) = gram_(next_, i) = changes_.col(i).dot(changes_.col(next_));
     next_ = (next_ + 1) % static_cast<int>(moves_.cols());
   }
 

@@ -309,7 +309,7 @@ class MultipleShooting {
     if (!solve_program(Tangent::Zero())) return on_trust_ ? go_back(false) : SolveStatus::failed;
     if (accelerates_) {
       pack_step();
-      if (moved_) anderson_.add(move_, residual_ - base_residual_);
+      if (moved_) anderson_.add(move_, base_residual_, residual_);
       if (on_trust_ && !(residual_.norm() < 0.9 * base_residual_.norm())) return go_back(true);
     }
     const double slope = merit_.update(program_, horizon_);
