@@ -17,7 +17,8 @@ function(tilt_ropter_fast_target target)
     if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
       # GCC 12 sees uninitialised registers and short arrays in its own AVX-512 intrinsics. Builds
       # for no particular processor, the tests' among them, keep these warnings.
-      target_compile_options(${target} PRIVATE -Wno-maybe-uninitialized -Wno-array-bounds)
+      target_compile_options(${target} PRIVATE -Wno-uninitialized -Wno-maybe-uninitialized
+                                               -Wno-array-bounds)
     endif()
   endif()
 endfunction()

@@ -64,6 +64,9 @@ double in_linearise(double, const SolveReport& report) {
 double in_factorise(double, const SolveReport& report) {
   return report.factorise_us;
 }
+double in_rows(double, const SolveReport& report) {
+  return report.rows_us;
+}
 double in_feedback(double, const SolveReport& report) {
   return report.feedback_us;
 }
@@ -139,10 +142,17 @@ void solve_dual(benchmark::State& state, DualAlgorithm algorithm, bool warm) {
       static_cast<double>(solver.evaluations() - before), benchmark::Counter::kAvgIterations);
 }
 
-BENCHMARK_CAPTURE(air, iteration, all)->Arg(10)->Arg(20)->Arg(50)->UseManualTime();
+BENCHMARK_CAPTURE(air, iteration, all)
+    ->Arg(10)
+    ->Arg(20)
+    ->Arg(50)
+    ->Arg(100)
+    ->Arg(200)
+    ->UseManualTime();
 BENCHMARK_CAPTURE(air, prepare, in_prepare)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, linearise, in_linearise)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, factorise, in_factorise)->Arg(20)->UseManualTime();
+BENCHMARK_CAPTURE(air, rows, in_rows)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, feedback, in_feedback)->Arg(20)->UseManualTime();
 BENCHMARK(air_to_convergence)->UseManualTime();
 BENCHMARK(free_iteration)->Arg(10)->Arg(20)->Arg(50)->Arg(100)->Arg(200)->UseManualTime();
