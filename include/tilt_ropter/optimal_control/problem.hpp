@@ -11,6 +11,7 @@
 ///     static constexpr int rows, equalities;  // counts per node
 ///     using State = ...;                      // a point of the state manifold
 ///     using D = ProblemDimensions<Problem>;   // the vector and matrix types below
+///     using TransitionBlocks = ...;  // optional, what of A and B can be non-zero: FullTransition
 ///
 ///     int horizon() const;                                          // number of intervals N
 ///     State retract(const State& x, const D::Tangent& dx) const;    // x (+) dx
@@ -42,6 +43,70 @@
 /// dx = 0. A, B and H are set as a whole; entries of the model, C and E that are not set are what
 /// they were set to for that node before, zero at first. None of these functions may throw or
 /// allocate; they may return non-finite numbers, which the solver reports as a failure.
+///
+/// A whole program: a pendulum (1 kg, 1 m, a semi-implicit Euler step) swings up by a torque that
+/// is half of what would lift it. The tests compile and run these very lines.
+///
+/// ```cpp
+/// #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+///
+/// #include <cmath>
+///
+/// struct Pendulum {
+///   static constexpr int states = 2, inputs = 1, rows = 1, equalities = 0;
+///   using State = Eigen::Vector2d;  // angle from upright [rad] and its rate [rad/s]
+///   using D = tilt_ropter::ProblemDimensions<Pendulum>;
+///   using Input = D::Input;  // torque [N m]
+///   using Model = tilt_ropter::QuadraticModel<states, inputs>;
+///   double h = 0.05, g = 9.81;
+///   State weight{1.0, 0.1};
+///   D::Rows most = D::Rows(5.0), least = -most, price = D::Rows(1e4);
+///
+///   int horizon() const { return 80; }
+///   State retract(const State& x, const State& dx) const { return x + dx; }
+///   State difference(const State& y, const State& x) const { return y - x; }
+///   State step(int, const State& x, const Input& u) const {
+///     const double rate = x(1) + h * (g * std::sin(x(0)) + u(0));
+///     return {x(0) + h * rate, rate};
+///   }
+///   State step(int k, const State& x, const Input& u, D::A& A, D::B& B) const {
+///     const double slope = h * g * std::cos(x(0));
+///     A << 1.0 + h * slope, h, slope, 1.0;
+///     B << h * h, h;
+///     return step(k, x, u);
+///   }
+///   double cost(int, const State& x, const Input& u) const {
+///     return x.dot(weight.cwiseProduct(x)) + 0.1 * u.squaredNorm();
+///   }
+///   void cost_model(int, const State& x, const Input& u, Model& m) const {
+///     m.lx = 2.0 * weight.cwiseProduct(x);
+///     m.lxx = 2.0 * weight.asDiagonal();
+///     m.lu = 0.2 * u;
+///     m.luu << 0.2;
+///   }
+///   Input row_values(int, const State&, const Input& u) const { return u; }
+///   void row_derivatives(int, const State&, const Input&, D::RowsX&, D::RowsU& E) const {
+///     E << 1.0;
+///   }
+///   const D::Rows& lower(int) const { return least; }
+///   const D::Rows& upper(int) const { return most; }
+///   const D::Rows& penalty(int) const { return price; }
+/// };
+///
+/// int main() {
+///   tilt_ropter::MultipleShooting<Pendulum> solver(Pendulum{});
+///   const Pendulum::State hanging(3.14, 0.0);
+///   solver.reset(hanging);  // the guess: it stays there
+///   const bool solved = solver.solve(hanging).status == tilt_ropter::SolveStatus::converged;
+///
+///   // In a loop, every 0.05 s: the plan moves on, what needs no measurement is done before it
+///   // comes, the little rest after it; solver.input(0) is the torque to apply.
+///   solver.shift(1.0);
+///   const bool prepared = solver.prepare();
+///   solver.feedback({3.13, -0.2});
+///   return solved && prepared ? 0 : 1;
+/// }
+/// ```
 // clang-format on
 namespace tilt_ropter {
 
