@@ -19,6 +19,8 @@
 //   max_violation            of the bounds, and
 //   max_defect               of continuity, recomputed here without the solver
 //   median_us                wall time of a solve [us]
+// On standard error, a summary: how many converged, how far the solver's report is from what was
+// recomputed, and how many plans are worse than the guess they came from.
 
 #include "support/instances.hpp"
 
@@ -70,6 +72,10 @@ constexpr const char* help_footer_end = R"(
 Columns out:
   id,status,cost,u0_1..u0_6 (dF [N/s], dM [N m/s]),iterations,kkt,max_violation,max_defect,median_us
 
+On standard error: a summary. In it, the worst differences between the violation and defect that
+the solver reports and those recomputed without it; and how many plans have a higher merit, cost +
+1e4 (1-norm of defects + 1-norm of violations), than the guess they came from. Those are named.
+
 Exit code: 0 all lines were read, 1 some were not (standard error says which and why; the others are
 solved), 2 a file could not be read or written, above 100 wrong options.)";
 
@@ -116,11 +122,13 @@ struct Largest {
 struct Audit {
   double cost = 0.0;
   Largest defect, violation;
+  double norm = 0.0;  // the 1-norms of defects and violations
 
   Audit(const Solver& solver, const State<>& start) {
     const WheeledFlightProblem<>& problem = solver.problem();
     const auto add_defect = [this](const StateTangent<>& gap) {
       for (Eigen::Index i = 0; i < gap.size(); ++i) defect.add(std::abs(gap(i)));
+      norm += gap.lpNorm<1>();
     };
     add_defect(problem.difference(solver.state(0), start));
     for (int k = 0; k <= problem.horizon(); ++k) {
@@ -131,11 +139,84 @@ struct Audit {
         add_defect(problem.difference(problem.step(k, x, u), solver.state(k + 1)));
       const auto rows = problem.row_values(k, x, u);
       for (Eigen::Index i = 0; i < rows.size(); ++i) {
-        violation.add(rows(i) - problem.upper(k)(i));
-        violation.add(problem.lower(k)(i) - rows(i));
+        const double over = rows(i) - problem.upper(k)(i), under = problem.lower(k)(i) - rows(i);
+        violation.add(over);
+        violation.add(under);
+        norm += std::max({0.0, over, under});
       }
     }
   }
+
+  [[nodiscard]] double merit() const { return cost + 1e4 * norm; }
+};
+
+/// The smallest value that is not below `part` of them; there is one at least.
+double quantile(std::vector<double> values, double part) {
+  const double rank = std::ceil(part * static_cast<double>(values.size())) - 1.0;
+  const auto nth = values.begin() + static_cast<std::ptrdiff_t>(std::max(rank, 0.0));
+  std::nth_element(values.begin(), nth, values.end());
+  return *nth;
+}
+
+/// What there is to say of all instances together.
+class Summary {
+ public:
+  void add(const std::string& id, const SolveReport& report, const Audit& audit, const Audit& guess,
+           double time_us) {
+    ++statuses_[to_string(report.status)];
+    if (report.status == SolveStatus::converged) ++histogram_[report.iterations];
+    iterations_.push_back(report.iterations);
+    times_us_.push_back(time_us);
+    if (report.status != SolveStatus::failed) {  // whose numbers are none
+      violation_.add(std::abs(report.max_violation - audit.violation.value));
+      defect_.add(std::abs(report.max_defect - audit.defect.value));
+    }
+    if (std::isfinite(guess.merit()) && !(audit.merit() <= guess.merit())) worse_.push_back(id);
+  }
+
+  void print(std::ostream& out) const {
+    const std::size_t total = iterations_.size();
+    const auto found = statuses_.find("converged");
+    const int converged = found == statuses_.end() ? 0 : found->second;
+    out << "instances: " << total << '\n';
+    if (total == 0) return;
+    out << "converged: " << converged << " (" << std::fixed << std::setprecision(2)
+        << 100.0 * converged / static_cast<double>(total) << " %)\n";
+    for (const auto& [status, count] : statuses_)
+      if (status != "converged") out << status << ": " << count << '\n';
+    print_quantiles(out, "iterations", iterations_);
+    print_quantiles(out, "time [us]", times_us_);
+    out << std::defaultfloat << std::setprecision(3)
+        << "violation, report against recomputation: " << violation_.value << '\n'
+        << "defect, report against recomputation: " << defect_.value << '\n'
+        << "worse than the guess: " << worse_.size() << '\n';
+    for (const std::string& id : worse_) out << "  " << id << '\n';
+  }
+
+  void print_histogram(std::ostream& out) const {
+    int most = 1;
+    for (const auto& [iterations, count] : histogram_) most = std::max(most, count);
+    out << "iterations  instances that converged\n";
+    for (const auto& [iterations, count] : histogram_) {
+      const auto length = static_cast<std::size_t>((60L * count + most - 1) / most);
+      out << std::setw(10) << iterations << std::setw(8) << count << "  "
+          << std::string(length, '#') << '\n';
+    }
+  }
+
+ private:
+  static void print_quantiles(std::ostream& out, const char* name,
+                              const std::vector<double>& values) {
+    out << std::fixed << std::setprecision(0) << name << ": median " << quantile(values, 0.5)
+        << ", 90 % " << quantile(values, 0.9) << ", 99 % " << quantile(values, 0.99) << ", most "
+        << quantile(values, 1.0) << '\n';
+  }
+
+  std::map<std::string, int> statuses_;
+  std::map<int, int> histogram_;
+  std::vector<double> iterations_, times_us_;
+  Largest violation_, defect_;
+  std::vector<std::string> worse_;
 };
 
 class Batch {
@@ -163,43 +244,23 @@ class Batch {
     }
     if (!warm_) run(solver, instance.start);  // faults pages in, which nobody wants to time
     warm_ = true;
-    times_us_.clear();
-    for (int i = 0; i < repeat_; ++i) times_us_.push_back(run(solver, instance.start));
+    solver.reset(instance.start);
+    const Audit guess(solver, instance.start);
+    std::vector<double> times_us;
+    for (int i = 0; i < repeat_; ++i) times_us.push_back(run(solver, instance.start));
+    const double median_us = std::round(10.0 * quantile(times_us, 0.5)) / 10.0;
     const SolveReport& report = solver.report();
-    ++statuses_[to_string(report.status)];
-    if (report.status == SolveStatus::converged) ++iterations_[report.iterations];
-
     const Audit audit(solver, instance.start);
+    summary_.add(instance.id, report, audit, guess, median_us);
+
     std::string line = instance.id + ',' + to_string(report.status) + ',' + to_csv(audit.cost);
     for (Eigen::Index i = 0; i < 6; ++i) line += ',' + to_csv(solver.input(0)(i));
     line += ',' + std::to_string(report.iterations) + ',' + to_csv(report.kkt);
     line += ',' + to_csv(audit.violation.value) + ',' + to_csv(audit.defect.value);
-    return line + ',' + to_csv(median_us());
+    return line + ',' + to_csv(median_us);
   }
 
-  void print_histogram(std::ostream& out) const {
-    int most = 1, total = 0, converged = 0;
-    for (const auto& [iterations, count] : iterations_) {
-      most = std::max(most, count);
-      converged += count;
-    }
-    out << "iterations  instances that converged\n";
-    const int last = iterations_.empty() ? -1 : iterations_.rbegin()->first;
-    for (int i = iterations_.empty() ? 0 : iterations_.begin()->first; i <= last; ++i) {
-      const auto found = iterations_.find(i);
-      const int count = found == iterations_.end() ? 0 : found->second;
-      const auto length = static_cast<std::size_t>((60L * count + most - 1) / most);
-      out << std::setw(10) << i << std::setw(8) << count << "  " << std::string(length, '#')
-          << '\n';
-    }
-    for (const auto& [status, count] : statuses_) {
-      total += count;
-      if (status != "converged") out << status << ": " << count << '\n';
-    }
-    const double percent = total == 0 ? 0.0 : 100.0 * converged / total;
-    out << "converged: " << converged << " of " << total << " (" << std::fixed
-        << std::setprecision(2) << percent << " %)\n";
-  }
+  [[nodiscard]] const Summary& summary() const { return summary_; }
 
  private:
   static SolverSettings settings(const Options& options) {
@@ -217,18 +278,10 @@ class Batch {
     return std::chrono::duration<double, std::micro>(Clock::now() - begin).count();
   }
 
-  [[nodiscard]] double median_us() {
-    const auto middle = times_us_.begin() + static_cast<std::ptrdiff_t>(times_us_.size() / 2);
-    std::nth_element(times_us_.begin(), middle, times_us_.end());
-    return std::round(10.0 * *middle) / 10.0;
-  }
-
   int repeat_;
   bool warm_ = false;
   Solver paper_, wide_;
-  std::vector<double> times_us_;
-  std::map<int, int> iterations_;
-  std::map<std::string, int> statuses_;
+  Summary summary_;
 };
 
 /// Random instances with wide bounds and STEP's reference. Distances from it are uniform in balls
@@ -335,7 +388,8 @@ int run(const Options& options) {
         check_output();
       }
     }
-    if (options.histogram) batch.print_histogram(std::cerr);
+    if (options.histogram) batch.summary().print_histogram(std::cerr);
+    batch.summary().print(std::cerr);
   }
   out.flush();
   check_output();
