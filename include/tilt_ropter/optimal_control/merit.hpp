@@ -11,9 +11,10 @@
 
 namespace tilt_ropter {
 
-/// By how much a value is outside its bounds.
+/// By how much a value is outside its bounds; NaN for NaN.
 [[nodiscard]] inline double violation(double value, double lower, double upper) {
-  return std::max(0.0, std::max(value - upper, lower - value));
+  const double over = std::max(value - upper, lower - value);
+  return over <= 0.0 ? 0.0 : over;
 }
 
 /// The merit function of a line search: cost + weighted 1-norms of defects and violations (Nocedal

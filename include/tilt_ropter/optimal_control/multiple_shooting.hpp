@@ -66,8 +66,8 @@ class MultipleShooting {
   /// True if the last quadratic program violates this row of node k because keeping to it would
   /// cost more than its penalty.
   [[nodiscard]] bool given_up(int k, int row) const {
-    const auto& rows = program_.node(k);
-    return std::abs(rows.multiplier(row)) >= rows.penalty(row);
+    const double multiplier = std::abs(program_.node(k).multiplier(row));
+    return multiplier > 0.0 && multiplier >= program_.node(k).penalty(row);
   }
 
   /// Cold start: every state x0, every input zero, no multipliers.
@@ -206,6 +206,7 @@ class MultipleShooting {
   // Step 1: every interval's end state and derivative, every node's quadratic model and rows.
   bool linearise() {
     report_.cost = report_.max_defect = report_.max_violation = report_.max_equality = 0.0;
+    bool rows_are_finite = true;
     for (int k = 0; k <= horizon_; ++k) {
       const State& x = here_.x(k);
       const Input& u = here_.u(k);
@@ -224,12 +225,13 @@ class MultipleShooting {
       rows.lower = problem_.lower(k);
       rows.upper = problem_.upper(k);
       rows.penalty = problem_.penalty(k);
+      rows_are_finite = rows_are_finite && rows.value.allFinite();
       for (int i = 0; i < nc; ++i)
         report_.max_violation =
             std::max(report_.max_violation, violation(rows.value(i), rows.lower(i), rows.upper(i)));
     }
     report_.kkt = kkt_residual();
-    return std::isfinite(report_.kkt) && std::isfinite(report_.cost);
+    return rows_are_finite && std::isfinite(report_.kkt) && std::isfinite(report_.cost);
   }
 
   // The problem need not set again what it set before, but the equalities were added to that.
@@ -278,7 +280,10 @@ class MultipleShooting {
     if (report_.damping < least_damping) report_.damping = 0.0;
     while (!program_.factorise(report_.damping)) {
       report_.damping = std::max(10.0 * report_.damping, least_damping);
-      if (report_.damping > largest_damping) return false;
+      if (!(report_.damping <= largest_damping)) {
+        report_.damping = 0.0;
+        return false;
+      }
     }
     return true;
   }

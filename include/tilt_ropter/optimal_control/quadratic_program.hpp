@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <utility>
 #include <vector>
@@ -97,6 +98,7 @@ class QuadraticProgram {
       for (int i = 0; i < Rows; ++i) {
         const double m = node(k).multiplier(i);
         if (m == 0.0 || size() == capacity_) continue;
+        if (!std::isfinite(m > 0.0 ? node(k).upper(i) : node(k).lower(i))) continue;  // gone now
         multipliers_(size()) = std::abs(m);
         active_.push_back({k, i, m > 0.0 ? 1.0 : -1.0});
       }
@@ -120,7 +122,7 @@ class QuadraticProgram {
         z_.noalias() -= gradients_.topRows(count).transpose() * lambda;
         sweep(dx0);
       }
-      if (rounds_ == settings_.max_rounds || !add_violated_rows()) break;
+      if (rounds_ > settings_.max_rounds || !add_violated_rows()) break;
     }
     for (int k = 0; k <= horizon_; ++k)
       if (!dx(k).allFinite() || !du(k).allFinite()) return false;

@@ -33,7 +33,7 @@ class Trajectory {
   }
 
   /// Moves the nodes `intervals` >= 0 ahead in time, interpolating between the old ones; beyond the
-  /// old end the last input goes on.
+  /// old end the last input goes on, or nothing moves where the problem has no finite answer.
   void shift(const Problem& problem, double intervals) {
     const double whole = std::floor(std::min(intervals, 1.0 * horizon()));
     for (int i = 0; i < static_cast<int>(whole); ++i) advance(problem, 1.0);
@@ -44,12 +44,13 @@ class Trajectory {
   // By part of one interval.
   void advance(const Problem& problem, double part) {
     const int n = horizon();
-    const State end = problem.step(n - 1, x(n), u(n - 1));
-    for (int k = 0; k <= n; ++k) {
-      const State& next = k < n ? x(k + 1) : end;
-      x(k) = problem.retract(x(k), part * problem.difference(next, x(k)));
+    Tangent ahead = problem.difference(problem.step(n - 1, x(n), u(n - 1)), x(n));
+    if (!ahead.allFinite()) ahead.setZero();
+    for (int k = 0; k < n; ++k) {
+      x(k) = problem.retract(x(k), part * problem.difference(x(k + 1), x(k)));
       if (k + 1 < n) u(k) += part * (u(k + 1) - u(k));
     }
+    x(n) = problem.retract(x(n), part * ahead);
   }
 
   std::vector<State> x_;
