@@ -1,0 +1,187 @@
+#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+
+#include "support/benchmark_problem.hpp"
+#include "support/double_integrator.hpp"
+#include "support/random.hpp"
+#include "support/states.hpp"
+#include "support/unicycle.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::DoubleIntegrator;
+using test_support::Random;
+
+using Flight = WheeledFlightProblem<>;
+
+constexpr int touch_down = 3;
+
+Flight landing(const Eigen::Vector3d& ground_weights) {
+  WheeledFlightSettings settings;
+  settings.intervals = 6;
+  settings.weights.ground = ground_weights;
+  Flight problem(test_support::benchmark_body(), {}, settings);
+  for (int k = touch_down; k <= 6; ++k) problem.node(k).on_ground = true;
+  return problem;
+}
+
+// With multipliers that are not zero.
+AugmentedLagrangian<Flight> used_lagrangian(Random& random, const Flight& problem) {
+  AugmentedLagrangian<Flight> lagrangian(problem.horizon(), 1e3);
+  Trajectory<Flight> t(problem.horizon());
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    t.x(k).body.velocity = random.vector(0.1);
+    t.x(k).body.angular_velocity = random.vector(0.1);
+    t.x(k).body.position = random.vector(0.1);
+  }
+  lagrangian.update(problem, t, 0.1, true);
+  return lagrangian;
+}
+
+TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
+  Random random(121);
+  for (int trial = 0; trial < 30; ++trial) {
+    const Flight problem = landing({1e3, trial % 2 == 0 ? 0.0 : 500.0, 2e3});
+    const auto lagrangian = used_lagrangian(random, problem);
+    const State<> x = test_support::random_state(random);
+    for (const int k : {touch_down, 6}) {
+      Flight::Model model, before;
+      before.lx.setConstant(3.0);
+      before.lxx.setConstant(2.0);
+      before.luu.setConstant(1.0);
+      model = before;
+      const double largest = lagrangian.add_to_model(problem, k, x, model);
+
+      const Eigen::Vector3d h = problem.equality_values(k, x), w = problem.equality_weights(k);
+      EXPECT_EQ(largest, (w.array() > 0.0).select(h.cwiseAbs(), 0.0).maxCoeff());
+      StateTangent<> gradient;
+      Flight::EqualitiesX jacobian;
+      for (int i = 0; i < 18; ++i) {
+        constexpr double step = 1e-5;
+        const State<> up = retract<double>(x, step * StateTangent<>::Unit(i)),
+                      down = retract<double>(x, -step * StateTangent<>::Unit(i));
+        gradient(i) =
+            (lagrangian.value(problem, k, up) - lagrangian.value(problem, k, down)) / (2.0 * step);
+        jacobian.col(i) =
+            (problem.equality_values(k, up) - problem.equality_values(k, down)) / (2.0 * step);
+      }
+      const Eigen::Matrix<double, 18, 18> hessian =
+          jacobian.transpose() * w.asDiagonal() * jacobian;
+      EXPECT_LT((model.lx - before.lx - gradient).norm(), 1e-7 * gradient.norm());
+      EXPECT_LT((model.lxx - before.lxx - hessian).norm(), 1e-7 * hessian.norm());
+      EXPECT_EQ(model.lu, before.lu);
+      EXPECT_EQ(model.lux, before.lux);
+      EXPECT_EQ(model.luu, before.luu);
+    }
+  }
+}
+
+TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
+  Random random(122);
+  Flight problem = landing(Eigen::Vector3d(1e3, 0.0, 1e3));
+  problem.node(0).on_ground = true;
+  const auto lagrangian = used_lagrangian(random, problem);
+  const State<> x = test_support::random_state(random);
+  for (int k = 0; k <= 6; ++k) {
+    const bool on = k >= touch_down;
+    Flight::Model model;
+    EXPECT_EQ(lagrangian.has(problem, k), on);
+    EXPECT_EQ(lagrangian.value(problem, k, x) != 0.0, on);
+    EXPECT_EQ(lagrangian.add_to_model(problem, k, x, model) != 0.0, on);
+    EXPECT_EQ(model.lx.isZero(0.0) && model.lxx.isZero(0.0), !on);
+    State<> rolling = x;  // nothing but the equality without a weight changes
+    rolling.body.angular_velocity.x() += 1.0;
+    EXPECT_EQ(lagrangian.value(problem, k, rolling), lagrangian.value(problem, k, x));
+  }
+  EXPECT_TRUE(lagrangian.any(problem));
+  EXPECT_FALSE(lagrangian.any(landing(Eigen::Vector3d::Zero())));
+  for (int k = 1; k <= 6; ++k) problem.node(k).on_ground = false;
+  EXPECT_FALSE(lagrangian.any(problem));  // only node 0 is left
+}
+
+TEST(AugmentedLagrangian, IsNothingWhereThereAreNoEqualities) {
+  const test_support::Unicycle problem({4});
+  AugmentedLagrangian<test_support::Unicycle> lagrangian(4, 1e6);
+  EXPECT_FALSE(lagrangian.any(problem));
+  EXPECT_EQ(lagrangian.value(problem, 2, Eigen::Vector3d::Ones()), 0.0);
+}
+
+// A mass whose last velocity v is to be zero, with a weight of 100.
+struct Stop {
+  DoubleIntegrator problem{{4, 0.0, test_support::infinity, true}};
+  AugmentedLagrangian<DoubleIntegrator> lagrangian;
+
+  explicit Stop(double max_multiplier = 1e6) : lagrangian(4, max_multiplier) {}
+
+  void update(double v, double residual, bool full_step = true) {
+    Trajectory<DoubleIntegrator> t(4);
+    for (int k = 0; k <= 4; ++k) t.x(k) = Eigen::Vector2d(7.0, k == 4 ? v : 5.0);
+    lagrangian.update(problem, t, residual, full_step);
+  }
+  [[nodiscard]] double value(double v) const {
+    return lagrangian.value(problem, 4, Eigen::Vector2d(0.0, v));
+  }
+  [[nodiscard]] double multiplier() const { return 0.5 * (value(1.0) - value(-1.0)); }
+  [[nodiscard]] double weight() const { return value(1.0) + value(-1.0); }
+};
+
+TEST(AugmentedLagrangian, UpdateMovesMultipliersByWeightTimesValue) {
+  Stop stop;
+  EXPECT_EQ(stop.weight(), 100.0);
+  EXPECT_EQ(stop.multiplier(), 0.0);
+  stop.update(0.3, 0.4);
+  EXPECT_NEAR(stop.multiplier(), 30.0, 1e-12);
+  stop.update(-0.05, 0.1);
+  EXPECT_NEAR(stop.multiplier(), 25.0, 1e-12);
+  EXPECT_EQ(stop.lagrangian.value(stop.problem, 3, Eigen::Vector2d(0.0, 1.0)), 0.0);  // no weight
+  stop.lagrangian.forget_multipliers();
+  EXPECT_EQ(stop.multiplier(), 0.0);
+}
+
+TEST(AugmentedLagrangian, MultipliersOfWeightsSwitchedOffAreForgotten) {
+  Stop stop;
+  stop.update(0.3, 0.4);
+  stop.problem.stops = false;
+  stop.update(0.3, 0.1);
+  stop.problem.stops = true;
+  EXPECT_EQ(stop.multiplier(), 0.0);
+}
+
+TEST(AugmentedLagrangian, MultipliersAreBounded) {
+  Stop stop(50.0);
+  for (const double v : {1.0, -1.0})
+    for (int i = 0; i < 5; ++i) {
+      stop.update(v, std::pow(0.1, i));
+      EXPECT_LE(std::abs(stop.multiplier()), 50.0 + 1e-9);
+      if (i < 2) continue;
+      EXPECT_NEAR(stop.multiplier(), std::copysign(50.0, v), 1e-9);
+    }
+}
+
+TEST(AugmentedLagrangian, WeightsGrowOnlyWhereFullStepsDoNotHalveTheResidual) {
+  Stop stop;
+  stop.update(0.0, 1.0);
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // nothing to compare with
+  stop.update(0.0, 0.4);
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // more than halved
+  stop.update(0.0, 0.3, false);
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // not halved, by a shorter step
+  stop.update(0.1, 0.2);
+  EXPECT_DOUBLE_EQ(stop.weight(), 300.0);      // not halved
+  EXPECT_NEAR(stop.multiplier(), 30.0, 1e-9);  // by the new weight
+  for (int i = 0; i < 30; ++i) stop.update(0.0, 1.0);
+  EXPECT_DOUBLE_EQ(stop.weight(), 1e6);  // and no further
+  stop.lagrangian.forget_scale();
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);
+  stop.update(0.0, 1.0);
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // nothing to compare with again
+}
+
+}  // namespace
+}  // namespace tilt_ropter
