@@ -1,0 +1,364 @@
+#include <tilt_ropter/optimal_control/merit.hpp>
+
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/quadratic_program.hpp>
+
+#include "support/benchmark_problem.hpp"
+#include "support/quadrotor.hpp"
+#include "support/random.hpp"
+#include "support/unicycle.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Quadrotor;
+using test_support::Random;
+using test_support::Unicycle;
+
+using Flight = WheeledFlightProblem<>;
+
+template <typename Problem>
+using ProgramOf = QuadraticProgram<Problem::states, Problem::inputs, Problem::rows,
+                                   typename TransitionBlocksOf<Problem>::type>;
+
+/// A problem linearised somewhere, the program solved, and the merit function that goes with it.
+template <typename Problem>
+struct Linearised {
+  using D = ProblemDimensions<Problem>;
+  using Program = ProgramOf<Problem>;
+
+  Problem problem;
+  int n;
+  Trajectory<Problem> here;
+  Program program;
+  AugmentedLagrangian<Problem> equalities;
+  Merit<Problem, Program> merit;
+  double cost = 0.0, max_defect = 0.0, max_violation = 0.0;
+  bool solved = false;
+
+  Linearised(const Problem& a_problem, const Trajectory<Problem>& at)
+      : problem(a_problem),
+        n(a_problem.horizon()),
+        here(at),
+        program(n, {}),
+        equalities(n, 1e6),
+        merit(n) {
+    for (int k = 0; k <= n; ++k) {
+      auto& s = program.stage(k);
+      auto& rows = program.node(k);
+      if (k < n) {
+        s.defect =
+            problem.difference(problem.step(k, here.x(k), here.u(k), s.A, s.B), here.x(k + 1));
+        max_defect = std::max(max_defect, s.defect.cwiseAbs().maxCoeff());
+      }
+      problem.cost_model(k, here.x(k), here.u(k), s.cost);
+      equalities.add_to_model(problem, k, here.x(k), s.cost);
+      cost += problem.cost(k, here.x(k), here.u(k));
+      rows.value = problem.row_values(k, here.x(k), here.u(k));
+      problem.row_derivatives(k, here.x(k), here.u(k), rows.C, rows.E);
+      rows.lower = problem.lower(k);
+      rows.upper = problem.upper(k);
+      rows.penalty = problem.penalty(k);
+      for (int i = 0; i < D::nc; ++i)
+        max_violation =
+            std::max(max_violation, violation(rows.value(i), rows.lower(i), rows.upper(i)));
+    }
+  }
+
+  bool solve(double damping = 0.0) {
+    if (!program.factorise(damping)) return false;
+    program.prepare();
+    return program.solve(D::Tangent::Zero());
+  }
+
+  [[nodiscard]] double value_along_step(double length) const {
+    Trajectory<Problem> at = here;
+    for (int k = 0; k <= n; ++k) {
+      at.x(k) = problem.retract(here.x(k), length * program.dx(k));
+      if (k < n) at.u(k) += length * program.du(k);
+    }
+    return merit.value(problem, program, equalities, at);
+  }
+  [[nodiscard]] double value_here() const {
+    return merit.value_here(problem, program, equalities, here, cost);
+  }
+  /// Largest step in any coordinate.
+  [[nodiscard]] double step_size() const {
+    double size = 0.0;
+    for (int k = 0; k <= n; ++k) {
+      size = std::max(size, program.dx(k).cwiseAbs().maxCoeff());
+      if (k < n) size = std::max(size, program.du(k).cwiseAbs().maxCoeff());
+    }
+    return size;
+  }
+  /// The merit's slope less what update() says: rows that are violated and will be met with room to
+  /// spare go down faster, and rows that are met and will be violated do not yet go up.
+  [[nodiscard]] double slope_of_rows_beyond_update() {
+    double sum = 0.0;
+    for (int k = 0; k <= n; ++k)
+      for (int i = 0; i < D::nc; ++i) {
+        const auto& rows = program.node(k);
+        const double value = rows.value(i), predicted = rows.predicted(i);
+        const double now = violation(value, rows.lower(i), rows.upper(i));
+        const double then = violation(predicted, rows.lower(i), rows.upper(i));
+        const double slope = now == 0.0              ? 0.0
+                             : value > rows.upper(i) ? predicted - value
+                                                     : value - predicted;
+        sum += row_weight(k, i) * (slope - (then - now));
+      }
+    return sum;
+  }
+
+  /// The weights, by what one unit more adds to the merit.
+  [[nodiscard]] double row_weight(int k, int i) {
+    auto& rows = program.node(k);
+    const auto before = rows;
+    rows.lower(i) = -test_support::infinity;
+    rows.upper(i) = rows.value(i);
+    const double met = value_here();
+    rows.upper(i) -= 1.0;
+    const double violated = value_here();
+    rows = before;
+    return violated - met;
+  }
+  [[nodiscard]] double defect_weight(int k, int i) {
+    double& defect = program.stage(k).defect(i);
+    const double before = defect;
+    defect = 0.0;
+    const double none = value_here();
+    defect = 1.0;
+    const double one = value_here();
+    defect = before;
+    return one - none;
+  }
+
+  /// The program's optimum: model, damping and price of the violated rows.
+  [[nodiscard]] double optimum(double damping) const {
+    double sum = 0.0;
+    for (int k = 0; k <= n; ++k) {
+      const auto& cost_here = program.stage(k).cost;
+      const auto& rows = program.node(k);
+      const auto& dx = program.dx(k);
+      sum += cost_here.lx.dot(dx) + 0.5 * dx.dot(cost_here.lxx * dx);
+      sum += 0.5 * damping * dx.squaredNorm();
+      for (int i = 0; i < D::nc; ++i)
+        sum += rows.penalty(i) * violation(rows.predicted(i), rows.lower(i), rows.upper(i));
+      if (k == n) break;
+      const auto& du = program.du(k);
+      sum += cost_here.lu.dot(du) + du.dot(cost_here.lux * dx) + 0.5 * du.dot(cost_here.luu * du);
+      sum += 0.5 * damping * du.squaredNorm();
+    }
+    return sum;
+  }
+  /// The multiplier of a continuity condition: what one unit of defect more costs. NaN where that
+  /// depends on the sign, because the rows that hold change there.
+  [[nodiscard]] double defect_multiplier(int k, int i, double damping) {
+    constexpr double h = 1e-4;
+    double& defect = program.stage(k).defect(i);
+    const double before = defect;
+    double slope[2];
+    for (int side = 0; side < 2; ++side) {
+      const double step = side == 0 ? h : -h;
+      double optima[3];
+      for (int m = 0; m < 3; ++m) {
+        defect = before + m * step;
+        EXPECT_TRUE(solve(damping));
+        optima[m] = optimum(damping);
+      }
+      slope[side] = (4.0 * optima[1] - optima[2] - 3.0 * optima[0]) / (2.0 * step);
+    }
+    defect = before;
+    EXPECT_TRUE(solve(damping));
+    if (std::abs(slope[0] - slope[1]) > 1e-3 * (1.0 + std::abs(slope[0]))) return NAN;
+    return 0.5 * (slope[0] + slope[1]);
+  }
+};
+
+Linearised<Unicycle> random_unicycle(Random& random) {
+  Trajectory<Unicycle> t(6);
+  for (int k = 0; k <= 6; ++k) {
+    t.x(k) = Eigen::Vector3d(-1.0, 0.0, 0.0) + random.vector(0.5);
+    if (k < 6) t.u(k) = random.vector(3.0).head<2>();
+  }
+  return {Unicycle({6}), t};
+}
+
+// Defects in everything but the orientation: the programs' linearisation is exact where those are
+// zero.
+Linearised<Quadrotor> random_quadrotor(Random& random) {
+  const Quadrotor problem({5});
+  Trajectory<Quadrotor> t(5);
+  for (int k = 0; k <= 5; ++k) {
+    t.x(k).position = random.vector(1.0);
+    t.x(k).velocity = random.vector(1.0);
+    t.x(k).orientation = quaternion_exp(random.vector(1.0));
+    t.x(k).angular_velocity = random.vector(2.0);
+    if (k < 5)
+      for (double& thrust : t.u(k)) thrust = random.uniform(-1.0, 5.0);
+    if (k > 0) t.x(k).orientation = problem.step(k - 1, t.x(k - 1), t.u(k - 1)).orientation;
+  }
+  return {problem, t};
+}
+
+Linearised<Flight> random_flight(Random& random) {
+  Flight problem = test_support::step_problem();
+  const int n = problem.horizon();
+  Trajectory<Flight> t(n);
+  for (int k = 0; k <= n; ++k) {
+    problem.node(k).on_ground = k > n / 2;
+    t.x(k) = test_support::step_start();
+    t.x(k).body.position += random.vector(0.5);
+    t.x(k).body.velocity += random.vector(0.5);
+    t.x(k).body.orientation = t.x(k).body.orientation * quaternion_exp(random.vector(0.3));
+    t.x(k).body.angular_velocity += random.vector(4.0);
+    t.x(k).wrench.force += random.vector(4.0);
+    if (k < n) t.u(k) << random.vector(25.0), random.vector(5.0);
+    if (k > 0)
+      t.x(k).body.orientation = problem.step(k - 1, t.x(k - 1), t.u(k - 1)).body.orientation;
+  }
+  return {problem, t};
+}
+
+template <typename Make>
+void expect_value_here_is_value(unsigned seed, const Make& make) {
+  Random random(seed);
+  for (int trial = 0; trial < 10; ++trial) {
+    auto it = make(random);
+    ASSERT_TRUE(it.solve());
+    const double without_weights = it.value_here();
+    it.merit.update(it.program, it.n);
+    const double value = it.merit.value(it.problem, it.program, it.equalities, it.here);
+    EXPECT_NEAR(it.value_here(), value, 1e-12 * value);
+    EXPECT_GT(value, without_weights);  // defects and violations count
+    it.merit.forget();
+    EXPECT_EQ(it.value_here(), without_weights);
+  }
+}
+
+TEST(Merit, ValueHereIsTheValueAtThePointOfLinearisation) {
+  expect_value_here_is_value(101, random_unicycle);
+  expect_value_here_is_value(102, random_quadrotor);
+  expect_value_here_is_value(103, random_flight);
+}
+
+template <typename Make>
+void expect_slope(unsigned seed, const Make& make) {
+  Random random(seed);
+  double defect = 0.0, row = 0.0;
+  for (int trial = 0; trial < 40; ++trial) {
+    auto it = make(random);
+    ASSERT_TRUE(it.solve());
+    const double slope = it.merit.update(it.program, it.n);
+    EXPECT_LT(slope, 0.0);
+    const double t = 1e-6 / std::max(1.0, it.step_size());
+    const double numerical =
+        (4.0 * it.value_along_step(t) - it.value_along_step(2.0 * t) - 3.0 * it.value_here()) /
+        (2.0 * t);
+    EXPECT_NEAR(numerical, slope + it.slope_of_rows_beyond_update(),
+                1e-4 * (std::abs(slope) + 1e-10 * it.value_here() / t))
+        << "trial " << trial;
+    EXPECT_LE(numerical, slope + 1e-4 * std::abs(slope));
+    defect = std::max(defect, it.max_defect);
+    row = std::max(row, it.max_violation);
+  }
+  EXPECT_GT(defect, 0.1);  // it was about them
+  EXPECT_GT(row, 0.1);
+}
+
+TEST(Merit, SlopeIsTheOneSidedDerivativeAlongTheStep) {
+  {
+    SCOPED_TRACE("unicycle");
+    expect_slope(104, random_unicycle);
+  }
+  {
+    SCOPED_TRACE("quadrotor");
+    expect_slope(105, random_quadrotor);
+  }
+  {
+    SCOPED_TRACE("flight");
+    expect_slope(106, random_flight);
+  }
+}
+
+template <typename Make>
+void expect_weights_above_multipliers(unsigned seed, const Make& make, double damping) {
+  Random random(seed);
+  double largest = 0.0;
+  int checked = 0;
+  for (int trial = 0; trial < 4; ++trial) {
+    auto it = make(random);
+    ASSERT_TRUE(it.solve(damping));
+    for (int i = 0; i < std::decay_t<decltype(it)>::D::nx; ++i) {
+      const int k = trial * (it.n - 1) / 3;
+      const double multiplier = it.defect_multiplier(k, i, damping);
+      it.merit.forget();
+      it.merit.update(it.program, it.n);
+      if (std::isnan(multiplier)) continue;
+      ++checked;
+      EXPECT_NEAR(it.defect_weight(k, i), 1.1 * std::abs(multiplier),
+                  0.01 * (1.0 + std::abs(multiplier)))
+          << "node " << k << " component " << i;
+    }
+    for (int k = 0; k <= it.n; ++k)
+      for (int i = 0; i < std::decay_t<decltype(it)>::D::nc; ++i) {
+        const double m = std::abs(it.program.node(k).multiplier(i));
+        EXPECT_NEAR(it.row_weight(k, i), 1.1 * m, 1e-6 * (1.0 + m));
+        largest = std::max(largest, m);
+      }
+  }
+  EXPECT_GT(largest, 0.1);
+  EXPECT_GT(checked, 5);
+}
+
+TEST(Merit, FirstWeightsAreTheMultipliersAndATenthMore) {
+  expect_weights_above_multipliers(107, random_unicycle, 0.0);
+  expect_weights_above_multipliers(108, random_quadrotor, 0.0);
+  expect_weights_above_multipliers(109, random_flight, 0.0);
+}
+
+TEST(Merit, WeightsFollowMultipliersUpAtOnceAndDownByHalves) {
+  Random random(110);
+  auto it = random_quadrotor(random);
+  ASSERT_TRUE(it.solve());
+  it.merit.update(it.program, it.n);
+  int checked = 0;
+  for (int k = 0; k < it.n; ++k)
+    for (int i = 0; i < 4; ++i) {
+      double& m = it.program.node(k).multiplier(i);
+      const double weight = 1.1 * std::abs(m);
+      if (weight < 1e-3) continue;
+      ++checked;
+      const double kept = m;
+      m = 0.0;
+      it.merit.update(it.program, it.n);
+      EXPECT_NEAR(it.row_weight(k, i), 0.5 * weight, 1e-6 * weight);
+      m = -3.0 * kept;
+      it.merit.update(it.program, it.n);
+      EXPECT_NEAR(it.row_weight(k, i), 3.0 * weight, 1e-6 * weight);
+      m = 2.9 * kept;  // never below 1.1 times the last one
+      it.merit.update(it.program, it.n);
+      EXPECT_NEAR(it.row_weight(k, i), 2.95 * weight, 1e-6 * weight);
+      m = kept;
+      it.merit.forget();
+      it.merit.update(it.program, it.n);
+    }
+  EXPECT_GT(checked, 2);
+}
+
+TEST(Merit, ViolationIsHowFarOutsideTheBounds) {
+  const double infinity = test_support::infinity;
+  EXPECT_EQ(violation(2.0, -1.0, 1.0), 1.0);
+  EXPECT_EQ(violation(-3.0, -1.0, 1.0), 2.0);
+  EXPECT_EQ(violation(1.0, -1.0, 1.0), 0.0);
+  EXPECT_EQ(violation(0.0, 1.0, -1.0), 1.0);  // contradictory bounds
+  EXPECT_EQ(violation(1e300, -infinity, infinity), 0.0);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
