@@ -351,6 +351,10 @@ TEST(Merit, WeightsFollowMultipliersUpAtOnceAndDownByHalves) {
   EXPECT_GT(checked, 2);
 }
 
+TEST(Merit, WeightsOfADampedProgramAreThoseOfItsOwnMultipliers) {
+  expect_weights_above_multipliers(111, random_quadrotor, 10.0);
+}
+
 TEST(Merit, ViolationIsHowFarOutsideTheBounds) {
   const double infinity = test_support::infinity;
   EXPECT_EQ(violation(2.0, -1.0, 1.0), 1.0);
