@@ -442,13 +442,10 @@ TEST(MultipleShooting, NonFiniteNumbersOnTheWayEndInAFinitePlanThatIsNotCalledCo
         if (fence > 10.0) {
           EXPECT_EQ(report.status, SolveStatus::converged);
         } else {  // the optimum is on the other side
-          EXPECT_EQ(report.status,
-                    unknown == Fenced::Unknown::rows ? SolveStatus::failed : SolveStatus::stalled);
+          EXPECT_EQ(report.status, SolveStatus::stalled);
           EXPECT_GT(report.kkt, 1.0);
         }
-        if (unknown != Fenced::Unknown::rows) {
-          EXPECT_TRUE(std::isfinite(test_support::audit(solver).cost));
-        }
+        EXPECT_TRUE(std::isfinite(test_support::audit(solver).cost));
       }
 }
 

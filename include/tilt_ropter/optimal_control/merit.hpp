@@ -60,7 +60,7 @@ class Merit {
         slope -= defect_weight.dot(s.defect.cwiseAbs());
         adjoint = (s.A.transpose() * adjoint + s.cost.lux.transpose() * program.du(k)).eval();
       }
-      adjoint += s.cost.lx;
+      adjoint += s.cost.lx + program.damping() * program.dx(k);
       adjoint.noalias() += s.cost.lxx * program.dx(k);
       adjoint.noalias() += rows.C.transpose() * rows.multiplier;
     }

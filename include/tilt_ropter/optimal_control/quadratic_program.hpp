@@ -89,7 +89,11 @@ class QuadraticProgram {
 
   /// Factorises the stages, with `damping` added to their Hessians' diagonals. False if the cost
   /// has no minimum.
-  [[nodiscard]] bool factorise(double damping = 0.0) { return riccati_.factorise(damping); }
+  [[nodiscard]] bool factorise(double damping = 0.0) {
+    damping_ = damping;
+    return riccati_.factorise(damping);
+  }
+  [[nodiscard]] double damping() const { return damping_; }  ///< of the last factorisation
 
   /// The first working set and its gradients; after factorise().
   void prepare() {
@@ -284,6 +288,7 @@ class QuadraticProgram {
   Batch adjoints_[2];
   Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
+  double damping_ = 0.0;
   int rounds_ = 0, active_rows_ = 0, given_up_rows_ = 0, left_out_rows_ = 0;
 };
 
