@@ -175,7 +175,8 @@ struct Linearised {
     }
     defect = before;
     EXPECT_TRUE(solve(damping));
-    if (std::abs(slope[0] - slope[1]) > 1e-3 * (1.0 + std::abs(slope[0]))) return NAN;
+    if (std::abs(slope[0] - slope[1]) > 1e-3 * (1.0 + std::abs(slope[0])))
+      return std::numeric_limits<double>::quiet_NaN();
     return 0.5 * (slope[0] + slope[1]);
   }
 };
