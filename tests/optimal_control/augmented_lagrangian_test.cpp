@@ -10,6 +10,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 namespace tilt_ropter {
@@ -151,6 +152,26 @@ TEST(AugmentedLagrangian, MultipliersOfWeightsSwitchedOffAreForgotten) {
   stop.update(0.3, 0.1);
   stop.problem.stops = true;
   EXPECT_EQ(stop.multiplier(), 0.0);
+}
+
+// The same at every node.
+struct SlowEverywhere : DoubleIntegrator {
+  SlowEverywhere() : DoubleIntegrator({4, 0.0, test_support::infinity, true}) {}
+  D::Equalities equality_weights(int) const { return D::Equalities::Constant(100.0); }
+};
+
+TEST(AugmentedLagrangian, MultipliersMoveWithTheirNodes) {
+  const SlowEverywhere problem;
+  AugmentedLagrangian<SlowEverywhere> lagrangian(4, 1e6);
+  Trajectory<SlowEverywhere> t(4);
+  for (int k = 0; k <= 4; ++k) t.x(k) = Eigen::Vector2d(0.0, 0.1 * k);
+  lagrangian.update(problem, t, 0.4, true);
+  lagrangian.shift(2);
+  for (int k = 1; k <= 4; ++k) {
+    const double up = lagrangian.value(problem, k, Eigen::Vector2d(0.0, 1.0)),
+                 down = lagrangian.value(problem, k, Eigen::Vector2d(0.0, -1.0));
+    EXPECT_NEAR(0.5 * (up - down), 10.0 * std::min(k + 2, 4), 1e-12) << k;
+  }
 }
 
 TEST(AugmentedLagrangian, MultipliersAreBounded) {

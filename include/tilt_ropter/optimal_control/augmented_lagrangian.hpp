@@ -42,6 +42,12 @@ class AugmentedLagrangian {
   void forget_multipliers() {
     for (Equalities& m : multipliers_) m.setZero();
   }
+  /// Multipliers move `nodes` ahead, those of the last node stay.
+  void shift(int nodes) {
+    for (std::size_t k = 0; k < multipliers_.size(); ++k)
+      multipliers_[k] =
+          multipliers_[std::min(k + static_cast<std::size_t>(nodes), multipliers_.size() - 1)];
+  }
   /// Weights are the problem's again.
   void forget_scale() {
     scale_ = 1.0;

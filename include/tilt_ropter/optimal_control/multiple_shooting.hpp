@@ -94,6 +94,7 @@ class MultipleShooting {
     if (!(intervals > 0.0)) return;
     here_.shift(problem_, intervals);
     const int whole = static_cast<int>(std::min(std::round(intervals), 1.0 * horizon_));
+    equalities_.shift(whole);
     for (int k = 0; whole > 0 && k <= horizon_; ++k)
       program_.node(k).multiplier = program_.node(std::min(k + whole, horizon_)).multiplier;
     prepared_ = false;
