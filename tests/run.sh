@@ -8,7 +8,8 @@ usage: tests/run.sh [--full] [--benchmark]
 Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
 errors into build-tests/ and runs every test. The last lines are the summary.
 
-  --full       the long forms of the tests too (TILT_ROPTER_FULL=1), and clang-tidy
+  --full       the long forms of the tests too (TILT_ROPTER_FULL=1), every test read by clang as
+               C++20, and clang-tidy
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --help       this text
@@ -47,14 +48,16 @@ fi
 
 packages+=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core)
 timeout=300
+long_forms=OFF
 if [[ $full ]]; then
   packages+=(clang-tidy)
   timeout=7200
+  long_forms=ON
   export TILT_ROPTER_FULL=1
 fi
 bash cmake/install_missing.sh "${packages[@]}"
 build build-tests -DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON \
-  -DTILT_ROPTER_BUILD_BENCHMARKS=OFF
+  -DTILT_ROPTER_BUILD_BENCHMARKS=OFF -DTILT_ROPTER_FULL_TESTS=$long_forms
 echo "== Running the tests, two at a time"
 cd build-tests
 ctest --parallel 2 --output-on-failure --timeout $timeout

@@ -125,8 +125,7 @@ TEST(HybridMission, VerySlowServosCanStillDriveWithTheRowsAndNotWithout) {
   EXPECT_LE(rows.figures["ground_rmse_m"], 0.07);
   EXPECT_EQ(rows.figures["contact_mode_changes"], 4);
   EXPECT_EQ(rows.figures["solver_failures"], 0);
-  EXPECT_GT(boxes.figures["ground_rmse_m"], 0.5);
-  EXPECT_GT(boxes.figures["contact_mode_changes"], 4);  // it leaves the ground
+  EXPECT_GT(boxes.figures["ground_rmse_m"], 0.5);  // lost
 }
 
 TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {

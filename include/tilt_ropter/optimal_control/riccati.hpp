@@ -149,17 +149,16 @@ class Riccati {
   // The blocks that stay zero are zero from the beginning.
   static void set_transition(Stage& s) {
     constexpr int size = Blocks::size;
-    for_each_index<States / size>([&](auto row) {
-      for_each_index<width / size>([&](auto column) {
-        if constexpr (Columns::nonzero(row, column)) {
-          auto block = s.transition.template block<size, size>(size * column, size * row);
-          if constexpr (size * column < Inputs)
-            block = s.B.template block<size, size>(size * row, size * column).transpose();
-          else
-            block = s.A.template block<size, size>(size * row, size * column - Inputs).transpose();
-        }
-      });
-    });
+    for (int row = 0; row < States / size; ++row) {
+      for (int column = 0; column < width / size; ++column) {
+        if (!Columns::nonzero(row, column)) continue;
+        auto block = s.transition.template block<size, size>(size * column, size * row);
+        if (size * column < Inputs)
+          block = s.B.template block<size, size>(size * row, size * column).transpose();
+        else
+          block = s.A.template block<size, size>(size * row, size * column - Inputs).transpose();
+      }
+    }
   }
 
   // P: symmetric, kept as the lower triangle that the last elimination left.
