@@ -6,6 +6,9 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/estimation/clock_calibration.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>

@@ -1,0 +1,230 @@
+#pragma once
+
+#include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <vector>
+
+/// How far the clocks of IMU and motion capture are apart, from a stretch of a flight: turning is
+/// seen by both, and fits at one offset only.
+namespace tilt_ropter {
+
+struct ClockCalibrationSettings {
+  double max_offset = 0.5;      ///< searched on both sides of zero [s]
+  double window = 0.05;         ///< turns are compared over this time [s]
+  double max_deviation = 2e-3;  ///< an offset less certain than this is refused [s]
+};
+
+inline void validate(const ClockCalibrationSettings& s) {
+  require_positive("ClockCalibrationSettings.max_offset [s]", s.max_offset);
+  require_positive("ClockCalibrationSettings.window [s]", s.window);
+  require_positive("ClockCalibrationSettings.max_deviation [s]", s.max_deviation);
+}
+
+enum class ClockCalibrationStatus {
+  calibrated,
+  bad_data,      ///< a number is not finite, or stamps do not increase
+  too_short,     ///< fewer than 100 turns to compare
+  out_of_range,  ///< the best offset lies at an end of the search
+  uncertain      ///< too little turning, or about one axis only
+};
+
+[[nodiscard]] inline const char* to_string(ClockCalibrationStatus status) {
+  constexpr std::array<const char*, 5> names = {"calibrated", "bad_data", "too_short",
+                                                "out_of_range", "uncertain"};
+  return names[static_cast<std::size_t>(status)];
+}
+
+struct ClockCalibration {
+  ClockCalibrationStatus status = ClockCalibrationStatus::bad_data;
+  double offset = 0.0;  ///< to be added to the stamps of the poses (EkfSettings.clock_offset) [s]
+  double deviation = std::numeric_limits<double>::infinity();              ///< of the offset [s]
+  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();  ///< M -> body, as seen
+  double residual = 0.0;  ///< root mean square over turns and axes [rad]
+};
+
+namespace detail {
+
+/// The turning of the IMU from the start of a log to any time within it.
+class GyroIntegral {
+ public:
+  explicit GyroIntegral(const std::vector<Timed<InertialSample<>>>& imu) : imu_(imu) {
+    turned_.reserve(imu.size());
+    turned_.push_back(Eigen::Quaterniond::Identity());
+    for (std::size_t i = 0; i + 1 < imu.size(); ++i)
+      turned_.push_back((turned_[i] * part(i, imu[i + 1].time)).normalized());
+  }
+
+  [[nodiscard]] bool covers(double time) const {
+    return time >= imu_.front().time && time < imu_.back().time;
+  }
+
+  [[nodiscard]] Eigen::Quaterniond operator()(double time) const {
+    const auto after =
+        std::upper_bound(imu_.begin(), imu_.end(), time,
+                         [](double t, const Timed<InertialSample<>>& s) { return t < s.time; });
+    const auto i = static_cast<std::size_t>(after - imu_.begin()) - 1;
+    return turned_[i] * part(i, time);
+  }
+
+ private:
+  /// The turn from sample i to `time` before the next one, between which the rate is linear.
+  [[nodiscard]] Eigen::Quaterniond part(std::size_t i, double time) const {
+    const double duration = time - imu_[i].time;
+    const double share = duration / (imu_[i + 1].time - imu_[i].time);
+    const Eigen::Vector3d& from = imu_[i].value.angular_velocity;
+    const Eigen::Vector3d& to = imu_[i + 1].value.angular_velocity;
+    return quaternion_exp(duration * (from + share / 2.0 * (to - from)));
+  }
+
+  const std::vector<Timed<InertialSample<>>>& imu_;
+  std::vector<Eigen::Quaterniond> turned_;
+};
+
+/// A turn of the marker frame between two poses, on motion capture's clock.
+struct MarkerTurn {
+  double start, end;
+  Eigen::Vector3d turn;  ///< rotation vector in M [rad]
+};
+
+/// The best rotation M -> body and constant difference (the gyro's bias) between turns of the
+/// marker and of the IMU at one offset of the clocks, after Kabsch 1976.
+struct TurnFit {
+  double cost = std::numeric_limits<double>::infinity();  ///< mean square of the residuals [rad^2]
+  double second_largest = 0.0;  ///< of the correlation's singular values [rad^2]
+  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
+  std::vector<double> squares;  ///< of each turn's residual
+};
+
+inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral& gyro,
+                         double offset) {
+  const auto count = static_cast<Eigen::Index>(turns.size());
+  Eigen::Matrix3Xd body(3, count), marker(3, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const MarkerTurn& t = turns[static_cast<std::size_t>(i)];
+    body.col(i) = quaternion_log(
+        Eigen::Quaterniond(gyro(t.start + offset).conjugate() * gyro(t.end + offset)));
+    marker.col(i) = t.turn;
+  }
+  body.colwise() -= body.rowwise().mean().eval();
+  marker.colwise() -= marker.rowwise().mean().eval();
+  const Eigen::Matrix3d correlation = body * marker.transpose() / static_cast<double>(count);
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(correlation,
+                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::Vector3d sign = Eigen::Vector3d::Ones();
+  sign.z() = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0.0 ? -1.0 : 1.0;
+  TurnFit fit;
+  fit.rotation = svd.matrixU() * sign.asDiagonal() * svd.matrixV().transpose();
+  fit.second_largest = svd.singularValues()(1);
+  const Eigen::RowVectorXd squares = (body - fit.rotation * marker).colwise().squaredNorm();
+  fit.cost = squares.mean();
+  fit.squares.assign(squares.data(), squares.data() + squares.size());
+  return fit;
+}
+
+}  // namespace detail
+
+/// Compares the turns of the marker frame between poses one `window` apart with those integrated
+/// from the gyro, over every offset of the clocks: the constant rotation of the marker frame and
+/// the gyro's bias, fitted at each offset, do not disturb it. Both logs in the order of their
+/// stamps; poses may have outliers and gaps. Needs a few seconds of turning about two axes or more,
+/// and `max_offset` of IMU before and after the poses used. Throws std::invalid_argument for
+/// settings out of range; allocates: it is not for the loop.
+[[nodiscard]] inline ClockCalibration calibrate_clock(
+    const std::vector<Timed<InertialSample<>>>& imu, const std::vector<Timed<MarkerPose<>>>& poses,
+    const ClockCalibrationSettings& settings = {}) {
+  validate(settings);
+  ClockCalibration result;
+  const auto increasing = [](const auto& log) {
+    for (std::size_t i = 0; i < log.size(); ++i)
+      if (!std::isfinite(log[i].time) || (i > 0 && !(log[i].time > log[i - 1].time))) return false;
+    return true;
+  };
+  const bool numbers =
+      std::all_of(imu.begin(), imu.end(),
+                  [](const auto& s) { return s.value.angular_velocity.allFinite(); }) &&
+      std::all_of(poses.begin(), poses.end(),
+                  [](const auto& p) { return std::abs(p.value.orientation.norm() - 1.0) < 0.1; });
+  if (!increasing(imu) || !increasing(poses) || !numbers) return result;
+  result.status = ClockCalibrationStatus::too_short;
+  if (imu.size() < 2) return result;
+
+  const detail::GyroIntegral gyro(imu);
+  std::vector<detail::MarkerTurn> turns;
+  double total = 0.0;
+  for (std::size_t i = 0, j = 0; i < poses.size(); ++i) {
+    const double start = poses[i].time;
+    while (j < poses.size() && poses[j].time < start + settings.window) ++j;
+    if (j == poses.size()) break;
+    const double end = poses[j].time;
+    if (end > start + 2.0 * settings.window || !gyro.covers(start - settings.max_offset) ||
+        !gyro.covers(end + settings.max_offset))
+      continue;
+    turns.push_back({start, end,
+                     quaternion_log(Eigen::Quaterniond(poses[i].value.orientation.conjugate() *
+                                                       poses[j].value.orientation)
+                                        .normalized())});
+    total += end - start;
+  }
+  if (turns.size() < 100) return result;
+  const double overlap = std::max(1.0, total / (turns.back().end - turns.front().start));
+
+  // Coarsely over the whole range, then parabolas through ever closer neighbours.
+  const double coarse = std::min(5e-3, settings.window / 4.0);
+  const auto steps = static_cast<int>(std::ceil(settings.max_offset / coarse));
+  int best = -steps;
+  double lowest = std::numeric_limits<double>::infinity();
+  for (int i = -steps; i <= steps; ++i) {
+    const double offset = std::clamp(coarse * i, -settings.max_offset, settings.max_offset);
+    const double cost = detail::fit_turns(turns, gyro, offset).cost;
+    if (cost < lowest) {
+      lowest = cost;
+      best = i;
+    }
+  }
+  result.status = ClockCalibrationStatus::out_of_range;
+  if (std::abs(best) == steps) return result;
+  result.offset = coarse * best;
+
+  // Poses gone wrong would pull at the fit: turns five times worse than the median are left out.
+  std::vector<double> squares = detail::fit_turns(turns, gyro, result.offset).squares;
+  std::vector<double> sorted = squares;
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  std::vector<detail::MarkerTurn> kept;
+  for (std::size_t i = 0; i < turns.size(); ++i)
+    if (squares[i] <= 25.0 * *middle) kept.push_back(turns[i]);
+
+  double curvature = 0.0;
+  for (double step = coarse; step > 1e-4; step /= 4.0) {
+    const double before = detail::fit_turns(kept, gyro, result.offset - step).cost;
+    const double here = detail::fit_turns(kept, gyro, result.offset).cost;
+    const double after = detail::fit_turns(kept, gyro, result.offset + step).cost;
+    curvature = (before - 2.0 * here + after) / (step * step);
+    if (!(curvature > 0.0)) break;
+    result.offset += std::clamp((before - after) / (2.0 * step * curvature), -step, step);
+  }
+  const detail::TurnFit fit = detail::fit_turns(kept, gyro, result.offset);
+  const double count = static_cast<double>(kept.size());
+  result.marker_orientation = Eigen::Quaterniond(fit.rotation);
+  result.residual = std::sqrt(fit.cost / 3.0);
+  if (curvature > 0.0)
+    result.deviation = std::sqrt(2.0 * overlap * fit.cost / ((3.0 * count - 7.0) * curvature));
+  const bool two_axes = fit.second_largest > 10.0 * fit.cost / std::sqrt(count);
+  result.status = two_axes && result.deviation <= settings.max_deviation
+                      ? ClockCalibrationStatus::calibrated
+                      : ClockCalibrationStatus::uncertain;
+  return result;
+}
+
+}  // namespace tilt_ropter

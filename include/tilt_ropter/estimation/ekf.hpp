@@ -1,0 +1,335 @@
+#pragma once
+
+#include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+/// State of the vehicle from IMU and motion capture (paper, Sec. Control): an error-state Kalman
+/// filter that takes measurements with the time stamps they bear.
+namespace tilt_ropter {
+
+/// Every length of time in seconds. Deviations are standard deviations per axis.
+struct EkfSettings {
+  InertialNoise imu_noise;
+  MarkerPoseNoise pose_noise;
+
+  /// The marker frame M in the body frame: M's origin [m], and M -> body.
+  Eigen::Vector3d marker_position = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
+  /// How well both are known. Zero switches their estimation off. On, they take about ten seconds
+  /// of motion about all axes; a vehicle at rest tells nothing of them.
+  double marker_position_deviation = 0.0;     ///< [m]
+  double marker_orientation_deviation = 0.0;  ///< [rad]
+
+  /// What has to be added to the stamp of a pose to get the IMU's clock (see calibrate_clock).
+  double clock_offset = 0.0;
+
+  /// Of what the first pose does not tell.
+  double velocity_deviation = 1.0;            ///< about zero [m/s]
+  double gyro_bias_deviation = 0.05;          ///< about zero [rad/s]
+  double accelerometer_bias_deviation = 0.3;  ///< about zero [m/s^2]
+
+  /// A pose whose NIS is above this is not used. 27.9 is passed by all but one in 10^4.
+  double gate = 27.9;
+  /// As many poses refused by the gate in a row start the filter anew at the last of them.
+  int max_rejections = 25;
+  /// Poses may come this much after, or before, the IMU sample of their time.
+  double max_delay = 0.2;
+  /// A longer pause of the IMU cannot be bridged: the next pose starts the filter anew.
+  double max_imu_gap = 0.1;
+};
+
+inline void validate(const EkfSettings& s) {
+  validate(s.imu_noise);
+  validate(s.pose_noise);
+  require_finite("EkfSettings.marker_position [m]", s.marker_position);
+  require(std::abs(s.marker_orientation.norm() - 1.0) < 1e-6, "EkfSettings.marker_orientation",
+          s.marker_orientation.coeffs(), "of unit length");
+  require_non_negative("EkfSettings.marker_position_deviation [m]", s.marker_position_deviation);
+  require_non_negative("EkfSettings.marker_orientation_deviation [rad]",
+                       s.marker_orientation_deviation);
+  require_finite("EkfSettings.clock_offset [s]", s.clock_offset);
+  require_positive("EkfSettings.velocity_deviation [m/s]", s.velocity_deviation);
+  require_non_negative("EkfSettings.gyro_bias_deviation [rad/s]", s.gyro_bias_deviation);
+  require_non_negative("EkfSettings.accelerometer_bias_deviation [m/s^2]",
+                       s.accelerometer_bias_deviation);
+  require_positive("EkfSettings.gate", s.gate);
+  require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
+  require_positive("EkfSettings.max_delay [s]", s.max_delay);
+  require_positive("EkfSettings.max_imu_gap [s]", s.max_imu_gap);
+}
+
+/// What became of a measurement. Those after `restarted` changed nothing in the estimate.
+enum class EkfStatus {
+  updated,    ///< used
+  started,    ///< the first pose: the filter stands on it
+  restarted,  ///< the filter stands on this pose anew, after rejections or a gap of the IMU
+  waiting,    ///< a pose ahead of the IMU: used as soon as the IMU has come to its time
+  stopped,    ///< an IMU sample after a gap: the estimate is frozen until the next pose
+  gated,      ///< a pose too unlikely
+  duplicate,  ///< stamp seen before
+  late,       ///< older than an IMU sample, or a pose, that has been used already
+  early,      ///< a pose too far ahead of the IMU, or before its first sample
+  rejected    ///< not finite, not a rotation, or absurd (1e3 rad/s, 1e5 m/s^2, 1e6 m)
+};
+
+[[nodiscard]] inline const char* to_string(EkfStatus status) {
+  constexpr std::array<const char*, 10> names = {"updated", "started", "restarted", "waiting",
+                                                 "stopped", "gated",   "duplicate", "late",
+                                                 "early",   "rejected"};
+  return names[static_cast<std::size_t>(status)];
+}
+
+/// How many poses came to which end.
+struct EkfCounts {
+  long used = 0;      ///< updates, starts and restarts
+  long restarts = 0;  ///< among those
+  long gated = 0;
+  long unused = 0;  ///< duplicate, late, early or rejected
+};
+
+/// The filter stands at the time of the last pose used, so that a delayed pose meets the state of
+/// its time; from there the state is carried forward through the samples of the IMU, which are kept
+/// as long as a pose of their time may come. All memory is taken at construction; afterwards
+/// nothing throws or allocates. No assumption is made on the orientation at the start.
+template <typename Scalar = double>
+class Ekf {
+ public:
+  static constexpr std::size_t max_samples = 1024;  ///< of the IMU, kept for delayed poses
+  static constexpr std::size_t max_waiting = 32;    ///< poses ahead of the IMU
+
+  /// Throws std::invalid_argument for settings out of range.
+  explicit Ekf(const EkfSettings& settings = {})
+      : settings_((validate(settings), settings)),
+        filter_(settings.imu_noise, settings.pose_noise),
+        samples_(max_samples) {
+    reset();
+  }
+
+  /// A sample of the IMU taken at `time` [s], on the clock that all times are given in.
+  EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept {
+    if (!std::isfinite(time) || !within(value.angular_velocity, 1e3) ||
+        !within(value.specific_force, 1e5))
+      return EkfStatus::rejected;
+    const Sample sample{time, value};
+    const double pause = time - newest_.time;
+    if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
+    if (has_imu_ && pause < 0.0) return EkfStatus::late;
+    if (!has_imu_ || pause > settings_.max_imu_gap) {
+      const bool gap = has_imu_;
+      has_imu_ = true;
+      running_ = false;
+      count_ = 0;
+      from_ = newest_ = sample;
+      return gap ? EkfStatus::stopped : EkfStatus::updated;
+    }
+    if (count_ == max_samples) catch_up(at(0).time);
+    samples_[(first_ + count_++) % max_samples] = sample;
+    if (running_) ahead_ = step(ahead_, newest_, sample);
+    newest_ = sample;
+    catch_up(time - settings_.max_delay);
+    while (waiting_ > 0 && poses_[0].time <= time) {
+      const Timed<MarkerPose<Scalar>> next = poses_[0];
+      std::copy(poses_.begin() + 1, poses_.begin() + static_cast<std::ptrdiff_t>(waiting_),
+                poses_.begin());
+      --waiting_;
+      take(next.time, next.value);
+    }
+    return EkfStatus::updated;
+  }
+
+  /// A pose of the marker frame taken at `time` [s] on the clock of motion capture.
+  EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept {
+    using std::abs;
+    const Scalar length = pose.orientation.norm();
+    if (!std::isfinite(time) || !within(pose.position, 1e6) ||
+        !(abs(length - Scalar(1)) < Scalar(0.1)))
+      return unused(EkfStatus::rejected);
+    const double stamp = time + settings_.clock_offset;
+    const MarkerPose<Scalar> unit{pose.position, pose.orientation.normalized()};
+    if (!has_imu_) return unused(EkfStatus::early);
+    if (stamp <= newest_.time) return take(stamp, unit);
+    if (stamp > newest_.time + settings_.max_delay || waiting_ == max_waiting)
+      return unused(EkfStatus::early);
+    auto place = poses_.begin() + static_cast<std::ptrdiff_t>(waiting_++);
+    for (; place != poses_.begin() && (place - 1)->time > stamp; --place) *place = *(place - 1);
+    *place = {stamp, unit};
+    return EkfStatus::waiting;
+  }
+
+  /// False before the first pose and after a gap of the IMU: state() is then not to be flown on.
+  [[nodiscard]] bool running() const noexcept { return running_; }
+
+  /// Of the newest IMU sample [s]; zero before the first.
+  [[nodiscard]] double time() const noexcept { return newest_.time; }
+
+  /// Pose and twist of the body, which is the IMU's frame, at time().
+  [[nodiscard]] BodyState<Scalar> state() const noexcept {
+    return {ahead_.position, ahead_.velocity, ahead_.orientation,
+            newest_.value.angular_velocity - ahead_.gyro_bias};
+  }
+
+  /// The filter itself, at filter_time(): state with biases and marker frame, and covariance.
+  [[nodiscard]] const ErrorStateFilter<Scalar>& filter() const noexcept { return filter_; }
+  /// Of the last pose used; at most max_delay behind time() where poses stay away [s].
+  [[nodiscard]] double filter_time() const noexcept { return from_.time; }
+  /// r' S^-1 r of the last pose that was compared, used or not.
+  [[nodiscard]] Scalar nis() const noexcept { return nis_; }
+  [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
+
+  /// As constructed.
+  void reset() noexcept {
+    has_imu_ = has_pose_ = running_ = false;
+    count_ = waiting_ = 0;
+    rejections_ = 0;
+    nis_ = Scalar(0);
+    counts_ = {};
+    from_ = newest_ = {};
+    InertialState<Scalar> x;
+    x.marker_position = settings_.marker_position.template cast<Scalar>();
+    x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
+    filter_.reset(x, Covariance::Zero());
+    ahead_ = x;
+  }
+
+ private:
+  using Sample = Timed<InertialSample<Scalar>>;
+  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
+
+  static bool within(const Vector3<Scalar>& v, double limit) noexcept {
+    return v.allFinite() && v.cwiseAbs().maxCoeff() <= Scalar(limit);
+  }
+
+  static InertialSample<Scalar> mean(const Sample& a, const Sample& b) noexcept {
+    return {(a.value.angular_velocity + b.value.angular_velocity) / Scalar(2),
+            (a.value.specific_force + b.value.specific_force) / Scalar(2)};
+  }
+
+  static InertialState<Scalar> step(const InertialState<Scalar>& x, const Sample& from,
+                                    const Sample& to) noexcept {
+    return propagate(x, mean(from, to), Scalar(to.time - from.time));
+  }
+
+  /// Between two samples the IMU is taken to change linearly.
+  static Sample between(const Sample& a, const Sample& b, double time) noexcept {
+    const Scalar share = Scalar((time - a.time) / (b.time - a.time));
+    const auto blend = [share](const Vector3<Scalar>& from, const Vector3<Scalar>& to) {
+      return Vector3<Scalar>(from + share * (to - from));
+    };
+    return {time,
+            {blend(a.value.angular_velocity, b.value.angular_velocity),
+             blend(a.value.specific_force, b.value.specific_force)}};
+  }
+
+  [[nodiscard]] const Sample& at(std::size_t i) const noexcept {
+    return samples_[(first_ + i) % max_samples];
+  }
+
+  /// Brings the filter to `time`, if that is later, past the samples up to then.
+  void catch_up(double time) noexcept {
+    while (count_ > 0 && at(0).time <= time) {
+      advance(at(0));
+      first_ = (first_ + 1) % max_samples;
+      --count_;
+    }
+    if (count_ > 0 && from_.time < time) advance(between(from_, at(0), time));
+  }
+
+  void advance(const Sample& to) noexcept {
+    if (running_) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
+    from_ = to;
+  }
+
+  EkfStatus unused(EkfStatus status) noexcept {
+    ++counts_.unused;
+    return status;
+  }
+
+  EkfStatus take(double time, const MarkerPose<Scalar>& pose) noexcept {
+    if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
+    if (time < from_.time) return unused(EkfStatus::late);
+    catch_up(time);
+    has_pose_ = true;
+    pose_time_ = time;
+    EkfStatus status = running_ ? EkfStatus::updated : EkfStatus::started;
+    if (running_) {
+      const auto innovation = filter_.innovation(pose);
+      nis_ = innovation.distance;
+      if (nis_ <= Scalar(settings_.gate)) {
+        filter_.update(innovation);
+      } else if (++rejections_ < settings_.max_rejections) {
+        ++counts_.gated;
+        return EkfStatus::gated;
+      } else {
+        status = EkfStatus::restarted;
+      }
+    } else if (counts_.used > 0) {
+      status = EkfStatus::restarted;
+    }
+    if (status != EkfStatus::updated) start(pose);
+    if (status == EkfStatus::restarted) ++counts_.restarts;
+    ++counts_.used;
+    rejections_ = 0;
+    running_ = true;
+    ahead_ = filter_.state();
+    Sample from = from_;
+    for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
+    return status;
+  }
+
+  /// Stands the vehicle where the pose has it, with what is known of the marker frame and the
+  /// biases' last values. An update from far wider deviations gives the covariance what a pose and
+  /// an uncertain marker frame have in common.
+  void start(const MarkerPose<Scalar>& pose) noexcept {
+    using I = InertialIndex;
+    InertialState<Scalar> x = filter_.state();
+    x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
+    x.position = pose.position - x.orientation * x.marker_position;
+    x.velocity.setZero();
+    Covariance p = Covariance::Zero();
+    if (counts_.used > 0) {
+      p.template bottomRightCorner<6, 6>() =
+          filter_.covariance().template bottomRightCorner<6, 6>();
+    } else {
+      fill(p, I::marker_orientation, settings_.marker_orientation_deviation);
+      fill(p, I::marker_position, settings_.marker_position_deviation);
+    }
+    fill(p, I::position, 1.0);
+    fill(p, I::orientation, 1.0);
+    fill(p, I::velocity, settings_.velocity_deviation);
+    fill(p, I::gyro_bias, settings_.gyro_bias_deviation);
+    fill(p, I::accelerometer_bias, settings_.accelerometer_bias_deviation);
+    filter_.reset(x, p);
+    filter_.update(filter_.innovation(pose));
+  }
+
+  static void fill(Covariance& p, int start, double deviation) noexcept {
+    p.diagonal().template segment<3>(start).setConstant(Scalar(deviation * deviation));
+  }
+
+  EkfSettings settings_;
+  ErrorStateFilter<Scalar> filter_;
+  InertialState<Scalar> ahead_;  ///< the filter's state carried to newest_
+  Sample from_;                  ///< the IMU at the filter's time
+  Sample newest_;                ///< the last of samples_, or from_
+  std::vector<Sample> samples_;  ///< ring of those later than from_
+  std::size_t first_ = 0, count_ = 0;
+  std::array<Timed<MarkerPose<Scalar>>, max_waiting> poses_;  ///< in the order of their times
+  std::size_t waiting_ = 0;
+  double pose_time_ = 0.0;  ///< of the last pose compared
+  Scalar nis_ = Scalar(0);
+  int rejections_ = 0;
+  EkfCounts counts_;
+  bool has_imu_ = false, has_pose_ = false, running_ = false;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,271 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+
+/// The mathematics of the state estimator, without clocks: an error-state Kalman filter on SO(3)
+/// after J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017, Secs. 5-7 (local
+/// orientation errors). Ekf (ekf.hpp) puts measurements with time stamps into it. Nothing
+/// allocates; only the constructor and validate() throw.
+namespace tilt_ropter {
+
+/// What an IMU reports, in its own frame, which is the body frame.
+template <typename Scalar = double>
+struct InertialSample {
+  Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< [rad/s]
+  Vector3<Scalar> specific_force = Vector3<Scalar>::Zero();    ///< q^-1 (dv/dt - g) [m/s^2]
+};
+
+/// Pose of the marker frame M in the world, as motion capture reports it. q and -q are the same.
+template <typename Scalar = double>
+struct MarkerPose {
+  Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< origin of M in the world [m]
+  Eigen::Quaternion<Scalar> orientation = Eigen::Quaternion<Scalar>::Identity();  ///< M -> world
+};
+
+/// A measurement and the time at which it was taken [s].
+template <typename Value>
+struct Timed {
+  double time = 0.0;
+  Value value;
+};
+
+/// All that is estimated.
+template <typename Scalar = double>
+struct InertialState {
+  Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m]
+  Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m/s]
+  Eigen::Quaternion<Scalar> orientation = Eigen::Quaternion<Scalar>::Identity();  ///< body -> world
+  Vector3<Scalar> gyro_bias = Vector3<Scalar>::Zero();                            ///< [rad/s]
+  Vector3<Scalar> accelerometer_bias = Vector3<Scalar>::Zero();                   ///< [m/s^2]
+  Eigen::Quaternion<Scalar> marker_orientation =
+      Eigen::Quaternion<Scalar>::Identity();                  ///< marker frame M -> body
+  Vector3<Scalar> marker_position = Vector3<Scalar>::Zero();  ///< origin of M in the body frame [m]
+};
+
+/// Error of an InertialState in the order of its members, orientations as rotation vectors in the
+/// frame they rotate from: body for the orientation, M for the marker's.
+template <typename Scalar = double>
+using InertialTangent = Eigen::Matrix<Scalar, 21, 1>;
+
+/// Where each part of an InertialTangent, and of its covariance, starts.
+struct InertialIndex {
+  static constexpr int position = 0, velocity = 3, orientation = 6, gyro_bias = 9,
+                       accelerometer_bias = 12, marker_orientation = 15, marker_position = 18;
+};
+
+/// x (+) dx.
+template <typename Scalar>
+[[nodiscard]] InertialState<Scalar> retract(const InertialState<Scalar>& x,
+                                            const InertialTangent<Scalar>& dx) {
+  using I = InertialIndex;
+  const auto part = [&dx](int start) { return dx.template segment<3>(start); };
+  InertialState<Scalar> y;
+  y.position = x.position + part(I::position);
+  y.velocity = x.velocity + part(I::velocity);
+  y.orientation = (x.orientation * quaternion_exp(part(I::orientation))).normalized();
+  y.gyro_bias = x.gyro_bias + part(I::gyro_bias);
+  y.accelerometer_bias = x.accelerometer_bias + part(I::accelerometer_bias);
+  y.marker_orientation =
+      (x.marker_orientation * quaternion_exp(part(I::marker_orientation))).normalized();
+  y.marker_position = x.marker_position + part(I::marker_position);
+  return y;
+}
+
+/// y (-) x, so that retract(x, difference(y, x)) = y. With y the truth and P the covariance it is
+/// the error e whose e' P^-1 e is the NEES.
+template <typename Scalar>
+[[nodiscard]] InertialTangent<Scalar> difference(const InertialState<Scalar>& y,
+                                                 const InertialState<Scalar>& x) {
+  const auto turn = [](const Eigen::Quaternion<Scalar>& to, const Eigen::Quaternion<Scalar>& from) {
+    return quaternion_log(Eigen::Quaternion<Scalar>(from.conjugate() * to));
+  };
+  InertialTangent<Scalar> dx;
+  dx << y.position - x.position, y.velocity - x.velocity, turn(y.orientation, x.orientation),
+      y.gyro_bias - x.gyro_bias, y.accelerometer_bias - x.accelerometer_bias,
+      turn(y.marker_orientation, x.marker_orientation), y.marker_position - x.marker_position;
+  return dx;
+}
+
+/// The state `dt` [s] later, under a sample that stands for the whole step (the mean of those at
+/// its ends makes it second order): rotation exact, acceleration as in the middle of the step.
+template <typename Scalar>
+[[nodiscard]] InertialState<Scalar> propagate(const InertialState<Scalar>& x,
+                                              const InertialSample<Scalar>& sample,
+                                              const Scalar& dt) {
+  const Vector3<Scalar> half_turn =
+      (sample.angular_velocity - x.gyro_bias) * Scalar(dt / Scalar(2));
+  const Eigen::Quaternion<Scalar> half = quaternion_exp(half_turn);
+  const Eigen::Quaternion<Scalar> middle = x.orientation * half;
+  Vector3<Scalar> acceleration = middle * (sample.specific_force - x.accelerometer_bias);
+  acceleration.z() -= Scalar(gravity);
+  InertialState<Scalar> y = x;
+  y.position += dt * (x.velocity + acceleration * Scalar(dt / Scalar(2)));
+  y.velocity += dt * acceleration;
+  y.orientation = (middle * half).normalized();
+  return y;
+}
+
+/// Noise of an IMU. Data sheets give the densities of an IMU that lies still; on a vehicle that
+/// vibrates, and to cover misalignment and scale, ten times as much is usual.
+struct InertialNoise {
+  double gyro_density = 2.0e-3;             ///< [rad/s/sqrt(Hz)]
+  double accelerometer_density = 2.0e-2;    ///< [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;           ///< [rad/s^2/sqrt(Hz)]
+  double accelerometer_bias_walk = 3.0e-4;  ///< [m/s^3/sqrt(Hz)]
+};
+
+inline void validate(const InertialNoise& n) {
+  require_non_negative("InertialNoise.gyro_density [rad/s/sqrt(Hz)]", n.gyro_density);
+  require_non_negative("InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)]",
+                       n.accelerometer_density);
+  require_non_negative("InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)]", n.gyro_bias_walk);
+  require_non_negative("InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)]",
+                       n.accelerometer_bias_walk);
+}
+
+/// Standard deviations of a MarkerPose, per axis.
+struct MarkerPoseNoise {
+  double position = 2.0e-3;     ///< world frame [m]
+  double orientation = 5.0e-3;  ///< marker frame [rad]
+};
+
+inline void validate(const MarkerPoseNoise& n) {
+  require_positive("MarkerPoseNoise.position [m]", n.position);
+  require_positive("MarkerPoseNoise.orientation [rad]", n.orientation);
+}
+
+/// State and covariance of its error. A part of the state whose rows of the covariance are zero is
+/// known: it is used and stays as it is.
+template <typename Scalar = double>
+class ErrorStateFilter {
+ public:
+  using Covariance = Eigen::Matrix<Scalar, 21, 21>;
+
+  /// What a pose says that the state does not.
+  struct Innovation {
+    Eigen::Matrix<Scalar, 6, 1> residual;      ///< position, world [m]; rotation vector, M [rad]
+    Eigen::Matrix<Scalar, 6, 6> covariance;    ///< S, of the residual
+    Scalar distance;                           ///< NIS, r' S^-1 r: chi-square of 6 degrees
+    Eigen::Matrix<Scalar, 21, 6> correlation;  ///< P H', of the state's error with the residual
+  };
+
+  /// Throws std::invalid_argument.
+  ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose) {
+    validate(inertial);
+    validate(pose);
+    const auto square = [](double deviation) { return Scalar(deviation * deviation); };
+    process_noise_.template head<3>().setConstant(square(inertial.accelerometer_density));
+    process_noise_.template segment<3>(3).setConstant(square(inertial.gyro_density));
+    process_noise_.template segment<3>(6).setConstant(square(inertial.gyro_bias_walk));
+    process_noise_.template tail<3>().setConstant(square(inertial.accelerometer_bias_walk));
+    pose_noise_.template head<3>().setConstant(square(pose.position));
+    pose_noise_.template tail<3>().setConstant(square(pose.orientation));
+  }
+
+  void reset(const InertialState<Scalar>& state, const Covariance& covariance) noexcept {
+    state_ = state;
+    covariance_ = covariance;
+  }
+
+  /// Moves state and covariance by `dt` > 0 [s] under `sample` (see propagate).
+  void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept {
+    using I = InertialIndex;
+    const Vector3<Scalar> turn = (sample.angular_velocity - state_.gyro_bias) * dt;
+    const Vector3<Scalar> force = sample.specific_force - state_.accelerometer_bias;
+    const Scalar half = dt / Scalar(2);
+    const Matrix3<Scalar> rotation =
+        (state_.orientation * quaternion_exp(turn / Scalar(2))).toRotationMatrix();
+    const Matrix3<Scalar> half_rotation =
+        quaternion_exp(turn / Scalar(2)).conjugate().toRotationMatrix();
+    // The acceleration's derivatives by orientation, gyro bias and accelerometer bias. An error of
+    // the orientation at the start reaches the middle of the step turned by half the way.
+    const Matrix3<Scalar> by_middle = -rotation * skew(force);
+
+    // The nine rows of the transition matrix that are not the identity, without those columns, the
+    // marker's, that are zero.
+    Eigen::Matrix<Scalar, 9, 15> f = Eigen::Matrix<Scalar, 9, 15>::Zero();
+    auto acceleration = f.template block<3, 9>(3, 6);
+    acceleration.template leftCols<3>().noalias() = dt * by_middle * half_rotation;
+    acceleration.template middleCols<3>(3).noalias() =
+        (-dt * half) * by_middle * right_jacobian(turn / Scalar(2));
+    acceleration.template rightCols<3>() = -dt * rotation;
+    f.template block<3, 9>(0, 6) = half * acceleration;
+    f.template block<3, 3>(0, 3).diagonal().setConstant(dt);
+    f.template block<6, 6>(0, 0).diagonal().setOnes();
+    f.template block<3, 3>(6, 6) = half_rotation * half_rotation;
+    f.template block<3, 3>(6, 9) = -dt * right_jacobian(turn);
+
+    const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
+    covariance_.template topLeftCorner<9, 9>().noalias() =
+        moved.template leftCols<15>() * f.transpose();
+    covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
+    covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
+    covariance_.diagonal().template segment<12>(I::velocity) += dt * process_noise_;
+    state_ = propagate(state_, sample, dt);
+  }
+
+  /// Compares a pose, orientation of unit length, with the state; nothing is changed.
+  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
+    using I = InertialIndex;
+    const Matrix3<Scalar> rotation = state_.orientation.toRotationMatrix();
+    const Matrix3<Scalar> to_marker = state_.marker_orientation.conjugate().toRotationMatrix();
+    const Matrix3<Scalar> by_turn = -rotation * skew(state_.marker_position);
+    Innovation in;
+    in.residual << pose.position - state_.position - rotation * state_.marker_position,
+        quaternion_log(Eigen::Quaternion<Scalar>(
+            (state_.orientation * state_.marker_orientation).conjugate() * pose.orientation));
+    // H = [I 0 by_turn 0 0 0 R; 0 0 R_M' 0 0 I 0]
+    const auto columns = [this](int start) { return covariance_.template middleCols<3>(start); };
+    in.correlation.template leftCols<3>() = columns(I::position);
+    in.correlation.template leftCols<3>().noalias() +=
+        columns(I::orientation) * by_turn.transpose();
+    in.correlation.template leftCols<3>().noalias() +=
+        columns(I::marker_position) * rotation.transpose();
+    in.correlation.template rightCols<3>() = columns(I::marker_orientation);
+    in.correlation.template rightCols<3>().noalias() +=
+        columns(I::orientation) * to_marker.transpose();
+    const auto rows = [&in](int start) { return in.correlation.template middleRows<3>(start); };
+    Eigen::Matrix<Scalar, 6, 6> s;
+    s.template topRows<3>() = rows(I::position);
+    s.template topRows<3>().noalias() += by_turn * rows(I::orientation);
+    s.template topRows<3>().noalias() += rotation * rows(I::marker_position);
+    s.template bottomRows<3>() = rows(I::marker_orientation);
+    s.template bottomRows<3>().noalias() += to_marker * rows(I::orientation);
+    in.covariance = (s + s.transpose()) / Scalar(2);
+    in.covariance.diagonal() += pose_noise_;
+    in.distance = in.residual.dot(in.covariance.llt().solve(in.residual));
+    return in;
+  }
+
+  /// Takes an innovation of the state as it is. The covariance is updated in Joseph's form, which
+  /// stays symmetric and positive under rounding: (I - K H) P (I - K H)' + K R K' with the products
+  /// by H known to be `correlation` and `covariance`.
+  void update(const Innovation& in) noexcept {
+    const Eigen::Matrix<Scalar, 21, 6> gain =
+        in.covariance.llt().solve(in.correlation.transpose()).transpose();
+    state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+    Eigen::Matrix<Scalar, 21, 6> half = in.correlation;
+    half.noalias() -= gain * (in.covariance / Scalar(2));
+    const Covariance change = gain * half.transpose();
+    covariance_ -= change + change.transpose();
+  }
+
+  [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
+  [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
+
+ private:
+  InertialState<Scalar> state_;
+  Covariance covariance_ = Covariance::Zero();
+  Eigen::Matrix<Scalar, 12, 1> process_noise_;  ///< of velocity ... accelerometer bias [1/s]
+  Eigen::Matrix<Scalar, 6, 1> pose_noise_;
+};
+
+}  // namespace tilt_ropter
