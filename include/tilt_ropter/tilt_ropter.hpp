@@ -9,6 +9,7 @@
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
