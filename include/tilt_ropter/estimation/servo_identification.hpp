@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstddef>
 #include <functional>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -40,7 +41,7 @@ struct ServoIdentificationSettings {
   double min_excitation = 0.01;      ///< largest minus smallest command [rad]
   double min_significance = 5.0;     ///< gain / its standard deviation
   int min_samples = 20;
-  int max_iterations = 50;  ///< of Gauss-Newton
+  int max_iterations = 100;  ///< of Gauss-Newton, from each start
 };
 
 enum class ServoIdentificationStatus {
@@ -70,7 +71,6 @@ struct ServoIdentification {
   /// that the model has not, such as that of a rate limit.
   double residual_correlation = 0.0;
   std::size_t samples = 0;
-  int iterations = 0;  ///< of Gauss-Newton
 };
 
 /// What the status says to whoever made the log.
@@ -204,38 +204,58 @@ struct ServoFit {
   }
 };
 
-/// The best point of a grid: time constants a factor of 1.5 apart, dead times 1/20 of the longest.
-inline ServoFit best_on_grid(const ServoLog& log, const ServoIdentificationSettings& settings,
-                             double longest) {
-  ServoFit best(log, settings.min_time_constant, 0.0);
-  const int dead_times = settings.max_dead_time > 0.0 ? 20 : 0;
-  for (double tau = settings.min_time_constant; tau < longest; tau *= 1.5)
-    for (int i = 0; i <= dead_times; ++i) {
-      ServoFit fit(log, tau, i * settings.max_dead_time / 20.0);
-      if (fit.cost < best.cost) best = std::move(fit);
-    }
-  return best;
-}
-
-/// One step of Gauss-Newton, shortened until the error decreases. False if it does not, or if the
-/// step is none: `fit` is a minimum then.
+/// One step of Gauss-Newton, shortened until the error decreases. False if it does so no more:
+/// `fit` is a minimum then.
 inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificationSettings& settings,
                     double longest) {
   const Eigen::MatrixXd jacobian = fit.jacobian();
   Eigen::VectorXd step = jacobian.colPivHouseholderQr().solve(fit.residual);
   const double max_dead_time = settings.max_dead_time;
-  if ((fit.dead_time <= 0.0 && step(4) < 0.0) || (fit.dead_time >= max_dead_time && step(4) > 0.0))
-    step << jacobian.leftCols<4>().colPivHouseholderQr().solve(fit.residual), 0.0;
+  // A dead time that would leave its range goes to the end of it, and the others follow that.
+  const double dead_end =
+      std::clamp(fit.dead_time + step(4) * fit.time_constant, 0.0, max_dead_time);
+  const double dead_step = (dead_end - fit.dead_time) / fit.time_constant;
+  if (dead_step != step(4))
+    step << jacobian.leftCols<4>().colPivHouseholderQr().solve(fit.residual -
+                                                               jacobian.col(4) * dead_step),
+        dead_step;
   for (double length = 1.0; length > 1e-4; length *= 0.5) {
     const double tau = fit.time_constant * std::exp(std::clamp(length * step(3), -1.0, 1.0));
     const double dead = fit.dead_time + length * step(4) * fit.time_constant;
     ServoFit next(log, std::clamp(tau, settings.min_time_constant, longest),
                   std::clamp(dead, 0.0, max_dead_time));
     if (!(next.cost < fit.cost)) continue;
+    const bool better = next.cost < (1.0 - 1e-10) * fit.cost;
     fit = std::move(next);
-    return step.tail<2>().cwiseAbs().maxCoeff() > 1e-9;
+    return better;
   }
   return false;
+}
+
+struct ServoMinimum {
+  ServoFit fit;
+  int iterations;
+};
+
+/// The least of the minima that Gauss-Newton finds from each dead time of a grid, 1/20 of the
+/// longest apart, and there from the best of time constants a factor of 1.5 apart.
+inline ServoMinimum least_minimum(const ServoLog& log, const ServoIdentificationSettings& settings,
+                                  double longest) {
+  std::optional<ServoMinimum> least;
+  const int dead_times = settings.max_dead_time > 0.0 ? 20 : 0;
+  for (int i = 0; i <= dead_times; ++i) {
+    const double dead_time = i * settings.max_dead_time / 20.0;
+    ServoMinimum minimum{ServoFit(log, settings.min_time_constant, dead_time), 0};
+    for (double tau = 1.5 * settings.min_time_constant; tau < longest; tau *= 1.5) {
+      ServoFit fit(log, tau, dead_time);
+      if (fit.cost < minimum.fit.cost) minimum.fit = std::move(fit);
+    }
+    while (minimum.iterations < settings.max_iterations &&
+           improve(minimum.fit, log, settings, longest))
+      ++minimum.iterations;
+    if (!least || minimum.fit.cost < least->fit.cost) least = std::move(minimum);
+  }
+  return *std::move(least);
 }
 
 /// Why `log` is not worth a fit, or `identified`.
@@ -287,10 +307,7 @@ inline ServoIdentificationStatus check(const ServoLog& log,
   if (result.status != Status::identified) return result;
 
   const double longest = std::min(settings.max_time_constant, log.times.back() - log.times.front());
-  detail::ServoFit fit = detail::best_on_grid(log, settings, longest);
-  while (result.iterations < settings.max_iterations && improve(fit, log, settings, longest))
-    ++result.iterations;
-
+  const auto [fit, iterations] = detail::least_minimum(log, settings, longest);
   const auto n = fit.residual.size();
   const double tau = fit.time_constant, mean_square = fit.cost / static_cast<double>(n);
   result.model = {tau, fit.dead_time, fit.linear(0), fit.linear(1), fit.linear(2)};
@@ -313,7 +330,7 @@ inline ServoIdentificationStatus check(const ServoLog& log,
   result.half_width = {tau * half_width(3), tau * half_width(4), half_width(0), half_width(1),
                        half_width(2)};
 
-  if (result.iterations == settings.max_iterations || !std::isfinite(fit.cost))
+  if (iterations == settings.max_iterations || !std::isfinite(fit.cost))
     result.status = Status::no_convergence;
   else if (!(1.96 * std::abs(result.model.gain) >=
              settings.min_significance * result.half_width.gain))
