@@ -273,6 +273,9 @@ inline ServoIdentificationStatus check(const ServoLog& log,
     return Status::stamps_not_increasing;
   const auto [low, high] = std::minmax_element(commands.begin(), commands.end());
   if (*high - *low < settings.min_excitation) return Status::command_constant;
+  if (std::all_of(log.angles.begin(), log.angles.end(),
+                  [&log](double angle) { return angle == log.angles.front(); }))
+    return Status::no_response;
   if (times.back() - times.front() <= settings.min_time_constant)
     return Status::time_constant_too_long;
   return Status::identified;
