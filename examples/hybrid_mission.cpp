@@ -34,6 +34,7 @@ struct Options {
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   double servo_speed = tilt_ropter_vehicle().servo.max_rate;
+  double servo_time_constant = tilt_ropter_vehicle().servo.time_constant;
   double ground_thrust = GroundContactSettings{}.down_force;
   bool no_actuator_rows = false;
   bool no_pictures = false;
@@ -115,6 +116,7 @@ void fly(const Options& options) {
   Vehicle<4> truth = vehicle;
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
+  vehicle.servo.time_constant = options.servo_time_constant;
 
   const HybridMissionParameters job;
   const Mission mission = hybrid_mission(job);
@@ -199,6 +201,11 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--servo-speed", options.servo_speed, "of the servos, true and believed [rad/s]")
       ->check(CLI::Range(0.1, 100.0))
+      ->capture_default_str();
+  app.add_option("--servo-time-constant", options.servo_time_constant,
+                 "of the servos, believed, such as identify_servo finds it; the true one is 0.08 "
+                 "[s]")
+      ->check(CLI::Range(0.001, 1.0))
       ->capture_default_str();
   app.add_option("--ground-thrust", options.ground_thrust, "vertical, asked for on the ground [N]")
       ->check(CLI::Range(0.0, 10.0))
