@@ -1,0 +1,238 @@
+// Servo identification by the example program as a user runs it, and the mission flown with what it
+// finds.
+
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+#include <string>
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string output;
+  std::map<std::string, std::string> figures;  // of lines "key: value"
+
+  [[nodiscard]] double operator[](const std::string& key) const {
+    const auto found = figures.find(key);
+    EXPECT_NE(found, figures.end()) << key << " is missing in\n" << output;
+    return found == figures.end() ? std::nan("") : std::atof(found->second.c_str());
+  }
+  [[nodiscard]] bool says(const std::string& text) const {
+    return output.find(text) != std::string::npos;
+  }
+};
+
+Outcome run(const std::string& program, const std::string& arguments) {
+  Outcome result;
+  FILE* pipe = popen(("'" + program + "' " + arguments + " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return result;
+  char buffer[4096];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) {
+    std::string line = buffer;
+    result.output += line;
+    line.erase(line.find_last_not_of('\n') + 1);
+    const auto colon = line.find(": ");
+    if (colon != std::string::npos) result.figures[line.substr(0, colon)] = line.substr(colon + 2);
+  }
+  const int status = pclose(pipe);
+  result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return result;
+}
+
+/// A directory of its own for each test, gone when it ends.
+class IdentifyServo : public testing::Test {
+ protected:
+  IdentifyServo()
+      : directory_(fs::path(testing::TempDir()) / ("identify_servo_" + std::to_string(getpid()))) {
+    fs::create_directories(directory_);
+  }
+  ~IdentifyServo() override { fs::remove_all(directory_); }
+
+  [[nodiscard]] std::string path(const std::string& name) const {
+    return (directory_ / name).string();
+  }
+  [[nodiscard]] std::string generate(const std::string& name, const std::string& options = "") {
+    const Outcome made = run(program, "--generate '" + path(name) + "' " + options);
+    EXPECT_EQ(made.exit_code, 0) << made.output;
+    return path(name);
+  }
+  [[nodiscard]] Outcome identify(const std::string& log, const std::string& options = "") {
+    return run(program, "'" + log + "' --no-pictures --output '" + path("out") + "' " + options);
+  }
+  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
+    std::ofstream(path(name)) << text;
+    return path(name);
+  }
+  static std::string read(const std::string& file) {
+    std::ifstream in(file, std::ios::binary);
+    std::ostringstream text;
+    text << in.rdbuf();
+    return text.str();
+  }
+
+  const std::string program = IDENTIFY_SERVO_PROGRAM;  // set by CMake
+
+ private:
+  fs::path directory_;
+};
+
+TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
+  const Outcome found = identify(generate("log.csv"));
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_EQ(found.figures.at("status"), "identified");
+  EXPECT_NEAR(found["samples"], 2400, 100);
+  EXPECT_NEAR(found["time_constant_s"], 0.08, 0.0005);
+  EXPECT_NEAR(found["dead_time_s"], 0.015, 0.0005);
+  EXPECT_NEAR(found["gain"], 0.97, 0.002);
+  EXPECT_NEAR(found["offset_rad"], 0.02, 0.0005);
+  EXPECT_NEAR(found["residual_rad"], 0.002, 0.0003);
+  EXPECT_NEAR(found["residual_correlation"], 0.0, 0.1);
+  EXPECT_GT(found["r_squared"], 0.999);
+  for (const char* width : {"time_constant_95_s", "dead_time_95_s", "offset_95_rad"}) {
+    EXPECT_GT(found[width], 1e-5) << width;
+    EXPECT_LT(found[width], 1e-3) << width;
+  }
+  EXPECT_LT(found["gain_95"], 0.002);
+}
+
+TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
+  const Outcome found =
+      identify(generate("log.csv",
+                        "--seed 2 --time-constant 0.05 --dead-time 0.03 --gain 1.1 "
+                        "--offset -0.1 --noise 0.01 --resolution 0 --rate 500 "
+                        "--duration 6 --step 0.2"));
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_NEAR(found["samples"], 3000, 100);
+  EXPECT_NEAR(found["time_constant_s"], 0.05, 0.003);
+  EXPECT_NEAR(found["dead_time_s"], 0.03, 0.002);
+  EXPECT_NEAR(found["gain"], 1.1, 0.02);
+  EXPECT_NEAR(found["offset_rad"], -0.1, 0.002);
+  EXPECT_NEAR(found["residual_rad"], 0.01, 0.001);
+  EXPECT_EQ(read(generate("a.csv", "--seed 3")), read(generate("b.csv", "--seed 3")));
+  EXPECT_NE(read(generate("a.csv", "--seed 3")), read(generate("b.csv", "--seed 4")));
+  EXPECT_NE(read(generate("a.csv", "--resolution 0")), read(generate("b.csv", "--resolution 0.1")));
+  const Outcome too_many = run(program, "--generate '" + path("log.csv") + "' --dead-time 0.5");
+  EXPECT_EQ(too_many.exit_code, 2);
+  EXPECT_TRUE(too_many.says("--dead-time")) << too_many.output;
+}
+
+TEST_F(IdentifyServo, WritesTheFitBesideTheLog) {
+  ASSERT_EQ(identify(generate("log.csv", "--noise 0 --resolution 0")).exit_code, 0);
+  std::ifstream csv(path("out") + "/identify_servo.csv");
+  std::string line;
+  std::getline(csv, line);
+  EXPECT_EQ(line, "time_s,command_rad,angle_rad,fit_rad");
+  int rows = 0;
+  for (; std::getline(csv, line); ++rows) {
+    double time = 0.0, command = 0.0, angle = 0.0, fit = 0.0;
+    ASSERT_EQ(std::sscanf(line.c_str(), "%lf,%lf,%lf,%lf", &time, &command, &angle, &fit), 4);
+    EXPECT_NEAR(angle, fit, 5e-6);  // stamps are to the microsecond, at up to 7 rad/s
+  }
+  EXPECT_GT(rows, 2000);
+}
+
+TEST_F(IdentifyServo, ReadsOtherColumnNames) {
+  const std::string names = "--time t --command u --angle y";
+  const std::string log = generate("log.csv", names);
+  const Outcome wrong = identify(log);
+  EXPECT_EQ(wrong.exit_code, 2);
+  EXPECT_TRUE(wrong.says("log.csv:2: no column time_s, the header line has 't', 'u', 'y'"))
+      << wrong.output;
+  EXPECT_EQ(identify(log, names).exit_code, 0);
+}
+
+TEST_F(IdentifyServo, ADeadTimeBeyondTheLongestIsRefused) {
+  const std::string log = generate("log.csv", "--dead-time 0.04");
+  EXPECT_EQ(identify(log).exit_code, 0);
+  const Outcome refused = identify(log, "--max-dead-time 0.02");
+  EXPECT_EQ(refused.exit_code, 1);
+  EXPECT_EQ(refused.figures.at("status"), "the dead time is longer than looked for");
+  EXPECT_FALSE(refused.says("fly with it"));
+}
+
+TEST_F(IdentifyServo, RefusesLogsThatCannotTell) {
+  std::string still = "time_s,command_rad,angle_rad\n";
+  for (int i = 0; i < 100; ++i) still += std::to_string(0.01 * i) + ",0.2,0.1\n";
+  const Outcome constant = identify(write("still.csv", still));
+  EXPECT_EQ(constant.exit_code, 1);
+  EXPECT_EQ(constant.figures.at("status"), "the command does not move enough");
+  EXPECT_FALSE(constant.says("time_constant_s"));
+  const Outcome empty = identify(write("empty.csv", "time_s,command_rad,angle_rad\n"));
+  EXPECT_EQ(empty.exit_code, 1);
+  EXPECT_EQ(empty.figures.at("status"), "too few samples");
+}
+
+TEST_F(IdentifyServo, SaysWhereALogIsWrong) {
+  const std::string head = "time_s,command_rad,angle_rad\n0,0,0\n0.1,0,0\n";
+  const auto refusal = [&](const std::string& text) {
+    const Outcome refused = identify(write("bad.csv", text));
+    EXPECT_EQ(refused.exit_code, 2) << refused.output;
+    return refused.output.substr(refused.output.find("bad.csv"));
+  };
+  EXPECT_EQ(refusal(head + "0.2,0,x\n"), "bad.csv:4: column angle_rad (3): 'x' is not a number\n");
+  EXPECT_EQ(refusal(head + "0.2,nan,0\n"),
+            "bad.csv:4: column command_rad (2): 'nan' is not finite\n");
+  EXPECT_EQ(refusal(head + "# late\n0.1,0,0\n"), "bad.csv:5: column time_s does not increase\n");
+  EXPECT_EQ(refusal(""), "bad.csv:1: no header line\n");
+  EXPECT_EQ(identify(path("nowhere.csv")).exit_code, 2);
+}
+
+TEST_F(IdentifyServo, TellsOfARateLimitInTheLog) {
+  EXPECT_FALSE(identify(generate("small.csv", "--step 0.5")).says("smaller"));
+  const Outcome large = identify(generate("large.csv", "--step 1.5 --time-constant 0.05"));
+  EXPECT_TRUE(large.says("make them smaller")) << large.output;
+  EXPECT_GT(large["residual_correlation"], 0.5);
+  EXPECT_GT(large["time_constant_s"], 0.06);
+}
+
+TEST_F(IdentifyServo, LeavesItsPictureWithoutAWarning) {
+  if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
+    GTEST_SKIP() << "gnuplot is not installed";
+  const Outcome drawn = run(program, "'" + generate("log.csv") + "' -o '" + path("out") + "'");
+  EXPECT_EQ(drawn.exit_code, 0);
+  EXPECT_EQ(drawn.output.find("arning"), std::string::npos) << drawn.output;
+  EXPECT_GT(fs::file_size(path("out") + "/identify_servo.png"), 10000u);
+}
+
+TEST_F(IdentifyServo, HelpAndBadArguments) {
+  const Outcome help = run(program, "--help");
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_TRUE(help.says("--generate"));
+  EXPECT_GT(run(program, "").exit_code, 100);
+  EXPECT_GT(run(program, "log.csv --generate other.csv").exit_code, 100);
+  EXPECT_GT(run(program, "log.csv --seed 2").exit_code, 100);
+  EXPECT_EQ(run(program, "--generate /proc/nowhere").exit_code, 2);
+  EXPECT_EQ(run(program, "'" + generate("log.csv") + "' -o /proc/nowhere").exit_code, 2);
+}
+
+// The mission's servos have 0.08 s, no dead time, and no error of gain or offset.
+TEST_F(IdentifyServo, TheMissionFliesBetterWithTheConstantFoundThanWithOneOffByTwo) {
+  const Outcome found = identify(generate("log.csv", "--dead-time 0 --gain 1 --offset 0"));
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  const std::string options = found.figures.at("fly with it").substr(15);  // after hybrid_mission
+  EXPECT_EQ(options.find("--servo-time-constant 0.0"), 0u) << options;
+  const auto fly = [&](const std::string& believed) {
+    return run(HYBRID_MISSION_PROGRAM, believed + " --no-pictures --output '" + path("out") + "'");
+  };
+  const Outcome right = fly(options), unsaid = fly(""), twice = fly("--servo-time-constant 0.16"),
+                half = fly("--servo-time-constant 0.04");
+  EXPECT_EQ(right["solver_failures"], 0);
+  EXPECT_NEAR(right["air_rmse_m"], unsaid["air_rmse_m"], 0.0003);
+  EXPECT_NEAR(right["mission_rmse_m"], unsaid["mission_rmse_m"], 0.0003);
+  EXPECT_GT(twice["air_rmse_m"], 2.0 * right["air_rmse_m"]);
+  EXPECT_GT(twice["ground_rmse_m"], 1.1 * right["ground_rmse_m"]);
+  EXPECT_GT(half["air_rmse_m"], 1.2 * right["air_rmse_m"]);
+}
+
+}  // namespace
