@@ -12,7 +12,6 @@
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
-#include <unistd.h>
 #include <CLI/CLI.hpp>
 
 #include <chrono>
@@ -86,30 +85,6 @@ void log_row(examples::MissionLog& log, const Mission& mission, const Plant<4>& 
   log.end_row();
 }
 
-// A bar on a terminal, a line for each phase elsewhere.
-void show_progress(double time, const Mission& mission) {
-  const int percent = static_cast<int>(100.0 * time / mission.duration());
-  const char* phase = to_string(mission.phase(time));
-  static const bool terminal = isatty(STDERR_FILENO) != 0;
-  static const char* last_phase = nullptr;
-  if (terminal) {
-    std::cerr << "\r[" << std::string(static_cast<std::size_t>(percent / 4), '#')
-              << std::string(static_cast<std::size_t>(25 - percent / 4), '.') << "] " << percent
-              << " %  " << phase << "        " << std::flush;
-  } else if (phase != last_phase) {
-    std::cerr << percent << " % " << phase << std::endl;
-  }
-  last_phase = phase;
-}
-
-void draw_pictures(const std::string& directory) {
-  std::cout << "drawing pictures in " << directory << " (gnuplot)" << std::endl;
-  const std::string script = TILT_ROPTER_EXAMPLES_DIR "/hybrid_mission.gp";
-  std::filesystem::current_path(directory);
-  if (std::system(("gnuplot '" + script + "'").c_str()) != 0)
-    std::cerr << "no pictures: gnuplot is missing or failed on " << script << '\n';
-}
-
 void fly(const Options& options) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();  // what the controller believes
   vehicle.servo.max_rate = options.servo_speed;
@@ -147,6 +122,7 @@ void fly(const Options& options) {
   examples::MissionFigures figures(job.flight_height);
   ActuatorState<4> command;
   BodyState<> measured;
+  examples::Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -169,14 +145,14 @@ void fly(const Options& options) {
       times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
       log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
     }
-    if (i % 1000 == 0) show_progress(time, mission);
+    if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
     if (!plant.step(command, {}, step)) throw std::runtime_error("the plant broke");
     figures.on_plant(mission.phase(plant.time()), plant.body().position,
                      mission(plant.time()).position, plant.body().velocity.z(),
                      power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
-  std::cerr << "\r100 %" << std::string(50, ' ') << std::endl;
+  progress.finish();
   figures.print(std::cout, controller.nmpc().contact().mode_changes());
   std::cout << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
             << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';

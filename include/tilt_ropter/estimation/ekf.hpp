@@ -35,8 +35,8 @@ struct EkfSettings {
 
   /// Of what the first pose does not tell.
   double velocity_deviation = 1.0;            ///< about zero [m/s]
-  double gyro_bias_deviation = 0.05;          ///< about zero [rad/s]
-  double accelerometer_bias_deviation = 0.3;  ///< about zero [m/s^2]
+  double gyro_bias_deviation = 0.1;           ///< about zero [rad/s]
+  double accelerometer_bias_deviation = 0.5;  ///< about zero [m/s^2]
 
   /// A pose whose NIS is above this is not used. 27.9 is passed by all but one in 10^4.
   double gate = 27.9;

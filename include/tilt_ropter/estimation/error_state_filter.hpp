@@ -119,7 +119,7 @@ struct InertialNoise {
   double gyro_density = 2.0e-3;             ///< [rad/s/sqrt(Hz)]
   double accelerometer_density = 2.0e-2;    ///< [m/s^2/sqrt(Hz)]
   double gyro_bias_walk = 2.0e-5;           ///< [rad/s^2/sqrt(Hz)]
-  double accelerometer_bias_walk = 3.0e-4;  ///< [m/s^3/sqrt(Hz)]
+  double accelerometer_bias_walk = 1.0e-3;  ///< [m/s^3/sqrt(Hz)]
 };
 
 inline void validate(const InertialNoise& n) {
