@@ -4,6 +4,8 @@
 #include "support/flight_controller.hpp"
 #include "support/mission_figures.hpp"
 #include "support/mission_log.hpp"
+#include "support/pictures.hpp"
+#include "support/progress.hpp"
 
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/model/allocation.hpp>
@@ -106,11 +108,19 @@ void fly(const Options& options) {
   Plant<4> plant(truth);
   ImuSensorParameters imu_parameters;
   imu_parameters.rate = 1000.0;
+  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
+  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
+  PoseSensorParameters capture;
+  capture.delay = 0.02;
+  capture.position_noise = 1e-3;
+  capture.orientation_noise = 3e-3;
+  EkfSettings estimation;
+  estimation.pose_noise = {capture.position_noise, capture.orientation_noise};
   const auto seed = static_cast<std::uint64_t>(options.seed);
   ImuSensor imu(imu_parameters, seed);
   RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
-  StateSensor state({}, seed + 2000);
-  examples::FlightController controller(vehicle, settings);
+  PoseSensor poses(capture, seed + 2000);
+  examples::FlightController controller(vehicle, settings, estimation);
   const Allocation<4> allocation(vehicle);
   const PowerModel power(truth);
 
@@ -121,7 +131,6 @@ void fly(const Options& options) {
                              {"time_s", "prepare_us", "feedback_us"});
   examples::MissionFigures figures(job.flight_height);
   ActuatorState<4> command;
-  BodyState<> measured;
   examples::Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
@@ -130,11 +139,12 @@ void fly(const Options& options) {
     if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
     if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
-      controller.on_imu(m->time, m->angular_velocity, m->specific_force);
-    if (const auto m = state.sample(time, plant.body())) measured = m->body;
-    if (i % steps_per_tick == 0) {
+      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
+    if (const auto m = poses.sample(time, plant.body()))
+      controller.on_pose(m->time, {m->position, m->orientation});
+    if (i % steps_per_tick == 0 && controller.ekf().running()) {  // from the first pose on
       controller.prepare(time, mission);
-      command = controller.on_state(time, measured);
+      command = controller.control(time);
       const NmpcResult& result = controller.result();
       figures.on_control(result.status == NmpcStatus::solved,
                          result.report.prepare_us + result.report.feedback_us,
@@ -192,7 +202,7 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     fly(options);  // the logs are closed when it returns
-    if (!options.no_pictures) draw_pictures(options.output);
+    if (!options.no_pictures) examples::draw_pictures("hybrid_mission.gp", options.output);
     return 0;
   } catch (const std::exception& error) {
     std::cerr << "hybrid_mission: " << error.what() << '\n';

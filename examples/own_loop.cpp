@@ -36,6 +36,7 @@ int main(int argc, char** argv) {
       observer.set_external(nmpc.contact().air_wrench());          // the ground has let go
     const NmpcResult& result = nmpc.feedback(time, robot.body());  // after
     command = allocation.allocate(result.wrench, result.rate, command).command;
+    actuators.update(time, command);  // acts from now on
     robot.step(command, wind, 0.01);
     if (tick % 100 == 99)
       std::printf("t %4.1f s  height %.3f m  wind %5.2f %5.2f %5.2f N  solve %.0f us\n",

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/allocation.hpp>
@@ -12,40 +13,49 @@
 #include <cstddef>
 
 /// The loop on board, composed from the library's pieces as the paper's control diagram has them:
-/// servo model and rotor speeds -> applied wrench -> observer -> NMPC -> allocation.
+/// IMU and motion capture -> EKF -> state; servo model and rotor speeds -> applied wrench ->
+/// observer -> external wrench; both -> NMPC -> allocation.
 namespace examples {
 
 class FlightController {
  public:
-  explicit FlightController(const tilt_ropter::Vehicle<4>& vehicle,
-                            const tilt_ropter::NmpcSettings& settings = {})
+  FlightController(const tilt_ropter::Vehicle<4>& vehicle,
+                   const tilt_ropter::NmpcSettings& settings,
+                   const tilt_ropter::EkfSettings& estimation)
       : allocation_(vehicle),
         actuators_(vehicle),
+        ekf_(estimation),
         observer_(vehicle.body),
         nmpc_(vehicle, settings) {}
 
   /// Speeds reported by the motor controllers [rad/s].
   void on_rotor_speeds(const Eigen::Vector4d& speeds) { rotor_speeds_ = speeds; }
 
-  /// A sample of the IMU, at any rate: angular velocity [rad/s] and specific force [m/s^2].
-  void on_imu(double time, const Eigen::Vector3d& angular_velocity,
-              const Eigen::Vector3d& specific_force) {
+  /// A sample of the IMU, at any rate.
+  void on_imu(double time, const tilt_ropter::InertialSample<>& sample) {
     applied_ = {rotor_speeds_, actuators_.update(time, command_).tilt_angle};
-    observer_.update(time, specific_force, angular_velocity, allocation_.wrench(applied_));
+    ekf_.on_imu(time, sample);
+    const tilt_ropter::InertialState<>& x = ekf_.filter().state();
+    observer_.update(time, sample.specific_force - x.accelerometer_bias,
+                     sample.angular_velocity - x.gyro_bias, allocation_.wrench(applied_));
   }
 
-  /// Before the state of `time` is measured.
+  /// A pose from motion capture, taken at `time`, however late it comes.
+  void on_pose(double time, const tilt_ropter::MarkerPose<>& pose) { ekf_.on_pose(time, pose); }
+
+  /// Before the last measurements of a tick come.
   template <typename Reference>
   void prepare(double time, const Reference& reference) {
     if (nmpc_.prepare(time, reference, observer_.external()))
       observer_.set_external(nmpc_.contact().air_wrench());
   }
 
-  /// The state of `time`: returns rotor speeds and tilt angles to command.
-  const tilt_ropter::ActuatorState<4>& on_state(double time,
-                                                const tilt_ropter::BodyState<>& state) {
-    result_ = nmpc_.feedback(time, state);
+  /// After them: returns rotor speeds and tilt angles to command. Without a state they stay.
+  const tilt_ropter::ActuatorState<4>& control(double time) {
+    if (!ekf_.running()) return command_;
+    result_ = nmpc_.feedback(time, ekf_.state());
     command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
+    actuators_.update(time, command_);  // acts from now on
     return command_;
   }
 
@@ -54,11 +64,13 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& applied() const { return applied_; }
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
   [[nodiscard]] const tilt_ropter::Wrench<>& external() const { return observer_.external(); }
+  [[nodiscard]] const tilt_ropter::Ekf<>& ekf() const { return ekf_; }
   [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
 
  private:
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
+  tilt_ropter::Ekf<> ekf_;
   tilt_ropter::WrenchObserver<> observer_;
   tilt_ropter::Nmpc<4> nmpc_;
   tilt_ropter::NmpcResult result_;
