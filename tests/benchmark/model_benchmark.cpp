@@ -1,9 +1,7 @@
-// The model, the estimator and the plant, and what the machine does with a plain dense Riccati
-// pass.
+// The model and the plant, and what the machine does with a plain dense Riccati pass.
 
 #include "dense_riccati.hpp"
 
-#include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/servo.hpp>
@@ -71,19 +69,6 @@ void allocate(benchmark::State& state, const Wrench<>& wanted, AllocationStatus 
   if (result.status != expected) state.SkipWithError("not the case that was meant");
 }
 
-void observer_update(benchmark::State& state) {
-  WrenchObserver<> observer(vehicle.body);
-  const Eigen::Vector3d specific_force(0.1, -0.2, 9.7);
-  const Wrench<> applied{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.01, 0.0, 0.0)};
-  Eigen::Vector3d angular_velocity(0.1, 0.2, 0.3);
-  double time = 0.0;
-  for (auto _ : state) {
-    time += 1e-3;
-    angular_velocity.x() = -angular_velocity.x();
-    benchmark::DoNotOptimize(observer.update(time, specific_force, angular_velocity, applied));
-  }
-}
-
 void servo_update(benchmark::State& state) {
   Servo<> servo(vehicle.servo);
   double time = 0.0, command = 0.5;
@@ -133,7 +118,6 @@ BENCHMARK(rigid_body_step_with_sensitivity);
 BENCHMARK_CAPTURE(allocate, free, {weight, Eigen::Vector3d(0.1, -0.1, 0.05)}, AllocationStatus::ok);
 BENCHMARK_CAPTURE(allocate, limited, {3.0 * weight, Eigen::Vector3d(1.0, -1.0, 0.5)},
                   AllocationStatus::limited);
-BENCHMARK(observer_update);
 BENCHMARK(servo_update);
 BENCHMARK(plant_step_in_hover);
 BENCHMARK(plant_step_on_wheels);
