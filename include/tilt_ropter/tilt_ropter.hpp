@@ -24,6 +24,7 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/model/wrench.hpp>
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/block_product.hpp>

@@ -8,7 +8,8 @@
 /// What moves: wrench, body state and the NMPC's state, with their packed form.
 namespace tilt_ropter {
 
-/// Force [N] and torque [N m] that act at the CoM, both in the body frame.
+/// Force [N] and torque [N m] that act at the CoM, both in the body frame; for other points and
+/// frames see wrench.hpp.
 template <typename Scalar = double>
 struct Wrench {
   Vector3<Scalar> force = Vector3<Scalar>::Zero();
