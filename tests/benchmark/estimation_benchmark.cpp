@@ -31,6 +31,19 @@ void observer_update(benchmark::State& state) {
   update(state, observer);
 }
 
+void observer_update_with_everything(benchmark::State& state) {
+  WrenchObserverSettings settings;
+  settings.force_dead_band.setConstant(0.1);
+  settings.torque_dead_band.setConstant(0.01);
+  settings.force_limit.setConstant(10.0);
+  settings.torque_limit.setConstant(1.0);
+  WrenchObserver<> observer(vehicle.body, settings);
+  observer.set_offset({Eigen::Vector3d(0.1, 0.1, 0.1), Eigen::Vector3d(0.01, 0.01, 0.01)});
+  observer.begin_calibration();
+  update(state, observer);
+}
+
 BENCHMARK(observer_update);
+BENCHMARK(observer_update_with_everything);
 
 }  // namespace

@@ -432,6 +432,35 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
   expect_nlopt_within_documented_bounds();
 }
 
+// Calibrations that succeed and fail, gaps, bad samples and limits.
+TEST_F(HeapInTheLoop, AnObserverThatIsCalibratedAndLimited) {
+  WrenchObserverSettings settings;
+  settings.force_limit.setConstant(1.0);
+  WrenchObserver<> observer(tilt_ropter_vehicle().body, settings);
+  Random random(85);
+  std::set<ObserverStatus> reached;
+  std::set<CalibrationStatus> calibrated;
+  std::set<WrenchTrust> trusted;
+  double time = 0.0;
+  for (int i = 0; i < ticks(); ++i) {
+    watch.next_tick();
+    time += i % 300 == 0 ? 0.2 : 0.01;
+    const bool push = i % 600 > 400;
+    Eigen::Vector3d a = random.vector(0.1) + 2.0 * push * Eigen::Vector3d::UnitX();
+    if (i % 70 == 0) a.y() = nan;
+    trusted.insert(watch("trust", [&] { return observer.trust(time); }));
+    reached.insert(
+        watch("update", [&] { return observer.update(time, a, Eigen::Vector3d::Zero(), {}); }));
+    if (i % 150 == 20) watch("begin_calibration", [&] { observer.begin_calibration(); });
+    if (i % 150 == (i < 600 ? 149 : 50))
+      calibrated.insert(watch("end_calibration", [&] { return observer.end_calibration(); }));
+    if (i % 600 == 599) watch("set_offset", [&] { observer.set_offset({}); });
+  }
+  EXPECT_EQ(reached.size(), 4U);
+  EXPECT_GE(calibrated.size(), 3U);
+  EXPECT_EQ(trusted.size(), 5U);
+}
+
 // Requests in and out of limits, of vehicles with and without a null space.
 TEST_F(HeapInTheLoop, AllocationWithinAndBeyondItsLimits) {
   Vehicle<4> narrow = tilt_ropter_vehicle();
