@@ -59,7 +59,7 @@ enum class WrenchTrust {
   not_started,  ///< no sample yet
   stale,        ///< no good sample within max_gap
   settling,     ///< of what the estimate started from, more than 5 % (3 / K) may be left
-  limited,      ///< trusted, but the true wrench is beyond a limit
+  limited,      ///< settled, but cut to a limit
   trusted
 };
 
@@ -82,12 +82,12 @@ enum class CalibrationStatus {
 ///     ...                            // update() as ever, for a second or more
 ///     observer.end_calibration({Eigen::Vector3d(0, 0, mass * gravity), Eigen::Vector3d::Zero()});
 ///
-/// In free hover the known wrench is zero. The offset is kept in the body frame, where an
-/// accelerometer's bias is constant, and the torque of a shifted CoM while thrust is. That of a
-/// wrong mass is not: it is (believed / true - 1) times the applied force, which turns in the body
-/// when the vehicle leans and vanishes with the rotors off. So a calibration in hover holds near
-/// that attitude only, and takes from a controller what makes up for the mass; one on the ground,
-/// with the believed weight as the known force, leaves it in the estimate.
+/// In free hover the known wrench is zero. The offset is kept in the body frame, where that of an
+/// accelerometer's bias is constant, and that of a shifted CoM while thrust is. That of a wrong
+/// mass is not: it is (believed / true - 1) times the applied force, which turns in the body when
+/// the vehicle leans and vanishes with the rotors off. So a calibration in hover holds near that
+/// attitude only, and takes from a controller what makes up for the mass; one on the ground, with
+/// the believed weight as the known force, leaves it in the estimate.
 ///
 /// No function but the constructor throws, none allocates.
 template <typename Scalar = double>
