@@ -203,7 +203,7 @@ class WrenchObserver {
   /// Forgets estimate, time, momentum and a calibration that has not ended; keeps the offset.
   void reset() noexcept {
     filtered_ = external_ = {};
-    started_ = limited_ = calibrating_ = false;
+    started_ = calibrating_ = false;
   }
 
  private:
