@@ -297,7 +297,7 @@ inline ServoIdentificationStatus check(const ServoLog& log,
 /// the dead time is approximate: where the command jumps the angle has a kink, and which samples
 /// lie behind it changes with the dead time.
 ///
-/// Allocates, and takes about 15 us for each sample. Throws std::invalid_argument for settings out
+/// Allocates, and takes about 20 us for each sample. Throws std::invalid_argument for settings out
 /// of range, and nothing for a bad log, which the status tells.
 [[nodiscard]] inline ServoIdentification identify_servo(
     const ServoLog& log, const ServoIdentificationSettings& settings = {}) {
