@@ -2,13 +2,14 @@
 
 #include <tilt_ropter/math/validation.hpp>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
-#include <Eigen/QR>
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -167,7 +168,7 @@ struct ServoColumns {
                                                         const std::vector<double>& stamps) {
   const detail::ServoColumns columns(times, commands, stamps, model.time_constant, model.dead_time);
   const Eigen::VectorXd angles =
-      columns.linear * Eigen::Vector3d(model.gain, model.offset, model.initial_angle);
+      columns.linear.lazyProduct(Eigen::Vector3d(model.gain, model.offset, model.initial_angle));
   return {angles.data(), angles.data() + angles.size()};
 }
 
@@ -187,8 +188,10 @@ struct ServoFit {
         time_constant(tau),
         dead_time(dead) {
     const Eigen::Map<const Eigen::VectorXd> measured(log.angles.data(), columns.linear.rows());
-    linear = columns.linear.colPivHouseholderQr().solve(measured);
-    residual = measured - columns.linear * linear;
+    const Eigen::Matrix3d gram = columns.linear.transpose().lazyProduct(columns.linear);
+    const Eigen::Vector3d image = columns.linear.transpose().lazyProduct(measured);
+    linear = gram.ldlt().solve(image);
+    residual = measured - columns.linear.lazyProduct(linear);
     cost = residual.squaredNorm();
   }
 
@@ -204,19 +207,33 @@ struct ServoFit {
   }
 };
 
+using Vector5d = Eigen::Matrix<double, 5, 1>;
+using Matrix5d = Eigen::Matrix<double, 5, 5>;
+
+/// Takes the dead time out of J'J.
+inline void hold_dead_time(Matrix5d& gram) {
+  gram.row(4).setZero();
+  gram.col(4).setZero();
+  gram(4, 4) = 1.0;
+}
+
 /// One step of Gauss-Newton, shortened until the error decreases. False if it does so no more:
 /// `fit` is a minimum then.
 inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificationSettings& settings,
                     double longest) {
   const Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian = fit.jacobian();
-  Eigen::Matrix<double, 5, 1> step = jacobian.colPivHouseholderQr().solve(fit.residual);
+  Matrix5d gram = jacobian.transpose().lazyProduct(jacobian);
+  Vector5d step, slope = jacobian.transpose().lazyProduct(fit.residual);
+  step = gram.ldlt().solve(slope);
   // A dead time that would leave its range goes to the end of it, and the others follow that.
   const double dead_end = fit.dead_time + step(4) * fit.time_constant;
   if (dead_end < 0.0 || dead_end > settings.max_dead_time) {
     const double end = dead_end < 0.0 ? 0.0 : settings.max_dead_time;
     const double dead_step = (end - fit.dead_time) / fit.time_constant;
-    const Eigen::VectorXd rest = fit.residual - jacobian.col(4) * dead_step;
-    step << jacobian.leftCols<4>().colPivHouseholderQr().solve(rest), dead_step;
+    slope -= gram.col(4) * dead_step;
+    slope(4) = dead_step;
+    hold_dead_time(gram);
+    step = gram.ldlt().solve(slope);
   }
   for (double length = 1.0; length > 1e-4; length *= 0.5) {
     const double tau = fit.time_constant * std::exp(std::clamp(length * step(3), -1.0, 1.0));
@@ -229,6 +246,22 @@ inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificatio
     return better;
   }
   return false;
+}
+
+/// Roots of the diagonal of (J'J)^-1, infinite if it has none: J of unit columns, scaled back.
+inline Vector5d deviations(const ServoFit& fit, bool dead_time_is_free) {
+  const Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian = fit.jacobian();
+  Matrix5d gram = jacobian.transpose().lazyProduct(jacobian);
+  if (!dead_time_is_free) hold_dead_time(gram);
+  const Vector5d scale = gram.diagonal().cwiseSqrt().cwiseInverse();
+  gram = scale.asDiagonal() * gram * scale.asDiagonal();
+  const Eigen::LDLT<Matrix5d> cholesky(gram);
+  if (!(cholesky.vectorD().minCoeff() > 1e-14))
+    return Vector5d::Constant(std::numeric_limits<double>::infinity());
+  const Matrix5d inverse = cholesky.solve(Matrix5d::Identity());
+  Vector5d roots = inverse.diagonal().cwiseSqrt().cwiseProduct(scale);
+  if (!dead_time_is_free) roots(4) = 0.0;
+  return roots;
 }
 
 struct ServoMinimum {
@@ -297,7 +330,7 @@ inline ServoIdentificationStatus check(const ServoLog& log,
 /// the dead time is approximate: where the command jumps the angle has a kink, and which samples
 /// lie behind it changes with the dead time.
 ///
-/// Allocates, and takes about 20 us for each sample. Throws std::invalid_argument for settings out
+/// Allocates, and takes about 10 us for each sample. Throws std::invalid_argument for settings out
 /// of range, and nothing for a bad log, which the status tells.
 [[nodiscard]] inline ServoIdentification identify_servo(
     const ServoLog& log, const ServoIdentificationSettings& settings = {}) {
@@ -319,16 +352,11 @@ inline ServoIdentificationStatus check(const ServoLog& log,
   if (fit.cost > 0.0)
     result.residual_correlation = fit.residual.head(n - 1).dot(fit.residual.tail(n - 1)) / fit.cost;
 
-  const Eigen::Index parameters = settings.max_dead_time > 0.0 ? 5 : 4;
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(fit.jacobian().leftCols(parameters));
-  Eigen::MatrixXd root = Eigen::MatrixXd::Identity(parameters, parameters);
-  qr.matrixR().topRows(parameters).triangularView<Eigen::Upper>().solveInPlace(root);
-  root = qr.colsPermutation() * root;  // root * root' = (J'J)^-1
+  const bool dead_time_is_free = settings.max_dead_time > 0.0;
   const double c = std::max(result.residual_correlation, 0.0);
-  const double deviation =
-      std::sqrt(fit.cost / static_cast<double>(n - parameters) * (1.0 + c) / (1.0 - c));
-  Eigen::Matrix<double, 5, 1> half_width = Eigen::Matrix<double, 5, 1>::Zero();
-  half_width.head(parameters) = 1.96 * deviation * root.rowwise().norm();
+  const double degrees = static_cast<double>(n - (dead_time_is_free ? 5 : 4));
+  const double deviation = std::sqrt(fit.cost / degrees * (1.0 + c) / (1.0 - c));
+  detail::Vector5d half_width = 1.96 * deviation * detail::deviations(fit, dead_time_is_free);
   result.half_width = {tau * half_width(3), tau * half_width(4), half_width(0), half_width(1),
                        half_width(2)};
 
@@ -341,7 +369,7 @@ inline ServoIdentificationStatus check(const ServoLog& log,
     result.status = Status::time_constant_too_long;
   else if (tau <= settings.min_time_constant || !(result.half_width.time_constant < tau))
     result.status = Status::time_constant_too_short;
-  else if (parameters == 5 && fit.dead_time >= settings.max_dead_time)
+  else if (dead_time_is_free && fit.dead_time >= settings.max_dead_time)
     result.status = Status::dead_time_too_long;
   return result;
 }
