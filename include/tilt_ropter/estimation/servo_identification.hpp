@@ -174,6 +174,9 @@ struct ServoColumns {
 
 namespace detail {
 
+using Vector5d = Eigen::Matrix<double, 5, 1>;
+using Matrix5d = Eigen::Matrix<double, 5, 5>;
+
 /// The model at one time constant and dead time with the gain, offset and initial angle that fit
 /// best there.
 struct ServoFit {
@@ -188,9 +191,13 @@ struct ServoFit {
         time_constant(tau),
         dead_time(dead) {
     const Eigen::Map<const Eigen::VectorXd> measured(log.angles.data(), columns.linear.rows());
-    const Eigen::Matrix3d gram = columns.linear.transpose().lazyProduct(columns.linear);
-    const Eigen::Vector3d image = columns.linear.transpose().lazyProduct(measured);
-    linear = gram.ldlt().solve(image);
+    // Filled up to the size that is factorised elsewhere: each size costs half a second to compile.
+    Matrix5d gram = Matrix5d::Identity();
+    Vector5d image = Vector5d::Zero();
+    gram.topLeftCorner<3, 3>() = columns.linear.transpose().lazyProduct(columns.linear);
+    image.head<3>() = columns.linear.transpose().lazyProduct(measured);
+    const Vector5d best = gram.ldlt().solve(image);
+    linear = best.head<3>();
     residual = measured - columns.linear.lazyProduct(linear);
     cost = residual.squaredNorm();
   }
@@ -206,9 +213,6 @@ struct ServoFit {
     return j;
   }
 };
-
-using Vector5d = Eigen::Matrix<double, 5, 1>;
-using Matrix5d = Eigen::Matrix<double, 5, 5>;
 
 /// Takes the dead time out of J'J.
 inline void hold_dead_time(Matrix5d& gram) {
@@ -258,8 +262,11 @@ inline Vector5d deviations(const ServoFit& fit, bool dead_time_is_free) {
   const Eigen::LDLT<Matrix5d> cholesky(gram);
   if (!(cholesky.vectorD().minCoeff() > 1e-14))
     return Vector5d::Constant(std::numeric_limits<double>::infinity());
-  const Matrix5d inverse = cholesky.solve(Matrix5d::Identity());
-  Vector5d roots = inverse.diagonal().cwiseSqrt().cwiseProduct(scale);
+  Vector5d roots;
+  for (int i = 0; i < 5; ++i) {
+    const Vector5d unit = Vector5d::Unit(i), column = cholesky.solve(unit);
+    roots(i) = scale(i) * std::sqrt(column(i));
+  }
   if (!dead_time_is_free) roots(4) = 0.0;
   return roots;
 }
