@@ -204,8 +204,9 @@ class ErrorStateFilter {
     f.template block<3, 3>(6, 9) = -dt * right_jacobian(turn);
 
     const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
-    covariance_.template topLeftCorner<9, 9>().noalias() =
-        moved.template leftCols<15>() * f.transpose();
+    const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
+    // An unsymmetric part left by rounding would grow from step to step.
+    covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
     covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
     covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
     covariance_.diagonal().template segment<12>(I::velocity) += dt * process_noise_;
