@@ -54,9 +54,7 @@ class SumOfSines {
   }
 
  private:
-  [[nodiscard]] double part(std::size_t i) const {
-    return amplitude_ / static_cast<double>(1 + i);
-  }
+  [[nodiscard]] double part(std::size_t i) const { return amplitude_ / static_cast<double>(1 + i); }
   /// No two alike: 0.9 to 5.5 rad/s.
   [[nodiscard]] static double frequency(std::size_t i, int axis) {
     return 0.9 + 1.7 * static_cast<double>(i) + 0.6 * axis;
@@ -96,9 +94,8 @@ class Flight {
   [[nodiscard]] InertialSample<> imu(double t) const {
     InertialSample<> sample;
     sample.angular_velocity = tilt_ropter::right_jacobian(turn_(t, 0)) * turn_(t, 1);
-    sample.specific_force =
-        state(t).orientation.conjugate() *
-        (way_(t, 2) + Eigen::Vector3d(0.0, 0.0, tilt_ropter::gravity)).eval();
+    sample.specific_force = state(t).orientation.conjugate() *
+                            (way_(t, 2) + Eigen::Vector3d(0.0, 0.0, tilt_ropter::gravity)).eval();
     return sample;
   }
 
@@ -166,9 +163,8 @@ class NoisyImu {
 
 /// `pose` with white noise.
 inline MarkerPose<> noisy(const MarkerPose<>& pose, const MarkerPoseNoise& noise, Random& random) {
-  return {
-      pose.position + normal_vector(random, noise.position),
-      pose.orientation * tilt_ropter::quaternion_exp(normal_vector(random, noise.orientation))};
+  return {pose.position + normal_vector(random, noise.position),
+          pose.orientation * tilt_ropter::quaternion_exp(normal_vector(random, noise.orientation))};
 }
 
 /// Metres and tens of degrees away from `pose`.
