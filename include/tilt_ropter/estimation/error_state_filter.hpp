@@ -216,30 +216,19 @@ class ErrorStateFilter {
   /// Compares a pose, orientation of unit length, with the state; nothing is changed.
   [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
     using I = InertialIndex;
-    const Matrix3<Scalar> rotation = state_.orientation.toRotationMatrix();
-    const Matrix3<Scalar> to_marker = state_.marker_orientation.conjugate().toRotationMatrix();
-    const Matrix3<Scalar> by_turn = -rotation * skew(state_.marker_position);
+    const PoseJacobian h = pose_jacobian();
     Innovation in;
-    in.residual << pose.position - state_.position - rotation * state_.marker_position,
+    in.residual << pose.position - state_.position - h.rotation * state_.marker_position,
         quaternion_log(Eigen::Quaternion<Scalar>(
             (state_.orientation * state_.marker_orientation).conjugate() * pose.orientation));
-    // H = [I 0 by_turn 0 0 0 R; 0 0 R_M' 0 0 I 0]
-    const auto columns = [this](int start) { return covariance_.template middleCols<3>(start); };
-    in.correlation.template leftCols<3>() = columns(I::position);
-    in.correlation.template leftCols<3>().noalias() +=
-        columns(I::orientation) * by_turn.transpose();
-    in.correlation.template leftCols<3>().noalias() +=
-        columns(I::marker_position) * rotation.transpose();
-    in.correlation.template rightCols<3>() = columns(I::marker_orientation);
-    in.correlation.template rightCols<3>().noalias() +=
-        columns(I::orientation) * to_marker.transpose();
+    in.correlation = times_transpose(covariance_, h);
     const auto rows = [&in](int start) { return in.correlation.template middleRows<3>(start); };
     Eigen::Matrix<Scalar, 6, 6> s;
     s.template topRows<3>() = rows(I::position);
-    s.template topRows<3>().noalias() += by_turn * rows(I::orientation);
-    s.template topRows<3>().noalias() += rotation * rows(I::marker_position);
+    s.template topRows<3>().noalias() += h.by_turn * rows(I::orientation);
+    s.template topRows<3>().noalias() += h.rotation * rows(I::marker_position);
     s.template bottomRows<3>() = rows(I::marker_orientation);
-    s.template bottomRows<3>().noalias() += to_marker * rows(I::orientation);
+    s.template bottomRows<3>().noalias() += h.to_marker * rows(I::orientation);
     in.covariance = (s + s.transpose()) / Scalar(2);
     in.covariance.diagonal() += pose_noise_;
     in.distance = in.residual.dot(in.covariance.llt().solve(in.residual));
@@ -247,22 +236,51 @@ class ErrorStateFilter {
   }
 
   /// Takes an innovation of the state as it is. The covariance is updated in Joseph's form, which
-  /// stays symmetric and positive under rounding: (I - K H) P (I - K H)' + K R K' with the products
-  /// by H known to be `correlation` and `covariance`.
+  /// an error of the gain, or of rounding, does not make negative: (I - K H) P (I - K H)' + K R K'.
   void update(const Innovation& in) noexcept {
     const Eigen::Matrix<Scalar, 21, 6> gain =
         in.covariance.llt().solve(in.correlation.transpose()).transpose();
+    Covariance left = covariance_;  // (I - K H) P
+    left.noalias() -= gain * in.correlation.transpose();
+    Eigen::Matrix<Scalar, 21, 6> rest = gain * pose_noise_.asDiagonal();
+    rest -= times_transpose(left, pose_jacobian());
+    left.noalias() += rest * gain.transpose();
+    covariance_ = (left + left.transpose()) / Scalar(2);
     state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
-    Eigen::Matrix<Scalar, 21, 6> half = in.correlation;
-    half.noalias() -= gain * (in.covariance / Scalar(2));
-    const Covariance change = gain * half.transpose();
-    covariance_ -= change + change.transpose();
   }
 
   [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
   [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
 
  private:
+  /// H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0], of a pose by the state's error.
+  struct PoseJacobian {
+    Matrix3<Scalar> rotation, to_marker, by_turn;
+  };
+
+  [[nodiscard]] PoseJacobian pose_jacobian() const noexcept {
+    PoseJacobian h;
+    h.rotation = state_.orientation.toRotationMatrix();
+    h.to_marker = state_.marker_orientation.conjugate().toRotationMatrix();
+    h.by_turn = -h.rotation * skew(state_.marker_position);
+    return h;
+  }
+
+  /// m H'.
+  [[nodiscard]] static Eigen::Matrix<Scalar, 21, 6> times_transpose(
+      const Covariance& m, const PoseJacobian& h) noexcept {
+    using I = InertialIndex;
+    const auto columns = [&m](int start) { return m.template middleCols<3>(start); };
+    Eigen::Matrix<Scalar, 21, 6> product;
+    product.template leftCols<3>() = columns(I::position);
+    product.template leftCols<3>().noalias() += columns(I::orientation) * h.by_turn.transpose();
+    product.template leftCols<3>().noalias() +=
+        columns(I::marker_position) * h.rotation.transpose();
+    product.template rightCols<3>() = columns(I::marker_orientation);
+    product.template rightCols<3>().noalias() += columns(I::orientation) * h.to_marker.transpose();
+    return product;
+  }
+
   InertialState<Scalar> state_;
   Covariance covariance_ = Covariance::Zero();
   Eigen::Matrix<Scalar, 12, 1> process_noise_;  ///< of velocity ... accelerometer bias [1/s]
