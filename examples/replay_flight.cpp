@@ -375,6 +375,7 @@ int main(int argc, char** argv) {
   app.add_option("POSE.csv", o.poses, "poses of the marker frame")->required();
   app.add_option("TRUTH.csv", o.truth, "to judge by");
   app.add_option("-o,--output", o.output, "directory for the estimate and its picture")
+      ->take_last()
       ->capture_default_str();
   app.add_flag("--calibrate-clock", o.calibrate_clock,
                "find motion capture's clock by comparing turns");

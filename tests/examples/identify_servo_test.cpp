@@ -1,66 +1,27 @@
 // Servo identification by the example program as a user runs it, and the mission flown with what it
 // finds.
 
-#include <gtest/gtest.h>
-#include <sys/wait.h>
-#include <unistd.h>
+#include "support/program.hpp"
 
-#include <cmath>
+#include <gtest/gtest.h>
+
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <map>
-#include <sstream>
 #include <string>
 
 namespace {
 
-namespace fs = std::filesystem;
+using test_support::Outcome;
+using test_support::read_file;
+using test_support::run;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string output;
-  std::map<std::string, std::string> figures;  // of lines "key: value"
-
-  [[nodiscard]] double operator[](const std::string& key) const {
-    const auto found = figures.find(key);
-    EXPECT_NE(found, figures.end()) << key << " is missing in\n" << output;
-    return found == figures.end() ? std::nan("") : std::atof(found->second.c_str());
-  }
-  [[nodiscard]] bool says(const std::string& text) const {
-    return output.find(text) != std::string::npos;
-  }
-};
-
-Outcome run(const std::string& program, const std::string& arguments) {
-  Outcome result;
-  FILE* pipe = popen(("'" + program + "' " + arguments + " 2>&1").c_str(), "r");
-  if (pipe == nullptr) return result;
-  char buffer[4096];
-  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) {
-    std::string line = buffer;
-    result.output += line;
-    line.erase(line.find_last_not_of('\n') + 1);
-    const auto colon = line.find(": ");
-    if (colon != std::string::npos) result.figures[line.substr(0, colon)] = line.substr(colon + 2);
-  }
-  const int status = pclose(pipe);
-  result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return result;
-}
-
-/// A directory of its own for each test, gone when it ends.
 class IdentifyServo : public testing::Test {
  protected:
-  IdentifyServo()
-      : directory_(fs::path(testing::TempDir()) / ("identify_servo_" + std::to_string(getpid()))) {
-    fs::create_directories(directory_);
-  }
-  ~IdentifyServo() override { fs::remove_all(directory_); }
-
-  [[nodiscard]] std::string path(const std::string& name) const {
-    return (directory_ / name).string();
+  [[nodiscard]] std::string path(const std::string& name) const { return directory_.file(name); }
+  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
+    return directory_.write(name, text);
   }
   [[nodiscard]] std::string generate(const std::string& name, const std::string& options = "") {
     const Outcome made = run(program, "--generate '" + path(name) + "' " + options);
@@ -70,21 +31,11 @@ class IdentifyServo : public testing::Test {
   [[nodiscard]] Outcome identify(const std::string& log, const std::string& options = "") {
     return run(program, "'" + log + "' --no-pictures --output '" + path("out") + "' " + options);
   }
-  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
-    std::ofstream(path(name)) << text;
-    return path(name);
-  }
-  static std::string read(const std::string& file) {
-    std::ifstream in(file, std::ios::binary);
-    std::ostringstream text;
-    text << in.rdbuf();
-    return text.str();
-  }
 
   const std::string program = IDENTIFY_SERVO_PROGRAM;  // set by CMake
 
  private:
-  fs::path directory_;
+  test_support::Directory directory_{"identify_servo"};
 };
 
 TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
@@ -119,9 +70,10 @@ TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
   EXPECT_NEAR(found["gain"], 1.1, 0.02);
   EXPECT_NEAR(found["offset_rad"], -0.1, 0.002);
   EXPECT_NEAR(found["residual_rad"], 0.01, 0.001);
-  EXPECT_EQ(read(generate("a.csv", "--seed 3")), read(generate("b.csv", "--seed 3")));
-  EXPECT_NE(read(generate("a.csv", "--seed 3")), read(generate("b.csv", "--seed 4")));
-  EXPECT_NE(read(generate("a.csv", "--resolution 0")), read(generate("b.csv", "--resolution 0.1")));
+  EXPECT_EQ(read_file(generate("a.csv", "--seed 3")), read_file(generate("b.csv", "--seed 3")));
+  EXPECT_NE(read_file(generate("a.csv", "--seed 3")), read_file(generate("b.csv", "--seed 4")));
+  EXPECT_NE(read_file(generate("a.csv", "--resolution 0")),
+            read_file(generate("b.csv", "--resolution 0.1")));
   const Outcome too_many = run(program, "--generate '" + path("log.csv") + "' --dead-time 0.5");
   EXPECT_EQ(too_many.exit_code, 2);
   EXPECT_TRUE(too_many.says("--dead-time")) << too_many.output;
@@ -202,7 +154,7 @@ TEST_F(IdentifyServo, LeavesItsPictureWithoutAWarning) {
   const Outcome drawn = run(program, "'" + generate("log.csv") + "' -o '" + path("out") + "'");
   EXPECT_EQ(drawn.exit_code, 0);
   EXPECT_EQ(drawn.output.find("arning"), std::string::npos) << drawn.output;
-  EXPECT_GT(fs::file_size(path("out") + "/identify_servo.png"), 10000u);
+  EXPECT_GT(std::filesystem::file_size(path("out") + "/identify_servo.png"), 10000u);
 }
 
 TEST_F(IdentifyServo, HelpAndBadArguments) {

@@ -1,0 +1,245 @@
+// Logs replayed by the example program as a user runs it: of a simulated flight, whose clock and
+// marker frame are known, and of a real one where that is at hand.
+
+#include "support/flights.hpp"
+#include "support/program.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iomanip>
+#include <sstream>
+#include <string>
+
+namespace {
+
+using test_support::Flight;
+using test_support::Outcome;
+using test_support::run;
+
+constexpr double clock_offset = -0.137;  // to be added to the poses' stamps
+const Eigen::Vector3d marker_position(0.05, -0.08, 0.12);
+const Eigen::Quaterniond marker_orientation(Eigen::AngleAxisd(2.5, Eigen::Vector3d(1, 2, 2) / 3.0));
+
+class ReplayFlight : public testing::Test {
+ protected:
+  /// 30 s that start upside down; every pose of 1000 goes wrong that `outliers` says.
+  void fly(int outliers = 0) {
+    const Flight flight(3, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), marker_position,
+                        marker_orientation);
+    test_support::Random random(5);
+    const double period = 0.005;
+    test_support::NoisyImu imu(flight, {2e-4, 2e-3, 2e-5, 3e-4}, period, 4,
+                               Eigen::Vector3d(0.03, -0.05, 0.02), Eigen::Vector3d(0.2, -0.1, 0.3));
+    std::ostringstream imu_log, pose_log, truth_log;
+    for (std::ostringstream* log : {&imu_log, &pose_log, &truth_log}) *log << std::setprecision(12);
+    imu_log << "t,wx,wy,wz,fx,fy,fz\n";
+    pose_log << "t,px,py,pz,qw,qx,qy,qz\n";
+    truth_log << "t,px,py,pz,qw,qx,qy,qz,vx,vy,vz\n";
+    const auto add = [](std::ostringstream& log, const Eigen::Vector3d& v) {
+      log << ',' << v.x() << ',' << v.y() << ',' << v.z();
+    };
+    const auto add_rotation = [](std::ostringstream& log, const Eigen::Quaterniond& q) {
+      log << ',' << q.w() << ',' << q.x() << ',' << q.y() << ',' << q.z();
+    };
+    for (int i = 0; i < 6000; ++i) {
+      const double t = period * i;
+      const auto sample = imu(t);
+      imu_log << t;
+      add(imu_log, sample.angular_velocity);
+      add(imu_log, sample.specific_force);
+      imu_log << '\n';
+      const auto x = flight.state(t);
+      truth_log << t;
+      add(truth_log, x.position);
+      add_rotation(truth_log, x.orientation);
+      add(truth_log, x.velocity);
+      truth_log << '\n';
+      if (i % 2 != 0) continue;
+      auto pose = test_support::noisy(flight.pose(t), {1e-3, 3e-3}, random);
+      if (random.uniform(0.0, 1000.0) < outliers) pose = test_support::gone_wrong(pose, random);
+      pose_log << t - clock_offset;
+      add(pose_log, pose.position);
+      add_rotation(pose_log, pose.orientation);
+      pose_log << '\n';
+    }
+    directory_.write("imu.csv", imu_log.str());
+    directory_.write("pose.csv", pose_log.str());
+    directory_.write("truth.csv", truth_log.str());
+  }
+
+  [[nodiscard]] Outcome replay(const std::string& arguments) const {
+    return run(REPLAY_FLIGHT_PROGRAM,  // set by CMake
+               "--no-pictures --output '" + directory_.file("out") + "' " + arguments);
+  }
+  [[nodiscard]] std::string logs(bool with_truth = true) const {
+    const auto quoted = [this](const char* name) { return " '" + directory_.file(name) + "'"; };
+    return quoted("imu.csv") + quoted("pose.csv") + (with_truth ? quoted("truth.csv") : "");
+  }
+
+  test_support::Directory directory_{"replay_flight"};
+};
+
+TEST_F(ReplayFlight, FindsClockMarkerFrameAndStateFromTheLogsAlone) {
+  fly();
+  const Outcome found = replay(logs() + " --calibrate-clock --estimate-marker-pose");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_NEAR(found["clock_offset_s"], clock_offset, 0.001);
+  EXPECT_NEAR(found["marker_rotation_deg"], 2.5 * 180.0 / 3.14159265, 0.3);
+  EXPECT_NEAR(found["marker_lever_m"], marker_position.norm(), 0.002);
+  EXPECT_EQ(found["samples"], 6000);
+  EXPECT_EQ(found["poses"], 3000);
+  EXPECT_EQ(found["restarts"], 0);
+  EXPECT_LT(found["position_rmse_m"], 0.002);
+  EXPECT_LT(found["attitude_rmse_deg"], 0.3);
+  EXPECT_LT(found["velocity_rmse_mps"], 0.01);
+  EXPECT_NEAR(found["truth_shift_s"], 0.0, 0.002);
+}
+
+TEST_F(ReplayFlight, WhatIsGivenIsNotLookedFor) {
+  fly();
+  std::ostringstream given;
+  const Eigen::Quaterniond& q = marker_orientation;
+  given << std::setprecision(12) << " --marker-rotation " << q.w() << ' ' << q.x() << ' ' << q.y()
+        << ' ' << q.z() << " --marker-lever " << marker_position.x() << ' ' << marker_position.y()
+        << ' ' << marker_position.z();
+  const Outcome plain = replay(logs() + " --clock-offset=-0.137" + given.str());
+  ASSERT_EQ(plain.exit_code, 0) << plain.output;
+  EXPECT_EQ(plain["marker_rotation_deg"], 0.0);
+  EXPECT_EQ(plain["marker_lever_m"], 0.0);
+  EXPECT_LT(plain["position_rmse_m"], 0.002);
+  const Outcome ten_ms_off = replay(logs() + " --clock-offset=-0.127" + given.str());
+  EXPECT_GT(ten_ms_off["position_rmse_m"], 2.0 * plain["position_rmse_m"]) << ten_ms_off.output;
+  EXPECT_NEAR(ten_ms_off["truth_shift_s"], -0.01, 0.003);
+  const Outcome lost = replay(logs() + " --clock-offset=-0.137");  // 143 degrees off
+  EXPECT_TRUE(lost.says("marker frame right")) << lost.output;
+}
+
+TEST_F(ReplayFlight, OutliersAreRefused) {
+  fly(50);
+  const Outcome found = replay(logs() + " --calibrate-clock --estimate-marker-pose");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_NEAR(found["rejected"], 150, 40);
+  EXPECT_LT(found["position_rmse_m"], 0.003);
+}
+
+TEST_F(ReplayFlight, OptionsOfTheFilterAct) {
+  fly(50);
+  const std::string common = logs() + " --calibrate-clock --estimate-marker-pose";
+  const Outcome plain = replay(common);
+  for (const char* option : {"--gyro-noise 0.02", "--accelerometer-noise 0.2", "--gyro-walk 0.01",
+                             "--accelerometer-walk 0.1", "--position-noise 0.01",
+                             "--orientation-noise 0.02", "--judge-from 20"})
+    EXPECT_NE(replay(common + ' ' + option)["position_rmse_m"], plain["position_rmse_m"]) << option;
+  EXPECT_GT(replay(common + " --gate 2")["rejected"], plain["rejected"]);
+  EXPECT_GT(replay(common + " --gate 2 --max-rejections 2")["restarts"], 10);
+}
+
+TEST_F(ReplayFlight, WritesTheEstimateWithDeviationsAndErrors) {
+  fly();
+  ASSERT_EQ(replay(logs() + " --calibrate-clock --estimate-marker-pose").exit_code, 0);
+  std::ifstream csv(directory_.file("out") + "/replay_flight.csv");
+  std::string header, line;
+  std::getline(csv, header);
+  for (const char* column : {"time_s,", "orientation_w,", "deviation_velocity_mps_z,",
+                             "deviation_marker_position_m_x,", "error_orientation_rad_z"})
+    EXPECT_NE(header.find(column), std::string::npos) << column;
+  int rows = 0;
+  while (std::getline(csv, line)) ++rows;
+  EXPECT_NEAR(rows, 6000, 10);  // from the first pose on
+  ASSERT_EQ(replay(logs(false) + " --calibrate-clock --estimate-marker-pose").exit_code, 0);
+  std::ifstream unjudged(directory_.file("out") + "/replay_flight.csv");
+  std::getline(unjudged, header);
+  EXPECT_EQ(header.find("error"), std::string::npos);
+}
+
+TEST_F(ReplayFlight, LeavesItsPictureWithoutAWarning) {
+  if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
+    GTEST_SKIP() << "gnuplot is not installed";
+  fly();
+  for (const bool with_truth : {true, false}) {
+    const Outcome drawn =
+        run(REPLAY_FLIGHT_PROGRAM, "--output '" + directory_.file("out") + "' " + logs(with_truth) +
+                                       " --calibrate-clock --estimate-marker-pose");
+    EXPECT_EQ(drawn.exit_code, 0);
+    EXPECT_FALSE(drawn.says("arning")) << drawn.output;
+    EXPECT_GT(std::filesystem::file_size(directory_.file("out") + "/replay_flight.png"), 10000u);
+    std::filesystem::remove(directory_.file("out") + "/replay_flight.png");
+  }
+}
+
+TEST_F(ReplayFlight, SaysWhereAFileIsWrong) {
+  fly();
+  const std::string imu = " '" + directory_.file("imu.csv") + "'";
+  const auto refusal = [&](const std::string& head, const std::string& text) {
+    const Outcome refused = replay(imu + " '" + directory_.write("bad.csv", head + text) + "'");
+    EXPECT_EQ(refused.exit_code, 1) << refused.output;
+    return refused.output.substr(refused.output.find("bad.csv"));
+  };
+  const std::string head = "t,px,py,pz,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n";
+  EXPECT_EQ(refusal(head, "0.1,0,0,x,1,0,0,0\n"),
+            "bad.csv:3: column pz (4): 'x' is not a number\n");
+  EXPECT_EQ(refusal(head, "0.1,0,0,0,1,0,0\n"), "bad.csv:3: 7 fields, the header line has 8\n");
+  EXPECT_EQ(refusal(head, "0.1,0,0,0,2,0,0,0\n"),
+            "bad.csv:3: columns qw (5) to qz: a quaternion of length 2.000000\n");
+  EXPECT_EQ(refusal("t,px\n", "0,1\n"),
+            "bad.csv:1: 2 columns, expected are t, px, py, pz, qw, qx, qy, qz\n");
+  EXPECT_EQ(refusal(head, ""), "bad.csv: fewer than two samples\n");
+  EXPECT_TRUE(replay(imu + " nowhere.csv").says("cannot read nowhere.csv"));
+  const Outcome backwards =
+      replay(imu + " '" + directory_.write("bad.csv", head + "-1,0,0,0,1,0,0,0\n") + "'");
+  EXPECT_TRUE(backwards.says("bad.csv:3: column t (1) does not increase")) << backwards.output;
+}
+
+TEST_F(ReplayFlight, LogsThatDoNotFitAreRefusedWithAHint) {
+  fly();
+  const Outcome apart = replay(logs() + " --clock-offset 500");
+  EXPECT_EQ(apart.exit_code, 1);
+  EXPECT_TRUE(apart.says("--calibrate-clock")) << apart.output;
+  const std::string still = "0,0,0,0,0,0,9.81\n";
+  std::string log = "t,wx,wy,wz,fx,fy,fz\n";
+  for (int i = 0; i < 3000; ++i) log += std::to_string(0.01 * i) + still.substr(1);
+  const Outcome calm = replay(" '" + directory_.write("still.csv", log) + "' '" +
+                              directory_.file("pose.csv") + "' --calibrate-clock");
+  EXPECT_EQ(calm.exit_code, 1);
+  EXPECT_TRUE(calm.says("cannot be calibrated")) << calm.output;
+}
+
+TEST_F(ReplayFlight, HelpAndBadArguments) {
+  const Outcome help = replay("--help");
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_TRUE(help.says("--estimate-marker-pose"));
+  EXPECT_GT(replay("").exit_code, 100);
+  EXPECT_GT(replay("a b --gate -1").exit_code, 100);
+  EXPECT_GT(replay("a b --calibrate-clock --clock-offset 1").exit_code, 100);
+  EXPECT_GT(replay("a b --marker-rotation 1 0 0 0 0").exit_code, 100);
+  fly();
+  EXPECT_EQ(replay(logs() + " --output /proc/nowhere").exit_code, 1);
+}
+
+// A real flight: TILT_ROPTER_DATA names the directory that holds euroc_v203.
+TEST_F(ReplayFlight, ARecordedFlight) {
+  const char* data = std::getenv("TILT_ROPTER_DATA");
+  if (data == nullptr || !std::filesystem::exists(std::string(data) + "/euroc_v203/imu.csv"))
+    GTEST_SKIP() << "TILT_ROPTER_DATA does not name a directory with euroc_v203";
+  const auto quoted = [data](const char* name) {
+    return " '" + std::string(data) + "/euroc_v203/" + name + "'";
+  };
+  const Outcome found = replay(quoted("imu.csv") + quoted("pose.csv") + quoted("truth.csv") +
+                               " --calibrate-clock --estimate-marker-pose");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_EQ(found["restarts"], 0);
+  EXPECT_LT(found["attitude_rmse_deg"], 0.5);
+  EXPECT_LT(found["velocity_rmse_mps"], 0.028);
+  // The truth's positions and attitudes are 8 ms apart, at up to 2 m/s; IMU and motion capture
+  // agree with its attitudes.
+  EXPECT_LT(found["position_rmse_m"], 0.008);
+  EXPECT_LT(found["shifted_position_rmse_m"], 0.003);
+  EXPECT_NEAR(found["truth_shift_s"], -0.008, 0.002);
+}
+
+}  // namespace
