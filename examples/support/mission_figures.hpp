@@ -58,24 +58,33 @@ class MissionFigures {
     if (demanded > servo.max_rate) ++exceeded_;
   }
 
-  void print(std::ostream& out, int contact_mode_changes) {
+  /// What the plant tells, beside the paper's figures.
+  void print_flight(std::ostream& out) const {
     const auto line = [&out](const char* key, double value, int digits) {
-      out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
+      print_line(out, key, value, digits);
     };
-    line("air_rmse_m", air_.rmse(), 4);
+    const bool both = air_.count > 0 && ground_.count > 0;  // a flight can be cut short
+    if (air_.count > 0) line("air_rmse_m", air_.rmse(), 4);
     line("paper_air_rmse_m", 0.052, 4);
-    line("ground_rmse_m", ground_.rmse(), 4);
+    if (ground_.count > 0) line("ground_rmse_m", ground_.rmse(), 4);
     line("paper_ground_rmse_m", 0.145, 4);
     line("mission_rmse_m", all_.rmse(), 4);
     line("paper_mission_rmse_m", 0.125, 4);
-    line("flight_power_w", air_.power(), 2);
+    if (air_.count > 0) line("flight_power_w", air_.power(), 2);
     line("paper_flight_power_w", 653.64, 2);
-    line("ground_power_w", ground_.power(), 2);
+    if (ground_.count > 0) line("ground_power_w", ground_.power(), 2);
     line("paper_ground_power_w", 47.38, 2);
-    line("power_saved_percent", 100.0 * (1.0 - ground_.power() / air_.power()), 2);
+    if (both) line("power_saved_percent", 100.0 * (1.0 - ground_.power() / air_.power()), 2);
     line("paper_power_saved_percent", 92.8, 2);
     line("touchdown_speed_mps", touchdown_speed_, 3);
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
+  }
+
+  void print(std::ostream& out, int contact_mode_changes) {
+    print_flight(out);
+    const auto line = [&out](const char* key, double value, int digits) {
+      print_line(out, key, value, digits);
+    };
     line("contact_mode_changes", contact_mode_changes, 0);
     line("servo_speed_radps", servo_speed_, 2);
     line("tilt_rate_max_radps", demanded_max_, 2);
@@ -91,6 +100,10 @@ class MissionFigures {
   }
 
  private:
+  static void print_line(std::ostream& out, const char* key, double value, int digits) {
+    out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
+  }
+
   struct Means {
     double squares = 0.0, powers = 0.0;
     long count = 0;

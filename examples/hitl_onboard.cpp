@@ -1,0 +1,188 @@
+// Hardware in the loop, the companion computer: state estimator, wrench observer and NMPC. Told by
+// the simulator what the sensors say and by the flight controller what it commands, it tells the
+// latter which wrench to apply.
+
+#include "hitl/link.hpp"
+#include "hitl/options.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <optional>
+#include <string>
+
+using namespace tilt_ropter;
+
+namespace {
+
+constexpr double tick = 0.01;  // of the controller [s]
+
+EkfSettings estimation() {
+  EkfSettings settings;
+  settings.pose_noise = {1e-3, 3e-3};
+  return settings;
+}
+
+/// The loop on board, up to the wrench.
+class Onboard {
+ public:
+  Onboard()
+      : vehicle_(tilt_ropter_vehicle()),
+        allocation_(vehicle_),
+        actuators_(vehicle_),
+        ekf_(estimation()),
+        observer_(vehicle_.body),
+        nmpc_(vehicle_),
+        mission_(hybrid_mission()) {}
+
+  /// What the flight controller commands now.
+  void on_actuators(const hitl::Message& m) {
+    command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.values.data());
+    command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.values.data() + 4);
+  }
+
+  void on_pose(const hitl::Message& m) {
+    ekf_.on_pose(m.time, {{m.values[0], m.values[1], m.values[2]},
+                          {m.values[3], m.values[4], m.values[5], m.values[6]}});
+  }
+
+  void on_inertial(const hitl::Message& m) {
+    const InertialSample<> sample{Eigen::Map<const Eigen::Vector3d>(m.values.data()),
+                                  Eigen::Map<const Eigen::Vector3d>(m.values.data() + 3)};
+    const ActuatorState<4> applied{Eigen::Map<const Eigen::Vector4d>(m.values.data() + 6),
+                                   actuators_.update(m.time, command_).tilt_angle};
+    ekf_.on_imu(m.time, sample);
+    const InertialState<>& x = ekf_.filter().state();
+    observer_.update(m.time, sample.specific_force - x.accelerometer_bias,
+                     sample.angular_velocity - x.gyro_bias, allocation_.wrench(applied));
+  }
+
+  /// The wrench for now, if the state is known.
+  std::optional<hitl::Message> control(double time) {
+    if (!ekf_.running()) return std::nullopt;
+    if (nmpc_.prepare(time, mission_, observer_.external()))
+      observer_.set_external(nmpc_.contact().air_wrench());
+    const NmpcResult& result = nmpc_.feedback(time, ekf_.state());
+    if (result.status != NmpcStatus::solved) ++failures_;
+    hitl::Message m;
+    m.type = hitl::MessageType::wrench;
+    m.time = time;
+    Eigen::Map<Eigen::Matrix<double, 12, 1>>(m.values.data()) << result.wrench.force,
+        result.wrench.torque, result.rate.force, result.rate.torque;
+    return m;
+  }
+
+  [[nodiscard]] long failures() const { return failures_; }
+
+ private:
+  Vehicle<4> vehicle_;
+  Allocation<4> allocation_;
+  ActuatorModel<4> actuators_;
+  Ekf<> ekf_;
+  WrenchObserver<> observer_;
+  Nmpc<4> nmpc_;
+  Mission mission_;
+  ActuatorState<4> command_;
+  long failures_ = 0;
+};
+
+void run(const hitl::Addresses& addresses, const hitl::BadLine& line) {
+  hitl::Link link(addresses.onboard, {addresses.simulator, addresses.flight_controller}, line);
+  hitl::Times durations;
+  auto onboard = std::make_unique<Onboard>();
+  std::uint32_t session = 0;
+  double next = 0.0;
+  long ticks = 0, misses = 0, failures = 0, missions = 0;
+  std::cerr << "hitl_onboard: waiting for the simulator\n";
+  for (bool over = false; !over && hitl::interrupted == 0;) {
+    link.wait(hitl::Clock::now() + std::chrono::milliseconds(100));
+    const auto woken = hitl::Clock::now();
+    std::optional<hitl::Message> newest;  // of the inertial ones
+    while (const auto m = link.receive()) {
+      switch (m->type) {
+        case hitl::MessageType::inertial:
+          if (missions == 0 || m->session != session) {  // a new vehicle, a new mission
+            session = m->session;
+            ++missions;
+            onboard = std::make_unique<Onboard>();
+            next = std::ceil(m->time / tick) * tick;
+          }
+          onboard->on_inertial(*m);
+          newest = m;
+          break;
+        case hitl::MessageType::pose:
+          onboard->on_pose(*m);
+          break;
+        case hitl::MessageType::actuators:
+          onboard->on_actuators(*m);
+          break;
+        case hitl::MessageType::end:
+          over = missions > 0;
+          break;
+        case hitl::MessageType::wrench:
+          break;
+      }
+    }
+    if (!newest || newest->time < next - 1e-6) continue;
+    // A deadline is missed by a tick that is skipped, and by one that takes longer than a period.
+    const long behind = std::lround(std::floor((newest->time - next) / tick + 1e-6));
+    misses += behind;
+    next += tick * static_cast<double>(behind + 1);
+    const long failed_before = onboard->failures();
+    auto wrench = onboard->control(newest->time);
+    failures += onboard->failures() - failed_before;
+    if (!wrench) continue;
+    wrench->stamp = newest->stamp;
+    link.send(1, *wrench);
+    const std::chrono::duration<double, std::micro> taken = hitl::Clock::now() - woken;
+    durations.add(taken.count());
+    ++ticks;
+    if (taken.count() > 1e6 * tick) ++misses;
+  }
+  durations.print(std::cout, "onboard_tick");
+  std::cout << "onboard_ticks: " << ticks << "\nonboard_deadline_misses: " << misses
+            << "\nonboard_solver_failures: " << failures << "\nonboard_missions: " << missions
+            << '\n';
+  link.print(std::cout, "inertial", hitl::MessageType::inertial);
+  link.print(std::cout, "pose", hitl::MessageType::pose);
+  link.print(std::cout, "actuators_echo", hitl::MessageType::actuators);
+  std::cout << "onboard_foreign_datagrams: " << link.foreign() << '\n';
+}
+
+constexpr const char* footer = R"(
+Its clock is the simulator's: a tick falls due when an inertial message of its time has come. When
+the simulator falls silent it waits, and says nothing to the flight controller; when the simulator
+starts anew it begins with a new mission. Without the flight controller's messages it goes on with
+the last actuator command that it knows of. Started anew in flight, it takes the mission up where the
+simulator's clock is, with the first pose. It ends when the simulator says that the flight is over.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
+  hitl::Addresses addresses;
+  hitl::BadLine line;
+  hitl::add_options(app, addresses, line);
+  app.footer(footer);
+  CLI11_PARSE(app, argc, argv);
+  try {
+    hitl::end_on_signals();
+    run(addresses, line);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "hitl_onboard: " << error.what() << '\n';
+    return 1;
+  }
+}
