@@ -40,7 +40,8 @@ struct EkfSettings {
 
   /// A pose whose NIS is above this is not used. 27.9 is passed by all but one in 10^4.
   double gate = 27.9;
-  /// As many poses refused by the gate in a row start the filter anew at the last of them.
+  /// As many poses refused by the gate in a row start the filter anew at the last of them; as many
+  /// IMU samples in a row behind the newest say that it, or the clock, was wrong: a gap, too.
   int max_rejections = 25;
   /// Poses may come this much after, or before, the IMU sample of their time.
   double max_delay = 0.2;
@@ -123,12 +124,14 @@ class Ekf {
     const Sample sample{time, value};
     const double pause = time - newest_.time;
     if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
-    if (has_imu_ && pause < 0.0) return EkfStatus::late;
-    if (!has_imu_ || pause > settings_.max_imu_gap) {
+    if (has_imu_ && pause < 0.0 && ++behind_ < settings_.max_rejections) return EkfStatus::late;
+    behind_ = 0;
+    if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) {
       const bool gap = has_imu_;
       has_imu_ = true;
       running_ = false;
       count_ = 0;
+      if (pause < 0.0) waiting_ = 0;
       from_ = newest_ = sample;
       return gap ? EkfStatus::stopped : EkfStatus::updated;
     }
@@ -190,7 +193,7 @@ class Ekf {
   void reset() noexcept {
     has_imu_ = has_pose_ = running_ = false;
     count_ = waiting_ = 0;
-    rejections_ = 0;
+    rejections_ = behind_ = 0;
     nis_ = Scalar(0);
     counts_ = {};
     from_ = newest_ = {};
@@ -327,7 +330,7 @@ class Ekf {
   std::size_t waiting_ = 0;
   double pose_time_ = 0.0;  ///< of the last pose compared
   Scalar nis_ = Scalar(0);
-  int rejections_ = 0;
+  int rejections_ = 0, behind_ = 0;  ///< poses gated, IMU samples late, in a row
   EkfCounts counts_;
   bool has_imu_ = false, has_pose_ = false, running_ = false;
 };
