@@ -13,6 +13,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <utility>
 #include <vector>
 
 /// How far the clocks of IMU and motion capture are apart, from a stretch of a flight: turning is
@@ -159,6 +160,9 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
   result.status = ClockCalibrationStatus::too_short;
   if (imu.size() < 2) return result;
 
+  const double coarse = std::min(5e-3, settings.window / 4.0);
+  const auto steps = static_cast<int>(std::ceil(settings.max_offset / coarse));
+  const double reach = settings.max_offset + 2.0 * coarse;  // the last steps may lead out a little
   const detail::GyroIntegral gyro(imu);
   std::vector<detail::MarkerTurn> turns;
   double total = 0.0;
@@ -167,8 +171,8 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
     while (j < poses.size() && poses[j].time < start + settings.window) ++j;
     if (j == poses.size()) break;
     const double end = poses[j].time;
-    if (end > start + 2.0 * settings.window || !gyro.covers(start - settings.max_offset) ||
-        !gyro.covers(end + settings.max_offset))
+    if (end > start + 2.0 * settings.window || !gyro.covers(start - reach) ||
+        !gyro.covers(end + reach))
       continue;
     turns.push_back({start, end,
                      quaternion_log(Eigen::Quaterniond(poses[i].value.orientation.conjugate() *
@@ -179,43 +183,49 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
   if (turns.size() < 100) return result;
   const double overlap = std::max(1.0, total / (turns.back().end - turns.front().start));
 
-  // Coarsely over the whole range, then parabolas through ever closer neighbours.
-  const double coarse = std::min(5e-3, settings.window / 4.0);
-  const auto steps = static_cast<int>(std::ceil(settings.max_offset / coarse));
-  int best = -steps;
-  double lowest = std::numeric_limits<double>::infinity();
-  for (int i = -steps; i <= steps; ++i) {
-    const double offset = std::clamp(coarse * i, -settings.max_offset, settings.max_offset);
-    const double cost = detail::fit_turns(turns, gyro, offset).cost;
-    if (cost < lowest) {
-      lowest = cost;
-      best = i;
+  // Coarsely over the whole range. Poses gone wrong would pull at the fit: turns five times worse
+  // than the median are left out and the search is done again, as they may have led it astray.
+  double offset = 0.0;
+  int best = 0;
+  for (int round = 0; round < 3; ++round) {
+    double lowest = std::numeric_limits<double>::infinity();
+    for (int i = -steps; i <= steps; ++i) {
+      const double tried = std::clamp(coarse * i, -settings.max_offset, settings.max_offset);
+      const double cost = detail::fit_turns(turns, gyro, tried).cost;
+      if (cost < lowest) {
+        lowest = cost;
+        offset = tried;
+        best = i;
+      }
     }
+    const std::vector<double> squares = detail::fit_turns(turns, gyro, offset).squares;
+    std::vector<double> sorted = squares;
+    const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+    std::nth_element(sorted.begin(), middle, sorted.end());
+    std::vector<detail::MarkerTurn> kept;
+    for (std::size_t i = 0; i < turns.size(); ++i)
+      if (squares[i] <= 25.0 * *middle) kept.push_back(turns[i]);
+    const bool settled = kept.size() == turns.size();
+    turns = std::move(kept);
+    if (settled) break;
   }
   result.status = ClockCalibrationStatus::out_of_range;
   if (std::abs(best) == steps) return result;
-  result.offset = coarse * best;
 
-  // Poses gone wrong would pull at the fit: turns five times worse than the median are left out.
-  std::vector<double> squares = detail::fit_turns(turns, gyro, result.offset).squares;
-  std::vector<double> sorted = squares;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  std::vector<detail::MarkerTurn> kept;
-  for (std::size_t i = 0; i < turns.size(); ++i)
-    if (squares[i] <= 25.0 * *middle) kept.push_back(turns[i]);
-
+  // Then parabolas through ever closer neighbours.
   double curvature = 0.0;
   for (double step = coarse; step > 1e-4; step /= 4.0) {
-    const double before = detail::fit_turns(kept, gyro, result.offset - step).cost;
-    const double here = detail::fit_turns(kept, gyro, result.offset).cost;
-    const double after = detail::fit_turns(kept, gyro, result.offset + step).cost;
+    const double before = detail::fit_turns(turns, gyro, offset - step).cost;
+    const double here = detail::fit_turns(turns, gyro, offset).cost;
+    const double after = detail::fit_turns(turns, gyro, offset + step).cost;
     curvature = (before - 2.0 * here + after) / (step * step);
     if (!(curvature > 0.0)) break;
-    result.offset += std::clamp((before - after) / (2.0 * step * curvature), -step, step);
+    offset += std::clamp((before - after) / (2.0 * step * curvature), -step, step);
   }
-  const detail::TurnFit fit = detail::fit_turns(kept, gyro, result.offset);
-  const double count = static_cast<double>(kept.size());
+  if (std::abs(offset) > settings.max_offset) return result;
+  const detail::TurnFit fit = detail::fit_turns(turns, gyro, offset);
+  result.offset = offset;
+  const double count = static_cast<double>(turns.size());
   result.marker_orientation = Eigen::Quaterniond(fit.rotation);
   result.residual = std::sqrt(fit.cost / 3.0);
   if (curvature > 0.0)
