@@ -1,0 +1,377 @@
+#include <tilt_ropter/estimation/clock_calibration.hpp>
+
+#include "support/flights.hpp"
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Flight;
+using test_support::flipped;
+using test_support::gone_wrong;
+using test_support::noisy;
+using test_support::NoisyImu;
+using test_support::Random;
+using Status = ClockCalibrationStatus;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+bool full() {
+  return std::getenv("TILT_ROPTER_FULL") != nullptr;
+}
+
+struct Logs {
+  std::vector<Timed<InertialSample<>>> imu;
+  std::vector<Timed<MarkerPose<>>> poses;
+};
+
+struct Recording {
+  double duration = 20.0, imu_rate = 200.0, pose_rate = 100.0;
+  double offset = 0.0;  // of the clocks: what has to be added to the stamps of the poses
+};
+
+// With the noise and the bias of a cheap IMU.
+Logs record(const Flight& flight, const Recording& r, unsigned seed) {
+  Logs logs;
+  Random random(seed + 500);
+  NoisyImu imu(flight, {}, 1.0 / r.imu_rate, seed, random.vector(0.05), random.vector(0.3));
+  const int samples = static_cast<int>(r.duration * r.imu_rate);
+  for (int i = 0; i <= samples; ++i) logs.imu.push_back({i / r.imu_rate, imu(i / r.imu_rate)});
+  const int poses = static_cast<int>(r.duration * r.pose_rate);
+  const double phase = random.uniform(0.0, 1.0);
+  for (int i = 0; i <= poses; ++i) {
+    const double t = (i + phase) / r.pose_rate;
+    logs.poses.push_back({t - r.offset, noisy(flight.pose(t), {}, random)});
+  }
+  return logs;
+}
+
+Flight any_flight(unsigned seed) {
+  Random random(seed);
+  const Eigen::Quaterniond start = random.orientation();
+  const Eigen::Vector3d arm = random.vector(0.1);
+  return Flight(seed, start, arm, random.orientation());
+}
+
+double marker_error(const ClockCalibration& c, const Flight& flight) {
+  return c.marker_orientation.angularDistance(flight.state(0.0).marker_orientation);
+}
+
+TEST(ClockCalibration, FindsTheOffsetAndTheMarkersRotation) {
+  double worst = 0.0, worst_turn = 0.0;
+  unsigned seed = 0;
+  for (const double offset : {0.0, 0.004, -0.0123, 0.1, -0.1, 0.2817, -0.2817, 0.45, -0.45})
+    for (int i = 0; i < (full() ? 10 : 1); ++i) {
+      const Flight flight = any_flight(++seed);
+      Recording r;
+      r.offset = offset;
+      const Logs logs = record(flight, r, seed);
+      const ClockCalibration c = calibrate_clock(logs.imu, logs.poses);
+      EXPECT_EQ(c.status, Status::calibrated);
+      EXPECT_GT(c.deviation, 0.0);
+      worst = std::max(worst, std::abs(c.offset - offset));
+      worst_turn = std::max(worst_turn, marker_error(c, flight));
+      EXPECT_GT(c.residual, 2e-3);  // two poses of 5 mrad each, and the gyro
+      EXPECT_LT(c.residual, 2e-2);
+    }
+  EXPECT_LT(worst, 1e-3);
+  EXPECT_LT(worst_turn, pi / 180.0);
+  RecordProperty("worst_offset_error", std::to_string(worst));
+  RecordProperty("worst_marker_error", std::to_string(worst_turn));
+}
+
+TEST(ClockCalibration, WorksAtDifferentRates) {
+  double worst = 0.0;
+  unsigned seed = 100;
+  for (const double imu_rate : {100.0, 200.0, 500.0})
+    for (const double pose_rate : {50.0, 100.0, 240.0, 500.0}) {
+      const Flight flight = any_flight(++seed);
+      Recording r;
+      r.duration = 12.0;
+      r.imu_rate = imu_rate;
+      r.pose_rate = pose_rate;
+      r.offset = 0.07;
+      const Logs logs = record(flight, r, seed);
+      const ClockCalibration c = calibrate_clock(logs.imu, logs.poses);
+      EXPECT_EQ(c.status, Status::calibrated) << imu_rate << " " << pose_rate;
+      EXPECT_LT(marker_error(c, flight), pi / 180.0);
+      worst = std::max(worst, std::abs(c.offset - r.offset));
+    }
+  EXPECT_LT(worst, 1.5e-3);
+  RecordProperty("worst_offset_error", std::to_string(worst));
+}
+
+TEST(ClockCalibration, GapsOutliersAndSignsDoNoHarm) {
+  double worst = 0.0;
+  for (unsigned seed = 200; seed < (full() ? 240U : 206U); ++seed) {
+    Random random(seed);
+    const Flight flight = any_flight(seed);
+    Recording r;
+    r.offset = random.uniform(-0.3, 0.3);
+    Logs logs = record(flight, r, seed);
+    for (auto& p : logs.poses) {
+      if (random.uniform(0.0, 1.0) < 0.05) p.value = gone_wrong(p.value, random);
+      if (random.uniform(0.0, 1.0) < 0.5) p.value = flipped(p.value);
+    }
+    const auto lost = [&random](const auto& v) {
+      return random.uniform(0.0, 1.0) < 0.1 || (v.time > 7.0 && v.time < 9.0);
+    };
+    logs.poses.erase(std::remove_if(logs.poses.begin(), logs.poses.end(), lost), logs.poses.end());
+    const ClockCalibration c = calibrate_clock(logs.imu, logs.poses);
+    EXPECT_EQ(c.status, Status::calibrated) << seed;
+    EXPECT_LT(marker_error(c, flight), pi / 180.0) << seed;
+    worst = std::max(worst, std::abs(c.offset - r.offset));
+  }
+  EXPECT_LT(worst, 1e-3);
+  RecordProperty("worst_offset_error", std::to_string(worst));
+}
+
+TEST(ClockCalibration, TheDeviationSaysHowFarOffItIs) {
+  const unsigned runs = full() ? 200 : 40;
+  unsigned within_one = 0, within_three = 0;
+  double squares = 0.0;
+  for (unsigned seed = 300; seed < 300 + runs; ++seed) {
+    Random random(seed);
+    Recording r;
+    r.duration = 15.0;
+    r.offset = random.uniform(-0.2, 0.2);
+    const Logs logs = record(any_flight(seed), r, seed);
+    ClockCalibrationSettings s;
+    s.max_offset = 0.25;
+    const ClockCalibration c = calibrate_clock(logs.imu, logs.poses, s);
+    EXPECT_EQ(c.status, Status::calibrated);
+    const double share = std::abs(c.offset - r.offset) / c.deviation;
+    if (share < 1.0) ++within_one;
+    if (share < 3.0) ++within_three;
+    squares += share * share;
+  }
+  EXPECT_GE(within_three, runs * 19 / 20);
+  EXPECT_GT(squares / runs, 0.1 * 0.1);  // nor is it far too large
+  RecordProperty("within_one", std::to_string(1.0 * within_one / runs));
+  RecordProperty("within_three", std::to_string(1.0 * within_three / runs));
+  RecordProperty("rms", std::to_string(std::sqrt(squares / runs)));
+}
+
+// Found and told as out of range, never read from beyond the log.
+TEST(ClockCalibration, AnOffsetAtTheEndOfTheSearchIsToldOrFound) {
+  for (const double most : {0.1, 0.123})
+    for (const double sign : {-1.0, 1.0})
+      for (const double share : {0.93, 0.97, 0.99, 0.999, 1.001, 1.03, 1.5}) {
+        Recording r;
+        r.offset = sign * share * most;
+        const Logs logs = record(any_flight(7), r, 7);
+        ClockCalibrationSettings s;
+        s.max_offset = most;
+        const ClockCalibration c = calibrate_clock(logs.imu, logs.poses, s);
+        if (share < 0.94) {
+          EXPECT_EQ(c.status, Status::calibrated);
+        }
+        if (share > 1.02) {
+          EXPECT_EQ(c.status, Status::out_of_range);
+        }
+        if (c.status == Status::calibrated) {
+          EXPECT_NEAR(c.offset, r.offset, 1.5e-3);
+          EXPECT_LE(std::abs(c.offset), most);
+        } else {
+          EXPECT_EQ(c.status, Status::out_of_range) << to_string(c.status);
+        }
+      }
+}
+
+TEST(ClockCalibration, TooLittleTurningIsUncertain) {
+  Random random(20);
+  Logs rest, one_axis;
+  for (int i = 0; i <= 4000; ++i) {
+    const double t = 0.005 * i;
+    InertialSample<> s;
+    s.angular_velocity = test_support::normal_vector(random, 0.03);
+    rest.imu.push_back({t, s});
+    s.angular_velocity.z() += std::sin(2.0 * t) + std::cos(5.0 * t);
+    one_axis.imu.push_back({t, s});
+    if (i % 2 == 1) continue;
+    const double yaw = (1.0 - std::cos(2.0 * t)) / 2.0 + std::sin(5.0 * t) / 5.0;
+    rest.poses.push_back({t, noisy({}, {}, random)});
+    one_axis.poses.push_back(
+        {t, noisy({Eigen::Vector3d::Zero(), quaternion_from_yaw(yaw)}, {}, random)});
+  }
+  const Status at_rest = calibrate_clock(rest.imu, rest.poses).status;
+  EXPECT_TRUE(at_rest == Status::uncertain || at_rest == Status::out_of_range);
+  EXPECT_EQ(calibrate_clock(one_axis.imu, one_axis.poses).status, Status::uncertain);
+}
+
+// Not a number of noise: nothing to divide by.
+TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
+  Logs still, exact;
+  const Flight flight = any_flight(21);
+  for (int i = 0; i <= 4000; ++i) {
+    const double t = 0.005 * i;
+    still.imu.push_back({t, {}});
+    exact.imu.push_back({t, flight.imu(t)});
+    still.poses.push_back({t, {}});
+    exact.poses.push_back({t - 0.1, flight.pose(t)});
+  }
+  const ClockCalibration none = calibrate_clock(still.imu, still.poses);
+  EXPECT_NE(none.status, Status::calibrated);
+  EXPECT_FALSE(std::isnan(none.deviation));
+  EXPECT_TRUE(none.marker_orientation.coeffs().allFinite());
+  const ClockCalibration c = calibrate_clock(exact.imu, exact.poses);
+  EXPECT_EQ(c.status, Status::calibrated);
+  EXPECT_NEAR(c.offset, 0.1, 1e-5);
+  EXPECT_LT(marker_error(c, flight), 1e-4);
+}
+
+TEST(ClockCalibration, BadDataAreRefused) {
+  const Logs logs = record(any_flight(22), {}, 22);
+  ASSERT_EQ(calibrate_clock(logs.imu, logs.poses).status, Status::calibrated);
+  const auto refused = [&logs](const auto& change) {
+    Logs changed = logs;
+    change(changed);
+    const ClockCalibration c = calibrate_clock(changed.imu, changed.poses);
+    EXPECT_EQ(c.offset, 0.0);
+    EXPECT_TRUE(std::isinf(c.deviation));
+    return c.status == Status::bad_data;
+  };
+  EXPECT_TRUE(refused([](Logs& l) { l.imu[100].time = nan; }));
+  EXPECT_TRUE(refused([](Logs& l) { l.imu[100].time = l.imu[99].time; }));
+  EXPECT_TRUE(refused([](Logs& l) { l.imu.front().time = nan; }));
+  EXPECT_TRUE(refused([](Logs& l) { l.imu[100].value.angular_velocity.y() = nan; }));
+  EXPECT_TRUE(refused([](Logs& l) { std::swap(l.poses[50], l.poses[51]); }));
+  EXPECT_TRUE(
+      refused([](Logs& l) { l.poses.back().time = std::numeric_limits<double>::infinity(); }));
+  EXPECT_TRUE(refused([](Logs& l) { l.poses[50].value.orientation.x() = nan; }));
+  EXPECT_TRUE(refused([](Logs& l) { l.poses[50].value.orientation.coeffs().setZero(); }));
+}
+
+TEST(ClockCalibration, ShortLogsAreRefused) {
+  const Logs logs = record(any_flight(23), {}, 23);
+  EXPECT_EQ(calibrate_clock({}, {}).status, Status::too_short);
+  EXPECT_EQ(calibrate_clock(logs.imu, {}).status, Status::too_short);
+  EXPECT_EQ(calibrate_clock({}, logs.poses).status, Status::too_short);
+  EXPECT_EQ(calibrate_clock({logs.imu[0]}, logs.poses).status, Status::too_short);
+  const auto head = [&logs](std::ptrdiff_t count) {
+    return std::vector<Timed<MarkerPose<>>>(logs.poses.begin(), logs.poses.begin() + count);
+  };
+  EXPECT_EQ(calibrate_clock(logs.imu, head(140)).status, Status::too_short);
+  EXPECT_NE(calibrate_clock(logs.imu, head(200)).status, Status::too_short);
+}
+
+TEST(ClockCalibration, SettingsAct) {
+  Recording r;
+  r.offset = 0.3;
+  const Logs logs = record(any_flight(24), r, 24);
+  ClockCalibrationSettings s;
+  s.max_offset = 0.2;
+  EXPECT_EQ(calibrate_clock(logs.imu, logs.poses, s).status, Status::out_of_range);
+  s = {};
+  const ClockCalibration usual = calibrate_clock(logs.imu, logs.poses, s);
+  EXPECT_EQ(usual.status, Status::calibrated);
+  s.max_deviation = usual.deviation * 0.99;
+  EXPECT_EQ(calibrate_clock(logs.imu, logs.poses, s).status, Status::uncertain);
+  s.max_deviation = usual.deviation * 1.01;
+  EXPECT_EQ(calibrate_clock(logs.imu, logs.poses, s).status, Status::calibrated);
+  s = {};
+  s.window = 0.2;  // longer turns, the same noise
+  const ClockCalibration wide = calibrate_clock(logs.imu, logs.poses, s);
+  EXPECT_EQ(wide.status, Status::calibrated);
+  EXPECT_LT(wide.deviation, 0.6 * usual.deviation);
+}
+
+TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
+  const auto complaint = [](const ClockCalibrationSettings& s) -> std::string {
+    try {
+      (void)calibrate_clock({}, {}, s);
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(complaint({}), "");
+  EXPECT_EQ(complaint({0.0, 0.05, 2e-3}),
+            "ClockCalibrationSettings.max_offset [s] = 0: must be finite and > 0");
+  EXPECT_EQ(complaint({0.5, -1.0, 2e-3}),
+            "ClockCalibrationSettings.window [s] = -1: must be finite and > 0");
+  EXPECT_EQ(complaint({0.5, 0.05, nan}),
+            "ClockCalibrationSettings.max_deviation [s] = nan: must be finite and > 0");
+  EXPECT_STREQ(to_string(Status::calibrated), "calibrated");
+  EXPECT_STREQ(to_string(Status::bad_data), "bad_data");
+  EXPECT_STREQ(to_string(Status::too_short), "too_short");
+  EXPECT_STREQ(to_string(Status::out_of_range), "out_of_range");
+  EXPECT_STREQ(to_string(Status::uncertain), "uncertain");
+}
+
+// Rows of a CSV file behind its header.
+std::vector<std::vector<double>> read_rows(const std::string& path) {
+  std::ifstream file(path);
+  std::vector<std::vector<double>> rows;
+  std::string line;
+  std::getline(file, line);
+  while (std::getline(file, line)) {
+    std::istringstream cells(line);
+    std::vector<double> row;
+    for (std::string cell; std::getline(cells, cell, ',');) row.push_back(std::stod(cell));
+    rows.push_back(row);
+  }
+  return rows;
+}
+
+// TILT_ROPTER_DATA names a directory with euroc_v203/{imu,pose,truth}.csv: a flight of the EuRoC
+// data set (Burri et al., IJRR 2016).
+TEST(ClockCalibration, OfARecordedFlightAgreesWithItsGroundTruth) {
+  const char* directory = std::getenv("TILT_ROPTER_DATA");
+  if (directory == nullptr) GTEST_SKIP() << "TILT_ROPTER_DATA is not set: no recorded flight";
+  const std::string path = std::string(directory) + "/euroc_v203/";
+  const auto imu_rows = read_rows(path + "imu.csv"), pose_rows = read_rows(path + "pose.csv"),
+             truth_rows = read_rows(path + "truth.csv");
+  if (imu_rows.empty() || pose_rows.empty() || truth_rows.empty())
+    GTEST_SKIP() << "no recorded flight in TILT_ROPTER_DATA";
+  std::vector<Timed<InertialSample<>>> imu, truth;
+  for (const auto& row : imu_rows) {
+    InertialSample<> sample;
+    sample.angular_velocity << row.at(1), row.at(2), row.at(3);
+    imu.push_back({row[0], sample});
+  }
+  std::vector<Timed<MarkerPose<>>> poses;
+  for (const auto& row : pose_rows)
+    poses.push_back({row.at(0),
+                     {{row.at(1), row.at(2), row.at(3)},
+                      Eigen::Quaterniond(row.at(4), row.at(5), row.at(6), row.at(7))}});
+  // The gyro that the true attitudes would have shown, in the middle of each interval.
+  for (std::size_t i = 0; i + 1 < truth_rows.size(); ++i) {
+    const auto attitude = [](const std::vector<double>& row) {
+      return Eigen::Quaterniond(row.at(4), row.at(5), row.at(6), row.at(7)).normalized();
+    };
+    const auto &from = truth_rows[i], &to = truth_rows[i + 1];
+    InertialSample<> sample;
+    sample.angular_velocity =
+        quaternion_log(Eigen::Quaterniond(attitude(from).conjugate() * attitude(to))) /
+        (to[0] - from[0]);
+    truth.push_back({(from[0] + to[0]) / 2.0, sample});
+  }
+  const ClockCalibration by_gyro = calibrate_clock(imu, poses);
+  const ClockCalibration by_truth = calibrate_clock(truth, poses);
+  EXPECT_EQ(by_gyro.status, Status::calibrated);
+  EXPECT_EQ(by_truth.status, Status::calibrated);
+  EXPECT_NEAR(by_gyro.offset, by_truth.offset, 5e-3);
+  const double apart = by_gyro.marker_orientation.angularDistance(by_truth.marker_orientation);
+  EXPECT_LT(apart, 2.0 * pi / 180.0);
+  RecordProperty("offset_by_gyro", std::to_string(by_gyro.offset));
+  RecordProperty("offset_by_truth", std::to_string(by_truth.offset));
+  RecordProperty("deviation", std::to_string(by_gyro.deviation));
+  RecordProperty("marker_degrees", std::to_string(apart * 180.0 / pi));
+}
+
+}  // namespace
+}  // namespace tilt_ropter
