@@ -1,11 +1,19 @@
-// The wrench observer at 1 kHz.
+// The wrench observer and the state estimator with an IMU at 1 kHz.
 
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+
+#include "support/flights.hpp"
 
 #include <benchmark/benchmark.h>
 
 #include <Eigen/Core>
+
+#include <chrono>
+#include <cstddef>
+#include <vector>
 
 namespace {
 
@@ -45,5 +53,103 @@ void observer_update_with_everything(benchmark::State& state) {
 
 BENCHMARK(observer_update);
 BENCHMARK(observer_update_with_everything);
+
+// Ten seconds of a flight, marker frame estimated.
+struct Log {
+  Log() {
+    const test_support::Flight flight(1);
+    for (int i = 0; i <= 10000; ++i) {
+      imu.push_back(flight.imu(1e-3 * i));
+      poses.push_back(flight.pose(1e-3 * i));
+    }
+  }
+  std::vector<InertialSample<>> imu;
+  std::vector<MarkerPose<>> poses;
+};
+
+const Log& log() {
+  static const Log flight;
+  return flight;
+}
+
+EkfSettings settings() {
+  EkfSettings s;
+  s.marker_position_deviation = 0.01;
+  s.marker_orientation_deviation = 0.02;
+  return s;
+}
+
+ErrorStateFilter<> started_filter() {
+  ErrorStateFilter<> filter(settings().imu_noise, settings().pose_noise);
+  filter.reset({}, ErrorStateFilter<>::Covariance::Identity() * 1e-4);
+  return filter;
+}
+
+void filter_predict(benchmark::State& state) {
+  ErrorStateFilter<> filter = started_filter();
+  InertialSample<> sample = log().imu.front();
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(sample);
+    filter.predict(sample, 1e-9);  // so short that the covariance stays in range
+    benchmark::DoNotOptimize(filter);
+  }
+}
+
+void filter_innovation_and_update(benchmark::State& state) {
+  const ErrorStateFilter<> before = started_filter();
+  MarkerPose<> pose;
+  pose.position.x() = 1e-3;
+  for (auto _ : state) {
+    ErrorStateFilter<> filter = before;  // some 30 ns
+    benchmark::DoNotOptimize(pose);
+    filter.update(filter.innovation(pose));
+    benchmark::DoNotOptimize(filter);
+  }
+}
+
+template <typename Function>
+double seconds(const Function& function) {
+  const auto start = std::chrono::steady_clock::now();
+  function();
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+// Ten samples of the IMU and a pose that is `delay` samples late, over and over; one of the two is
+// timed.
+template <bool Imu>
+void ekf(benchmark::State& state) {
+  const auto delay = static_cast<std::size_t>(state.range(0));
+  Ekf<> filter(settings());
+  std::size_t i = 0;
+  for (auto _ : state) {
+    if (i + 10 >= log().imu.size()) {
+      filter.reset();
+      i = 0;
+    }
+    const double imu = seconds([&] {
+      for (int k = 0; k < 10; ++k, ++i)
+        benchmark::DoNotOptimize(filter.on_imu(1e-3 * static_cast<double>(i), log().imu[i]));
+    });
+    const std::size_t j = i - 1 - (i > delay ? delay : 0);
+    const double pose = seconds([&] {
+      benchmark::DoNotOptimize(filter.on_pose(1e-3 * static_cast<double>(j), log().poses[j]));
+    });
+    state.SetIterationTime(Imu ? imu / 10.0 : pose);
+  }
+  if (!filter.running()) state.SkipWithError("not the case that was meant");
+}
+
+void ekf_on_imu(benchmark::State& state) {
+  ekf<true>(state);
+}
+
+void ekf_on_pose(benchmark::State& state) {
+  ekf<false>(state);
+}
+
+BENCHMARK(filter_predict);
+BENCHMARK(filter_innovation_and_update);
+BENCHMARK(ekf_on_imu)->ArgName("delay_ms")->Arg(0)->Arg(20)->UseManualTime();
+BENCHMARK(ekf_on_pose)->ArgName("delay_ms")->Arg(0)->Arg(20)->UseManualTime();
 
 }  // namespace
