@@ -1,0 +1,217 @@
+#pragma once
+
+#include "flight_controller.hpp"
+#include "mission_figures.hpp"
+#include "mission_log.hpp"
+#include "progress.hpp"
+
+#include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <filesystem>
+#include <iomanip>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+/// The main job on any plant: sensors, controller, log and figures of the hybrid mission.
+namespace examples {
+
+struct MissionOptions {
+  std::string output = "results";
+  std::int64_t seed = 1;
+  double mass_error = 0.03, inertia_error = 0.10;
+  double servo_speed = tilt_ropter::tilt_ropter_vehicle().servo.max_rate;
+  double servo_time_constant = tilt_ropter::tilt_ropter_vehicle().servo.time_constant;
+  double ground_thrust = tilt_ropter::GroundContactSettings{}.down_force;
+  bool no_actuator_rows = false;
+  bool no_pictures = false;
+};
+
+/// Tells `app` of the options; `options` is filled when it parses.
+inline void add_options(CLI::App& app, MissionOptions& options) {
+  app.add_option("-o,--output", options.output, "directory for the logs and the pictures")
+      ->take_last()
+      ->capture_default_str();
+  app.add_option("--seed", options.seed, "of the sensors' noise")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  app.add_option("--mass-error", options.mass_error, "true mass / believed mass - 1")
+      ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
+      ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_option("--servo-speed", options.servo_speed, "of the servos, true and believed [rad/s]")
+      ->check(CLI::Range(0.1, 100.0))
+      ->capture_default_str();
+  app.add_option("--servo-time-constant", options.servo_time_constant,
+                 "of the servos, believed, such as identify_servo finds it; the true one is 0.08 "
+                 "[s]")
+      ->check(CLI::Range(0.001, 1.0))
+      ->capture_default_str();
+  app.add_option("--ground-thrust", options.ground_thrust, "vertical, asked for on the ground [N]")
+      ->check(CLI::Range(0.0, 10.0))
+      ->capture_default_str();
+  app.add_flag("--no-actuator-rows", options.no_actuator_rows,
+               "bound the wrench and its rate by boxes alone, as in the paper");
+  app.add_flag("--no-pictures", options.no_pictures, "write the log only");
+}
+
+/// The vehicle to simulate and the one that the controller believes in.
+struct MissionVehicles {
+  tilt_ropter::Vehicle<4> truth, believed;
+};
+
+[[nodiscard]] inline MissionVehicles vehicles(const MissionOptions& options) {
+  tilt_ropter::Vehicle<4> believed = tilt_ropter::tilt_ropter_vehicle();
+  believed.servo.max_rate = options.servo_speed;
+  tilt_ropter::Vehicle<4> truth = believed;
+  truth.body.mass *= 1.0 + options.mass_error;
+  truth.body.inertia *= 1.0 + options.inertia_error;
+  believed.servo.time_constant = options.servo_time_constant;
+  return {truth, believed};
+}
+
+namespace detail {
+
+inline std::vector<std::string> mission_columns() {
+  std::vector<std::string> names = {"time_s", "phase", "on_ground"};
+  const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
+    for (const std::string& part : parts) names.push_back(name + "_" + part);
+  };
+  const std::vector<std::string> axes = {"x", "y", "z"}, rotors = {"1", "2", "3", "4"};
+  add("position_m", axes);
+  add("reference_m", axes);
+  add("velocity_mps", axes);
+  add("orientation", {"w", "x", "y", "z"});
+  add("angular_velocity_radps", axes);
+  add("command_force_n", axes);
+  add("command_torque_nm", axes);
+  add("estimated_force_n", axes);
+  add("estimated_torque_nm", axes);
+  add("external_force_n", axes);
+  add("external_torque_nm", axes);
+  add("tilt_command_rad", rotors);
+  add("tilt_model_rad", rotors);
+  add("tilt_true_rad", rotors);
+  add("rotor_speed_radps", rotors);
+  for (const char* name : {"power_w", "active_rows", "kkt"}) names.emplace_back(name);
+  return names;
+}
+
+template <typename Plant>
+void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& plant,
+             const FlightController& controller, double power) {
+  const double time = plant.time();
+  const tilt_ropter::BodyState<>& body = plant.body();
+  const tilt_ropter::NmpcResult& result = controller.result();
+  const Eigen::Quaterniond& q = body.orientation;
+  log.add(time).add(static_cast<int>(mission.phase(time))).add(result.on_ground);
+  log.add_all(body.position).add_all(mission(time).position).add_all(body.velocity);
+  log.add(q.w()).add(q.x()).add(q.y()).add(q.z()).add_all(body.angular_velocity);
+  log.add_all(result.wrench.force).add_all(result.wrench.torque);
+  log.add_all(controller.external().force).add_all(controller.external().torque);
+  log.add_all(plant.external_wrench().force).add_all(plant.external_wrench().torque);
+  log.add_all(controller.command().tilt_angle).add_all(controller.applied().tilt_angle);
+  log.add_all(plant.actuators().tilt_angle).add_all(plant.actuators().rotor_speed);
+  log.add(power).add(result.report.active_rows).add(result.report.kkt);
+  log.end_row();
+}
+
+}  // namespace detail
+
+/// Flies the hybrid mission on `plant`, prints its figures and leaves `log_name` and
+/// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
+/// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
+/// after every step. Throws std::runtime_error if the plant refuses a step.
+template <typename Plant, typename Disturbance, typename OnStep>
+void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
+                 const std::string& log_name, Plant& plant, Disturbance&& disturbance,
+                 OnStep&& on_step) {
+  using namespace tilt_ropter;
+  constexpr double step = 1e-3;       // of the plant [s]
+  constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
+
+  const HybridMissionParameters job;
+  const Mission mission = hybrid_mission(job);
+  NmpcSettings settings;
+  settings.actuator_rows = !options.no_actuator_rows;
+  settings.ground.down_force = options.ground_thrust;
+  for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
+                                                 vehicles.believed, settings))
+    std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
+              << " at " << v.time << " s, allowed is " << v.allowed << '\n';
+
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = 1000.0;
+  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
+  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
+  PoseSensorParameters capture;
+  capture.delay = 0.02;
+  capture.position_noise = 1e-3;
+  capture.orientation_noise = 3e-3;
+  EkfSettings estimation;
+  estimation.pose_noise = {capture.position_noise, capture.orientation_noise};
+  const auto seed = static_cast<std::uint64_t>(options.seed);
+  ImuSensor imu(imu_parameters, seed);
+  RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
+  PoseSensor poses(capture, seed + 2000);
+  FlightController controller(vehicles.believed, settings, estimation);
+  const Allocation<4> allocation(vehicles.believed);
+  const PowerModel power(vehicles.truth);
+
+  std::filesystem::create_directories(options.output);
+  MissionLog log(options.output + "/" + log_name, detail::mission_columns());
+  // Apart, because the same seed gives the same log bit for bit, and not the same wall times.
+  MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
+  MissionFigures figures(job.flight_height);
+  ActuatorState<4> command;
+  Progress progress;
+  const auto start = std::chrono::steady_clock::now();
+  const long steps = std::lround(mission.duration() / step);
+  for (long i = 0; i < steps; ++i) {
+    const double time = plant.time();
+    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
+      controller.on_rotor_speeds(m->rotor_speed);
+    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
+    if (const auto m = poses.sample(time, plant.body()))
+      controller.on_pose(m->time, {m->position, m->orientation});
+    if (i % steps_per_tick == 0 && controller.ekf().running()) {  // from the first pose on
+      controller.prepare(time, mission);
+      command = controller.control(time);
+      const NmpcResult& result = controller.result();
+      figures.on_control(result.status == NmpcStatus::solved,
+                         result.report.prepare_us + result.report.feedback_us,
+                         result.report.feedback_us);
+      figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
+                        allocation.rates(result.wrench, result.rate).tilt_rate,
+                        vehicles.truth.servo, steps_per_tick * step);
+      times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
+      detail::log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
+    }
+    if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
+    if (!plant.step(command, disturbance(), step)) throw std::runtime_error("the plant broke");
+    figures.on_plant(mission.phase(plant.time()), plant.body().position,
+                     mission(plant.time()).position, plant.body().velocity.z(),
+                     power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
+    on_step(mission);
+  }
+  const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
+  progress.finish();
+  figures.print(std::cout, controller.nmpc().contact().mode_changes());
+  std::cout << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
+            << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
+}
+
+}  // namespace examples
