@@ -4,6 +4,7 @@
 
 #include "hitl/link.hpp"
 #include "hitl/options.hpp"
+#include "support/mission_sensors.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
@@ -29,12 +30,6 @@ namespace {
 
 constexpr double tick = 0.01;  // of the controller [s]
 
-EkfSettings estimation() {
-  EkfSettings settings;
-  settings.pose_noise = {1e-3, 3e-3};
-  return settings;
-}
-
 /// The loop on board, up to the wrench.
 class Onboard {
  public:
@@ -42,7 +37,7 @@ class Onboard {
       : vehicle_(tilt_ropter_vehicle()),
         allocation_(vehicle_),
         actuators_(vehicle_),
-        ekf_(estimation()),
+        ekf_(examples::MissionSensors::estimation()),
         observer_(vehicle_.body),
         nmpc_(vehicle_),
         mission_(hybrid_mission()) {}

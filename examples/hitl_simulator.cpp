@@ -4,6 +4,7 @@
 #include "hitl/link.hpp"
 #include "hitl/options.hpp"
 #include "support/mission_figures.hpp"
+#include "support/mission_sensors.hpp"
 #include "support/progress.hpp"
 
 #include <tilt_ropter/model/power.hpp>
@@ -64,18 +65,7 @@ int simulate(const Options& options) {
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
   Plant<4> plant(truth);
-  const auto seed = static_cast<std::uint64_t>(options.seed);
-  ImuSensorParameters imu_parameters;
-  imu_parameters.rate = 1000.0;
-  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
-  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
-  PoseSensorParameters capture;
-  capture.delay = 0.02;
-  capture.position_noise = 1e-3;
-  capture.orientation_noise = 3e-3;
-  ImuSensor imu(imu_parameters, seed);
-  RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
-  PoseSensor poses(capture, seed + 2000);
+  examples::MissionSensors sensors(static_cast<std::uint64_t>(options.seed));
   const PowerModel power(truth);
   const HybridMissionParameters job;
   const Mission mission = hybrid_mission(job);
@@ -124,15 +114,15 @@ int simulate(const Options& options) {
 
     if (!plant.step(command, {}, step)) throw std::runtime_error("the plant broke");
     time = plant.time() - head_start;
-    if (const auto m = rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
+    if (const auto m = sensors.rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
       speeds = m->rotor_speed;
-    if (const auto m =
-            imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force())) {
+    if (const auto m = sensors.imu.sample(plant.time(), plant.body().angular_velocity,
+                                          plant.specific_force())) {
       const hitl::Message message = inertial(m->time - head_start, *m, speeds);
       link.send(0, message);
       link.send(1, message);
     }
-    if (const auto m = poses.sample(plant.time(), plant.body()))
+    if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
       link.send(0, pose(m->time - head_start, *m));
     if (time >= 0.0)
       figures.on_plant(mission.phase(time), plant.body().position, mission(time).position,

@@ -3,13 +3,13 @@
 #include "flight_controller.hpp"
 #include "mission_figures.hpp"
 #include "mission_log.hpp"
+#include "mission_sensors.hpp"
 #include "progress.hpp"
 
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
-#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <CLI/CLI.hpp>
 
@@ -152,21 +152,8 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
               << " at " << v.time << " s, allowed is " << v.allowed << '\n';
 
-  ImuSensorParameters imu_parameters;
-  imu_parameters.rate = 1000.0;
-  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
-  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
-  PoseSensorParameters capture;
-  capture.delay = 0.02;
-  capture.position_noise = 1e-3;
-  capture.orientation_noise = 3e-3;
-  EkfSettings estimation;
-  estimation.pose_noise = {capture.position_noise, capture.orientation_noise};
-  const auto seed = static_cast<std::uint64_t>(options.seed);
-  ImuSensor imu(imu_parameters, seed);
-  RotorSpeedSensor<4> rotor_speeds({}, seed + 1000);
-  PoseSensor poses(capture, seed + 2000);
-  FlightController controller(vehicles.believed, settings, estimation);
+  MissionSensors sensors(static_cast<std::uint64_t>(options.seed));
+  FlightController controller(vehicles.believed, settings, MissionSensors::estimation());
   const Allocation<4> allocation(vehicles.believed);
   const PowerModel power(vehicles.truth);
 
@@ -181,11 +168,12 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
-    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
+    if (const auto m = sensors.rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
-    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+    if (const auto m =
+            sensors.imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
       controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
-    if (const auto m = poses.sample(time, plant.body()))
+    if (const auto m = sensors.poses.sample(time, plant.body()))
       controller.on_pose(m->time, {m->position, m->orientation});
     if (i % steps_per_tick == 0 && controller.ekf().running()) {  // from the first pose on
       controller.prepare(time, mission);

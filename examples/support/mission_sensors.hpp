@@ -1,0 +1,47 @@
+#pragma once
+
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <cstdint>
+
+namespace examples {
+
+/// What the vehicle of the mission senses: an IMU with biases at 1 kHz, rotor speeds, and motion
+/// capture at 100 Hz that is 20 ms late.
+struct MissionSensors {
+  explicit MissionSensors(std::uint64_t seed)
+      : imu(imu_parameters(), seed),
+        rotor_speeds({}, seed + 1000),
+        poses(pose_parameters(), seed + 2000) {}
+
+  static tilt_ropter::ImuSensorParameters imu_parameters() {
+    tilt_ropter::ImuSensorParameters p;
+    p.rate = 1000.0;
+    p.gyro_bias << 0.01, -0.02, 0.015;
+    p.accelerometer_bias << 0.05, -0.08, 0.1;
+    return p;
+  }
+
+  static tilt_ropter::PoseSensorParameters pose_parameters() {
+    tilt_ropter::PoseSensorParameters p;
+    p.delay = 0.02;
+    p.position_noise = 1e-3;
+    p.orientation_noise = 3e-3;
+    return p;
+  }
+
+  /// What the estimator is told of them.
+  static tilt_ropter::EkfSettings estimation() {
+    const tilt_ropter::PoseSensorParameters p = pose_parameters();
+    tilt_ropter::EkfSettings settings;
+    settings.pose_noise = {p.position_noise, p.orientation_noise};
+    return settings;
+  }
+
+  tilt_ropter::ImuSensor imu;
+  tilt_ropter::RotorSpeedSensor<4> rotor_speeds;
+  tilt_ropter::PoseSensor poses;
+};
+
+}  // namespace examples
