@@ -120,8 +120,8 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
   body.colwise() -= body.rowwise().mean().eval();
   marker.colwise() -= marker.rowwise().mean().eval();
   const Eigen::Matrix3d correlation = body * marker.transpose() / static_cast<double>(count);
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(correlation,
-                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const Eigen::JacobiSVD<Eigen::Matrix3d, Eigen::NoQRPreconditioner> svd(
+      correlation, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d sign = Eigen::Vector3d::Ones();
   sign.z() = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0.0 ? -1.0 : 1.0;
   TurnFit fit;

@@ -64,16 +64,20 @@ struct AllocationMatrix {
     Eigen::Matrix<double, 6, 1> scale;
     scale << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / size);
     const auto count = static_cast<Eigen::Index>(columns.size());
-    Eigen::MatrixXd scaled(6, count);
+    // Made square by zeros, which needs no QR decomposition and spares the compiler two of them.
+    const Eigen::Index side = std::max<Eigen::Index>(count, 6);
+    Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(side, side);
     for (Eigen::Index j = 0; j < count; ++j)
-      scaled.col(j) = scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
-    Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
+      scaled.col(j).head<6>() =
+          scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
+    Eigen::JacobiSVD<Eigen::MatrixXd, Eigen::NoQRPreconditioner> svd(
+        scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
     svd.setThreshold(1e-6);
     require_rank(svd.matrixU(), svd.rank());
 
-    const Eigen::MatrixXd inverse = svd.matrixV().leftCols(6) *
-                                    svd.singularValues().cwiseInverse().asDiagonal() *
-                                    svd.matrixU().transpose() * scale.asDiagonal();
+    const Eigen::MatrixXd inverse =
+        svd.matrixV().leftCols(6) * svd.singularValues().head<6>().cwiseInverse().asDiagonal() *
+        svd.matrixU().topLeftCorner<6, 6>().transpose() * scale.asDiagonal();
     null_space.setZero(components, count - 6);
     for (Eigen::Index j = 0; j < count; ++j) {
       const int row = columns[static_cast<std::size_t>(j)];
@@ -88,7 +92,7 @@ struct AllocationMatrix {
                                             "torque x", "torque y", "torque z"};
     std::string missing;
     for (int axis = 0; axis < 6; ++axis)
-      if (left_vectors.row(axis).tail(6 - rank).norm() > 1e-6)
+      if (left_vectors.row(axis).tail(left_vectors.cols() - rank).norm() > 1e-6)
         missing += (missing.empty() ? "" : ", ") + std::string(names[axis]);
     require(false, "rank of the allocation matrix", rank,
             "6, but " + std::to_string(6 - rank) +
