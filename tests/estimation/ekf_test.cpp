@@ -33,7 +33,7 @@ using test_support::Random;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinite = std::numeric_limits<double>::infinity();
-constexpr double imu_period = 0.005, pose_period = 0.01;
+constexpr double imu_period = 0.005;  // poses come with every second sample
 
 bool full() {
   return std::getenv("TILT_ROPTER_FULL") != nullptr;
@@ -156,7 +156,7 @@ struct Consistency {
 template <int Degrees>
 Consistency consistency(unsigned seed, double marker_position_deviation,
                         double marker_orientation_deviation) {
-  const int runs = 100;
+  constexpr int runs = 100;
   const double duration = full() ? 60.0 : 20.0;
   std::vector<double> nees, nis;
   for (int run = 0; run < runs; ++run) {
@@ -190,7 +190,7 @@ Consistency consistency(unsigned seed, double marker_position_deviation,
       nis[i - 1] += ekf.nis();
     });
   }
-  const auto mean = [runs](const std::vector<double>& sums, int degrees) {
+  const auto mean = [](const std::vector<double>& sums, int degrees) {
     double sum = 0.0;
     for (const double s : sums) sum += s;
     return sum / (runs * degrees * static_cast<double>(sums.size()));
@@ -592,6 +592,10 @@ TEST(Ekf, AClockSetBackIsAGapToo) {
     if (wild) {
       EXPECT_EQ(ekf.on_imu(1e300, log.imu[0].value), EkfStatus::stopped);
     }
+    if (!wild) {  // a pose that will wait for nothing
+      EXPECT_EQ(ekf.on_pose(ekf.time() + 0.1, flight.pose(0.0)), EkfStatus::waiting);
+    }
+    const long room = static_cast<long>(Ekf<>::max_waiting);
     int late = 0, stopped = 0;
     for (const auto& s : again.imu) {
       const EkfStatus status = ekf.on_imu(s.time, s.value);
@@ -602,6 +606,10 @@ TEST(Ekf, AClockSetBackIsAGapToo) {
     EXPECT_EQ(late, EkfSettings().max_rejections - 1);
     EXPECT_EQ(stopped, 1);
     EXPECT_TRUE(ekf.running());
+    long waiting = 0;
+    for (int i = 1; i <= 50; ++i)
+      if (ekf.on_pose(ekf.time() + 1e-3 * i, flight.pose(0.0)) == EkfStatus::waiting) ++waiting;
+    EXPECT_EQ(waiting, room);
     EXPECT_LT((ekf.state().position - flight.state(ekf.time() + 1e5).position).norm(), 0.01);
   }
 }
