@@ -218,9 +218,10 @@ class ErrorStateFilter {
     using I = InertialIndex;
     const PoseJacobian h = pose_jacobian();
     Innovation in;
-    in.residual << pose.position - state_.position - h.rotation * state_.marker_position,
-        quaternion_log(Eigen::Quaternion<Scalar>(
-            (state_.orientation * state_.marker_orientation).conjugate() * pose.orientation));
+    const Vector3<Scalar> marker = state_.position + h.rotation * state_.marker_position;
+    in.residual.template head<3>() = pose.position - marker;
+    in.residual.template tail<3>() = quaternion_log(Eigen::Quaternion<Scalar>(
+        (state_.orientation * state_.marker_orientation).conjugate() * pose.orientation));
     in.correlation = times_transpose(covariance_, h);
     const auto rows = [&in](int start) { return in.correlation.template middleRows<3>(start); };
     Eigen::Matrix<Scalar, 6, 6> s;
