@@ -20,7 +20,7 @@ int main(int argc, char** argv) {
     const examples::MissionVehicles vehicles = examples::vehicles(options);
     tilt_ropter::Plant<4> plant(vehicles.truth);
     examples::fly_mission(
-        options, vehicles, "hybrid_mission.csv", plant, [] { return tilt_ropter::Wrench<>{}; },
+        options, vehicles, plant, [] { return tilt_ropter::Wrench<>{}; },
         [](const tilt_ropter::Mission&) {});  // the logs are closed when it returns
     if (!options.no_pictures) examples::draw_pictures("hybrid_mission.gp", options.output);
     return 0;

@@ -130,14 +130,13 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 
 }  // namespace detail
 
-/// Flies the hybrid mission on `plant`, prints its figures and leaves `log_name` and
+/// Flies the hybrid mission on `plant`, prints its figures and leaves hybrid_mission.csv and
 /// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
 /// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
 /// after every step. Throws std::runtime_error if the plant refuses a step.
 template <typename Plant, typename Disturbance, typename OnStep>
-void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
-                 const std::string& log_name, Plant& plant, Disturbance&& disturbance,
-                 OnStep&& on_step) {
+void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles, Plant& plant,
+                 Disturbance&& disturbance, OnStep&& on_step) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -158,7 +157,7 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
   const PowerModel power(vehicles.truth);
 
   std::filesystem::create_directories(options.output);
-  MissionLog log(options.output + "/" + log_name, detail::mission_columns());
+  MissionLog log(options.output + "/hybrid_mission.csv", detail::mission_columns());
   // Apart, because the same seed gives the same log bit for bit, and not the same wall times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   MissionFigures figures(job.flight_height);

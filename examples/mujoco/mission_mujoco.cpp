@@ -1,0 +1,126 @@
+// The hybrid mission in a physics engine that is not ours: the same controller and sensors, the
+// vehicle as a tree of bodies in MuJoCo, with arms whose mass tilts and wheels that roll.
+
+#include "../support/mission_loop.hpp"
+#include "../support/pictures.hpp"
+#include "plant.hpp"
+
+#include <tilt_ropter/simulation/gaussian_noise.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <exception>
+#include <iomanip>
+#include <iostream>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  examples::MissionOptions mission;
+  examples::MujocoParameters mujoco;
+  double slope_deg = 0.0, slope_direction_deg = 0.0;
+  double wind = 0.0;
+  int slow_servo = 0;
+  double slow_factor = 2.0;
+};
+
+/// A wind along the world's y axis [N]: a mean force on the CoM and gusts of a third of it, which
+/// stay for about half a second.
+class Wind {
+ public:
+  Wind(double mean, std::uint64_t seed) : mean_(mean), noise_(seed) {}
+
+  Wrench<> on(const BodyState<>& body, double dt) {
+    if (mean_ == 0.0) return {};
+    constexpr double stay = 0.5;
+    const double keep = std::exp(-dt / stay);
+    gust_ = keep * gust_ + noise_.draw<3>(std::sqrt(1.0 - keep * keep) * mean_ / 3.0);
+    Wrench<> wrench;
+    wrench.force = body.orientation.conjugate() * (mean_ * Eigen::Vector3d::UnitY() + gust_);
+    return wrench;
+  }
+
+ private:
+  double mean_;
+  GaussianNoise noise_;
+  Eigen::Vector3d gust_ = Eigen::Vector3d::Zero();
+};
+
+void fly(Options& options) {
+  options.mujoco.slope = options.slope_deg * pi / 180.0;
+  options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
+  const examples::MissionVehicles vehicles = examples::vehicles(options.mission);
+  examples::MujocoPlant plant(vehicles.truth, options.mujoco);
+  if (options.slow_servo > 0) {
+    ServoParameters slow = vehicles.truth.servo;
+    slow.time_constant *= options.slow_factor;
+    slow.max_rate /= options.slow_factor;
+    plant.set_servo(static_cast<std::size_t>(options.slow_servo - 1), slow);
+  }
+  Wind wind(options.wind, static_cast<std::uint64_t>(options.mission.seed) + 3000);
+  double upright = 1.0;  // the least cosine of the angle between body z and world z
+  examples::fly_mission(
+      options.mission, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
+      [&](const Mission&) {
+        upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
+      });
+  std::cout << "lean_max_deg: " << std::setprecision(2) << std::acos(upright) * 180.0 / pi << '\n'
+            << "tipped_over: " << (upright < 0.5) << '\n';
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Flies the hybrid mission in MuJoCo, on any ground and against disturbances."};
+  Options options;
+  options.mission.output = "results/mujoco";
+  examples::add_options(app, options.mission);
+  app.add_option("--slope", options.slope_deg, "of the ground [deg]")
+      ->check(CLI::Range(-20.0, 20.0))
+      ->capture_default_str();
+  app.add_option("--slope-direction", options.slope_direction_deg,
+                 "azimuth in which the ground rises, 0 is along x [deg]")
+      ->check(CLI::Range(-360.0, 360.0))
+      ->capture_default_str();
+  app.add_option("--friction", options.mujoco.contact.friction, "of wheels and ground")
+      ->check(CLI::Range(0.01, 2.0))
+      ->capture_default_str();
+  app.add_option("--step", options.mujoco.step_height,
+                 "height of a plank across the way on the ground [m]")
+      ->check(CLI::Range(0.0, 0.1))
+      ->capture_default_str();
+  app.add_option("--wind", options.wind, "mean force along world y; gusts of a third of it [N]")
+      ->check(CLI::Range(0.0, 10.0))
+      ->capture_default_str();
+  app.add_option("--payload", options.mujoco.payload,
+                 "5 cm below the CoM, of which the controller does not know [kg]")
+      ->check(CLI::Range(0.0, 2.0))
+      ->capture_default_str();
+  app.add_option("--slow-servo", options.slow_servo,
+                 "the arm, 1 to 4, whose servo has --slow-factor times the time constant and as "
+                 "much less speed; 0: none")
+      ->check(CLI::Range(0, 4))
+      ->capture_default_str();
+  app.add_option("--slow-factor", options.slow_factor, "see --slow-servo")
+      ->check(CLI::Range(0.1, 20.0))
+      ->capture_default_str();
+  app.add_option("--time-step", options.mujoco.time_step, "of MuJoCo [s]")
+      ->check(CLI::Range(1e-5, 2e-3))
+      ->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    fly(options);  // the logs are closed when it returns
+    if (!options.mission.no_pictures)
+      examples::draw_pictures("hybrid_mission.gp", options.mission.output);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "mission_mujoco: " << error.what() << '\n';
+    return 1;
+  }
+}

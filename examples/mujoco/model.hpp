@@ -1,0 +1,322 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/frames.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/simulation/wheel_contact.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <cstddef>
+#include <sstream>
+#include <string>
+
+/// The Tilt-Ropter as an MJCF model, written from a Vehicle's parameters: base on a free joint,
+/// four arms on hinges with rotors and servos, two wheels on free hinges, and the ground.
+namespace examples {
+
+/// What MuJoCo needs to know beyond the Vehicle. With all the vehicle's mass where it belongs, the
+/// whole at zero tilt has the Vehicle's mass, CoM and inertia.
+struct MujocoParameters {
+  double time_step = 5e-4;    ///< [s]
+  double arm_mass = 0.08;     ///< that tilts with one arm: motor, propeller, mount (estimate) [kg]
+  double arm_height = 0.015;  ///< of its CoM over the hinge at zero tilt (estimate) [m]
+  Eigen::Vector3d arm_inertia{3e-5, 3e-5, 2e-5};  ///< about its CoM (estimate) [kg m^2]
+  double servo_armature = 5e-4;         ///< gears and motor, felt at the arm (estimate) [kg m^2]
+  double servo_damping = 0.2;           ///< torque / error of the speed loop (estimate) [N m s]
+  double servo_torque = 1.5;            ///< largest (estimate) [N m]
+  double wheel_mass = 0.04;             ///< of one wheel (estimate) [kg]
+  double wheel_half_width = 0.015;      ///< of the ellipsoid that rolls (estimate) [m]
+  double torsional_friction = 1e-3;     ///< torque / normal force, wheel turning on the spot [m]
+  double contact_time_constant = 0.01;  ///< MuJoCo's solref: how fast a contact settles [s]
+  double contact_impedance = 0.95;      ///< MuJoCo's solimp: 1 is hard [-]
+  /// Friction, rolling resistance, bearing friction and wheel inertia are taken from our own plant.
+  tilt_ropter::WheelContactParameters contact;
+
+  double slope = 0.0;            ///< of the ground about the axis below [rad]
+  double slope_direction = 0.0;  ///< in which it rises: azimuth from x [rad]
+  double step_height = 0.0;      ///< of a plank across the ground eight, 0: none [m]
+  double step_position = 1.0;    ///< of its middle along x [m]
+  double step_width = 0.3;       ///< [m]
+  double payload = 0.0;          ///< below the body, which the controller does not know of [kg]
+  Eigen::Vector3d payload_position{0.0, 0.0, -0.05};  ///< [m]
+};
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed.
+inline void validate(const MujocoParameters& p) {
+  using namespace tilt_ropter;
+  require(p.time_step >= 1e-5 && p.time_step <= 2e-3, "MujocoParameters.time_step [s]", p.time_step,
+          "1e-5 to 2e-3");
+  require_positive("MujocoParameters.arm_mass [kg]", p.arm_mass);
+  require_finite("MujocoParameters.arm_height [m]", p.arm_height);
+  require_inertia("MujocoParameters.arm_inertia [kg m^2]",
+                  Eigen::Matrix3d(p.arm_inertia.asDiagonal()));
+  require_non_negative("MujocoParameters.servo_armature [kg m^2]", p.servo_armature);
+  require_positive("MujocoParameters.servo_damping [N m s]", p.servo_damping);
+  require_positive("MujocoParameters.servo_torque [N m]", p.servo_torque);
+  require_positive("MujocoParameters.wheel_mass [kg]", p.wheel_mass);
+  require_positive("MujocoParameters.wheel_half_width [m]", p.wheel_half_width);
+  require_non_negative("MujocoParameters.torsional_friction [m]", p.torsional_friction);
+  require(p.contact_time_constant >= 2.0 * p.time_step,
+          "MujocoParameters.contact_time_constant [s]", p.contact_time_constant,
+          "at least two time steps");
+  require(p.contact_impedance > 0.0 && p.contact_impedance < 1.0,
+          "MujocoParameters.contact_impedance", p.contact_impedance, "between 0 and 1");
+  validate(p.contact);
+  require(std::abs(p.slope) <= 0.5, "MujocoParameters.slope [rad]", p.slope, "-0.5 to 0.5");
+  require_finite("MujocoParameters.slope_direction [rad]", p.slope_direction);
+  require_non_negative("MujocoParameters.step_height [m]", p.step_height);
+  require_finite("MujocoParameters.step_position [m]", p.step_position);
+  require_positive("MujocoParameters.step_width [m]", p.step_width);
+  require_non_negative("MujocoParameters.payload [kg]", p.payload);
+  require_finite("MujocoParameters.payload_position [m]", p.payload_position);
+}
+
+/// Orientation of the sloping ground: its z axis is the normal.
+[[nodiscard]] inline Eigen::Quaterniond ground_orientation(const MujocoParameters& p) {
+  const Eigen::Vector3d level(std::sin(p.slope_direction), -std::cos(p.slope_direction), 0.0);
+  return Eigen::Quaterniond(Eigen::AngleAxisd(p.slope, level));
+}
+
+/// What is left for the base when arms and wheels are taken from the vehicle.
+struct BaseInertia {
+  double mass = 0.0;                                  ///< [kg]
+  Eigen::Vector3d com = Eigen::Vector3d::Zero();      ///< in the body frame [m]
+  Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  ///< about `com`, body axes [kg m^2]
+};
+
+namespace detail {
+
+/// Inertia of a mass point at `r`.
+inline Eigen::Matrix3d point_inertia(double mass, const Eigen::Vector3d& r) {
+  return mass * (r.squaredNorm() * Eigen::Matrix3d::Identity() - r * r.transpose());
+}
+
+inline Eigen::Vector3d wheel_inertia(const MujocoParameters& p) {  // in the wheel frame, a ring's
+  const double across =
+      0.5 * p.contact.wheel_inertia + p.wheel_mass * p.wheel_half_width * p.wheel_half_width / 3.0;
+  return {p.contact.wheel_inertia, across, across};
+}
+
+/// Numbers for an attribute, as exact as doubles are.
+template <typename... Numbers>
+std::string numbers(const Numbers&... values) {
+  std::ostringstream text;
+  text.precision(17);
+  ((text << values << ' '), ...);
+  std::string result = text.str();
+  result.pop_back();
+  return result;
+}
+inline std::string numbers(const Eigen::Vector3d& v) {
+  return numbers(v.x(), v.y(), v.z());
+}
+inline std::string numbers(const Eigen::Quaterniond& q) {
+  return numbers(q.w(), q.x(), q.y(), q.z());
+}
+
+/// The attributes pos and quat of a frame.
+inline std::string placed(const Eigen::Isometry3d& pose) {
+  return " pos=\"" + numbers(Eigen::Vector3d(pose.translation())) + "\" quat=\"" +
+         numbers(Eigen::Quaterniond(pose.linear())) + "\" ";
+}
+
+}  // namespace detail
+
+/// Throws std::invalid_argument if arms and wheels are heavier or more inert than the vehicle.
+[[nodiscard]] inline BaseInertia base_inertia(const tilt_ropter::Vehicle<4>& vehicle,
+                                              const MujocoParameters& p) {
+  BaseInertia base;
+  base.mass = vehicle.body.mass;
+  base.inertia = vehicle.body.inertia;  // about the CoM of all, for now
+  const auto take = [&base](double mass, const Eigen::Vector3d& at, const Eigen::Matrix3d& own) {
+    base.mass -= mass;
+    base.com -= mass * at;
+    base.inertia -= detail::point_inertia(mass, at) + own;
+  };
+  for (std::size_t i = 0; i < 4; ++i) {
+    const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
+    take(p.arm_mass, rotor * Eigen::Vector3d(0.0, 0.0, p.arm_height),
+         rotor.linear() * p.arm_inertia.asDiagonal() * rotor.linear().transpose());
+  }
+  for (std::size_t i = 0; i < 2; ++i) {
+    const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
+    Eigen::Vector3d own = detail::wheel_inertia(p);
+    own.x() = 0.0;  // the vehicle's inertia is without the wheels' about their axle
+    take(p.wheel_mass, wheel.translation(),
+         wheel.linear() * own.asDiagonal() * wheel.linear().transpose());
+  }
+  tilt_ropter::require_positive("mass of the base without arms and wheels [kg]", base.mass);
+  base.com /= base.mass;
+  base.inertia -= detail::point_inertia(base.mass, base.com);
+  tilt_ropter::require_inertia("inertia of the base without arms and wheels", base.inertia);
+  return base;
+}
+
+/// The model. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`, `wheel2`; actuators
+/// `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the CoM at zero tilt; geoms `tyre1`,
+/// `tyre2`, `ground`. Thrust and reaction torque act at the rotor's site, which tilts with its arm.
+/// A servo is a speed loop. Geoms without a name are what is seen, and weigh nothing.
+[[nodiscard]] inline std::string mujoco_model(const tilt_ropter::Vehicle<4>& vehicle,
+                                              const MujocoParameters& p = {}) {
+  using detail::numbers;
+  tilt_ropter::validate(vehicle);
+  validate(p);
+  const BaseInertia base = base_inertia(vehicle, p);
+  const Eigen::Matrix3d& j = base.inertia;
+  const double radius = vehicle.wheels.radius;
+  const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
+  std::ostringstream xml;
+  xml << R"(<mujoco model="tilt_ropter">
+<compiler angle="radian" inertiafromgeom="false" balanceinertia="false"/>
+<option integrator="implicit" solver="Newton" cone="elliptic" impratio="20" tolerance="1e-12")"
+      << " timestep=" << quoted(numbers(p.time_step))
+      << " gravity=" << quoted(numbers(0.0, 0.0, -tilt_ropter::gravity)) << R"(/>
+<size nconmax="60" njmax="400"/>
+<visual>
+  <global offwidth="1920" offheight="1080" fovy="32"/>
+  <quality shadowsize="4096" offsamples="4"/>
+  <headlight ambient="0.38 0.39 0.42" diffuse="0.30 0.30 0.30" specular="0.1 0.1 0.1"/>
+  <map znear="0.02" zfar="60" fogstart="9" fogend="24"/>
+  <rgba haze="0.93 0.95 0.97 1" fog="0.93 0.95 0.97 1"/>
+</visual>
+<asset>
+  <texture name="sky" type="skybox" builtin="gradient" rgb1="0.80 0.87 0.94" rgb2="0.97 0.98 0.99"
+    width="256" height="256"/>
+  <texture name="floor" type="2d" builtin="checker" rgb1="0.87 0.88 0.90" rgb2="0.82 0.83 0.86"
+    mark="edge" markrgb="0.76 0.77 0.80" width="256" height="256"/>
+  <material name="floor" texture="floor" texrepeat="1 1" texuniform="true" specular="0.1"
+    shininess="0.2"/>
+  <material name="carbon" rgba="0.13 0.14 0.16 1" specular="0.5" shininess="0.6"/>
+  <material name="metal" rgba="0.62 0.64 0.67 1" specular="0.8" shininess="0.8"/>
+  <material name="shell" rgba="0.95 0.60 0.13 1" specular="0.4" shininess="0.6"/>
+  <material name="tyre" rgba="0.17 0.18 0.20 1" specular="0.1" shininess="0.1"/>
+  <material name="plank" rgba="0.70 0.55 0.38 1"/>
+  <material name="disc1" rgba="0.12 0.42 0.80 0.38"/>
+  <material name="disc-1" rgba="0.85 0.22 0.20 0.38"/>
+</asset>
+<default>
+  <geom contype="0" conaffinity="0"/>
+  <default class="touches"><geom contype="0" conaffinity="1" condim="6" )"
+      << "solref=" << quoted(numbers(p.contact_time_constant, 1.0))
+      << " solimp=" << quoted(numbers(p.contact_impedance, p.contact_impedance, 1e-3))
+      << " friction="
+      << quoted(numbers(p.contact.friction, p.torsional_friction,
+                        p.contact.rolling_resistance * radius))
+      << R"(/></default>
+  <default class="ground"><geom contype="1" conaffinity="0" condim="6" )"
+      // Of two geoms MuJoCo takes the larger friction; these are below any of the wheels'.
+      << R"(friction="1e-5 1e-5 1e-5" solref=)" << quoted(numbers(p.contact_time_constant, 1.0))
+      << " solimp=" << quoted(numbers(p.contact_impedance, p.contact_impedance, 1e-3))
+      << R"(/></default>
+</default>
+<worldbody>
+  <light directional="true" pos="-2 -3 6" dir="0.3 0.45 -1" diffuse="0.62 0.60 0.57"
+    specular="0.2 0.2 0.2" castshadow="true"/>
+  <geom name="ground" class="ground" type="plane" size="30 30 0.5" material="floor" quat=)"
+      << quoted(numbers(ground_orientation(p))) << "/>\n";
+  if (p.step_height > 0.0)
+    xml << R"(  <geom name="step" class="ground" type="box" material="plank" size=)"
+        << quoted(numbers(0.5 * p.step_width, 1.2, p.step_height))
+        << " pos=" << quoted(numbers(p.step_position, 0.0, 0.0)) << "/>\n";
+
+  xml << R"(  <body name="base">
+    <freejoint name="root"/>
+    <inertial mass=)"
+      << quoted(numbers(base.mass)) << " pos=" << quoted(numbers(base.com))
+      << " fullinertia=" << quoted(numbers(j(0, 0), j(1, 1), j(2, 2), j(0, 1), j(0, 2), j(1, 2)))
+      << R"(/>
+    <site name="imu"/>
+    <geom class="touches" type="ellipsoid" size="0.075 0.05 0.032" material="shell"/>
+    <geom type="box" size="0.05 0.033 0.008" pos="0 0 -0.03" material="carbon"/>
+    <geom type="cylinder" size="0.006 0.012" pos="0 0 0.036" material="metal"/>
+    <geom type="sphere" size="0.009" pos="0.068 0 0.006" material="carbon"/>
+)";
+  for (std::size_t i = 0; i < 4; ++i) {
+    const std::string n = std::to_string(i + 1);
+    const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
+    const double arm = rotor.translation().norm();
+    const int spin = static_cast<int>(vehicle.rotors[i].spin);
+    xml << "    <body name=\"arm" << n << '"' << detail::placed(rotor) << R"(>
+      <joint name="tilt)"
+        << n << R"(" type="hinge" axis="1 0 0" armature=)" << quoted(numbers(p.servo_armature))
+        << R"(/>
+      <inertial mass=)"
+        << quoted(numbers(p.arm_mass)) << " pos=" << quoted(numbers(0.0, 0.0, p.arm_height))
+        << " diaginertia=" << quoted(numbers(p.arm_inertia)) << R"(/>
+      <site name="rotor)"
+        << n << R"("/>
+      <geom type="capsule" size="0.008" fromto=)"
+        << quoted(numbers(-arm + 0.045, 0, 0, 0, 0, 0)) << R"( material="carbon"/>
+      <geom class="touches" type="cylinder" size="0.015 0.014" pos="0 0 0.006" material="metal"/>
+      <geom type="cylinder" size="0.004 0.01" pos="0 0 0.026" material="metal"/>
+      <geom type="cylinder" size="0.075 0.0012" pos="0 0 0.034" material="disc)"
+        << spin << R"("/>
+      <geom type="ellipsoid" size="0.073 0.006 0.002" pos="0 0 0.034" euler="0 0 )"
+        << 0.7 * static_cast<double>(i) << R"(" material="carbon"/>
+    </body>
+)";
+  }
+  const Eigen::Vector3d wheel_inertia = detail::wheel_inertia(p);
+  for (std::size_t i = 0; i < 2; ++i) {
+    const std::string n = std::to_string(i + 1);
+    const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
+    const double arm = rotor_in_body(vehicle, i).translation().norm();
+    xml << "    <geom type=\"capsule\" size=\"0.004\" material=\"metal\" fromto="
+        << quoted(numbers(0, wheel.translation().y() * arm / vehicle.wheels.half_track, 0, 0,
+                          wheel.translation().y(), 0))
+        << "/>\n    <body name=\"wheel" << n << '"' << detail::placed(wheel) << R"(>
+      <joint name="wheel)"
+        << n << R"(" type="hinge" axis="1 0 0" damping=)"
+        << quoted(numbers(p.contact.bearing_friction)) << R"(/>
+      <inertial mass=)"
+        << quoted(numbers(p.wheel_mass)) << R"( pos="0 0 0" diaginertia=)"
+        << quoted(numbers(wheel_inertia)) << R"(/>
+      <geom name="tyre)"
+        << n << R"(" class="touches" type="ellipsoid" group="4" size=)"
+        << quoted(numbers(p.wheel_half_width, radius, radius)) << R"(/>
+      <geom type="cylinder" size="0.012 0.01" quat="0.70710678118654757 0 0.70710678118654757 0"
+        material="metal"/>
+)";
+    constexpr int segments = 36, spokes = 6;  // a rim, in short capsules: MJCF has no torus
+    constexpr double tau = 2.0 * tilt_ropter::pi;
+    const double rim = radius - 0.007;
+    const auto on_rim = [rim](double angle) {
+      return numbers(0.0, rim * std::cos(angle), rim * std::sin(angle));
+    };
+    for (int k = 0; k < segments; ++k)
+      xml << R"(      <geom type="capsule" size="0.007" material="tyre" fromto=")"
+          << on_rim(tau * k / segments) << ' ' << on_rim(tau * (k + 1) / segments) << "\"/>\n";
+    for (int k = 0; k < spokes; ++k)
+      xml << R"(      <geom type="capsule" size="0.0025" material=")"
+          << (k == 0 ? "shell" : "metal") << R"(" fromto="0 0 0 )" << on_rim(tau * k / spokes)
+          << "\"/>\n";
+    xml << "    </body>\n";
+  }
+  if (p.payload > 0.0) {
+    const double half = 0.02;
+    xml << "    <body name=\"payload\" pos=" << quoted(numbers(p.payload_position))
+        << ">\n      <inertial mass=" << quoted(numbers(p.payload))
+        << R"( pos="0 0 0" diaginertia=)"
+        << quoted(numbers(
+               Eigen::Vector3d(Eigen::Vector3d::Constant(2.0 / 3.0 * p.payload * half * half))))
+        << "/>\n      <geom type=\"box\" material=\"plank\" size="
+        << quoted(numbers(half, half, half)) << "/>\n    </body>\n";
+  }
+  xml << "  </body>\n</worldbody>\n<actuator>\n";
+  for (std::size_t i = 0; i < 4; ++i)
+    xml << "  <motor name=\"thrust" << i + 1 << "\" site=\"rotor" << i + 1 << "\" gear=\"0 0 1 0 0 "
+        << numbers(-static_cast<int>(vehicle.rotors[i].spin) * vehicle.rotor.torque_ratio)
+        << "\"/>\n";
+  for (std::size_t i = 0; i < 4; ++i)
+    xml << "  <velocity name=\"servo" << i + 1 << "\" joint=\"tilt" << i + 1
+        << "\" kv=" << quoted(numbers(p.servo_damping)) << R"( forcelimited="true" forcerange=)"
+        << quoted(numbers(-p.servo_torque, p.servo_torque)) << "/>\n";
+  xml << "</actuator>\n<sensor>\n  <accelerometer name=\"imu\" "
+         "site=\"imu\"/>\n</sensor>\n</mujoco>\n";
+  return xml.str();
+}
+
+}  // namespace examples

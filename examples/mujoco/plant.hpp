@@ -1,0 +1,231 @@
+#pragma once
+
+#include "model.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <mujoco/mujoco.h>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <memory>
+#include <stdexcept>
+#include <string>
+
+namespace examples {
+
+/// The model of model.hpp in MuJoCo, behind the interface of tilt_ropter::Plant. MuJoCo moves the
+/// bodies and works out the contacts; the lag of rotors and servos, which it does not know, is
+/// advanced here. A servo turns its arm through MuJoCo's joint: the body feels the reaction, and
+/// the thrust, the arm's weight and its inertia turn against it.
+class MujocoPlant {
+ public:
+  /// Starts at time zero, standing on its wheels with stopped rotors. Throws std::invalid_argument
+  /// for parameters that are not valid (a servo's dead time is not simulated), std::runtime_error
+  /// if MuJoCo does not take the model.
+  explicit MujocoPlant(const tilt_ropter::Vehicle<4>& vehicle,
+                       const MujocoParameters& parameters = {})
+      : vehicle_(vehicle), model_(load(mujoco_model(vehicle, parameters))) {
+    tilt_ropter::require(vehicle.servo.dead_time == 0.0, "MujocoPlant: servo.dead_time [s]",
+                         vehicle.servo.dead_time, "zero");
+    servos_.fill(vehicle.servo);
+    data_.reset(mj_makeData(model_.get()));
+    if (!data_) throw std::runtime_error("MuJoCo: no memory for its data");
+    base_ = id(mjOBJ_BODY, "base");
+    root_ = joint("root");
+    const auto address = [this](int j) { return model_->jnt_qposadr[j]; };
+    const auto dof = [this](int j) { return model_->jnt_dofadr[j]; };
+    for (std::size_t i = 0; i < 4; ++i) {
+      const std::string n = std::to_string(i + 1);
+      tilt_angle_[i] = address(joint("tilt" + n));
+      thrust_[i] = id(mjOBJ_ACTUATOR, "thrust" + n);
+      servo_[i] = id(mjOBJ_ACTUATOR, "servo" + n);
+    }
+    for (std::size_t i = 0; i < 2; ++i) {
+      const std::string n = std::to_string(i + 1);
+      wheel_dof_[i] = dof(joint("wheel" + n));
+      tyre_[i] = id(mjOBJ_GEOM, "tyre" + n);
+    }
+    accelerometer_ = model_->sensor_adr[id(mjOBJ_SENSOR, "imu")];
+
+    const Eigen::Quaterniond ground = ground_orientation(parameters);
+    tilt_ropter::BodyState<> standing;
+    standing.orientation = ground;
+    standing.position = ground * Eigen::Vector3d(0.0, 0.0, vehicle.wheels.radius);
+    reset(standing, {});
+  }
+
+  /// Sets body and actuators; wheels stand still, time is zero.
+  void reset(const tilt_ropter::BodyState<>& body, const tilt_ropter::ActuatorState<4>& actuators) {
+    mj_resetData(model_.get(), data_.get());
+    Eigen::Map<Eigen::Matrix<mjtNum, 7, 1>> q(data_->qpos + model_->jnt_qposadr[root_]);
+    Eigen::Map<Twist> v(data_->qvel + model_->jnt_dofadr[root_]);
+    const Eigen::Quaterniond unit = body.orientation.normalized();
+    q << body.position, unit.w(), unit.x(), unit.y(), unit.z();
+    v << body.velocity, body.angular_velocity;
+    actuators_ = actuators;
+    for (std::size_t i = 0; i < 4; ++i)
+      data_->qpos[tilt_angle_[i]] = actuators.tilt_angle(static_cast<Eigen::Index>(i));
+    disturbance_ = {};
+    apply(actuators);
+    observe();
+  }
+
+  /// Another servo on one arm: `arm` counts from 0.
+  void set_servo(std::size_t arm, const tilt_ropter::ServoParameters& servo) {
+    tilt_ropter::validate(servo);
+    servos_.at(arm) = servo;
+  }
+
+  /// Goes on by `dt` [s] with constant command and constant disturbance, a wrench at the CoM in the
+  /// body frame. Returns false if an argument is not finite, dt is out of range, or MuJoCo lost its
+  /// way, after which the plant is of no use.
+  bool step(const tilt_ropter::ActuatorState<4>& command, const tilt_ropter::Wrench<>& disturbance,
+            double dt) {
+    if (!(dt > 0.0 && dt <= 10.0) || !command.rotor_speed.allFinite() ||
+        !command.tilt_angle.allFinite() || !tilt_ropter::is_finite(disturbance))
+      return false;
+    disturbance_ = disturbance;
+    const double end = data_->time + dt;
+    const int steps = std::max(1, static_cast<int>(std::ceil(dt / longest_step_ - 1e-6)));
+    model_->opt.timestep = dt / steps;
+    const double passed = -std::expm1(-dt / steps / vehicle_.rotor.time_constant);
+    const auto speed_of = [this](double thrust) {
+      return std::sqrt(thrust / vehicle_.rotor.thrust_coefficient);
+    };
+    const Eigen::Vector4d speed = command.rotor_speed.cwiseMax(speed_of(vehicle_.rotor.min_thrust))
+                                      .cwiseMin(speed_of(vehicle_.rotor.max_thrust));
+    for (int i = 0; i < steps; ++i) {
+      const Eigen::Vector4d change = passed * (speed - actuators_.rotor_speed);
+      actuators_.rotor_speed += 0.5 * change;  // that of the step's middle, but for its square
+      apply(command);
+      mj_step(model_.get(), data_.get());
+      actuators_.rotor_speed += 0.5 * change;
+    }
+    data_->time = end;
+    apply(command);
+    observe();
+    // On a state that is not sound MuJoCo starts anew and counts a warning.
+    return data_->warning[mjWARN_BADQPOS].number + data_->warning[mjWARN_BADQVEL].number +
+               data_->warning[mjWARN_BADQACC].number ==
+           0;
+  }
+
+  [[nodiscard]] double time() const { return data_->time; }
+  [[nodiscard]] const tilt_ropter::BodyState<>& body() const { return body_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<4>& actuators() const { return actuators_; }
+
+  /// Of the ground and the disturbance on the body, at the body frame's origin, in the body frame,
+  /// but for what the ground turns the wheels with; bearings and wheel momentum are left out.
+  [[nodiscard]] const tilt_ropter::Wrench<>& external_wrench() const { return external_; }
+  /// What an accelerometer in the body frame's origin measures, free of errors [m/s^2].
+  [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
+  /// Normal force of the ground on the right and the left wheel [N].
+  [[nodiscard]] const Eigen::Vector2d& normal_forces() const { return normal_forces_; }
+  /// Of the right and the left wheel relative to the body [rad/s].
+  [[nodiscard]] Eigen::Vector2d wheel_speeds() const {
+    return {data_->qvel[wheel_dof_[0]], data_->qvel[wheel_dof_[1]]};
+  }
+
+  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+  /// MuJoCo's own, for pictures and tests.
+  [[nodiscard]] const mjModel& model() const { return *model_; }
+  [[nodiscard]] mjData& data() const { return *data_; }
+
+ private:
+  struct Delete {
+    void operator()(mjModel* model) const { mj_deleteModel(model); }
+    void operator()(mjData* data) const { mj_deleteData(data); }
+  };
+  using Model = std::unique_ptr<mjModel, Delete>;
+  /// Of the free joint: linear in the world frame, angular in the body's. Its forces likewise.
+  using Twist = Eigen::Matrix<mjtNum, 6, 1>;
+
+  static Model load(const std::string& xml) {
+    mju_user_warning = [](const char*) {};  // else it writes a file; step() looks at the counts
+    const auto files = std::make_unique<mjVFS>();
+    mj_defaultVFS(files.get());
+    const int length = static_cast<int>(xml.size());
+    if (mj_makeEmptyFileVFS(files.get(), "model.xml", length) != 0)
+      throw std::runtime_error("MuJoCo: no memory for the model");
+    std::memcpy(files->filedata[0], xml.data(), xml.size());
+    std::array<char, 1000> error{};
+    Model model(mj_loadXML("model.xml", files.get(), error.data(), static_cast<int>(error.size())));
+    mj_deleteVFS(files.get());
+    if (!model) throw std::runtime_error(std::string("MuJoCo: ") + error.data());
+    return model;
+  }
+
+  [[nodiscard]] int id(mjtObj type, const std::string& name) const {
+    return mj_name2id(model_.get(), type, name.c_str());
+  }
+  [[nodiscard]] int joint(const std::string& name) const { return id(mjOBJ_JOINT, name); }
+
+  /// Hands rotor thrusts, servo speeds and disturbance to MuJoCo.
+  void apply(const tilt_ropter::ActuatorState<4>& command) {
+    for (std::size_t i = 0; i < 4; ++i) {
+      const auto k = static_cast<Eigen::Index>(i);
+      const tilt_ropter::ServoParameters& servo = servos_[i];
+      const double speed = actuators_.rotor_speed(k);
+      data_->ctrl[thrust_[i]] = vehicle_.rotor.thrust_coefficient * speed * speed;
+      const double target = std::clamp(command.tilt_angle(k), servo.min_angle, servo.max_angle);
+      data_->ctrl[servo_[i]] =
+          std::clamp((target - data_->qpos[tilt_angle_[i]]) / servo.time_constant, -servo.max_rate,
+                     servo.max_rate);
+    }
+    const mjtNum* q = data_->qpos + model_->jnt_qposadr[root_] + 3;
+    Eigen::Map<Twist> applied(data_->qfrc_applied + model_->jnt_dofadr[root_]);
+    applied << Eigen::Quaterniond(q[0], q[1], q[2], q[3]) * disturbance_.force, disturbance_.torque;
+  }
+
+  /// Everything that the state determines.
+  void observe() {
+    mj_forward(model_.get(), data_.get());
+    const mjtNum* q = data_->qpos + model_->jnt_qposadr[root_];
+    const int dof = model_->jnt_dofadr[root_];
+    const Eigen::Map<const Twist> v(data_->qvel + dof), constraint(data_->qfrc_constraint + dof);
+    body_.position << q[0], q[1], q[2];
+    body_.orientation = Eigen::Quaterniond(q[3], q[4], q[5], q[6]);
+    body_.velocity = v.head<3>();
+    body_.angular_velocity = v.tail<3>();
+    for (std::size_t i = 0; i < 4; ++i)
+      actuators_.tilt_angle(static_cast<Eigen::Index>(i)) = data_->qpos[tilt_angle_[i]];
+    specific_force_ = Eigen::Map<const Eigen::Vector3d>(data_->sensordata + accelerometer_);
+
+    external_.force = disturbance_.force + body_.orientation.conjugate() * constraint.head<3>();
+    external_.torque = disturbance_.torque + constraint.tail<3>();
+    for (const int wheel : wheel_dof_) external_.torque.y() -= data_->qfrc_constraint[wheel];
+    normal_forces_.setZero();
+    for (int i = 0; i < data_->ncon; ++i) {
+      std::array<mjtNum, 6> force{};
+      mj_contactForce(model_.get(), data_.get(), i, force.data());
+      for (std::size_t w = 0; w < 2; ++w)
+        if (data_->contact[i].geom1 == tyre_[w] || data_->contact[i].geom2 == tyre_[w])
+          normal_forces_(static_cast<Eigen::Index>(w)) += force[0];
+    }
+  }
+
+  tilt_ropter::Vehicle<4> vehicle_;
+  std::array<tilt_ropter::ServoParameters, 4> servos_;
+  Model model_;
+  std::unique_ptr<mjData, Delete> data_;
+  int base_ = 0, root_ = 0, accelerometer_ = 0;
+  std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< where MuJoCo keeps them
+  std::array<int, 2> wheel_dof_{}, tyre_{};
+  double longest_step_ = model_->opt.timestep;
+  tilt_ropter::Wrench<> disturbance_, external_;
+  tilt_ropter::BodyState<> body_;
+  tilt_ropter::ActuatorState<4> actuators_;
+  Eigen::Vector3d specific_force_ = Eigen::Vector3d::Zero();
+  Eigen::Vector2d normal_forces_ = Eigen::Vector2d::Zero();
+};
+
+}  // namespace examples
