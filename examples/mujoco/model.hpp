@@ -20,9 +20,11 @@ namespace examples {
 /// What MuJoCo needs to know beyond the Vehicle. With all the vehicle's mass where it belongs, the
 /// whole at zero tilt has the Vehicle's mass, CoM and inertia.
 struct MujocoParameters {
-  double time_step = 5e-4;    ///< [s]
-  double arm_mass = 0.08;     ///< that tilts with one arm: motor, propeller, mount (estimate) [kg]
-  double arm_height = 0.015;  ///< of its CoM over the hinge at zero tilt (estimate) [m]
+  double time_step = 5e-4;  ///< [s]
+  double arm_mass = 0.08;   ///< that tilts with one arm: motor, propeller, mount (estimate) [kg]
+  /// Of the arm's CoM over the hinge at zero tilt (estimate: half of the arm's mass is a motor, 1
+  /// cm above it, the rest is on it) [m].
+  double arm_height = 0.005;
   Eigen::Vector3d arm_inertia{3e-5, 3e-5, 2e-5};  ///< about its CoM (estimate) [kg m^2]
   double servo_armature = 5e-4;         ///< gears and motor, felt at the arm (estimate) [kg m^2]
   double servo_damping = 0.2;           ///< torque / error of the speed loop (estimate) [N m s]
@@ -31,7 +33,9 @@ struct MujocoParameters {
   double wheel_half_width = 0.015;      ///< of the ellipsoid that rolls (estimate) [m]
   double torsional_friction = 1e-3;     ///< torque / normal force, wheel turning on the spot [m]
   double contact_time_constant = 0.01;  ///< MuJoCo's solref: how fast a contact settles [s]
-  double contact_impedance = 0.95;      ///< MuJoCo's solimp: 1 is hard [-]
+  /// MuJoCo's solimp, below 1: the larger, the harder. A tyre that sinks in by 0.2 mm; at 0.95 it
+  /// is so hard that the wheels lose touch in between while they roll.
+  double contact_impedance = 0.6;
   /// Friction, rolling resistance, bearing friction and wheel inertia are taken from our own plant.
   tilt_ropter::WheelContactParameters contact;
 
@@ -171,7 +175,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   std::ostringstream xml;
   xml << R"(<mujoco model="tilt_ropter">
 <compiler angle="radian" inertiafromgeom="false" balanceinertia="false"/>
-<option integrator="implicit" solver="Newton" cone="elliptic" impratio="20" tolerance="1e-12")"
+<option integrator="implicit" solver="Newton" cone="elliptic" impratio="100" tolerance="1e-12")"
       << " timestep=" << quoted(numbers(p.time_step))
       << " gravity=" << quoted(numbers(0.0, 0.0, -tilt_ropter::gravity)) << R"(/>
 <size nconmax="60" njmax="400"/>
