@@ -4,6 +4,9 @@
 #include "../support/mission_loop.hpp"
 #include "../support/pictures.hpp"
 #include "plant.hpp"
+#ifdef MISSION_MUJOCO_FILM  // set by CMake where EGL is
+#include "film.hpp"
+#endif
 
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
 
@@ -14,8 +17,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <exception>
+#include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <memory>
+#include <stdexcept>
+#include <string>
 
 using namespace tilt_ropter;
 
@@ -28,6 +35,46 @@ struct Options {
   double wind = 0.0;
   int slow_servo = 0;
   double slow_factor = 2.0;
+  bool film = false;
+};
+
+#ifdef MISSION_MUJOCO_FILM
+using Film = examples::Film;
+#else
+struct Film {
+  Film(const examples::MujocoPlant&, const std::string&) {
+    throw std::runtime_error("built without EGL (Debian: libegl-dev)");
+  }
+  void on_step(const Mission&) {}
+  void finish() {}
+};
+#endif
+
+/// A film if it can be made. If not, the mission goes on and says why.
+class MaybeFilm {
+ public:
+  MaybeFilm(bool wanted, const examples::MujocoPlant& plant, const std::string& directory) {
+    if (wanted) attempt([&] { film_ = std::make_unique<Film>(plant, directory); });
+  }
+  void on_step(const Mission& mission) {
+    if (film_) attempt([&] { film_->on_step(mission); });
+  }
+  void finish() {
+    if (film_) attempt([&] { film_->finish(); });
+  }
+
+ private:
+  template <typename Action>
+  void attempt(Action&& action) {
+    try {
+      action();
+    } catch (const std::exception& error) {
+      std::cerr << "no film: " << error.what() << '\n';
+      film_.reset();
+    }
+  }
+
+  std::unique_ptr<Film> film_;
 };
 
 /// A wind along the world's y axis [N]: a mean force on the CoM and gusts of a third of it, which
@@ -64,12 +111,16 @@ void fly(Options& options) {
     plant.set_servo(static_cast<std::size_t>(options.slow_servo - 1), slow);
   }
   Wind wind(options.wind, static_cast<std::uint64_t>(options.mission.seed) + 3000);
+  std::filesystem::create_directories(options.mission.output);
+  MaybeFilm film(options.film, plant, options.mission.output);
   double upright = 1.0;  // the least cosine of the angle between body z and world z
   examples::fly_mission(
       options.mission, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
-      [&](const Mission&) {
+      [&](const Mission& mission) {
         upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
+        film.on_step(mission);
       });
+  film.finish();
   std::cout << "lean_max_deg: " << std::setprecision(2) << std::acos(upright) * 180.0 / pi << '\n'
             << "tipped_over: " << (upright < 0.5) << '\n';
 }
@@ -113,6 +164,8 @@ int main(int argc, char** argv) {
   app.add_option("--time-step", options.mujoco.time_step, "of MuJoCo [s]")
       ->check(CLI::Range(1e-5, 2e-3))
       ->capture_default_str();
+  app.add_flag("--film,!--no-film", options.film,
+               "draw mission.mp4, mission.gif, air.png and ground.png too (EGL, ffmpeg)");
   CLI11_PARSE(app, argc, argv);
   try {
     fly(options);  // the logs are closed when it returns
