@@ -90,7 +90,7 @@ class Film {
             .c_str(),
         "w");
     if (file_ == nullptr) throw std::runtime_error("cannot start ffmpeg");
-    focus_ = plant.body().position;
+    focus_ << 0.15, 0.0, 0.25;
   }
   Film(const Film&) = delete;
   Film& operator=(const Film&) = delete;
@@ -103,16 +103,17 @@ class Film {
   /// To be called after every step: adds a frame if it is time for one.
   void on_step(const tilt_ropter::Mission& mission) {
     const double time = plant_.time();
+    if (time >= next_mark_) {
+      next_mark_ += 0.05;
+      trail_.push_back(plant_.body().position);
+    }
     if (time < next_frame_) return;
     next_frame_ += speed / frames_per_second;
-    trail_.push_back(plant_.body().position);
     if (path_.empty()) sample(mission);
-    // Half of the way is followed, so that speed is seen and the vehicle stays large.
-    const Eigen::Vector3d wanted(0.75 * plant_.body().position.x(),
-                                 0.75 * plant_.body().position.y(),
-                                 0.25 + 0.6 * plant_.body().position.z());
-    focus_ += 0.35 * (wanted - focus_);
-    draw(2.7, 118.0, -17.0);
+    // The camera moves only between air and ground: a moving one makes the GIF far larger.
+    const bool high = plant_.body().position.z() > 0.6;
+    focus_.z() += 0.3 * ((high ? 1.25 : 0.25) - focus_.z());
+    draw(4.6, 125.0, -22.0);
     if (std::fwrite(pixels_.data(), 1, pixels_.size(), file_) != pixels_.size())
       throw std::runtime_error("cannot write " + path("mission.mp4"));
     for (const auto& segment : mission.segments()) {
@@ -132,7 +133,7 @@ class Film {
     if (closed != 0) throw std::runtime_error("ffmpeg failed on " + path("mission.mp4"));
     const std::string convert =
         "ffmpeg -v error -y -i '" + path("mission.mp4") +
-        "' -vf \"scale=480:-1:flags=lanczos,split[a][b];[a]palettegen=max_colors=64:"
+        "' -vf \"scale=480:-1:flags=area,split[a][b];[a]palettegen=max_colors=32:"
         "stats_mode=diff[p];[b][p]paletteuse=dither=none:diff_mode=rectangle\" '" +
         path("mission.gif") + '\'';
     if (std::system(convert.c_str()) != 0)
@@ -195,7 +196,7 @@ class Film {
     for (const auto& eight : path_)
       for (std::size_t i = 1; i < eight.size(); ++i)
         connect(mjGEOM_CAPSULE, 0.004, eight[i - 1], eight[i], reference);
-    const std::size_t oldest = trail_.size() > 12 ? trail_.size() - 12 : 0;
+    const std::size_t oldest = trail_.size() > 60 ? trail_.size() - 60 : 0;
     for (std::size_t i = oldest + 1; i < trail_.size(); ++i)
       connect(mjGEOM_CAPSULE, 0.008, trail_[i - 1], trail_[i], flown);
     for (int i = 0; i < 4; ++i) {
@@ -223,7 +224,7 @@ class Film {
   mjvOption options_;
   mjvCamera camera_;
   FILE* file_ = nullptr;
-  double next_frame_ = 0.0;
+  double next_frame_ = 0.0, next_mark_ = 0.0;       ///< [s]
   std::vector<std::vector<Eigen::Vector3d>> path_;  ///< reference: the eights
   std::vector<Eigen::Vector3d> trail_;              ///< flown
   Eigen::Vector3d focus_ = Eigen::Vector3d::Zero();

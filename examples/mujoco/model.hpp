@@ -33,7 +33,7 @@ struct MujocoParameters {
   double wheel_half_width = 0.015;      ///< of the ellipsoid that rolls (estimate) [m]
   double torsional_friction = 1e-3;     ///< torque / normal force, wheel turning on the spot [m]
   double contact_time_constant = 0.01;  ///< MuJoCo's solref: how fast a contact settles [s]
-  /// MuJoCo's solimp, below 1: the larger, the harder. A tyre that sinks in by 0.2 mm; at 0.95 it
+  /// MuJoCo's solimp, below 1: the larger, the harder. A tyre that sinks in by 0.6 mm; at 0.95 it
   /// is so hard that the wheels lose touch in between while they roll.
   double contact_impedance = 0.6;
   /// Friction, rolling resistance, bearing friction and wheel inertia are taken from our own plant.

@@ -1,0 +1,271 @@
+// The hybrid mission in MuJoCo, flown by the example program as a user runs it; and MuJoCo's model
+// of the vehicle against the vehicle.
+
+#include "../../examples/mujoco/plant.hpp"
+
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <map>
+#include <string>
+
+namespace {
+
+namespace fs = std::filesystem;
+using namespace tilt_ropter;
+using examples::MujocoParameters;
+using examples::MujocoPlant;
+
+struct Flight {
+  int exit_code = -1;
+  std::map<std::string, double> figures;
+  std::string output;
+  int films = 0;
+};
+
+Flight run(const std::string& arguments) {
+  Flight result;
+  const fs::path directory =
+      fs::path(testing::TempDir()) / ("mission_mujoco_" + std::to_string(getpid()));
+  const std::string command = "'" MISSION_MUJOCO_PROGRAM "' --no-pictures --output '" +  // by CMake
+                              directory.string() + "' " + arguments + " 2>&1";
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return result;
+  char buffer[4096];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) {
+    const std::string line = buffer;
+    result.output += line;
+    const auto colon = line.find(": ");
+    if (colon != std::string::npos)
+      result.figures[line.substr(0, colon)] = std::atof(line.c_str() + colon + 2);
+  }
+  result.exit_code = pclose(pipe);
+  if (!fs::exists(directory)) return result;
+  for (const char* name : {"mission.mp4", "mission.gif", "air.png", "ground.png"})
+    if (fs::exists(directory / name) && fs::file_size(directory / name) > 20000) ++result.films;
+  fs::remove_all(directory);
+  return result;
+}
+
+// Mass matrix of the base's six degrees of freedom with arms held and wheels free, about the body
+// frame's origin: linear in the world's axes, angular in the body's.
+Eigen::Matrix<double, 6, 6> mass_matrix(const MujocoPlant& plant) {
+  const mjModel& model = plant.model();
+  Eigen::MatrixXd m(model.nv, model.nv);
+  mj_fullM(&model, m.data(), plant.data().qM);
+  Eigen::Matrix<double, 6, 6> base = m.topLeftCorner<6, 6>();
+  for (const char* name : {"wheel1", "wheel2"}) {
+    const int wheel = model.jnt_dofadr[mj_name2id(&model, mjOBJ_JOINT, name)];
+    base -= m.block<6, 1>(0, wheel) * m.block<1, 6>(wheel, 0) / m(wheel, wheel);
+  }
+  return base;
+}
+
+ActuatorState<4> hover(const Vehicle<4>& vehicle) {
+  ActuatorState<4> state;
+  state.rotor_speed.setConstant(
+      std::sqrt(vehicle.body.mass * gravity / 4.0 / vehicle.rotor.thrust_coefficient));
+  return state;
+}
+
+BodyState<> high() {
+  BodyState<> body;
+  body.position << 0.0, 0.0, 5.0;
+  return body;
+}
+
+// Without what our plant does not have: arms without mass, and so on.
+MujocoParameters light_arms() {
+  MujocoParameters p;
+  p.arm_mass = 1e-4;
+  p.arm_inertia.setConstant(1e-8);
+  p.wheel_mass = 1e-3;
+  p.contact.wheel_inertia = 1e-8;
+  return p;
+}
+
+TEST(MujocoModel, HasMassCentreAndInertiaOfTheVehicleAtZeroTilt) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.body.mass = 1.62;
+  vehicle.body.inertia << 0.0154, 4e-4, -7e-4, 4e-4, 0.0161, 3e-4, -7e-4, 3e-4, 0.0275;
+  MujocoParameters p;
+  p.arm_height = 0.02;
+  MujocoPlant plant(vehicle, p);
+  Eigen::Matrix<double, 6, 6> expected = Eigen::Matrix<double, 6, 6>::Zero();
+  expected.topLeftCorner<3, 3>() = vehicle.body.mass * Eigen::Matrix3d::Identity();
+  expected.bottomRightCorner<3, 3>() = vehicle.body.inertia;
+  EXPECT_LT((mass_matrix(plant) - expected).cwiseAbs().maxCoeff(), 1e-9);
+
+  p.payload = 0.2;
+  MujocoPlant laden(vehicle, p);
+  expected(0, 0) += p.payload;
+  EXPECT_NEAR(mass_matrix(laden)(0, 0), expected(0, 0), 1e-9);
+  EXPECT_NEAR(mass_matrix(laden)(0, 4), p.payload * p.payload_position.z(), 1e-9);
+}
+
+TEST(MujocoModel, MovesItsCentreWithTheArms) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const MujocoParameters p;
+  MujocoPlant plant(vehicle, p);
+  ActuatorState<4> tilted;
+  tilted.tilt_angle << 0.5, 0.0, 0.0, 0.0;  // of the right arm: thrust goes to -x
+  plant.reset(high(), tilted);
+  const Eigen::Map<const Eigen::Vector3d> centre(plant.data().subtree_com + 3);  // of the base
+  const double share = p.arm_mass * p.arm_height / vehicle.body.mass;
+  EXPECT_NEAR(centre.x(), -share * std::sin(0.5), 1e-12);
+  EXPECT_NEAR(centre.z(), 5.0 - share * (1.0 - std::cos(0.5)), 1e-12);
+}
+
+TEST(MujocoModel, RefusesWhatItCannotBuild) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoParameters p;
+  p.arm_mass = 0.5;  // four of them weigh more than all
+  EXPECT_THROW(MujocoPlant(vehicle, p), std::invalid_argument);
+  p = {};
+  p.time_step = 0.0;
+  EXPECT_THROW(MujocoPlant(vehicle, p), std::invalid_argument);
+  p = {};
+  p.contact_impedance = 1.0;
+  EXPECT_THROW(MujocoPlant(vehicle, p), std::invalid_argument);
+  Vehicle<4> late = vehicle;
+  late.servo.dead_time = 0.01;
+  EXPECT_THROW(MujocoPlant(late, {}), std::invalid_argument);
+}
+
+TEST(MujocoPlant, HoversAtTheVehiclesThrust) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoPlant plant(vehicle);
+  plant.reset(high(), hover(vehicle));
+  for (int i = 0; i < 500; ++i) ASSERT_TRUE(plant.step(hover(vehicle), {}, 1e-3));
+  EXPECT_LT((plant.body().position - high().position).norm(), 1e-4);
+  EXPECT_LT((plant.specific_force() - Eigen::Vector3d(0.0, 0.0, gravity)).norm(), 1e-3);
+  EXPECT_LT(plant.external_wrench().force.norm(), 1e-12);
+}
+
+TEST(MujocoPlant, StandsOnItsWheelsWithItsWeight) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoPlant plant(vehicle);
+  for (int i = 0; i < 1000; ++i) ASSERT_TRUE(plant.step({}, {}, 1e-3));
+  const double weight = vehicle.body.mass * gravity;
+  EXPECT_NEAR(plant.body().position.z(), vehicle.wheels.radius, 1e-3);
+  EXPECT_NEAR(plant.normal_forces()(0), 0.5 * weight, 1e-3);
+  EXPECT_NEAR(plant.normal_forces()(1), 0.5 * weight, 1e-3);
+  EXPECT_NEAR(plant.external_wrench().force.z(), weight, 1e-3);
+  EXPECT_LT(plant.external_wrench().torque.norm(), 1e-3);
+}
+
+// Two engines with nothing in common, one motion: with arms and wheels too light to matter they
+// agree, and with the mass where it belongs they do not.
+TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const auto distance = [&vehicle](const MujocoParameters& p) {
+    PlantParameters ours_parameters;
+    ours_parameters.contact.bearing_friction = p.contact.bearing_friction = 0.0;
+    ours_parameters.contact.wheel_inertia = 1e-6;
+    Plant<4> ours(vehicle, ours_parameters);
+    PlantState<4> start;
+    start.body = high();
+    start.body.angular_velocity << 0.4, -0.3, 0.5;
+    start.actuators = hover(vehicle);
+    ours.reset(start);
+    MujocoPlant other(vehicle, p);
+    other.reset(start.body, start.actuators);
+    const Wrench<> wind{Eigen::Vector3d(0.5, -0.3, 0.2), Eigen::Vector3d(0.005, 0.01, -0.01)};
+    ActuatorState<4> command = start.actuators;
+    for (int i = 0; i < 500; ++i) {
+      if (i == 100) command.tilt_angle << 0.6, -0.4, 0.5, -0.2;
+      if (i == 250) command.rotor_speed << 1500.0, 1600.0, 1700.0, 1650.0;
+      EXPECT_TRUE(ours.step(command, wind, 1e-3));
+      EXPECT_TRUE(other.step(command, wind, 1e-3));
+    }
+    EXPECT_NEAR(other.time(), ours.time(), 1e-9);
+    EXPECT_GT((ours.body().position - start.body.position).norm(), 0.1);
+    EXPECT_LT((ours.actuators().rotor_speed - other.actuators().rotor_speed).norm(), 1e-3);
+    EXPECT_LT((ours.actuators().tilt_angle - other.actuators().tilt_angle).norm(), 0.05);
+    return (ours.body().position - other.body().position).norm();
+  };
+  MujocoParameters light = light_arms();
+  light.servo_armature = 1e-4;
+  EXPECT_LT(distance(light), 2e-3);
+  EXPECT_GT(distance({}), 2e-3);
+}
+
+TEST(MujocoPlant, OneServoCanBeSlow) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoPlant plant(vehicle);
+  plant.reset(high(), hover(vehicle));
+  ServoParameters slow = vehicle.servo;
+  slow.time_constant *= 3.0;
+  plant.set_servo(2, slow);
+  ActuatorState<4> command = hover(vehicle);
+  command.tilt_angle.setConstant(0.1);
+  for (int i = 0; i < 80; ++i) ASSERT_TRUE(plant.step(command, {}, 1e-3));
+  EXPECT_NEAR(plant.actuators().tilt_angle(0), 0.1 * (1.0 - std::exp(-1.0)), 0.005);
+  EXPECT_NEAR(plant.actuators().tilt_angle(2), 0.1 * (1.0 - std::exp(-1.0 / 3.0)), 0.005);
+}
+
+TEST(MujocoPlant, RefusesBadSteps) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoPlant plant(vehicle);
+  ActuatorState<4> bad = hover(vehicle);
+  bad.tilt_angle(1) = std::nan("");
+  EXPECT_FALSE(plant.step(bad, {}, 1e-3));
+  EXPECT_FALSE(plant.step({}, {}, 0.0));
+  EXPECT_FALSE(plant.step({}, {}, -1.0));
+  Wrench<> wrench;
+  wrench.force.x() = std::nan("");
+  EXPECT_FALSE(plant.step({}, wrench, 1e-3));
+  EXPECT_DOUBLE_EQ(plant.time(), 0.0);
+  EXPECT_TRUE(plant.step({}, {}, 1e-3));
+}
+
+// The long form flies five seeds.
+TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
+  const int seeds = std::getenv("TILT_ROPTER_FULL") != nullptr ? 5 : 1;
+  for (int seed = 1; seed <= seeds; ++seed) {
+    Flight flight = run("--seed " + std::to_string(seed));
+    ASSERT_EQ(flight.exit_code, 0) << flight.output;
+    for (const char* key : {"air_rmse_m", "solver_failures", "tipped_over", "lean_max_deg"})
+      ASSERT_EQ(flight.figures.count(key), 1u) << key << " is missing in\n" << flight.output;
+    EXPECT_LE(flight.figures["air_rmse_m"], 0.020) << flight.output;
+    EXPECT_LE(flight.figures["ground_rmse_m"], 0.025) << flight.output;
+    EXPECT_LE(flight.figures["mission_rmse_m"], 0.030) << flight.output;
+    EXPECT_GE(flight.figures["power_saved_percent"], 92.8) << flight.output;
+    EXPECT_EQ(flight.figures["solver_failures"], 0) << flight.output;
+    EXPECT_EQ(flight.figures["tipped_over"], 0) << flight.output;
+    EXPECT_LT(flight.figures["lean_max_deg"], 10.0) << flight.output;
+    EXPECT_EQ(flight.figures["contact_mode_changes"], 4) << flight.output;
+    EXPECT_LE(flight.figures["touchdown_speed_mps"], 0.3) << flight.output;
+  }
+}
+
+TEST(MissionMujoco, EveryOptionActs) {
+  const Flight plain = run("");
+  for (const char* option : {"--wind 1.5", "--payload 0.1", "--friction 0.2", "--slope 1",
+                             "--step 0.01", "--slow-servo 3"}) {
+    Flight flight = run(option);
+    EXPECT_EQ(flight.exit_code, 0) << option << '\n' << flight.output;
+    EXPECT_EQ(flight.figures["solver_failures"], 0) << option;
+    EXPECT_EQ(flight.figures["tipped_over"], 0) << option;
+    EXPECT_NE(flight.figures["mission_rmse_m"], plain.figures.at("mission_rmse_m")) << option;
+    EXPECT_LT(flight.figures["mission_rmse_m"], 0.15) << option;
+  }
+  EXPECT_NE(run("--slope 99").exit_code, 0);
+}
+
+TEST(MissionMujoco, LeavesAFilmWhereItCan) {
+  if (std::getenv("TILT_ROPTER_FULL") == nullptr) GTEST_SKIP() << "takes a minute: --full";
+  const Flight flight = run("--film");
+  EXPECT_EQ(flight.exit_code, 0);
+  if (flight.output.find("no film: ") != std::string::npos)
+    GTEST_SKIP() << flight.output.substr(flight.output.find("no film: "), 80);
+  EXPECT_EQ(flight.films, 4);
+}
+
+}  // namespace
