@@ -3,17 +3,23 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: examples/run.sh [-- OPTION...]
+usage: examples/run.sh [--mujoco] [-- OPTION...]
 
 Installs what is missing (Debian packages, by apt-get), builds the examples for this processor into
 build-examples/ and runs the main job, hybrid_mission: take off, fly a figure eight, land, drive it,
 take off again, hover, land. Its figures are printed, its log and pictures are left in results/.
 
-  -- OPTION...  passed on to hybrid_mission (-- --help lists them)
+  --mujoco      the same job in MuJoCo, with a film of it, left in results/mujoco/ (mission_mujoco)
+  -- OPTION...  passed on to the program (-- --help lists them)
   --help        this text
 HELP
 }
 
+mujoco=
+if [[ ${1-} == --mujoco ]]; then
+  mujoco=1
+  shift
+fi
 case ${1-} in
   '') ;;
   --) shift ;;
@@ -22,8 +28,12 @@ case ${1-} in
 esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-bash cmake/install_missing.sh g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev \
-  gnuplot-nox fonts-dejavu-core
+packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev gnuplot-nox
+  fonts-dejavu-core)
+if [[ $mujoco ]]; then
+  packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)
+fi
+bash cmake/install_missing.sh "${packages[@]}"
 
 echo "== Configuring and building into build-examples/"
 cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Release \
@@ -31,6 +41,12 @@ cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Rel
   -DTILT_ROPTER_BUILD_EXAMPLES=ON -DTILT_ROPTER_NATIVE=ON
 cmake --build build-examples --parallel "$(nproc)"
 
+if [[ $mujoco ]]; then
+  echo "== Flying the hybrid mission in MuJoCo"
+  build-examples/examples/mujoco/mission_mujoco --output results/mujoco --film "$@"
+  echo "== The logs, pictures and film are in $PWD/results/mujoco, unless told otherwise"
+  exit 0
+fi
 echo "== Flying the hybrid mission"
 build-examples/examples/hybrid_mission --output results "$@"
 echo "== The logs, and the pictures if asked for, are in $PWD/results, unless told otherwise"

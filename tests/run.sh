@@ -46,7 +46,8 @@ if [[ $benchmark ]]; then
   exit 0
 fi
 
-packages+=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core)
+packages+=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev
+  libgl1 libgl1-mesa-dri)
 timeout=300
 long_forms=OFF
 if [[ $full ]]; then
