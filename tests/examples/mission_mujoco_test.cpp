@@ -165,7 +165,7 @@ TEST(MujocoPlant, StandsOnItsWheelsWithItsWeight) {
 // agree, and with the mass where it belongs they do not.
 TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const auto distance = [&vehicle](const MujocoParameters& p) {
+  const auto distance = [&vehicle](MujocoParameters p) {
     PlantParameters ours_parameters;
     ours_parameters.contact.bearing_friction = p.contact.bearing_friction = 0.0;
     ours_parameters.contact.wheel_inertia = 1e-6;
