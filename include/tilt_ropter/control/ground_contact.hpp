@@ -2,11 +2,14 @@
 
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/allocation_matrix.hpp>
 #include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cmath>
 
 /// Contact of the wheels with flat ground as the controller sees it: the paper's indicator delta
@@ -20,6 +23,7 @@ struct GroundContactSettings {
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
       0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+  double rotor_thrust = 0.1;  ///< of it each rotor's, at least: see GroundThrust [N]
 };
 
 inline void validate(const GroundContactSettings& s) {
@@ -29,6 +33,37 @@ inline void validate(const GroundContactSettings& s) {
   require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
 }
+
+/// The vertical thrust to ask for on the ground: down_force, and more where torques would else leave
+/// a rotor less than rotor_thrust upward. Pitched by a CoM off the axle, a rotor would have to push
+/// downward, at the end of its servo's range: from one end to the other is a full turn, on the way
+/// of which the thrust points anywhere.
+template <int Rotors>
+class GroundThrust {
+ public:
+  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
+    const auto inverse = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
+    for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
+  }
+
+  /// The force [N] for a wrench whose vertical force is left out of account (body frame).
+  [[nodiscard]] double operator()(const Wrench<>& wrench) const noexcept {
+    double force = settings_.down_force;
+    Eigen::Matrix<double, 6, 1> level;
+    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
+    for (int i = 0; i < Rotors; ++i)
+      if (vertical_(i, 2) > 1e-6)
+        force = std::max(force,
+                         (settings_.rotor_thrust - vertical_.row(i).dot(level)) / vertical_(i, 2));
+    return std::min(force, most_);
+  }
+
+ private:
+  GroundContactSettings settings_;
+  Eigen::Matrix<double, Rotors, 6> vertical_;
+  double most_;
+};
 
 /// Mode of contact and the external wrench that belongs to each mode. The normal force estimated on
 /// the ground must not be carried into nodes whose reference is in the air (it would look like lift

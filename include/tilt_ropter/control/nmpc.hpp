@@ -90,6 +90,7 @@ class Nmpc {
       : settings_(checked(settings)),
         body_(vehicle.body),
         contact_(vehicle.wheels, settings.ground),
+        ground_thrust_(vehicle, settings.ground),
         solver_(
             Problem(vehicle.body, vehicle.wheels, settings.problem,
                     settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
@@ -192,8 +193,8 @@ class Nmpc {
     if (node.on_ground) {
       // The wheels give the side force, the ground the vertical one and the roll torque.
       feedforward.force.y() = 0.0;
-      feedforward.force.z() = settings_.ground.down_force;
       feedforward.torque.x() = 0.0;
+      feedforward.force.z() = ground_thrust_(feedforward);
     }
   }
 
@@ -251,6 +252,7 @@ class Nmpc {
   NmpcSettings settings_;
   RigidBodyParameters body_;
   GroundContact contact_;
+  GroundThrust<Rotors> ground_thrust_;
   MultipleShooting<Problem> solver_;
   std::vector<ReferencePoint> points_;
   BodyState<> body_state_;  // the last good measurement
