@@ -1,0 +1,208 @@
+#pragma once
+
+#include "flight_controller.hpp"
+#include "vehicle_spread.hpp"
+
+#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <deque>
+#include <utility>
+
+/// The hybrid mission flown by one vehicle of a Monte Carlo run and what came of it.
+namespace examples {
+
+/// How a flight ended; all but the first are divergences.
+enum class Verdict {
+  ok,
+  not_finite,  ///< the plant broke
+  lost,        ///< more than 2 m from the reference
+  tipped,      ///< leaned more than 60 degrees
+  grounded     ///< touched the ground where it should fly, or flew at the end
+};
+
+[[nodiscard]] constexpr const char* to_string(Verdict verdict) noexcept {
+  switch (verdict) {
+    case Verdict::ok:
+      return "ok";
+    case Verdict::not_finite:
+      return "not_finite";
+    case Verdict::lost:
+      return "lost";
+    case Verdict::tipped:
+      return "tipped";
+    case Verdict::grounded:
+      return "grounded";
+  }
+  return "unknown";
+}
+
+/// Errors are those of the point that the controller takes for the CoM.
+struct FlightRecord {
+  Verdict verdict = Verdict::ok;
+  double time = 0.0;                                              ///< flown [s]
+  double air_rmse = 0.0, ground_rmse = 0.0, mission_rmse = 0.0;   ///< [m]
+  double max_error = 0.0;                                         ///< [m]
+  double flight_power = 0.0, ground_power = 0.0;                  ///< mean [W]
+  double touchdown_speed = 0.0;                                   ///< the worse of two [m/s]
+  int mode_changes = 0, solver_failures = 0;
+};
+
+/// Wind that gusts: a mean and a first-order Gauss-Markov process, cut to 1.5 N.
+class Wind {
+ public:
+  Wind(const VehicleDraw& draw, std::uint64_t seed)
+      : mean_(draw.wind * Eigen::Vector3d(std::cos(draw.wind_direction),
+                                          std::sin(draw.wind_direction), 0.0)),
+        noise_(seed) {}
+
+  /// The force on the vehicle, world frame [N], `dt` [s] after the last.
+  [[nodiscard]] Eigen::Vector3d next(double dt) {
+    constexpr double correlation_time = 1.0, strongest = 1.5;
+    const double kept = std::exp(-dt / correlation_time);
+    gust_ = kept * gust_ + noise_.draw<3>(0.25 * mean_.norm() * std::sqrt(1.0 - kept * kept));
+    const Eigen::Vector3d force = mean_ + gust_;
+    return force * std::min(1.0, strongest / std::max(force.norm(), 1e-9));
+  }
+
+ private:
+  Eigen::Vector3d mean_, gust_ = Eigen::Vector3d::Zero();
+  tilt_ropter::GaussianNoise noise_;
+};
+
+/// Flies vehicle `index` of the run with `seed`: the controller believes in tilt_ropter_vehicle()
+/// and has its default settings. The same arguments give the same record bit for bit.
+template <typename OnTick>
+[[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random, const tilt_ropter::NmpcSettings& settings, OnTick&& on_tick) {
+  using namespace tilt_ropter;
+  constexpr double step = 1e-3;       // of the plant [s]
+  constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
+  const Vehicle<4> believed = tilt_ropter_vehicle();
+  const Vehicle<4> truth = true_vehicle(draw, believed);
+  static const Mission mission = hybrid_mission();
+
+  PlantParameters parameters;
+  parameters.contact.friction = draw.friction;
+  parameters.contact.axle_position = -draw.com_offset;
+  Plant<4> plant(truth, parameters);
+  PlantState<4> standing = plant.state();
+  standing.body.position.head<2>() += draw.com_offset.head<2>();
+  plant.reset(standing);
+
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = 1000.0;
+  imu_parameters.gyro_noise_density *= draw.noise;
+  imu_parameters.accelerometer_noise_density *= draw.noise;
+  imu_parameters.gyro_bias = draw.gyro_bias;
+  imu_parameters.accelerometer_bias = draw.accelerometer_bias;
+  PoseSensorParameters capture;
+  capture.position_noise = 1e-3;
+  capture.orientation_noise = 3e-3;
+  EkfSettings estimation;
+  estimation.pose_noise = {capture.position_noise, capture.orientation_noise};
+  capture.delay = draw.capture_delay;
+  capture.position_noise *= draw.noise;
+  capture.orientation_noise *= draw.noise;
+  RotorSpeedSensorParameters speed_parameters;
+  speed_parameters.noise *= draw.noise;
+  ImuSensor imu(imu_parameters, random.bits());
+  RotorSpeedSensor<4> rotor_speeds(speed_parameters, random.bits());
+  PoseSensor poses(capture, random.bits());
+  Wind wind(draw, random.bits());
+  FlightController controller(believed, settings, estimation);
+  const PowerModel power(truth);
+
+  const Eigen::Vector3d centre = -draw.com_offset;  // of the believed vehicle, from the CoM
+  const auto body_at_centre = [&] {
+    BodyState<> body = plant.body();
+    body.velocity += body.orientation * body.angular_velocity.cross(centre);
+    body.position += body.orientation * centre;
+    return body;
+  };
+  FlightRecord record;
+  std::deque<std::pair<double, ActuatorState<4>>> under_way;
+  ActuatorState<4> acting;
+  Eigen::Vector3d force = Eigen::Vector3d::Zero();
+  double squares = 0.0, air_squares = 0.0, ground_squares = 0.0;
+  double air_power = 0.0, ground_power = 0.0;
+  long count = 0, air_count = 0, ground_count = 0;
+  bool was_touching = true;
+  const long steps = std::lround(mission.duration() / step);
+  for (long i = 0; i < steps && record.verdict == Verdict::ok; ++i) {
+    const double time = plant.time();
+    const Eigen::Vector3d& w = plant.body().angular_velocity;
+    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
+      controller.on_rotor_speeds(m->rotor_speed);
+    const Eigen::Vector3d specific_force = plant.specific_force() +
+                                           plant.loads().angular_acceleration.cross(centre) +
+                                           w.cross(w.cross(centre));
+    if (const auto m = imu.sample(time, w, specific_force))
+      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
+    if (const auto m = poses.sample(time, body_at_centre()))
+      controller.on_pose(m->time, {m->position, m->orientation});
+    if (i % steps_per_tick == 0) {
+      force = wind.next(steps_per_tick * step);
+      if (controller.ekf().running()) {
+        controller.prepare(time, mission);
+        under_way.emplace_back(time + draw.command_delay, controller.control(time));
+        if (controller.result().status != NmpcStatus::solved) ++record.solver_failures;
+        on_tick(mission, plant, controller, power);
+      }
+    }
+    while (!under_way.empty() && under_way.front().first <= time + 1e-9) {
+      acting = under_way.front().second;
+      under_way.pop_front();
+    }
+    const Wrench<> disturbance{plant.body().orientation.conjugate() * force,
+                               Eigen::Vector3d::Zero()};
+    if (!plant.step(acting, disturbance, step)) {
+      record.verdict = Verdict::not_finite;
+      break;
+    }
+    const MissionPhase phase = mission.phase(plant.time());
+    const double square = (body_at_centre().position - mission(plant.time()).position).squaredNorm();
+    const double power_now = power.power(plant.actuators().rotor_speed);
+    squares += square;
+    ++count;
+    if (phase == MissionPhase::air) {
+      air_squares += square;
+      air_power += power_now;
+      ++air_count;
+    }
+    if (phase == MissionPhase::ground) {
+      ground_squares += square;
+      ground_power += power_now;
+      ++ground_count;
+    }
+    record.max_error = std::max(record.max_error, std::sqrt(square));
+    const bool touching = plant.normal_forces().sum() > 0.0;
+    if (touching && !was_touching)
+      record.touchdown_speed = std::max(record.touchdown_speed, -plant.body().velocity.z());
+    was_touching = touching;
+    const bool should_fly = phase == MissionPhase::air || phase == MissionPhase::hover;
+    if (square > 4.0)
+      record.verdict = Verdict::lost;
+    else if (plant.body().orientation.toRotationMatrix()(2, 2) < 0.5)
+      record.verdict = Verdict::tipped;
+    else if ((should_fly && touching) || (i + 1 == steps && !touching))
+      record.verdict = Verdict::grounded;
+  }
+  record.time = plant.time();
+  const auto mean = [](double sum, long n) { return n > 0 ? sum / static_cast<double>(n) : 0.0; };
+  record.mission_rmse = std::sqrt(mean(squares, count));
+  record.air_rmse = std::sqrt(mean(air_squares, air_count));
+  record.ground_rmse = std::sqrt(mean(ground_squares, ground_count));
+  record.flight_power = mean(air_power, air_count);
+  record.ground_power = mean(ground_power, ground_count);
+  record.mode_changes = controller.nmpc().contact().mode_changes();
+  return record;
+}
+
+}  // namespace examples

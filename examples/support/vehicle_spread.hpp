@@ -1,0 +1,112 @@
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <Eigen/Core>
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <random>
+
+/// The vehicles of a Monte Carlo run: what may differ from the vehicle that the controller believes
+/// in, and by how much.
+namespace examples {
+
+/// One vehicle, its sensors and its weather. Factors multiply the believed vehicle's value.
+struct VehicleDraw {
+  double mass = 1.0;                                        ///< factor, 0.8 to 1.2
+  Eigen::Vector3d inertia = Eigen::Vector3d::Ones();        ///< factors by axis, 0.7 to 1.3
+  Eigen::Vector3d com_offset = Eigen::Vector3d::Zero();     ///< each axis to 1 cm, body frame [m]
+  double thrust = 1.0;                                      ///< factor, 0.85 to 1.15
+  double servo_time_constant = 1.0;                         ///< factor, 0.5 to 2
+  double rotor_time_constant = 1.0;                         ///< factor, 0.5 to 2
+  double command_delay = 0.0;                               ///< to rotors and servos, to 20 ms [s]
+  double capture_delay = 0.0;                               ///< of motion capture, to 20 ms [s]
+  double noise = 1.0;                                       ///< factor of all sensors', 0.5 to 2
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();      ///< to 0.02 by axis [rad/s]
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< to 0.1 by axis [m/s^2]
+  double wind = 0.0;            ///< size of the mean, to 1 N; with gusts to 1.5 N [N]
+  double wind_direction = 0.0;  ///< it blows to, about world z, -pi to pi [rad]
+  double friction = 0.8;        ///< of wheels and ground, 0.3 to 1
+};
+
+/// A stream of random numbers that is the same on every machine.
+class RandomStream {
+ public:
+  /// Streams of one seed do not overlap in practice: seed and index go through a mixing of all bits
+  /// into 2^19937 - 1 numbers.
+  RandomStream(std::uint64_t seed, std::uint64_t index) {
+    std::seed_seq mixed{low(seed), high(seed), low(index), high(index)};
+    generator_.seed(mixed);
+  }
+
+  [[nodiscard]] std::uint64_t bits() { return generator_(); }
+
+  /// In [from, to), 53 bits.
+  [[nodiscard]] double uniform(double from, double to) {
+    return from + (to - from) * static_cast<double>(generator_() >> 11U) * 0x1.0p-53;
+  }
+  /// From `from` to `to`, as likely to be half the middle as to be twice it.
+  [[nodiscard]] double log_uniform(double from, double to) {
+    return std::exp(uniform(std::log(from), std::log(to)));
+  }
+  [[nodiscard]] Eigen::Vector3d uniform_vector(double from, double to) {
+    const double x = uniform(from, to), y = uniform(from, to);
+    return {x, y, uniform(from, to)};
+  }
+
+ private:
+  static std::uint32_t low(std::uint64_t value) { return static_cast<std::uint32_t>(value); }
+  static std::uint32_t high(std::uint64_t value) { return static_cast<std::uint32_t>(value >> 32U); }
+
+  std::mt19937_64 generator_;
+};
+
+/// False for factors that no body has: the sum of two moments is at least the third.
+[[nodiscard]] inline bool is_physical(const Eigen::Matrix3d& inertia) {
+  const Eigen::Vector3d moments = inertia.diagonal();
+  return 2.0 * moments.maxCoeff() <= moments.sum();
+}
+
+/// Vehicle number `index` of the run with `seed`; uniform in the ranges above, time constants in
+/// their logarithm. Moments of inertia that no body has are drawn again.
+[[nodiscard]] inline VehicleDraw draw_vehicle(RandomStream& random) {
+  VehicleDraw draw;
+  draw.mass = random.uniform(0.8, 1.2);
+  do {
+    draw.inertia = random.uniform_vector(0.7, 1.3);
+  } while (!is_physical(tilt_ropter::tilt_ropter_vehicle().body.inertia * draw.inertia.asDiagonal()));
+  draw.com_offset = random.uniform_vector(-0.01, 0.01);
+  draw.thrust = random.uniform(0.85, 1.15);
+  draw.servo_time_constant = random.log_uniform(0.5, 2.0);
+  draw.rotor_time_constant = random.log_uniform(0.5, 2.0);
+  draw.command_delay = random.uniform(0.0, 0.02);
+  draw.capture_delay = random.uniform(0.0, 0.02);
+  draw.noise = random.log_uniform(0.5, 2.0);
+  draw.gyro_bias = random.uniform_vector(-0.02, 0.02);
+  draw.accelerometer_bias = random.uniform_vector(-0.1, 0.1);
+  draw.wind = random.uniform(0.0, 1.0);
+  draw.wind_direction = random.uniform(-tilt_ropter::pi, tilt_ropter::pi);
+  draw.friction = random.uniform(0.3, 1.0);
+  return draw;
+}
+
+/// The vehicle that flies. All that the believed one has at its CoM (arms, axle, the point that is
+/// tracked) is off the true one by the offset; a weaker rotor reaches the same speed.
+[[nodiscard]] inline tilt_ropter::Vehicle<4> true_vehicle(const VehicleDraw& draw,
+                                                         tilt_ropter::Vehicle<4> vehicle) {
+  vehicle.body.mass *= draw.mass;
+  vehicle.body.inertia = vehicle.body.inertia * draw.inertia.asDiagonal();
+  for (tilt_ropter::RotorGeometry& rotor : vehicle.rotors) rotor.position -= draw.com_offset;
+  vehicle.rotor.thrust_coefficient *= draw.thrust;
+  vehicle.rotor.max_thrust *= draw.thrust;
+  vehicle.rotor.time_constant *= draw.rotor_time_constant;
+  vehicle.servo.time_constant *= draw.servo_time_constant;
+  return vehicle;
+}
+
+}  // namespace examples
