@@ -25,7 +25,7 @@ enum class Verdict {
   not_finite,  ///< the plant broke
   lost,        ///< more than 2 m from the reference
   tipped,      ///< leaned more than 60 degrees
-  grounded     ///< touched the ground where it should fly, or flew at the end
+  grounded     ///< touched the ground where it should fly, or ended more than 5 cm off its place
 };
 
 [[nodiscard]] constexpr const char* to_string(Verdict verdict) noexcept {
@@ -191,7 +191,7 @@ template <typename OnTick>
       record.verdict = Verdict::lost;
     else if (plant.body().orientation.toRotationMatrix()(2, 2) < 0.5)
       record.verdict = Verdict::tipped;
-    else if ((should_fly && touching) || (i + 1 == steps && !touching))
+    else if ((should_fly && touching) || (i + 1 == steps && square > 0.05 * 0.05))
       record.verdict = Verdict::grounded;
   }
   record.time = plant.time();

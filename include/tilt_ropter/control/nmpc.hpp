@@ -143,6 +143,9 @@ class Nmpc {
     } else {
       x.wrench = planned_wrench(time - plan_time_);
     }
+    // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
+    // while it turns with its nose up or down. A model that did would rather keep the nose there.
+    if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
     prepared_ = false;
     result_.report = solver_.feedback(x);
     if (result_.report.status != SolveStatus::iterated)
