@@ -25,7 +25,7 @@ enum class Verdict {
   not_finite,  ///< the plant broke
   lost,        ///< more than 2 m from the reference
   tipped,      ///< leaned more than 60 degrees
-  grounded     ///< touched the ground where it should fly, or ended more than 5 cm off its place
+  grounded     ///< touched the ground where it should fly, or ended more than 5 cm above the ground
 };
 
 [[nodiscard]] constexpr const char* to_string(Verdict verdict) noexcept {
@@ -47,11 +47,11 @@ enum class Verdict {
 /// Errors are those of the point that the controller takes for the CoM.
 struct FlightRecord {
   Verdict verdict = Verdict::ok;
-  double time = 0.0;                                              ///< flown [s]
-  double air_rmse = 0.0, ground_rmse = 0.0, mission_rmse = 0.0;   ///< [m]
-  double max_error = 0.0;                                         ///< [m]
-  double flight_power = 0.0, ground_power = 0.0;                  ///< mean [W]
-  double touchdown_speed = 0.0;                                   ///< the worse of two [m/s]
+  double time = 0.0;                                             ///< flown [s]
+  double air_rmse = 0.0, ground_rmse = 0.0, mission_rmse = 0.0;  ///< [m]
+  double max_error = 0.0;                                        ///< [m]
+  double flight_power = 0.0, ground_power = 0.0;                 ///< mean [W]
+  double touchdown_speed = 0.0;                                  ///< the worse of two [m/s]
   int mode_changes = 0, solver_failures = 0;
 };
 
@@ -59,8 +59,8 @@ struct FlightRecord {
 class Wind {
  public:
   Wind(const VehicleDraw& draw, std::uint64_t seed)
-      : mean_(draw.wind * Eigen::Vector3d(std::cos(draw.wind_direction),
-                                          std::sin(draw.wind_direction), 0.0)),
+      : mean_(draw.wind *
+              Eigen::Vector3d(std::cos(draw.wind_direction), std::sin(draw.wind_direction), 0.0)),
         noise_(seed) {}
 
   /// The force on the vehicle, world frame [N], `dt` [s] after the last.
@@ -80,7 +80,8 @@ class Wind {
 /// Flies vehicle `index` of the run with `seed`: the controller believes in tilt_ropter_vehicle()
 /// and has its default settings. The same arguments give the same record bit for bit.
 template <typename OnTick>
-[[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random, const tilt_ropter::NmpcSettings& settings, OnTick&& on_tick) {
+[[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random,
+                                      const tilt_ropter::NmpcSettings& settings, OnTick&& on_tick) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -167,7 +168,8 @@ template <typename OnTick>
       break;
     }
     const MissionPhase phase = mission.phase(plant.time());
-    const double square = (body_at_centre().position - mission(plant.time()).position).squaredNorm();
+    const double square =
+        (body_at_centre().position - mission(plant.time()).position).squaredNorm();
     const double power_now = power.power(plant.actuators().rotor_speed);
     squares += square;
     ++count;
@@ -191,7 +193,8 @@ template <typename OnTick>
       record.verdict = Verdict::lost;
     else if (plant.body().orientation.toRotationMatrix()(2, 2) < 0.5)
       record.verdict = Verdict::tipped;
-    else if ((should_fly && touching) || (i + 1 == steps && square > 0.05 * 0.05))
+    else if ((should_fly && touching) ||
+             (i + 1 == steps && body_at_centre().position.z() > believed.wheels.radius + 0.05))
       record.verdict = Verdict::grounded;
   }
   record.time = plant.time();

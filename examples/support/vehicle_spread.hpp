@@ -18,16 +18,16 @@ namespace examples {
 
 /// One vehicle, its sensors and its weather. Factors multiply the believed vehicle's value.
 struct VehicleDraw {
-  double mass = 1.0;                                        ///< factor, 0.8 to 1.2
-  Eigen::Vector3d inertia = Eigen::Vector3d::Ones();        ///< factors by axis, 0.7 to 1.3
-  Eigen::Vector3d com_offset = Eigen::Vector3d::Zero();     ///< each axis to 1 cm, body frame [m]
-  double thrust = 1.0;                                      ///< factor, 0.85 to 1.15
-  double servo_time_constant = 1.0;                         ///< factor, 0.5 to 2
-  double rotor_time_constant = 1.0;                         ///< factor, 0.5 to 2
-  double command_delay = 0.0;                               ///< to rotors and servos, to 20 ms [s]
-  double capture_delay = 0.0;                               ///< of motion capture, to 20 ms [s]
-  double noise = 1.0;                                       ///< factor of all sensors', 0.5 to 2
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();      ///< to 0.02 by axis [rad/s]
+  double mass = 1.0;                                     ///< factor, 0.8 to 1.2
+  Eigen::Vector3d inertia = Eigen::Vector3d::Ones();     ///< factors by axis, 0.7 to 1.3
+  Eigen::Vector3d com_offset = Eigen::Vector3d::Zero();  ///< each axis to 1 cm, body frame [m]
+  double thrust = 1.0;                                   ///< factor, 0.85 to 1.15
+  double servo_time_constant = 1.0;                      ///< factor, 0.5 to 2
+  double rotor_time_constant = 1.0;                      ///< factor, 0.5 to 2
+  double command_delay = 0.0;                            ///< to rotors and servos, to 20 ms [s]
+  double capture_delay = 0.0;                            ///< of motion capture, to 20 ms [s]
+  double noise = 1.0;                                    ///< factor of all sensors', 0.5 to 2
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< to 0.02 by axis [rad/s]
   Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< to 0.1 by axis [m/s^2]
   double wind = 0.0;            ///< size of the mean, to 1 N; with gusts to 1.5 N [N]
   double wind_direction = 0.0;  ///< it blows to, about world z, -pi to pi [rad]
@@ -61,7 +61,9 @@ class RandomStream {
 
  private:
   static std::uint32_t low(std::uint64_t value) { return static_cast<std::uint32_t>(value); }
-  static std::uint32_t high(std::uint64_t value) { return static_cast<std::uint32_t>(value >> 32U); }
+  static std::uint32_t high(std::uint64_t value) {
+    return static_cast<std::uint32_t>(value >> 32U);
+  }
 
   std::mt19937_64 generator_;
 };
@@ -79,7 +81,8 @@ class RandomStream {
   draw.mass = random.uniform(0.8, 1.2);
   do {
     draw.inertia = random.uniform_vector(0.7, 1.3);
-  } while (!is_physical(tilt_ropter::tilt_ropter_vehicle().body.inertia * draw.inertia.asDiagonal()));
+  } while (
+      !is_physical(tilt_ropter::tilt_ropter_vehicle().body.inertia * draw.inertia.asDiagonal()));
   draw.com_offset = random.uniform_vector(-0.01, 0.01);
   draw.thrust = random.uniform(0.85, 1.15);
   draw.servo_time_constant = random.log_uniform(0.5, 2.0);
@@ -98,7 +101,7 @@ class RandomStream {
 /// The vehicle that flies. All that the believed one has at its CoM (arms, axle, the point that is
 /// tracked) is off the true one by the offset; a weaker rotor reaches the same speed.
 [[nodiscard]] inline tilt_ropter::Vehicle<4> true_vehicle(const VehicleDraw& draw,
-                                                         tilt_ropter::Vehicle<4> vehicle) {
+                                                          tilt_ropter::Vehicle<4> vehicle) {
   vehicle.body.mass *= draw.mass;
   vehicle.body.inertia = vehicle.body.inertia * draw.inertia.asDiagonal();
   for (tilt_ropter::RotorGeometry& rotor : vehicle.rotors) rotor.position -= draw.com_offset;

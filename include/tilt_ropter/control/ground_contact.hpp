@@ -34,10 +34,10 @@ inline void validate(const GroundContactSettings& s) {
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
 }
 
-/// The vertical thrust to ask for on the ground: down_force, and more where torques would else leave
-/// a rotor less than rotor_thrust upward. Pitched by a CoM off the axle, a rotor would have to push
-/// downward, at the end of its servo's range: from one end to the other is a full turn, on the way
-/// of which the thrust points anywhere.
+/// The vertical thrust to ask for on the ground: down_force, and more where torques would else
+/// leave a rotor less than rotor_thrust upward. Pitched by a CoM off the axle, a rotor would have
+/// to push downward, at the end of its servo's range: from one end to the other is a full turn, on
+/// the way of which the thrust points anywhere.
 template <int Rotors>
 class GroundThrust {
  public:
