@@ -23,7 +23,9 @@ struct GroundContactSettings {
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
       0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
-  double rotor_thrust = 0.1;  ///< of it each rotor's, at least: see GroundThrust [N]
+  /// Vertical thrust that a rotor keeps on the ground where torques take from it, see GroundThrust
+  /// [N].
+  double rotor_thrust = 0.25;
 };
 
 inline void validate(const GroundContactSettings& s) {
@@ -32,31 +34,38 @@ inline void validate(const GroundContactSettings& s) {
           "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
   require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
+  require_non_negative("GroundContactSettings.rotor_thrust [N]", s.rotor_thrust);
 }
 
-/// The vertical thrust to ask for on the ground: down_force, and more where torques would else
-/// leave a rotor less than rotor_thrust upward. Pitched by a CoM off the axle, a rotor would have
-/// to push downward, at the end of its servo's range: from one end to the other is a full turn, on
-/// the way of which the thrust points anywhere.
+/// The vertical thrust to ask for on the ground: down_force, and more where a torque takes thrust
+/// from a rotor, so that each keeps pushing upward. A CoM off the axle pitches the vehicle all the
+/// time, and with little thrust to share the front rotor or the rear one would have to push
+/// downward, at the end of its servo's range: from one end to the other is a whole turn, on the way
+/// of which it pushes anywhere, and the vehicle tips.
+///
+/// A rotor from which the torque takes t keeps min(2 t, rotor_thrust) at least, unless that takes
+/// more than half the weight off the wheels.
 template <int Rotors>
 class GroundThrust {
  public:
+  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
   GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
       : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
     const auto inverse = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
     for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
   }
 
-  /// The force [N] for a wrench whose vertical force is left out of account (body frame).
+  /// The force [N] for a wrench (body frame) whose own vertical force is left out of account.
   [[nodiscard]] double operator()(const Wrench<>& wrench) const noexcept {
-    double force = settings_.down_force;
     Eigen::Matrix<double, 6, 1> level;
     level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
-    for (int i = 0; i < Rotors; ++i)
-      if (vertical_(i, 2) > 1e-6)
-        force = std::max(force,
-                         (settings_.rotor_thrust - vertical_.row(i).dot(level)) / vertical_(i, 2));
-    return std::min(force, most_);
+    double force = settings_.down_force;
+    for (int i = 0; i < Rotors; ++i) {
+      const double share = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
+      if (share > 1e-6)
+        force = std::max(force, (taken + std::min(2.0 * taken, settings_.rotor_thrust)) / share);
+    }
+    return std::max(settings_.down_force, std::min(force, most_));
   }
 
  private:
