@@ -5,8 +5,8 @@ usage() {
   cat <<'HELP'
 usage: examples/run.sh [--mujoco] [-- OPTION...]
 
-Installs what is missing (Debian packages, by apt-get), builds the examples for this processor into
-build-examples/ and runs the main job, hybrid_mission: take off, fly a figure eight, land, drive it,
+Installs what is missing (Debian packages, by apt-get), builds the main job for this processor into
+build-examples/ and runs it, hybrid_mission: take off, fly a figure eight, land, drive it,
 take off again, hover, land. Its figures are printed, its log and pictures are left in results/.
 
   --mujoco      the same job in MuJoCo, with a film of it, left in results/mujoco/ (mission_mujoco)
@@ -39,7 +39,8 @@ echo "== Configuring and building into build-examples/"
 cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Release \
   -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF \
   -DTILT_ROPTER_BUILD_EXAMPLES=ON -DTILT_ROPTER_NATIVE=ON
-cmake --build build-examples --parallel "$(nproc)"
+cmake --build build-examples --parallel "$(nproc)" \
+  --target "$([[ $mujoco ]] && echo mission_mujoco || echo hybrid_mission)"
 
 if [[ $mujoco ]]; then
   echo "== Flying the hybrid mission in MuJoCo"

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 
 namespace tilt_ropter {
 namespace {
@@ -123,6 +125,54 @@ TEST(GroundContact, SettingsOutOfRangeAreRefused) {
   s = {};
   s.down_force = std::numeric_limits<double>::quiet_NaN();
   EXPECT_THROW((GroundContact{wheels, s}), std::invalid_argument);
+}
+
+// What a wrench with this vertical force takes or leaves each rotor, upward [N].
+Eigen::Vector4d vertical_thrusts(Wrench<> wrench, double force) {
+  wrench.force.z() = force;
+  Eigen::Matrix<double, 6, 1> packed;
+  packed << wrench.force, wrench.torque;
+  const Eigen::Matrix<double, 8, 1> thrusts =
+      AllocationMatrix<4>(tilt_ropter_vehicle()).pseudoinverse * packed;
+  return {thrusts(1), thrusts(3), thrusts(5), thrusts(7)};
+}
+
+TEST(GroundThrust, IsTheDownForceWithoutATorque) {
+  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
+  EXPECT_EQ(thrust({}), 0.5);
+  // Whatever the vertical force was; forces along the ground take nothing from the vertical.
+  EXPECT_EQ(thrust({Eigen::Vector3d(2.0, -1.0, 7.0), Eigen::Vector3d::Zero()}), 0.5);
+  // A CoM a millimetre off the axle.
+  EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0147, 0.0)}), 0.5);
+}
+
+TEST(GroundThrust, LeavesEveryRotorPushingUpwardUnderTorques) {
+  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
+  for (const double torque : {-0.18, -0.1, 0.05, 0.147}) {  // the last: a CoM 1 cm off the axle
+    const Wrench<> wrench{Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d(0.0, torque, 0.02)};
+    const double force = thrust(wrench);
+    const Eigen::Vector4d before = vertical_thrusts(wrench, 0.0);
+    const double taken = -before.minCoeff();
+    EXPECT_NEAR(vertical_thrusts(wrench, force).minCoeff(), std::min(2.0 * taken, 0.25), 1e-9)
+        << torque;
+  }
+}
+
+TEST(GroundThrust, RotorThrustActsAndHalfTheWeightIsTheMost) {
+  const Wrench<> pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
+  GroundContactSettings settings;
+  settings.rotor_thrust = 0.0;
+  const double none = GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched);
+  EXPECT_NEAR(vertical_thrusts(pitched, none).minCoeff(), 0.0, 1e-9);
+  settings.rotor_thrust = 0.5;
+  EXPECT_NEAR(GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched), none + 4.0 * 0.5, 1e-9);
+  settings.rotor_thrust = 100.0;
+  const Wrench<> tipping{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 5.0, 0.0)};
+  EXPECT_DOUBLE_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 0.5 * 1.5 * gravity);
+  settings.down_force = 10.0;  // asked for by the user, who may know better
+  EXPECT_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 10.0);
+  settings.rotor_thrust = -0.1;
+  EXPECT_THROW(validate(settings), std::invalid_argument);
 }
 
 }  // namespace

@@ -362,5 +362,31 @@ TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
   EXPECT_NE(message(s).find("ActuatorRowSettings.tilt_rate_share = 2"), std::string::npos);
 }
 
+// In a curve with its nose off the level the vehicle has a roll rate in its own axes although it
+// does not roll. A plan that carried it on would hold the nose where it is.
+TEST(Nmpc, OnTheGroundTheRollRateOfAPitchedVehicleInACurveIsNotCarriedOn) {
+  const auto parked = [](double) {
+    ReferencePoint point;
+    point.position.z() = vehicle.wheels.radius;
+    return point;
+  };
+  const auto torque = [&](double height, double roll_rate) {
+    Nmpc<4> nmpc(vehicle);
+    BodyState<> state;
+    state.position.z() = height;
+    state.orientation = Eigen::Quaterniond(Eigen::AngleAxisd(-0.1, Eigen::Vector3d::UnitY()));
+    state.angular_velocity << roll_rate, 0.0, 1.0;
+    Eigen::Vector3d result;
+    for (int i = 0; i < 3; ++i) {
+      nmpc.prepare(0.01 * i, parked, {});
+      result = nmpc.feedback(0.01 * i, state).wrench.torque;
+    }
+    return result;
+  };
+  const double ground = vehicle.wheels.radius, air = ground + 0.5;
+  EXPECT_EQ(torque(ground, 0.1), torque(ground, 0.0));
+  EXPECT_NE(torque(air, 0.1), torque(air, 0.0));
+}
+
 }  // namespace
 }  // namespace tilt_ropter

@@ -1,0 +1,222 @@
+// The Monte Carlo program as a user runs it. With TILT_ROPTER_FULL=1 a thousand vehicles.
+
+#include "../../examples/support/flight_table.hpp"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::string program = MONTE_CARLO_PROGRAM;  // set by CMake
+
+struct Run {
+  int exit_code = -1;
+  std::string output, errors, csv;
+};
+
+std::string contents(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+fs::path scratch() {
+  const fs::path path = fs::path(testing::TempDir()) / ("monte_carlo_" + std::to_string(getpid()));
+  fs::create_directories(path);
+  return path;
+}
+
+Run run(const std::string& directory, const std::string& arguments) {
+  Run result;
+  const fs::path output = scratch() / directory, errors = scratch() / "errors";
+  const std::string command = "'" + program + "' --output '" + output.string() +
+                              "' --no-pictures " + arguments + " 2> '" + errors.string() + "'";
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return result;
+  char buffer[4096];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) result.output += buffer;
+  result.exit_code = pclose(pipe);
+  result.errors = contents(errors);
+  result.csv = contents(output / "monte_carlo.csv");
+  return result;
+}
+
+std::string table(const std::string& directory) {
+  return "'" + (scratch() / directory / "monte_carlo.csv").string() + "'";
+}
+
+/// Vehicles 21 to 26 by two threads: 23 has slow actuators and tipped over on the ground while a
+/// rotor without thrust might turn through the end of its servo's range.
+const Run& whole() {
+  static const Run result = run("whole", "--first 21 --count 6 --threads 2");
+  return result;
+}
+
+TEST(MonteCarlo, VehiclesThatTheControllerDoesNotKnowComeThrough) {
+  ASSERT_EQ(whole().exit_code, 0) << whole().errors;
+  std::istringstream csv(whole().csv);
+  const examples::CsvTable flights = examples::read_csv(csv, "whole");
+  ASSERT_EQ(flights.rows(), 6u);
+  for (std::size_t i = 0; i < flights.rows(); ++i) {
+    EXPECT_EQ(flights["verdict"][i], 0.0) << flights["index"][i];
+    EXPECT_GT(flights["air_rmse_m"][i], 0.0) << flights["index"][i];
+    EXPECT_LT(flights["air_rmse_m"][i], 0.06) << flights["index"][i];
+    EXPECT_GT(flights["ground_rmse_m"][i], 0.0) << flights["index"][i];
+    EXPECT_LT(flights["ground_rmse_m"][i], 0.10) << flights["index"][i];
+    EXPECT_EQ(flights["solver_failures"][i], 0.0) << flights["index"][i];
+    EXPECT_GT(flights["time_s"][i], 75.0) << flights["index"][i];
+  }
+  EXPECT_NE(whole().output.find("divergences: 0\n"), std::string::npos) << whole().output;
+}
+
+TEST(MonteCarlo, PartsByOtherThreadsMergeToTheWholeBitForBit) {
+  ASSERT_EQ(run("one", "--first 21 --count 2 --threads 1").exit_code, 0);
+  ASSERT_EQ(run("two", "--first 23 --count 4 --threads 3").exit_code, 0);
+  const Run merged = run("merged", "--merge " + table("two") + " " + table("one"));
+  ASSERT_EQ(merged.exit_code, 0) << merged.errors;
+  EXPECT_EQ(merged.output, whole().output);
+  EXPECT_EQ(merged.csv, whole().csv);
+}
+
+TEST(MonteCarlo, ReplaysAVehicleAsItFlew) {
+  const Run replayed = run("replayed", "--replay 23");
+  ASSERT_EQ(replayed.exit_code, 0) << replayed.errors;
+  std::istringstream csv(whole().csv);
+  std::string header, row;
+  std::getline(csv, header);
+  while (std::getline(csv, row) && row.rfind("1,23,", 0) != 0) continue;
+  std::istringstream names(header), values(row);
+  for (std::string name, value; std::getline(names, name, ',');) {
+    ASSERT_TRUE(std::getline(values, value, ','));
+    EXPECT_NE(replayed.output.find('\n' + name + ": " + value + '\n'), std::string::npos) << name;
+  }
+  EXPECT_GT(fs::file_size(scratch() / "replayed" / "hybrid_mission.csv"), 1000000u);
+}
+
+TEST(MonteCarlo, AnotherSeedIsAnotherVehicle) {
+  examples::RandomStream a(1, 5), b(1, 5), seed(2, 5), index(1, 6);
+  const double mass = examples::draw_vehicle(a).mass;
+  EXPECT_EQ(examples::draw_vehicle(b).mass, mass);
+  EXPECT_NE(examples::draw_vehicle(seed).mass, mass);
+  EXPECT_NE(examples::draw_vehicle(index).mass, mass);
+}
+
+TEST(MonteCarlo, DrawsTheWholeOfEveryRangeAndNothingBeyond) {
+  struct Range {
+    double from, to, least = 1e9, most = -1e9;
+    void add(double x) { least = std::min(least, x), most = std::max(most, x); }
+  };
+  Range mass{0.8, 1.2}, inertia{0.7, 1.3}, com{-0.01, 0.01}, thrust{0.85, 1.15}, lag{0.5, 2.0},
+      delay{0.0, 0.02}, friction{0.3, 1.0}, wind{0.0, 1.0};
+  for (std::uint64_t k = 0; k < 2000; ++k) {
+    examples::RandomStream random(1, k);
+    const examples::VehicleDraw d = examples::draw_vehicle(random);
+    EXPECT_NO_THROW(validate(examples::true_vehicle(d, tilt_ropter::tilt_ropter_vehicle())));
+    mass.add(d.mass), thrust.add(d.thrust), friction.add(d.friction), wind.add(d.wind);
+    for (int axis = 0; axis < 3; ++axis) inertia.add(d.inertia(axis)), com.add(d.com_offset(axis));
+    lag.add(d.servo_time_constant), lag.add(d.rotor_time_constant);
+    delay.add(d.command_delay), delay.add(d.capture_delay);
+  }
+  for (const Range& r : {mass, inertia, com, thrust, lag, delay, friction, wind}) {
+    EXPECT_GE(r.least, r.from);
+    EXPECT_LE(r.most, r.to);
+    EXPECT_LT(r.least, r.from + 0.02 * (r.to - r.from));
+    EXPECT_GT(r.most, r.to - 0.02 * (r.to - r.from));
+  }
+}
+
+TEST(MonteCarlo, TheTrueVehicleHasItsPartsAroundTheShiftedCom) {
+  examples::VehicleDraw draw;
+  draw.com_offset << 0.01, -0.005, 0.002;
+  const auto believed = tilt_ropter::tilt_ropter_vehicle();
+  const auto truth = examples::true_vehicle(draw, believed);
+  for (std::size_t i = 0; i < 4; ++i)
+    EXPECT_TRUE(truth.rotors[i].position.isApprox(believed.rotors[i].position - draw.com_offset));
+}
+
+TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
+  examples::CsvTable flights{"", examples::flight_columns(), {}, {}};
+  flights.columns.resize(flights.names.size());
+  const auto add = [&flights](std::uint64_t index, examples::Verdict verdict, double air,
+                              double ground) {
+    examples::FlightRecord record;
+    record.verdict = verdict, record.air_rmse = air, record.ground_rmse = ground;
+    std::size_t c = 0;
+    for (const auto& [name, value] : examples::flight_row(1, index, {}, record))
+      flights.columns[c++].push_back(value);
+    flights.lines.push_back(index + 2);
+  };
+  add(0, examples::Verdict::ok, 0.01, 0.05);
+  add(1, examples::Verdict::ok, 0.05, 0.01);
+  add(2, examples::Verdict::tipped, 0.001, 0.0);
+  add(3, examples::Verdict::ok, 0.01, 0.09);
+  EXPECT_EQ(examples::worst_first(flights), (std::vector<std::size_t>{2, 3, 1, 0}));
+  EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 0.5), 2.0);
+  EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 1.0), 4.0);
+  EXPECT_EQ(examples::quantile({4.0}, 0.05), 4.0);
+}
+
+TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
+  const auto refused = [](const std::string& files, const std::string& why) {
+    const Run merged = run("refused", "--merge " + files);
+    EXPECT_NE(merged.exit_code, 0) << why;
+    EXPECT_NE(merged.errors.find(why), std::string::npos) << merged.errors;
+  };
+  ASSERT_EQ(whole().exit_code, 0);
+  const fs::path bad = scratch() / "bad.csv";
+  const auto write = [&bad](const std::string& text) { std::ofstream(bad) << text; };
+  const std::string quoted = "'" + bad.string() + "'";
+  refused("/nowhere/at/all.csv", "/nowhere/at/all.csv");
+  refused(table("whole") + " " + table("whole"), "monte_carlo.csv:2: the vehicle is there twice");
+  write("seed,index\n1,0\n");
+  refused(quoted, "bad.csv:1: no column mass_factor");
+  const std::size_t header_end = whole().csv.find('\n') + 1;
+  const std::string header = whole().csv.substr(0, header_end);
+  write(header);
+  refused(quoted, "no vehicles in");
+  std::string other =
+      whole().csv.substr(header_end, whole().csv.find('\n', header_end) - header_end);
+  write(header + "7" + other.substr(1) + "\n");
+  refused(table("whole") + " " + quoted, "bad.csv:2: the seed is another one");
+  write(header + other.substr(0, 20) + "\n");
+  refused(quoted, "bad.csv:2: ");
+}
+
+TEST(MonteCarlo, HelpAndBadArguments) {
+  const Run help = run("help", "--help");
+  EXPECT_EQ(help.exit_code, 0);
+  for (const char* option : {"--seed", "--first", "--count", "--threads", "--merge", "--replay"})
+    EXPECT_NE(help.output.find(option), std::string::npos) << option;
+  EXPECT_NE(run("bad", "--count 0").exit_code, 0);
+  EXPECT_NE(run("bad", "--threads 0").exit_code, 0);
+  EXPECT_NE(run("bad", "--replay 3 --count 2").exit_code, 0);
+  EXPECT_NE(run("bad", "--merge x.csv --first 2").exit_code, 0);
+  EXPECT_NE(run("bad", "--output /proc/nowhere --count 1").exit_code, 0);
+}
+
+TEST(MonteCarlo, AThousandVehiclesWithoutADivergence) {
+  if (std::getenv("TILT_ROPTER_FULL") == nullptr) GTEST_SKIP() << "TILT_ROPTER_FULL is not set";
+  const Run thousand = run("thousand", "--count 1000");
+  ASSERT_EQ(thousand.exit_code, 0) << thousand.errors;
+  EXPECT_NE(thousand.output.find("divergences: 0\n"), std::string::npos) << thousand.output;
+  std::istringstream csv(thousand.csv);
+  const examples::CsvTable flights = examples::read_csv(csv, "thousand");
+  EXPECT_LT(examples::quantile(flights["air_rmse_m"], 0.95), 0.06);
+  EXPECT_LT(examples::quantile(flights["ground_rmse_m"], 0.95), 0.10);
+}
+
+}  // namespace
