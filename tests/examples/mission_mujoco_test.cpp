@@ -123,6 +123,23 @@ TEST(MujocoModel, MovesItsCentreWithTheArms) {
   EXPECT_NEAR(centre.z(), 5.0 - share * (1.0 - std::cos(0.5)), 1e-12);
 }
 
+TEST(MujocoModel, GroundRisesTheWayItIsTold) {
+  MujocoParameters p;
+  p.slope = 0.1;
+  p.slope_direction = 2.0;
+  const Eigen::Vector3d normal = ground_orientation(p) * Eigen::Vector3d::UnitZ();
+  const Eigen::Vector3d uphill(std::cos(2.0) * std::cos(0.1), std::sin(2.0) * std::cos(0.1),
+                               std::sin(0.1));
+  EXPECT_NEAR(normal.dot(uphill), 0.0, 1e-12);
+  EXPECT_GT(normal.z(), 0.99);
+
+  MujocoPlant plant(tilt_ropter_vehicle(), p);  // stands on it
+  EXPECT_NEAR(normal.dot(plant.body().position), tilt_ropter_vehicle().wheels.radius, 1e-12);
+  ASSERT_TRUE(plant.step({}, {}, 0.3));
+  EXPECT_GT(plant.normal_forces().minCoeff(), 1.0);
+  EXPECT_LT(plant.body().velocity.dot(uphill), -0.01);  // and rolls off or slides
+}
+
 TEST(MujocoModel, RefusesWhatItCannotBuild) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoParameters p;
@@ -193,8 +210,12 @@ TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
   };
   MujocoParameters light = light_arms();
   light.servo_armature = 1e-4;
-  EXPECT_LT(distance(light), 2e-3);
-  EXPECT_GT(distance({}), 2e-3);
+  MujocoParameters heavy;
+  heavy.arm_mass = 0.15;
+  heavy.arm_height = 0.03;
+  const double without_arms = distance(light);
+  EXPECT_LT(without_arms, 5e-4);
+  EXPECT_GT(distance(heavy), 10.0 * without_arms);
 }
 
 TEST(MujocoPlant, OneServoCanBeSlow) {
@@ -209,6 +230,33 @@ TEST(MujocoPlant, OneServoCanBeSlow) {
   for (int i = 0; i < 80; ++i) ASSERT_TRUE(plant.step(command, {}, 1e-3));
   EXPECT_NEAR(plant.actuators().tilt_angle(0), 0.1 * (1.0 - std::exp(-1.0)), 0.005);
   EXPECT_NEAR(plant.actuators().tilt_angle(2), 0.1 * (1.0 - std::exp(-1.0 / 3.0)), 0.005);
+}
+
+TEST(MujocoPlant, ServosAreNoFasterThanTheirSpeed) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  MujocoPlant plant(vehicle);
+  plant.reset(high(), hover(vehicle));
+  ActuatorState<4> command = hover(vehicle);
+  command.tilt_angle.setConstant(3.0);
+  for (int i = 0; i < 200; ++i) ASSERT_TRUE(plant.step(command, {}, 1e-3));
+  EXPECT_NEAR(plant.actuators().tilt_angle(0), 0.2 * vehicle.servo.max_rate, 0.05);
+}
+
+TEST(MujocoPlant, RollsOutLikeOurs) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  Plant<4> ours(vehicle);
+  MujocoPlant other(vehicle);
+  Wrench<> push;
+  push.force.x() = 1.5;
+  for (int i = 0; i < 500; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
+  for (int i = 0; i < 1000; ++i)
+    ASSERT_TRUE(ours.step({}, push, 1e-3) && other.step({}, push, 1e-3));
+  // What spins the wheels up does not turn the body.
+  EXPECT_GT(4e-4 * std::abs(other.wheel_speeds()(0)), 2e-3);
+  EXPECT_LT(std::abs(other.external_wrench().torque.y()), 5e-4);
+  for (int i = 0; i < 1000; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
+  EXPECT_GT(ours.body().velocity.x(), 0.5);
+  EXPECT_NEAR(other.body().velocity.x() / ours.body().velocity.x(), 1.0, 3e-3);
 }
 
 TEST(MujocoPlant, RefusesBadSteps) {
