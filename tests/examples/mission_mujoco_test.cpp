@@ -256,7 +256,7 @@ TEST(MujocoPlant, RollsOutLikeOurs) {
   EXPECT_LT(std::abs(other.external_wrench().torque.y()), 5e-4);
   for (int i = 0; i < 1000; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
   EXPECT_GT(ours.body().velocity.x(), 0.5);
-  EXPECT_NEAR(other.body().velocity.x() / ours.body().velocity.x(), 1.0, 3e-3);
+  EXPECT_NEAR(other.body().velocity.x() / ours.body().velocity.x(), 1.0, 6e-3);
 }
 
 TEST(MujocoPlant, RefusesBadSteps) {
