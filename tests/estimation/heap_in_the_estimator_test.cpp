@@ -38,7 +38,7 @@ HeapUse use_of(const Call& call) {
 template <typename Scalar>
 class HeapInTheEstimator : public testing::Test {};
 using Scalars = testing::Types<double, float>;
-TYPED_TEST_SUITE(HeapInTheEstimator, Scalars);
+TYPED_TEST_SUITE(HeapInTheEstimator, Scalars, );
 
 TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
   using Scalar = TypeParam;
