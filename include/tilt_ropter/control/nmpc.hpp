@@ -131,21 +131,21 @@ class Nmpc {
     body_state_ = measured;
     body_state_.orientation.normalize();
     if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
-    State<> x;
-    x.body = body_state_;
     if (cold_) {
       contact_.update(body_state_.position.z(), external_);
       set_nodes();
-      x.wrench = has_plan_ ? planned_wrench(time - plan_time_) : safe_wrench();
-      solver_.reset(x);
-      plan_start_ = x.wrench;
-      (void)solver_.prepare();
-    } else {
-      x.wrench = planned_wrench(time - plan_time_);
     }
+    State<> x;
+    x.body = body_state_;
     // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
     // while it turns with its nose up or down. A model that did would rather keep the nose there.
     if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
+    x.wrench = cold_ && !has_plan_ ? safe_wrench() : planned_wrench(time - plan_time_);
+    if (cold_) {
+      solver_.reset(x);
+      plan_start_ = x.wrench;
+      (void)solver_.prepare();
+    }
     prepared_ = false;
     result_.report = solver_.feedback(x);
     if (result_.report.status != SolveStatus::iterated)
