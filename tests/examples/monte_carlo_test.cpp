@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 
 const std::string program = MONTE_CARLO_PROGRAM;  // set by CMake
 
-struct Run {
+struct Outcome {
   int exit_code = -1;
   std::string output, errors, csv;
 };
@@ -40,8 +40,8 @@ fs::path scratch() {
   return path;
 }
 
-Run run(const std::string& directory, const std::string& arguments) {
-  Run result;
+Outcome run(const std::string& directory, const std::string& arguments) {
+  Outcome result;
   const fs::path output = scratch() / directory, errors = scratch() / "errors";
   const std::string command = "'" + program + "' --output '" + output.string() +
                               "' --no-pictures " + arguments + " 2> '" + errors.string() + "'";
@@ -61,8 +61,8 @@ std::string table(const std::string& directory) {
 
 /// Vehicles 21 to 26 by two threads: 23 has slow actuators and tipped over on the ground while a
 /// rotor without thrust might turn through the end of its servo's range.
-const Run& whole() {
-  static const Run result = run("whole", "--first 21 --count 6 --threads 2");
+const Outcome& whole() {
+  static const Outcome result = run("whole", "--first 21 --count 6 --threads 2");
   return result;
 }
 
@@ -86,14 +86,14 @@ TEST(MonteCarlo, VehiclesThatTheControllerDoesNotKnowComeThrough) {
 TEST(MonteCarlo, PartsByOtherThreadsMergeToTheWholeBitForBit) {
   ASSERT_EQ(run("one", "--first 21 --count 2 --threads 1").exit_code, 0);
   ASSERT_EQ(run("two", "--first 23 --count 4 --threads 3").exit_code, 0);
-  const Run merged = run("merged", "--merge " + table("two") + " " + table("one"));
+  const Outcome merged = run("merged", "--merge " + table("two") + " " + table("one"));
   ASSERT_EQ(merged.exit_code, 0) << merged.errors;
   EXPECT_EQ(merged.output, whole().output);
   EXPECT_EQ(merged.csv, whole().csv);
 }
 
 TEST(MonteCarlo, ReplaysAVehicleAsItFlew) {
-  const Run replayed = run("replayed", "--replay 23");
+  const Outcome replayed = run("replayed", "--replay 23");
   ASSERT_EQ(replayed.exit_code, 0) << replayed.errors;
   std::istringstream csv(whole().csv);
   std::string header, row;
@@ -172,7 +172,7 @@ TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
 
 TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
   const auto refused = [](const std::string& files, const std::string& why) {
-    const Run merged = run("refused", "--merge " + files);
+    const Outcome merged = run("refused", "--merge " + files);
     EXPECT_NE(merged.exit_code, 0) << why;
     EXPECT_NE(merged.errors.find(why), std::string::npos) << merged.errors;
   };
@@ -197,7 +197,7 @@ TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
 }
 
 TEST(MonteCarlo, HelpAndBadArguments) {
-  const Run help = run("help", "--help");
+  const Outcome help = run("help", "--help");
   EXPECT_EQ(help.exit_code, 0);
   for (const char* option : {"--seed", "--first", "--count", "--threads", "--merge", "--replay"})
     EXPECT_NE(help.output.find(option), std::string::npos) << option;
@@ -210,7 +210,7 @@ TEST(MonteCarlo, HelpAndBadArguments) {
 
 TEST(MonteCarlo, AThousandVehiclesWithoutADivergence) {
   if (std::getenv("TILT_ROPTER_FULL") == nullptr) GTEST_SKIP() << "TILT_ROPTER_FULL is not set";
-  const Run thousand = run("thousand", "--count 1000");
+  const Outcome thousand = run("thousand", "--count 1000");
   ASSERT_EQ(thousand.exit_code, 0) << thousand.errors;
   EXPECT_NE(thousand.output.find("divergences: 0\n"), std::string::npos) << thousand.output;
   std::istringstream csv(thousand.csv);
