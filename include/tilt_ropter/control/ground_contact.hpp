@@ -18,11 +18,14 @@
 namespace tilt_ropter {
 
 struct GroundContactSettings {
-  double enter_height = 0.005;        ///< lower than this above the radius: on the ground [m]
-  double leave_height = 0.030;        ///< higher than this: in the air [m]
+  double enter_height = 0.005;  ///< lower than this above the radius: on the ground [m]
+  double leave_height = 0.030;  ///< higher than this: in the air [m]
+  /// Share of the weight that only the ground can carry: with more than that on it the vehicle has
+  /// not left the ground, however high the ground is, and below leave_height it has reached it.
+  double carried_share = 0.4;
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
-      0.5;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+      0.75;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
   /// Vertical thrust that a rotor keeps on the ground where torques take from it, see GroundThrust
   /// [N].
   double rotor_thrust = 0.25;
@@ -32,6 +35,7 @@ inline void validate(const GroundContactSettings& s) {
   require_positive("GroundContactSettings.enter_height [m]", s.enter_height);
   require(std::isfinite(s.leave_height) && s.leave_height > s.enter_height,
           "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
+  require_positive("GroundContactSettings.carried_share", s.carried_share);
   require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
   require_non_negative("GroundContactSettings.rotor_thrust [N]", s.rotor_thrust);
@@ -76,30 +80,42 @@ class GroundThrust {
 
 /// Mode of contact and the external wrench that belongs to each mode. The normal force estimated on
 /// the ground must not be carried into nodes whose reference is in the air (it would look like lift
-/// at take-off), so the wrench last seen in the air is kept for them.
+/// at take-off), so the wrench last seen well above it is kept for them until the ground has let
+/// go.
 class GroundContact {
  public:
   /// The wheels' radius is the height of the CoM on the ground. Throws std::invalid_argument for
-  /// settings out of range.
-  explicit GroundContact(const WheelParameters& wheels, const GroundContactSettings& settings = {})
-      : settings_(settings), wheel_radius_(wheels.radius) {
+  /// parameters or settings out of range.
+  GroundContact(const RigidBodyParameters& body, const WheelParameters& wheels,
+                const GroundContactSettings& settings = {})
+      : settings_(settings), mass_(body.mass), wheel_radius_(wheels.radius) {
+    validate(body);
     validate(wheels);
     validate(settings);
   }
 
-  /// Takes the measured height of the CoM [m] and the estimated external wrench (body frame).
+  /// Takes the measured state (position of the CoM and orientation count) and the estimated
+  /// external wrench (body frame).
   /// True if the vehicle has just left the ground: the estimate still holds the ground's force then
   /// and is better replaced by air_wrench(). Numbers that are not finite change nothing.
-  bool update(double height, const Wrench<>& external) noexcept {
-    if (!std::isfinite(height) || !is_finite(external)) return false;
-    const double clearance = height - wheel_radius_;
-    const bool was_on_ground = on_ground_;
-    on_ground_ = clearance < (on_ground_ ? settings_.leave_height : settings_.enter_height);
+  bool update(const BodyState<>& body, const Wrench<>& external) noexcept {
+    if (!is_finite(body) || !is_finite(external)) return false;
+    orientation_ = body.orientation;
+    const double clearance = body.position.z() - wheel_radius_;
+    const double lift = (orientation_ * external.force).z() - air_lift_;
+    const bool was_on_ground = on_ground_,
+               carried = lift > settings_.carried_share * mass_ * gravity;
+    on_ground_ = on_ground_
+                     ? clearance < settings_.leave_height || carried
+                     : clearance < (carried ? settings_.leave_height : settings_.enter_height);
     if (on_ground_ != was_on_ground && started_) ++mode_changes_;
     const bool lifted_off = was_on_ground && !on_ground_;
     started_ = true;
-    if (!on_ground_ && clearance > settings_.leave_height && !lifted_off) air_wrench_ = external;
-    if (on_ground_) ground_wrench_ = external;
+    external_ = lifted_off ? air_wrench_ : external;
+    if (!on_ground_ && clearance > settings_.leave_height && !lifted_off) {
+      air_wrench_ = external;
+      air_lift_ += lift;
+    }
     return lifted_off;
   }
 
@@ -107,16 +123,14 @@ class GroundContact {
   /// Changes of mode after the first update.
   [[nodiscard]] int mode_changes() const { return mode_changes_; }
 
-  /// External wrench last seen in the air, body frame.
+  /// External wrench last seen higher than leave_height in the air, body frame.
   [[nodiscard]] const Wrench<>& air_wrench() const { return air_wrench_; }
 
-  /// Fills delta, freedom and external wrench of a node whose reference is `point`; `orientation`
-  /// is the vehicle's now, body -> world, `mass` what it weighs [kg].
-  void apply(const Eigen::Quaterniond& orientation, double mass, const ReferencePoint& point,
-             WheeledFlightNode& node) const {
+  /// Fills delta, freedom and external wrench of a node whose reference is `point`.
+  void apply(const ReferencePoint& point, WheeledFlightNode& node) const {
     node.on_ground = on_ground_ && is_ground_reference(point.position.z());
     node.freedom = {};
-    node.external = air_wrench_;
+    node.external = on_ground_ ? air_wrench_ : external_;
     if (!node.on_ground) return;
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
     // thrust up. So the vertical and the roll are held, and their share of the estimate is left
@@ -124,11 +138,11 @@ class GroundContact {
     // curve needs, so the wheels are told to give all of it.
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
-    Eigen::Vector3d horizontal = orientation * ground_wrench_.force;
+    Eigen::Vector3d horizontal = orientation_ * external_.force;
     horizontal.z() = 0.0;
-    node.external.force = orientation.conjugate() * horizontal;
-    node.external.force.y() = mass * (point.orientation.conjugate() * point.acceleration).y();
-    node.external.torque = ground_wrench_.torque;
+    node.external.force = orientation_.conjugate() * horizontal;
+    node.external.force.y() = mass_ * (point.orientation.conjugate() * point.acceleration).y();
+    node.external.torque = external_.torque;
     node.external.torque.x() = 0.0;
   }
 
@@ -139,10 +153,12 @@ class GroundContact {
 
  private:
   GroundContactSettings settings_;
-  double wheel_radius_;
+  double mass_, wheel_radius_;
   bool on_ground_ = false, started_ = false;
   int mode_changes_ = 0;
-  Wrench<> air_wrench_, ground_wrench_;
+  Eigen::Quaterniond orientation_ = Eigen::Quaterniond::Identity();
+  Wrench<> external_, air_wrench_;
+  double air_lift_ = 0.0;  // of air_wrench_, upward in the world when it was seen [N]
 };
 
 }  // namespace tilt_ropter

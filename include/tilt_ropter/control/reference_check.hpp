@@ -45,7 +45,7 @@ template <typename Reference, int Rotors>
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   const RigidBodyParameters& body = vehicle.body;
-  const GroundContact contact(vehicle.wheels, settings.ground);
+  const GroundContact contact(vehicle.body, vehicle.wheels, settings.ground);
   const NmpcBounds& bounds = settings.problem.bounds;
   static constexpr std::array<const char*, 5> names = {"force", "torque", "angular_velocity",
                                                        "force_rate", "torque_rate"};
