@@ -40,7 +40,7 @@ WheeledFlightNode node_at(const GroundContact& contact, double height,
   point.position.z() = height;
   point.acceleration.y() = side_acceleration;
   WheeledFlightNode node;
-  contact.apply(point, node);
+  contact.apply(point, point, node);
   return node;
 }
 
@@ -104,7 +104,7 @@ TEST(GroundContact, CloseToTheGroundTheAirsWrenchIsFollowedButNotRemembered) {
   const Wrench<> gust = upward(3.0);
   update(contact, 0.13, gust);  // in the air still, but the wheels may touch already
   EXPECT_FALSE(contact.on_ground());
-  EXPECT_EQ(node_at(contact, 0.11).external.force, gust.force);  // or it would not come down
+  EXPECT_EQ(node_at(contact, 0.5).external.force, gust.force);  // or it would not come down
   EXPECT_EQ(contact.air_wrench().force, breeze.force);
   update(contact, 0.11, gust);
   EXPECT_EQ(node_at(contact, 0.5).external.force, breeze.force);
@@ -141,6 +141,18 @@ TEST(GroundContact, GroundThatCarriesTheVehicleIsReachedBelowLeaveHeight) {
   EXPECT_FALSE(contact.on_ground());
   update(contact, 0.135, upward(7.9));  // landed on a board
   EXPECT_TRUE(contact.on_ground());
+}
+
+TEST(GroundContact, ThrustHoldsBackWhereTheReferenceIsDownAndTheWheelsAreNot) {
+  GroundContact contact = contact_with();
+  const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
+  update(contact, 0.2, {}, pitched);
+  const WheeledFlightNode node = node_at(contact, 0.11);
+  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0, 0, 0.07 * 2.0 * gravity)).norm(),
+            1e-12);
+  EXPECT_EQ(node_at(contact, 0.12).external.force, Eigen::Vector3d::Zero());  // on the way down
+  update(contact, 0.112, {});
+  EXPECT_EQ(node_at(contact, 0.11).external.force, Eigen::Vector3d::Zero());
 }
 
 TEST(GroundContact, WhatTheAirCarriesAnywayIsNotTheGrounds) {
@@ -188,6 +200,9 @@ TEST(GroundContact, SettingsOutOfRangeAreRefused) {
                std::invalid_argument);
   s = {};
   s.carried_share = 0.0;
+  EXPECT_THROW(contact_with(s), std::invalid_argument);
+  s = {};
+  s.settling_share = -0.1;
   EXPECT_THROW(contact_with(s), std::invalid_argument);
   s = {};
   s.down_force = std::numeric_limits<double>::quiet_NaN();

@@ -23,6 +23,9 @@ struct GroundContactSettings {
   /// Share of the weight that only the ground can carry: with more than that on it the vehicle has
   /// not left the ground, however high the ground is, and below leave_height it has reached it.
   double carried_share = 0.4;
+  /// Share of the weight that thrust holds back while the reference is on the ground and the wheels
+  /// are not yet, so that no gust or error of the estimate leaves the vehicle hanging over it.
+  double settling_share = 0.07;
   double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
   double down_force =
       0.75;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
@@ -36,6 +39,7 @@ inline void validate(const GroundContactSettings& s) {
   require(std::isfinite(s.leave_height) && s.leave_height > s.enter_height,
           "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
   require_positive("GroundContactSettings.carried_share", s.carried_share);
+  require_non_negative("GroundContactSettings.settling_share", s.settling_share);
   require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
   require_non_negative("GroundContactSettings.rotor_thrust [N]", s.rotor_thrust);
@@ -126,11 +130,16 @@ class GroundContact {
   /// External wrench last seen higher than leave_height in the air, body frame.
   [[nodiscard]] const Wrench<>& air_wrench() const { return air_wrench_; }
 
-  /// Fills delta, freedom and external wrench of a node whose reference is `point`.
-  void apply(const ReferencePoint& point, WheeledFlightNode& node) const {
+  /// Fills delta, freedom and external wrench of a node whose reference is `point`; `now` is that
+  /// of this moment.
+  void apply(const ReferencePoint& now, const ReferencePoint& point,
+             WheeledFlightNode& node) const {
     node.on_ground = on_ground_ && is_ground_reference(point.position.z());
     node.freedom = {};
     node.external = on_ground_ ? air_wrench_ : external_;
+    if (!on_ground_ && is_ground_reference(now.position.z()))
+      node.external.force += orientation_.conjugate() *
+                             Eigen::Vector3d(0.0, 0.0, settings_.settling_share * mass_ * gravity);
     if (!node.on_ground) return;
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
     // thrust up. So the vertical and the roll are held, and their share of the estimate is left

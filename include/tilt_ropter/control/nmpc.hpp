@@ -188,7 +188,7 @@ class Nmpc {
 
   void set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
-    contact_.apply(point, node);
+    contact_.apply(points_.front(), point, node);
     node.wrench_reference = {};
     if (!settings_.wrench_feedforward) {
       node.wrench_reference.force.z() =

@@ -1,0 +1,20 @@
+#include "../../examples/mujoco/plant.hpp"
+#include "support/mode_transitions.hpp"
+
+#include <gtest/gtest.h>
+
+namespace examples {
+
+static void place(MujocoPlant& plant, const tilt_ropter::BodyState<>& body,
+           const tilt_ropter::ActuatorState<4>& actuators) {
+  plant.reset(body, actuators);
+}
+
+namespace {
+
+TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeEachAndNoBounce) {
+  test_support::land_and_take_off<MujocoPlant>(10);
+}
+
+}  // namespace
+}  // namespace examples

@@ -1,0 +1,101 @@
+#pragma once
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+
+namespace test_support {
+
+inline void place(tilt_ropter::Plant<4>& plant, const tilt_ropter::BodyState<>& body,
+                  const tilt_ropter::ActuatorState<4>& actuators) {
+  tilt_ropter::PlantState<4> x = plant.state();
+  x.body = body;
+  x.actuators = actuators;
+  plant.reset(x);
+}
+
+/// The reference vehicle on a plant of any kind (with a place() of its own) under observer, NMPC
+/// and allocation at 100 Hz, on noisy states.
+template <typename PlantType>
+class ControlLoop {
+ public:
+  explicit ControlLoop(unsigned seed)
+      : vehicle_(tilt_ropter::tilt_ropter_vehicle()),
+        plant_(vehicle_),
+        state_sensor_({}, seed),
+        allocation_(vehicle_),
+        actuators_(vehicle_),
+        observer_(vehicle_.body),
+        nmpc_(vehicle_) {}
+
+  /// Hovers with `clearance` [m] under the wheels, at `velocity` [m/s].
+  void start(double clearance, const Eigen::Vector3d& velocity, double yaw) {
+    tilt_ropter::BodyState<> body;
+    body.position.z() = vehicle_.wheels.radius + clearance;
+    body.velocity = velocity;
+    body.orientation = tilt_ropter::quaternion_from_yaw(yaw);
+    tilt_ropter::Wrench<> hover;
+    hover.force.z() = weight();
+    command_ = allocation_.allocate(hover, command_).command;
+    place(plant_, body, command_);
+    actuators_.reset(command_, 0.0);
+  }
+
+  template <typename Reference>
+  void run(double duration, const Reference& reference) {
+    using namespace tilt_ropter;
+    const double end = plant_.time() + duration;
+    while (plant_.time() < end - 1e-6) {
+      const double time = plant_.time();
+      const ActuatorState<4> applied{plant_.actuators().rotor_speed,
+                                     actuators_.update(time, command_).tilt_angle};
+      observer_.update(time, plant_.specific_force(), plant_.body().angular_velocity,
+                       allocation_.wrench(applied));
+      if (nmpc_.prepare(time, reference, observer_.external()))
+        observer_.set_external(nmpc_.contact().air_wrench());
+      const auto measured = state_sensor_.sample(time, plant_.body());
+      const NmpcResult& result = nmpc_.feedback(time, measured->body);
+      EXPECT_EQ(result.status, NmpcStatus::solved);
+      command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
+      actuators_.update(time, command_);
+      for (int i = 0; i < 20; ++i) {
+        ASSERT_TRUE(plant_.step(command_, {}, 5e-4));
+        peak_force_ = std::max(peak_force_, plant_.normal_forces().sum());
+        touched_ = touched_ || plant_.normal_forces().sum() > 0.0;
+        if (touched_)
+          highest_ = std::max(highest_, plant_.body().position.z() - vehicle_.wheels.radius);
+      }
+    }
+  }
+
+  [[nodiscard]] const PlantType& plant() const { return plant_; }
+  [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
+  [[nodiscard]] double weight() const { return vehicle_.body.mass * tilt_ropter::gravity; }
+  [[nodiscard]] double peak_force() const { return peak_force_; }  ///< of the ground [N]
+  [[nodiscard]] bool touched() const { return touched_; }
+  [[nodiscard]] double highest() const { return highest_; }  ///< after the first touch [m]
+
+ private:
+  tilt_ropter::Vehicle<4> vehicle_;
+  PlantType plant_;
+  tilt_ropter::StateSensor state_sensor_;
+  tilt_ropter::Allocation<4> allocation_;
+  tilt_ropter::ActuatorModel<4> actuators_;
+  tilt_ropter::WrenchObserver<> observer_;
+  tilt_ropter::Nmpc<4> nmpc_;
+  tilt_ropter::ActuatorState<4> command_;
+  double peak_force_ = 0.0, highest_ = -1.0;
+  bool touched_ = false;
+};
+
+}  // namespace test_support

@@ -1,0 +1,79 @@
+#pragma once
+
+#include "control_loop.hpp"
+#include "random.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/transition.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <string>
+
+namespace test_support {
+
+/// Landings and take-offs that go wrong a little: the controller touches down while it drifts
+/// sideways and higher than it should be, and is called up from the ground by a reference that is
+/// higher and drifts, too. One mode change each and no bounce; TILT_ROPTER_FULL=1 does 200 instead
+/// of `few`.
+template <typename PlantType>
+void land_and_take_off(int few) {
+  using namespace tilt_ropter;
+  Random random(14);
+  const int cases = std::getenv("TILT_ROPTER_FULL") != nullptr ? 200 : few;
+  double worst_bounce = 0.0, worst_force = 0.0;
+  for (int i = 0; i < cases; ++i) {
+    SCOPED_TRACE(i);
+    const double yaw = random.uniform(-pi, pi), drift = random.uniform(-pi, pi);
+    const Eigen::Vector3d way(std::cos(drift), std::sin(drift), 0.0);
+    const double error = random.uniform(0.03, 0.05), speed = random.uniform(0.0, 1.0);
+    ControlLoop<PlantType> loop(static_cast<unsigned>(i));
+
+    // Down: the reference rests on the ground, the vehicle is too high and drifts.
+    loop.start(error, speed * way, yaw);
+    const double radius = tilt_ropter_vehicle().wheels.radius;
+    const auto rest = [&](double) {
+      ReferencePoint point;
+      point.position << 0.0, 0.0, radius;
+      point.orientation = quaternion_from_yaw(yaw);
+      return point;
+    };
+    loop.run(3.0, rest);
+    if (testing::Test::HasFatalFailure()) return;
+    EXPECT_TRUE(loop.touched());
+    EXPECT_TRUE(loop.nmpc().contact().on_ground());
+    EXPECT_EQ(loop.nmpc().contact().mode_changes(), 1);
+    EXPECT_LT(loop.highest(), 0.05);
+    EXPECT_LT(loop.peak_force(), 4.0 * loop.weight());
+    worst_bounce = std::max(worst_bounce, loop.highest());
+    worst_force = std::max(worst_force, loop.peak_force() / loop.weight());
+
+    // Up: the reference begins too high and drifts from the start.
+    const double begin = loop.plant().time();
+    const Eigen::Vector3d from = loop.plant().body().position;
+    const Transition climb = take_off({Eigen::Vector3d(0.0, 0.0, radius), yaw}, 1.0);
+    const auto up = [&](double time) {
+      ReferencePoint point = climb(climb.start_time() + time - begin);
+      point.position.head<2>() = (from + speed * std::max(0.0, time - begin) * way).head<2>();
+      point.velocity += speed * way;
+      point.position.z() += error;
+      return point;
+    };
+    loop.run(4.0, up);
+    if (testing::Test::HasFatalFailure()) return;
+    EXPECT_FALSE(loop.nmpc().contact().on_ground());
+    EXPECT_EQ(loop.nmpc().contact().mode_changes(), 2);
+    EXPECT_LT(loop.peak_force(), 4.0 * loop.weight());
+    EXPECT_LT((loop.plant().body().position - up(begin + 4.0).position).norm(), 0.05);
+  }
+  testing::Test::RecordProperty("worst_bounce_m", std::to_string(worst_bounce));
+  testing::Test::RecordProperty("worst_force_mg", std::to_string(worst_force));
+}
+
+}  // namespace test_support
