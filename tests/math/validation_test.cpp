@@ -1,7 +1,10 @@
 #include <tilt_ropter/math/validation.hpp>
 
+#include "support/random.hpp"
+
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 #include <string>
 
@@ -93,6 +96,38 @@ TEST(Validation, InertiaMustBelongToSomeBody) {
   Eigen::Matrix3d lopsided = diagonal(1.0, 1.0, 1.0);
   lopsided(0, 1) = 0.1;
   EXPECT_NE(says(lopsided).find("symmetric"), std::string::npos);
+}
+
+TEST(Validation, InertiasAreJudgedByTheirPrincipalMomentsInAnyAxes) {
+  test_support::Random random(7);
+  int accepted = 0;
+  for (int i = 0; i < 100000; ++i) {
+    const Eigen::Matrix3d turn = random.orientation().toRotationMatrix();
+    Eigen::Vector3d moments(random.uniform(-0.2, 2.0), random.uniform(0.0, 2.0), 0.0);
+    const double sum = moments.x() + moments.y();
+    const double edges[] = {sum * (1.0 - 1e-6), sum * (1.0 + 1e-6), random.uniform(0.0, 3.0)};
+    moments.z() = edges[i % 3];
+    if ((moments.cwiseAbs().array() < 1e-6).any()) continue;
+    const double unit = std::pow(10.0, random.uniform(-6.0, 3.0));
+    Eigen::Matrix3d inertia = turn * moments.asDiagonal() * turn.transpose() * unit;
+    inertia = (0.5 * (inertia + inertia.transpose())).eval();
+    const bool body = moments.minCoeff() > 0.0 && 2.0 * moments.maxCoeff() <= moments.sum();
+    accepted += body;
+    const std::string said = complaint([&] { require_inertia("J", inertia); });
+    ASSERT_EQ(said.empty(), body) << moments.transpose() << ": " << said;
+  }
+  EXPECT_GT(accepted, 30000);
+}
+
+TEST(Validation, FlatPlatesAreBodiesInAnyAxes) {
+  test_support::Random random(8);
+  for (int i = 0; i < 10000; ++i) {
+    const Eigen::Matrix3d turn = random.orientation().toRotationMatrix();
+    const double x = random.uniform(0.01, 1.0), y = random.uniform(0.01, 1.0);
+    const Eigen::Matrix3d plate =
+        turn * Eigen::Vector3d(x, y, x + y).asDiagonal() * turn.transpose();
+    EXPECT_EQ(complaint([&] { require_inertia("J", plate); }), "");
+  }
 }
 
 }  // namespace

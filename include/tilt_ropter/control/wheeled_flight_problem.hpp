@@ -83,14 +83,11 @@ inline void validate(const NmpcWeights& w) {
 }
 
 inline void validate(const NmpcBounds& b) {
-  require((b.force_rate.array() > 0.0).all(), "NmpcBounds.force_rate [N/s]", b.force_rate,
-          "> 0 in every entry");
-  require((b.torque_rate.array() > 0.0).all(), "NmpcBounds.torque_rate [N m/s]", b.torque_rate,
-          "> 0 in every entry");
+  require_positive_or_infinite("NmpcBounds.force_rate [N/s]", b.force_rate);
+  require_positive_or_infinite("NmpcBounds.torque_rate [N m/s]", b.torque_rate);
   require_ordered("NmpcBounds.force [N]", b.force_min, b.force_max);
   require_ordered("NmpcBounds.torque [N m]", b.torque_min, b.torque_max);
-  require((b.angular_velocity.array() > 0.0).all(), "NmpcBounds.angular_velocity [rad/s]",
-          b.angular_velocity, "> 0 in every entry");
+  require_positive_or_infinite("NmpcBounds.angular_velocity [rad/s]", b.angular_velocity);
 }
 
 inline void validate(const WheeledFlightSettings& s) {

@@ -36,10 +36,8 @@ inline void validate(const WrenchObserverSettings& s) {
   require_positive("WrenchObserverSettings.torque_bandwidth [1/s]", s.torque_bandwidth);
   require_non_negative("WrenchObserverSettings.force_dead_band [N]", s.force_dead_band);
   require_non_negative("WrenchObserverSettings.torque_dead_band [N m]", s.torque_dead_band);
-  require((s.force_limit.array() > 0.0).all(), "WrenchObserverSettings.force_limit [N]",
-          s.force_limit, "> 0 in every entry");
-  require((s.torque_limit.array() > 0.0).all(), "WrenchObserverSettings.torque_limit [N m]",
-          s.torque_limit, "> 0 in every entry");
+  require_positive_or_infinite("WrenchObserverSettings.force_limit [N]", s.force_limit);
+  require_positive_or_infinite("WrenchObserverSettings.torque_limit [N m]", s.torque_limit);
   require_positive("WrenchObserverSettings.max_gap [s]", s.max_gap);
   require_positive("WrenchObserverSettings.min_calibration_time [s]", s.min_calibration_time);
   require_positive("WrenchObserverSettings.max_force_deviation [N]", s.max_force_deviation);

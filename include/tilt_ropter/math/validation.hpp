@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
 
 #include <cmath>
 #include <sstream>
@@ -21,11 +20,18 @@ void require(bool ok, const std::string& field, const Value& value, const std::s
   std::ostringstream message;
   message.precision(9);
   message << field << " = ";
-  if constexpr (std::is_base_of_v<Eigen::EigenBase<Value>, Value>)
-    message << value.format(Eigen::IOFormat(9, Eigen::DontAlignCols, ", ",
-                                            value.cols() == 1 ? ", " : "; ", "", "", "(", ")"));
-  else
+  if constexpr (std::is_base_of_v<Eigen::EigenBase<Value>, Value>) {
+    // Eigen's own printing takes the compiler as long as all the rest of this header.
+    const char* before = "(";
+    for (Eigen::Index i = 0; i < value.rows(); ++i)
+      for (Eigen::Index j = 0; j < value.cols(); ++j) {
+        message << before << value(i, j);
+        before = j + 1 < value.cols() || value.cols() == 1 ? ", " : "; ";
+      }
+    message << ")";
+  } else {
     message << value;
+  }
   message << ": must be " << allowed;
   throw std::invalid_argument(message.str());
 }
@@ -42,41 +48,80 @@ inline void require_non_negative(const std::string& field, double value) {
   require(std::isfinite(value) && value >= 0.0, field, value, "finite and >= 0");
 }
 
+namespace detail {
+
+/// Entry by entry: Eigen's reductions take the compiler longer, and every user of a parameter
+/// waits.
+template <typename Derived, typename Condition>
+[[nodiscard]] bool all_entries(const Eigen::MatrixBase<Derived>& value,
+                               const Condition& condition) {
+  for (Eigen::Index j = 0; j < value.cols(); ++j)
+    for (Eigen::Index i = 0; i < value.rows(); ++i)
+      if (!condition(value(i, j))) return false;
+  return true;
+}
+
+}  // namespace detail
+
 template <typename Derived>
 void require_finite(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite(), field, value.derived(), "finite in every entry");
+  require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x); }), field,
+          value.derived(), "finite in every entry");
 }
 
 template <typename Derived>
 void require_non_negative(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite() && (value.array() >= 0.0).all(), field, value.derived(),
-          "finite and >= 0 in every entry");
+  require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x) && x >= 0; }),
+          field, value.derived(), "finite and >= 0 in every entry");
 }
 
 template <typename Derived>
 void require_positive(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(value.allFinite() && (value.array() > 0.0).all(), field, value.derived(),
-          "finite and > 0 in every entry");
+  require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x) && x > 0; }),
+          field, value.derived(), "finite and > 0 in every entry");
+}
+
+/// Infinite entries are allowed, NaN is not.
+template <typename Derived>
+void require_positive_or_infinite(const std::string& field,
+                                  const Eigen::MatrixBase<Derived>& value) {
+  require(detail::all_entries(value, [](const auto& x) { return x > 0; }), field, value.derived(),
+          "> 0 in every entry");
 }
 
 /// lower <= upper entry by entry; infinite entries are allowed, NaN is not.
 template <typename Lower, typename Upper>
 void require_ordered(const std::string& field, const Eigen::MatrixBase<Lower>& lower,
                      const Eigen::MatrixBase<Upper>& upper) {
-  require((lower.array() <= upper.array()).all(), field + " lower bound", lower.derived(),
-          "<= the upper bound in every entry");
+  bool ordered = true;
+  for (Eigen::Index j = 0; j < lower.cols(); ++j)
+    for (Eigen::Index i = 0; i < lower.rows(); ++i) ordered = ordered && lower(i, j) <= upper(i, j);
+  require(ordered, field + " lower bound", lower.derived(), "<= the upper bound in every entry");
 }
 
 /// An inertia that some rigid body has: symmetric, positive, and no principal moment larger than
-/// the sum of the two others.
+/// the sum of the two others. That is the same as a positive semi-definite tr(I) / 2 - I, which is
+/// the second moment of its mass.
 inline void require_inertia(const std::string& field, const Eigen::Matrix3d& inertia) {
   require_finite(field, inertia);
-  require(
-      (inertia - inertia.transpose()).cwiseAbs().maxCoeff() <= 1e-9 * inertia.cwiseAbs().maxCoeff(),
-      field, inertia, "symmetric");
-  const Eigen::Vector3d moments =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(inertia, Eigen::EigenvaluesOnly).eigenvalues();
-  require(moments(0) > 0.0 && moments(2) <= (moments(0) + moments(1)) * (1.0 + 1e-9), field,
+  double size = 0.0, asymmetry = 0.0;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      size = std::fmax(size, std::abs(inertia(i, j)));
+      asymmetry = std::fmax(asymmetry, std::abs(inertia(i, j) - inertia(j, i)));
+    }
+  require(asymmetry <= 1e-9 * size, field, inertia, "symmetric");
+  // Leading minors (Sylvester): an eigenvalue decomposition here, which every header of the model
+  // includes, would be the longest part of compiling it.
+  const double xy = inertia(0, 1) / size, xz = inertia(0, 2) / size, yz = inertia(1, 2) / size;
+  const auto positive = [=](double xx, double yy, double zz, double sign) {
+    const double minor = xx * yy - xy * xy;
+    return xx > 0.0 && minor > 0.0 &&
+           minor * zz - xx * yz * yz - yy * xz * xz + 2.0 * sign * xy * xz * yz > 0.0;
+  };
+  const double xx = inertia(0, 0) / size, yy = inertia(1, 1) / size, zz = inertia(2, 2) / size;
+  const double half = 0.5 * (xx + yy + zz) + 5e-10;  // rounded up: a flat plate is a body, too
+  require(positive(xx, yy, zz, 1.0) && positive(half - xx, half - yy, half - zz, -1.0), field,
           inertia,
           "positive definite with principal moments that obey the triangle inequality [kg m^2]");
 }

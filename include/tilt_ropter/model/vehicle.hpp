@@ -93,8 +93,10 @@ inline void validate(const RigidBodyParameters& p) {
 inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
   require_finite(field + ".position [m]", p.position);
   require_finite(field + ".orientation", p.orientation);
-  require((p.orientation.transpose() * p.orientation).isIdentity(1e-6) &&
-              p.orientation.determinant() > 0.0,
+  const Eigen::Vector3d x = p.orientation.col(0), y = p.orientation.col(1);
+  const double skewness = (x.cross(y) - p.orientation.col(2)).norm();
+  require(std::abs(x.squaredNorm() - 1.0) <= 1e-6 && std::abs(y.squaredNorm() - 1.0) <= 1e-6 &&
+              std::abs(x.dot(y)) <= 1e-6 && skewness <= 1e-6,
           field + ".orientation", p.orientation, "a rotation matrix");
 }
 

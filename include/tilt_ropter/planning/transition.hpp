@@ -63,7 +63,7 @@ class Transition {
 
     // The peaks of s' and |s''|, at x = 1/2 and x = 1/2 +- 1/sqrt(20).
     const double peak_1 = 35.0 / 16.0, peak_2 = 84.0 / (5.0 * std::sqrt(5.0));
-    const double distance = displacement_.stableNorm();
+    const double distance = std::hypot(displacement_.x(), displacement_.y(), displacement_.z());
     const double shortest =
         std::max({1e-3, peak_1 * distance / parameters.max_speed,
                   std::sqrt(peak_2 * distance / parameters.max_acceleration),
