@@ -233,6 +233,23 @@ TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
   EXPECT_LT(marker_error(c, flight), 1e-4);
 }
 
+TEST(ClockCalibration, LogsOfFloatWillDo) {
+  const Flight flight = any_flight(22);
+  Recording r;
+  r.offset = 0.04;
+  const Logs logs = record(flight, r, 22);
+  std::vector<Timed<InertialSample<float>>> imu;
+  std::vector<Timed<MarkerPose<float>>> poses;
+  for (const auto& s : logs.imu)
+    imu.push_back(
+        {s.time, {s.value.angular_velocity.cast<float>(), s.value.specific_force.cast<float>()}});
+  for (const auto& p : logs.poses)
+    poses.push_back({p.time, {p.value.position.cast<float>(), p.value.orientation.cast<float>()}});
+  const ClockCalibration c = calibrate_clock(imu, poses);
+  EXPECT_EQ(c.status, Status::calibrated);
+  EXPECT_NEAR(c.offset, calibrate_clock(logs.imu, logs.poses).offset, 1e-5);
+}
+
 TEST(ClockCalibration, BadDataAreRefused) {
   const Logs logs = record(any_flight(22), {}, 22);
   ASSERT_EQ(calibrate_clock(logs.imu, logs.poses).status, Status::calibrated);

@@ -364,6 +364,37 @@ TEST(ServoIdentification, ARateLimitInTheLogShowsInTheResidual) {
   EXPECT_GT(large.residual_correlation, 0.9);
 }
 
+// Part of a record, without a copy.
+struct View {
+  const double* values;
+  std::size_t length;
+
+  const double* data() const { return values; }
+  std::size_t size() const { return length; }
+  const double* begin() const { return values; }
+  const double* end() const { return values + length; }
+  double front() const { return values[0]; }
+  double back() const { return values[length - 1]; }
+  double operator[](std::size_t i) const { return values[i]; }
+};
+struct ViewLog {
+  View times, commands, angles;
+};
+
+TEST(ServoIdentification, AnyLogWithTheSameMembersWillDo) {
+  ServoLog log = square_log(usual);
+  const ViewLog part{{log.times.data(), 300}, {log.commands.data(), 300}, {log.angles.data(), 300}};
+  const ServoIdentification of_part = identify_servo(part);
+  for (Values* values : {&log.times, &log.commands, &log.angles}) values->resize(300);
+  const ServoIdentification of_copy = identify_servo(log);
+  EXPECT_EQ(of_part.status, Status::identified);
+  EXPECT_EQ(of_part.samples, 300u);
+  EXPECT_EQ(of_part.model.time_constant, of_copy.model.time_constant);
+  EXPECT_EQ(of_part.half_width.dead_time, of_copy.half_width.dead_time);
+  EXPECT_EQ(servo_response(of_part.model, part.times, part.commands, part.times),
+            servo_response(of_part.model, log.times, log.commands, log.times));
+}
+
 TEST(ServoIdentification, QuantisedAnglesAreNoObstacle) {
   ServoLog log = square_log(usual);
   const double tick = 2.0 * pi / 4096.0;

@@ -79,6 +79,19 @@ TEST(DualSolver, EveryAlgorithmReachesTheSamePoint) {
   }
 }
 
+TEST(DualSolver, ACapacityKnownToTheCompilerChangesNothing) {
+  Random random(25);
+  for (int size = 1; size <= 12; ++size) {
+    const Dual d = random_dual(random, size);
+    DualSolver<> dynamic(12);
+    DualSolver<12> fixed(12);
+    Eigen::VectorXd expected = Eigen::VectorXd::Zero(size), lambda = expected;
+    ASSERT_TRUE(dynamic.solve(d.H, d.b, d.rho, expected));
+    ASSERT_TRUE(fixed.solve(d.H, d.b, d.rho, lambda));
+    EXPECT_LT((lambda - expected).norm(), 1e-9 * expected.norm());
+  }
+}
+
 TEST(DualSolver, WarmStartAtTheSolutionCostsOneEvaluation) {
   Random random(23);
   const Dual d = random_dual(random, 30);

@@ -13,6 +13,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -57,9 +58,10 @@ struct ClockCalibration {
 namespace detail {
 
 /// The turning of the IMU from the start of a log to any time within it.
+template <typename Scalar>
 class GyroIntegral {
  public:
-  explicit GyroIntegral(const std::vector<Timed<InertialSample<>>>& imu) : imu_(imu) {
+  explicit GyroIntegral(const std::vector<Timed<InertialSample<Scalar>>>& imu) : imu_(imu) {
     turned_.reserve(imu.size());
     turned_.push_back(Eigen::Quaterniond::Identity());
     for (std::size_t i = 0; i + 1 < imu.size(); ++i)
@@ -71,9 +73,8 @@ class GyroIntegral {
   }
 
   [[nodiscard]] Eigen::Quaterniond operator()(double time) const {
-    const auto after =
-        std::upper_bound(imu_.begin(), imu_.end(), time,
-                         [](double t, const Timed<InertialSample<>>& s) { return t < s.time; });
+    const auto after = std::upper_bound(imu_.begin(), imu_.end(), time,
+                                        [](double t, const auto& s) { return t < s.time; });
     const auto i = static_cast<std::size_t>(after - imu_.begin()) - 1;
     return turned_[i] * part(i, time);
   }
@@ -83,12 +84,12 @@ class GyroIntegral {
   [[nodiscard]] Eigen::Quaterniond part(std::size_t i, double time) const {
     const double duration = time - imu_[i].time;
     const double share = duration / (imu_[i + 1].time - imu_[i].time);
-    const Eigen::Vector3d& from = imu_[i].value.angular_velocity;
-    const Eigen::Vector3d& to = imu_[i + 1].value.angular_velocity;
+    const Eigen::Vector3d from = imu_[i].value.angular_velocity.template cast<double>();
+    const Eigen::Vector3d to = imu_[i + 1].value.angular_velocity.template cast<double>();
     return quaternion_exp(duration * (from + share / 2.0 * (to - from)));
   }
 
-  const std::vector<Timed<InertialSample<>>>& imu_;
+  const std::vector<Timed<InertialSample<Scalar>>>& imu_;
   std::vector<Eigen::Quaterniond> turned_;
 };
 
@@ -107,20 +108,13 @@ struct TurnFit {
   std::vector<double> squares;  ///< of each turn's residual
 };
 
-inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral& gyro,
-                         double offset) {
-  const auto count = static_cast<Eigen::Index>(turns.size());
-  Eigen::Matrix3Xd body(3, count), marker(3, count);
-  for (Eigen::Index i = 0; i < count; ++i) {
-    const MarkerTurn& t = turns[static_cast<std::size_t>(i)];
-    body.col(i) = quaternion_log(
-        Eigen::Quaterniond(gyro(t.start + offset).conjugate() * gyro(t.end + offset)));
-    marker.col(i) = t.turn;
-  }
+/// Of turns as columns, of the body and of the marker.
+template <typename Turns>
+TurnFit fit_rotation(Turns body, Turns marker) {
   body.colwise() -= body.rowwise().mean().eval();
   marker.colwise() -= marker.rowwise().mean().eval();
-  const Eigen::Matrix3d correlation = body * marker.transpose() / static_cast<double>(count);
-  const Eigen::JacobiSVD<Eigen::Matrix3d, Eigen::NoQRPreconditioner> svd(
+  const auto correlation = (body * marker.transpose() / static_cast<double>(body.cols())).eval();
+  const Eigen::JacobiSVD<std::decay_t<decltype(correlation)>, Eigen::NoQRPreconditioner> svd(
       correlation, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Eigen::Vector3d sign = Eigen::Vector3d::Ones();
   sign.z() = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0.0 ? -1.0 : 1.0;
@@ -133,6 +127,20 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
   return fit;
 }
 
+template <typename Scalar>
+TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& gyro,
+                  double offset) {
+  const auto count = static_cast<Eigen::Index>(turns.size());
+  Eigen::Matrix3Xd body(3, count), marker(3, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const MarkerTurn& t = turns[static_cast<std::size_t>(i)];
+    body.col(i) = quaternion_log(
+        Eigen::Quaterniond(gyro(t.start + offset).conjugate() * gyro(t.end + offset)));
+    marker.col(i) = t.turn;
+  }
+  return fit_rotation(std::move(body), std::move(marker));
+}
+
 }  // namespace detail
 
 /// Compares the turns of the marker frame between poses one `window` apart with those integrated
@@ -140,12 +148,17 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
 /// the gyro's bias, fitted at each offset, do not disturb it. Both logs in the order of their
 /// stamps; poses may have outliers and gaps. Needs a few seconds of turning about two axes or more,
 /// and `max_offset` of IMU before and after the poses used. Throws std::invalid_argument for
-/// settings out of range; allocates: it is not for the loop.
-[[nodiscard]] inline ClockCalibration calibrate_clock(
-    const std::vector<Timed<InertialSample<>>>& imu, const std::vector<Timed<MarkerPose<>>>& poses,
+/// settings out of range; allocates: it is not for the loop. Logs of float are read as double.
+template <typename Scalar = double>
+[[nodiscard]] ClockCalibration calibrate_clock(
+    const std::vector<Timed<InertialSample<Scalar>>>& imu,
+    const std::vector<Timed<MarkerPose<Scalar>>>& poses,
     const ClockCalibrationSettings& settings = {}) {
   validate(settings);
   ClockCalibration result;
+  const auto orientation = [](const auto& pose) {
+    return Eigen::Quaterniond(pose.value.orientation.template cast<double>());
+  };
   const auto increasing = [](const auto& log) {
     for (std::size_t i = 0; i < log.size(); ++i)
       if (!std::isfinite(log[i].time) || (i > 0 && !(log[i].time > log[i - 1].time))) return false;
@@ -155,7 +168,7 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
       std::all_of(imu.begin(), imu.end(),
                   [](const auto& s) { return s.value.angular_velocity.allFinite(); }) &&
       std::all_of(poses.begin(), poses.end(),
-                  [](const auto& p) { return std::abs(p.value.orientation.norm() - 1.0) < 0.1; });
+                  [&](const auto& p) { return std::abs(orientation(p).norm() - 1.0) < 0.1; });
   if (!increasing(imu) || !increasing(poses) || !numbers) return result;
   result.status = ClockCalibrationStatus::too_short;
   if (imu.size() < 2) return result;
@@ -163,7 +176,7 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
   const double coarse = std::min(5e-3, settings.window / 4.0);
   const auto steps = static_cast<int>(std::ceil(settings.max_offset / coarse));
   const double reach = settings.max_offset + 2.0 * coarse;  // the last steps may lead out a little
-  const detail::GyroIntegral gyro(imu);
+  const detail::GyroIntegral<Scalar> gyro(imu);
   std::vector<detail::MarkerTurn> turns;
   double total = 0.0;
   for (std::size_t i = 0, j = 0; i < poses.size(); ++i) {
@@ -174,10 +187,9 @@ inline TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegra
     if (end > start + 2.0 * settings.window || !gyro.covers(start - reach) ||
         !gyro.covers(end + reach))
       continue;
-    turns.push_back({start, end,
-                     quaternion_log(Eigen::Quaterniond(poses[i].value.orientation.conjugate() *
-                                                       poses[j].value.orientation)
-                                        .normalized())});
+    turns.push_back(
+        {start, end,
+         quaternion_log((orientation(poses[i]).conjugate() * orientation(poses[j])).normalized())});
     total += end - start;
   }
   if (turns.size() < 100) return result;

@@ -19,6 +19,8 @@
 namespace tilt_ropter {
 
 /// What was recorded: arrays of one length, stamps increasing but as unevenly spaced as they like.
+/// The functions below take any `Log` with these members, such as views into a larger record: they
+/// are templates so that only those who call them wait for the compiler.
 struct ServoLog {
   std::vector<double> times;     ///< [s]
   std::vector<double> commands;  ///< [rad], each held until the next
@@ -124,8 +126,9 @@ struct ServoColumns {
   Eigen::Matrix<double, Eigen::Dynamic, 3> linear;  // n x 3: of gain, offset, initial angle
   Eigen::VectorXd gain_tau, gain_dead, decay_tau;   // d(linear) by time constant and dead time
 
-  ServoColumns(const std::vector<double>& times, const std::vector<double>& commands,
-               const std::vector<double>& stamps, double time_constant, double dead_time)
+  template <typename Values>
+  ServoColumns(const Values& times, const Values& commands, const Values& stamps,
+               double time_constant, double dead_time)
       : linear(stamps.size(), 3),
         gain_tau(stamps.size()),
         gain_dead(stamps.size()),
@@ -162,10 +165,9 @@ struct ServoColumns {
 
 /// Angles [rad] of `model` at `stamps` [s] (increasing, from times[0] on) under the commands [rad]
 /// issued at `times` [s] (increasing, as many, at least one). Allocates.
-[[nodiscard]] inline std::vector<double> servo_response(const ServoModel& model,
-                                                        const std::vector<double>& times,
-                                                        const std::vector<double>& commands,
-                                                        const std::vector<double>& stamps) {
+template <typename Values = std::vector<double>>
+[[nodiscard]] std::vector<double> servo_response(const ServoModel& model, const Values& times,
+                                                 const Values& commands, const Values& stamps) {
   const detail::ServoColumns columns(times, commands, stamps, model.time_constant, model.dead_time);
   const Eigen::VectorXd angles =
       columns.linear.lazyProduct(Eigen::Vector3d(model.gain, model.offset, model.initial_angle));
@@ -179,6 +181,7 @@ using Matrix5d = Eigen::Matrix<double, 5, 5>;
 
 /// The model at one time constant and dead time with the gain, offset and initial angle that fit
 /// best there.
+template <typename Log>
 struct ServoFit {
   ServoColumns columns;
   double time_constant, dead_time;
@@ -186,7 +189,7 @@ struct ServoFit {
   Eigen::VectorXd residual;  // measured - fitted
   double cost;               // sum of its squares
 
-  ServoFit(const ServoLog& log, double tau, double dead)
+  ServoFit(const Log& log, double tau, double dead)
       : columns(log.times, log.commands, log.times, tau, dead),
         time_constant(tau),
         dead_time(dead) {
@@ -215,7 +218,8 @@ struct ServoFit {
 };
 
 /// Takes the dead time out of J'J.
-inline void hold_dead_time(Matrix5d& gram) {
+template <typename Gram>
+void hold_dead_time(Gram& gram) {
   gram.row(4).setZero();
   gram.col(4).setZero();
   gram(4, 4) = 1.0;
@@ -223,12 +227,13 @@ inline void hold_dead_time(Matrix5d& gram) {
 
 /// One step of Gauss-Newton, shortened until the error decreases. False if it does so no more:
 /// `fit` is a minimum then.
-inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificationSettings& settings,
-                    double longest) {
-  const Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian = fit.jacobian();
-  Matrix5d gram = jacobian.transpose().lazyProduct(jacobian);
-  Vector5d step, slope = jacobian.transpose().lazyProduct(fit.residual);
-  step = gram.ldlt().solve(slope);
+template <typename Log>
+bool improve(ServoFit<Log>& fit, const Log& log, const ServoIdentificationSettings& settings,
+             double longest) {
+  const auto jacobian = fit.jacobian();  // auto: of a type that no compiler knows without a log
+  auto gram = jacobian.transpose().lazyProduct(jacobian).eval();
+  auto slope = jacobian.transpose().lazyProduct(fit.residual).eval();
+  Vector5d step = gram.ldlt().solve(slope);
   // A dead time that would leave its range goes to the end of it, and the others follow that.
   const double dead_end = fit.dead_time + step(4) * fit.time_constant;
   if (dead_end < 0.0 || dead_end > settings.max_dead_time) {
@@ -242,8 +247,8 @@ inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificatio
   for (double length = 1.0; length > 1e-4; length *= 0.5) {
     const double tau = fit.time_constant * std::exp(std::clamp(length * step(3), -1.0, 1.0));
     const double dead = fit.dead_time + length * step(4) * fit.time_constant;
-    ServoFit next(log, std::clamp(tau, settings.min_time_constant, longest),
-                  std::clamp(dead, 0.0, settings.max_dead_time));
+    ServoFit<Log> next(log, std::clamp(tau, settings.min_time_constant, longest),
+                       std::clamp(dead, 0.0, settings.max_dead_time));
     if (!(next.cost < fit.cost)) continue;
     const bool better = next.cost < (1.0 - 1e-10) * fit.cost;
     fit = std::move(next);
@@ -253,13 +258,14 @@ inline bool improve(ServoFit& fit, const ServoLog& log, const ServoIdentificatio
 }
 
 /// Roots of the diagonal of (J'J)^-1, infinite if it has none: J of unit columns, scaled back.
-inline Vector5d deviations(const ServoFit& fit, bool dead_time_is_free) {
-  const Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian = fit.jacobian();
-  Matrix5d gram = jacobian.transpose().lazyProduct(jacobian);
+template <typename Log>
+Vector5d deviations(const ServoFit<Log>& fit, bool dead_time_is_free) {
+  const auto jacobian = fit.jacobian();
+  auto gram = jacobian.transpose().lazyProduct(jacobian).eval();
   if (!dead_time_is_free) hold_dead_time(gram);
-  const Vector5d scale = gram.diagonal().cwiseSqrt().cwiseInverse();
+  const auto scale = gram.diagonal().cwiseSqrt().cwiseInverse().eval();
   gram = scale.asDiagonal() * gram * scale.asDiagonal();
-  const Eigen::LDLT<Matrix5d> cholesky(gram);
+  const auto cholesky = gram.ldlt();
   if (!(cholesky.vectorD().minCoeff() > 1e-14))
     return Vector5d::Constant(std::numeric_limits<double>::infinity());
   Vector5d roots;
@@ -271,22 +277,24 @@ inline Vector5d deviations(const ServoFit& fit, bool dead_time_is_free) {
   return roots;
 }
 
+template <typename Log>
 struct ServoMinimum {
-  ServoFit fit;
+  ServoFit<Log> fit;
   int iterations;
 };
 
 /// The least of the minima that Gauss-Newton finds from each dead time of a grid, 1/20 of the
 /// longest apart, and there from the best of time constants a factor of 1.5 apart.
-inline ServoMinimum least_minimum(const ServoLog& log, const ServoIdentificationSettings& settings,
-                                  double longest) {
-  std::optional<ServoMinimum> least;
+template <typename Log>
+ServoMinimum<Log> least_minimum(const Log& log, const ServoIdentificationSettings& settings,
+                                double longest) {
+  std::optional<ServoMinimum<Log>> least;
   const int dead_times = settings.max_dead_time > 0.0 ? 20 : 0;
   for (int i = 0; i <= dead_times; ++i) {
     const double dead_time = i * settings.max_dead_time / 20.0;
-    ServoMinimum minimum{ServoFit(log, settings.min_time_constant, dead_time), 0};
+    ServoMinimum<Log> minimum{ServoFit<Log>(log, settings.min_time_constant, dead_time), 0};
     for (double tau = 1.5 * settings.min_time_constant; tau < longest; tau *= 1.5) {
-      ServoFit fit(log, tau, dead_time);
+      ServoFit<Log> fit(log, tau, dead_time);
       if (fit.cost < minimum.fit.cost) minimum.fit = std::move(fit);
     }
     while (minimum.iterations < settings.max_iterations &&
@@ -298,14 +306,14 @@ inline ServoMinimum least_minimum(const ServoLog& log, const ServoIdentification
 }
 
 /// Why `log` is not worth a fit, or `identified`.
-inline ServoIdentificationStatus check(const ServoLog& log,
-                                       const ServoIdentificationSettings& settings) {
+template <typename Log>
+ServoIdentificationStatus check(const Log& log, const ServoIdentificationSettings& settings) {
   using Status = ServoIdentificationStatus;
-  const std::vector<double>&times = log.times, &commands = log.commands;
+  const auto &times = log.times, &commands = log.commands;
   if (times.size() != commands.size() || times.size() != log.angles.size())
     return Status::sizes_unequal;
   if (times.size() < static_cast<std::size_t>(settings.min_samples)) return Status::too_few_samples;
-  for (const std::vector<double>* values : {&times, &commands, &log.angles})
+  for (const auto* values : {&times, &commands, &log.angles})
     if (!std::all_of(values->begin(), values->end(), [](double x) { return std::isfinite(x); }))
       return Status::not_finite;
   if (std::adjacent_find(times.begin(), times.end(), std::greater_equal<>()) != times.end())
@@ -339,8 +347,9 @@ inline ServoIdentificationStatus check(const ServoLog& log,
 ///
 /// Allocates, and takes about 10 us for each sample. Throws std::invalid_argument for settings out
 /// of range, and nothing for a bad log, which the status tells.
-[[nodiscard]] inline ServoIdentification identify_servo(
-    const ServoLog& log, const ServoIdentificationSettings& settings = {}) {
+template <typename Log = ServoLog>
+[[nodiscard]] ServoIdentification identify_servo(const Log& log,
+                                                 const ServoIdentificationSettings& settings = {}) {
   using Status = ServoIdentificationStatus;
   validate(settings);
   ServoIdentification result;

@@ -70,20 +70,28 @@ struct AllocationMatrix {
     for (Eigen::Index j = 0; j < count; ++j)
       scaled.col(j).head<6>() =
           scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
-    Eigen::JacobiSVD<Eigen::MatrixXd, Eigen::NoQRPreconditioner> svd(
-        scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    svd.setThreshold(1e-6);
+    const auto svd = decompose(scaled);
     require_rank(svd.matrixU(), svd.rank());
 
     const Eigen::MatrixXd inverse =
-        svd.matrixV().leftCols(6) * svd.singularValues().head<6>().cwiseInverse().asDiagonal() *
-        svd.matrixU().topLeftCorner<6, 6>().transpose() * scale.asDiagonal();
+        svd.matrixV().leftCols(6) *
+        svd.singularValues().template head<6>().cwiseInverse().asDiagonal() *
+        svd.matrixU().template topLeftCorner<6, 6>().transpose() * scale.asDiagonal();
     null_space.setZero(components, count - 6);
     for (Eigen::Index j = 0; j < count; ++j) {
       const int row = columns[static_cast<std::size_t>(j)];
       pseudoinverse.row(row) = inverse.row(j);
       null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
     }
+  }
+
+  /// A template, so that the compiler looks at it only where a matrix is made.
+  template <typename Matrix>
+  static auto decompose(const Matrix& scaled) {
+    Eigen::JacobiSVD<Matrix, Eigen::NoQRPreconditioner> svd(
+        scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    svd.setThreshold(1e-6);
+    return svd;
   }
 
   static void require_rank(const Eigen::MatrixXd& left_vectors, Eigen::Index rank) {

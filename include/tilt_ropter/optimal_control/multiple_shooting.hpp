@@ -442,7 +442,7 @@ class MultipleShooting {
   bool prepared_ = false;
 
   // Of solve():
-  Anderson anderson_;
+  Anderson<> anderson_;
   // Scaled: step of the program here and at the base, step taken from the base; and the scales.
   Eigen::VectorXd residual_, base_residual_, move_, scale_;
   bool updates_multipliers_ = false, accelerates_ = false;

@@ -37,9 +37,11 @@ inline void validate(const DualSettings& s) {
   require_positive("DualSettings.tolerance", s.tolerance);
 }
 
-/// Minimiser of the dual above, with room for `capacity` rows. From cold NLopt finds the rows that
-/// hold, in short calls with projected Newton steps between them; from the last multipliers those
-/// steps come first, and NLopt confirms the result or goes on from it.
+/// Minimiser of the dual above, with room for `capacity` rows. With a `Capacity` known to the
+/// compiler (of up to 128, Eigen's limit) the matrices are part of the object; and those who only
+/// include this do not wait for a Cholesky factorisation. From cold NLopt finds the rows that hold,
+/// in short calls with projected Newton steps between them; from the last multipliers those steps
+/// come first, and NLopt confirms the result or goes on from it.
 ///
 /// After construction only NLopt allocates (with a capacity beyond 300, Eigen's Cholesky
 /// factorisation does, too). A solve makes at most 20 calls of NLopt; one with n rows takes 2
@@ -47,8 +49,10 @@ inline void validate(const DualSettings& s) {
 /// back before it returns. For every n met for the first time 3 blocks of together at most 32 n +
 /// 512 bytes (16 n + 248) are taken and kept. These bounds are those of the default algorithm:
 /// lbfgs, variable_metric and ccsa take less, slsqp 1.6 MB a call at n = 150.
+template <int Capacity = Eigen::Dynamic>
 class DualSolver {
  public:
+  /// Allocates; `capacity` is not more than Capacity.
   explicit DualSolver(int capacity, const DualSettings& settings = {})
       : settings_(settings),
         optimizers_(static_cast<std::size_t>(capacity) + 1),
@@ -61,7 +65,7 @@ class DualSolver {
         gradient_(capacity),
         candidate_(capacity),
         step_(capacity),
-        lower_(Eigen::VectorXd::Zero(capacity)),
+        lower_(Vector::Zero(capacity)),
         reduced_(capacity),
         free_(static_cast<std::size_t>(capacity)) {}
 
@@ -107,6 +111,8 @@ class DualSolver {
     void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
   };
   using Optimizer = std::unique_ptr<nlopt_opt_s, Destroy>;
+  using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, Capacity, 1>;
+  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Capacity, Capacity>;
   static constexpr int max_rounds = 20, max_passes = 20;
   static constexpr unsigned vector_storage = 8;  // NLopt's own choice takes 21 MB a call
 
@@ -206,8 +212,8 @@ class DualSolver {
           factor_(i, j) = hessian_(free_[static_cast<std::size_t>(i)], column);
       }
       if (free > 0) {
-        Eigen::Ref<Eigen::MatrixXd> block = factor_.topLeftCorner(free, free);
-        const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> cholesky(block);
+        Eigen::Ref<Matrix> block = factor_.topLeftCorner(free, free);
+        const Eigen::LLT<Eigen::Ref<Matrix>> cholesky(block);
         if (cholesky.info() != Eigen::Success) return;
         cholesky.matrixL().solveInPlace(reduced_.head(free));
         cholesky.matrixU().solveInPlace(reduced_.head(free));
@@ -229,14 +235,14 @@ class DualSolver {
   }
 
   /// The dual's objective where its gradient is known.
-  [[nodiscard]] double objective_at(const Eigen::VectorXd& x, const Eigen::VectorXd& g) const {
+  [[nodiscard]] double objective_at(const Vector& x, const Vector& g) const {
     return 0.5 * x.head(size_).dot(g.head(size_) - linear_.head(size_));
   }
 
   DualSettings settings_;
   std::vector<Optimizer> optimizers_;  // by size, made when first needed
-  Eigen::MatrixXd hessian_, factor_;
-  Eigen::VectorXd linear_, upper_, scale_, iterate_, gradient_, candidate_, step_, lower_, reduced_;
+  Matrix hessian_, factor_;
+  Vector linear_, upper_, scale_, iterate_, gradient_, candidate_, step_, lower_, reduced_;
   std::vector<int> free_;
   int size_ = 0;
   double stop_ = 0.0;

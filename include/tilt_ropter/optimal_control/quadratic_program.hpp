@@ -282,7 +282,7 @@ class QuadraticProgram {
   std::vector<Input> du_;
   std::vector<std::array<bool, 2 * static_cast<std::size_t>(Rows)>> in_set_;
   int capacity_;
-  DualSolver dual_;
+  DualSolver<> dual_;
   std::vector<Row> active_;
   Eigen::MatrixXd gradients_;  // row i: gradient of row i by z
   Batch adjoints_[2];

@@ -92,11 +92,12 @@ struct WheelForces {
 /// Forces of wheel 0 (right, -y) or 1 (left, +y) (as wheel_in_body). `rotation` is that of
 /// `body.orientation`, `wheels` is valid. Never throws or allocates; finite for any finite state, a
 /// wheel that lies flat too.
-[[nodiscard]] inline WheelForces wheel_contact(const WheelContactParameters& p,
-                                               const WheelParameters& wheels, int wheel,
-                                               const BodyState<>& body,
-                                               const Eigen::Matrix3d& rotation,
-                                               const WheelState& state) noexcept {
+template <typename Rotation>
+[[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p,
+                                        const WheelParameters& wheels, int wheel,
+                                        const BodyState<>& body,
+                                        const Eigen::MatrixBase<Rotation>& rotation,
+                                        const WheelState& state) noexcept {
   WheelForces result;
   const double relative_spin = state.spin - body.angular_velocity.y();
   result.bearing_torque = p.bearing_friction * relative_spin;
