@@ -11,7 +11,7 @@ takes a third of GCC's time; what users do, examples/run.sh, the installed packa
 benchmarks, is built by GCC.
 
   --full       built by GCC, with the long forms of the tests too (TILT_ROPTER_FULL=1), every test
-               read by clang as C++20, and clang-tidy
+               and example read by clang as C++20, and clang-tidy
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --help       this text
