@@ -103,9 +103,9 @@ TEST(Validation, InertiasAreJudgedByTheirPrincipalMomentsInAnyAxes) {
   int accepted = 0;
   for (int i = 0; i < 100000; ++i) {
     const Eigen::Matrix3d turn = random.orientation().toRotationMatrix();
-    Eigen::Vector3d moments(random.uniform(-0.2, 2.0), random.uniform(0.0, 2.0), 0.0);
+    Eigen::Vector3d moments(random.uniform(-1.0, 2.0), random.uniform(-1.0, 2.0), 0.0);
     const double sum = moments.x() + moments.y();
-    const double edges[] = {sum * (1.0 - 1e-6), sum * (1.0 + 1e-6), random.uniform(0.0, 3.0)};
+    const double edges[] = {sum * (1.0 - 1e-6), sum * (1.0 + 1e-6), random.uniform(-1.0, 3.0)};
     moments.z() = edges[i % 3];
     if ((moments.cwiseAbs().array() < 1e-6).any()) continue;
     const double unit = std::pow(10.0, random.uniform(-6.0, 3.0));
@@ -116,7 +116,7 @@ TEST(Validation, InertiasAreJudgedByTheirPrincipalMomentsInAnyAxes) {
     const std::string said = complaint([&] { require_inertia("J", inertia); });
     ASSERT_EQ(said.empty(), body) << moments.transpose() << ": " << said;
   }
-  EXPECT_GT(accepted, 30000);
+  EXPECT_GT(accepted, 10000);
 }
 
 TEST(Validation, FlatPlatesAreBodiesInAnyAxes) {
