@@ -13,6 +13,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <optional>
 
 namespace test_support {
 
@@ -29,14 +30,14 @@ inline void place(tilt_ropter::Plant<4>& plant, const tilt_ropter::BodyState<>& 
 template <typename PlantType>
 class ControlLoop {
  public:
-  explicit ControlLoop(unsigned seed)
+  explicit ControlLoop(unsigned seed, const tilt_ropter::NmpcSettings& settings = {})
       : vehicle_(tilt_ropter::tilt_ropter_vehicle()),
         plant_(vehicle_),
         state_sensor_({}, seed),
         allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
-        nmpc_(vehicle_) {}
+        nmpc_(vehicle_, settings) {}
 
   /// Hovers with `clearance` [m] under the wheels, at `velocity` [m/s].
   void start(double clearance, const Eigen::Vector3d& velocity, double yaw) {
@@ -51,39 +52,57 @@ class ControlLoop {
     actuators_.reset(command_, 0.0);
   }
 
+  /// Flies for `duration` [s]; every solve must succeed.
   template <typename Reference>
   void run(double duration, const Reference& reference) {
-    using namespace tilt_ropter;
     const double end = plant_.time() + duration;
     while (plant_.time() < end - 1e-6) {
-      const double time = plant_.time();
-      const ActuatorState<4> applied{plant_.actuators().rotor_speed,
-                                     actuators_.update(time, command_).tilt_angle};
-      observer_.update(time, plant_.specific_force(), plant_.body().angular_velocity,
-                       allocation_.wrench(applied));
-      if (nmpc_.prepare(time, reference, observer_.external()))
-        observer_.set_external(nmpc_.contact().air_wrench());
-      const auto measured = state_sensor_.sample(time, plant_.body());
-      const NmpcResult& result = nmpc_.feedback(time, measured->body);
-      EXPECT_EQ(result.status, NmpcStatus::solved);
-      command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
-      actuators_.update(time, command_);
-      for (int i = 0; i < 20; ++i) {
-        ASSERT_TRUE(plant_.step(command_, {}, 5e-4));
-        peak_force_ = std::max(peak_force_, plant_.normal_forces().sum());
-        touched_ = touched_ || plant_.normal_forces().sum() > 0.0;
-        if (touched_)
-          highest_ = std::max(highest_, plant_.body().position.z() - vehicle_.wheels.radius);
-      }
+      ASSERT_EQ(tick(reference).status, tilt_ropter::NmpcStatus::solved);
+      ASSERT_TRUE(plant_is_sound_);
     }
+  }
+
+  /// One period of 10 ms in which what reaches the controller may be tampered with: `tamper` gets
+  /// the external wrench and the measured state. A state of nullopt is one that there is not.
+  template <typename Reference, typename Tamper>
+  const tilt_ropter::NmpcResult& tick(const Reference& reference, const Tamper& tamper) {
+    using namespace tilt_ropter;
+    const double time = plant_.time();
+    const ActuatorState<4> applied{plant_.actuators().rotor_speed,
+                                   actuators_.update(time, command_).tilt_angle};
+    observer_.update(time, plant_.specific_force(), plant_.body().angular_velocity,
+                     allocation_.wrench(applied));
+    Wrench<> external = observer_.external();
+    std::optional<BodyState<>> measured = state_sensor_.sample(time, plant_.body())->body;
+    tamper(external, measured);
+    if (nmpc_.prepare(time, reference, external))
+      observer_.set_external(nmpc_.contact().air_wrench());
+    const NmpcResult& result = measured ? nmpc_.feedback(time, *measured) : nmpc_.hold(time);
+    command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
+    actuators_.update(time, command_);
+    for (int i = 0; i < 20; ++i) {
+      plant_is_sound_ = plant_.step(command_, disturbance, 5e-4) && plant_is_sound_;
+      peak_force_ = std::max(peak_force_, plant_.normal_forces().sum());
+      touched_ = touched_ || plant_.normal_forces().sum() > 0.0;
+      if (touched_)
+        highest_ = std::max(highest_, plant_.body().position.z() - vehicle_.wheels.radius);
+    }
+    return result;
+  }
+  template <typename Reference>
+  const tilt_ropter::NmpcResult& tick(const Reference& reference) {
+    return tick(reference, [](const auto&...) {});
   }
 
   [[nodiscard]] const PlantType& plant() const { return plant_; }
   [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
   [[nodiscard]] double weight() const { return vehicle_.body.mass * tilt_ropter::gravity; }
   [[nodiscard]] double peak_force() const { return peak_force_; }  ///< of the ground [N]
   [[nodiscard]] bool touched() const { return touched_; }
   [[nodiscard]] double highest() const { return highest_; }  ///< after the first touch [m]
+
+  tilt_ropter::Wrench<> disturbance;  ///< on the plant, in the body frame
 
  private:
   tilt_ropter::Vehicle<4> vehicle_;
@@ -95,7 +114,7 @@ class ControlLoop {
   tilt_ropter::Nmpc<4> nmpc_;
   tilt_ropter::ActuatorState<4> command_;
   double peak_force_ = 0.0, highest_ = -1.0;
-  bool touched_ = false;
+  bool touched_ = false, plant_is_sound_ = true;
 };
 
 }  // namespace test_support

@@ -86,8 +86,22 @@ struct NmpcResult {
   SolveReport report;      ///< of the solver; of the last one if it was not called
 };
 
-/// prepare(), then measure, then feedback(), at any rate. In between, and whenever a measurement or
-/// a solve is bad, the last plan goes on; never more than the bounds leaves it.
+/// prepare(), then measure, then feedback(), at any rate. Whatever comes in, what goes out is
+/// finite and within the bounds. What goes out when something is wrong, from the mildest on:
+///
+/// - The external wrench is not finite (a lost observer): the last one that was stands in for it,
+///   for as long as it takes. Status solved.
+/// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
+///   sees: hold()): the last plan goes on. Status bad_state.
+/// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
+///   reference that is not finite: the last plan goes on. Status solver_failed.
+/// - So often in a row (failures_before_reset): the same, and the next solve starts cold, from the
+///   measured state and the wrench commanded last.
+/// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
+///
+/// One good tick ends each of these. The safe wrench is hover against the external wrench known
+/// last, or down_force in contact: it keeps level what is level and holds no position, so a caller
+/// without measurements has to take the thrust away before long.
 template <int Rotors = 4>
 class Nmpc {
  public:
@@ -169,6 +183,11 @@ class Nmpc {
     return result_;
   }
 
+  /// Instead of feedback(), where there is no state to trust at `time` [s].
+  [[nodiscard]] const NmpcResult& hold(double time) noexcept {
+    return continue_last_plan(time, NmpcStatus::bad_state);
+  }
+
   [[nodiscard]] const GroundContact& contact() const { return contact_; }
   [[nodiscard]] const MultipleShooting<Problem>& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
@@ -227,10 +246,16 @@ class Nmpc {
             wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
   }
 
-  /// Without a plan: carry the weight, turn nothing; on the ground, almost no thrust.
+  /// Without a plan: carry the weight and what else is known to pull, turn nothing; on the ground,
+  /// almost no thrust.
   [[nodiscard]] Wrench<> safe_wrench() const {
     Wrench<> wrench;
-    wrench.force.z() = contact_.on_ground() ? settings_.ground.down_force : body_.mass * gravity;
+    if (contact_.on_ground()) {
+      wrench.force.z() = settings_.ground.down_force;
+    } else {
+      wrench = {-external_.force, -external_.torque};
+      wrench.force.z() += body_.mass * gravity;
+    }
     return within_bounds(wrench);
   }
 

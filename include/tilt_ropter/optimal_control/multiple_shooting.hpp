@@ -16,6 +16,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -125,8 +126,8 @@ class MultipleShooting {
     const Tangent dx0 = problem_.difference(x0, here_.x(0));
     if (!dx0.allFinite()) {
       report_.status = SolveStatus::rejected;
-    } else if (!prepared_ || !solve_program(dx0)) {
-      report_.status = SolveStatus::failed;
+    } else if (!prepared_ || !solve_program(dx0, deadline(start))) {
+      report_.status = prepared_ && program_.late() ? SolveStatus::time_limit : SolveStatus::failed;
     } else {
       report_.kkt = std::max(report_.kkt, dx0.cwiseAbs().maxCoeff());
       try_step(1.0);
@@ -189,7 +190,7 @@ class MultipleShooting {
   [[nodiscard]] const SolveReport& report() const { return report_; }
 
  private:
-  using Clock = std::chrono::steady_clock;
+  using Clock = SolverClock;
   using Program = QuadraticProgram<nx, nu, nc, typename TransitionBlocksOf<Problem>::type>;
 
   static const SolverSettings& checked(const SolverSettings& settings) {
@@ -289,8 +290,14 @@ class MultipleShooting {
     return true;
   }
 
-  bool solve_program(const Tangent& dx0) {
-    if (!program_.solve(dx0)) return false;
+  [[nodiscard]] std::optional<Clock::time_point> deadline(Clock::time_point start) const {
+    if (!std::isfinite(settings_.max_feedback_time)) return std::nullopt;
+    return start + std::chrono::duration_cast<Clock::duration>(
+                       std::chrono::duration<double>(settings_.max_feedback_time));
+  }
+
+  bool solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline = {}) {
+    if (!program_.solve(dx0, deadline)) return false;
     report_.rounds = program_.rounds();
     report_.active_rows = program_.active_rows();
     report_.given_up_rows = program_.given_up_rows();

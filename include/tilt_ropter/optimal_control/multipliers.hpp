@@ -8,9 +8,11 @@
 #include <nlopt.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <vector>
 
 /// The dual of a quadratic program with identity Hessian, solved by NLopt:
@@ -25,6 +27,8 @@ namespace tilt_ropter {
 
 /// NLopt's algorithms that can solve the dual; all reach the same point.
 enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
+
+using SolverClock = std::chrono::steady_clock;
 
 struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
@@ -71,11 +75,14 @@ class DualSolver {
 
   /// Solves for `lambda` (in: warm start; out: solution) with the lower triangle of H = G G' +
   /// I/sigma (size x size), offsets b and bounds rho. Returns false if no finite solution was
-  /// found; lambda is then what it was. Never throws.
+  /// found, or none before `deadline`, which is looked at between steps; lambda is then what it
+  /// was. Never throws.
   template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
   [[nodiscard]] bool solve(const Eigen::MatrixBase<Hessian>& H, const Eigen::MatrixBase<Offset>& b,
                            const Eigen::MatrixBase<Bound>& rho,
-                           Eigen::MatrixBase<Multiplier>& lambda) noexcept {
+                           Eigen::MatrixBase<Multiplier>& lambda,
+                           std::optional<SolverClock::time_point> deadline = {}) noexcept {
+    deadline_ = deadline;
     size_ = static_cast<int>(b.size());
     if (size_ == 0) return true;
     // Jacobi scaling: unit diagonal, multipliers in units of their row.
@@ -95,7 +102,12 @@ class DualSolver {
         settings_.tolerance * (1.0 + linear_.head(size_).cwiseAbs().maxCoeff());
     // The last multipliers are nearly right; without any, NLopt finds the rows that hold first.
     if (iterate_.head(size_).maxCoeff() > 0.0) refine(tolerance);
-    for (int round = 0; round < max_rounds && !optimize(tolerance); ++round) refine(tolerance);
+    bool solved = false;
+    for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
+      solved = optimize(tolerance);
+      if (!solved) refine(tolerance);
+    }
+    if (!solved && late()) return false;
     if (!iterate_.head(size_).allFinite()) return false;
     lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_)).cwiseMin(rho);
     for (int i = 0; i < size_; ++i)
@@ -105,6 +117,9 @@ class DualSolver {
 
   /// Gradient evaluations that NLopt asked for since construction.
   [[nodiscard]] long evaluations() const { return evaluations_; }
+
+  /// True if the deadline of the last solve() has passed.
+  [[nodiscard]] bool late() const { return deadline_ && SolverClock::now() > *deadline_; }
 
  private:
   struct Destroy {
@@ -194,7 +209,7 @@ class DualSolver {
   /// what the last multipliers are off by, this finishes to rounding. Never increases the dual's
   /// objective.
   void refine(double tolerance) {
-    for (int pass = 0; pass < max_passes && residual() > tolerance; ++pass) {
+    for (int pass = 0; pass < max_passes && residual() > tolerance && !late(); ++pass) {
       const double before = objective_at(iterate_, gradient_);
       int free = 0;
       step_.head(size_).setZero();
@@ -245,6 +260,7 @@ class DualSolver {
   Vector linear_, upper_, scale_, iterate_, gradient_, candidate_, step_, lower_, reduced_;
   std::vector<int> free_;
   int size_ = 0;
+  std::optional<SolverClock::time_point> deadline_;
   double stop_ = 0.0;
   bool solved_ = false;
   long evaluations_ = 0;

@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -110,8 +111,10 @@ class QuadraticProgram {
   }
 
   /// The step dx(k), du(k) and multipliers for the initial step dx0; after prepare(). False if no
-  /// finite solution was found. The multipliers of the last solve stay then.
-  [[nodiscard]] bool solve(const Tangent& dx0) {
+  /// finite solution was found, or none before `deadline`. The multipliers of the last solve stay
+  /// then.
+  [[nodiscard]] bool solve(const Tangent& dx0,
+                           std::optional<SolverClock::time_point> deadline = {}) {
     z_.setZero();
     sweep(dx0);
     for (int i = 0; i < size(); ++i) offsets_(i) = violation(row(i));
@@ -120,7 +123,7 @@ class QuadraticProgram {
       if (count > 0) {
         auto lambda = multipliers_.head(count);
         if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
-                         bounds_.head(count), lambda))
+                         bounds_.head(count), lambda, deadline))
           return false;
         z_.setZero();  // a minus sign before the product would make a temporary
         z_.noalias() -= gradients_.topRows(count).transpose() * lambda;
@@ -136,6 +139,7 @@ class QuadraticProgram {
 
   [[nodiscard]] const Tangent& dx(int k) const { return dx_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Input& du(int k) const { return du_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] bool late() const { return dual_.late(); }            ///< the deadline has passed
   [[nodiscard]] int rounds() const { return rounds_; }                ///< of the last solve
   [[nodiscard]] int active_rows() const { return active_rows_; }      ///< rows with a multiplier
   [[nodiscard]] int given_up_rows() const { return given_up_rows_; }  ///< with the largest possible

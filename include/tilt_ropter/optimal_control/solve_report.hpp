@@ -3,6 +3,9 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
 
+#include <cmath>
+#include <limits>
+
 /// What the solver can be told, and what it tells.
 namespace tilt_ropter {
 
@@ -10,7 +13,7 @@ enum class SolveStatus {
   converged,        ///< the KKT residual is below the tolerance
   iterated,         ///< a real-time iteration was done as asked
   iteration_limit,  ///< the last iterate is kept
-  time_limit,       ///< the last iterate is kept
+  time_limit,       ///< the last iterate is kept, feedback()'s is that before it
   stalled,          ///< no step lowers the merit any more; the last iterate is kept
   failed,           ///< a non-finite number or no factorisation; the iterate before it is kept
   rejected,         ///< the initial state is not finite; nothing was changed
@@ -18,8 +21,11 @@ enum class SolveStatus {
 
 /// Limits and tolerances; the defaults serve problems whose cost is of order 1 to 10^4.
 struct SolverSettings {
-  int max_iterations = 200;     ///< of solve()
-  double max_time = 1.0;        ///< of solve(), looked at between iterations [s]
+  int max_iterations = 200;  ///< of solve()
+  double max_time = 1.0;     ///< of solve(), looked at between iterations [s]
+  /// Of feedback(), looked at while it finds out which rows hold: most of what it takes when that
+  /// is long. Finite: at most 1000 [s].
+  double max_feedback_time = std::numeric_limits<double>::infinity();
   double tolerance = 1e-6;      ///< on the KKT residual, for solve()
   double min_step = 1e-4;       ///< shortest step that solve()'s line search tries
   int memory = 16;              ///< moves that solve() learns longer or shorter steps from; 0: none
@@ -32,6 +38,9 @@ struct SolverSettings {
 inline void validate(const SolverSettings& s) {
   require(s.max_iterations > 0, "SolverSettings.max_iterations", s.max_iterations, "> 0");
   require_positive("SolverSettings.max_time [s]", s.max_time);
+  require(s.max_feedback_time > 0.0 &&
+              (s.max_feedback_time <= 1000.0 || std::isinf(s.max_feedback_time)),
+          "SolverSettings.max_feedback_time [s]", s.max_feedback_time, "in (0, 1000], or infinite");
   require_positive("SolverSettings.tolerance", s.tolerance);
   require(s.min_step > 0.0 && s.min_step <= 1.0, "SolverSettings.min_step", s.min_step,
           "in (0, 1]");

@@ -1,0 +1,206 @@
+// Every rung of the ladder that Nmpc documents, on the plant: what leaves the controller, for how
+// long, and how the vehicle comes back (CHECKS 5).
+
+#include "support/control_loop.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <limits>
+#include <optional>
+
+namespace tilt_ropter {
+namespace {
+
+using Loop = test_support::ControlLoop<Plant<4>>;
+using Measured = std::optional<BodyState<>>;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+ReferencePoint hover(double) {
+  ReferencePoint point;
+  point.position << 0.0, 0.0, 1.5;
+  return point;
+}
+
+ReferencePoint lost(double time) {
+  ReferencePoint point = hover(time);
+  point.position.y() = nan;
+  return point;
+}
+
+void untouched(Wrench<>&, Measured&) {}
+void blind(Wrench<>&, Measured& measured) {
+  measured->velocity.x() = nan;
+}
+void nothing(Wrench<>&, Measured& measured) {
+  measured.reset();
+}
+void no_observer(Wrench<>& external, Measured&) {
+  external.torque.y() = nan;
+}
+
+void expect_within_bounds(const NmpcResult& result, const NmpcBounds& bounds) {
+  EXPECT_TRUE(is_finite(result.wrench));
+  EXPECT_TRUE(is_finite(result.rate));
+  EXPECT_TRUE((result.wrench.force.array() <= bounds.force_max.array()).all());
+  EXPECT_TRUE((result.wrench.force.array() >= bounds.force_min.array()).all());
+  EXPECT_TRUE((result.wrench.torque.array() <= bounds.torque_max.array()).all());
+  EXPECT_TRUE((result.wrench.torque.array() >= bounds.torque_min.array()).all());
+}
+
+double distance(const Loop& loop) {
+  return (loop.plant().body().position - hover(0.0).position).norm();
+}
+
+// A hover that has settled, against a pull and a torque that the controller has to find out.
+Loop hovering() {
+  Loop loop(1);
+  loop.disturbance.force << 0.5, -0.3, -1.5;
+  loop.disturbance.torque << 0.03, -0.1, 0.02;
+  loop.start(1.39, Eigen::Vector3d::Zero(), 0.3);
+  loop.run(3.0, hover);
+  EXPECT_LT(distance(loop), 0.02);
+  return loop;
+}
+
+struct Outcome {
+  int continued = 0, safe = 0;  // ticks with the last plan, with the safe wrench
+  double error = 0.0;           // when it was over, and at worst within the second after it [m]
+  double worst = 0.0;
+  double after = 0.0;  // a second after it [m]
+};
+
+template <typename Reference, typename Tamper>
+Outcome fail_for(int ticks, const Reference& reference, const Tamper& tamper, NmpcStatus status) {
+  Loop loop = hovering();
+  Outcome outcome;
+  for (int i = 0; i < ticks; ++i) {
+    const NmpcResult& result = loop.tick(reference, tamper);
+    expect_within_bounds(result, loop.nmpc().settings().problem.bounds);
+    if (result.status == status)
+      ++outcome.continued;
+    else if (result.status == NmpcStatus::no_plan)
+      ++outcome.safe;
+  }
+  outcome.error = distance(loop);
+  for (int i = 0; i < 100; ++i) {
+    EXPECT_EQ(loop.tick(hover).status, NmpcStatus::solved);  // from the first good tick on
+    outcome.worst = std::max(outcome.worst, distance(loop));
+  }
+  outcome.after = distance(loop);
+  return outcome;
+}
+
+// For max_plan_age, 20 ticks, the last plan; then the safe wrench.
+template <typename Reference, typename Tamper>
+void goes_down_the_ladder(const Reference& reference, const Tamper& tamper, NmpcStatus status) {
+  for (const int ticks : {1, 5, 50}) {
+    SCOPED_TRACE(ticks);
+    const Outcome outcome = fail_for(ticks, reference, tamper, status);
+    if (ticks <= 5)
+      EXPECT_EQ(outcome.continued, ticks);
+    else
+      EXPECT_NEAR(outcome.continued, 20, 1);  // the plan is 0.2 s old but for rounding
+    EXPECT_EQ(outcome.continued + outcome.safe, ticks);
+    EXPECT_LT(outcome.error, ticks <= 5 ? 0.03 : 0.2);
+    EXPECT_LT(outcome.worst, ticks <= 5 ? 0.03 : 0.3);
+    EXPECT_LT(outcome.after, 0.05);
+  }
+}
+
+TEST(FailureLadder, BadMeasurement) {
+  goes_down_the_ladder(hover, blind, NmpcStatus::bad_state);
+}
+
+TEST(FailureLadder, StaleEstimate) {
+  goes_down_the_ladder(hover, nothing, NmpcStatus::bad_state);
+}
+
+TEST(FailureLadder, FailedSolve) {
+  goes_down_the_ladder(lost, untouched, NmpcStatus::solver_failed);
+}
+
+TEST(FailureLadder, LostObserver) {
+  Loop loop = hovering();
+  double worst = 0.0;
+  for (int i = 0; i < 300; ++i) {
+    ASSERT_EQ(loop.tick(hover, no_observer).status, NmpcStatus::solved);
+    worst = std::max(worst, distance(loop));
+  }
+  EXPECT_LT(worst, 0.03);  // the pull is what it was
+}
+
+TEST(FailureLadder, MissedBudget) {
+  NmpcSettings settings;
+  settings.solver.max_feedback_time = 1e-9;
+  settings.problem.bounds.force_max.z() = 15.5;  // of 14.7: rows hold all the way up
+  Loop loop(1, settings);
+  loop.start(0.89, Eigen::Vector3d::Zero(), 0.0);
+  int late = 0;
+  for (int i = 0; i < 50; ++i) {
+    const NmpcResult& result = loop.tick(hover);
+    expect_within_bounds(result, settings.problem.bounds);
+    if (result.status == NmpcStatus::solved) continue;  // nothing to find out
+    ++late;
+    EXPECT_EQ(result.report.status, SolveStatus::time_limit);
+  }
+  EXPECT_GT(late, 20);
+  EXPECT_LT(distance(loop), 0.8);  // began 0.5 m below
+}
+
+TEST(FailureLadder, OneEvaluationOfTheDualStillFlies) {
+  NmpcSettings settings;
+  settings.solver.program.dual.max_evaluations = 1;
+  settings.problem.bounds.force_max.z() = 15.5;  // of 14.7: active all the way up
+  Loop loop(1, settings);
+  loop.start(0.89, Eigen::Vector3d::Zero(), 0.0);
+  int active = 0;
+  for (int i = 0; i < 300; ++i) {
+    const NmpcResult& result = loop.tick(hover);
+    expect_within_bounds(result, settings.problem.bounds);
+    active += result.report.active_rows > 0;
+  }
+  EXPECT_GT(active, 20);
+  EXPECT_LT(distance(loop), 0.05);
+}
+
+TEST(FailureLadder, BoundsThatContradictTheStateAreGivenUpNotFailed) {
+  Loop loop(1);
+  BodyState<> body;
+  loop.start(1.39, Eigen::Vector3d::Zero(), 0.0);
+  int given_up = 0;
+  for (int i = 0; i < 50; ++i) {
+    // Turning six times as fast as the bounds allow: no plan keeps to them.
+    const NmpcResult& result = loop.tick(hover, [&](Wrench<>&, Measured& measured) {
+      measured->angular_velocity.z() =
+          6.0 * loop.nmpc().settings().problem.bounds.angular_velocity.z();
+    });
+    ASSERT_EQ(result.status, NmpcStatus::solved);
+    expect_within_bounds(result, loop.nmpc().settings().problem.bounds);
+    given_up += result.report.given_up_rows > 0;
+  }
+  EXPECT_GT(given_up, 0);
+}
+
+TEST(FailureLadder, BeforeTheFirstGoodMeasurementItIsTheSafeWrench) {
+  Loop loop(1);
+  loop.start(1.39, Eigen::Vector3d::Zero(), 0.0);
+  for (int i = 0; i < 10; ++i) {
+    const NmpcResult& result = loop.tick(hover, nothing);
+    EXPECT_EQ(result.status, NmpcStatus::no_plan);
+    expect_within_bounds(result, loop.nmpc().settings().problem.bounds);
+  }
+  for (int i = 0; i < 200; ++i) EXPECT_EQ(loop.tick(hover).status, NmpcStatus::solved);
+  EXPECT_LT(distance(loop), 0.05);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
