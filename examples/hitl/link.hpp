@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <charconv>
 #include <chrono>
 #include <cstdint>
 #include <cstring>
@@ -41,12 +42,10 @@ using Clock = std::chrono::steady_clock;
   const auto colon = text.find(':');
   sockaddr_in address{};
   address.sin_family = AF_INET;
+  const std::string digits = text.substr(colon == std::string::npos ? text.size() : colon + 1);
   int port = 0;
-  try {
-    port = std::stoi(text.substr(colon == std::string::npos ? text.size() : colon + 1));
-  } catch (const std::exception&) {
-  }
-  if (port < 1 || port > 65535 ||
+  std::from_chars(digits.data(), digits.data() + digits.size(), port);
+  if (port < 1 || port > 65535 || std::to_string(port) != digits ||
       inet_pton(AF_INET, text.substr(0, colon).c_str(), &address.sin_addr) != 1)
     throw std::runtime_error("'" + text + "' is not ADDRESS:PORT, such as 127.0.0.1:24001");
   address.sin_port = htons(static_cast<std::uint16_t>(port));

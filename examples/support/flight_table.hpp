@@ -68,8 +68,14 @@ namespace examples {
   return names;
 }
 
+/// True for what a count or number can be: a whole number that a double holds exactly.
+[[nodiscard]] inline bool is_count(double value) {
+  return value >= 0.0 && value <= 9007199254740992.0 && value == std::floor(value);
+}
+
 /// The rows of several files as one table, sorted by index. Throws std::runtime_error naming file
-/// and line if a file cannot be read, is of another seed, or has a vehicle a second time.
+/// and line if a file cannot be read, is of another seed, has a vehicle a second time, or a seed,
+/// index or verdict that is none.
 [[nodiscard]] inline CsvTable merge_flights(const std::vector<std::string>& files) {
   CsvTable all{"", flight_columns(), {}, {}};
   struct Row {
@@ -84,12 +90,14 @@ namespace examples {
     for (std::size_t i = 0; i < part.rows(); ++i) {
       const std::string where = file + ':' + std::to_string(part.lines[i]) + ": ";
       Row row{part["index"][i], {}};
+      if (!is_count(part["seed"][i])) throw std::runtime_error(where + "no such seed");
+      if (!is_count(row.index)) throw std::runtime_error(where + "no such index");
       if (std::isnan(seed)) seed = part["seed"][i];
       if (!(part["seed"][i] == seed)) throw std::runtime_error(where + "the seed is another one");
       if (!seen.insert(row.index).second)
         throw std::runtime_error(where + "the vehicle is there twice");
       const double verdict = part["verdict"][i];
-      if (!(verdict >= 0.0 && verdict <= static_cast<double>(Verdict::grounded)))
+      if (!is_count(verdict) || verdict > static_cast<double>(Verdict::grounded))
         throw std::runtime_error(where + "no such verdict");
       for (const std::vector<double>& column : part.columns) row.values.push_back(column[i]);
       rows.push_back(std::move(row));
@@ -105,11 +113,12 @@ namespace examples {
   return all;
 }
 
-/// The least value that at least `share` of the values do not exceed.
+/// The least value that at least `share` of the values do not exceed. NaN counts as the largest.
 [[nodiscard]] inline double quantile(std::vector<double> values, double share) {
   const double rank = std::ceil(share * static_cast<double>(values.size())) - 1.0;
   const auto place = static_cast<std::ptrdiff_t>(std::max(rank, 0.0));
-  std::nth_element(values.begin(), values.begin() + place, values.end());
+  std::nth_element(values.begin(), values.begin() + place, values.end(),
+                   [](double a, double b) { return a < b || (std::isnan(b) && !std::isnan(a)); });
   return values[static_cast<std::size_t>(place)];
 }
 

@@ -317,9 +317,11 @@ TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
   };
   EXPECT_EQ(complaint({}), "");
   EXPECT_EQ(complaint({0.0, 0.05, 2e-3}),
-            "ClockCalibrationSettings.max_offset [s] = 0: must be finite and > 0");
-  EXPECT_EQ(complaint({0.5, -1.0, 2e-3}),
-            "ClockCalibrationSettings.window [s] = -1: must be finite and > 0");
+            "ClockCalibrationSettings.max_offset [s] = 0: must be in (0, 60]");
+  EXPECT_EQ(complaint({1e9, 0.05, 2e-3}),  // more steps than an int counts
+            "ClockCalibrationSettings.max_offset [s] = 1e+09: must be in (0, 60]");
+  EXPECT_EQ(complaint({0.5, 1e-9, 2e-3}),
+            "ClockCalibrationSettings.window [s] = 1e-09: must be finite and >= 0.001");
   EXPECT_EQ(complaint({0.5, 0.05, nan}),
             "ClockCalibrationSettings.max_deviation [s] = nan: must be finite and > 0");
   EXPECT_STREQ(to_string(Status::calibrated), "calibrated");

@@ -174,8 +174,9 @@ TEST(HitlLink, StrangersAndForeignDatagramsAreCountedAndDropped) {
 }
 
 TEST(HitlLink, AddressesThatAreNoneAreRefusedByName) {
-  for (const char* bad : {"", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000",
-                          "localhost:24001", "1.2.3:24001"})
+  for (const char* bad :
+       {"", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000", "localhost:24001",
+        "1.2.3:24001", "127.0.0.1:24001x", "127.0.0.1: 24001", "127.0.0.1:+24001"})
     EXPECT_THROW((void)hitl::parse_address(bad), std::runtime_error) << bad;
   hitl::Link taken(address(3), {}, {});
   EXPECT_THROW(hitl::Link(address(3), {}, {}), std::runtime_error);

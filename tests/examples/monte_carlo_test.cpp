@@ -168,6 +168,9 @@ TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
   EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 0.5), 2.0);
   EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 1.0), 4.0);
   EXPECT_EQ(examples::quantile({4.0}, 0.05), 4.0);
+  const double none = std::nan("");
+  EXPECT_EQ(examples::quantile({none, 1.0, none, 2.0}, 0.5), 2.0);
+  EXPECT_TRUE(std::isnan(examples::quantile({none, 1.0, none, 2.0}, 1.0)));
 }
 
 TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
@@ -192,6 +195,11 @@ TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
       whole().csv.substr(header_end, whole().csv.find('\n', header_end) - header_end);
   write(header + "7" + other.substr(1) + "\n");
   refused(table("whole") + " " + quoted, "bad.csv:2: the seed is another one");
+  const std::size_t after_index = other.find(',', other.find(',') + 1);
+  write(header + "1,-1" + other.substr(after_index) + "\n");
+  refused(quoted, "bad.csv:2: no such index");
+  write(header + "nan,0" + other.substr(after_index) + "\n");
+  refused(quoted, "bad.csv:2: no such seed");
   write(header + other.substr(0, 20) + "\n");
   refused(quoted, "bad.csv:2: ");
 }

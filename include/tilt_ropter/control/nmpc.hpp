@@ -261,8 +261,8 @@ class Nmpc {
 
   void set_command(double age) {
     result_.wrench = planned_wrench(age);
-    const int k =
-        std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
+    const int k = static_cast<int>(
+        std::min(age / settings_.problem.interval, static_cast<double>(solver_.horizon() - 1)));
     const Eigen::Matrix<double, 6, 1>& rate = solver_.input(k);
     result_.rate = {rate.head<3>(), rate.tail<3>()};
     result_.on_ground = contact_.on_ground();

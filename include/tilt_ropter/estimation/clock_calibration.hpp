@@ -22,14 +22,16 @@
 namespace tilt_ropter {
 
 struct ClockCalibrationSettings {
-  double max_offset = 0.5;      ///< searched on both sides of zero [s]
-  double window = 0.05;         ///< turns are compared over this time [s]
+  double max_offset = 0.5;      ///< searched on both sides of zero, at most 60 [s]
+  double window = 0.05;         ///< turns are compared over this time, at least 0.001 [s]
   double max_deviation = 2e-3;  ///< an offset less certain than this is refused [s]
 };
 
 inline void validate(const ClockCalibrationSettings& s) {
-  require_positive("ClockCalibrationSettings.max_offset [s]", s.max_offset);
-  require_positive("ClockCalibrationSettings.window [s]", s.window);
+  require(s.max_offset > 0.0 && s.max_offset <= 60.0, "ClockCalibrationSettings.max_offset [s]",
+          s.max_offset, "in (0, 60]");
+  require(std::isfinite(s.window) && s.window >= 1e-3, "ClockCalibrationSettings.window [s]",
+          s.window, "finite and >= 0.001");
   require_positive("ClockCalibrationSettings.max_deviation [s]", s.max_deviation);
 }
 

@@ -81,7 +81,7 @@ struct AllocationMatrix {
     for (Eigen::Index j = 0; j < count; ++j) {
       const int row = columns[static_cast<std::size_t>(j)];
       pseudoinverse.row(row) = inverse.row(j);
-      null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
+      if (count > 6) null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
     }
   }
 
