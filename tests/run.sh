@@ -3,7 +3,7 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS]
+usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy]
 
 Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
 errors into build-tests/ and runs every test. The last lines are the summary. Built by clang, which
@@ -18,6 +18,13 @@ benchmarks, is built by GCC.
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
                build-fuzz/ and run each of the 13 for so long; fails if one finds something. About
                5 minutes to build
+  --sanitize   the tests under ASan and UBSan in build-sanitize/, the program that has threads under
+               TSan in build-sanitize-threads/, some tests of the plain build under valgrind. About
+               an hour
+  --coverage   the tests, with a table of the lines of include/ that they reach and the lines
+               themselves as HTML in build-coverage/report/; fails under 95 %. About half an hour
+  --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
+               target. About half an hour
   --help       this text
 HELP
 }
@@ -34,7 +41,7 @@ fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
     --full) full=1 ;;
-    --benchmark) instead=benchmark ;;
+    --benchmark | --sanitize | --coverage | --tidy) instead=${1#--} ;;
     --fuzz)
       instead=fuzz
       fuzz_seconds=${2-}
@@ -49,11 +56,31 @@ done
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev)
 
-build() {  # directory, CMake options
-  echo "== Configuring and building into $1/"
+configure() {  # directory, CMake options
+  echo "== Configuring $1/"
   cmake --log-level=WARNING -S . -B "$1" -G Ninja -DCMAKE_BUILD_TYPE=Release "${@:2}"
+}
+
+build() {  # directory, CMake options
+  configure "$@"
+  echo "== Building into $1/"
   cmake --build "$1" --parallel "$(nproc)"
 }
+
+benchmark_packages=(libbenchmark-dev)
+test_packages=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core libmujoco-dev
+  libegl-dev libgl1 libgl1-mesa-dri)
+with_clang=(-DCMAKE_CXX_COMPILER=clang++)
+with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
+  -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
+# No build type, which leaves Eigen's assertions in.
+instrumented() {  # directory, flags
+  build "$1" "${with_clang[@]}" "${with_tests[@]}" -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
+}
+# What these tests show is not changed by how the tests are built.
+sources_only='^(header|clang|packaging)\.|^comment_program$|^include_rules|^readme_program$'
+# Their three programs fly in real time, which instrumented ones do not keep up with.
+real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 
 if [[ $instead == fuzz ]]; then
   bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev
@@ -63,7 +90,7 @@ if [[ $instead == fuzz ]]; then
 fi
 
 if [[ $instead == benchmark ]]; then
-  bash cmake/install_missing.sh "${packages[@]}" libbenchmark-dev
+  bash cmake/install_missing.sh "${packages[@]}" "${benchmark_packages[@]}"
   build build-benchmarks -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=OFF \
     -DTILT_ROPTER_BUILD_BENCHMARKS=ON -DTILT_ROPTER_NATIVE=ON
   for program in build-benchmarks/tests/benchmark/*_benchmark; do
@@ -73,21 +100,68 @@ if [[ $instead == benchmark ]]; then
   exit 0
 fi
 
-packages+=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev
-  libgl1 libgl1-mesa-dri)
+if [[ $instead == sanitize ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" libclang-rt-dev llvm valgrind
+  flags="-O2 -gline-tables-only -fno-omit-frame-pointer -fno-sanitize-recover=all"
+  instrumented build-sanitize \
+    "$flags -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow"
+  echo "== Running the tests under ASan and UBSan, two at a time"
+  echo "   without those that only read the sources, and HitlFlight's, which fly in real time;"
+  echo "   those that count allocations say that they cannot, as the sanitizers have the heap"
+  ctest --test-dir build-sanitize --parallel 2 --output-on-failure --timeout 3600 \
+    --exclude-regex "$sources_only|$real_time"
+
+  configure build-sanitize-threads "${with_clang[@]}" -DTILT_ROPTER_BUILD_TESTS=OFF \
+    -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$flags -fsanitize=thread"
+  cmake --build build-sanitize-threads --target monte_carlo
+  echo "== Running monte_carlo in three threads under TSan, the only program that has any"
+  build-sanitize-threads/examples/monte_carlo --count 6 --threads 3 --no-pictures \
+    --output build-sanitize-threads/results
+
+  configure build-tests "${with_clang[@]}" "${with_tests[@]}"
+  quick=(allocation_matrix_test frames_test rigid_body_test riccati_test multipliers_test)
+  cmake --build build-tests --parallel "$(nproc)" --target "${quick[@]}"
+  for test in "${quick[@]}"; do
+    echo "== Running $test under valgrind"
+    valgrind --quiet --error-exitcode=1 build-tests/tests/"$test" --gtest_brief=1
+  done
+  exit 0
+fi
+
+if [[ $instead == coverage ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" libclang-rt-dev llvm
+  # While it builds, CMake asks each test for its names, which is no run of it.
+  LLVM_PROFILE_FILE=/dev/null instrumented build-coverage \
+    "-O1 -fprofile-instr-generate -fcoverage-mapping"
+  rm -rf build-coverage/profiles
+  echo "== Running the tests, two at a time"
+  echo "   without those that only read the sources, and HitlFlight's, which fly in real time"
+  LLVM_PROFILE_FILE=$PWD/build-coverage/profiles/%m.profraw ctest --test-dir build-coverage \
+    --parallel 2 --output-on-failure --timeout 3600 --exclude-regex "$sources_only|$real_time"
+  exec bash tests/coverage.sh build-coverage 95
+fi
+
+if [[ $instead == tidy ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" "${benchmark_packages[@]}" \
+    libclang-rt-dev clang-tidy
+  configure build-tidy "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_BENCHMARKS=ON \
+    -DTILT_ROPTER_BUILD_FUZZERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
+  echo "== Reading every source, and every header as it is included"
+  exec run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
+fi
+
 timeout=300
 directory=build-tests
-options=(-DCMAKE_CXX_COMPILER=clang++)
+options=("${with_clang[@]}")
 if [[ $full ]]; then
-  packages+=(clang-tidy)
+  test_packages+=(clang-tidy)
   timeout=7200
   directory=build-full
   options=(-DTILT_ROPTER_FULL_TESTS=ON)
   export TILT_ROPTER_FULL=1
 fi
-bash cmake/install_missing.sh "${packages[@]}"
-build $directory -DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON \
-  -DTILT_ROPTER_BUILD_BENCHMARKS=OFF "${options[@]}"
+bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}"
+build $directory "${with_tests[@]}" "${options[@]}"
 echo "== Running the tests, two at a time"
 cd $directory
 ctest --parallel 2 --output-on-failure --timeout $timeout

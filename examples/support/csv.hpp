@@ -100,10 +100,10 @@ inline std::string csv_quoted(std::string_view text) {
       const auto found = std::find(header.begin(), header.end(), name);
       const std::size_t number = static_cast<std::size_t>(found - header.begin());
       if (found == header.end()) {
-        std::string all;
-        for (const std::string_view other : header)
-          (all += all.empty() ? "" : ", ") += detail::csv_quoted(other);
-        wrong("no column " + name + ", the header line has " + all);
+        std::string message = "no column " + name + ", the header line has";
+        for (const std::string_view& other : header)
+          (message += &other == &header.front() ? " " : ", ") += detail::csv_quoted(other);
+        wrong(message);
       }
       if (name.empty()) wrong("column (" + std::to_string(number + 1) + ") has no name");
       if (std::find(found + 1, header.end(), name) != header.end())

@@ -254,10 +254,17 @@ TEST(Problems, ContradictoryRowsAreWeighedByTheirPenalties) {
   }
 }
 
+// For a build with sanitizers or coverage, too, where a second is not enough.
+SolverSettings patient() {
+  SolverSettings settings;
+  settings.max_time = 600.0;
+  return settings;
+}
+
 TEST(Problems, PendulumSwingsUpWithAThirdOfTheTorqueItWouldTake) {
   const Pendulum problem({50});
   const Eigen::Vector2d hanging(pi, 0.0);
-  MultipleShooting<Pendulum> solver(problem);
+  MultipleShooting<Pendulum> solver(problem, patient());
   solver.reset(hanging);
   const SolveReport report = solver.solve(hanging);
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -273,7 +280,7 @@ TEST(Problems, PendulumSwingsUpWithAThirdOfTheTorqueItWouldTake) {
 TEST(Problems, UnicycleParksBehindTheObstacle) {
   const Unicycle problem({40});
   const Eigen::Vector3d start(-2.0, 0.0, 0.3);
-  MultipleShooting<Unicycle> solver(problem);
+  MultipleShooting<Unicycle> solver(problem, patient());
   solver.reset(start);
   const SolveReport report = solver.solve(start);
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -290,7 +297,7 @@ TEST(Problems, QuadrotorRecoversFromItsSide) {
   start.position << 1.0, -0.5, 0.0;
   start.orientation = quaternion_exp(Eigen::Vector3d(1.6, 0.3, 0.0));
   start.angular_velocity << 1.0, 0.0, 0.0;
-  MultipleShooting<Quadrotor> solver(problem);
+  MultipleShooting<Quadrotor> solver(problem, patient());
   for (int k = 0; k <= 30; ++k)
     solver.set_guess(k, start, Eigen::Vector4d::Constant(Quadrotor::hover_thrust()));
   const SolveReport report = solver.solve(start);
