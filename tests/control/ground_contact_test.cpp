@@ -170,6 +170,21 @@ TEST(GroundContact, WhatTheAirCarriesAnywayIsNotTheGrounds) {
   EXPECT_TRUE(contact.on_ground());
 }
 
+TEST(GroundContact, AnEstimateGoneWrongInTheAirNeitherHidesNorFeignsTheGround) {
+  for (const double wrong : {-1e9, 1e9}) {
+    GroundContact contact = contact_with();
+    update(contact, 1.0, upward(wrong));
+    update(contact, 0.11, lift);
+    EXPECT_TRUE(contact.on_ground());
+    update(contact, 1.0, {});
+    EXPECT_FALSE(contact.on_ground()) << wrong;
+    contact = contact_with();
+    update(contact, 1.0, upward(wrong));
+    update(contact, 0.13, upward(16.0));
+    EXPECT_TRUE(contact.on_ground()) << wrong;
+  }
+}
+
 TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
   GroundContact contact = contact_with();
   update(contact, 0.11, breeze);

@@ -106,9 +106,12 @@ class GroundContact {
     if (!is_finite(body) || !is_finite(external)) return false;
     orientation_ = body.orientation;
     const double clearance = body.position.z() - wheel_radius_;
-    const double lift = (orientation_ * external.force).z() - air_lift_;
+    const double lift = (orientation_ * external.force).z(),
+                 enough = settings_.carried_share * mass_ * gravity;
+    // Lift that there was in the air already is not the ground's; no more than there could be, or
+    // an estimate gone wrong would hide or feign the ground for good.
     const bool was_on_ground = on_ground_,
-               carried = lift > settings_.carried_share * mass_ * gravity;
+               carried = lift - std::clamp(air_lift_, 0.0, enough) > enough;
     on_ground_ = on_ground_
                      ? clearance < settings_.leave_height || carried
                      : clearance < (carried ? settings_.leave_height : settings_.enter_height);
@@ -118,7 +121,7 @@ class GroundContact {
     external_ = lifted_off ? air_wrench_ : external;
     if (!on_ground_ && clearance > settings_.leave_height && !lifted_off) {
       air_wrench_ = external;
-      air_lift_ += lift;
+      air_lift_ = lift;
     }
     return lifted_off;
   }

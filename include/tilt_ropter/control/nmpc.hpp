@@ -89,8 +89,9 @@ struct NmpcResult {
 /// prepare(), then measure, then feedback(), at any rate. Whatever comes in, what goes out is
 /// finite and within the bounds. What goes out when something is wrong, from the mildest on:
 ///
-/// - The external wrench is not finite (a lost observer): the last one that was stands in for it,
-///   for as long as it takes. Status solved.
+/// - The external wrench is not finite, or is more than ten times the weight, or that at a metre (a
+///   lost observer): the last one that was stands in for it, for as long as it takes. Status
+///   solved.
 /// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
 ///   sees: hold()): the last plan goes on. Status bad_state.
 /// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
@@ -125,11 +126,14 @@ class Nmpc {
   /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
   /// reference, linearisation, factorisation. `reference` is any callable that returns a
   /// ReferencePoint for a time and does not throw; `external` is the estimated external wrench
-  /// (body frame). True if the vehicle has just left the ground: see GroundContact::update.
+  /// (body frame). With a time that is not finite nothing is prepared, and feedback() fails. True
+  /// if the vehicle has just left the ground: see GroundContact::update.
   template <typename Reference>
   bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
+    prepared_ = false;
+    if (!std::isfinite(time)) return false;
     bool lifted_off = false;
-    if (is_finite(external)) external_ = external;
+    if (is_plausible(external)) external_ = external;
     if (!cold_) lifted_off = contact_.update(body_state_, external_);
     for (std::size_t k = 0; k < points_.size(); ++k)
       points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
@@ -142,6 +146,7 @@ class Nmpc {
       first.wrench = planned_wrench(time - plan_time_);
       solver_.set_guess(0, first, solver_.input(0));
       (void)solver_.prepare();
+      if (plan_is_astray(first)) cold_ = true;
     }
     return lifted_off;
   }
@@ -198,6 +203,23 @@ class Nmpc {
   static const NmpcSettings& checked(const NmpcSettings& settings) {
     validate(settings);
     return settings;
+  }
+
+  [[nodiscard]] bool is_plausible(const Wrench<>& external) const {
+    const double most = 10.0 * body_.mass * gravity;  // not a comparison that NaN passes
+    return external.force.norm() <= most && external.torque.norm() <= most;
+  }
+
+  /// True if to stay where the vehicle is would cost much less than the plan does: bad input has
+  /// led it astray, from where one iteration at a time need not find back. `now` is its first
+  /// state.
+  [[nodiscard]] bool plan_is_astray(const State<>& now) const {
+    State<> stay = now;
+    stay.body = body_state_;
+    double cost = 0.0;
+    for (int k = 0; k <= solver_.horizon(); ++k)
+      cost += solver_.problem().cost(k, stay, Problem::Input::Zero());
+    return solver_.report().cost > 10.0 + 2.0 * cost;
   }
 
   void set_nodes() {
