@@ -1,0 +1,158 @@
+// Numbers at the edge of use: periods from 0.1 to 50 ms, horizons from 2 to 200 intervals, vehicles
+// from 30 g to 100 kg.
+
+#include "support/random.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+
+namespace tilt_ropter {
+namespace {
+
+ReferencePoint hover(double) {
+  ReferencePoint point;
+  point.position << 0.0, 0.0, 1.5;
+  return point;
+}
+
+/// The Tilt-Ropter `scale` times as long: mass with the cube of it, inertia with the fifth power,
+/// thrust with the mass, lags and servo speeds as they are.
+Vehicle<4> scaled_vehicle(double mass) {
+  Vehicle<4> v = tilt_ropter_vehicle();
+  const double by_mass = mass / v.body.mass, scale = std::cbrt(by_mass);
+  v.body.mass = mass;
+  v.body.inertia *= by_mass * scale * scale;
+  for (RotorGeometry& rotor : v.rotors) rotor.position *= scale;
+  v.rotor.thrust_coefficient *= by_mass;
+  v.rotor.max_thrust *= by_mass;
+  v.rotor.torque_ratio *= scale;
+  v.wheels.radius *= scale;
+  v.wheels.half_track *= scale;
+  return v;
+}
+
+/// Settings for it: whatever is a force goes with the mass, a torque with mass and length.
+NmpcSettings scaled_settings(double mass) {
+  NmpcSettings s;
+  const double by_mass = mass / tilt_ropter_vehicle().body.mass,
+               by_torque = by_mass * std::cbrt(by_mass);
+  NmpcBounds& b = s.problem.bounds;
+  b.force_min *= by_mass;
+  b.force_max *= by_mass;
+  b.force_rate *= by_mass;
+  b.torque_min *= by_torque;
+  b.torque_max *= by_torque;
+  b.torque_rate *= by_torque;
+  NmpcWeights& w = s.problem.weights;
+  w.force /= by_mass * by_mass;
+  w.torque /= by_torque * by_torque;
+  w.force_rate /= by_mass * by_mass;
+  w.torque_rate /= by_torque * by_torque;
+  s.ground.down_force *= by_mass;
+  s.ground.rotor_thrust *= by_mass;
+  return s;
+}
+
+/// Hover against a pull of a tenth of the weight; returns the distance after 4 s [m].
+double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, double period) {
+  const double by_mass = vehicle.body.mass / tilt_ropter_vehicle().body.mass;
+  PlantParameters world;
+  world.contact.wheel_inertia *= std::pow(by_mass, 5.0 / 3.0);  // or tiny substeps are needed
+  Plant<4> plant(vehicle, world);
+  AllocationParameters parameters;
+  parameters.hold_thrust *= by_mass;
+  const Allocation<4> allocation(vehicle, parameters);
+  ActuatorModel<4> actuators(vehicle);
+  WrenchObserver<> observer(vehicle.body);
+  Nmpc<4> nmpc(vehicle, settings);
+  PlantState<4> start = plant.state();
+  start.body.position << 0.1, -0.1, 1.5;
+  Wrench<> weight, pull;
+  weight.force.z() = vehicle.body.mass * gravity;
+  pull.force.x() = 0.1 * vehicle.body.mass * gravity;
+  start.actuators = allocation.allocate(weight, {}).command;
+  plant.reset(start);
+  ActuatorState<4> command = start.actuators;
+  actuators.reset(command, 0.0);
+  const long ticks = std::lround(4.0 / period);
+  const long control = std::max(1L, std::lround(0.01 / period));  // NMPC at 100 Hz or every tick
+  int failures = 0;
+  for (long i = 0; i < ticks; ++i) {
+    const double time = plant.time();
+    observer.update(
+        time, plant.specific_force(), plant.body().angular_velocity,
+        allocation.wrench(ActuatorState<4>{plant.actuators().rotor_speed,
+                                           actuators.update(time, command).tilt_angle}));
+    if (i % control == 0) {
+      nmpc.prepare(time, hover, observer.external());
+      const NmpcResult& result = nmpc.feedback(time, plant.body());
+      failures += result.status != NmpcStatus::solved;
+      command = allocation.allocate(result.wrench, result.rate, command).command;
+      actuators.update(time, command);
+    }
+    EXPECT_TRUE(plant.step(command, pull, period));
+  }
+  EXPECT_EQ(failures, 0);
+  return (plant.body().position - hover(0.0).position).norm();
+}
+
+TEST(EdgeOfUse, Periods) {
+  for (const double period : {1e-4, 1e-3, 5e-3, 0.02, 0.05}) {
+    SCOPED_TRACE(period);
+    EXPECT_LT(hover_error(tilt_ropter_vehicle(), {}, period), 0.01);
+  }
+}
+
+TEST(EdgeOfUse, Horizons) {
+  for (const int intervals : {2, 5, 20, 60, 200}) {
+    SCOPED_TRACE(intervals);
+    NmpcSettings settings;
+    settings.problem.intervals = intervals;
+    settings.problem.interval = intervals < 20 ? 0.2 : 0.1;
+    EXPECT_LT(hover_error(tilt_ropter_vehicle(), settings, 0.01), 0.01);
+  }
+}
+
+TEST(EdgeOfUse, Masses) {
+  for (const double mass : {0.03, 0.3, 5.0, 100.0}) {
+    SCOPED_TRACE(mass);
+    EXPECT_LT(hover_error(scaled_vehicle(mass), scaled_settings(mass), 0.01), 0.01);
+  }
+}
+
+TEST(EdgeOfUse, AllocationInFloatServesEveryMass) {
+  test_support::Random random(6);
+  for (const double mass : {0.03, 1.5, 100.0}) {
+    const Vehicle<4> vehicle = scaled_vehicle(mass);
+    const Allocation<4, float> allocation(vehicle);
+    const double weight = mass * gravity;
+    ActuatorState<4, float> last;
+    for (int i = 0; i < 1000; ++i) {
+      Wrench<float> wanted;
+      wanted.force =
+          (Eigen::Vector3d(0.0, 0.0, weight) + random.vector(0.2 * weight)).cast<float>();
+      wanted.torque =
+          random.vector(0.02 * weight * vehicle.rotors[0].position.norm()).cast<float>();
+      const auto result = allocation.allocate(wanted, last);
+      ASSERT_EQ(result.status, AllocationStatus::ok);
+      EXPECT_LT(result.lost.force.norm(), 1e-5 * weight);
+      last = result.command;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,85 @@
+// Mission after mission without a break, on one controller and one clock: what creeps, grows or
+// overflows shows. Ten minutes of flight and driving; an hour with TILT_ROPTER_FULL=1.
+
+#include "../../examples/support/flight_controller.hpp"
+#include "../../examples/support/mission_sensors.hpp"
+#include "support/check_table.hpp"
+
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <fstream>
+#include <string>
+#include <vector>
+
+namespace examples {
+namespace {
+
+using namespace tilt_ropter;
+
+/// Of the program [kB].
+double resident_memory() {
+  std::ifstream status("/proc/self/status");
+  for (std::string line; std::getline(status, line);)
+    if (line.rfind("VmRSS:", 0) == 0) return std::atof(line.c_str() + 6);
+  return 0.0;
+}
+
+TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
+  constexpr double step = 1e-3;
+  const Mission mission = hybrid_mission();
+  const double lap = mission.duration() + 2.0;  // with a rest between
+  const double asked = std::getenv("TILT_ROPTER_FULL") != nullptr ? 3600.0 : 600.0;
+  const int laps = static_cast<int>(std::ceil(asked / lap));
+  const auto reference = [&](double time) { return mission(std::fmod(time, lap)); };
+
+  Vehicle<4> truth = tilt_ropter_vehicle();
+  truth.body.mass *= 1.03;
+  truth.body.inertia *= 1.1;
+  Plant<4> plant(truth);
+  MissionSensors sensors(1);
+  FlightController controller(tilt_ropter_vehicle(), {}, MissionSensors::estimation());
+  ActuatorState<4> command;
+  std::vector<double> rmse, memory;
+  int failures = 0;
+  long i = 0;
+  for (int k = 0; k < laps; ++k) {
+    double squares = 0.0;
+    long count = 0;
+    for (; plant.time() < (k + 1) * lap - 0.5 * step; ++i) {
+      const double time = plant.time();
+      if (const auto m = sensors.rotor_speeds.sample(time, plant.actuators().rotor_speed))
+        controller.on_rotor_speeds(m->rotor_speed);
+      if (const auto m =
+              sensors.imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+        controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
+      if (const auto m = sensors.poses.sample(time, plant.body()))
+        controller.on_pose(m->time, {m->position, m->orientation});
+      if (i % 10 == 0 && controller.ekf().running()) {
+        controller.prepare(time, reference);
+        command = controller.control(time);
+        failures += controller.result().status != NmpcStatus::solved;
+        squares += (plant.body().position - reference(time).position).squaredNorm();
+        ++count;
+      }
+      ASSERT_TRUE(plant.step(command, {}, step));
+    }
+    rmse.push_back(std::sqrt(squares / static_cast<double>(count)));
+    memory.push_back(resident_memory());
+  }
+  const double grown = memory.back() - memory[1];  // the first lap fills what is filled once
+  test_support::check_at_most(0, "long run: RMSE of the last mission / of the second",
+                              rmse.back() / rmse[1], 1.1);
+  test_support::check_at_most(0, "long run: memory grown since the second mission [kB]", grown,
+                              256.0);
+  test_support::check_at_most(0, "long run: ticks without a solution", failures, 0.0);
+  EXPECT_EQ(controller.nmpc().contact().mode_changes(), 4 * laps);
+  EXPECT_LT(rmse.back(), 0.02);
+}
+
+}  // namespace
+}  // namespace examples
