@@ -253,9 +253,9 @@ class WrenchObserver {
     limited_ = false;
     const auto shaped = [this](const Vector3<Scalar>& filtered, const Eigen::Vector3d& dead_band,
                                const Eigen::Vector3d& limit) {
-      const Vector3<Scalar> band = dead_band.cast<Scalar>(), bound = limit.cast<Scalar>();
+      const Vector3<Scalar>&band = dead_band.cast<Scalar>(), &bound = limit.cast<Scalar>();
       const Vector3<Scalar> rest = filtered - filtered.cwiseMax(-band).cwiseMin(band);
-      const Vector3<Scalar> cut = rest.cwiseMax(-bound).cwiseMin(bound);
+      Vector3<Scalar> cut = rest.cwiseMax(-bound).cwiseMin(bound);
       limited_ = limited_ || cut != rest;
       return cut;
     };
