@@ -73,9 +73,12 @@ test_packages=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core lib
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
+# What reads or maps sources wants them as they stand, without a precompiled header.
+as_they_stand=(-DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 # No build type, which leaves Eigen's assertions in.
 instrumented() {  # directory, flags
-  build "$1" "${with_clang[@]}" "${with_tests[@]}" -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
+  build "$1" "${with_clang[@]}" "${with_tests[@]}" "${as_they_stand[@]}" \
+    -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
 }
 # What these tests show is not changed by how the tests are built.
 sources_only='^(header|clang|packaging)\.|^comment_program$|^include_rules|^readme_program$'
@@ -145,7 +148,7 @@ if [[ $instead == tidy ]]; then
   bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" "${benchmark_packages[@]}" \
     libclang-rt-dev clang-tidy
   configure build-tidy "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_BENCHMARKS=ON \
-    -DTILT_ROPTER_BUILD_FUZZERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
+    -DTILT_ROPTER_BUILD_FUZZERS=ON "${as_they_stand[@]}" -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
   echo "== Reading every source, and every header as it is included"
   exec run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
 fi
