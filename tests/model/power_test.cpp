@@ -64,6 +64,8 @@ TEST(Power, RefusesParametersThatValidateRefuses) {
   vehicle = tilt_ropter_vehicle();
   vehicle.rotor.thrust_coefficient = 0.0;
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
+  vehicle.rotor.thrust_coefficient = 1e300;  // hover at 2e-150 rad/s: the coefficient overflows
+  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/rotor.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -13,7 +14,8 @@ namespace tilt_ropter {
 /// Efficiency). Only the constructor throws; nothing allocates.
 class PowerModel {
  public:
-  /// Throws std::invalid_argument on parameters that validate() refuses.
+  /// Throws std::invalid_argument on parameters that validate() refuses, and where hover takes so
+  /// slow a speed that power would overflow.
   template <int Rotors>
   explicit PowerModel(const Vehicle<Rotors>& vehicle) : electronics_(vehicle.power.electronics) {
     validate(vehicle.power);
@@ -23,6 +25,8 @@ class PowerModel {
         speed_from_thrust(vehicle.body.mass * gravity / Rotors, vehicle.rotor.thrust_coefficient);
     coefficient_ =
         (vehicle.power.hover - electronics_) / (Rotors * hover_speed * hover_speed * hover_speed);
+    require(coefficient_ < 1e200, "PowerModel's coefficient [W s^3]", coefficient_,
+            "below 1e200; the hover speed is next to zero");
   }
 
   /// Power [W] at rotor speeds [rad/s], a vector of any length. A speed that is negative, not
