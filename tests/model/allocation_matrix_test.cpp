@@ -89,6 +89,13 @@ TEST(AllocationMatrix, TooFewColumnsAndCoincidentRotorsAreRefused) {
   EXPECT_NE(complaint(no_arms).find("torque"), std::string::npos);
 }
 
+TEST(AllocationMatrix, AVehicleOfASizeThatOverflowsIsRefused) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.rotors[1] = rotor_on_arm(pi / 4, 1.0, Spin::clockwise);
+  vehicle.rotors[1].position << 1.7e308, 1.7e308, 0.0;  // finite, its torques are not
+  EXPECT_NE(complaint(vehicle).find("size of the vehicle"), std::string::npos);
+}
+
 TEST(AllocationMatrix, RankDoesNotDependOnTheSizeOfTheVehicle) {
   for (const double scale : {1e-8, 1.0, 1e8}) {
     Vehicle<4> vehicle = tilt_ropter_vehicle(), flat = flat_quadrotor();

@@ -70,6 +70,8 @@ struct AllocationMatrix {
     for (Eigen::Index j = 0; j < count; ++j)
       scaled.col(j).head<6>() =
           scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
+    // Products of finite numbers may overflow, and the decomposition's rank is nonsense then.
+    require(scaled.allFinite(), "size of the vehicle [m]", size, "one whose products are finite");
     const auto svd = decompose(scaled);
     require_rank(svd.matrixU(), svd.rank());
 
