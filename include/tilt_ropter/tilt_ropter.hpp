@@ -11,6 +11,7 @@
 #include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>

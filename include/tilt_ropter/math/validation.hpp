@@ -1,5 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
+
 #include <Eigen/Core>
 
 #include <cmath>

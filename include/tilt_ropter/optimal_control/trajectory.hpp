@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <algorithm>
