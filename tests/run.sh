@@ -11,7 +11,8 @@ takes a third of GCC's time; what users do, examples/run.sh, the installed packa
 benchmarks, is built by GCC.
 
   --full       built by GCC, with the long forms of the tests too (TILT_ROPTER_FULL=1), every test
-               and example read by clang as C++20, and clang-tidy
+               and example read by clang as C++20, and clang-tidy; ends with a table of what was
+               asked and measured. About an hour
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --fuzz SECONDS
@@ -167,4 +168,15 @@ bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}"
 build $directory "${with_tests[@]}" "${options[@]}"
 echo "== Running the tests, two at a time"
 cd $directory
-ctest --parallel 2 --output-on-failure --timeout $timeout
+if [[ ! $full ]]; then
+  exec ctest --parallel 2 --output-on-failure --timeout $timeout
+fi
+export TILT_ROPTER_CHECKS=$PWD/checks.tsv
+rm -f "$TILT_ROPTER_CHECKS"
+result=0
+ctest --parallel 2 --output-on-failure --timeout $timeout || result=$?
+echo "== What was checked by a number (checks of sources and of bits have none)"
+sort -t $'\t' -k1,1n -k2,2 "$TILT_ROPTER_CHECKS" |
+  awk -F '\t' 'BEGIN { f = "%-6s%-64s%-12s%-14s%s\n"; printf f, "check", "", "asked", "measured", "" }
+    { printf f, $1, $2, $3, $4, $5 }'
+exit $result

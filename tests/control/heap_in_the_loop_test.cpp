@@ -13,6 +13,7 @@
 #include <tilt_ropter/simulation/sensors.hpp>
 
 #include "support/benchmark_problem.hpp"
+#include "support/check_table.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
@@ -71,6 +72,12 @@ class LoopWatch {
     return call();
   }
 
+  // That have used the heap.
+  [[nodiscard]] double functions() const {
+    return static_cast<double>(std::count_if(
+        notes_.begin(), notes_.end(), [](const Note& note) { return note.function != nullptr; }));
+  }
+
   // Empty if there was nothing to note.
   [[nodiscard]] std::string notes() const {
     std::ostringstream text;
@@ -124,7 +131,12 @@ class HeapInTheLoop : public testing::Test {
       GTEST_SKIP() << "a sanitizer or another C library has the heap: it cannot be counted";
     nlopt_calls = {};
   }
-  void TearDown() override { EXPECT_EQ(watch.notes(), ""); }
+  void TearDown() override {
+    EXPECT_EQ(watch.notes(), "");
+    if (test_support::heap_can_be_counted)
+      test_support::check_at_most(1, "functions of the loop that use the heap", watch.functions(),
+                                  0);
+  }
 
   LoopWatch watch;
 };
@@ -427,8 +439,10 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
   EXPECT_GT(energy, 0.0);
   // Measured: 29 calls and 256 kB, both in a cold start.
   EXPECT_GT(nlopt.calls, 0);
-  EXPECT_LE(nlopt.calls, 60);
-  EXPECT_LE(nlopt.bytes, 500000);
+  test_support::check_at_most(1, "NLopt: calls in a tick, at worst",
+                              static_cast<double>(nlopt.calls), 60);
+  test_support::check_at_most(1, "NLopt: bytes in a tick, at worst",
+                              static_cast<double>(nlopt.bytes), 500000);
   expect_nlopt_within_documented_bounds();
 }
 

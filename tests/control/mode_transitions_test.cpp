@@ -7,7 +7,7 @@
 namespace {
 
 TEST(ModeTransitions, LandsAndTakesOffWithOneModeChangeEachAndNoBounce) {
-  test_support::land_and_take_off<tilt_ropter::Plant<4>>(20);
+  test_support::land_and_take_off<tilt_ropter::Plant<4>>("our plant", 20);
 }
 
 }  // namespace

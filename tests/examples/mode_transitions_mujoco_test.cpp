@@ -6,14 +6,14 @@
 namespace examples {
 
 static void place(MujocoPlant& plant, const tilt_ropter::BodyState<>& body,
-           const tilt_ropter::ActuatorState<4>& actuators) {
+                  const tilt_ropter::ActuatorState<4>& actuators) {
   plant.reset(body, actuators);
 }
 
 namespace {
 
 TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeEachAndNoBounce) {
-  test_support::land_and_take_off<MujocoPlant>(10);
+  test_support::land_and_take_off<MujocoPlant>("MuJoCo", 10);
 }
 
 }  // namespace

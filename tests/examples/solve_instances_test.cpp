@@ -3,6 +3,7 @@
 #include "../../examples/support/instances.hpp"
 
 #include "support/benchmark_problem.hpp"
+#include "support/check_table.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -501,14 +502,17 @@ TEST_F(SolveInstances, NearlyAllRandomInstancesConvergeAndReportsAreHonest) {
     EXPECT_LE(result.number(i, "max_defect"), 1e-6) << row.at("id");
     EXPECT_LE(result.number(i, "max_violation"), 1e-6) << row.at("id");
   }
-  EXPECT_GE(converged, (full ? 0.995 : 0.99) * count) << result.err;
+  test_support::check_at_least(6, "solver: share of wild instances that converge",
+                               static_cast<double>(converged) / count, full ? 0.995 : 0.99);
 
   // The summary says the same. Report and recomputation differ by the rounding of a step at most:
   // the solver takes it together with its derivative.
   EXPECT_EQ(result.summary("instances"), count);
   EXPECT_EQ(result.summary("converged"), converged);
-  EXPECT_LE(result.summary("violation, report against recomputation"), 1e-12);
-  EXPECT_LE(result.summary("defect, report against recomputation"), 1e-12);
+  test_support::check_at_most(6, "solver: violation, report against recomputation",
+                              result.summary("violation, report against recomputation"), 1e-12);
+  test_support::check_at_most(6, "solver: defect, report against recomputation",
+                              result.summary("defect, report against recomputation"), 1e-12);
   EXPECT_EQ(result.summary("worse than the guess"), 0.0) << result.err;
   std::istringstream lines(result.err);
   std::string line;

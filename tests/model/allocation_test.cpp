@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "support/autodiff.hpp"
+#include "support/check_table.hpp"
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
@@ -84,6 +85,7 @@ void expect_honest(const Vehicle<Rotors>& vehicle, double force, double torque, 
   ActuatorState<Rotors> last = hovering(vehicle);
   count.assign(5, 0);
   const int n = runs(100000);
+  double worst = 0.0;
   for (int i = 0; i < n; ++i) {
     const Wrench<> wanted = random_wrench(random, force, torque);
     const auto result = allocation.allocate(wanted, last);
@@ -96,9 +98,8 @@ void expect_honest(const Vehicle<Rotors>& vehicle, double force, double torque, 
     ASSERT_LT(largest({result.achieved.force + result.lost.force - wanted.force,
                        result.achieved.torque + result.lost.torque - wanted.torque}),
               1e-14 * size);
-    if (result.status == Status::ok || result.status == Status::null_space_used) {
-      ASSERT_LT(largest(result.lost), 1e-10);
-    }
+    if (result.status == Status::ok || result.status == Status::null_space_used)
+      worst = std::max(worst, largest(result.lost));
     if (result.status == Status::limited && vehicle.rotor.min_thrust <= 0.0) {
       // The direction of the force is kept, its size never grows; so for the torque.
       const double h = 2.0 * Rotors * AllocationParameters{}.hold_thrust;
@@ -111,6 +112,7 @@ void expect_honest(const Vehicle<Rotors>& vehicle, double force, double torque, 
     last = result.command;
   }
   EXPECT_EQ(count[4], 0);
+  test_support::check_at_most(8, "allocation: loss where none is said [N, N m]", worst, 1e-10);
 }
 
 TEST(Allocation, TiltRopterIsHonestOverRandomWrenches) {

@@ -4,15 +4,15 @@
 # with -fno-finite-math-only.
 set -euo pipefail
 
-compile=("$2" -std=c++17 -fsyntax-only -ffast-math -I "$1" -isystem "$3" -x c++ -)
+compile=("$2" -std=c++17 -ffast-math -I "$1" -isystem "$3" -x c++)
 cd "$1"
 headers=$(grep -rlE 'isfinite|allFinite|is_finite' --include='*.hpp' tilt_ropter)
 test "$(wc -l <<< "$headers")" -gt 10
 for header in $headers; do
-  if output=$("${compile[@]}" <<< "#include <$header>" 2>&1) ||
+  if output=$("${compile[@]}" -E -o /dev/null - <<< "#include <$header>" 2>&1) ||
     [[ $output != *"add -fno-finite-math-only"* ]]; then
     echo "$header does not refuse -ffast-math"
     exit 1
   fi
 done
-"${compile[@]}" -fno-finite-math-only <<< '#include <tilt_ropter/tilt_ropter.hpp>'
+"${compile[@]}" -fsyntax-only -fno-finite-math-only - <<< '#include <tilt_ropter/tilt_ropter.hpp>'
