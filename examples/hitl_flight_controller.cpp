@@ -154,13 +154,8 @@ int main(int argc, char** argv) {
   hitl::BadLine line;
   hitl::add_options(app, addresses, line);
   app.footer(footer);
-  CLI11_PARSE(app, argc, argv);
-  try {
-    hitl::end_on_signals();
+  return hitl::run_program(app, "hitl_flight_controller", argc, argv, [&] {
     run(addresses, line);
     return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "hitl_flight_controller: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

@@ -171,13 +171,8 @@ int main(int argc, char** argv) {
   hitl::BadLine line;
   hitl::add_options(app, addresses, line);
   app.footer(footer);
-  CLI11_PARSE(app, argc, argv);
-  try {
-    hitl::end_on_signals();
+  return hitl::run_program(app, "hitl_onboard", argc, argv, [&] {
     run(addresses, line);
     return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "hitl_onboard: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

@@ -173,12 +173,5 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   hitl::add_options(app, options.addresses, options.line);
   app.footer(footer);
-  CLI11_PARSE(app, argc, argv);
-  try {
-    hitl::end_on_signals();
-    return simulate(options);
-  } catch (const std::exception& error) {
-    std::cerr << "hitl_simulator: " << error.what() << '\n';
-    return 1;
-  }
+  return hitl::run_program(app, "hitl_simulator", argc, argv, [&] { return simulate(options); });
 }

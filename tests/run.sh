@@ -3,7 +3,8 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy]
+usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
+                    --variants]
 
 Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
 errors into build-tests/ and runs every test. The last lines are the summary. Built by clang, which
@@ -26,6 +27,8 @@ benchmarks, is built by GCC.
                themselves as HTML in build-coverage/report/; fails under 95 %. About half an hour
   --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
                target. About half an hour
+  --variants   the library's tests, compiled in other ways into build-variants/: without optimisation,
+               for this processor, with -ffast-math, with clang's libc++. About half an hour
   --help       this text
 HELP
 }
@@ -42,7 +45,7 @@ fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
     --full) full=1 ;;
-    --benchmark | --sanitize | --coverage | --tidy) instead=${1#--} ;;
+    --benchmark | --sanitize | --coverage | --tidy | --variants) instead=${1#--} ;;
     --fuzz)
       instead=fuzz
       fuzz_seconds=${2-}
@@ -152,6 +155,23 @@ if [[ $instead == tidy ]]; then
     -DTILT_ROPTER_BUILD_FUZZERS=ON "${as_they_stand[@]}" -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
   echo "== Reading every source, and every header as it is included"
   exec run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
+fi
+
+if [[ $instead == variants ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" clang libgtest-dev googletest libc++-dev \
+    libc++abi-dev
+  variant() {  # name, flags, CMake options
+    build build-variants/"$1" "${with_clang[@]}" -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2" \
+      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF "${@:3}"
+    echo "== Running the tests compiled with $2, two at a time"
+    ctest --test-dir build-variants/"$1" --parallel 2 --output-on-failure --timeout 3600 \
+      --exclude-regex "$sources_only"
+  }
+  variant plain -O0
+  variant native "-O3 -march=native"
+  variant fast_math "-O2 -ffast-math -fno-finite-math-only"
+  variant libcxx "-O1 -stdlib=libc++" -DTILT_ROPTER_GTEST_SOURCE=/usr/src/googletest
+  exit 0
 fi
 
 timeout=300

@@ -5,6 +5,8 @@
 #include <CLI/CLI.hpp>
 
 #include <csignal>
+#include <exception>
+#include <iostream>
 #include <string>
 
 namespace hitl {
@@ -36,6 +38,19 @@ inline volatile std::sig_atomic_t interrupted = 0;
 
 inline void end_on_signals() {
   for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
+}
+
+/// What is left of main(): parses the options that `app` knows, runs, and tells errors.
+template <typename Run>
+int run_program(CLI::App& app, const char* name, int argc, char** argv, const Run& run) {
+  CLI11_PARSE(app, argc, argv);
+  try {
+    end_on_signals();
+    return run();
+  } catch (const std::exception& error) {
+    std::cerr << name << ": " << error.what() << '\n';
+    return 1;
+  }
 }
 
 }  // namespace hitl

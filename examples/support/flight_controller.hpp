@@ -50,10 +50,12 @@ class FlightController {
       observer_.set_external(nmpc_.contact().air_wrench());
   }
 
-  /// After them: returns rotor speeds and tilt angles to command. Without a state they stay.
+  /// After them: returns rotor speeds and tilt angles to command. Before the first state they stay
+  /// as they are; without one later, the last plan goes on as Nmpc::hold says.
   const tilt_ropter::ActuatorState<4>& control(double time) {
-    if (!ekf_.running()) return command_;
-    result_ = nmpc_.feedback(time, ekf_.state());
+    started_ = started_ || ekf_.running();
+    if (!started_) return command_;
+    result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.state()) : nmpc_.hold(time);
     command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
     actuators_.update(time, command_);  // acts from now on
     return command_;
@@ -76,6 +78,7 @@ class FlightController {
   tilt_ropter::NmpcResult result_;
   tilt_ropter::ActuatorState<4> command_, applied_;
   Eigen::Vector4d rotor_speeds_ = Eigen::Vector4d::Zero();
+  bool started_ = false;
 };
 
 }  // namespace examples
