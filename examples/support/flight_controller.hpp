@@ -53,7 +53,7 @@ class FlightController {
   /// After them: returns rotor speeds and tilt angles to command. Before the first state they stay
   /// as they are; without one later, the last plan goes on as Nmpc::hold says.
   const tilt_ropter::ActuatorState<4>& control(double time) {
-    started_ = started_ || ekf_.running();
+    started_ = started();
     if (!started_) return command_;
     result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.state()) : nmpc_.hold(time);
     command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
@@ -61,6 +61,8 @@ class FlightController {
     return command_;
   }
 
+  /// True from the first state on.
+  [[nodiscard]] bool started() const { return started_ || ekf_.running(); }
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
   /// Measured speeds and modelled tilt angles.
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& applied() const { return applied_; }

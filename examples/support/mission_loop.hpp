@@ -174,7 +174,7 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
       controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
     if (const auto m = sensors.poses.sample(time, plant.body()))
       controller.on_pose(m->time, {m->position, m->orientation});
-    if (i % steps_per_tick == 0 && controller.ekf().running()) {  // from the first pose on
+    if (i % steps_per_tick == 0 && controller.started()) {  // from the first pose on
       controller.prepare(time, mission);
       command = controller.control(time);
       const NmpcResult& result = controller.result();

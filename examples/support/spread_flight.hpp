@@ -150,7 +150,7 @@ template <typename OnTick>
       controller.on_pose(m->time, {m->position, m->orientation});
     if (i % steps_per_tick == 0) {
       force = wind.next(steps_per_tick * step);
-      if (controller.ekf().running()) {
+      if (controller.started()) {
         controller.prepare(time, mission);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
         if (controller.result().status != NmpcStatus::solved) ++record.solver_failures;

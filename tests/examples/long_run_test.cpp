@@ -59,7 +59,7 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
         controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
       if (const auto m = sensors.poses.sample(time, plant.body()))
         controller.on_pose(m->time, {m->position, m->orientation});
-      if (i % 10 == 0 && controller.ekf().running()) {
+      if (i % 10 == 0 && controller.started()) {
         controller.prepare(time, reference);
         command = controller.control(time);
         failures += controller.result().status != NmpcStatus::solved;
