@@ -1,4 +1,5 @@
-# Headers, licence and the package that find_package(tilt_ropter) looks for; all of it can be moved.
+# Headers, licence and what find_package(tilt_ropter) and pkg-config look for; all of it can be moved.
+# `cpack -G DEB` packs it up, `cpack --config CPackSourceConfig.cmake` the sources.
 include(CMakePackageConfigHelpers)
 set(package_dir "${CMAKE_INSTALL_DATADIR}/cmake/tilt_ropter")
 
@@ -9,6 +10,9 @@ write_basic_package_version_file("${CMAKE_CURRENT_BINARY_DIR}/tilt_ropterConfigV
 
 install(DIRECTORY include/tilt_ropter DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}"
   FILES_MATCHING PATTERN "*.hpp")
+configure_file(cmake/tilt_ropter.pc.in "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.pc" @ONLY)
+install(FILES "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.pc"
+  DESTINATION "${CMAKE_INSTALL_DATADIR}/pkgconfig")
 install(FILES LICENSE DESTINATION "${CMAKE_INSTALL_DOCDIR}")
 install(TARGETS tilt_ropter EXPORT tilt_ropterTargets)
 install(EXPORT tilt_ropterTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
@@ -17,3 +21,18 @@ install(FILES
   "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropterConfigVersion.cmake"
   cmake/FindNLopt.cmake
   DESTINATION "${package_dir}")
+
+if(NOT top_level)
+  return()
+endif()
+set(CPACK_PACKAGE_VENDOR "the tilt_ropter authors")
+set(CPACK_PACKAGE_CONTACT "the tilt_ropter authors")
+set(CPACK_RESOURCE_FILE_LICENSE "${CMAKE_CURRENT_SOURCE_DIR}/LICENSE")
+set(CPACK_DEBIAN_PACKAGE_NAME libtilt-ropter-dev)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE all)
+set(CPACK_DEBIAN_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_PACKAGE_DEPENDS "libeigen3-dev (>= 3.3.7), libnlopt-dev (>= 2.6)")
+set(CPACK_SOURCE_GENERATOR TGZ)
+set(CPACK_SOURCE_IGNORE_FILES "/\\.git/" "/build[^/]*/" "/results/")
+include(CPack)

@@ -73,7 +73,7 @@ build() {  # directory, CMake options
 
 benchmark_packages=(libbenchmark-dev)
 test_packages=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core libmujoco-dev
-  libegl-dev libgl1 libgl1-mesa-dri)
+  libegl-dev libgl1 libgl1-mesa-dri pkgconf)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)

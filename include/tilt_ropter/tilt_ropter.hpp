@@ -1,10 +1,9 @@
 #pragma once
 
-/// The whole library. A component compiles faster; each header stands alone.
+/// The whole library; without NLopt, all but what solves with it. A component compiles faster; each
+/// header stands alone.
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
@@ -29,14 +28,9 @@
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/block_product.hpp>
-#include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
-#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
-#include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -48,3 +42,13 @@
 #include <tilt_ropter/simulation/sensors.hpp>
 #include <tilt_ropter/simulation/wheel_contact.hpp>
 #include <tilt_ropter/version.hpp>
+
+#if __has_include(<nlopt.h>)
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/optimal_control/full_space.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/optimal_control/quadratic_program.hpp>
+#include <tilt_ropter/optimal_control/solve_report.hpp>
+#endif
