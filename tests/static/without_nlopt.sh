@@ -6,8 +6,9 @@ set -euo pipefail
 
 compile=("$2" -std=c++17 -I "$1" -isystem "$3" -x c++)
 cd "$1"
-needing=$(for header in $(find tilt_ropter -mindepth 2 -name '*.hpp' | sort); do
-  if "${compile[@]}" -M - <<< "#include <$header>" | grep -q 'nlopt\.h'; then echo "$header"; fi
+needing=$(for header in $(find tilt_ropter -mindepth 2 -name '*.hpp' | LC_ALL=C sort); do
+  includes=$("${compile[@]}" -M - <<< "#include <$header>")
+  [[ $includes != *nlopt.h* ]] || echo "$header"
 done)
 diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/nmpc.hpp
