@@ -75,24 +75,18 @@ TEST(HybridMission, AsksTheServosForNoMoreThanTheyCanAndTracksAsWell) {
     EXPECT_LE(flown()[rmse], 1.05 * boxes[rmse]) << rmse;
 }
 
-TEST(HybridMission, AsksSlowerServosForNoMoreEither) {
-  Flight rows = run("--no-pictures --servo-speed 6");
-  Flight boxes = run("--no-pictures --servo-speed 6 --no-actuator-rows");
-  EXPECT_LE(rows["tilt_rate_max_radps"], 6.0);
-  EXPECT_EQ(rows["tilt_rate_exceeded_share"], 0.0);
-  EXPECT_GT(boxes["tilt_rate_max_radps"], 1.2 * 6.0);
-  EXPECT_GT(boxes["tilt_rate_exceeded_share"], 0.01);
-  EXPECT_LE(rows["ground_rmse_m"], 0.012);  // the price: 0.0088 without the rows
-}
-
-TEST(HybridMission, VerySlowServosCanStillDriveWithTheRowsAndNotWithout) {
-  Flight rows = run("--no-pictures --servo-speed 2 --ground-thrust 1");
-  Flight boxes = run("--no-pictures --servo-speed 2 --ground-thrust 1 --no-actuator-rows");
+// A quarter as fast as the reference vehicle's; thrust on the ground takes the turns off the arms.
+TEST(HybridMission, AsksVerySlowServosForNoMoreEither) {
+  const Flight rows = run("--no-pictures --servo-speed 2 --ground-thrust 1.5");
+  const Flight boxes = run("--no-pictures --servo-speed 2 --ground-thrust 1.5 --no-actuator-rows");
   EXPECT_LE(rows["planned_tilt_rate_max_radps"], 0.85 * 2.0 + 0.005);
-  EXPECT_LE(rows["ground_rmse_m"], 0.07);
+  EXPECT_LE(rows["tilt_rate_max_radps"], 2.0);
+  EXPECT_EQ(rows["tilt_rate_exceeded_share"], 0.0);
+  EXPECT_GT(boxes["tilt_rate_max_radps"], 2.0 * 2.0);
+  EXPECT_GT(boxes["tilt_rate_exceeded_share"], 0.02);
+  EXPECT_LE(rows["ground_rmse_m"], 0.015);  // the price: 0.009 without the rows
   EXPECT_EQ(rows["contact_mode_changes"], 4);
   EXPECT_EQ(rows["solver_failures"], 0);
-  EXPECT_GT(boxes["ground_rmse_m"], 0.5);  // lost
 }
 
 TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {

@@ -96,6 +96,8 @@ struct NmpcResult {
 ///   sees: hold()): the last plan goes on. Status bad_state.
 /// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
 ///   reference that is not finite: the last plan goes on. Status solver_failed.
+/// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it is
+///   made anew from cold in the same call, and if that is no better, the safe wrench goes out.
 /// - So often in a row (failures_before_reset): the same, and the next solve starts cold, from the
 ///   measured state and the wrench commanded last.
 /// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
@@ -146,7 +148,6 @@ class Nmpc {
       first.wrench = planned_wrench(time - plan_time_);
       solver_.set_guess(0, first, solver_.input(0));
       (void)solver_.prepare();
-      if (plan_is_astray(first)) cold_ = true;
     }
     return lifted_off;
   }
@@ -169,13 +170,17 @@ class Nmpc {
     // while it turns with its nose up or down. A model that did would rather keep the nose there.
     if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
     x.wrench = cold_ && !has_plan_ ? safe_wrench() : planned_wrench(time - plan_time_);
-    if (cold_) {
-      solver_.reset(x);
-      plan_start_ = x.wrench;
-      (void)solver_.prepare();
-    }
+    if (cold_) start_cold(x);
     prepared_ = false;
     result_.report = solver_.feedback(x);
+    if (result_.report.status == SolveStatus::iterated && !plan_is_credible()) {
+      start_cold(x);
+      result_.report = solver_.feedback(x);
+      if (!plan_is_credible()) {
+        has_plan_ = false;  // the last one has been written over
+        result_.report.status = SolveStatus::failed;
+      }
+    }
     if (result_.report.status != SolveStatus::iterated)
       return continue_last_plan(time, NmpcStatus::solver_failed);
     failures_ = 0;
@@ -210,16 +215,29 @@ class Nmpc {
     return external.force.norm() <= most && external.torque.norm() <= most;
   }
 
-  /// True if to stay where the vehicle is would cost much less than the plan does: bad input has
-  /// led it astray, from where one iteration at a time need not find back. `now` is its first
-  /// state.
-  [[nodiscard]] bool plan_is_astray(const State<>& now) const {
-    State<> stay = now;
-    stay.body = body_state_;
-    double cost = 0.0;
-    for (int k = 0; k <= solver_.horizon(); ++k)
-      cost += solver_.problem().cost(k, stay, Problem::Input::Zero());
-    return solver_.report().cost > 10.0 + 2.0 * cost;
+  /// A plan from anywhere begins with the whole horizon at `x`.
+  void start_cold(const State<>& x) {
+    solver_.reset(x);
+    plan_start_ = x.wrench;
+    (void)solver_.prepare();
+  }
+
+  /// False if the plan turns or pushes ten times as much as the bounds allow, or goes a kilometre
+  /// away: bad input has led it astray, from where one iteration at a time does not find back.
+  [[nodiscard]] bool plan_is_credible() const {
+    const NmpcBounds& b = settings_.problem.bounds;
+    const double turn = 10.0 * b.angular_velocity.maxCoeff(),
+                 force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
+                 torque =
+                     10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
+    for (int k = 1; k <= solver_.horizon(); ++k) {
+      const State<>& x = solver_.state(k);
+      if (!(x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
+            x.wrench.torque.norm() <= torque &&
+            (x.body.position - body_state_.position).norm() <= 1e3))
+        return false;
+    }
+    return true;
   }
 
   void set_nodes() {
