@@ -175,7 +175,8 @@ class MujocoPlant {
       const auto k = static_cast<Eigen::Index>(i);
       const tilt_ropter::ServoParameters& servo = servos_[i];
       const double speed = actuators_.rotor_speed(k);
-      data_->ctrl[thrust_[i]] = vehicle_.rotor.thrust_coefficient * speed * speed;
+      data_->ctrl[thrust_[i]] =
+          vehicle_.rotors[i].effectiveness * vehicle_.rotor.thrust_coefficient * speed * speed;
       const double target = std::clamp(command.tilt_angle(k), servo.min_angle, servo.max_angle);
       data_->ctrl[servo_[i]] =
           std::clamp((target - data_->qpos[tilt_angle_[i]]) / servo.time_constant, -servo.max_rate,

@@ -36,7 +36,7 @@ inline void validate(const ActuatorRowSettings& s) {
 ///
 ///     ( (dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
 ///     (-(dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
-///     sqrt(T_l^2 + T_v^2) <= max_thrust,
+///     sqrt(T_l^2 + T_v^2) <= effectiveness max_thrust,
 ///
 /// first the first of all rotors, then the second, then the third. h is the thrust of one rotor in
 /// hover, so there the first two are rad/s beyond r. Divided by the thrust's own square they would
@@ -46,7 +46,7 @@ inline void validate(const ActuatorRowSettings& s) {
 /// shrinks.
 ///
 /// Wrenches that need the null space of A have other thrusts; the rows do not know of it. A rotor
-/// that does not tilt has the third row only.
+/// that does not tilt has the third row only, a lost one none.
 template <int Rotors>
 class ActuatorRows {
  public:
@@ -67,8 +67,10 @@ class ActuatorRows {
     scale_ = 1.0 / (hover * hover);
     hold_square_ = settings.hold_thrust * settings.hold_thrust;
     for (int i = 0; i < Rotors; ++i) {
-      upper_(2 * Rotors + i) = vehicle.rotor.max_thrust;
-      if (!vehicle.rotors[static_cast<std::size_t>(i)].tilts) continue;
+      const RotorGeometry& geometry = vehicle.rotors[static_cast<std::size_t>(i)];
+      if (!(geometry.effectiveness > 0.0)) continue;
+      upper_(2 * Rotors + i) = geometry.effectiveness * vehicle.rotor.max_thrust;
+      if (!geometry.tilts) continue;
       max_rate_(i) = settings.tilt_rate_share * vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
     }

@@ -80,6 +80,10 @@ struct ActuatorRates {
 ///   be less than the largest; a tilting rotor's min_thrust is enforced after the scaling. In any
 ///   case limits hold and `lost` says what was given up.
 ///
+/// A rotor of effectiveness e < 1 turns 1 / sqrt(e) times as fast for the same thrust, and has that
+/// share of the limits; a lost one is told the slowest speed and its angle stays. A stuck servo is
+/// a fixed rotor (with_stuck_servo): the rest is the null space's and the ladder's of above.
+///
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
 /// rotors, 1 to 9 us when limits are hit.
 template <int Rotors = 4, typename Scalar = double>
@@ -96,7 +100,11 @@ class Allocation {
   /// cannot give every wrench (rank of A below 6).
   explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters = {})
       : limits_(checked(vehicle, parameters)),
-        rotor_(vehicle.rotor),
+        min_speed_(
+            speed_from_thrust(Scalar(vehicle.rotor.min_thrust), vehicle.rotor.thrust_coefficient)),
+        max_speed_(
+            speed_from_thrust(Scalar(vehicle.rotor.max_thrust), vehicle.rotor.thrust_coefficient)),
+        has_min_thrust_(vehicle.rotor.min_thrust > 0.0),
         servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
         rotor_lead_(Scalar(parameters.lag_compensation * vehicle.rotor.time_constant)),
         max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
@@ -109,8 +117,12 @@ class Allocation {
         allocation.null_space.template cast<Scalar>();
     double lever = 0.0;
     for (std::size_t i = 0; i < Rotors; ++i) {
-      tilts_[i] = vehicle.rotors[i].tilts;
-      lever += vehicle.rotors[i].position.norm() + vehicle.rotor.torque_ratio;
+      const RotorGeometry& rotor = vehicle.rotors[i];
+      tilts_[i] = rotor.tilts;
+      // A lost rotor's thrust is none of A's, whatever its coefficient.
+      thrust_coefficient_[i] = (rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0) *
+                               vehicle.rotor.thrust_coefficient;
+      lever += rotor.position.norm() + vehicle.rotor.torque_ratio;
     }
     max_force_ = Scalar(Rotors * vehicle.rotor.max_thrust);
     max_torque_ = Scalar(lever * vehicle.rotor.max_thrust);
@@ -129,7 +141,7 @@ class Allocation {
     using std::sin;
     Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
     for (int i = 0; i < Rotors; ++i) {
-      const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor_.thrust_coefficient);
+      const Value thrust = thrust_from_speed(actuators.rotor_speed(i), thrust_coefficient(i));
       if (!tilts_[static_cast<std::size_t>(i)]) {
         thrusts(2 * i + 1) = thrust;
       } else if (actuators.tilt_angle.template segment<1>(i).allFinite()) {
@@ -160,13 +172,12 @@ class Allocation {
       const bool tilts = tilts_[static_cast<std::size_t>(i)];
       const Scalar angle = tilts ? next_angle(thrust, last.tilt_angle(i)) : Scalar(0);
       const auto unit = Limits::direction(angle);
-      const Scalar size = std::max(Scalar(rotor_.min_thrust),
-                                   std::min(thrust.dot(unit), Scalar(rotor_.max_thrust)));
+      const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
       const Scalar missed = (thrust - size * unit).norm();
       if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
         result.status = AllocationStatus::angle_held;
       thrust = size * unit;
-      result.command.rotor_speed(i) = speed_from_thrust(size, rotor_.thrust_coefficient);
+      result.command.rotor_speed(i) = bounded_speed(speed_from_thrust(size, thrust_coefficient(i)));
       result.command.tilt_angle(i) = angle;
     }
     const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * x.template head<components>();
@@ -185,8 +196,7 @@ class Allocation {
     if (result.status == AllocationStatus::rejected) return result;
     const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
     for (int i = 0; i < Rotors; ++i) {
-      const Scalar thrust =
-          thrust_from_speed(result.command.rotor_speed(i), rotor_.thrust_coefficient);
+      const Scalar thrust = thrust_from_speed(result.command.rotor_speed(i), thrust_coefficient(i));
       const Scalar calm = std::min(Scalar(1), thrust / calm_thrust_);
       const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
       result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
@@ -211,7 +221,7 @@ class Allocation {
       rates.tilt_rate(i) = (slopes(2 * i) * vertical - lateral * slopes(2 * i + 1)) / (size * size);
       const Scalar thrust_rate = (slopes(2 * i) * lateral + slopes(2 * i + 1) * vertical) / size;
       rates.rotor_acceleration(i) =
-          thrust_rate / (Scalar(2) * std::sqrt(Scalar(rotor_.thrust_coefficient) * size));
+          thrust_rate / (Scalar(2) * std::sqrt(Scalar(thrust_coefficient(i)) * size));
     }
     if (!rates.tilt_rate.allFinite() || !rates.rotor_acceleration.allFinite()) return {};
     return rates;
@@ -237,6 +247,14 @@ class Allocation {
                                                        const ActuatorState<Rotors, Scalar>& last,
                                                        Point& x) const noexcept;
 
+  [[nodiscard]] double thrust_coefficient(int i) const noexcept {
+    return thrust_coefficient_[static_cast<std::size_t>(i)];
+  }
+
+  [[nodiscard]] Scalar bounded_speed(Scalar speed) const noexcept {
+    return std::max(min_speed_, std::min(speed, max_speed_));
+  }
+
   /// Tilt angle for a thrust vector, seen from the last one.
   [[nodiscard]] Scalar next_angle(const Vector2& thrust, Scalar last) const noexcept {
     last = limits_.bounded_angle(last);
@@ -247,13 +265,10 @@ class Allocation {
 
   [[nodiscard]] ActuatorState<Rotors, Scalar> within_limits(
       const ActuatorState<Rotors, Scalar>& last) const noexcept {
-    const Scalar slowest = speed_from_thrust(Scalar(rotor_.min_thrust), rotor_.thrust_coefficient);
-    const Scalar fastest = speed_from_thrust(Scalar(rotor_.max_thrust), rotor_.thrust_coefficient);
     ActuatorState<Rotors, Scalar> command;
     for (int i = 0; i < Rotors; ++i) {
       const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
-      command.rotor_speed(i) =
-          std::isfinite(speed) ? std::max(slowest, std::min(speed, fastest)) : slowest;
+      command.rotor_speed(i) = std::isfinite(speed) ? bounded_speed(speed) : min_speed_;
       if (tilts_[static_cast<std::size_t>(i)])
         command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
     }
@@ -261,7 +276,9 @@ class Allocation {
   }
 
   Limits limits_;
-  RotorParameters rotor_;
+  Scalar min_speed_, max_speed_;
+  bool has_min_thrust_;
+  std::array<double, static_cast<std::size_t>(Rotors)> thrust_coefficient_{};
   Scalar servo_lead_, rotor_lead_, max_tilt_rate_, calm_thrust_;
   Scalar hold_thrust_;
   Scalar max_force_{};
@@ -291,7 +308,7 @@ AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
 
   typename Limits::Floors floors;
   x = force + torque;
-  if (rotor_.min_thrust > 0.0) {
+  if (has_min_thrust_) {
     for (int i = 0; i < Rotors; ++i) {
       const Vector2 thrust = x.template segment<2>(2 * i);
       floors[static_cast<std::size_t>(i)] =
@@ -299,8 +316,7 @@ AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
     }
   }
   const typename Limits::Space plain{null_space_, nullptr, Scalar(0)};
-  const typename Limits::Space floored{null_space_, rotor_.min_thrust > 0.0 ? &floors : nullptr,
-                                       Scalar(0)};
+  const typename Limits::Space floored{null_space_, has_min_thrust_ ? &floors : nullptr, Scalar(0)};
   if (limits_.contains(x, floored)) return AllocationStatus::ok;
 
   typename Limits::Coordinates y = Limits::Coordinates::Zero();

@@ -18,7 +18,8 @@ namespace tilt_ropter {
 /// lateral and vertical thrusts T_il = T_i sin(alpha_i), T_iv = T_i cos(alpha_i) (paper, Eq.
 /// allocation). Rotor i pushes along (0, -T_il, T_iv) in its rotor frame; that force f, turned to
 /// the body frame, has the torque r_i x f - spin_i torque_ratio f. Column T_il of a rotor that does
-/// not tilt is zero.
+/// not tilt is zero, so are both columns of a lost one. Of a rotor's effectiveness between 0 and 1
+/// the thrusts T_i know nothing; it counts where they become speeds.
 template <int Rotors>
 struct AllocationMatrix {
   static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
@@ -28,7 +29,7 @@ struct AllocationMatrix {
       Eigen::Matrix<double, 6, components>::Zero();  ///< A; rows F [1] and M [m]
   Eigen::Matrix<double, components, 6> pseudoinverse =
       Eigen::Matrix<double, components, 6>::Zero();  ///< Moore-Penrose
-  Eigen::MatrixXd null_space;  ///< orthonormal columns, zero where a rotor does not tilt
+  Eigen::MatrixXd null_space;                        ///< orthonormal columns, zero where A's are
 
   /// Allocates. Throws std::invalid_argument on a geometry that cannot give every wrench, naming
   /// the rank of A and what is out of reach.
@@ -37,6 +38,7 @@ struct AllocationMatrix {
     double size = 1e-9;
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
+      if (!(rotor.effectiveness > 0.0)) continue;
       if (rotor.tilts) {
         matrix.col(2 * i) = wrench_of(rotor, -rotor.orientation.col(1), vehicle.rotor);
         columns.push_back(2 * i);

@@ -18,7 +18,8 @@ namespace tilt_ropter::detail {
 /// The set C of thrusts within limits: for each rotor a part of the plane of (T_l, T_v), namely
 /// - servo turns all round: the disc |T| <= max_thrust,
 /// - smaller servo range: the sector of that disc,
-/// - rotor does not tilt: the ray T_l = 0, min_thrust <= T_v <= max_thrust.
+/// - rotor does not tilt: the ray T_l = 0, min_thrust <= T_v <= max_thrust,
+/// with limits that are the rotor's effectiveness times those of RotorParameters.
 /// min_thrust would cut a hole into the middle of a disc; so that the set stays convex the hole is
 /// left to an optional floor, T . u >= min_thrust along a unit vector u given per rotor.
 ///
@@ -50,11 +51,10 @@ class ThrustLimits {
   };
 
   explicit ThrustLimits(const Vehicle<Rotors>& vehicle)
-      : min_thrust_(Scalar(vehicle.rotor.min_thrust)),
-        max_thrust_(Scalar(vehicle.rotor.max_thrust)),
-        min_angle_(Scalar(vehicle.servo.min_angle)),
+      : min_angle_(Scalar(vehicle.servo.min_angle)),
         max_angle_(Scalar(vehicle.servo.max_angle)),
-        tolerance_(Scalar(100) * std::numeric_limits<Scalar>::epsilon() * max_thrust_) {
+        tolerance_(Scalar(100) * std::numeric_limits<Scalar>::epsilon() *
+                   Scalar(vehicle.rotor.max_thrust)) {
     const double middle = 0.5 * (vehicle.servo.min_angle + vehicle.servo.max_angle);
     const double half_width = 0.5 * (vehicle.servo.max_angle - vehicle.servo.min_angle);
     middle_ = direction(Scalar(middle));
@@ -63,7 +63,18 @@ class ThrustLimits {
     // Below -1 every direction is in range, without regard to rounding.
     cos_half_width_ = Scalar(half_width < pi - 1e-9 ? std::cos(half_width) : -2.0);
     convex_ = half_width <= 0.5 * pi || half_width >= pi - 1e-9;
-    for (std::size_t i = 0; i < Rotors; ++i) tilts_[i] = vehicle.rotors[i].tilts;
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      const RotorGeometry& rotor = vehicle.rotors[i];
+      tilts_[i] = rotor.tilts;
+      min_thrust_[i] = Scalar(rotor.effectiveness * vehicle.rotor.min_thrust);
+      max_thrust_[i] = Scalar(rotor.effectiveness * vehicle.rotor.max_thrust);
+    }
+  }
+
+  /// `thrust` [N] of rotor i, cut to its limits.
+  [[nodiscard]] Scalar bounded_thrust(int i, Scalar thrust) const noexcept {
+    const auto rotor = static_cast<std::size_t>(i);
+    return std::max(min_thrust_[rotor], std::min(thrust, max_thrust_[rotor]));
   }
 
   /// (T_l, T_v) of unit thrust at a tilt angle [rad].
@@ -186,22 +197,24 @@ class ThrustLimits {
       const auto rotor = static_cast<std::size_t>(i);
       Vector2 excess = Vector2::Zero();
       Matrix2& curvature = at.curvature[rotor];
+      const Scalar min_thrust = min_thrust_[rotor], max_thrust = max_thrust_[rotor];
       curvature.setZero();
       const Vector2 thrust = x.template segment<2>(2 * i);
       const Scalar size = thrust.norm();
       if (!tilts_[rotor]) {
-        from_ray(thrust, Vector2(Scalar(0), Scalar(1)), min_thrust_, excess, curvature);
+        from_ray(thrust, Vector2(Scalar(0), Scalar(1)), min_thrust, max_thrust, excess, curvature);
       } else if (thrust.dot(middle_) < cos_half_width_ * size) {
         const bool above = thrust.x() * middle_.y() - thrust.y() * middle_.x() > Scalar(0);
-        from_ray(thrust, above ? upper_edge_ : lower_edge_, Scalar(0), excess, curvature);
-      } else if (size > max_thrust_) {
+        from_ray(thrust, above ? upper_edge_ : lower_edge_, Scalar(0), max_thrust, excess,
+                 curvature);
+      } else if (size > max_thrust) {
         const Vector2 unit = thrust / size;
-        excess = (size - max_thrust_) * unit;
-        curvature = (max_thrust_ / size) * unit * unit.transpose();
-        curvature.diagonal().array() += Scalar(1) - max_thrust_ / size;
+        excess = (size - max_thrust) * unit;
+        curvature = (max_thrust / size) * unit * unit.transpose();
+        curvature.diagonal().array() += Scalar(1) - max_thrust / size;
       } else if (space.floors != nullptr) {
         const Vector2& unit = (*space.floors)[rotor];
-        const Scalar missing = min_thrust_ - thrust.dot(unit);
+        const Scalar missing = min_thrust - thrust.dot(unit);
         if (missing > Scalar(0)) {
           excess = -missing * unit;
           curvature = unit * unit.transpose();
@@ -216,13 +229,13 @@ class ThrustLimits {
     return at;
   }
 
-  void from_ray(const Vector2& thrust, const Vector2& unit, Scalar lower, Vector2& excess,
-                Matrix2& curvature) const noexcept {
+  static void from_ray(const Vector2& thrust, const Vector2& unit, Scalar lower, Scalar upper,
+                       Vector2& excess, Matrix2& curvature) noexcept {
     const Scalar size = thrust.dot(unit);
-    const Scalar bounded = std::max(lower, std::min(size, max_thrust_));
+    const Scalar bounded = std::max(lower, std::min(size, upper));
     excess = thrust - bounded * unit;
     curvature.setIdentity();
-    if (size > lower && size < max_thrust_) curvature -= unit * unit.transpose();
+    if (size > lower && size < upper) curvature -= unit * unit.transpose();
   }
 
   [[nodiscard]] static Coordinates newton_step(const Directions& directions, const Evaluation& at,
@@ -242,8 +255,7 @@ class ThrustLimits {
     return -hessian.llt().solve(gradient);
   }
 
-  Scalar min_thrust_;
-  Scalar max_thrust_;
+  std::array<Scalar, static_cast<std::size_t>(Rotors)> min_thrust_{}, max_thrust_{};
   Scalar min_angle_;
   Scalar max_angle_;
   Scalar tolerance_;

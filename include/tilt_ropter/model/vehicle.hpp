@@ -7,6 +7,7 @@
 
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <string>
 
 /// What the vehicle is: every parameter of it, plain data with units, and the reference vehicle.
@@ -32,6 +33,9 @@ struct RotorGeometry {
       Eigen::Matrix3d::Identity();  ///< rotor frame -> body frame, a rotation matrix
   Spin spin = Spin::counter_clockwise;
   bool tilts = true;  ///< false: alpha is always zero, thrust along the rotor frame's z
+  /// Share of RotorParameters' thrust that the rotor gives at a speed, and of its limits; 0: it is
+  /// lost.
+  double effectiveness = 1.0;
 };
 
 /// A rotor at the end of an arm of `length` [m] in the body's xy plane at `azimuth` [rad] from x.
@@ -98,6 +102,8 @@ inline void validate(const RotorGeometry& p, const std::string& field = "RotorGe
   require(std::abs(x.squaredNorm() - 1.0) <= 1e-6 && std::abs(y.squaredNorm() - 1.0) <= 1e-6 &&
               std::abs(x.dot(y)) <= 1e-6 && skewness <= 1e-6,
           field + ".orientation", p.orientation, "a rotation matrix");
+  require(p.effectiveness >= 0.0 && p.effectiveness <= 1.0, field + ".effectiveness",
+          p.effectiveness, "in [0, 1]");
 }
 
 inline void validate(const RotorParameters& p) {
@@ -141,6 +147,29 @@ void validate(const Vehicle<Rotors>& vehicle) {
   validate(vehicle.servo);
   validate(vehicle.wheels);
   validate(vehicle.power);
+}
+
+/// The same vehicle with the servo of `rotor` (from 0) stuck at `angle` [rad]: to allocation and
+/// controller a rotor that does not tilt, in a frame that does. Throws std::out_of_range.
+template <int Rotors>
+[[nodiscard]] Vehicle<Rotors> with_stuck_servo(Vehicle<Rotors> vehicle, std::size_t rotor,
+                                               double angle) {
+  RotorGeometry& stuck = vehicle.rotors.at(rotor);
+  const double c = std::cos(angle), s = std::sin(angle);
+  Eigen::Matrix3d turn;
+  turn << 1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c;
+  stuck.orientation = (stuck.orientation * turn).eval();
+  stuck.tilts = false;
+  return vehicle;
+}
+
+/// The same vehicle with `rotor` (from 0) giving the share `effectiveness`, in [0, 1], of the
+/// thrust that it gave: 0.5 a broken blade, 0 a rotor lost. Throws std::out_of_range.
+template <int Rotors>
+[[nodiscard]] Vehicle<Rotors> with_weak_rotor(Vehicle<Rotors> vehicle, std::size_t rotor,
+                                              double effectiveness) {
+  vehicle.rotors.at(rotor).effectiveness *= effectiveness;
+  return vehicle;
 }
 
 /// The Tilt-Ropter of the paper: a plus frame numbered like PX4's "Quad +", 1 right (-y), 2 left

@@ -76,10 +76,10 @@ struct PlantLoads {
 
 /// The body obeys the paper's Eqs. rb1-rb4 with `actuators` and `external` of PlantLoads; its
 /// inertia is that of everything, the wheels' about their axle excepted. Rotor i pushes with
-/// c_t Omega^2 along its axis at its position, tilted by its angle, and turns the body against its
-/// spin by torque_ratio times that; rotor inertia is neglected, as in the paper. Rotor speeds and
-/// tilt angles follow their commands by first-order lags, the servos within their rate and after
-/// their dead time; commands out of range are cut to it.
+/// its effectiveness times c_t Omega^2 along its axis at its position, tilted by its angle, and
+/// turns the body against its spin by torque_ratio times that; rotor inertia is neglected, as in
+/// the paper. Rotor speeds and tilt angles follow their commands by first-order lags, the servos
+/// within their rate and after their dead time; commands out of range are cut to it.
 ///
 /// A step is divided into equal substeps of a fourth-order Runge-Kutta method. They are no longer
 /// than max_substep or the inverse of the fastest rate of the parameters, so that stiff wheels and
@@ -223,7 +223,8 @@ class Plant {
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& geometry = rotor(i);
       const double speed = actuators.rotor_speed(i), tilt = actuators.tilt_angle(i);
-      const double thrust = vehicle_.rotor.thrust_coefficient * speed * speed;
+      const double thrust =
+          geometry.effectiveness * vehicle_.rotor.thrust_coefficient * speed * speed;
       const double reaction = -static_cast<int>(geometry.spin) * vehicle_.rotor.torque_ratio;
       const Eigen::Vector3d force = thrust * (std::cos(tilt) * geometry.orientation.col(2) -
                                               std::sin(tilt) * geometry.orientation.col(1));
