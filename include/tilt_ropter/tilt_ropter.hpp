@@ -16,6 +16,7 @@
 #include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/allocation_matrix.hpp>
+#include <tilt_ropter/model/control_authority.hpp>
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>

@@ -172,6 +172,16 @@ TEST(ActuatorRows, RotorsThatDoNotTiltHaveTheThrustRowOnly) {
   EXPECT_TRUE((rows.upper().tail<8>().array() == vehicle.rotor.max_thrust).all());
 }
 
+TEST(ActuatorRows, WeakRotorHasItsShareOfThrustAndALostOneNoRow) {
+  const auto vehicle = with_weak_rotor(with_weak_rotor(tilt_ropter_vehicle(), 1, 0.5), 2, 0.0);
+  const ActuatorRows<4> rows(vehicle);
+  const double infinity = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(Eigen::Vector4d(rows.upper().head<4>()), Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
+  EXPECT_EQ(Eigen::Vector4d(rows.upper().segment<4>(4)), Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
+  EXPECT_EQ(Eigen::Vector4d(rows.upper().tail<4>()), Eigen::Vector4d(12.0, 6.0, infinity, 12.0));
+  EXPECT_EQ(rows.values(Vector6::Ones(), Vector6::Ones())(10), 0.0);
+}
+
 TEST(ActuatorRows, ByDefaultNothingIsBounded) {
   const ActuatorRows<4> rows;
   EXPECT_TRUE((rows.upper().array() == std::numeric_limits<double>::infinity()).all());

@@ -22,7 +22,7 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
                  v.servo.dead_time, v.wheels.radius, v.wheels.half_track, v.power.electronics,
                  v.power.hover);
   for (RotorGeometry& rotor : v.rotors) {
-    input.vary_all(rotor.position, rotor.orientation, rotor.tilts);
+    input.vary_all(rotor.position, rotor.orientation, rotor.tilts, rotor.effectiveness);
     if (input.coin()) rotor.orientation = input.orientation().toRotationMatrix();
     if (input.integer(0, 7) == 0) rotor.spin = Spin::clockwise;
   }

@@ -182,6 +182,7 @@ TEST(Plant, AccelerationsFollowFromNewtonAndEuler) {
       r.spin = random.uniform(-1.0, 1.0) < 0.0 ? Spin::clockwise : Spin::counter_clockwise;
     }
     v.rotors[2].tilts = false;
+    v.rotors[1].effectiveness = 0.4;
     PlantParameters p;
     p.linear_drag << 0.1, 0.2, 0.3;
     Plant<3> plant(v, p);
@@ -206,7 +207,8 @@ TEST(Plant, AccelerationsFollowFromNewtonAndEuler) {
       const Eigen::Vector3d axis =
           r.orientation * Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitX()).toRotationMatrix() *
           Eigen::Vector3d::UnitZ();
-      const double thrust = 1.3e-6 * x.actuators.rotor_speed(i) * x.actuators.rotor_speed(i);
+      const double thrust =
+          r.effectiveness * 1.3e-6 * x.actuators.rotor_speed(i) * x.actuators.rotor_speed(i);
       f += thrust * axis;
       m += r.position.cross(thrust * axis);
       m += (r.spin == Spin::clockwise ? 0.016 : -0.016) * thrust * axis;

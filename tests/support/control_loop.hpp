@@ -52,6 +52,26 @@ class ControlLoop {
     actuators_.reset(command_, 0.0);
   }
 
+  /// From now on the plant is `truth`, in the state in which it is; a rotor that tilts no more is
+  /// at once where `truth` holds it. Nobody is told.
+  void fail(const tilt_ropter::Vehicle<4>& truth) {
+    const tilt_ropter::PlantState<4> state = plant_.state();
+    plant_ = PlantType(truth);
+    plant_.reset(state);
+  }
+
+  /// From now on all that is on board takes the vehicle for `believed`, whose mass is the same.
+  /// What the observer took for a disturbance since the failure was the failure.
+  void tell(const tilt_ropter::Vehicle<4>& believed) {
+    const double time = plant_.time();
+    tilt_ropter::ActuatorState<4> now{command_.rotor_speed, actuators_.state().tilt_angle};
+    actuators_ = tilt_ropter::ActuatorModel<4>(believed);
+    actuators_.reset(now, time);
+    allocation_ = tilt_ropter::Allocation<4>(believed);
+    nmpc_ = tilt_ropter::Nmpc<4>(believed, nmpc_.settings());
+    observer_.set_external({});
+  }
+
   /// Flies for `duration` [s]; every solve must succeed.
   template <typename Reference>
   void run(double duration, const Reference& reference) {

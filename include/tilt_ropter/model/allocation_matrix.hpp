@@ -33,24 +33,43 @@ struct AllocationMatrix {
 
   /// Allocates. Throws std::invalid_argument on a geometry that cannot give every wrench, naming
   /// the rank of A and what is out of reach.
-  explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) {
-    std::vector<int> columns;
-    double size = 1e-9;
-    for (int i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
-      if (!(rotor.effectiveness > 0.0)) continue;
-      if (rotor.tilts) {
-        matrix.col(2 * i) = wrench_of(rotor, -rotor.orientation.col(1), vehicle.rotor);
-        columns.push_back(2 * i);
-      }
-      matrix.col(2 * i + 1) = wrench_of(rotor, rotor.orientation.col(2), vehicle.rotor);
-      columns.push_back(2 * i + 1);
-      size = std::max(size, rotor.position.norm() + vehicle.rotor.torque_ratio);
-    }
-    invert(columns, size);
+  explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) { invert(fill(vehicle)); }
+
+  /// Singular values of A, the largest first, torques in units of the vehicle's size: its longest
+  /// arm plus torque_ratio. A's rank is the number of those above 1e-6 times the largest. Of any
+  /// geometry whose products are finite, else throws std::invalid_argument; allocates.
+  [[nodiscard]] static Eigen::Matrix<double, 6, 1> singular_values(const Vehicle<Rotors>& vehicle) {
+    AllocationMatrix allocation;
+    const Columns columns = allocation.fill(vehicle);
+    return decompose(allocation.scaled(columns)).singularValues().template head<6>();
   }
 
  private:
+  /// The columns of A that a rotor stands behind, and the vehicle's size [m].
+  struct Columns {
+    std::vector<int> of;
+    double size = 1e-9;
+  };
+
+  AllocationMatrix() = default;
+
+  /// Writes A.
+  Columns fill(const Vehicle<Rotors>& vehicle) {
+    Columns columns;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
+      columns.size = std::max(columns.size, rotor.position.norm() + vehicle.rotor.torque_ratio);
+      if (!(rotor.effectiveness > 0.0)) continue;
+      if (rotor.tilts) {
+        matrix.col(2 * i) = wrench_of(rotor, -rotor.orientation.col(1), vehicle.rotor);
+        columns.of.push_back(2 * i);
+      }
+      matrix.col(2 * i + 1) = wrench_of(rotor, rotor.orientation.col(2), vehicle.rotor);
+      columns.of.push_back(2 * i + 1);
+    }
+    return columns;
+  }
+
   static Eigen::Matrix<double, 6, 1> wrench_of(const RotorGeometry& rotor,
                                                const Eigen::Vector3d& force,
                                                const RotorParameters& parameters) {
@@ -60,30 +79,40 @@ struct AllocationMatrix {
     return wrench;
   }
 
-  /// Torques are measured in units of the vehicle's `size` [m], so that the rank is that of its
+  /// Diagonal that measures torques in units of the vehicle's size, so that the rank is that of its
   /// shape; with full rank the pseudo-inverse does not depend on it.
-  void invert(const std::vector<int>& columns, double size) {
-    Eigen::Matrix<double, 6, 1> scale;
-    scale << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / size);
-    const auto count = static_cast<Eigen::Index>(columns.size());
+  static Eigen::Matrix<double, 6, 1> scale(const Columns& columns) {
+    Eigen::Matrix<double, 6, 1> diagonal;
+    diagonal << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / columns.size);
+    return diagonal;
+  }
+
+  [[nodiscard]] Eigen::MatrixXd scaled(const Columns& columns) const {
+    const auto count = static_cast<Eigen::Index>(columns.of.size());
     // Made square by zeros, which needs no QR decomposition and spares the compiler two of them.
     const Eigen::Index side = std::max<Eigen::Index>(count, 6);
-    Eigen::MatrixXd scaled = Eigen::MatrixXd::Zero(side, side);
+    Eigen::MatrixXd square = Eigen::MatrixXd::Zero(side, side);
     for (Eigen::Index j = 0; j < count; ++j)
-      scaled.col(j).head<6>() =
-          scale.asDiagonal() * matrix.col(columns[static_cast<std::size_t>(j)]);
+      square.col(j).head<6>() =
+          scale(columns).asDiagonal() * matrix.col(columns.of[static_cast<std::size_t>(j)]);
     // Products of finite numbers may overflow, and the decomposition's rank is nonsense then.
-    require(scaled.allFinite(), "size of the vehicle [m]", size, "one whose products are finite");
-    const auto svd = decompose(scaled);
+    require(square.allFinite(), "size of the vehicle [m]", columns.size,
+            "one whose products are finite");
+    return square;
+  }
+
+  void invert(const Columns& columns) {
+    const auto count = static_cast<Eigen::Index>(columns.of.size());
+    const auto svd = decompose(scaled(columns));
     require_rank(svd.matrixU(), svd.rank());
 
     const Eigen::MatrixXd inverse =
         svd.matrixV().leftCols(6) *
         svd.singularValues().template head<6>().cwiseInverse().asDiagonal() *
-        svd.matrixU().template topLeftCorner<6, 6>().transpose() * scale.asDiagonal();
+        svd.matrixU().template topLeftCorner<6, 6>().transpose() * scale(columns).asDiagonal();
     null_space.setZero(components, count - 6);
     for (Eigen::Index j = 0; j < count; ++j) {
-      const int row = columns[static_cast<std::size_t>(j)];
+      const int row = columns.of[static_cast<std::size_t>(j)];
       pseudoinverse.row(row) = inverse.row(j);
       if (count > 6) null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
     }
@@ -91,9 +120,9 @@ struct AllocationMatrix {
 
   /// A template, so that the compiler looks at it only where a matrix is made.
   template <typename Matrix>
-  static auto decompose(const Matrix& scaled) {
+  static auto decompose(const Matrix& square) {
     Eigen::JacobiSVD<Matrix, Eigen::NoQRPreconditioner> svd(
-        scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
+        square, Eigen::ComputeFullU | Eigen::ComputeFullV);
     svd.setThreshold(1e-6);
     return svd;
   }

@@ -1,0 +1,85 @@
+#pragma once
+
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/model/allocation_matrix.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+/// What a vehicle can do, whole or with actuators that failed.
+namespace tilt_ropter {
+
+/// Level hover and what is left beyond it, at rest: how fast servos and rotors get there is not
+/// asked.
+struct ControlAuthority {
+  int rank = 0;  ///< of A, see AllocationMatrix; below 6 Allocation and Nmpc refuse the vehicle
+  /// Largest singular value of A / the smallest, torques in units of the vehicle's size: how much
+  /// dearer in thrust the dearest wrench is than the cheapest. Infinite below rank 6.
+  double condition = std::numeric_limits<double>::infinity();
+  bool hovers = false;  ///< the weight is carried without torque, all thrusts within limits
+  /// Smallest thrust of a rotor that is not lost, at hover by the command of Allocation [N]. Near
+  /// zero a push the other way takes half a turn of its servo.
+  double least_thrust = 0.0;
+  /// Largest force [N] and torque [N m] along each body axis, F then M, up to which Allocation
+  /// gives it on top of hover with nothing lost, forward and backward; zero where it does not
+  /// hover.
+  Eigen::Matrix<double, 6, 1> forward = Eigen::Matrix<double, 6, 1>::Zero();
+  Eigen::Matrix<double, 6, 1> backward = Eigen::Matrix<double, 6, 1>::Zero();
+};
+
+/// Of a vehicle of any rank; below 6 all but the rank stays as it is by default, although some such
+/// vehicles, a flat quadrotor for one, do hover. Bisection, about a millisecond; allocates. Throws
+/// std::invalid_argument on a vehicle that validate() refuses.
+template <int Rotors>
+[[nodiscard]] ControlAuthority control_authority(const Vehicle<Rotors>& vehicle) {
+  validate(vehicle);
+  ControlAuthority authority;
+  const auto singular = AllocationMatrix<Rotors>::singular_values(vehicle);
+  authority.rank = static_cast<int>((singular.array() > 1e-6 * singular(0)).count());
+  if (authority.rank < 6) return authority;
+  authority.condition = singular(0) / singular(5);
+
+  const Allocation<Rotors> allocation(vehicle);
+  Wrench<> hover;
+  hover.force.z() = vehicle.body.mass * gravity;
+  const auto level = allocation.allocate(hover, {});
+  authority.hovers = level.status != AllocationStatus::limited;
+  if (!authority.hovers) return authority;
+
+  authority.least_thrust = vehicle.rotor.max_thrust;
+  double lever = 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorGeometry& rotor = vehicle.rotors[i];
+    lever = std::max(lever, rotor.position.norm() + vehicle.rotor.torque_ratio);
+    const double thrust = rotor.effectiveness *
+                          thrust_from_speed(level.command.rotor_speed(static_cast<Eigen::Index>(i)),
+                                            vehicle.rotor.thrust_coefficient);
+    if (rotor.effectiveness > 0.0)
+      authority.least_thrust = std::min(authority.least_thrust, thrust);
+  }
+
+  const double most = 2.0 * Rotors * vehicle.rotor.max_thrust;  // the weight carried, and as much
+  const auto reach = [&](int axis, double end) {
+    double within = 0.0, beyond = end;
+    for (int i = 0; i < 40; ++i) {
+      const double middle = 0.5 * (within + beyond);
+      Wrench<> wrench = hover;
+      (axis < 3 ? wrench.force(axis) : wrench.torque(axis - 3)) += middle;
+      const bool reached = allocation.allocate(wrench, {}).status != AllocationStatus::limited;
+      (reached ? within : beyond) = middle;
+    }
+    return std::abs(within);
+  };
+  for (int axis = 0; axis < 6; ++axis) {
+    const double end = axis < 3 ? most : most * lever;
+    authority.forward(axis) = reach(axis, end);
+    authority.backward(axis) = reach(axis, -end);
+  }
+  return authority;
+}
+
+}  // namespace tilt_ropter

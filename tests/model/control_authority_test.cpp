@@ -1,0 +1,102 @@
+#include <tilt_ropter/model/control_authority.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "support/vehicles.hpp"
+
+namespace {
+
+using namespace tilt_ropter;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+
+/// Without reaction torque, for which there are closed forms.
+Vehicle<4> plain_vehicle() {
+  Vehicle<4> v = tilt_ropter_vehicle();
+  v.rotor.torque_ratio = 0.0;
+  return v;
+}
+
+constexpr double weight = 1.5 * gravity, most = 12.0, arm = 0.17;
+
+TEST(ControlAuthority, IsThatOfTheClosedFormsForTheWholeVehicle) {
+  const ControlAuthority a = control_authority(plain_vehicle());
+  EXPECT_EQ(a.rank, 6);
+  // In units of the arm: forces along x and y come from two rotors, all else from two or four; A is
+  // orthogonal with squares 2, 2, 4, 2, 2, 4.
+  EXPECT_NEAR(a.condition, std::sqrt(2.0), 1e-9);
+  EXPECT_TRUE(a.hovers);
+  EXPECT_NEAR(a.least_thrust, weight / 4.0, 1e-9);
+  // Two rotors push sideways or turn the body while the other two carry the weight; all share a
+  // yaw torque.
+  const double yaw = 4.0 * arm * std::sqrt(most * most - weight * weight / 16.0);
+  Vector6 forward, backward;
+  forward << 2.0 * most, 2.0 * most, 4.0 * most - weight, 2.0 * most * arm, 2.0 * most * arm, yaw;
+  backward = forward;
+  backward(2) = 4.0 * most + weight;
+  EXPECT_LT((a.forward - forward).cwiseAbs().maxCoeff(), 1e-5) << a.forward.transpose();
+  EXPECT_LT((a.backward - backward).cwiseAbs().maxCoeff(), 1e-5) << a.backward.transpose();
+}
+
+TEST(ControlAuthority, ReactionTorqueTakesItsShareOfASideForce) {
+  // Arms that push along x turn the body about it, which costs them torque_ratio / arm of their
+  // thrust up and down.
+  const ControlAuthority a = control_authority(tilt_ropter_vehicle());
+  const double slant = 0.016 / arm;
+  EXPECT_NEAR(a.forward(0), 2.0 * most / std::sqrt(1.0 + slant * slant), 1e-5);
+}
+
+TEST(ControlAuthority, OfAStuckServoAWeakRotorAndALostOne) {
+  // Stuck upright, an arm gives its vertical thrust only: nothing downward, nothing sideways.
+  const ControlAuthority stuck = control_authority(with_stuck_servo(plain_vehicle(), 0, 0.0));
+  EXPECT_EQ(stuck.rank, 6);
+  EXPECT_NEAR(stuck.forward(0), most, 1e-5);
+  EXPECT_NEAR(stuck.backward(2), 2.0 * most + weight, 1e-5);  // the opposite arm keeps the balance
+
+  // Two arms at most at half thrust, for the balance.
+  const ControlAuthority weak = control_authority(with_weak_rotor(plain_vehicle(), 0, 0.5));
+  EXPECT_NEAR(weak.forward(2), 3.0 * most - weight, 1e-5);
+  EXPECT_NEAR(weak.forward(3), 1.5 * most * arm, 1e-5);
+  EXPECT_NEAR(weak.least_thrust, weight / 4.0, 1e-9);
+
+  // Two rotors carry all, and the one opposite the lost one nothing: to push the other way its
+  // servo has to turn half round.
+  const ControlAuthority lost = control_authority(with_weak_rotor(plain_vehicle(), 2, 0.0));
+  EXPECT_EQ(lost.rank, 6);
+  EXPECT_TRUE(lost.hovers);
+  EXPECT_NEAR(lost.least_thrust, 0.0, 1e-9);
+  EXPECT_NEAR(lost.forward(2), 2.0 * most - weight, 1e-5);
+}
+
+TEST(ControlAuthority, TooHeavyDoesNotHoverAndBelowRankSixIsSaid) {
+  Vehicle<4> heavy = plain_vehicle();
+  heavy.body.mass = 4.9;
+  const ControlAuthority a = control_authority(heavy);
+  EXPECT_EQ(a.rank, 6);
+  EXPECT_FALSE(a.hovers);
+  EXPECT_EQ(a.forward, Vector6::Zero());
+  heavy.body.mass = 4.89;
+  EXPECT_TRUE(control_authority(heavy).hovers);
+
+  const ControlAuthority flat = control_authority(test_support::flat_quadrotor());
+  EXPECT_EQ(flat.rank, 4);
+  EXPECT_EQ(flat.condition, std::numeric_limits<double>::infinity());
+  EXPECT_FALSE(flat.hovers);
+  auto two = with_weak_rotor(with_weak_rotor(plain_vehicle(), 0, 0.0), 1, 0.0);
+  EXPECT_EQ(control_authority(two).rank, 4);
+  two.body.mass = -1.0;
+  EXPECT_THROW((void)control_authority(two), std::invalid_argument);
+}
+
+TEST(ControlAuthority, OfAnyNumberOfRotors) {
+  const auto hexacopter = test_support::tilting_hexacopter();
+  const ControlAuthority a = control_authority(hexacopter);
+  EXPECT_EQ(a.rank, 6);
+  EXPECT_NEAR(a.forward(2), 6.0 * 12.0 - hexacopter.body.mass * gravity, 1e-5);
+  EXPECT_EQ(control_authority(with_weak_rotor(hexacopter, 2, 0.0)).rank, 6);
+}
+
+}  // namespace
