@@ -71,7 +71,7 @@ Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
   };
 
   Landing result;
-  const int ticks = static_cast<int>(std::lround(100.0 * (down.end_time() + 1.5)));
+  int ticks = static_cast<int>(std::lround(100.0 * (down.end_time() + 1.5)));
   for (int i = 0; i < ticks; ++i) {
     if (i == 100) loop.fail(flight.failed);
     if (i == 110 && flight.known) loop.tell(flight.failed);
@@ -86,10 +86,10 @@ Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
       result.touched = true;
       result.speed = before.velocity.norm();
       result.lean = lean_of(before);
-      if (!(result.speed < 0.5)) break;  // nothing would be left to stand
+      if (!(result.speed < 0.5)) ticks = std::min(ticks, i + 30);  // a crash, watched to its end
     }
   }
-  result.stands = lean_of(loop.plant().body()) < 30.0 * degree &&
+  result.stands = result.speed < 0.5 && lean_of(loop.plant().body()) < 30.0 * degree &&
                   loop.plant().normal_forces().sum() > 0.5 * loop.weight();
 
   const ControlAuthority authority = control_authority(flight.failed);
