@@ -110,8 +110,10 @@ class Nmpc {
  public:
   using Problem = WheeledFlightProblem<Rotors>;
 
-  /// Throws std::invalid_argument for parameters or settings out of range. Allocates; the functions
-  /// below allocate nothing outside NLopt and never throw.
+  /// Throws std::invalid_argument for parameters or settings out of range, and for a geometry that
+  /// cannot give every wrench (see control_authority()). Allocates; the functions below allocate
+  /// nothing outside NLopt and never throw. When an actuator fails in flight, make another one for
+  /// the vehicle that is left.
   explicit Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings = {})
       : settings_(checked(settings)),
         body_(vehicle.body),
