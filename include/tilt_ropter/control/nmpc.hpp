@@ -98,8 +98,8 @@ struct NmpcResult {
 ///   reference that is not finite: the last plan goes on. Status solver_failed.
 /// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it is
 ///   made anew from cold in the same call, and if that is no better, the safe wrench goes out.
-/// - So often in a row (failures_before_reset): the same, and the next solve starts cold, from the
-///   measured state and the wrench commanded last.
+/// - So often in a row (failures_before_reset): the next solve starts cold, from the measured state
+///   and the wrench commanded last, which goes on if that fails, too.
 /// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
 ///
 /// One good tick ends each of these. The safe wrench is hover against the external wrench known
@@ -178,7 +178,7 @@ class Nmpc {
     if (result_.report.status == SolveStatus::iterated && !plan_is_credible()) {
       start_cold(x);
       result_.report = solver_.feedback(x);
-      if (!plan_is_credible()) {
+      if (result_.report.status != SolveStatus::iterated || !plan_is_credible()) {
         has_plan_ = false;  // the last one has been written over
         result_.report.status = SolveStatus::failed;
       }
