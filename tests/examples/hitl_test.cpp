@@ -253,8 +253,8 @@ TEST_F(HitlFlight, FliesOverLoopback) {
   if (!full_) return;
   EXPECT_LT(computed["onboard_deadline_misses"], 1e-3 * computed["onboard_ticks"]);
   EXPECT_LE(flown["air_rmse_m"], 1.2 * 0.0030);
-  EXPECT_LE(flown["ground_rmse_m"], 1.2 * 0.0090);
-  EXPECT_LE(flown["mission_rmse_m"], 1.2 * 0.0115);
+  EXPECT_LE(flown["ground_rmse_m"], 1.2 * 0.0083);
+  EXPECT_LE(flown["mission_rmse_m"], 1.2 * 0.0098);
   EXPECT_GE(flown["power_saved_percent"], 92.8);
 }
 
