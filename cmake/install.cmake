@@ -1,4 +1,4 @@
-# Headers, licence and what find_package(tilt_ropter) and pkg-config look for; all of it can be moved.
+# Headers, licence and what find_package() and pkg-config look for; all of it can be moved.
 # `cpack -G DEB` packs it up, `cpack --config CPackSourceConfig.cmake` the sources.
 include(CMakePackageConfigHelpers)
 set(package_dir "${CMAKE_INSTALL_DATADIR}/cmake/tilt_ropter")

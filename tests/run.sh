@@ -27,8 +27,8 @@ benchmarks, is built by GCC.
                themselves as HTML in build-coverage/report/; fails under 95 %. About half an hour
   --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
                target. About half an hour
-  --variants   the library's tests, compiled in other ways into build-variants/: without optimisation,
-               for this processor, with -ffast-math, with clang's libc++. About half an hour
+  --variants   the library's tests, compiled in other ways into build-variants/: not optimised, for
+               this processor, with -ffast-math, with clang's libc++. About half an hour
   --help       this text
 HELP
 }
@@ -77,15 +77,14 @@ test_packages=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core lib
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
-# What reads or maps sources wants them as they stand, without a precompiled header.
-as_they_stand=(-DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 # No build type, which leaves Eigen's assertions in.
 instrumented() {  # directory, flags
-  build "$1" "${with_clang[@]}" "${with_tests[@]}" "${as_they_stand[@]}" \
+  build "$1" "${with_clang[@]}" "${with_tests[@]}" \
     -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
 }
 # What these tests show is not changed by how the tests are built.
-sources_only='^(header|clang|packaging)\.|^comment_program$|^include_rules|^readme_program$'
+sources_only='^(header|clang|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
+sources_only+='|^(fast_math|readme_program|without_nlopt)$'
 # Their three programs fly in real time, which instrumented ones do not keep up with.
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 
@@ -152,7 +151,7 @@ if [[ $instead == tidy ]]; then
   bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" "${benchmark_packages[@]}" \
     libclang-rt-dev clang-tidy
   configure build-tidy "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_BENCHMARKS=ON \
-    -DTILT_ROPTER_BUILD_FUZZERS=ON "${as_they_stand[@]}" -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
+    -DTILT_ROPTER_BUILD_FUZZERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
   echo "== Reading every source, and every header as it is included"
   exec run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
 fi
@@ -176,7 +175,7 @@ fi
 
 timeout=300
 directory=build-tests
-options=("${with_clang[@]}")
+options=("${with_clang[@]}" -DTILT_ROPTER_BUILD_QUICKLY=ON)
 if [[ $full ]]; then
   test_packages+=(clang-tidy)
   timeout=7200
@@ -197,6 +196,7 @@ result=0
 ctest --parallel 2 --output-on-failure --timeout $timeout || result=$?
 echo "== What was checked by a number (checks of sources and of bits have none)"
 sort -t $'\t' -k1,1n -k2,2 "$TILT_ROPTER_CHECKS" |
-  awk -F '\t' 'BEGIN { f = "%-6s%-64s%-12s%-14s%s\n"; printf f, "check", "", "asked", "measured", "" }
+  awk -F '\t' 'BEGIN { f = "%-6s%-64s%-12s%-14s%s\n"
+                      printf f, "check", "", "asked", "measured", "" }
     { printf f, $1, $2, $3, $4, $5 }'
 exit $result

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# consumer.sh installed|packed|subdirectory|fetched|copied SOURCE_DIR
+# consumer.sh installed|packed|subdirectory|copied SOURCE_DIR
 # Builds and runs a stranger's program outside the tree, by one of the ways to use the library.
 set -euo pipefail
 
@@ -31,19 +31,14 @@ case $way in
     dpkg-deb --field "$away"/build/libtilt-ropter-dev_*_all.deb
     dpkg-deb -x "$away"/build/libtilt-ropter-dev_*_all.deb "$away/root"
     cmake -S . -B build -DCMAKE_PREFIX_PATH="$away/root/usr"
-    cmake --build build
-    build/consumer
     export PKG_CONFIG_PATH=$away/root/usr/share/pkgconfig
     read -ra flags <<< "$(pkg-config --cflags --libs tilt_ropter)"
     "${CXX:-g++}" -std=c++17 main.cpp "${flags[@]}" -o by_pkg_config
     ./by_pkg_config
     tar -xzf "$away"/build/tilt_ropter-*.tar.gz -C "$away"
     cmake -S . -B build_source -DTILT_ROPTER_SOURCE_DIR="$(echo "$away"/tilt_ropter-*/)" ;;
-  fetched)
-    cmake -S . -B build -DTILT_ROPTER_FETCH="$source"
-    cmake --build build
-    build/consumer ;;
   subdirectory)
+    cmake -S . -B fetched -DTILT_ROPTER_FETCH="$source"
     cmake -S . -B build -DTILT_ROPTER_SOURCE_DIR="$source"
     cmake --build build
     build/consumer ;;
