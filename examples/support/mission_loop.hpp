@@ -167,13 +167,7 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
-    if (const auto m = sensors.rotor_speeds.sample(time, plant.actuators().rotor_speed))
-      controller.on_rotor_speeds(m->rotor_speed);
-    if (const auto m =
-            sensors.imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
-      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
-    if (const auto m = sensors.poses.sample(time, plant.body()))
-      controller.on_pose(m->time, {m->position, m->orientation});
+    sensors.sense(plant, controller);
     if (i % steps_per_tick == 0 && controller.started()) {  // from the first pose on
       controller.prepare(time, mission);
       command = controller.control(time);

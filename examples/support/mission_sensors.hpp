@@ -39,6 +39,18 @@ struct MissionSensors {
     return settings;
   }
 
+  /// What they say of `plant` now, to `controller`.
+  template <typename Plant, typename Controller>
+  void sense(const Plant& plant, Controller& controller) {
+    const double time = plant.time();
+    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
+      controller.on_rotor_speeds(m->rotor_speed);
+    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
+    if (const auto m = poses.sample(time, plant.body()))
+      controller.on_pose(m->time, {m->position, m->orientation});
+  }
+
   tilt_ropter::ImuSensor imu;
   tilt_ropter::RotorSpeedSensor<4> rotor_speeds;
   tilt_ropter::PoseSensor poses;

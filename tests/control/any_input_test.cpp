@@ -3,6 +3,7 @@
 // 10 000 ticks instead of 200.
 
 #include "support/check_table.hpp"
+#include "support/hovering.hpp"
 #include "support/random.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
@@ -22,6 +23,9 @@
 
 namespace tilt_ropter {
 namespace {
+
+using test_support::hover;
+using test_support::hovering;
 
 class AnyNumber {
  public:
@@ -57,18 +61,6 @@ class AnyNumber {
  private:
   test_support::Random random_;
 };
-
-ReferencePoint hover(double) {
-  ReferencePoint point;
-  point.position << 0.0, 0.0, 1.5;
-  return point;
-}
-
-BodyState<> hovering() {
-  BodyState<> state;
-  state.position << 0.0, 0.0, 1.5;
-  return state;
-}
 
 TEST(AnyInput, ToTheControllerIsSurvived) {
   const int ticks = std::getenv("TILT_ROPTER_FULL") != nullptr ? 10000 : 200;
@@ -106,10 +98,7 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
     longest = std::max(longest, took.count());
     not_finite += !is_finite(result.wrench) || !is_finite(result.rate);
-    out_of_bounds += (result.wrench.force.array() > bounds.force_max.array()).any() ||
-                     (result.wrench.force.array() < bounds.force_min.array()).any() ||
-                     (result.wrench.torque.array() > bounds.torque_max.array()).any() ||
-                     (result.wrench.torque.array() < bounds.torque_min.array()).any();
+    out_of_bounds += !test_support::is_within_bounds(result.wrench, bounds);
     rejected += result.status != NmpcStatus::solved;
     if (!is_finite(state) || !std::isfinite(now)) {
       EXPECT_NE(result.status, NmpcStatus::solved);

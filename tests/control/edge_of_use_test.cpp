@@ -1,6 +1,7 @@
 // Numbers at the edge of use: periods from 0.1 to 50 ms, horizons from 2 to 200 intervals, vehicles
 // from 30 g to 100 kg.
 
+#include "support/hovering.hpp"
 #include "support/random.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
@@ -22,11 +23,7 @@
 namespace tilt_ropter {
 namespace {
 
-ReferencePoint hover(double) {
-  ReferencePoint point;
-  point.position << 0.0, 0.0, 1.5;
-  return point;
-}
+using test_support::hover;
 
 /// The Tilt-Ropter `scale` times as long: mass with the cube of it, inertia with the fifth power,
 /// thrust with the mass, lags and servo speeds as they are.

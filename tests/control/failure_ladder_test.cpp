@@ -3,6 +3,7 @@
 
 #include "support/check_table.hpp"
 #include "support/control_loop.hpp"
+#include "support/hovering.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -23,15 +24,11 @@ namespace {
 
 using Loop = test_support::ControlLoop<Plant<4>>;
 using test_support::check_at_most;
+using test_support::expect_within_bounds;
+using test_support::hover;
 using Measured = std::optional<BodyState<>>;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-ReferencePoint hover(double) {
-  ReferencePoint point;
-  point.position << 0.0, 0.0, 1.5;
-  return point;
-}
 
 ReferencePoint lost(double time) {
   ReferencePoint point = hover(time);
@@ -50,21 +47,12 @@ void no_observer(Wrench<>& external, Measured&) {
   external.torque.y() = nan;
 }
 
-void expect_within_bounds(const NmpcResult& result, const NmpcBounds& bounds) {
-  EXPECT_TRUE(is_finite(result.wrench));
-  EXPECT_TRUE(is_finite(result.rate));
-  EXPECT_TRUE((result.wrench.force.array() <= bounds.force_max.array()).all());
-  EXPECT_TRUE((result.wrench.force.array() >= bounds.force_min.array()).all());
-  EXPECT_TRUE((result.wrench.torque.array() <= bounds.torque_max.array()).all());
-  EXPECT_TRUE((result.wrench.torque.array() >= bounds.torque_min.array()).all());
-}
-
 double distance(const Loop& loop) {
   return (loop.plant().body().position - hover(0.0).position).norm();
 }
 
 // A hover that has settled, against a pull and a torque that the controller has to find out.
-Loop hovering() {
+Loop settled() {
   Loop loop(1);
   loop.disturbance.force << 0.5, -0.3, -1.5;
   loop.disturbance.torque << 0.03, -0.1, 0.02;
@@ -83,7 +71,7 @@ struct Outcome {
 
 template <typename Reference, typename Tamper>
 Outcome fail_for(int ticks, const Reference& reference, const Tamper& tamper, NmpcStatus status) {
-  Loop loop = hovering();
+  Loop loop = settled();
   Outcome outcome;
   for (int i = 0; i < ticks; ++i) {
     const NmpcResult& result = loop.tick(reference, tamper);
@@ -133,7 +121,7 @@ TEST(FailureLadder, FailedSolve) {
 }
 
 TEST(FailureLadder, LostObserver) {
-  Loop loop = hovering();
+  Loop loop = settled();
   double worst = 0.0;
   for (int i = 0; i < 300; ++i) {
     ASSERT_EQ(loop.tick(hover, no_observer).status, NmpcStatus::solved);

@@ -2,6 +2,8 @@
 #include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
+#include "support/hovering.hpp"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -12,29 +14,12 @@
 namespace tilt_ropter {
 namespace {
 
+using test_support::expect_within_bounds;
+using test_support::hover;
+using test_support::hovering;
+
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 const RigidBodyParameters body = vehicle.body;
-
-ReferencePoint hover(double) {
-  ReferencePoint point;
-  point.position << 0.0, 0.0, 1.5;
-  return point;
-}
-
-BodyState<> hovering() {
-  BodyState<> state;
-  state.position << 0.0, 0.0, 1.5;
-  return state;
-}
-
-void expect_within_bounds(const NmpcResult& result, const NmpcBounds& bounds) {
-  EXPECT_TRUE(is_finite(result.wrench));
-  EXPECT_TRUE(is_finite(result.rate));
-  EXPECT_TRUE((result.wrench.force.array() <= bounds.force_max.array()).all());
-  EXPECT_TRUE((result.wrench.force.array() >= bounds.force_min.array()).all());
-  EXPECT_TRUE((result.wrench.torque.array() <= bounds.torque_max.array()).all());
-  EXPECT_TRUE((result.wrench.torque.array() >= bounds.torque_min.array()).all());
-}
 
 // A rigid body that gets exactly the wrench that is planned, with an unknown force.
 class IdealLoop {

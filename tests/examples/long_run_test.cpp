@@ -52,13 +52,7 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
     long count = 0;
     for (; plant.time() < (k + 1) * lap - 0.5 * step; ++i) {
       const double time = plant.time();
-      if (const auto m = sensors.rotor_speeds.sample(time, plant.actuators().rotor_speed))
-        controller.on_rotor_speeds(m->rotor_speed);
-      if (const auto m =
-              sensors.imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
-        controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
-      if (const auto m = sensors.poses.sample(time, plant.body()))
-        controller.on_pose(m->time, {m->position, m->orientation});
+      sensors.sense(plant, controller);
       if (i % 10 == 0 && controller.started()) {
         controller.prepare(time, reference);
         command = controller.control(time);

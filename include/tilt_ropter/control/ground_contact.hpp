@@ -19,7 +19,7 @@ namespace tilt_ropter {
 
 struct GroundContactSettings {
   double enter_height = 0.005;  ///< lower than this above the radius: on the ground [m]
-  double leave_height = 0.030;  ///< higher than this: in the air [m]
+  double leave_height = 0.030;  ///< higher, and not carried: in the air [m]
   /// Share of the weight that only the ground can carry: with more than that on it the vehicle has
   /// not left the ground, however high the ground is, and below leave_height it has reached it.
   double carried_share = 0.4;

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <gtest/gtest.h>
+
+/// The controller's simplest task, and what holds for all that leaves it.
+namespace test_support {
+
+inline tilt_ropter::ReferencePoint hover(double) {
+  tilt_ropter::ReferencePoint point;
+  point.position << 0.0, 0.0, 1.5;
+  return point;
+}
+
+inline tilt_ropter::BodyState<> hovering() {
+  tilt_ropter::BodyState<> state;
+  state.position << 0.0, 0.0, 1.5;
+  return state;
+}
+
+[[nodiscard]] inline bool is_within_bounds(const tilt_ropter::Wrench<>& wrench,
+                                           const tilt_ropter::NmpcBounds& bounds) {
+  return (wrench.force.array() <= bounds.force_max.array()).all() &&
+         (wrench.force.array() >= bounds.force_min.array()).all() &&
+         (wrench.torque.array() <= bounds.torque_max.array()).all() &&
+         (wrench.torque.array() >= bounds.torque_min.array()).all();
+}
+
+inline void expect_within_bounds(const tilt_ropter::NmpcResult& result,
+                                 const tilt_ropter::NmpcBounds& bounds) {
+  EXPECT_TRUE(is_finite(result.wrench));
+  EXPECT_TRUE(is_finite(result.rate));
+  EXPECT_TRUE(is_within_bounds(result.wrench, bounds));
+}
+
+}  // namespace test_support
