@@ -8,13 +8,10 @@ function(tilt_ropter_own_target target)
   set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 endfunction()
 
-option(TILT_ROPTER_BUILD_QUICKLY "Tests and examples with -O1, tests on one precompiled header" OFF)
-
 # The same for programs whose speed counts: all optimisation, on request for this very processor.
 function(tilt_ropter_fast_target target)
   tilt_ropter_own_target(${target})
-  target_compile_options(${target} PRIVATE
-    $<$<CONFIG:Release>:$<IF:$<BOOL:${TILT_ROPTER_BUILD_QUICKLY}>,-O1,-O3>>)
+  target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O3>)
   if(TILT_ROPTER_NATIVE)
     target_compile_options(${target} PRIVATE -march=native)
     if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
