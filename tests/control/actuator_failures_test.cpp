@@ -124,10 +124,11 @@ Eigen::Vector3d lean_about(std::size_t arm) {
   return 30.0 * degree * static_cast<int>(rotor.spin) * rotor.orientation.col(0);
 }
 
-TEST(ActuatorFailures, ServoStuckNearUprightLandsAlmostAsIfNothingWere) {
+// Near upright almost as if nothing were; at 60 degrees it is recovered in the air.
+TEST(ActuatorFailures, ServoStuckUpToSixtyDegreesLands) {
   for (unsigned seed = 1; seed <= seeds(); ++seed)
     for (std::size_t arm = 0; arm < 4; ++arm)
-      for (const int angle : {0, 30, -30}) {
+      for (const int angle : {0, 30, -30, 60, -60}) {
         const std::string name =
             arm_name("servo", arm) + " stuck at " + std::to_string(angle) + " deg";
         SCOPED_TRACE(name);
@@ -135,21 +136,9 @@ TEST(ActuatorFailures, ServoStuckNearUprightLandsAlmostAsIfNothingWere) {
         const Landing landing = land(name, {failed}, seed);
         expect_soft_and_upright(landing);
         EXPECT_TRUE(landing.stands);
-        EXPECT_LT(landing.largest_lean, (angle == 0 ? 2.0 : 15.0) * degree);
-      }
-}
-
-TEST(ActuatorFailures, ServoStuckAtSixtyDegreesIsRecoveredInTheAir) {
-  for (unsigned seed = 1; seed <= seeds(); ++seed)
-    for (std::size_t arm = 0; arm < 4; ++arm)
-      for (const int angle : {60, -60}) {
-        const std::string name =
-            arm_name("servo", arm) + " stuck at " + std::to_string(angle) + " deg";
-        SCOPED_TRACE(name);
-        const auto failed = with_stuck_servo(tilt_ropter_vehicle(), arm, angle * degree);
-        const Landing landing = land(name, {failed}, seed);
-        expect_soft_and_upright(landing);
-        EXPECT_TRUE(landing.stands);
+        if (std::abs(angle) <= 30) {
+          EXPECT_LT(landing.largest_lean, (angle == 0 ? 2.0 : 15.0) * degree);
+        }
       }
 }
 
