@@ -64,8 +64,10 @@ class SafeWrench {
   double time_ = 0.0;
 };
 
-void run(const hitl::Addresses& addresses, const hitl::BadLine& line) {
-  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
+         const std::string& vehicle_path) {
+  const Vehicle<4> vehicle =
+      examples::wheeled_quadrotor(examples::vehicle_or_default(vehicle_path));
   const Allocation<4> allocation(vehicle);
   hitl::Link link(addresses.flight_controller, {addresses.simulator, addresses.onboard}, line);
   SafeWrench safe(vehicle.body.inertia);
@@ -152,10 +154,11 @@ int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: allocation and actuator commands at 500 Hz."};
   hitl::Addresses addresses;
   hitl::BadLine line;
-  hitl::add_options(app, addresses, line);
+  std::string vehicle;
+  hitl::add_options(app, addresses, line, vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_flight_controller", argc, argv, [&] {
-    run(addresses, line);
+    run(addresses, line, vehicle);
     return 0;
   });
 }

@@ -33,14 +33,14 @@ constexpr double tick = 0.01;  // of the controller [s]
 /// The loop on board, up to the wrench.
 class Onboard {
  public:
-  Onboard()
-      : vehicle_(tilt_ropter_vehicle()),
+  explicit Onboard(const examples::VehicleFile& file)
+      : vehicle_(examples::wheeled_quadrotor(file)),
         allocation_(vehicle_),
         actuators_(vehicle_),
-        ekf_(examples::MissionSensors::estimation()),
+        ekf_(examples::MissionSensors<>::estimation()),
         observer_(vehicle_.body),
-        nmpc_(vehicle_),
-        mission_(hybrid_mission()) {}
+        nmpc_(vehicle_, file.settings()),
+        mission_(examples::mission_of(file)) {}
 
   /// What the flight controller commands now.
   void on_actuators(const hitl::Message& m) {
@@ -93,10 +93,11 @@ class Onboard {
   long failures_ = 0;
 };
 
-void run(const hitl::Addresses& addresses, const hitl::BadLine& line) {
+void run(const hitl::Addresses& addresses, const hitl::BadLine& line, const std::string& vehicle) {
+  const examples::VehicleFile file = examples::vehicle_or_default(vehicle);
   hitl::Link link(addresses.onboard, {addresses.simulator, addresses.flight_controller}, line);
   hitl::Times durations;
-  auto onboard = std::make_unique<Onboard>();
+  auto onboard = std::make_unique<Onboard>(file);
   std::uint32_t session = 0;
   double next = 0.0;
   long ticks = 0, misses = 0, failures = 0, missions = 0;
@@ -111,7 +112,7 @@ void run(const hitl::Addresses& addresses, const hitl::BadLine& line) {
           if (missions == 0 || m->session != session) {  // a new vehicle, a new mission
             session = m->session;
             ++missions;
-            onboard = std::make_unique<Onboard>();
+            onboard = std::make_unique<Onboard>(file);
             next = std::ceil(m->time / tick) * tick;
           }
           onboard->on_inertial(*m);
@@ -169,10 +170,11 @@ int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
   hitl::Addresses addresses;
   hitl::BadLine line;
-  hitl::add_options(app, addresses, line);
+  std::string vehicle;
+  hitl::add_options(app, addresses, line, vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_onboard", argc, argv, [&] {
-    run(addresses, line);
+    run(addresses, line, vehicle);
     return 0;
   });
 }

@@ -29,6 +29,7 @@ namespace {
 struct Options {
   hitl::Addresses addresses;
   hitl::BadLine line;
+  std::string vehicle;
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   double until = 0.0;
@@ -61,15 +62,16 @@ hitl::Message pose(double time, const PoseSensor::Measurement& seen) {
 }
 
 int simulate(const Options& options) {
-  Vehicle<4> truth = tilt_ropter_vehicle();
+  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
+  Vehicle<4> truth = examples::wheeled_quadrotor(file);
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
   Plant<4> plant(truth);
-  examples::MissionSensors sensors(static_cast<std::uint64_t>(options.seed));
+  examples::MissionSensors<> sensors(static_cast<std::uint64_t>(options.seed));
   const PowerModel power(truth);
-  const HybridMissionParameters job;
-  const Mission mission = hybrid_mission(job);
-  examples::MissionFigures figures(job.flight_height);
+  const Mission mission = examples::mission_of(file);
+  examples::MissionFigures figures(HybridMissionParameters{}.flight_height,
+                                   options.vehicle.empty());
   const double end = options.until > 0.0 ? options.until : mission.duration();
 
   hitl::Link link(options.addresses.simulator,
@@ -152,7 +154,8 @@ Flies the hybrid mission in real time with hitl_onboard and hitl_flight_controll
 after its start to answer. When actuator commands stay away, the last one is held; after 1 s the
 rotors stop. Started anew in flight, it begins a new mission, and the others follow it.
 
-Exit code: 0 the mission is over, 1 nobody answered or another error, above 100 wrong options.)";
+Exit code: 0 the mission is over, 1 nobody answered or another error, 2 a
+vehicle that cannot be, above 100 wrong options.)";
 
 }  // namespace
 
@@ -171,7 +174,7 @@ int main(int argc, char** argv) {
   app.add_option("--until", options.until, "end the mission at this time; 0: as it ends [s]")
       ->check(CLI::Range(0.0, 1000.0))
       ->capture_default_str();
-  hitl::add_options(app, options.addresses, options.line);
+  hitl::add_options(app, options.addresses, options.line, options.vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_simulator", argc, argv, [&] { return simulate(options); });
 }

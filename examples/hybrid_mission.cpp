@@ -10,20 +10,35 @@
 
 #include <exception>
 #include <iostream>
+#include <variant>
 
 int main(int argc, char** argv) {
-  CLI::App app{"Flies the hybrid mission: take off, figure eight, land, drive, take off, land."};
+  CLI::App app{
+      "Flies the hybrid mission: take off, figure eight, land, drive, take off, land.\n"
+      "A vehicle without wheels flies the eight in the air."};
   examples::MissionOptions options;
   examples::add_options(app, options);
   CLI11_PARSE(app, argc, argv);
   try {
-    const examples::MissionVehicles vehicles = examples::vehicles(options);
-    tilt_ropter::Plant<4> plant(vehicles.truth);
-    examples::fly_mission(
-        options, vehicles, plant, [] { return tilt_ropter::Wrench<>{}; },
-        [](const tilt_ropter::Mission&) {});  // the logs are closed when it returns
+    const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle_path);
+    if (!options.write_path.empty()) {
+      examples::write_vehicle(file, options.write_path);
+      return 0;
+    }
+    std::visit(
+        [&](const auto& vehicle) {
+          const auto vehicles = examples::vehicles(options, vehicle);
+          tilt_ropter::Plant plant(vehicles.truth);
+          examples::fly_mission(
+              options, file, vehicles, plant, [] { return tilt_ropter::Wrench<>{}; },
+              [](const tilt_ropter::Mission&) {});  // the logs are closed when it returns
+        },
+        file.vehicle);
     if (!options.no_pictures) examples::draw_pictures("hybrid_mission.gp", options.output);
     return 0;
+  } catch (const examples::VehicleFileError& error) {
+    std::cerr << "hybrid_mission: " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
     std::cerr << "hybrid_mission: " << error.what() << '\n';
     return 1;

@@ -1,6 +1,6 @@
 # Draws the hybrid mission: reads hybrid_mission.csv and solve_times.csv in the current directory and
 # writes the pictures beside them. Columns are taken by name, and whatever depends on the run (the
-# phases, the means, the ranges, the windows that are enlarged) is found in the data.
+# rotors, the phases, the means, the ranges, the windows that are enlarged) is found in the data.
 
 log = "hybrid_mission.csv"; times = "solve_times.csv"
 set datafile separator ","
@@ -11,8 +11,7 @@ blue = "#0072B2"; red = "#D55E00"; green = "#009E73"; purple = "#CC79A7"
 ink = "#222222"; grey = "#666666"; pale = "#B0B0B0"; sand = "#F6DDB8"
 array axis_name[3] = ["x", "y", "z"]
 array axis_colour[3] = [blue, red, green]
-array rotor_name[4] = ["1 right", "2 left", "3 front", "4 back"]
-array rotor_colour[4] = [blue, red, green, purple]
+array rotor_colour[8] = [blue, red, green, purple, "#E69F00", "#56B4E9", "#8C6D1F", ink]
 array phase_name[6] = ["rest", "take-off", "hover", "figure eight in the air", "landing", \
                        "figure eight on the ground"]
 array phase_colour[6] = ["#E2E2E2", "#EFE9F4", "#FFFFFF", "#DFEDF7", "#EFE9F4", "#FAECD6"]
@@ -34,22 +33,28 @@ distance_mm(_) = sqrt(error_mm(1)**2 + error_mm(2)**2 + error_mm(3)**2)
 touching(_) = column("external_force_n_z") > 0.1  # the plant's own force of the ground
 tilt_deg(of, rotor) = column(sprintf("tilt_%s_rad_%d", of, rotor)) * 180 / pi
 speed(rotor) = column(sprintf("rotor_speed_radps_%d", rotor))
-mean_speed(_) = (speed(1) + speed(2) + speed(3) + speed(4)) / 4
+header = system("head -n 1 ".log)
+rotors = 0
+do for [i = 1:8] { if (strstrt(header, sprintf("rotor_speed_radps_%d", i))) { rotors = i } }
+mean_speed(_) = (sum [i = 1:rotors] speed(i)) / rotors
 power(_) = column("power_w")
 prepare(_) = column("prepare_us"); feedback(_) = column("feedback_us")
 
 # ---- Where each phase starts, when the controller changes its contact mode, means of the run
 array start[64]; array kind[64]; array change[64]
-phases = 0; changes = 0; now = NaN; mode = NaN
-on_phase(p) = p == now ? p : \
-  (phases = phases + 1, start[phases] = t(0), kind[phases] = p + 1, now = p)
+phases = 0; changes = 0; driven = 0; now = NaN; mode = NaN
+on_phase(p) = p == now ? p : (phases = phases + 1, start[phases] = t(0), kind[phases] = p + 1, \
+  driven = (p == 5 ? 1 : driven), now = p)
 on_mode(m) = (m == 1 - mode ? (changes = changes + 1, change[changes] = t(0)) : 0, mode = m)
 stats times using (prepare(0)):(feedback(0)) name "solve" nooutput
 stats log using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
 stats log using (t(0)) name "run" nooutput
 stats log using (x("position")):(y("position")) name "plan" nooutput
 stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
-stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
+ground_mean_x = NaN; ground_mean_y = NaN  # of a vehicle without wheels
+if (driven) {
+  stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
+}
 air_rmse = sqrt(air_mean_x); ground_rmse = sqrt(ground_mean_x)
 start[phases + 1] = run_max
 
@@ -92,7 +97,7 @@ splot log using (x("reference")):(y("reference")):(z("reference")) with lines \
         with lines ls 2 lc rgb ink title "take-off, hover, landing", \
       "" using (only(in(3), x("position"))):(y("position")):(z("position")) \
         with lines ls 2 lc rgb blue title "in the air", \
-      "" using (only(in(5), x("position"))):(y("position")):(z("position")) \
+      for [k = 1:driven] "" using (only(in(5), x("position"))):(y("position")):(z("position")) \
         with lines ls 2 lc rgb red title "on the ground"
 set border 3 lc rgb grey; set xtics offset 0,0; set ytics auto offset 0,0
 set xlabel offset 0,0.3; set ylabel offset 0,0
@@ -112,19 +117,20 @@ set ylabel "distance to reference [mm]"; set logscale y; set yrange [0.1:*]
 plot log using (t(0)):(distance_mm(0)) with lines ls 1 lc rgb ink notitle, \
      "" using (t(0)):(only(in(3), air_rmse)) with lines lw 3 lc rgb blue \
        title sprintf("RMSE in the air %.1f mm (paper: 52 mm)", air_rmse), \
-     "" using (t(0)):(only(in(5), ground_rmse)) with lines lw 3 lc rgb red \
+     for [k = 1:driven] "" using (t(0)):(only(in(5), ground_rmse)) with lines lw 3 lc rgb red \
        title sprintf("RMSE on the ground %.1f mm (paper: 145 mm)", ground_rmse)
 
 # ---- Height and contact: the whole run, below it each change of the contact mode enlarged
 eval picture("height_and_contact", 950, "Height of the centre of mass and contact with the ground")
-eval row(1, 1, 30, 490)
+eval row(1, 1, 30, changes ? 490 : 110)
 set ylabel "height [m]"; set yrange [0:*]; set y2range [0:1]
 flown(condition, scale) = only(condition, scale * z("position"))
 plot log using (t(0)):(column("on_ground") * 0.05) axes x1y2 with fillsteps lc rgb sand \
        title "controller's contact mode", \
      "" using (t(0)):(z("reference")) with lines lc rgb pale lw 5 title "reference", \
      "" using (t(0)):(flown(!touching(0), 1)) with lines ls 2 lc rgb blue title "wheels free", \
-     "" using (t(0)):(flown(touching(0), 1)) with lines ls 2 lc rgb red title "wheels touch"
+     for [k = 1:driven] "" using (t(0)):(flown(touching(0), 1)) with lines ls 2 lc rgb red \
+       title "wheels touch"
 unset object; unset label; unset key; set xtics 0.5; set yrange [*:*<250]
 do for [i = 1:(changes > 4 ? 4 : changes)] {
   eval panel(95 + (i - 1) * 281.7, 1105 - (i - 1) * 281.7 - 230, 555, 110)
@@ -157,17 +163,19 @@ do for [i = 1:6] {
 }
 
 # ---- Tilt angles, and beside each the two seconds around its largest servo lag
-eval picture("tilt_angles", 1200, "Tilt angles of the arms, and the largest servo lags enlarged")
+eval picture("tilt_angles", 300 * rotors, \
+  "Tilt angles of the arms, and the largest servo lags enlarged")
 set key width 2; gap = 45
-do for [r = 1:4] {
+do for [r = 1:rotors] {
   set xrange [0:run_max]; set autoscale y; set xtics auto
   stats log using (t(0)):(abs(tilt_deg("command", r) - tilt_deg("true", r))) name "lag" nooutput
+  if (lag_max_y == 0) { set yrange [-1:1] }  # it does not tilt
   do for [zoom = 0:1] {
-    eval row(r, 4, zoom ? 30 : 385, 100)
+    eval row(r, rotors, zoom ? 30 : 385, 100)
     if (zoom) {
       set lmargin at screen 0.74; unset label; unset ylabel; set format x "%g"
       set xrange [lag_pos_max_y - 1 : lag_pos_max_y + 1]; set xtics 0.5
-    } else { set ylabel rotor_name[r]." [deg]" }
+    } else { set ylabel sprintf("arm %d [deg]", r) }
     plot log using (t(0)):(tilt_deg("command", r)) with lines lw 3 lc rgb pale title "commanded", \
          "" using (t(0)):(tilt_deg("true", r)) with lines lw 2.5 lc rgb rotor_colour[r] \
            title "true", \
@@ -180,28 +188,31 @@ do for [r = 1:4] {
 eval picture("rotor_speeds", 900, "Rotor speeds")
 eval row(1, 2, 30, 90)
 set ylabel "speed [rad/s]"; set yrange [0:*]
-plot for [r = 1:4] log using (t(0)):(speed(r)) with lines ls 1 lc rgb rotor_colour[r] \
-  title rotor_name[r]
+plot for [r = 1:rotors] log using (t(0)):(speed(r)) with lines ls 1 lc rgb rotor_colour[r] \
+  title sprintf("rotor %d", r)
 unset key
 eval row(2, 2, 30, 90)
-set ylabel "speed minus mean of the four [rad/s]"; set autoscale y
-plot for [r = 1:4] log using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
+set ylabel "speed minus mean of all [rad/s]"; set autoscale y
+plot for [r = 1:rotors] log using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
   lc rgb rotor_colour[r]
 
 # ---- Power, and its means over the two figure eights as the paper has them
 paper_air = 653.64; paper_ground = 47.38
-eval picture("power", 800, sprintf("Electrical power: driving takes %.1f %% of what flying takes \
-(paper: %.1f %%)", 100 * ground_mean_y / air_mean_y, 100 * paper_ground / paper_air))
+eval picture("power", 800, driven ? sprintf("Electrical power: driving takes %.1f %% of what \
+flying takes (paper: %.1f %%)", 100 * ground_mean_y / air_mean_y, 100 * paper_ground / paper_air) \
+  : "Electrical power")
 eval row(1, 1, 30, 65)
 set key vertical at graph 0.66, graph 0.5 center maxrows auto
 set ylabel "power [W]"; set yrange [0:*]
 plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
      "" using (t(0)):(only(in(3), air_mean_y)) with lines lw 3.5 lc rgb blue \
        title sprintf("mean in the air: %.2f W", air_mean_y), \
-     paper_air lc rgb blue lw 1.2 dt 2 title sprintf("paper: %.2f W", paper_air), \
-     "" using (t(0)):(only(in(5), ground_mean_y)) with lines lw 3.5 lc rgb red \
+     for [k = 1:driven] paper_air lc rgb blue lw 1.2 dt 2 \
+       title sprintf("paper: %.2f W", paper_air), \
+     for [k = 1:driven] log using (t(0)):(only(in(5), ground_mean_y)) with lines lw 3.5 lc rgb red \
        title sprintf("mean on the ground: %.2f W", ground_mean_y), \
-     paper_ground lc rgb red lw 1.2 dt 2 title sprintf("paper: %.2f W", paper_ground)
+     for [k = 1:driven] paper_ground lc rgb red lw 1.2 dt 2 \
+       title sprintf("paper: %.2f W", paper_ground)
 
 # ---- Solve times: when, and how many ticks take longer. Logarithmic axes keep both the usual tick
 # and the few in which the operating system ran something else.

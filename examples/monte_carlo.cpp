@@ -35,6 +35,7 @@ namespace {
 
 struct Options {
   std::string output = "results";
+  std::string vehicle;
   std::uint64_t seed = 1, first = 0, count = 1000;
   std::int64_t replay = -1;
   unsigned threads = std::max(1U, std::thread::hardware_concurrency());
@@ -78,6 +79,10 @@ class Rows {
 
 /// Flies vehicles first to first + count - 1, each by itself, and leaves a row of each in `path`.
 void fly_all(const Options& options, const std::string& path) {
+  const VehicleFile file = vehicle_or_default(options.vehicle);
+  const tilt_ropter::Vehicle<4> believed = wheeled_quadrotor(file);
+  const tilt_ropter::NmpcSettings settings = file.settings();
+  const tilt_ropter::Mission mission = mission_of(file);
   Rows rows(path, options.first);
   Progress progress;
   std::mutex mutex;  // of the rows, the progress and the error
@@ -88,8 +93,9 @@ void fly_all(const Options& options, const std::string& path) {
     try {
       for (std::uint64_t i = next++; i < options.count; i = next++) {
         RandomStream random(options.seed, options.first + i);
-        const VehicleDraw draw = draw_vehicle(random);
-        const FlightRecord record = fly_spread(draw, random, {}, [](const auto&...) {});
+        const VehicleDraw draw = draw_vehicle(random, believed.body.inertia);
+        const FlightRecord record =
+            fly_spread(draw, random, believed, settings, mission, [](const auto&...) {});
         const std::lock_guard<std::mutex> lock(mutex);
         if (record.verdict != Verdict::ok) ++diverged;
         rows.add(options.seed, options.first + i, draw, record);
@@ -113,11 +119,13 @@ void fly_all(const Options& options, const std::string& path) {
 /// Flies one vehicle again and leaves its log as hybrid_mission does.
 void replay(const Options& options, std::uint64_t index) {
   RandomStream random(options.seed, index);
-  const VehicleDraw draw = draw_vehicle(random);
-  MissionLog log(options.output + "/hybrid_mission.csv", examples::detail::mission_columns());
+  const VehicleFile file = vehicle_or_default(options.vehicle);
+  const tilt_ropter::Vehicle<4> believed = wheeled_quadrotor(file);
+  const VehicleDraw draw = draw_vehicle(random, believed.body.inertia);
+  MissionLog log(options.output + "/hybrid_mission.csv", examples::detail::mission_columns(4));
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   const FlightRecord record = fly_spread(
-      draw, random, {},
+      draw, random, believed, file.settings(), mission_of(file),
       [&](const auto& mission, const auto& plant, const auto& controller, const auto& power) {
         examples::detail::log_row(log, mission, plant, controller,
                                   power.power(plant.actuators().rotor_speed));
@@ -178,6 +186,9 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", options.output, "directory for the table and the pictures")
       ->take_last()
       ->capture_default_str();
+  app.add_option("--vehicle", options.vehicle,
+                 "JSON file of the vehicle that the controller believes in, of 4 rotors and with "
+                 "wheels; the Tilt-Ropter without");
   app.add_option("--seed", options.seed, "of the vehicles, their noise and wind")
       ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{1} << 53U))
       ->capture_default_str();
@@ -205,6 +216,9 @@ int main(int argc, char** argv) {
   try {
     run(options, argv[0]);
     return 0;
+  } catch (const VehicleFileError& error) {
+    std::cerr << "monte_carlo: " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
     std::cerr << "monte_carlo: " << error.what() << '\n';
     return 1;

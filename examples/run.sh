@@ -28,8 +28,8 @@ case ${1-} in
 esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev gnuplot-nox
-  fonts-dejavu-core)
+packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann-json3-dev
+  gnuplot-nox fonts-dejavu-core)
 if [[ $mujoco ]]; then
   packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)
 fi

@@ -18,7 +18,7 @@ benchmarks, is built by GCC.
                build-benchmarks/ and run them
   --fuzz SECONDS
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
-               build-fuzz/ and run each of the 13 for so long; fails if one finds something. About
+               build-fuzz/ and run each of them for so long; fails if one finds something. About
                5 minutes to build
   --sanitize   the tests under ASan and UBSan in build-sanitize/, the program that has threads under
                TSan in build-sanitize-threads/, some tests of the plain build under valgrind. About
@@ -72,8 +72,8 @@ build() {  # directory, CMake options
 }
 
 benchmark_packages=(libbenchmark-dev)
-test_packages=(clang libgtest-dev libcli11-dev gnuplot-nox fonts-dejavu-core libmujoco-dev
-  libegl-dev libgl1 libgl1-mesa-dri pkgconf)
+test_packages=(clang libgtest-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core
+  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
@@ -89,7 +89,7 @@ sources_only+='|^(fast_math|readme_program|without_nlopt)$'
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 
 if [[ $instead == fuzz ]]; then
-  bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev
+  bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev nlohmann-json3-dev
   build build-fuzz -DCMAKE_CXX_COMPILER=clang++ -DCMAKE_BUILD_TYPE=None \
     -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_FUZZERS=ON
   exec bash tests/fuzz/run.sh "$fuzz_seconds" build-fuzz/tests/fuzz

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "../support/vehicle_file.hpp"
 #include "link.hpp"
 
 #include <CLI/CLI.hpp>
@@ -18,7 +19,9 @@ struct Addresses {
   std::string flight_controller = "127.0.0.1:24003";
 };
 
-inline void add_options(CLI::App& app, Addresses& addresses, BadLine& line) {
+inline void add_options(CLI::App& app, Addresses& addresses, BadLine& line, std::string& vehicle) {
+  app.add_option("--vehicle", vehicle,
+                 "JSON file of the vehicle, of 4 rotors and with wheels; the same for all three");
   const std::string group = "The line (every program is told the same addresses)";
   const auto add = [&](const char* name, auto& value, const char* text) {
     return app.add_option(name, value, text)->capture_default_str()->group(group);
@@ -40,13 +43,17 @@ inline void end_on_signals() {
   for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
 }
 
-/// What is left of main(): parses the options that `app` knows, runs, and tells errors.
+/// What is left of main(): parses the options that `app` knows, runs, and tells errors. A vehicle
+/// that cannot be gives 2.
 template <typename Run>
 int run_program(CLI::App& app, const char* name, int argc, char** argv, const Run& run) {
   CLI11_PARSE(app, argc, argv);
   try {
     end_on_signals();
     return run();
+  } catch (const examples::VehicleFileError& error) {
+    std::cerr << name << ": " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
     std::cerr << name << ": " << error.what() << '\n';
     return 1;

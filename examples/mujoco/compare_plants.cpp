@@ -26,17 +26,6 @@ BodyState<> at_height(double height) {
   return body;
 }
 
-void reset(Plant<4>& plant, const BodyState<>& body, const ActuatorState<4>& actuators) {
-  PlantState<4> state;
-  state.body = body;
-  state.actuators = actuators;
-  plant.reset(state);
-}
-void reset(examples::MujocoPlant& plant, const BodyState<>& body,
-           const ActuatorState<4>& actuators) {
-  plant.reset(body, actuators);
-}
-
 template <typename AnyPlant>
 void go(AnyPlant& plant, const ActuatorState<4>& command, const Wrench<>& push = {}) {
   if (!plant.step(command, push, step)) throw std::runtime_error("a plant broke");
@@ -62,12 +51,12 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   ActuatorState<4> hover;
   hover.rotor_speed.setConstant(std::sqrt(0.25 * weight / vehicle.rotor.thrust_coefficient));
 
-  reset(plant, at_height(2.0), hover);
+  plant.reset(at_height(2.0), hover);
   for (int i = 0; i < 1000; ++i) go(plant, hover);
   r.hover_drift_mm = 1e3 * (plant.body().position.z() - 2.0);
 
   // One arm's step by 0.5 rad while the others hold: the thrust turns the body, too, but slower.
-  reset(plant, at_height(2.0), hover);
+  plant.reset(at_height(2.0), hover);
   ActuatorState<4> tilted = hover;
   tilted.tilt_angle(2) = 0.5;
   for (int i = 0; i < 1000; ++i) {
@@ -81,7 +70,7 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   }
   r.tilt_error_mrad = 1e3 * (0.5 - plant.actuators().tilt_angle(2));
 
-  reset(plant, at_height(vehicle.wheels.radius + 0.05), {});
+  plant.reset(at_height(vehicle.wheels.radius + 0.05), {});
   double lowest = plant.body().position.z();
   bool rebounds = false;
   for (int i = 0; i < 3000; ++i) {
@@ -95,7 +84,7 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   r.standing_mm = 1e3 * (plant.body().position.z() - vehicle.wheels.radius);
 
   const auto start = [&plant, &vehicle] {
-    reset(plant, at_height(vehicle.wheels.radius), {});
+    plant.reset(at_height(vehicle.wheels.radius), {});
     for (int i = 0; i < 1000; ++i) go(plant, {});
   };
   start();

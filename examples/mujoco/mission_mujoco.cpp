@@ -102,7 +102,12 @@ class Wind {
 void fly(Options& options) {
   options.mujoco.slope = options.slope_deg * pi / 180.0;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
-  const examples::MissionVehicles vehicles = examples::vehicles(options.mission);
+  const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
+  if (!options.mission.write_path.empty()) {
+    examples::write_vehicle(file, options.mission.write_path);
+    return;
+  }
+  const auto vehicles = examples::vehicles(options.mission, examples::wheeled_quadrotor(file));
   examples::MujocoPlant plant(vehicles.truth, options.mujoco);
   if (options.slow_servo > 0) {
     ServoParameters slow = vehicles.truth.servo;
@@ -115,7 +120,7 @@ void fly(Options& options) {
   MaybeFilm film(options.film, plant, options.mission.output);
   double upright = 1.0;  // the least cosine of the angle between body z and world z
   examples::fly_mission(
-      options.mission, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
+      options.mission, file, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
       [&](const Mission& mission) {
         upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
         film.on_step(mission);
@@ -172,6 +177,9 @@ int main(int argc, char** argv) {
     if (!options.mission.no_pictures)
       examples::draw_pictures("hybrid_mission.gp", options.mission.output);
     return 0;
+  } catch (const examples::VehicleFileError& error) {
+    std::cerr << "mission_mujoco: " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
     std::cerr << "mission_mujoco: " << error.what() << '\n';
     return 1;

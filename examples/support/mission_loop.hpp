@@ -5,9 +5,9 @@
 #include "mission_log.hpp"
 #include "mission_sensors.hpp"
 #include "progress.hpp"
+#include "vehicle_file.hpp"
 
 #include <tilt_ropter/control/reference_check.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
@@ -30,9 +30,8 @@ struct MissionOptions {
   std::string output = "results";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
-  double servo_speed = tilt_ropter::tilt_ropter_vehicle().servo.max_rate;
-  double servo_time_constant = tilt_ropter::tilt_ropter_vehicle().servo.time_constant;
-  double ground_thrust = tilt_ropter::GroundContactSettings{}.down_force;
+  std::string vehicle_path, write_path;
+  double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
   bool no_actuator_rows = false;
   bool no_pictures = false;
 };
@@ -42,6 +41,10 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_option("-o,--output", options.output, "directory for the logs and the pictures")
       ->take_last()
       ->capture_default_str();
+  app.add_option("--vehicle", options.vehicle_path,
+                 "JSON file of the vehicle to fly; the Tilt-Ropter without");
+  app.add_option("--write-vehicle", options.write_path,
+                 "write the vehicle to this JSON file, to begin from, and fly nothing");
   app.add_option("--seed", options.seed, "of the sensors' noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
@@ -51,45 +54,48 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
-  app.add_option("--servo-speed", options.servo_speed, "of the servos, true and believed [rad/s]")
-      ->check(CLI::Range(0.1, 100.0))
-      ->capture_default_str();
+  app.add_option("--servo-speed", options.servo_speed,
+                 "of the servos, true and believed, instead of the vehicle's [rad/s]")
+      ->check(CLI::Range(0.1, 100.0));
   app.add_option("--servo-time-constant", options.servo_time_constant,
-                 "of the servos, believed, such as identify_servo finds it; the true one is 0.08 "
-                 "[s]")
-      ->check(CLI::Range(0.001, 1.0))
-      ->capture_default_str();
-  app.add_option("--ground-thrust", options.ground_thrust, "vertical, asked for on the ground [N]")
-      ->check(CLI::Range(0.0, 10.0))
-      ->capture_default_str();
+                 "of the servos, believed, such as identify_servo finds it; the true one stays the "
+                 "vehicle's [s]")
+      ->check(CLI::Range(0.001, 1.0));
+  app.add_option("--ground-thrust", options.ground_thrust,
+                 "vertical, asked for on the ground, instead of a twentieth of the weight [N]")
+      ->check(CLI::Range(0.0, 1000.0));
   app.add_flag("--no-actuator-rows", options.no_actuator_rows,
                "bound the wrench and its rate by boxes alone, as in the paper");
   app.add_flag("--no-pictures", options.no_pictures, "write the log only");
 }
 
 /// The vehicle to simulate and the one that the controller believes in.
+template <int Rotors>
 struct MissionVehicles {
-  tilt_ropter::Vehicle<4> truth, believed;
+  tilt_ropter::Vehicle<Rotors> truth, believed;
 };
 
-[[nodiscard]] inline MissionVehicles vehicles(const MissionOptions& options) {
-  tilt_ropter::Vehicle<4> believed = tilt_ropter::tilt_ropter_vehicle();
-  believed.servo.max_rate = options.servo_speed;
-  tilt_ropter::Vehicle<4> truth = believed;
+template <int Rotors>
+[[nodiscard]] MissionVehicles<Rotors> vehicles(const MissionOptions& options,
+                                               tilt_ropter::Vehicle<Rotors> believed) {
+  if (options.servo_speed > 0.0) believed.servo.max_rate = options.servo_speed;
+  tilt_ropter::Vehicle<Rotors> truth = believed;
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
-  believed.servo.time_constant = options.servo_time_constant;
+  if (options.servo_time_constant > 0.0) believed.servo.time_constant = options.servo_time_constant;
   return {truth, believed};
 }
 
 namespace detail {
 
-inline std::vector<std::string> mission_columns() {
+inline std::vector<std::string> mission_columns(int rotor_count) {
   std::vector<std::string> names = {"time_s", "phase", "on_ground"};
   const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
     for (const std::string& part : parts) names.push_back(name + "_" + part);
   };
-  const std::vector<std::string> axes = {"x", "y", "z"}, rotors = {"1", "2", "3", "4"};
+  const std::vector<std::string> axes = {"x", "y", "z"};
+  std::vector<std::string> rotors;
+  for (int i = 1; i <= rotor_count; ++i) rotors.push_back(std::to_string(i));
   add("position_m", axes);
   add("reference_m", axes);
   add("velocity_mps", axes);
@@ -109,9 +115,9 @@ inline std::vector<std::string> mission_columns() {
   return names;
 }
 
-template <typename Plant>
+template <typename Plant, int Rotors>
 void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& plant,
-             const FlightController& controller, double power) {
+             const FlightController<Rotors>& controller, double power) {
   const double time = plant.time();
   const tilt_ropter::BodyState<>& body = plant.body();
   const tilt_ropter::NmpcResult& result = controller.result();
@@ -133,35 +139,45 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 /// Flies the hybrid mission on `plant`, prints its figures and leaves hybrid_mission.csv and
 /// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
 /// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
-/// after every step. Throws std::runtime_error if the plant refuses a step.
-template <typename Plant, typename Disturbance, typename OnStep>
-void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles, Plant& plant,
-                 Disturbance&& disturbance, OnStep&& on_step) {
+/// after every step. A vehicle without wheels begins in hover. Throws std::runtime_error if the
+/// plant refuses a step.
+template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
+void fly_mission(const MissionOptions& options, const VehicleFile& file,
+                 const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
+                 OnStep&& on_step) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
 
-  const HybridMissionParameters job;
-  const Mission mission = hybrid_mission(job);
-  NmpcSettings settings;
+  const Mission mission = mission_of(file);
+  const Reference reference = [&mission](double time) { return mission(time); };
+  NmpcSettings settings = file.settings();
   settings.actuator_rows = !options.no_actuator_rows;
-  settings.ground.down_force = options.ground_thrust;
+  if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
               << " at " << v.time << " s, allowed is " << v.allowed << '\n';
 
-  MissionSensors sensors(static_cast<std::uint64_t>(options.seed));
-  FlightController controller(vehicles.believed, settings, MissionSensors::estimation());
-  const Allocation<4> allocation(vehicles.believed);
-  const PowerModel power(vehicles.truth);
+  MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
+  FlightController<Rotors> controller(vehicles.believed, settings,
+                                      MissionSensors<Rotors>::estimation());
+  const PowerModel power(vehicles.truth.power,
+                         controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
+  ActuatorState<Rotors> command;
+  if (!file.has_wheels) {
+    command = controller.lift(vehicles.believed.body.mass * gravity);
+    controller.start_with(command);
+    BodyState<> start;
+    start.position = mission(0.0).position;
+    plant.reset(start, command);
+  }
 
   std::filesystem::create_directories(options.output);
-  MissionLog log(options.output + "/hybrid_mission.csv", detail::mission_columns());
+  MissionLog log(options.output + "/hybrid_mission.csv", detail::mission_columns(Rotors));
   // Apart, because the same seed gives the same log bit for bit, and not the same wall times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
-  MissionFigures figures(job.flight_height);
-  ActuatorState<4> command;
+  MissionFigures figures(HybridMissionParameters{}.flight_height, options.vehicle_path.empty());
   Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
@@ -169,15 +185,15 @@ void fly_mission(const MissionOptions& options, const MissionVehicles& vehicles,
     const double time = plant.time();
     sensors.sense(plant, controller);
     if (i % steps_per_tick == 0 && controller.started()) {  // from the first pose on
-      controller.prepare(time, mission);
+      controller.prepare(time, reference);
       command = controller.control(time);
       const NmpcResult& result = controller.result();
       figures.on_control(result.status == NmpcStatus::solved,
                          result.report.prepare_us + result.report.feedback_us,
                          result.report.feedback_us);
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
-                        allocation.rates(result.wrench, result.rate).tilt_rate,
-                        vehicles.truth.servo, steps_per_tick * step);
+                        controller.planned_tilt_rate(), vehicles.truth.servo,
+                        steps_per_tick * step);
       times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
       detail::log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
     }

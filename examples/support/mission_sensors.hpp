@@ -9,6 +9,7 @@ namespace examples {
 
 /// What the vehicle of the mission senses: an IMU with biases at 1 kHz, rotor speeds, and motion
 /// capture at 100 Hz that is 20 ms late.
+template <int Rotors = 4>
 struct MissionSensors {
   explicit MissionSensors(std::uint64_t seed)
       : imu(imu_parameters(), seed),
@@ -52,7 +53,7 @@ struct MissionSensors {
   }
 
   tilt_ropter::ImuSensor imu;
-  tilt_ropter::RotorSpeedSensor<4> rotor_speeds;
+  tilt_ropter::RotorSpeedSensor<Rotors> rotor_speeds;
   tilt_ropter::PoseSensor poses;
 };
 

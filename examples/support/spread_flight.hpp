@@ -77,17 +77,18 @@ class Wind {
   tilt_ropter::GaussianNoise noise_;
 };
 
-/// Flies vehicle `index` of the run with `seed`: the controller believes in tilt_ropter_vehicle()
-/// and has its default settings. The same arguments give the same record bit for bit.
+/// Flies the vehicle of `draw` on a hybrid mission while the controller takes it for `believed`.
+/// The same arguments give the same record bit for bit.
 template <typename OnTick>
 [[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random,
-                                      const tilt_ropter::NmpcSettings& settings, OnTick&& on_tick) {
+                                      const tilt_ropter::Vehicle<4>& believed,
+                                      const tilt_ropter::NmpcSettings& settings,
+                                      const tilt_ropter::Mission& mission, OnTick&& on_tick) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
-  const Vehicle<4> believed = tilt_ropter_vehicle();
   const Vehicle<4> truth = true_vehicle(draw, believed);
-  static const Mission mission = hybrid_mission();
+  const Reference reference = [&mission](double time) { return mission(time); };
 
   PlantParameters parameters;
   parameters.contact.friction = draw.friction;
@@ -117,7 +118,7 @@ template <typename OnTick>
   RotorSpeedSensor<4> rotor_speeds(speed_parameters, random.bits());
   PoseSensor poses(capture, random.bits());
   Wind wind(draw, random.bits());
-  FlightController controller(believed, settings, estimation);
+  FlightController<4> controller(believed, settings, estimation);
   const PowerModel power(truth);
 
   const Eigen::Vector3d centre = -draw.com_offset;  // of the believed vehicle, from the CoM
@@ -151,7 +152,7 @@ template <typename OnTick>
     if (i % steps_per_tick == 0) {
       force = wind.next(steps_per_tick * step);
       if (controller.started()) {
-        controller.prepare(time, mission);
+        controller.prepare(time, reference);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
         if (controller.result().status != NmpcStatus::solved) ++record.solver_failures;
         on_tick(mission, plant, controller, power);

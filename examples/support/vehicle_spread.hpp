@@ -75,14 +75,14 @@ class RandomStream {
 }
 
 /// Vehicle number `index` of the run with `seed`; uniform in the ranges above, time constants in
-/// their logarithm. Moments of inertia that no body has are drawn again.
-[[nodiscard]] inline VehicleDraw draw_vehicle(RandomStream& random) {
+/// their logarithm. Factors of the moments of `inertia` that no body has are drawn again.
+[[nodiscard]] inline VehicleDraw draw_vehicle(RandomStream& random,
+                                              const Eigen::Matrix3d& inertia) {
   VehicleDraw draw;
   draw.mass = random.uniform(0.8, 1.2);
   do {
     draw.inertia = random.uniform_vector(0.7, 1.3);
-  } while (
-      !is_physical(tilt_ropter::tilt_ropter_vehicle().body.inertia * draw.inertia.asDiagonal()));
+  } while (!is_physical(inertia * draw.inertia.asDiagonal()));
   draw.com_offset = random.uniform_vector(-0.01, 0.01);
   draw.thrust = random.uniform(0.85, 1.15);
   draw.servo_time_constant = random.log_uniform(0.5, 2.0);

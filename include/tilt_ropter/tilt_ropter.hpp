@@ -46,6 +46,7 @@
 
 #if __has_include(<nlopt.h>)
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>

@@ -35,14 +35,14 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
   const double lap = mission.duration() + 2.0;  // with a rest between
   const double asked = std::getenv("TILT_ROPTER_FULL") != nullptr ? 3600.0 : 300.0;
   const int laps = static_cast<int>(std::ceil(asked / lap));
-  const auto reference = [&](double time) { return mission(std::fmod(time, lap)); };
+  const examples::Reference reference = [&](double time) { return mission(std::fmod(time, lap)); };
 
   Vehicle<4> truth = tilt_ropter_vehicle();
   truth.body.mass *= 1.03;
   truth.body.inertia *= 1.1;
   Plant<4> plant(truth);
-  MissionSensors sensors(1);
-  FlightController controller(tilt_ropter_vehicle(), {}, MissionSensors::estimation());
+  MissionSensors<> sensors(1);
+  FlightController<> controller(tilt_ropter_vehicle(), {}, MissionSensors<>::estimation());
   ActuatorState<4> command;
   std::vector<double> rmse, memory;
   int failures = 0;

@@ -67,6 +67,8 @@ const Outcome& whole() {
   return result;
 }
 
+const Eigen::Matrix3d the_inertia = tilt_ropter::tilt_ropter_vehicle().body.inertia;
+
 TEST(MonteCarlo, VehiclesThatTheControllerDoesNotKnowComeThrough) {
   ASSERT_EQ(whole().exit_code, 0) << whole().errors;
   std::istringstream csv(whole().csv);
@@ -110,10 +112,10 @@ TEST(MonteCarlo, ReplaysAVehicleAsItFlew) {
 
 TEST(MonteCarlo, AnotherSeedIsAnotherVehicle) {
   examples::RandomStream a(1, 5), b(1, 5), seed(2, 5), index(1, 6);
-  const double mass = examples::draw_vehicle(a).mass;
-  EXPECT_EQ(examples::draw_vehicle(b).mass, mass);
-  EXPECT_NE(examples::draw_vehicle(seed).mass, mass);
-  EXPECT_NE(examples::draw_vehicle(index).mass, mass);
+  const double mass = examples::draw_vehicle(a, the_inertia).mass;
+  EXPECT_EQ(examples::draw_vehicle(b, the_inertia).mass, mass);
+  EXPECT_NE(examples::draw_vehicle(seed, the_inertia).mass, mass);
+  EXPECT_NE(examples::draw_vehicle(index, the_inertia).mass, mass);
 }
 
 TEST(MonteCarlo, DrawsTheWholeOfEveryRangeAndNothingBeyond) {
@@ -125,7 +127,7 @@ TEST(MonteCarlo, DrawsTheWholeOfEveryRangeAndNothingBeyond) {
       delay{0.0, 0.02}, friction{0.3, 1.0}, wind{0.0, 1.0};
   for (std::uint64_t k = 0; k < 2000; ++k) {
     examples::RandomStream random(1, k);
-    const examples::VehicleDraw d = examples::draw_vehicle(random);
+    const examples::VehicleDraw d = examples::draw_vehicle(random, the_inertia);
     EXPECT_NO_THROW(validate(examples::true_vehicle(d, tilt_ropter::tilt_ropter_vehicle())));
     mass.add(d.mass), thrust.add(d.thrust), friction.add(d.friction), wind.add(d.wind);
     for (int axis = 0; axis < 3; ++axis) inertia.add(d.inertia(axis)), com.add(d.com_offset(axis));

@@ -2,8 +2,8 @@
 
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
-#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
@@ -27,55 +27,6 @@ enum class NmpcStatus {
   no_plan,        ///< no plan, or it has run out: the safe wrench
 };
 
-/// WheeledFlightSettings with a weight on angular velocity that damps attitude enough for a vehicle
-/// whose actuators are slower and later than the controller knows. With the problem's own one, time
-/// constants 1.5 times the believed ones and commands 20 ms late let it rock until it tips.
-[[nodiscard]] inline WheeledFlightSettings damped_flight_settings() {
-  WheeledFlightSettings s;
-  s.weights.angular_velocity.setConstant(2.5);
-  return s;
-}
-
-/// What the controller can be told; the defaults fly the reference vehicle.
-struct NmpcSettings {
-  WheeledFlightSettings problem = damped_flight_settings();
-  SolverSettings solver;
-  GroundContactSettings ground;
-  /// A plan older than this is not followed; the safe wrench is commanded [s].
-  double max_plan_age = 0.2;
-  /// So many failures in a row, and the next solve starts cold from the measured state.
-  int failures_before_reset = 3;
-  /// False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: what the reference's acceleration
-  /// and the estimated external wrench ask for, which leaves no offset at rest.
-  bool wrench_feedforward = true;
-  /// True: a plan keeps to what the servos' speed and the rotors' thrust allow, see ActuatorRows.
-  /// False: as in the paper, to the boxes of NmpcBounds alone.
-  bool actuator_rows = true;
-  ActuatorRowSettings actuators;  ///< no effect without actuator_rows
-};
-
-inline void validate(const NmpcSettings& s) {
-  validate(s.problem);
-  validate(s.solver);
-  validate(s.ground);
-  validate(s.actuators);
-  require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
-  require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
-          s.failures_before_reset, ">= 1");
-}
-
-/// The paper's parameters: its table of bounds, N and interval, its reference
-/// wrench, and no rows beyond its own.
-[[nodiscard]] inline NmpcSettings paper_nmpc_settings() {
-  NmpcSettings s;
-  s.problem.intervals = 20;
-  s.problem.interval = 0.1;
-  s.problem.bounds = paper_bounds();
-  s.wrench_feedforward = false;
-  s.actuator_rows = false;
-  return s;
-}
-
 /// What leaves the controller.
 struct NmpcResult {
   NmpcStatus status = NmpcStatus::no_plan;
@@ -96,7 +47,8 @@ struct NmpcResult {
 ///   sees: hold()): the last plan goes on. Status bad_state.
 /// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
 ///   reference that is not finite: the last plan goes on. Status solver_failed.
-/// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it is
+/// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it
+/// is
 ///   made anew from cold in the same call, and if that is no better, the safe wrench goes out.
 /// - So often in a row (failures_before_reset): the next solve starts cold, from the measured state
 ///   and the wrench commanded last, which goes on if that fails, too.
@@ -114,7 +66,7 @@ class Nmpc {
   /// cannot give every wrench (see control_authority()). Allocates; the functions below allocate
   /// nothing outside NLopt and never throw. When an actuator fails in flight, make another one for
   /// the vehicle that is left.
-  explicit Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings = {})
+  Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
       : settings_(checked(settings)),
         body_(vehicle.body),
         contact_(vehicle.body, vehicle.wheels, settings.ground),
@@ -126,6 +78,9 @@ class Nmpc {
         points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
     result_.wrench = safe_wrench();
   }
+
+  /// With the settings that fly this vehicle without tuning.
+  explicit Nmpc(const Vehicle<Rotors>& vehicle) : Nmpc(vehicle, nmpc_settings(vehicle)) {}
 
   /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
   /// reference, linearisation, factorisation. `reference` is any callable that returns a

@@ -10,21 +10,29 @@
 namespace tilt_ropter {
 
 /// P = electronics + c sum Omega^3, the aerodynamic power of propellers at rest in air, with c such
-/// that hover, m g shared equally by all rotors, takes PowerParameters.hover (paper, Sec. Energy
-/// Efficiency). Only the constructor throws; nothing allocates.
+/// that hover takes PowerParameters.hover (paper, Sec. Energy Efficiency). Only constructors throw;
+/// nothing allocates.
 class PowerModel {
  public:
-  /// Throws std::invalid_argument on parameters that validate() refuses, and where hover takes so
-  /// slow a speed that power would overflow.
+  /// For a vehicle whose rotors share m g equally in hover. Throws std::invalid_argument on
+  /// parameters that validate() refuses, and where hover takes so slow a speed that power would
+  /// overflow.
   template <int Rotors>
-  explicit PowerModel(const Vehicle<Rotors>& vehicle) : electronics_(vehicle.power.electronics) {
-    validate(vehicle.power);
-    validate(vehicle.body);
-    validate(vehicle.rotor);
-    const double hover_speed =
-        speed_from_thrust(vehicle.body.mass * gravity / Rotors, vehicle.rotor.thrust_coefficient);
-    coefficient_ =
-        (vehicle.power.hover - electronics_) / (Rotors * hover_speed * hover_speed * hover_speed);
+  explicit PowerModel(const Vehicle<Rotors>& vehicle)
+      : PowerModel(vehicle.power,
+                   Eigen::Matrix<double, Rotors, 1>(
+                       Eigen::Matrix<double, Rotors, 1>::Constant(speed_in_hover(vehicle)))) {}
+
+  /// For one whose rotors do not, such as a vehicle whose rotors push against each other: `hover`
+  /// are their speeds then [rad/s], a vector of any length. Throws likewise.
+  template <typename Derived>
+  PowerModel(const PowerParameters& parameters, const Eigen::MatrixBase<Derived>& hover)
+      : electronics_(parameters.electronics) {
+    validate(parameters);
+    require_non_negative("PowerModel: speeds in hover [rad/s]", hover);
+    double cubes = 0.0;
+    for (Eigen::Index i = 0; i < hover.size(); ++i) cubes += hover(i) * hover(i) * hover(i);
+    coefficient_ = (parameters.hover - electronics_) / cubes;
     require(coefficient_ < 1e200, "PowerModel's coefficient [W s^3]", coefficient_,
             "below 1e200; the hover speed is next to zero");
   }
@@ -47,6 +55,14 @@ class PowerModel {
   [[nodiscard]] double coefficient() const noexcept { return coefficient_; }
 
  private:
+  template <int Rotors>
+  static double speed_in_hover(const Vehicle<Rotors>& vehicle) {
+    validate(vehicle.body);
+    validate(vehicle.rotor);
+    return speed_from_thrust(vehicle.body.mass * gravity / Rotors,
+                             vehicle.rotor.thrust_coefficient);
+  }
+
   double electronics_;
   double coefficient_ = 0.0;
 };

@@ -189,11 +189,9 @@ inline void validate(const HybridMissionParameters& p) {
   require_finite("HybridMissionParameters.start_time [s]", p.start_time);
 }
 
-/// Rest, take-off, hover, an eight in the air, a turn into the ground eight's direction, hover,
-/// landing, rest, the eight on the ground with the heading along it, rest, take-off, hover,
-/// landing, rest. Throws std::invalid_argument on bad parameters.
-[[nodiscard]] inline Mission hybrid_mission(const HybridMissionParameters& p = {}) {
-  validate(p);
+namespace detail {
+
+[[nodiscard]] inline FigureEightParameters air_eight(const HybridMissionParameters& p) {
   FigureEightParameters air;
   air.center << p.origin, p.flight_height;
   air.amplitude = p.air_amplitude;
@@ -202,7 +200,29 @@ inline void validate(const HybridMissionParameters& p) {
   air.max_speed = p.max_speed;
   air.max_acceleration = p.max_acceleration;
   air.yaw = p.yaw;
+  return air;
+}
 
+}  // namespace detail
+
+/// The part of it for a vehicle without wheels: hover, the eight in the air, hover. Throws
+/// std::invalid_argument on bad parameters.
+[[nodiscard]] inline Mission aerial_mission(const HybridMissionParameters& p = {}) {
+  validate(p);
+  const FigureEightParameters air = detail::air_eight(p);
+  const Hold hover({air.center, p.yaw}, p.hover_time);
+  return Mission({{MissionPhase::hover, hover},
+                  {MissionPhase::air, FigureEight(air)},
+                  {MissionPhase::hover, hover}},
+                 p.start_time);
+}
+
+/// Rest, take-off, hover, an eight in the air, a turn into the ground eight's direction, hover,
+/// landing, rest, the eight on the ground with the heading along it, rest, take-off, hover,
+/// landing, rest. Throws std::invalid_argument on bad parameters.
+[[nodiscard]] inline Mission hybrid_mission(const HybridMissionParameters& p = {}) {
+  validate(p);
+  const FigureEightParameters air = detail::air_eight(p);
   FigureEightParameters ground = air;
   ground.center.z() = p.wheel_radius;
   ground.amplitude << p.ground_amplitude, 0.0;

@@ -121,6 +121,14 @@ class Plant {
     loads_ = loads(state_);
   }
 
+  /// The same at time zero, with wheels that do not turn.
+  void reset(const BodyState<>& body, const ActuatorState<Rotors>& actuators) {
+    PlantState<Rotors> state;
+    state.body = body;
+    state.actuators = actuators;
+    reset(state);
+  }
+
   /// Goes on by `dt` in (0, max_step] [s] with constant command and constant disturbance, a wrench
   /// at the CoM in the body frame. Never throws or allocates. Returns false, with the state as it
   /// was, if an argument is not finite, dt is out of range, or the body or a wheel would become

@@ -1,0 +1,69 @@
+#include "flight_controller.hpp"
+
+namespace examples {
+
+using namespace tilt_ropter;
+
+template <int Rotors>
+FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
+                                           const NmpcSettings& settings,
+                                           const EkfSettings& estimation)
+    : allocation_(vehicle),
+      actuators_(vehicle),
+      ekf_(estimation),
+      observer_(vehicle.body),
+      nmpc_(vehicle, settings) {}
+
+template <int Rotors>
+void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {
+  command_ = command;
+  rotor_speeds_ = command.rotor_speed;
+}
+
+template <int Rotors>
+ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
+  Wrench<> wrench;
+  wrench.force.z() = force;
+  return allocation_.allocate(wrench, {}).command;
+}
+
+template <int Rotors>
+void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sample) {
+  applied_ = {rotor_speeds_, actuators_.update(time, command_).tilt_angle};
+  ekf_.on_imu(time, sample);
+  const InertialState<>& x = ekf_.filter().state();
+  observer_.update(time, sample.specific_force - x.accelerometer_bias,
+                   sample.angular_velocity - x.gyro_bias, allocation_.wrench(applied_));
+}
+
+template <int Rotors>
+void FlightController<Rotors>::on_pose(double time, const MarkerPose<>& pose) {
+  ekf_.on_pose(time, pose);
+}
+
+template <int Rotors>
+void FlightController<Rotors>::prepare(double time, const Reference& reference) {
+  if (nmpc_.prepare(time, reference, observer_.external()))
+    observer_.set_external(nmpc_.contact().air_wrench());
+}
+
+template <int Rotors>
+const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
+  started_ = started();
+  if (!started_) return command_;
+  result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.state()) : nmpc_.hold(time);
+  command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
+  actuators_.update(time, command_);  // acts from now on
+  return command_;
+}
+
+template <int Rotors>
+double FlightController<Rotors>::planned_tilt_rate() const {
+  return allocation_.rates(result_.wrench, result_.rate).tilt_rate.cwiseAbs().maxCoeff();
+}
+
+template class FlightController<4>;
+template class FlightController<6>;
+template class FlightController<8>;
+
+}  // namespace examples

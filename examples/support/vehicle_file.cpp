@@ -1,0 +1,531 @@
+#include "vehicle_file.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/allocation_matrix.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <nlohmann/json.hpp>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <fstream>
+#include <istream>
+#include <set>
+#include <sstream>
+#include <utility>
+#include <vector>
+
+namespace examples {
+namespace {
+
+using namespace tilt_ropter;
+using Json = nlohmann::ordered_json;
+
+/// For a message: one line, and not all of a file.
+std::string shown(const Json& value) {
+  constexpr std::size_t longest = 60;
+  const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  return text.size() > longest ? text.substr(0, longest) + "..." : text;
+}
+
+std::string shown(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+
+[[noreturn]] void refuse(const std::string& field, const std::string& value,
+                         const std::string& allowed) {
+  throw VehicleFileError(field + " = " + value + ": must be " + allowed);
+}
+
+struct Range {
+  double least, most;
+  std::string unit;
+  [[nodiscard]] bool has(double value) const { return value >= least && value <= most; }
+  [[nodiscard]] std::string text() const {
+    return "in [" + shown(least) + ", " + shown(most) + "]" + (unit.empty() ? "" : ' ' + unit);
+  }
+};
+
+/// One JSON object, whose fields are asked for by name. Those that nobody asked for are refused,
+/// since a name that is spelt wrong would otherwise be a parameter that silently does nothing.
+class Fields {
+ public:
+  Fields(const Json& object, std::string path) : object_(object), path_(std::move(path)) {
+    if (!object.is_object()) refuse(path_.empty() ? "the file" : path_, shown(object), "an object");
+  }
+
+  [[nodiscard]] std::string name(const std::string& key) const {
+    return path_.empty() ? key : path_ + '.' + key;
+  }
+
+  /// The field, or null if there is none.
+  const Json* find(const std::string& key) {
+    asked_.insert(key);
+    const auto found = object_.find(key);
+    return found == object_.end() ? nullptr : &*found;
+  }
+
+  const Json& get(const std::string& key, const std::string& allowed) {
+    const Json* field = find(key);
+    if (field == nullptr) throw VehicleFileError(name(key) + " is missing: must be " + allowed);
+    return *field;
+  }
+
+  double number(const std::string& key, const Range& range) {
+    const std::string allowed = "a number " + range.text();
+    return number(get(key, allowed), name(key), range, allowed);
+  }
+
+  bool truth(const std::string& key) {
+    const std::string allowed = "true or false";
+    const Json& field = get(key, allowed);
+    if (!field.is_boolean()) refuse(name(key), shown(field), allowed);
+    return field.get<bool>();
+  }
+
+  std::string text(const std::string& key, const std::vector<std::string>& choices = {}) {
+    std::string allowed = choices.empty() ? "a text" : "one of";
+    for (const std::string& choice : choices) allowed += " \"" + choice + '"';
+    const Json& field = get(key, allowed);
+    if (!field.is_string() || field.get<std::string>().empty())
+      refuse(name(key), shown(field), allowed);
+    const auto value = field.get<std::string>();
+    bool chosen = choices.empty();
+    for (const std::string& choice : choices) chosen = chosen || value == choice;
+    if (!chosen) refuse(name(key), shown(field), allowed);
+    return value;
+  }
+
+  Eigen::Vector3d vector(const std::string& key, const Range& range) {
+    const std::string allowed = "three numbers " + range.text();
+    return vector(get(key, allowed), name(key), range, allowed);
+  }
+
+  /// Leaves `value` as it is where there is no such field.
+  void vector_if_there(const std::string& key, const Range& range, Eigen::Vector3d& value) {
+    if (find(key) != nullptr) value = vector(key, range);
+  }
+
+  Eigen::Matrix3d inertia(const std::string& key, const Range& range) {
+    const std::string allowed = "three moments or three rows of three numbers " + range.text();
+    const Json& field = get(key, allowed);
+    const bool rows = field.is_array() && field.size() == 3 && field[0].is_array();
+    if (!rows) return vector(field, name(key), range, allowed).asDiagonal();
+    Eigen::Matrix3d value;
+    for (std::size_t i = 0; i < 3; ++i)
+      value.row(static_cast<Eigen::Index>(i)) =
+          vector(field[i], name(key) + '[' + std::to_string(i) + ']', range, allowed).transpose();
+    return value;
+  }
+
+  void refuse_unknown() const {
+    for (const auto& [key, value] : object_.items()) {
+      if (asked_.count(key) != 0) continue;
+      std::string known;
+      for (const std::string& other : asked_) known += (known.empty() ? "" : ", ") + other;
+      throw VehicleFileError(name(key) + " = " + shown(value) +
+                             ": there is no such field; here are " + known);
+    }
+  }
+
+ private:
+  static double number(const Json& field, const std::string& name, const Range& range,
+                       const std::string& allowed) {
+    if (!field.is_number() || !range.has(field.get<double>())) refuse(name, shown(field), allowed);
+    return field.get<double>();
+  }
+
+  static Eigen::Vector3d vector(const Json& field, const std::string& name, const Range& range,
+                                const std::string& allowed) {
+    if (!field.is_array() || field.size() != 3) refuse(name, shown(field), allowed);
+    Eigen::Vector3d value;
+    for (std::size_t i = 0; i < 3; ++i)
+      value(static_cast<Eigen::Index>(i)) =
+          number(field[i], name + '[' + std::to_string(i) + ']', range, allowed);
+    return value;
+  }
+
+  const Json& object_;
+  std::string path_;
+  std::set<std::string> asked_;
+};
+
+constexpr double degree = pi / 180.0;
+
+RotorGeometry read_rotor(const Json& object, const std::string& path) {
+  Fields fields(object, path);
+  const Range metres{-10.0, 10.0, "m"}, any{-1e3, 1e3, ""};
+  RotorGeometry rotor;
+  const bool clockwise = fields.text("spin", {"counter_clockwise", "clockwise"}) == "clockwise";
+  const Spin spin = clockwise ? Spin::clockwise : Spin::counter_clockwise;
+  const bool tilts = fields.truth("tilts");
+  if (fields.find("position_m") == nullptr && fields.find("thrust_axis") == nullptr) {
+    const double azimuth = fields.number("azimuth_deg", {-360.0, 360.0, "deg"});
+    rotor = rotor_on_arm(azimuth * degree, fields.number("length_m", {0.01, 10.0, "m"}), spin);
+  } else {
+    rotor.position = fields.vector("position_m", metres);
+    const auto axis = [&](const std::string& key) -> Eigen::Vector3d {
+      const Eigen::Vector3d value = fields.vector(key, any);
+      if (!(value.norm() > 1e-3))
+        refuse(fields.name(key), "of length " + shown(value.norm()), "longer than 0.001");
+      return value.normalized();
+    };
+    const Eigen::Vector3d up = axis("thrust_axis");
+    const Eigen::Vector3d out = tilts ? axis("arm_axis") : up.unitOrthogonal().eval();
+    if (std::abs(up.dot(out)) > 1e-3)
+      refuse(fields.name("arm_axis"),
+             shown(std::acos(up.dot(out)) / degree) + " deg from thrust_axis",
+             "at a right angle to it, to 0.06 deg");
+    rotor.spin = spin;
+    rotor.orientation.col(2) = up;
+    rotor.orientation.col(1) = up.cross(out).normalized();
+    rotor.orientation.col(0) = rotor.orientation.col(1).cross(up);
+  }
+  rotor.tilts = tilts;
+  fields.refuse_unknown();
+  return rotor;
+}
+
+RigidBodyParameters read_body(const Json& object) {
+  Fields fields(object, "body");
+  RigidBodyParameters body;
+  body.mass = fields.number("mass_kg", {0.01, 1e3, "kg"});
+  body.inertia = fields.inertia("inertia_kg_m2", {-1e4, 1e4, "kg m^2"});
+  fields.refuse_unknown();
+  require_inertia("body.inertia_kg_m2", body.inertia);
+  return body;
+}
+
+RotorParameters read_rotor_parameters(const Json& object) {
+  Fields fields(object, "rotor");
+  RotorParameters rotor;
+  rotor.thrust_coefficient =
+      fields.number("thrust_coefficient_n_s2_per_rad2", {1e-10, 1.0, "N s^2/rad^2"});
+  rotor.torque_ratio = fields.number("torque_ratio_m", {0.0, 1.0, "m"});
+  rotor.min_thrust = fields.number("min_thrust_n", {0.0, 1e4, "N"});
+  rotor.max_thrust = fields.number("max_thrust_n", {1e-3, 1e4, "N"});
+  rotor.time_constant = fields.number("time_constant_s", {1e-3, 1.0, "s"});
+  fields.refuse_unknown();
+  if (rotor.min_thrust >= rotor.max_thrust)
+    refuse("rotor.min_thrust_n", shown(rotor.min_thrust),
+           "less than max_thrust_n, " + shown(rotor.max_thrust) + " N");
+  return rotor;
+}
+
+ServoParameters read_servo(const Json& object) {
+  Fields fields(object, "servo");
+  ServoParameters servo;
+  servo.time_constant = fields.number("time_constant_s", {1e-3, 1.0, "s"});
+  servo.max_rate = fields.number("max_rate_radps", {0.1, 100.0, "rad/s"});
+  servo.min_angle = fields.number("min_angle_deg", {-720.0, 0.0, "deg"}) * degree;
+  servo.max_angle = fields.number("max_angle_deg", {0.0, 720.0, "deg"}) * degree;
+  servo.dead_time = fields.number("dead_time_s", {0.0, 0.5, "s"});
+  fields.refuse_unknown();
+  if (!(servo.min_angle < servo.max_angle))
+    refuse("servo.max_angle_deg", shown(servo.max_angle / degree), "more than min_angle_deg");
+  return servo;
+}
+
+WheelParameters read_wheels(const Json& object) {
+  Fields fields(object, "wheels");
+  WheelParameters wheels;
+  wheels.radius = fields.number("radius_m", {0.005, 1.0, "m"});
+  wheels.half_track = fields.number("half_track_m", {0.01, 5.0, "m"});
+  fields.refuse_unknown();
+  return wheels;
+}
+
+PowerParameters read_power(const Json& object) {
+  Fields fields(object, "power");
+  PowerParameters power;
+  power.electronics = fields.number("electronics_w", {0.0, 1e5, "W"});
+  power.hover = fields.number("hover_w", {1e-3, 1e6, "W"});
+  fields.refuse_unknown();
+  if (power.hover <= power.electronics)
+    refuse("power.hover_w", shown(power.hover),
+           "more than electronics_w, " + shown(power.electronics) + " W");
+  return power;
+}
+
+/// Calls action(key, range, field) for each field of AllowedErrors.
+template <typename Errors, typename Action>
+void for_allowed_errors(Errors& e, const Action& action) {
+  const auto range = [](const char* unit) { return Range{1e-6, 1e6, unit}; };
+  action("position_m", range("m"), e.position);
+  action("velocity_mps", range("m/s"), e.velocity);
+  action("orientation_rad", range("rad"), e.orientation);
+  action("angular_velocity_radps", range("rad/s"), e.angular_velocity);
+  action("force_per_weight", range("times the weight"), e.force);
+  action("torque_per_weight_and_size", range("times weight and size"), e.torque);
+  action("force_rate_per_weight_and_s", range("times the weight, in a second"), e.force_rate);
+  action("torque_rate_per_weight_size_and_s", range("times weight and size, in a second"),
+         e.torque_rate);
+}
+
+/// The same for NmpcBounds.
+template <typename Bounds, typename Action>
+void for_limits(Bounds& b, const Action& action) {
+  const auto up_to = [](const char* unit) { return Range{1e-6, 1e6, unit}; };
+  const auto either = [](const char* unit) { return Range{-1e6, 1e6, unit}; };
+  action("force_min_n", either("N"), b.force_min);
+  action("force_max_n", either("N"), b.force_max);
+  action("torque_min_nm", either("N m"), b.torque_min);
+  action("torque_max_nm", either("N m"), b.torque_max);
+  action("angular_velocity_radps", up_to("rad/s"), b.angular_velocity);
+  action("force_rate_nps", up_to("N/s"), b.force_rate);
+  action("torque_rate_nmps", up_to("N m/s"), b.torque_rate);
+}
+
+void require_limits(const NmpcBounds& limits, double weight) {
+  for (Eigen::Index i = 0; i < 3; ++i) {
+    const std::string at = '[' + std::to_string(i) + ']';
+    if (limits.force_min(i) > limits.force_max(i))
+      refuse("limits.force_min_n" + at, shown(limits.force_min(i)),
+             "at most force_max_n" + at + ", " + shown(limits.force_max(i)) + " N");
+    if (limits.torque_min(i) > limits.torque_max(i))
+      refuse("limits.torque_min_nm" + at, shown(limits.torque_min(i)),
+             "at most torque_max_nm" + at + ", " + shown(limits.torque_max(i)) + " N m");
+  }
+  if (limits.force_max.z() <= weight)
+    refuse("limits.force_max_n[2]", shown(limits.force_max.z()),
+           "more than the weight, " + shown(weight) + " N");
+  if (limits.force_min.z() >= weight)
+    refuse("limits.force_min_n[2]", shown(limits.force_min.z()),
+           "less than the weight, " + shown(weight) + " N");
+}
+
+template <int Rotors>
+Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
+  for (std::size_t i = 0; i < Rotors; ++i)
+    vehicle.rotors[i] = read_rotor(list[i], "rotors[" + std::to_string(i) + ']');
+  const double weight = vehicle.body.mass * gravity;
+  // No more lift than all thrusts upward; whether they can be had together is for check_vehicle.
+  const double share = weight / Rotors;
+  if (vehicle.rotor.max_thrust <= share)
+    refuse("rotor.max_thrust_n", shown(vehicle.rotor.max_thrust),
+           "more than " + shown(share) + " N, a share of the weight, " + shown(weight) + " N");
+  (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
+  validate(vehicle);
+  return vehicle;
+}
+
+/// Everything but the rotors, which say of what type the vehicle is.
+VehicleFile read(const Json& root) {
+  Fields fields(root, "");
+  const std::string object = "an object";
+  VehicleFile file;
+  file.name = fields.text("name");
+  Vehicle<4> common;
+  common.body = read_body(fields.get("body", object));
+  common.rotor = read_rotor_parameters(fields.get("rotor", object));
+  common.servo = read_servo(fields.get("servo", object));
+  const Json& wheels = fields.get("wheels", "an object, or null for a vehicle without");
+  file.has_wheels = !wheels.is_null();
+  if (file.has_wheels) common.wheels = read_wheels(wheels);
+  common.power = read_power(fields.get("power", object));
+  if (fields.find("battery_wh") != nullptr)
+    file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
+
+  const std::string rotor_list = "a list of 4, 6 or 8 rotors";
+  const Json& list = fields.get("rotors", rotor_list);
+  if (!list.is_array()) refuse("rotors", shown(list), rotor_list);
+  const auto with = [&](auto vehicle) {
+    vehicle.body = common.body;
+    vehicle.rotor = common.rotor;
+    vehicle.servo = common.servo;
+    vehicle.wheels = common.wheels;
+    vehicle.power = common.power;
+    file.vehicle = with_rotors(list, vehicle);
+  };
+  switch (list.size()) {
+    case 4:
+      with(Vehicle<4>{});
+      break;
+    case 6:
+      with(Vehicle<6>{});
+      break;
+    case 8:
+      with(Vehicle<8>{});
+      break;
+    default:
+      refuse("rotors", "a list of " + std::to_string(list.size()), rotor_list);
+  }
+
+  if (const Json* errors = fields.find("allowed_errors")) {
+    Fields inner(*errors, "allowed_errors");
+    for_allowed_errors(file.allowed_errors, [&](const char* key, const Range& range, auto& value) {
+      inner.vector_if_there(key, range, value);
+    });
+    inner.refuse_unknown();
+  }
+  file.limits =
+      std::visit([](const auto& v) { return nmpc_settings(v).problem.bounds; }, file.vehicle);
+  if (const Json* limits = fields.find("limits")) {
+    Fields inner(*limits, "limits");
+    for_limits(file.limits, [&](const char* key, const Range& range, auto& value) {
+      inner.vector_if_there(key, range, value);
+    });
+    inner.refuse_unknown();
+  }
+  fields.refuse_unknown();
+  require_limits(file.limits, common.body.mass * gravity);
+  return file;
+}
+
+/// As nlohmann::json reads it, but a name that stands twice in an object is refused, of which that
+/// would take the last one.
+Json parse(std::istream& in) {
+  std::vector<std::set<std::string>> names;
+  std::string twice;
+  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
+    if (event == Json::parse_event_t::object_start) names.emplace_back();
+    if (event == Json::parse_event_t::object_end) names.pop_back();
+    if (event == Json::parse_event_t::key && !names.back().insert(value.get<std::string>()).second)
+      twice = value.get<std::string>();
+    return true;
+  };
+  Json root = Json::parse(in, watch);
+  if (!twice.empty()) throw VehicleFileError(twice + " is there twice: must be there once");
+  return root;
+}
+
+/// To 12 digits: 0.1 rather than 0.10000000000000001.
+double rounded(double value) {
+  std::ostringstream text;
+  text.precision(12);
+  text << value;
+  return std::stod(text.str());
+}
+
+std::array<double, 3> list_of(const Eigen::Vector3d& v) {
+  return {rounded(v.x()), rounded(v.y()), rounded(v.z())};
+}
+
+Json json_of(const RotorGeometry& rotor) {
+  Json object;
+  const double length = rotor.position.norm();
+  const double azimuth = std::atan2(rotor.position.y(), rotor.position.x());
+  const RotorGeometry on_arm = rotor_on_arm(azimuth, length, rotor.spin);
+  if (on_arm.position.isApprox(rotor.position) && on_arm.orientation.isApprox(rotor.orientation)) {
+    object["azimuth_deg"] = rounded(azimuth / degree);
+    object["length_m"] = rounded(length);
+  } else {
+    object["position_m"] = list_of(rotor.position);
+    object["thrust_axis"] = list_of(rotor.orientation.col(2));
+    if (rotor.tilts) object["arm_axis"] = list_of(rotor.orientation.col(0));
+  }
+  object["spin"] = rotor.spin == Spin::clockwise ? "clockwise" : "counter_clockwise";
+  object["tilts"] = rotor.tilts;
+  return object;
+}
+
+template <int Rotors>
+Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
+  Json root;
+  root["name"] = file.name;
+  const Eigen::Matrix3d& inertia = v.body.inertia;
+  root["body"]["mass_kg"] = v.body.mass;
+  if (inertia.isDiagonal(0.0)) {
+    root["body"]["inertia_kg_m2"] = list_of(inertia.diagonal());
+  } else {
+    for (int i = 0; i < 3; ++i)
+      root["body"]["inertia_kg_m2"].push_back(list_of(inertia.row(i).transpose()));
+  }
+  root["rotor"] = {{"thrust_coefficient_n_s2_per_rad2", v.rotor.thrust_coefficient},
+                   {"torque_ratio_m", v.rotor.torque_ratio},
+                   {"min_thrust_n", v.rotor.min_thrust},
+                   {"max_thrust_n", v.rotor.max_thrust},
+                   {"time_constant_s", v.rotor.time_constant}};
+  root["servo"] = {{"time_constant_s", v.servo.time_constant},
+                   {"max_rate_radps", v.servo.max_rate},
+                   {"min_angle_deg", rounded(v.servo.min_angle / degree)},
+                   {"max_angle_deg", rounded(v.servo.max_angle / degree)},
+                   {"dead_time_s", v.servo.dead_time}};
+  for (const RotorGeometry& rotor : v.rotors) root["rotors"].push_back(json_of(rotor));
+  root["wheels"] = nullptr;
+  if (file.has_wheels)
+    root["wheels"] = {{"radius_m", v.wheels.radius}, {"half_track_m", v.wheels.half_track}};
+  root["power"] = {{"electronics_w", v.power.electronics}, {"hover_w", v.power.hover}};
+  if (file.battery_wh > 0.0) root["battery_wh"] = file.battery_wh;
+  for_allowed_errors(file.allowed_errors,
+                     [&](const char* key, const Range&, const Eigen::Vector3d& value) {
+                       root["allowed_errors"][key] = list_of(value);
+                     });
+  // Only what is not the default, which goes with mass and size: whoever changes those in the file
+  // should not have to change these.
+  std::vector<Eigen::Vector3d> defaults;
+  const NmpcBounds usual = nmpc_settings(v).problem.bounds;
+  for_limits(usual, [&](const char*, const Range&, const Eigen::Vector3d& value) {
+    defaults.push_back(value);
+  });
+  std::size_t i = 0;
+  for_limits(file.limits, [&](const char* key, const Range&, const Eigen::Vector3d& value) {
+    if (!value.isApprox(defaults[i++], 1e-9)) root["limits"][key] = list_of(value);
+  });
+  return root;
+}
+
+/// As text, lists of numbers in one line each.
+std::string text_of(const Json& root) {
+  const std::string spread = root.dump(2);
+  std::string text;
+  for (std::size_t i = 0; i < spread.size(); ++i) {
+    text += spread[i];
+    const std::size_t end = spread.find_first_of("[]{", i + 1);
+    if (spread[i] != '[' || end == std::string::npos || spread[end] != ']') continue;
+    for (++i; i < end; ++i)
+      if (spread[i] != '\n' && spread[i] != ' ')
+        text += spread[i] == ',' ? ", " : spread.substr(i, 1);
+    text += ']';
+  }
+  return text;
+}
+
+}  // namespace
+
+VehicleFile read_vehicle(std::istream& in, const std::string& file) {
+  try {
+    return read(parse(in));
+  } catch (const Json::exception& error) {
+    const std::string text = error.what();  // behind the library's own number of the error
+    throw VehicleFileError(file + ": " + text.substr(text.find("] ") + 2));
+  } catch (const std::exception& error) {
+    throw VehicleFileError(file + ": " + error.what());
+  }
+}
+
+VehicleFile read_vehicle(const std::string& path) {
+  std::ifstream in(path);
+  if (!in) throw VehicleFileError("cannot read " + path);
+  return read_vehicle(in, path);
+}
+
+void write_vehicle(const VehicleFile& file, const std::string& path) {
+  const Json root = std::visit([&](const auto& v) { return json_of(file, v); }, file.vehicle);
+  std::ofstream out(path);
+  out << text_of(root) << '\n';
+  if (!out.flush()) throw std::runtime_error("cannot write " + path);
+}
+
+Mission mission_of(const VehicleFile& file) {
+  HybridMissionParameters job;
+  if (!file.has_wheels) return aerial_mission(job);
+  std::visit([&job](const auto& v) { job.wheel_radius = v.wheels.radius; }, file.vehicle);
+  return hybrid_mission(job);
+}
+
+Vehicle<4> wheeled_quadrotor(const VehicleFile& file) {
+  const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
+  if (vehicle == nullptr || !file.has_wheels)
+    throw VehicleFileError(file.name +
+                           ": this program takes a vehicle of 4 rotors with wheels; "
+                           "hybrid_mission takes any");
+  return *vehicle;
+}
+
+}  // namespace examples

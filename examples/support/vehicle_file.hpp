@@ -1,0 +1,85 @@
+#pragma once
+
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+
+#include <iosfwd>
+#include <stdexcept>
+#include <string>
+#include <variant>
+
+/// A vehicle of one's own as a JSON file: every parameter by name, the unit in the name.
+///
+///     { "name": "my vehicle",
+///       "body": { "mass_kg": 1.5,
+///                 "inertia_kg_m2": [0.014, 0.014, 0.025] },  or three rows of three
+///       "rotor": { "thrust_coefficient_n_s2_per_rad2": 1.4e-6, "torque_ratio_m": 0.016,
+///                  "min_thrust_n": 0, "max_thrust_n": 12, "time_constant_s": 0.03 },
+///       "servo": { "time_constant_s": 0.08, "max_rate_radps": 8, "min_angle_deg": -180,
+///                  "max_angle_deg": 180, "dead_time_s": 0 },
+///       "rotors": [ { "azimuth_deg": -90, "length_m": 0.17,      on an arm in the plane of the
+///       CoM,
+///                     "spin": "counter_clockwise", "tilts": true },
+///                   { "position_m": [0.1, 0.1, 0.1],             or anywhere
+///                     "thrust_axis": [0, 0, 1],                  of the thrust at zero tilt
+///                     "arm_axis": [1, 0, 0],                     that the servo turns it about
+///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 of them
+///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2 },     or null: it flies only
+///       "power": { "electronics_w": 20, "hover_w": 653.64 },
+///
+///       "battery_wh": 100,                                       optional from here on
+///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  any of AllowedErrors
+///       "limits": { "force_max_n": [6, 6, 30] } }                any of NmpcBounds
+///
+/// All in the body frame, x forward, y left, z up, from the CoM. `thrust_axis` and `arm_axis` need
+/// not have length one; a rotor that does not tilt needs no `arm_axis`.
+namespace examples {
+
+using AnyVehicle =
+    std::variant<tilt_ropter::Vehicle<4>, tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<8>>;
+
+struct VehicleFile {
+  std::string name = "Tilt-Ropter";
+  AnyVehicle vehicle = tilt_ropter::tilt_ropter_vehicle();
+  bool has_wheels = true;   ///< without, vehicle.wheels means nothing
+  double battery_wh = 0.0;  ///< 0: not known
+  tilt_ropter::AllowedErrors allowed_errors;
+  tilt_ropter::NmpcBounds limits;
+
+  /// The controller's settings for this vehicle.
+  [[nodiscard]] tilt_ropter::NmpcSettings settings() const {
+    auto s = std::visit(
+        [this](const auto& v) { return tilt_ropter::nmpc_settings(v, allowed_errors); }, vehicle);
+    s.problem.bounds = limits;
+    return s;
+  }
+};
+
+/// A vehicle that cannot be: the message names file, field, value and what is allowed.
+class VehicleFileError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Reads and checks every field, and whether they fit together: a body that can exist, a geometry
+/// that gives every wrench, rotors that carry the weight, limits that hold it. `file` is what
+/// messages call it. Throws VehicleFileError.
+[[nodiscard]] VehicleFile read_vehicle(std::istream& in, const std::string& file);
+[[nodiscard]] VehicleFile read_vehicle(const std::string& path);
+
+/// Writes what read_vehicle() takes, to at least 12 digits. Throws std::runtime_error if it cannot.
+void write_vehicle(const VehicleFile& file, const std::string& path);
+
+/// The Tilt-Ropter where `path` is empty.
+[[nodiscard]] inline VehicleFile vehicle_or_default(const std::string& path) {
+  return path.empty() ? VehicleFile{} : read_vehicle(path);
+}
+
+/// What the vehicle can do of the paper's job: with wheels all of it, else the eight in the air.
+[[nodiscard]] tilt_ropter::Mission mission_of(const VehicleFile& file);
+
+/// For programs that fly a vehicle of four rotors and drive it. Throws VehicleFileError on others.
+[[nodiscard]] tilt_ropter::Vehicle<4> wheeled_quadrotor(const VehicleFile& file);
+
+}  // namespace examples

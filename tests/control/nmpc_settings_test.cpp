@@ -1,0 +1,91 @@
+#include "support/vehicles.hpp"
+
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <limits>
+#include <stdexcept>
+
+namespace tilt_ropter {
+namespace {
+
+void expect_close(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double relative) {
+  EXPECT_TRUE(a.isApprox(b, relative)) << a.transpose() << " and " << b.transpose();
+}
+
+TEST(NmpcSettings, OfTheReferenceVehicleAreTheDefaults) {
+  const NmpcSettings own = nmpc_settings(tilt_ropter_vehicle()), usual;
+  const NmpcWeights &w = own.problem.weights, &v = usual.problem.weights;
+  expect_close(w.force, v.force, 1e-3);
+  expect_close(w.torque, v.torque, 1e-3);
+  expect_close(w.position, v.position, 1e-3);
+  expect_close(w.velocity, v.velocity, 1e-3);
+  expect_close(w.orientation, v.orientation, 1e-3);
+  expect_close(w.angular_velocity, v.angular_velocity, 1e-3);
+  expect_close(w.force_rate, v.force_rate, 1e-3);
+  expect_close(w.torque_rate, v.torque_rate, 1e-3);
+  const NmpcBounds &b = own.problem.bounds, &c = usual.problem.bounds;
+  expect_close(b.force_min, c.force_min, 1e-12);
+  expect_close(b.force_max, c.force_max, 1e-12);
+  expect_close(b.torque_max, c.torque_max, 1e-12);
+  expect_close(b.force_rate, c.force_rate, 1e-12);
+  expect_close(b.torque_rate, c.torque_rate, 1e-12);
+  EXPECT_NEAR(own.ground.down_force, usual.ground.down_force, 1e-12);
+}
+
+// Bryson's rule: whatever the vehicle's size, an error that is allowed costs one.
+TEST(NmpcSettings, AnAllowedErrorCostsOne) {
+  AllowedErrors errors;
+  errors.position << 0.1, 0.2, 0.3;
+  errors.torque_rate << 0.5, 1.0, 2.0;
+  Vehicle<6> vehicle = test_support::tilting_hexacopter();  // arms of 0.25 m
+  vehicle.body.mass = 4.0;
+  const double weight = 4.0 * gravity;
+  const NmpcWeights w = nmpc_settings(vehicle, errors).problem.weights;
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_NEAR(w.position(i) * errors.position(i) * errors.position(i), 1.0, 1e-12);
+    const double force = errors.force(i) * weight,
+                 torque_rate = errors.torque_rate(i) * weight * 0.25;
+    EXPECT_NEAR(w.force(i) * force * force, 1.0, 1e-12);
+    EXPECT_NEAR(w.torque_rate(i) * torque_rate * torque_rate, 1.0, 1e-12);
+  }
+}
+
+TEST(NmpcSettings, BoundsAndGroundThrustGoWithWeightAndSize) {
+  Vehicle<4> big = tilt_ropter_vehicle();
+  big.body.mass *= 3.0;
+  for (RotorGeometry& rotor : big.rotors) rotor.position *= 2.0;
+  big.rotors[0].effectiveness = 0.0;  // a lost one does not count
+  big.rotors[0].position *= 10.0;
+  const NmpcSettings s = nmpc_settings(big), usual;
+  expect_close(s.problem.bounds.force_max, 3.0 * usual.problem.bounds.force_max, 1e-12);
+  expect_close(s.problem.bounds.torque_min, 6.0 * usual.problem.bounds.torque_min, 1e-12);
+  expect_close(s.problem.bounds.torque_rate, 6.0 * usual.problem.bounds.torque_rate, 1e-12);
+  expect_close(s.problem.bounds.angular_velocity, usual.problem.bounds.angular_velocity, 1e-12);
+  EXPECT_NEAR(s.ground.down_force, 3.0 * usual.ground.down_force, 1e-12);
+  EXPECT_NEAR(s.ground.rotor_thrust, 3.0 * usual.ground.rotor_thrust, 1e-12);
+}
+
+TEST(NmpcSettings, RefusesErrorsThatAreNone) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  for (const double wrong : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()}) {
+    for (Eigen::Vector3d AllowedErrors::*field :
+         {&AllowedErrors::position, &AllowedErrors::velocity, &AllowedErrors::orientation,
+          &AllowedErrors::angular_velocity, &AllowedErrors::force, &AllowedErrors::torque,
+          &AllowedErrors::force_rate, &AllowedErrors::torque_rate}) {
+      AllowedErrors errors;
+      (errors.*field)(1) = wrong;
+      EXPECT_THROW((void)nmpc_settings(vehicle, errors), std::invalid_argument);
+    }
+  }
+  Vehicle<4> point = vehicle;
+  for (RotorGeometry& rotor : point.rotors) rotor.position.setZero();
+  EXPECT_THROW((void)nmpc_settings(point), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,39 @@
+// The reader of vehicle files: any bytes are a vehicle that the library takes, or refused with the
+// file's name.
+
+#include "../../examples/support/vehicle_file.hpp"
+#include "fuzz/input.hpp"
+
+#include <sstream>
+#include <variant>
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
+  fuzz::Input input(bytes, size);
+  std::string text = input.rest();
+  // Most of what the fuzzer finds is no JSON; this lets it change a good file in one place.
+  const std::string good =
+      R"({"name":"x","body":{"mass_kg":1,"inertia_kg_m2":[0.01,0.01,0.01]},"rotor":)"
+      R"({"thrust_coefficient_n_s2_per_rad2":1e-6,"torque_ratio_m":0.01,"min_thrust_n":0,)"
+      R"("max_thrust_n":9,"time_constant_s":0.03},"servo":{"time_constant_s":0.1,)"
+      R"("max_rate_radps":8,"min_angle_deg":-180,"max_angle_deg":180,"dead_time_s":0},"rotors":[)"
+      R"({"azimuth_deg":0,"length_m":0.2,"spin":"clockwise","tilts":true},)"
+      R"({"azimuth_deg":90,"length_m":0.2,"spin":"counter_clockwise","tilts":true},)"
+      R"({"azimuth_deg":180,"length_m":0.2,"spin":"clockwise","tilts":true},)"
+      R"({"position_m":[0,-0.2,0],"thrust_axis":[0,0,1],"arm_axis":[0,-1,0],)"
+      R"("spin":"counter_clockwise","tilts":true}],"wheels":null,)"
+      R"("power":{"electronics_w":20,"hover_w":300}})";
+  if (text.size() > 3 && text[0] == '!') {
+    const std::size_t at = 2 * static_cast<unsigned char>(text[1]) % good.size();
+    text = good.substr(0, at) + text.substr(3) +
+           good.substr(std::min(good.size(), at + static_cast<unsigned char>(text[2]) % 32));
+  }
+  std::istringstream in(text);
+  try {
+    const examples::VehicleFile file = examples::read_vehicle(in, "file");
+    std::visit([](const auto& vehicle) { validate(vehicle); }, file.vehicle);
+    validate(file.settings());
+  } catch (const examples::VehicleFileError& error) {
+    fuzz::expect(std::string(error.what()).rfind("file: ", 0) == 0, "an error says where");
+  }
+  return 0;
+}
