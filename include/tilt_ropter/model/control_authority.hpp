@@ -13,6 +13,22 @@
 /// What a vehicle can do, whole or with actuators that failed.
 namespace tilt_ropter {
 
+/// Largest s in [0, most] up to which `allocation` gives the wrench from + s along with nothing
+/// lost, by bisection to 1e-12 of `most`; zero if it does not give `from`. Where what a vehicle can
+/// give is not convex, as with servos of a short range, there may be a gap before it.
+template <int Rotors>
+[[nodiscard]] double reach(const Allocation<Rotors>& allocation, const Wrench<>& from,
+                           const Wrench<>& along, double most) {
+  double within = 0.0, beyond = most;
+  for (int i = 0; i < 40; ++i) {
+    const double middle = 0.5 * (within + beyond);
+    const Wrench<> wrench{from.force + middle * along.force, from.torque + middle * along.torque};
+    const bool reached = allocation.allocate(wrench, {}).status != AllocationStatus::limited;
+    (reached ? within : beyond) = middle;
+  }
+  return within;
+}
+
 /// Level hover and what is left beyond it, at rest: how fast servos and rotors get there is not
 /// asked.
 struct ControlAuthority {
@@ -63,21 +79,14 @@ template <int Rotors>
   }
 
   const double most = 2.0 * Rotors * vehicle.rotor.max_thrust;  // the weight carried, and as much
-  const auto reach = [&](int axis, double end) {
-    double within = 0.0, beyond = end;
-    for (int i = 0; i < 40; ++i) {
-      const double middle = 0.5 * (within + beyond);
-      Wrench<> wrench = hover;
-      (axis < 3 ? wrench.force(axis) : wrench.torque(axis - 3)) += middle;
-      const bool reached = allocation.allocate(wrench, {}).status != AllocationStatus::limited;
-      (reached ? within : beyond) = middle;
-    }
-    return std::abs(within);
-  };
   for (int axis = 0; axis < 6; ++axis) {
     const double end = axis < 3 ? most : most * lever;
-    authority.forward(axis) = reach(axis, end);
-    authority.backward(axis) = reach(axis, -end);
+    Wrench<> along;
+    double& component = axis < 3 ? along.force(axis) : along.torque(axis - 3);
+    component = 1.0;
+    authority.forward(axis) = reach(allocation, hover, along, end);
+    component = -1.0;
+    authority.backward(axis) = reach(allocation, hover, along, end);
   }
   return authority;
 }

@@ -1,0 +1,104 @@
+// The check before flight, as a user runs it.
+
+#include "support/program.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <string>
+
+namespace {
+
+test_support::Outcome check(const std::string& vehicle, const std::string& more = "--no-pictures") {
+  const test_support::Directory directory("check_vehicle");
+  return test_support::run(CHECK_VEHICLE_PROGRAM,
+                           vehicle + " -o '" + directory.file("") + "' " + more);
+}
+
+std::string shipped(const std::string& name) {
+  return VEHICLES_DIR "/" + name + ".json";
+}
+
+/// The shipped vehicle with `from` replaced by `to`.
+test_support::Outcome check_changed(const std::string& name, const std::string& from,
+                                    const std::string& to) {
+  const test_support::Directory directory("check_vehicle_changed");
+  std::string text = test_support::read_file(shipped(name));
+  EXPECT_NE(text.find(from), std::string::npos) << from;
+  text.replace(text.find(from), from.size(), to);
+  return check(directory.write("changed.json", text));
+}
+
+TEST(CheckVehicle, ShippedVehiclesFly) {
+  for (const char* name : {"tilt_ropter", "hexacopter", "octocopter", "five_kilograms"}) {
+    const auto told = check(shipped(name));
+    EXPECT_EQ(told.exit_code, 0) << told.output;
+    EXPECT_EQ(told["rank"], 6);
+    EXPECT_EQ(told["warnings"], 0) << told.output;
+    EXPECT_TRUE(told.says("verdict: flies")) << told.output;
+  }
+}
+
+// Four rotors of 12 N on arms of 17 cm, one below the other's torque of 0.016 m.
+TEST(CheckVehicle, FiguresOfTheTiltRopter) {
+  const auto told = check("");
+  EXPECT_NEAR(told["weight_n"], 1.5 * 9.81, 0.05);
+  EXPECT_NEAR(told["lift_per_weight"], 48.0 / 14.715, 0.01);
+  EXPECT_NEAR(told["least_thrust_in_hover_n"], 14.715 / 4.0, 0.01);
+  EXPECT_TRUE(told.says("hover_min: not known")) << told.output;
+  EXPECT_TRUE(told.says("    1     6")) << told.output;  // with rotor 1 lost
+}
+
+TEST(CheckVehicle, FlightTimeFromTheBattery) {
+  const auto told = check(shipped("five_kilograms"), "--no-pictures --usable 0.5");
+  EXPECT_NEAR(told["hover_min"], 60.0 * 0.5 * 355.0 / 1900.0, 0.01);
+  EXPECT_GT(told["driving_min"], 10.0 * told["hover_min"]);
+}
+
+TEST(CheckVehicle, WarnsOfWhatDoesNotFit) {
+  // Limits beyond the actuators: 24 N and 4.1 N m are what they give.
+  auto told = check_changed("tilt_ropter", "\"power\"",
+                            "\"limits\": {\"force_max_n\": [30, 6, 30], "
+                            "\"torque_min_nm\": [-1, -5, -1]}, \"power\"");
+  EXPECT_EQ(told.exit_code, 0);
+  EXPECT_EQ(told["warnings"], 2) << told.output;
+  EXPECT_TRUE(told.says("limits.force_max_n[0] = 30 is more")) << told.output;
+  EXPECT_TRUE(told.says("limits.torque_min_nm[1] = -5 is more")) << told.output;
+  // Limits within which the mission cannot be flown.
+  told = check_changed("tilt_ropter", "\"power\"",
+                       "\"limits\": {\"force_max_n\": [0.2, 6, 30]}, \"power\"");
+  EXPECT_TRUE(told.says("the mission asks for force[0]")) << told.output;
+  // Little lift.
+  told = check_changed("tilt_ropter", "\"max_thrust_n\": 12.0", "\"max_thrust_n\": 5.0");
+  EXPECT_EQ(told.exit_code, 0);
+  EXPECT_TRUE(told.says("lift of less than 1.5 times")) << told.output;
+}
+
+TEST(CheckVehicle, RefusesWhatDoesNotFly) {
+  auto told = check_changed("tilt_ropter", "\"max_thrust_n\": 12.0", "\"max_thrust_n\": 3.7");
+  EXPECT_EQ(told.exit_code, 1);
+  EXPECT_TRUE(told.says("verdict: does not fly")) << told.output;
+  // By the sum of all thrusts it could hover, but the rotors push against each other.
+  told = check_changed("octocopter", "\"max_thrust_n\": 12", "\"max_thrust_n\": 1.5");
+  EXPECT_EQ(told.exit_code, 1);
+  EXPECT_TRUE(told.says("do not carry the weight")) << told.output;
+}
+
+TEST(CheckVehicle, DrawsThePicture) {
+  if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
+    GTEST_SKIP() << "gnuplot is not installed";
+  const test_support::Directory directory("check_vehicle");
+  const auto told = test_support::run(CHECK_VEHICLE_PROGRAM, "-o '" + directory.file("") + "'");
+  EXPECT_EQ(told.output.find("arning: "), std::string::npos) << told.output;
+  EXPECT_GT(test_support::read_file(directory.file("check_vehicle.png")).size(), 10000u);
+}
+
+TEST(CheckVehicle, HelpAndBadArguments) {
+  EXPECT_EQ(check("", "--help").exit_code, 0);
+  EXPECT_GT(check("", "--usable 2").exit_code, 100);
+  const auto absent = check("nowhere.json");
+  EXPECT_EQ(absent.exit_code, 2);
+  EXPECT_TRUE(absent.says("cannot read nowhere.json")) << absent.output;
+}
+
+}  // namespace
