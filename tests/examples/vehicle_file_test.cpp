@@ -40,7 +40,9 @@ TEST_P(ShippedVehicle, FliesItsMissionWithoutTuning) {
   EXPECT_EQ(flight["solver_failures"], 0);
   EXPECT_EQ(flight["contact_mode_changes"], GetParam().drives ? 4 : 0);
   EXPECT_EQ(flight["tilt_rate_exceeded_share"], 0.0);
-  if (GetParam().drives) EXPECT_LT(flight["ground_rmse_m"], 0.05);
+  if (GetParam().drives) {
+    EXPECT_LT(flight["ground_rmse_m"], 0.05);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(, ShippedVehicle,
