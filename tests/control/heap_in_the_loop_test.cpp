@@ -308,20 +308,24 @@ TEST_F(HeapInTheLoop, AlmostAsManyActiveRowsAsThereIsRoomFor) {
 }
 
 TEST_F(HeapInTheLoop, SolvesFromAColdStart) {
-  MultipleShooting<WheeledFlightProblem<>> solver(test_support::step_problem());
-  Random random(83);
-  int converged = 0;
-  for (int i = 0; i < ticks() / 10; ++i) {
-    watch.next_tick();
-    State<> x = test_support::step_start();
-    x.body.position += random.vector(0.3);
-    for (int k = 0; k <= solver.horizon(); ++k)
-      solver.problem().node(k).on_ground = i % 4 == 3 && k > 15;  // with equalities
-    watch("reset", [&] { solver.reset(x); });
-    const SolveStatus status = watch("solve", [&] { return solver.solve(x).status; });
-    if (status == SolveStatus::converged) ++converged;
+  for (const TerminalCost terminal : {TerminalCost::weights, TerminalCost::riccati}) {
+    WheeledFlightSettings settings;
+    settings.terminal_cost = terminal;
+    MultipleShooting<WheeledFlightProblem<>> solver(test_support::step_problem(settings));
+    Random random(83);
+    int converged = 0;
+    for (int i = 0; i < ticks() / 10; ++i) {
+      watch.next_tick();
+      State<> x = test_support::step_start();
+      x.body.position += random.vector(0.3);
+      for (int k = 0; k <= solver.horizon(); ++k)
+        solver.problem().node(k).on_ground = i % 4 == 3 && k > 15;  // with equalities
+      watch("reset", [&] { solver.reset(x); });
+      const SolveStatus status = watch("solve", [&] { return solver.solve(x).status; });
+      if (status == SolveStatus::converged) ++converged;
+    }
+    EXPECT_GT(converged, ticks() / 20);
   }
-  EXPECT_GT(converged, ticks() / 20);
   expect_nlopt_within_documented_bounds();
 }
 

@@ -50,11 +50,56 @@ class IdealLoop {
   double time = 0.0;
 };
 
+NmpcSettings settings_with(TerminalCost terminal, int intervals) {
+  NmpcSettings settings;
+  settings.problem.terminal_cost = terminal;
+  settings.problem.intervals = intervals;
+  return settings;
+}
+
 TEST(Nmpc, HoldsHoverAndReturnsToIt) {
-  IdealLoop loop;
-  loop.state.body.position += Eigen::Vector3d(0.3, -0.2, 0.2);
-  for (int i = 0; i < 500; ++i) ASSERT_EQ(loop.tick(hover).status, NmpcStatus::solved);
-  EXPECT_LT((loop.state.body.position - hovering().position).norm(), 2e-3);
+  for (const TerminalCost terminal : {TerminalCost::weights, TerminalCost::riccati}) {
+    IdealLoop loop(settings_with(terminal, 20));
+    loop.state.body.position += Eigen::Vector3d(0.3, -0.2, 0.2);
+    for (int i = 0; i < 500; ++i) ASSERT_EQ(loop.tick(hover).status, NmpcStatus::solved);
+    EXPECT_LT((loop.state.body.position - hovering().position).norm(), 2e-3);
+  }
+}
+
+// So close to hover that the plan is linear and keeps to every bound: the infinite-horizon optimal
+// feedback, which the cost to go at the end of any horizon has to give.
+TEST(Nmpc, WithTheCostToGoAtItsEndAShortHorizonPlansAsAnEndlessOne) {
+  using Solver = MultipleShooting<WheeledFlightProblem<4>>;
+  const double yaw = 0.7, small = 1e-5;
+  const auto first_input = [&](TerminalCost terminal, int intervals, int coordinate) {
+    Vehicle<4> slim = vehicle;
+    slim.body.inertia.diagonal() << 0.010, 0.018, 0.025;
+    Solver solver(WheeledFlightProblem<4>(slim.body, slim.wheels,
+                                          settings_with(terminal, intervals).problem));
+    State<> x;
+    x.body = hovering();
+    x.body.orientation = quaternion_from_yaw(yaw);
+    x.wrench.force.z() = body.mass * gravity;
+    for (int k = 0; k <= intervals; ++k) {
+      solver.problem().node(k).reference = x.body;
+      solver.problem().node(k).wrench_reference = x.wrench;
+    }
+    solver.reset(x);
+    const StateTangent<> off = small * StateTangent<>::Unit(coordinate);
+    EXPECT_EQ(solver.solve(retract(x, off)).status, SolveStatus::converged);
+    return Eigen::Matrix<double, 6, 1>(solver.input(0) / small);
+  };
+  double differs = 0.0;
+  for (int coordinate = 0; coordinate < 18; ++coordinate) {
+    const auto endless = first_input(TerminalCost::weights, 100, coordinate);
+    for (const int intervals : {2, 3, 4, 5}) {
+      const auto with = first_input(TerminalCost::riccati, intervals, coordinate),
+                 without = first_input(TerminalCost::weights, intervals, coordinate);
+      EXPECT_LT((with - endless).norm(), 1e-8 * endless.norm()) << coordinate << ' ' << intervals;
+      differs = std::max(differs, (without - endless).norm() / endless.norm());
+    }
+  }
+  EXPECT_GT(differs, 0.5);
 }
 
 TEST(Nmpc, KnownExternalForceLeavesNoOffset) {

@@ -7,6 +7,8 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
+
 #include <limits>
 #include <string>
 
@@ -20,9 +22,11 @@ using D = WheeledFlightProblem<>::D;
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-WheeledFlightProblem<> random_problem(Random& random) {
+WheeledFlightProblem<> random_problem(Random& random,
+                                      TerminalCost terminal = TerminalCost::weights) {
   WheeledFlightSettings settings;
-  settings.weights.orientation << 30.0, 20.0, 10.0;
+  settings.terminal_cost = terminal;
+  if (terminal == TerminalCost::weights) settings.weights.orientation << 30.0, 20.0, 10.0;
   WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     const State<> r = random_state(random);
@@ -91,6 +95,81 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
       EXPECT_LT((model.lu - 2.0 * r.cwiseProduct(u)).norm(), 1e-12);
     }
     EXPECT_NEAR(problem.cost(k, x, u), cost, 1e-12 * cost);
+  }
+}
+
+// In tangent coordinates, at the node's reference.
+Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<>& problem, int k) {
+  State<> x;
+  x.wrench = problem.node(k).wrench_reference;
+  x.body = problem.node(k).reference;
+  WheeledFlightProblem<>::Model model;
+  problem.cost_model(k, x, D::Input::Zero(), model);
+  return model.lxx;
+}
+
+WheeledFlightProblem<> hovering_problem(double yaw) {
+  WheeledFlightSettings settings;
+  settings.terminal_cost = TerminalCost::riccati;
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    problem.node(k).reference.position << 1.0, 2.0, 3.0;
+    problem.node(k).reference.orientation = quaternion_from_yaw(yaw);
+    problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
+  }
+  return problem;
+}
+
+TEST(WheeledFlightProblem, TheRiccatiCostIsTheCostToGoInHoverAtEveryHeading) {
+  for (const double yaw : {0.0, 0.4, 1.9, -2.5, pi}) {
+    const WheeledFlightProblem<> problem = hovering_problem(yaw);
+    State<> x;
+    x.wrench = problem.node(0).wrench_reference;
+    x.body = problem.node(0).reference;
+    D::A A;
+    D::B B;
+    (void)problem.step(0, x, D::Input::Zero(), A, B);
+    WheeledFlightProblem<>::Model model;
+    problem.cost_model(0, x, D::Input::Zero(), model);
+    const Eigen::Matrix<double, 18, 18> P = hessian_at_reference(problem, problem.horizon());
+    const Eigen::Matrix<double, 6, 6> by_input = model.luu + B.transpose() * P * B;
+    const Eigen::Matrix<double, 6, 18> mixed = B.transpose() * P * A;
+    const Eigen::Matrix<double, 18, 18> residual =
+        model.lxx + A.transpose() * P * A - mixed.transpose() * by_input.llt().solve(mixed) - P;
+    EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff()) << yaw;
+    EXPECT_LT((P - P.transpose()).cwiseAbs().maxCoeff(), 1e-14 * P.cwiseAbs().maxCoeff());
+    EXPECT_EQ(Eigen::LLT<Eigen::MatrixXd>(P - model.lxx).info(), Eigen::Success);  // P > Q
+  }
+}
+
+TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
+  Random random(46);
+  const Eigen::Matrix<double, 18, 18> level = 0.5 * hessian_at_reference(hovering_problem(0.0), 20);
+  for (int i = 0; i < 200; ++i) {
+    const WheeledFlightProblem<> problem = random_problem(random, TerminalCost::riccati);
+    const int k = problem.horizon();
+    const State<> x = random_state(random);
+    Eigen::Matrix<double, 18, 18> turn = Eigen::Matrix<double, 18, 18>::Identity();
+    const double yaw = yaw_of(problem.node(k).reference.orientation);
+    for (const int axes : {6, 9, 12})
+      turn.block<3, 3>(axes, axes) =
+          Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    const Eigen::Matrix<double, 18, 18> P = turn.transpose() * level * turn;
+
+    using S = Dual<18>;
+    const Eigen::Matrix<double, 18, 18> jacobian = test_support::jacobian_at_zero<18, 18>(
+        [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 18, 1> {
+          return paper_error<S>(moved<S>(x, d), problem.node(k));
+        });
+    const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
+    WheeledFlightProblem<>::Model model;
+    problem.cost_model(k, x, D::Input::Zero(), model);
+    const Eigen::Matrix<double, 18, 18> hessian = 2.0 * jacobian.transpose() * P * jacobian;
+    const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * P * e;
+    EXPECT_LT((model.lxx - hessian).cwiseAbs().maxCoeff(), 1e-12 * hessian.cwiseAbs().maxCoeff());
+    EXPECT_LT((model.lx - gradient).cwiseAbs().maxCoeff(), 1e-12 * gradient.cwiseAbs().maxCoeff());
+    const double cost = e.dot(P * e);
+    EXPECT_NEAR(problem.cost(k, x, D::Input::Zero()), cost, 1e-12 * cost);
   }
 }
 
@@ -228,6 +307,23 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
   expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
   expect_refused([&](auto& s) { s.row_penalty = 0.0; }, "row_penalty");
+  const auto riccati = [](WheeledFlightSettings& s) -> NmpcWeights& {
+    s.terminal_cost = TerminalCost::riccati;
+    return s.weights;
+  };
+  const std::string costs_nothing = "terminal_cost = riccati: must be used with weights by which";
+  expect_refused([&](auto& s) { riccati(s).position.setZero(); }, costs_nothing);
+  expect_refused([&](auto& s) { riccati(s).position.z() = 0.0; }, costs_nothing);
+  expect_refused([&](auto& s) { riccati(s).orientation.z() = 0.0; }, costs_nothing);
+  expect_refused([&](auto& s) { riccati(s).position.x() = 61.0; },
+                 "NmpcWeights.position [1/m^2] = (61, 60, 80): must be the same for x and y");
+  expect_refused([&](auto& s) { riccati(s).velocity.y() = 5.0; }, "NmpcWeights.velocity [s^2/m^2]");
+  expect_refused([&](auto& s) { riccati(s).orientation.y() = 5.0; }, "NmpcWeights.orientation [1/");
+  WheeledFlightSettings enough;  // that x and y lean, and how fast anything moves, position shows
+  for (Eigen::Vector3d* weight : {&riccati(enough).velocity, &enough.weights.angular_velocity})
+    weight->setZero();
+  enough.weights.orientation << 0.0, 0.0, 30.0;
+  EXPECT_EQ(message(enough), "accepted");
   EXPECT_THROW((WheeledFlightProblem<>{test_support::benchmark_body(), {0.0, 0.2}}),
                std::invalid_argument);
 }

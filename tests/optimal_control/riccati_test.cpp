@@ -5,6 +5,9 @@
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
 
+#include <algorithm>
+#include <optional>
+
 namespace tilt_ropter {
 namespace {
 
@@ -155,6 +158,51 @@ TEST(Riccati, RefusesACostWithoutMinimum) {
   LinearQuadratic lq = random_problem(35);
   lq.stage(horizon).cost.lxx = -1e3 * Eigen::Matrix4d::Identity();
   EXPECT_FALSE(lq.factorise());
+}
+
+using Matrix4 = Eigen::Matrix<double, nx, nx>;
+
+TEST(EndlessCost, SolvesTheDiscreteRiccatiEquationByAFeedbackThatStabilises) {
+  double fastest = 0.0;  // of the motions without feedback
+  for (unsigned seed = 1; seed <= 200; ++seed) {
+    const RiccatiStage<nx, nu> stage = random_problem(seed).stage(0);
+    const auto& [lx, lu, lxx, lux, luu] = stage.cost;
+    const std::optional<Matrix4> found = endless_cost(stage);
+    ASSERT_TRUE(found);
+    const Matrix4& P = *found;
+    EXPECT_EQ(P, P.transpose());
+    EXPECT_GT(P.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), 0.0);
+    const Eigen::Matrix<double, nu, nx> mixed = lux + stage.B.transpose() * P * stage.A;
+    const Eigen::Matrix2d by_input = luu + stage.B.transpose() * P * stage.B;
+    const Eigen::Matrix<double, nu, nx> feedback = by_input.ldlt().solve(mixed);
+    const Matrix4 residual =
+        lxx + stage.A.transpose() * P * stage.A - mixed.transpose() * feedback - P;
+    EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff());
+    const Matrix4 closed = stage.A - stage.B * feedback;
+    EXPECT_LT(closed.eigenvalues().cwiseAbs().maxCoeff(), 1.0);
+    fastest = std::max(fastest, stage.A.eigenvalues().cwiseAbs().maxCoeff());
+  }
+  EXPECT_GT(fastest, 2.0);
+}
+
+TEST(EndlessCost, IsEmptyWhereThereIsNone) {
+  RiccatiStage<2, 1> stage;  // of two integrators in a chain: A, B, lxx, luu
+  stage.A << 1.0, 0.1, 0.0, 1.0;
+  stage.B << 0.0, 0.1;
+  stage.cost.lxx = Eigen::Vector2d(1.0, 0.0).asDiagonal();
+  stage.cost.luu << 1.0;
+  EXPECT_TRUE(endless_cost(stage));
+  EXPECT_FALSE(endless_cost(stage, 10));  // passes, of the hundreds that it takes
+  auto changed = stage;
+  changed.cost.lxx = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first one's value is free
+  EXPECT_FALSE(endless_cost(changed));
+  changed = stage;
+  changed.B.setZero();  // nothing stops it
+  EXPECT_FALSE(endless_cost(changed));
+  changed.A << 0.5, 0.1, 0.0, 0.5;  // nothing need
+  EXPECT_TRUE(endless_cost(changed));
+  changed.cost.luu.setZero();  // no one best input
+  EXPECT_FALSE(endless_cost(changed));
 }
 
 }  // namespace

@@ -29,8 +29,8 @@ inline Eigen::Vector3d benchmark_hover_force() {
 }
 
 /// STEP: hover at (0, 0, 1.5) from a displaced, turned and moving start; wide bounds.
-inline WheeledFlightProblem<> step_problem() {
-  WheeledFlightProblem<> problem(benchmark_body(), {});
+inline WheeledFlightProblem<> step_problem(const WheeledFlightSettings& settings = {}) {
+  WheeledFlightProblem<> problem(benchmark_body(), {}, settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
     problem.node(k).wrench_reference.force = benchmark_hover_force();

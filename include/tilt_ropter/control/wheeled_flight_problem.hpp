@@ -7,11 +7,13 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/riccati.hpp>
 
 #include <Eigen/Core>
 
 #include <cstddef>
 #include <limits>
+#include <optional>
 #include <vector>
 
 /// The paper's optimal-control problem (paper, Sec. Nonlinear Model Predictive Control): 19 states
@@ -29,7 +31,7 @@ struct NmpcWeights {
   Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< body [s^2/rad^2]
   Eigen::Vector3d force_rate{0.02, 0.02, 0.02};     ///< dF [s^2/N^2]
   Eigen::Vector3d torque_rate{0.2, 0.2, 0.2};       ///< dM [s^2/(N m)^2]
-  double terminal = 5.0;                            ///< factor on the state's weights at the end
+  double terminal = 5.0;  ///< factor on the state's weights at the end, see TerminalCost
   Eigen::Vector3d ground{1e3, 1e3, 1e3};  ///< v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2]
 };
 
@@ -58,11 +60,23 @@ struct NmpcBounds {
   return b;
 }
 
+/// What the last node costs, which stands for all that comes after the horizon.
+enum class TerminalCost {
+  weights,  ///< the state's weights times NmpcWeights.terminal
+  /// e' P e, the least that the error can cost from there on near level hover: P solves the
+  /// discrete Riccati equation of the problem linearised there, bounds left out. P is that of
+  /// heading zero and turns with the reference's heading, so the weights of position, velocity and
+  /// orientation have to be the same for x and y. It is not exact where the reference leans or
+  /// accelerates, nor on the ground.
+  riccati,
+};
+
 /// What the problem needs beyond the model.
 struct WheeledFlightSettings {
   int intervals = 20;     ///< N (paper: 20)
   double interval = 0.1;  ///< length of one [s] (paper: 0.1)
   NmpcWeights weights;
+  TerminalCost terminal_cost = TerminalCost::weights;
   NmpcBounds bounds;
   /// Price of violating a bound by one unit (of ActuatorRows: their rows' unit); a bound whose
   /// multiplier would have to be larger is given up.
@@ -95,6 +109,15 @@ inline void validate(const WheeledFlightSettings& s) {
           "in [1, 1000]");
   require_positive("WheeledFlightSettings.interval [s]", s.interval);
   validate(s.weights);
+  if (s.terminal_cost == TerminalCost::riccati) {
+    const auto require_round = [](const char* field, const Eigen::Vector3d& weight) {
+      require(weight.x() == weight.y(), field, weight,
+              "the same for x and y with TerminalCost::riccati, which turns with the heading");
+    };
+    require_round("NmpcWeights.position [1/m^2]", s.weights.position);
+    require_round("NmpcWeights.velocity [s^2/m^2]", s.weights.velocity);
+    require_round("NmpcWeights.orientation [1/rad^2]", s.weights.orientation);
+  }
   validate(s.bounds);
   require_positive("WheeledFlightSettings.row_penalty", s.row_penalty);
 }
@@ -149,7 +172,8 @@ class WheeledFlightProblem {
   };
 
   /// `actuators` bounds nothing by default. Throws std::invalid_argument for parameters or settings
-  /// out of range.
+  /// out of range, with TerminalCost::riccati also for weights by which some error costs nothing
+  /// for ever.
   WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
                        const WheeledFlightSettings& settings = {},
                        const ActuatorRows<Rotors>& actuators = {})
@@ -176,6 +200,7 @@ class WheeledFlightProblem {
     last_upper_.template segment<6 + 2 * Rotors>(9).setConstant(infinity);
     last_lower_.template segment<6 + 2 * Rotors>(9).setConstant(-infinity);
     penalty_.setConstant(settings.row_penalty);
+    if (settings.terminal_cost == TerminalCost::riccati) set_terminal();
   }
 
   [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
@@ -207,8 +232,10 @@ class WheeledFlightProblem {
   }
 
   /// e' Q e + u' R u with e = (F - F_r, M - M_r, p - p_r, v - v_r, 2 vec(q (x) q_r^-1), w - w_r).
+  /// For the last node see TerminalCost.
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
+    if (ends_with_riccati(k)) return riccati_cost(e);
     const double state_cost = e.dot(state_weights(k).cwiseProduct(e));
     return k == horizon() ? state_cost : state_cost + u.dot(input_weights().cwiseProduct(u));
   }
@@ -223,6 +250,7 @@ class WheeledFlightProblem {
     Eigen::Matrix3d by_angle = -skew(turn.vec());
     by_angle.diagonal().array() += turn.w();
     const Eigen::Matrix3d jacobian = by_angle * x.body.orientation.toRotationMatrix();
+    if (ends_with_riccati(k)) return set_riccati_model(e, jacobian, model);
     const Eigen::Matrix3d weighted = q.segment<3>(12).asDiagonal() * jacobian;
     model.lx.segment<3>(12) = weighted.transpose() * e.segment<3>(12);
     model.lxx.block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
@@ -291,6 +319,56 @@ class WheeledFlightProblem {
     return e;
   }
 
+  [[nodiscard]] bool ends_with_riccati(int k) const {
+    return k == horizon() && settings_.terminal_cost == TerminalCost::riccati;
+  }
+
+  // From the world's axes to those that turn with the heading of the last node's reference.
+  [[nodiscard]] Eigen::Matrix3d to_heading() const {
+    return quaternion_from_yaw(-yaw_of(nodes_.back().reference.orientation)).toRotationMatrix();
+  }
+
+  // In level hover the dynamics of the error are the same for all headings if what of it is in the
+  // world's axes, position, velocity and orientation, turns with the heading; the rest is in the
+  // body's.
+  [[nodiscard]] Tangent in_heading(Tangent e) const {
+    const Eigen::Matrix3d turn = to_heading();
+    for (const int i : {6, 9, 12}) e.segment<3>(i) = (turn * e.segment<3>(i)).eval();
+    return e;
+  }
+
+  // Apart, or the code of all other nodes is slower for it.
+  [[nodiscard]] [[gnu::noinline]] double riccati_cost(const Tangent& e) const {
+    const Tangent turned = in_heading(e);
+    return turned.dot(terminal_.front() * turned);
+  }
+  [[gnu::noinline]] void set_riccati_model(const Tangent& e, const Eigen::Matrix3d& by_angle,
+                                           Model& model) const {
+    const Eigen::Matrix3d turn = to_heading();
+    StateJacobian by_state = StateJacobian::Identity();  // of the error in the heading's frame
+    by_state.block<3, 3>(6, 6) = by_state.block<3, 3>(9, 9) = turn;
+    by_state.block<3, 3>(12, 12) = turn * by_angle;
+    StateJacobian weighted;
+    weighted.noalias() = 2.0 * terminal_.front().lazyProduct(by_state);
+    model.lx.noalias() = weighted.transpose() * in_heading(e);
+    model.lxx.noalias() = by_state.transpose().lazyProduct(weighted);
+  }
+
+  // At heading zero the tangent coordinates are the error's, to first order.
+  void set_terminal() {
+    State hover;
+    hover.wrench.force.z() = body_.mass() * gravity;
+    RiccatiStage<states, inputs> stage;
+    (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, stage.A, stage.B);
+    stage.cost.lxx = state_weights(0).asDiagonal();
+    stage.cost.luu = input_weights().asDiagonal();
+    const std::optional<StateJacobian> P = endless_cost<states, inputs, TransitionBlocks>(stage);
+    require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
+            "used with weights by which every error that stays costs something, as NmpcWeights."
+            "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
+    terminal_.push_back(*P);
+  }
+
   [[nodiscard]] Tangent state_weights(int k) const {
     const NmpcWeights& w = settings_.weights;
     Tangent q;
@@ -314,6 +392,7 @@ class WheeledFlightProblem {
   double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
+  std::vector<StateJacobian> terminal_;  // P of TerminalCost::riccati, else nothing
   Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
