@@ -80,12 +80,14 @@ inline std::string csv_quoted(std::string_view text) {
 
 }  // namespace detail
 
-/// Reads the columns `wanted`, in that order, and does not look at others; without `wanted` all of
-/// them. Throws std::runtime_error that says `file`, line, column's name and number (both from 1)
-/// and what is wrong there: "log.csv:7: column angle_rad (3): 'x' is not a number".
+/// Reads the columns `wanted`, in that order, then those of `optional` that are there, and does not
+/// look at others; without `wanted` all of them. Throws std::runtime_error that says `file`, line,
+/// column's name and number (both from 1) and what is wrong there: "log.csv:7: column angle_rad
+/// (3): 'x' is not a number".
 [[nodiscard]] inline CsvTable read_csv(std::istream& in, const std::string& file,
                                        const std::vector<std::string>& wanted = {},
-                                       CsvNumbers allowed = CsvNumbers::finite) {
+                                       CsvNumbers allowed = CsvNumbers::finite,
+                                       const std::vector<std::string>& optional = {}) {
   CsvTable table{file, wanted, {}, {}};
   std::vector<std::size_t> numbers;  // from 0, in the file, of the table's columns
   std::size_t width = 0, line_number = 0;
@@ -96,6 +98,9 @@ inline std::string csv_quoted(std::string_view text) {
   const auto read_header = [&](const std::vector<std::string_view>& header) {
     width = header.size();
     if (wanted.empty()) table.names.assign(header.begin(), header.end());
+    for (const std::string& name : optional)
+      if (std::find(header.begin(), header.end(), name) != header.end())
+        table.names.push_back(name);
     for (const std::string& name : table.names) {
       const auto found = std::find(header.begin(), header.end(), name);
       const std::size_t number = static_cast<std::size_t>(found - header.begin());
@@ -148,10 +153,11 @@ inline std::string csv_quoted(std::string_view text) {
 /// The same from the file at `path`. Throws std::runtime_error if it cannot be read.
 [[nodiscard]] inline CsvTable read_csv(const std::string& path,
                                        const std::vector<std::string>& wanted = {},
-                                       CsvNumbers allowed = CsvNumbers::finite) {
+                                       CsvNumbers allowed = CsvNumbers::finite,
+                                       const std::vector<std::string>& optional = {}) {
   std::ifstream in(path);
   if (!in) throw std::runtime_error("cannot read " + path);
-  return read_csv(in, path, wanted, allowed);
+  return read_csv(in, path, wanted, allowed, optional);
 }
 
 }  // namespace examples

@@ -57,6 +57,17 @@ TEST(Csv, ReadsAllColumnsIfNoneIsAskedFor) {
   EXPECT_EQ(table["b"], (Column{2.0, 4.0}));
 }
 
+TEST(Csv, ReadsOptionalColumnsIfTheyAreThere) {
+  std::istringstream with("x,b,a\nnote,2,1\n"), without("x,a\nnote,1\n");
+  const std::vector<std::string> wanted = {"a"}, optional = {"c", "b"};
+  const CsvTable both = examples::read_csv(with, "log.csv", wanted, CsvNumbers::finite, optional);
+  EXPECT_EQ(both.names, (std::vector<std::string>{"a", "b"}));
+  EXPECT_EQ(both["b"], std::vector<double>{2.0});
+  EXPECT_FALSE(both.has("c"));
+  EXPECT_EQ(examples::read_csv(without, "log.csv", wanted, CsvNumbers::finite, optional).names,
+            wanted);
+}
+
 TEST(Csv, PassesOverWhatSaysNothing) {
   const CsvTable table = read(
       "\xEF\xBB\xBF# a comment\r\n\r\n  # another\r\n a ,\tb\r\n1 , 2\r\n# in between\r\n  \r\n"

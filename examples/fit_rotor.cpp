@@ -1,0 +1,297 @@
+// Fits a rotor to what a thrust stand has measured: thrust coefficient, torque ratio and power with
+// their 95 % intervals, whether thrust goes with the square of the speed at all, a CSV of the fit
+// and a picture of it. Makes such measurements, too, of a simulated stand, to try it on.
+
+#include "support/csv.hpp"
+#include "support/mission_log.hpp"
+#include "support/pictures.hpp"
+#include "support/rotor_fit.hpp"
+
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/simulation/gaussian_noise.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <exception>
+#include <filesystem>
+#include <fstream>
+#include <iomanip>
+#include <iostream>
+#include <optional>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  std::string input, output = "results";
+  std::string speed = "speed_radps", thrust = "thrust_n", torque = "torque_nm", power = "power_w";
+  bool torque_needed = false, power_needed = false;  // else the fit does without
+  bool no_pictures = false;
+
+  std::string generate;  // the file, or empty
+  std::uint64_t seed = 1;
+  double thrust_coefficient = tilt_ropter_vehicle().rotor.thrust_coefficient;
+  double torque_ratio = tilt_ropter_vehicle().rotor.torque_ratio;
+  double idle_power = 5.0, power_coefficient = 3.7e-8, exponent = 2.0;
+  int points = 40;
+  double slowest = 300.0, fastest = 2900.0;
+  double thrust_noise = 0.05, torque_noise = 0.001, power_noise = 2.0;
+};
+
+// One point for each of so many speeds, equally far apart.
+void generate(const Options& o) {
+  if (!(o.slowest < o.fastest)) throw std::runtime_error("--slowest must be below --fastest");
+  GaussianNoise noise(o.seed);
+  std::ofstream file(o.generate);
+  if (!file) throw std::runtime_error("cannot write " + o.generate);
+  file << "# A simulated stand: thrust coefficient " << o.thrust_coefficient
+       << " N s^2/rad^2, exponent " << o.exponent << ", torque ratio " << o.torque_ratio
+       << " m, power " << o.idle_power << " W + " << o.power_coefficient
+       << " W s^3/rad^3 speed^3; noise " << o.thrust_noise << " N, " << o.torque_noise << " N m, "
+       << o.power_noise << " W; seed " << o.seed << '\n'
+       << o.speed << ',' << o.thrust << ',' << o.torque << ',' << o.power << '\n'
+       << std::setprecision(8);
+  for (int i = 0; i < o.points; ++i) {
+    const double speed = o.slowest + (o.fastest - o.slowest) * i / (o.points - 1);
+    const double thrust =
+        o.thrust_coefficient * o.fastest * o.fastest * std::pow(speed / o.fastest, o.exponent);
+    const double seen = thrust + o.thrust_noise * noise.draw();
+    const double torque = o.torque_ratio * thrust + o.torque_noise * noise.draw();
+    const double power =
+        o.idle_power + o.power_coefficient * speed * speed * speed + o.power_noise * noise.draw();
+    file << speed << ',' << seen << ',' << torque << ',' << power << '\n';
+  }
+  if (!file.flush()) throw std::runtime_error("cannot write " + o.generate);
+}
+
+examples::CsvTable read_points(const Options& o) {
+  std::vector<std::string> needed = {o.speed, o.thrust}, optional;
+  (o.torque_needed ? needed : optional).push_back(o.torque);
+  (o.power_needed ? needed : optional).push_back(o.power);
+  examples::CsvTable table =
+      examples::read_csv(o.input, needed, examples::CsvNumbers::finite, optional);
+  const std::vector<double>& speeds = table[o.speed];
+  const auto backwards = std::find_if(speeds.begin(), speeds.end(), [](double s) { return s < 0; });
+  if (backwards != speeds.end())
+    throw std::runtime_error(
+        o.input + ':' +
+        std::to_string(table.lines[static_cast<std::size_t>(backwards - speeds.begin())]) +
+        ": column " + o.speed + " is negative");
+  return table;
+}
+
+struct Fit {
+  std::string status = "fitted";
+  examples::ThrustFit thrust;
+  std::optional<examples::TorqueFit> torque;
+  std::optional<examples::PowerFit> power;
+};
+
+Fit fit(const Options& o, const examples::CsvTable& table) {
+  Fit found;
+  const auto refused = [&found](const std::string& status) {
+    found.status = status;
+    return found;
+  };
+  if (table.rows() < 3) return refused("fewer than 3 points");
+  const std::vector<double>& speeds = table[o.speed];
+  const auto [slowest, fastest] = std::minmax_element(speeds.begin(), speeds.end());
+  if (*fastest == 0.0) return refused("the rotor does not turn");
+  if (*fastest - *slowest < 0.01 * *fastest) return refused("the speed is the same throughout");
+
+  // A law of which most is left over is none; a measurement that does not change has no r_squared.
+  const auto follows = [](const examples::Goodness& goodness) { return goodness.r_squared > 0.5; };
+  const auto rises = [](const examples::Estimate& slope) { return slope.value > 0.0; };
+  found.thrust = examples::fit_thrust(speeds, table[o.thrust]);
+  if (!rises(found.thrust.coefficient)) return refused("the thrust is negative: turn its sign");
+  if (!follows(found.thrust.goodness)) return refused("the thrust does not follow the speed");
+  if (table.has(o.torque)) {
+    found.torque = examples::fit_torque(speeds, table[o.thrust], table[o.torque]);
+    if (!rises(found.torque->ratio)) return refused("the torque is negative: turn its sign");
+    if (!follows(found.torque->goodness)) return refused("the torque does not follow the speed");
+  }
+  if (table.has(o.power)) {
+    found.power = examples::fit_power(speeds, table[o.power]);
+    if (!rises(found.power->coefficient) || !follows(found.power->goodness))
+      return refused("the power does not follow the speed");
+  }
+  return found;
+}
+
+void print(const Fit& found) {
+  const auto line = [](const std::string& key, double value) {
+    std::cout << key << ": " << value << '\n';
+  };
+  const auto estimate = [&line](const std::string& name, const std::string& unit,
+                                const examples::Estimate& e) {
+    line(name + unit, e.value);
+    line(name + "_95" + unit, e.half_width);
+  };
+  const auto goodness = [&line](const std::string& name, const std::string& unit,
+                                const examples::Goodness& g) {
+    line(name + "_residual" + unit, g.residual_rms);
+    line(name + "_r_squared", g.r_squared);
+  };
+  std::cout << std::setprecision(5);
+  estimate("thrust_coefficient", "_n_s2_per_rad2", found.thrust.coefficient);
+  goodness("thrust", "_n", found.thrust.goodness);
+  estimate("exponent", "", found.thrust.exponent);
+  if (found.torque) {
+    estimate("torque_ratio", "_m", found.torque->ratio);
+    goodness("torque", "_nm", found.torque->goodness);
+  }
+  if (found.power) {
+    estimate("idle_power", "_w", found.power->idle);
+    estimate("power_coefficient", "_w_s3_per_rad3", found.power->coefficient);
+    goodness("power", "_w", found.power->goodness);
+  }
+}
+
+void warn(const Fit& found, const std::vector<double>& speeds) {
+  const auto say = [](const std::string& what) { std::cerr << "fit_rotor: " << what << '\n'; };
+  if (speeds.size() < 10)
+    say("so few points (" + std::to_string(speeds.size()) +
+        ") say little of the noise: the intervals are wide. Take 10 or more.");
+  double slowest = *std::max_element(speeds.begin(), speeds.end());
+  const double fastest = slowest;
+  for (const double speed : speeds)
+    if (speed > 0.0) slowest = std::min(slowest, speed);
+  if (fastest < 2.0 * slowest)
+    say("the fastest speed is less than twice the slowest: whether thrust goes with the square of "
+        "the speed can hardly be told. Measure slower ones, too.");
+  const examples::Estimate& exponent = found.thrust.exponent;
+  // One interval in twenty misses a true 2 by a little; 0.03 are half a percent of the largest
+  // thrust.
+  if (std::abs(exponent.value - 2.0) > std::max(exponent.half_width, 0.03)) {
+    std::ostringstream text;
+    text << std::setprecision(4) << "thrust goes with speed to the " << exponent.value << " +- "
+         << exponent.half_width
+         << ", not with its square. Look for a scale that is not at zero without thrust, ground or "
+            "walls near the rotor, a wrong unit of the speed.";
+    say(text.str());
+  }
+}
+
+void write_fit(const Options& o, const examples::CsvTable& table, const Fit& found) {
+  std::filesystem::create_directories(o.output);
+  std::vector<std::string> columns = {"speed_radps", "thrust_n", "thrust_fit_n"};
+  if (found.torque) columns.insert(columns.end(), {"torque_nm", "torque_fit_nm"});
+  if (found.power) columns.insert(columns.end(), {"power_w", "power_fit_w"});
+  examples::MissionLog file(o.output + "/fit_rotor.csv", columns);
+  for (std::size_t i = 0; i < table.rows(); ++i) {
+    const double speed = table[o.speed][i];
+    const double thrust = found.thrust.coefficient.value * speed * speed;
+    file.add(speed).add(table[o.thrust][i]).add(thrust);
+    if (found.torque) file.add(table[o.torque][i]).add(found.torque->ratio.value * thrust);
+    if (found.power)
+      file.add(table[o.power][i])
+          .add(found.power->idle.value + found.power->coefficient.value * speed * speed * speed);
+    file.end_row();
+  }
+}
+
+int fit_file(const Options& o) {
+  const examples::CsvTable table = read_points(o);
+  const Fit found = fit(o, table);
+  std::cout << "status: " << found.status << '\n' << "points: " << table.rows() << '\n';
+  if (found.status != "fitted") {
+    std::cerr << "fit_rotor: " << o.input << ": " << found.status << '\n';
+    return 1;
+  }
+  print(found);
+  warn(found, table[o.speed]);
+  write_fit(o, table, found);
+  std::cout << "for a vehicle file:\n"
+            << "\"rotor\": { \"thrust_coefficient_n_s2_per_rad2\": "
+            << found.thrust.coefficient.value;
+  if (found.torque) std::cout << ", \"torque_ratio_m\": " << found.torque->ratio.value;
+  std::cout << " }\n";
+  return 0;
+}
+
+constexpr const char* footer = R"(
+The file has a header line and one point a line: speed and thrust, torque and power if they were
+measured, in any order, each averaged over some seconds at a steady speed. Thrust and torque have
+to be zero at rest, torque counts positive. Best are 10 points or more, from slow to fast.
+
+In the output directory: fit_rotor.csv, the points with the fit beside them, and fit_rotor.png.
+
+Exit code: 0 fitted, 1 the points cannot tell (the status says why), 2 a file could not be read or
+written, above 100 wrong options.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Fits thrust coefficient, torque ratio and power of a rotor on a thrust stand."};
+  Options o;
+  CLI::Option* input = app.add_option("THRUST_STAND.csv", o.input, "the points");
+  app.add_option("-o,--output", o.output, "directory for the fit and its picture")
+      ->capture_default_str();
+  app.add_option("--speed", o.speed, "name of the column of speeds [rad/s]")->capture_default_str();
+  app.add_option("--thrust", o.thrust, "of thrusts [N]")->capture_default_str();
+  CLI::Option* torque = app.add_option("--torque", o.torque,
+                                       "of torques; without this option it may be missing [N m]")
+                            ->capture_default_str();
+  CLI::Option* power = app.add_option("--power", o.power, "of electrical powers; likewise [W]")
+                           ->capture_default_str();
+  app.add_flag("--no-pictures", o.no_pictures, "write the fit only");
+  const std::string group = "To make a file of a simulated stand instead";
+  CLI::Option* generated = app.add_option("--generate", o.generate, "file to write it to")
+                               ->group(group)
+                               ->excludes(input);
+  const auto add = [&](const char* name, auto& value, const char* text, const auto& check) {
+    app.add_option(name, value, text)
+        ->check(check)
+        ->capture_default_str()
+        ->needs(generated)
+        ->group(group);
+  };
+  app.add_option("--seed", o.seed, "of the noise")
+      ->capture_default_str()
+      ->needs(generated)
+      ->group(group);
+  add("--thrust-coefficient", o.thrust_coefficient, "of the rotor [N s^2/rad^2]",
+      CLI::Range(1e-12, 1.0));
+  add("--torque-ratio", o.torque_ratio, "of the rotor [m]", CLI::Range(0.0, 1.0));
+  add("--idle-power", o.idle_power, "drawn at rest [W]", CLI::Range(0.0, 1e4));
+  add("--power-coefficient", o.power_coefficient, "on top, per speed^3 [W s^3/rad^3]",
+      CLI::Range(0.0, 1.0));
+  add("--exponent", o.exponent, "of the speed in the thrust, which at the fastest is the same",
+      CLI::Range(0.5, 4.0));
+  add("--points", o.points, "equally far apart in speed", CLI::Range(2, 1000000));
+  add("--slowest", o.slowest, "speed [rad/s]", CLI::Range(0.0, 1e5));
+  add("--fastest", o.fastest, "speed [rad/s]", CLI::Range(0.0, 1e5));
+  add("--thrust-noise", o.thrust_noise, "[N]", CLI::Range(0.0, 1e3));
+  add("--torque-noise", o.torque_noise, "[N m]", CLI::Range(0.0, 1e3));
+  add("--power-noise", o.power_noise, "[W]", CLI::Range(0.0, 1e4));
+  app.footer(footer);
+  CLI11_PARSE(app, argc, argv);
+  o.torque_needed = torque->count() > 0;
+  o.power_needed = power->count() > 0;
+  try {
+    if (!o.generate.empty()) {
+      generate(o);
+      return 0;
+    }
+    if (o.input.empty()) {
+      std::cerr << "THRUST_STAND.csv is required, or --generate\n"
+                   "Run with --help for more information.\n";
+      return 106;
+    }
+    const int code = fit_file(o);
+    if (code == 0 && !o.no_pictures) examples::draw_pictures("fit_rotor.gp", o.output);
+    return code;
+  } catch (const std::exception& error) {
+    std::cerr << "fit_rotor: " << error.what() << '\n';
+    return 2;
+  }
+}
