@@ -14,10 +14,12 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/actuator_outputs.hpp>
 #include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/allocation_matrix.hpp>
 #include <tilt_ropter/model/control_authority.hpp>
 #include <tilt_ropter/model/frames.hpp>
+#include <tilt_ropter/model/ned.hpp>
 #include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/rotor.hpp>

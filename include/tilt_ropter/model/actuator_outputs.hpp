@@ -1,0 +1,161 @@
+#pragma once
+
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/rotor.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+
+/// Rotor speeds and tilt angles as an autopilot's normalised outputs, such as PX4's
+/// actuator_motors and actuator_servos, and back.
+namespace tilt_ropter {
+
+/// Output u in [0, 1] of the motor whose rotor is to turn at `speed` [rad/s]: where the thrust, as
+/// a share of max_thrust, is f u^2 + (1 - f) u, with f in [0, 1] the thrust model factor; cut to
+/// 1. Zero where thrust_from_speed() is.
+///
+/// PX4's actuator_motors are shares of the thrust, f = 0, if its THR_MDL_FAC is the motors' own
+/// factor: it then finds u itself. With THR_MDL_FAC = 0, give that factor here.
+template <typename Scalar>
+[[nodiscard]] Scalar motor_output(const Scalar& speed, const RotorParameters& rotor,
+                                  double thrust_model_factor) noexcept {
+  using std::sqrt;
+  const Scalar share =
+      thrust_from_speed(speed, rotor.thrust_coefficient) / Scalar(rotor.max_thrust);
+  if (!(share > Scalar(0))) return Scalar(0);
+  if (share >= Scalar(1)) return Scalar(1);
+  // The root in a form that holds for f = 0, too.
+  const double linear = 1.0 - thrust_model_factor;
+  return Scalar(2) * share /
+         (Scalar(linear) +
+          sqrt(Scalar(linear * linear) + Scalar(4.0 * thrust_model_factor) * share));
+}
+
+/// Inverse of motor_output(): speed [rad/s] at `output`, which is cut to [0, 1]. NaN, by which PX4
+/// means a motor that is disarmed, stands still.
+template <typename Scalar>
+[[nodiscard]] Scalar speed_from_motor_output(const Scalar& output, const RotorParameters& rotor,
+                                             double thrust_model_factor) noexcept {
+  if (!(output > Scalar(0))) return Scalar(0);
+  const Scalar u = output < Scalar(1) ? output : Scalar(1);
+  const Scalar share = u * (Scalar(thrust_model_factor) * u + Scalar(1.0 - thrust_model_factor));
+  return speed_from_thrust(Scalar(Scalar(rotor.max_thrust) * share), rotor.thrust_coefficient);
+}
+
+/// How a servo sits in its arm.
+struct ServoOutputParameters {
+  double trim = 0.0;      ///< output in the middle of the range, in [-1, 1]
+  bool reversed = false;  ///< true: the output falls where the angle grows
+};
+
+/// Output in [-1, 1] of the servo that is to stand at `angle` [rad]: linear, -1 at min_angle and 1
+/// at max_angle, the other way round if reversed, then shifted by the trim and cut. NaN stays NaN.
+template <typename Scalar>
+[[nodiscard]] Scalar servo_output(const Scalar& angle, const ServoParameters& servo,
+                                  const ServoOutputParameters& parameters) noexcept {
+  const double middle = 0.5 * (servo.min_angle + servo.max_angle),
+               half = 0.5 * (servo.max_angle - servo.min_angle);
+  const Scalar share = (angle - Scalar(middle)) / Scalar(parameters.reversed ? -half : half);
+  const Scalar output = share + Scalar(parameters.trim);
+  if (output > Scalar(1)) return Scalar(1);
+  if (output < Scalar(-1)) return Scalar(-1);
+  return output;
+}
+
+/// Inverse of servo_output(): angle [rad], cut to the servo's range, at `output`, which is cut to
+/// [-1, 1]. NaN stays NaN.
+template <typename Scalar>
+[[nodiscard]] Scalar angle_from_servo_output(const Scalar& output, const ServoParameters& servo,
+                                             const ServoOutputParameters& parameters) noexcept {
+  const double middle = 0.5 * (servo.min_angle + servo.max_angle),
+               half = 0.5 * (servo.max_angle - servo.min_angle);
+  Scalar u = output;
+  if (output > Scalar(1)) u = Scalar(1);
+  if (output < Scalar(-1)) u = Scalar(-1);
+  const Scalar angle =
+      Scalar(middle) + Scalar(parameters.reversed ? -half : half) * (u - Scalar(parameters.trim));
+  if (angle > Scalar(servo.max_angle)) return Scalar(servo.max_angle);
+  if (angle < Scalar(servo.min_angle)) return Scalar(servo.min_angle);
+  return angle;
+}
+
+/// Normalised outputs of all actuators.
+template <int Rotors, typename Scalar = double>
+struct ActuatorOutputs {
+  Eigen::Matrix<Scalar, Rotors, 1> motor = Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [0, 1]
+  Eigen::Matrix<Scalar, Rotors, 1> servo = Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [-1, 1]
+};
+
+template <int Rotors = 4>
+struct ActuatorOutputSettings {
+  double thrust_model_factor = 0.0;  ///< f of motor_output(), in [0, 1]
+  std::array<ServoOutputParameters, static_cast<std::size_t>(Rotors)> servos{};
+};
+
+/// Throws std::invalid_argument naming the field, its value and what is allowed.
+template <int Rotors>
+void validate(const ActuatorOutputSettings<Rotors>& s) {
+  require(s.thrust_model_factor >= 0.0 && s.thrust_model_factor <= 1.0,
+          "ActuatorOutputSettings.thrust_model_factor", s.thrust_model_factor, "in [0, 1]");
+  for (const ServoOutputParameters& servo : s.servos)
+    require(std::abs(servo.trim) <= 1.0, "ServoOutputParameters.trim", servo.trim, "in [-1, 1]");
+}
+
+/// Between commands and normalised outputs of a vehicle. No output is ever NaN: what PX4 takes for
+/// "disarmed", and stops the motor for, is the caller's to say. Nothing allocates; only the
+/// constructor throws.
+template <int Rotors = 4>
+class OutputScaling {
+ public:
+  /// Throws std::invalid_argument on rotor or servo parameters or settings that validate() refuses.
+  explicit OutputScaling(const Vehicle<Rotors>& vehicle,
+                         const ActuatorOutputSettings<Rotors>& settings = {})
+      : rotor_((validate(vehicle.rotor), vehicle.rotor)),
+        servo_((validate(vehicle.servo), vehicle.servo)),
+        settings_((validate(settings), settings)) {}
+
+  /// Nothing if a speed or an angle is not finite: the last outputs had better stay.
+  template <typename Scalar>
+  [[nodiscard]] std::optional<ActuatorOutputs<Rotors, Scalar>> outputs(
+      const ActuatorState<Rotors, Scalar>& command) const noexcept {
+    if (!command.rotor_speed.allFinite() || !command.tilt_angle.allFinite()) return std::nullopt;
+    ActuatorOutputs<Rotors, Scalar> result;
+    for (int i = 0; i < Rotors; ++i) {
+      result.motor(i) = motor_output(command.rotor_speed(i), rotor_, settings_.thrust_model_factor);
+      result.servo(i) = servo_output(command.tilt_angle(i), servo_, servo(i));
+    }
+    return result;
+  }
+
+  /// What the actuators are told by `outputs`. NaN is a motor that is disarmed, and stands still;
+  /// where a disarmed servo stands nobody knows: nothing if a servo's output is not finite.
+  template <typename Scalar>
+  [[nodiscard]] std::optional<ActuatorState<Rotors, Scalar>> command(
+      const ActuatorOutputs<Rotors, Scalar>& outputs) const noexcept {
+    if (!outputs.servo.allFinite()) return std::nullopt;
+    ActuatorState<Rotors, Scalar> result;
+    for (int i = 0; i < Rotors; ++i) {
+      result.rotor_speed(i) =
+          speed_from_motor_output(outputs.motor(i), rotor_, settings_.thrust_model_factor);
+      result.tilt_angle(i) = angle_from_servo_output(outputs.servo(i), servo_, servo(i));
+    }
+    return result;
+  }
+
+ private:
+  [[nodiscard]] const ServoOutputParameters& servo(int i) const noexcept {
+    return settings_.servos[static_cast<std::size_t>(i)];
+  }
+
+  RotorParameters rotor_;
+  ServoParameters servo_;
+  ActuatorOutputSettings<Rotors> settings_;
+};
+
+}  // namespace tilt_ropter
