@@ -1,0 +1,149 @@
+// A loop that must not be late: hover at a fixed rate with real-time scheduling, and how late it
+// was.
+
+#include "latencies.hpp"
+#include "real_time.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <cstddef>
+#include <cstdint>
+#include <exception>
+#include <fstream>
+#include <iomanip>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  double rate = 100.0, seconds = 10.0;
+  int priority = 80, processor = -1;
+  std::string csv;
+};
+
+volatile std::sig_atomic_t interrupted = 0;
+
+void write_csv(const std::string& path, const loops::Latencies& wake_up,
+               const loops::Latencies& computing) {
+  std::ofstream file(path);
+  file << "wake_up_us,computing_us\n" << std::fixed << std::setprecision(3);
+  for (std::size_t i = 0; i < wake_up.values().size(); ++i)
+    file << wake_up.values()[i] << ',' << computing.values()[i] << '\n';
+  file.close();
+  if (!file) throw std::runtime_error("cannot write " + path);
+}
+
+void run(const Options& options) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Allocation<4> allocation(vehicle);
+  ActuatorModel<4> actuators(vehicle);
+  WrenchObserver<> observer(vehicle.body);
+  Nmpc<4> nmpc(vehicle);
+  Plant<4> robot(vehicle);  // your robot goes here
+  const auto reference = [](double) {
+    ReferencePoint point;
+    point.position << 0.0, 0.0, 1.5;
+    return point;
+  };
+  const std::int64_t period = std::llround(1e9 / options.rate);
+  const std::int64_t periods = std::llround(options.seconds * options.rate);
+  const double dt = 1e-9 * static_cast<double>(period);
+  loops::Latencies wake_up(static_cast<std::size_t>(periods)),
+      computing(static_cast<std::size_t>(periods));
+  std::int64_t skipped = 0, missed = 0;
+  ActuatorState<4> command;
+  loops::ask_for_real_time(options.priority, options.processor, std::cout);
+
+  const std::int64_t start = loops::now_ns() + period;
+  for (std::int64_t k = 0; k < periods;) {
+    const std::int64_t due = start + k * period;
+    while (!loops::sleep_until(due) && interrupted == 0) continue;
+    if (interrupted != 0) break;
+    const std::int64_t woken = loops::now_ns();
+
+    const double time = robot.time();
+    const ActuatorState<4> applied{robot.actuators().rotor_speed,
+                                   actuators.update(time, command).tilt_angle};
+    observer.update(time, robot.specific_force(), robot.body().angular_velocity,
+                    allocation.wrench(applied));
+    if (nmpc.prepare(time, reference, observer.external()))
+      observer.set_external(nmpc.contact().air_wrench());
+    const NmpcResult& result = nmpc.feedback(time, robot.body());
+    command = allocation.allocate(result.wrench, result.rate, command).command;
+    actuators.update(time, command);  // acts from now on
+
+    const std::int64_t done = loops::now_ns();
+    wake_up.add(1e-3 * static_cast<double>(woken - due));
+    computing.add(1e-3 * static_cast<double>(done - woken));
+    // What is left of the period is the simulated robot's. A tick whose whole period has passed is
+    // left out, and the robot goes on with the last command.
+    const std::int64_t next = std::min(periods, std::max(k + 1, (done - start) / period));
+    if (done > due + period) ++missed;
+    skipped += next - (k + 1);
+    missed += next - (k + 1);
+    for (; k < next; ++k)
+      if (!robot.step(command, {}, dt)) throw std::runtime_error("the plant broke");
+  }
+
+  std::cout << "ticks: " << wake_up.values().size() << "\nskipped_ticks: " << skipped
+            << "\nmissed_deadlines: " << missed << '\n';
+  wake_up.print(std::cout, "wake_up");
+  computing.print(std::cout, "computing");
+  print_histograms(std::cout, "wake_up", wake_up, "computing", computing);
+  std::cout << std::setprecision(4)
+            << "position_error_m: " << (robot.body().position - reference(0.0).position).norm()
+            << '\n';
+  if (!options.csv.empty()) write_csv(options.csv, wake_up, computing);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Hovers with a simulated vehicle at a fixed rate, in real time, with SCHED_FIFO, locked\n"
+      "memory and absolute deadlines, and says how late it woke up and how long it computed. What\n"
+      "the system refuses, for want of permission (CAP_SYS_NICE, CAP_IPC_LOCK or the limits "
+      "rtprio\n"
+      "and memlock), it says, and goes on."};
+  Options options;
+  app.add_option("--rate", options.rate, "of the controller [Hz]")
+      ->check(CLI::Range(20.0, 1000.0))
+      ->capture_default_str();
+  app.add_option("--seconds", options.seconds, "how long")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->capture_default_str();
+  app.add_option("--priority", options.priority, "of SCHED_FIFO; 0: no real-time scheduling")
+      ->check(CLI::Range(0, 99))
+      ->capture_default_str();
+  app.add_option("--processor", options.processor, "to run on alone, from 0; default: any")
+      ->check(CLI::Range(0, 1023));
+  app.add_option("--csv", options.csv, "file for wake-up and computing times, tick by tick");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
+  try {
+    run(options);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "rt_loop: " << error.what() << '\n';
+    return 1;
+  }
+}
