@@ -4,7 +4,7 @@ set -euo pipefail
 usage() {
   cat <<'HELP'
 usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
-                    --variants]
+                    --variants | --docs]
 
 Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
 errors into build-tests/ and runs every test. The last lines are the summary. Built by clang, which
@@ -29,6 +29,8 @@ benchmarks, is built by GCC.
                target. About half an hour
   --variants   the library's tests, compiled in other ways into build-variants/: not optimised, for
                this processor, with -ffast-math, with clang's libc++. About half an hour
+  --docs       instead of the tests, the reference as HTML in build-docs/html/, by Doxygen from the
+               headers' comments; fails where a comment names what is not there. Seconds
   --help       this text
 HELP
 }
@@ -45,7 +47,7 @@ fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
     --full) full=1 ;;
-    --benchmark | --sanitize | --coverage | --tidy | --variants) instead=${1#--} ;;
+    --benchmark | --sanitize | --coverage | --tidy | --variants | --docs) instead=${1#--} ;;
     --fuzz)
       instead=fuzz
       fuzz_seconds=${2-}
@@ -83,7 +85,7 @@ instrumented() {  # directory, flags
     -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
 }
 # What these tests show is not changed by how the tests are built.
-sources_only='^(header|clang|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
+sources_only='^(header|clang|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|readme_.*|without_nlopt)$'
 # Their three programs fly in real time, which instrumented ones do not keep up with.
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
@@ -171,6 +173,11 @@ if [[ $instead == variants ]]; then
   variant fast_math "-O2 -ffast-math -fno-finite-math-only"
   variant libcxx "-O1 -stdlib=libc++" -DTILT_ROPTER_GTEST_SOURCE=/usr/src/googletest
   exit 0
+fi
+
+if [[ $instead == docs ]]; then
+  bash cmake/install_missing.sh doxygen
+  exec bash tests/docs/run.sh
 fi
 
 timeout=300

@@ -14,6 +14,7 @@
 /// box on the wrench rate lets an arm of little thrust turn at any speed).
 namespace tilt_ropter {
 
+/// How much of the actuators a plan may use.
 struct ActuatorRowSettings {
   /// Share of the servo's max_rate that a plan may ask for. What reaches the servo is more: a
   /// command that is held for h seconds and runs ahead to invert a lag of T asks for h / (2 T) on

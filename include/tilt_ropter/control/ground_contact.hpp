@@ -17,6 +17,7 @@
 /// is told about the forces there.
 namespace tilt_ropter {
 
+/// When the vehicle counts as on the ground, and what thrust it keeps there.
 struct GroundContactSettings {
   double enter_height = 0.005;  ///< lower than this above the radius: on the ground [m]
   double leave_height = 0.030;  ///< higher, and not carried: in the air [m]

@@ -20,6 +20,7 @@
 /// air and on the ground, one real-time iteration per call.
 namespace tilt_ropter {
 
+/// Where the wrench of an NmpcResult comes from.
 enum class NmpcStatus {
   solved,         ///< the wrench comes from a plan made from this measurement
   bad_state,      ///< the measurement was not finite: the last plan goes on

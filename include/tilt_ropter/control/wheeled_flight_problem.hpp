@@ -46,7 +46,7 @@ struct NmpcBounds {
   Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
 };
 
-/// The bounds of the paper's table (paper, Tab. NMPC Parameters for Real-World Experiments). They
+/// The bounds of the paper's table (paper, Tab. NMPC Parameters). They
 /// allow 0.13 m/s^2 sideways without leaning and need 7 s from rest thrust to hover.
 [[nodiscard]] inline NmpcBounds paper_bounds() {
   NmpcBounds b;

@@ -21,6 +21,7 @@
 /// seen by both, and fits at one offset only.
 namespace tilt_ropter {
 
+/// Where calibrate_clock() searches and what it takes for an answer.
 struct ClockCalibrationSettings {
   double max_offset = 0.5;      ///< searched on both sides of zero, at most 60 [s]
   double window = 0.05;         ///< turns are compared over this time, at least 0.001 [s]
@@ -35,6 +36,7 @@ inline void validate(const ClockCalibrationSettings& s) {
   require_positive("ClockCalibrationSettings.max_deviation [s]", s.max_deviation);
 }
 
+/// Whether the offset was found and, if not, why; of several reasons the first.
 enum class ClockCalibrationStatus {
   calibrated,
   bad_data,      ///< a number is not finite, or stamps do not increase
@@ -49,6 +51,7 @@ enum class ClockCalibrationStatus {
   return names[static_cast<std::size_t>(status)];
 }
 
+/// What calibrate_clock() found; an offset only where the status is calibrated.
 struct ClockCalibration {
   ClockCalibrationStatus status = ClockCalibrationStatus::bad_data;
   double offset = 0.0;  ///< to be added to the stamps of the poses (EkfSettings.clock_offset) [s]

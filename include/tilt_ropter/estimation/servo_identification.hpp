@@ -37,6 +37,7 @@ struct ServoModel {
   double initial_angle = 0.0;  ///< at the first stamp of the log [rad]
 };
 
+/// Where identify_servo() searches and what it asks of a log.
 struct ServoIdentificationSettings {
   double min_time_constant = 0.002;  ///< shortest that is looked for [s]
   double max_time_constant = 2.0;    ///< longest; never longer than the log [s]
@@ -47,6 +48,7 @@ struct ServoIdentificationSettings {
   int max_iterations = 100;  ///< of Gauss-Newton, from each start
 };
 
+/// Whether the servo was identified and, if not, why.
 enum class ServoIdentificationStatus {
   identified,
   // Refused before the fit:
@@ -63,6 +65,7 @@ enum class ServoIdentificationStatus {
   dead_time_too_long,
 };
 
+/// What identify_servo() found.
 struct ServoIdentification {
   ServoIdentificationStatus status = ServoIdentificationStatus::no_convergence;
   ServoModel model;

@@ -44,6 +44,7 @@ inline void validate(const WrenchObserverSettings& s) {
   require_positive("WrenchObserverSettings.max_torque_deviation [N m]", s.max_torque_deviation);
 }
 
+/// What became of a sample.
 enum class ObserverStatus {
   updated,
   started,  ///< the first sample: momentum is known now, the estimate is unchanged
@@ -61,6 +62,7 @@ enum class WrenchTrust {
   trusted
 };
 
+/// What became of a calibration.
 enum class CalibrationStatus {
   calibrated,
   not_begun,

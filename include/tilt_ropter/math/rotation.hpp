@@ -15,8 +15,10 @@ namespace tilt_ropter {
 
 inline constexpr double pi = 3.14159265358979323846;
 
+/// Three components, of whatever frame the declaration says.
 template <typename Scalar>
 using Vector3 = Eigen::Matrix<Scalar, 3, 1>;
+/// Rotation matrix, inertia or Jacobian.
 template <typename Scalar>
 using Matrix3 = Eigen::Matrix<Scalar, 3, 3>;
 

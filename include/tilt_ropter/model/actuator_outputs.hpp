@@ -92,6 +92,7 @@ struct ActuatorOutputs {
   Eigen::Matrix<Scalar, Rotors, 1> servo = Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [-1, 1]
 };
 
+/// How motors and servos answer; by default thrust is proportional, servos without trim.
 template <int Rotors = 4>
 struct ActuatorOutputSettings {
   double thrust_model_factor = 0.0;  ///< f of motor_output(), in [0, 1]

@@ -18,6 +18,7 @@
 /// angles and back.
 namespace tilt_ropter {
 
+/// How the wanted wrench was come by.
 enum class AllocationStatus {
   ok,               ///< the wanted wrench, by the least thrusts
   null_space_used,  ///< the wanted wrench, by other thrusts that are within limits
@@ -26,6 +27,7 @@ enum class AllocationStatus {
   rejected          ///< an input is not finite: the command repeats the last one, lost is zero
 };
 
+/// What Allocation does beyond the inverse of the matrix.
 struct AllocationParameters {
   /// Thrust below which a tilt angle, undefined at zero, holds on to its last value [N].
   double hold_thrust = 0.02;

@@ -10,8 +10,8 @@
 #include <cstddef>
 
 /// The paper's eight frames (paper, Sec. Frame Definition): the world I (ENU) in which all is
-/// expressed, the body B, the rotors R1..R4 and the wheels W1, W2. `a_in_b` is the pose of frame a
-/// in frame b: it maps coordinates in a to coordinates in b.
+/// expressed, the body B, the rotors R1..R4 and the wheels W1, W2. A function a_in_b gives the pose
+/// of frame a in frame b: it maps coordinates in a to coordinates in b.
 namespace tilt_ropter {
 
 /// B in I.

@@ -109,6 +109,7 @@ template <typename Scalar>
          x.orientation.squaredNorm() > Scalar(1e-6) && x.angular_velocity.allFinite();
 }
 
+/// True if every number is finite.
 template <typename Scalar>
 [[nodiscard]] bool is_finite(const Wrench<Scalar>& w) noexcept {
   return w.force.allFinite() && w.torque.allFinite();

@@ -16,6 +16,7 @@ namespace tilt_ropter {
 /// Acceleration of gravity [m/s^2], the paper's; it points along world -z.
 inline constexpr double gravity = 9.81;
 
+/// Of the whole vehicle, with rotors and wheels.
 struct RigidBodyParameters {
   double mass = 1.0;  ///< [kg]
   Eigen::Matrix3d inertia =
@@ -60,7 +61,7 @@ struct RotorParameters {
 /// Servo that tilts an arm; the same for all arms of a vehicle.
 struct ServoParameters {
   double time_constant =
-      0.08;                ///< of the angle's first-order lag (paper, Sec. External Wrench) [s]
+      0.08;  ///< of the angle's first-order lag (paper, Sec. External Wrench Estimation) [s]
   double max_rate = 8.0;   ///< [rad/s]
   double min_angle = -pi;  ///< [rad]
   double max_angle = pi;   ///< [rad]
@@ -79,6 +80,7 @@ struct PowerParameters {
   double hover = 600.0;       ///< total in hover [W]
 };
 
+/// All that is known of a vehicle with `Rotors` arms, tilting or not.
 template <int Rotors = 4>
 struct Vehicle {
   RigidBodyParameters body;
@@ -177,25 +179,25 @@ template <int Rotors>
 /// arms carry the wheels. Each value is marked as the paper's or as our estimate.
 [[nodiscard]] inline Vehicle<4> tilt_ropter_vehicle() {
   Vehicle<4> v;
-  v.body.mass = 1.5;                                                   // paper, Sec. Hardware
+  v.body.mass = 1.5;  // paper, Sec. Hardware System Design
   v.body.inertia = Eigen::Vector3d(0.014, 0.014, 0.025).asDiagonal();  // estimate
   const double arm = 0.17;                                             // estimate
-  v.rotors = {rotor_on_arm(-pi / 2, arm, Spin::counter_clockwise),     // paper, Sec. Frames
-              rotor_on_arm(pi / 2, arm, Spin::counter_clockwise),      // paper
-              rotor_on_arm(0.0, arm, Spin::clockwise),                 // paper
-              rotor_on_arm(pi, arm, Spin::clockwise)};                 // paper
-  v.rotor.thrust_coefficient = 1.4e-6;                                 // estimate
-  v.rotor.torque_ratio = 0.016;                                        // estimate
-  v.rotor.min_thrust = 0.0;                                            // estimate
-  v.rotor.max_thrust = 12.0;                                           // estimate
-  v.rotor.time_constant = 0.03;                                        // estimate
-  v.servo.time_constant = 0.08;                                        // estimate
-  v.servo.max_rate = 8.0;                                              // estimate
-  v.servo.min_angle = -pi;                                             // estimate
-  v.servo.max_angle = pi;                                              // estimate
-  v.servo.dead_time = 0.0;                                             // estimate
-  v.wheels.radius = 0.11;                                              // estimate
-  v.wheels.half_track = 0.20;                                          // estimate
+  v.rotors = {rotor_on_arm(-pi / 2, arm, Spin::counter_clockwise),  // paper, Sec. Frame Definition
+              rotor_on_arm(pi / 2, arm, Spin::counter_clockwise),   // paper
+              rotor_on_arm(0.0, arm, Spin::clockwise),              // paper
+              rotor_on_arm(pi, arm, Spin::clockwise)};              // paper
+  v.rotor.thrust_coefficient = 1.4e-6;                              // estimate
+  v.rotor.torque_ratio = 0.016;                                     // estimate
+  v.rotor.min_thrust = 0.0;                                         // estimate
+  v.rotor.max_thrust = 12.0;                                        // estimate
+  v.rotor.time_constant = 0.03;                                     // estimate
+  v.servo.time_constant = 0.08;                                     // estimate
+  v.servo.max_rate = 8.0;                                           // estimate
+  v.servo.min_angle = -pi;                                          // estimate
+  v.servo.max_angle = pi;                                           // estimate
+  v.servo.dead_time = 0.0;                                          // estimate
+  v.wheels.radius = 0.11;                                           // estimate
+  v.wheels.half_track = 0.20;                                       // estimate
   v.power.electronics = 20.0;  // estimate; known only to lie between 15 and 40
   v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
   return v;

@@ -48,6 +48,7 @@
 /// subproblem singular: a failure.
 namespace tilt_ropter {
 
+/// How a solve of FullSpace ended.
 enum class FullSpaceStatus {
   converged,   ///< NLopt moves nothing any more and the constraints hold, both within tolerance
   limit,       ///< of calls of NLopt or time; the last point is kept
@@ -56,6 +57,7 @@ enum class FullSpaceStatus {
   rejected,    ///< the initial state is not finite; nothing was changed
 };
 
+/// Limits and tolerances of FullSpace.
 struct FullSpaceSettings {
   int max_evaluations = 500;  ///< of the cost, in one call of NLopt
   /// Largest step that counts as none, in scaled variables (a step of 1 costs about 1/2), and
@@ -84,6 +86,7 @@ struct FullSpaceReport {
   int rebases = 0;             ///< calls of NLopt
 };
 
+/// Solves a `Problem` as a whole, by the program above.
 template <typename Problem>
 class FullSpace {
  public:

@@ -28,8 +28,10 @@ namespace tilt_ropter {
 /// NLopt's algorithms that can solve the dual; all reach the same point.
 enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
 
+/// The clock of all time limits.
 using SolverClock = std::chrono::steady_clock;
 
+/// How the dual of the rows is solved, and how well.
 struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps

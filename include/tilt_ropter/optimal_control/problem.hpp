@@ -146,10 +146,12 @@ struct FullTransition {
   static constexpr bool nonzero(int /*row*/, int /*column*/) { return true; }
 };
 
+/// The TransitionBlocks of a problem, or FullTransition where it names none.
 template <typename Problem, typename = void>
 struct TransitionBlocksOf {
   using type = FullTransition<Problem::states, Problem::inputs>;
 };
+/// For a problem that names its own.
 template <typename Problem>
 struct TransitionBlocksOf<Problem, std::void_t<typename Problem::TransitionBlocks>> {
   using type = typename Problem::TransitionBlocks;

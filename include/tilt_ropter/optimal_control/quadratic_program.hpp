@@ -17,6 +17,7 @@
 /// rows lower <= value + C dx + E du <= upper at every node, each with a price for violating it.
 namespace tilt_ropter {
 
+/// Limits and tolerances of one SQP step.
 struct QuadraticProgramSettings {
   double row_tolerance = 1e-9;  ///< violation that makes a row join the working set
   int max_active_rows = 0;      ///< room of the working set; 0: 150, or 3 per node if that is more

@@ -50,7 +50,7 @@ struct RiccatiStage {
   [[nodiscard]] auto Y() const { return factor.template middleRows<States>(Inputs).transpose(); }
 };
 
-/// The horizon: `stages` has N + 1 entries, of the last one only the cost is used. Of the Hessians
+/// The horizon: stage(0) to stage(N), of the last one only the cost is used. Of the Hessians
 /// only the lower triangles are used. `Blocks` says which blocks of [A B] can be non-zero: see
 /// TransitionBlocks.
 template <int States, int Inputs, typename Blocks = FullTransition<States, Inputs>>

@@ -9,6 +9,7 @@
 /// What the solver can be told, and what it tells.
 namespace tilt_ropter {
 
+/// How a solve or a real-time iteration ended.
 enum class SolveStatus {
   converged,        ///< the KKT residual is below the tolerance
   iterated,         ///< a real-time iteration was done as asked

@@ -33,9 +33,10 @@ struct FigureEightParameters {
   double max_speed = 1.5;   ///< (paper, Sec. Aerial Flight) [m/s]
   double max_acceleration = 1.5;  ///< (paper, Sec. Aerial Flight) [m/s^2]
   HeadingMode heading = HeadingMode::fixed;
-  double yaw = 0.0;           ///< of the body, with HeadingMode::fixed [rad]
-  double max_yaw_rate = 1.5;  ///< with HeadingMode::along_velocity (paper, NMPC table) [rad/s]
-  double start_time = 0.0;    ///< [s]
+  double yaw = 0.0;  ///< of the body, with HeadingMode::fixed [rad]
+  double max_yaw_rate =
+      1.5;  ///< with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
+  double start_time = 0.0;  ///< [s]
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed.

@@ -20,6 +20,7 @@ struct Waypoint {
   double yaw = 0.0;                                    ///< about world z [rad]
 };
 
+/// From where to where, and how fast at most.
 struct TransitionParameters {
   Waypoint from;
   Waypoint to;

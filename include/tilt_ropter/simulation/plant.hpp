@@ -22,6 +22,7 @@
 /// need not know exactly.
 namespace tilt_ropter {
 
+/// What Plant has beyond its Vehicle.
 struct PlantParameters {
   WheelContactParameters contact;
   Eigen::Vector3d linear_drag =
@@ -37,6 +38,7 @@ inline void validate(const PlantParameters& p) {
           p.max_substep, "finite and >= 1e-7");
 }
 
+/// All that changes in a Plant, but commands on their way.
 template <int Rotors = 4>
 struct PlantState {
   double time = 0.0;  ///< [s]

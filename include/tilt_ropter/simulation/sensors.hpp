@@ -97,8 +97,10 @@ inline void validate(const ImuSensorParameters& p) {
   require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
 }
 
+/// White noise, biases that walk at random, and a delay, at the rate of the parameters.
 class ImuSensor {
  public:
+  /// What the sensor says.
   struct Measurement {
     double time = 0.0;                                           ///< when it was taken [s]
     Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< body frame [rad/s]
@@ -155,8 +157,10 @@ inline void validate(const PoseSensorParameters& p) {
   require_non_negative("PoseSensorParameters.orientation_noise [rad]", p.orientation_noise);
 }
 
+/// White noise and a delay, at the rate of the parameters.
 class PoseSensor {
  public:
+  /// What the sensor says.
   struct Measurement {
     double time = 0.0;                                                ///< when it was taken [s]
     Eigen::Vector3d position = Eigen::Vector3d::Zero();               ///< world frame [m]
@@ -196,9 +200,11 @@ inline void validate(const RotorSpeedSensorParameters& p) {
   require_non_negative("RotorSpeedSensorParameters.noise [rad/s]", p.noise);
 }
 
+/// White noise and a delay, at the rate of the parameters.
 template <int Rotors = 4>
 class RotorSpeedSensor {
  public:
+  /// What the sensor says.
   struct Measurement {
     double time = 0.0;  ///< when it was taken [s]
     Eigen::Matrix<double, Rotors, 1> rotor_speed =
@@ -244,8 +250,10 @@ inline void validate(const StateSensorParameters& p) {
                        p.angular_velocity_noise);
 }
 
+/// White noise and a delay, at the rate of the parameters.
 class StateSensor {
  public:
+  /// What the sensor says.
   struct Measurement {
     double time = 0.0;  ///< when it was taken [s]
     BodyState<> body;

@@ -72,6 +72,7 @@ inline void validate(const WheelContactParameters& p) {
                    std::sqrt(2.0 * p.stiffness * of_body)});
 }
 
+/// How a wheel turns, and how far its rim is bent where it touches the ground.
 struct WheelState {
   double angle = 0.0;  ///< turned about body y, relative to the world, not wrapped [rad]
   double spin = 0.0;   ///< its rate: positive rolls along body x [rad/s]

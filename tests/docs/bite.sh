@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# bite.sh INCLUDE_DIR
+# names.sh and equations.sh find what is wrong, one fault at a time.
+set -euo pipefail
+
+here=$(dirname "${BASH_SOURCE[0]}")
+copy=$(mktemp -d)
+trap 'rm -rf "$copy"' EXIT
+
+finds() {  # what is said, sed expression that makes the fault, file, script and arguments
+  rm -rf "$copy/include" "$copy/equations.md"
+  cp -r "$include_dir" "$copy/include"
+  cp "$here/equations.md" "$copy"
+  sed -i "$2" "$copy/$3"
+  local said
+  if said=$(cd "$copy" && bash "${@:4}"); then
+    echo "not found: $1" && exit 1
+  fi
+  grep -qF "$1" <<< "$said" || { echo "said otherwise than $1: $said" && exit 1; }
+}
+
+include_dir=$(realpath "$1")
+here=$(realpath "$here")
+names=("$here/names.sh" include)
+equations=("$here/equations.sh" include equations.md)
+finds "model/wrench.hpp has no leaver" 's/`lever`/`leaver`/' \
+  include/tilt_ropter/model/wrench.hpp "${names[@]}"
+finds "no row in equations.md for model/power.hpp|Sec. Energy Efficiency" '/PowerModel/d' \
+  equations.md "${equations[@]}"
+finds "no row in equations.md for model/rotor.hpp|Eq. nowhere" \
+  's/(paper, Sec. Control Allocation)/(paper, Eq. nowhere)/' \
+  include/tilt_ropter/model/rotor.hpp "${equations[@]}"
+finds "model/rigid_body.hpp has no derivativ" 's/::derivative/::derivativ/' \
+  equations.md "${equations[@]}"
+finds "there is no model/serwo.hpp" 's/servo.hpp/serwo.hpp/' equations.md "${equations[@]}"
+echo "all faults found"
