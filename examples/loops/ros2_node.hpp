@@ -3,7 +3,7 @@
 #include "../support/flight_controller.hpp"
 #include "hover_point.hpp"
 
-#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -40,7 +40,8 @@ class Ros2Node : public rclcpp::Node {
   /// Throws std::invalid_argument for parameters out of range.
   explicit Ros2Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
       : Node("tilt_ropter", options),
-        controller_(vehicle(*this), tilt_ropter::NmpcSettings{}, estimation(*this)),
+        vehicle_(vehicle(*this)),
+        controller_(vehicle_, tilt_ropter::nmpc_settings(vehicle_), estimation(*this)),
         reference_(*this),
         max_silence_(declare_parameter("max_silence", 0.1)) {
     const rclcpp::SensorDataQoS qos;
@@ -107,6 +108,7 @@ class Ros2Node : public rclcpp::Node {
     publisher_->publish(m);
   }
 
+  tilt_ropter::Vehicle<4> vehicle_;
   examples::FlightController<4> controller_;
   HoverPoint reference_;
   double max_silence_;
