@@ -22,8 +22,12 @@ ReferencePoint swing(double t) {
 
 TEST(CheckReference, HybridMissionFitsTheDefaultBounds) {
   const Mission mission = hybrid_mission();
-  EXPECT_TRUE(
-      check_reference(mission, mission.start_time(), mission.end_time(), vehicle, {}).empty());
+  EXPECT_TRUE(check_reference(mission, mission.start_time(), mission.end_time(), vehicle).empty());
+  Vehicle<4> heavy = vehicle;  // whose bounds are larger
+  heavy.body.mass *= 3.0;
+  EXPECT_TRUE(check_reference(mission, mission.start_time(), mission.end_time(), heavy).empty());
+  EXPECT_FALSE(
+      check_reference(mission, mission.start_time(), mission.end_time(), heavy, {}).empty());
 }
 
 TEST(CheckReference, HybridMissionDoesNotFitThePapersBounds) {

@@ -12,6 +12,7 @@ needing=$(for header in $(find tilt_ropter -mindepth 2 -name '*.hpp' | LC_ALL=C 
 done)
 diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/nmpc.hpp
+tilt_ropter/control/nmpc_settings.hpp
 tilt_ropter/control/reference_check.hpp
 tilt_ropter/optimal_control/full_space.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp

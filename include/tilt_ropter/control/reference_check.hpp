@@ -1,6 +1,7 @@
 #pragma once
 
-#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -35,7 +36,7 @@ template <typename Reference, int Rotors>
 [[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
                                                           double end,
                                                           const Vehicle<Rotors>& vehicle,
-                                                          const NmpcSettings& settings = {},
+                                                          const NmpcSettings& settings,
                                                           double step = 0.01) {
   validate(vehicle);
   validate(settings);
@@ -96,6 +97,14 @@ template <typename Reference, int Rotors>
   for (std::size_t i = 0; i < worst.size(); ++i)
     if (excess[i] > 0.0) violations.push_back(worst[i]);
   return violations;
+}
+
+/// With the settings that Nmpc has by default for this vehicle.
+template <typename Reference, int Rotors>
+[[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
+                                                          double end,
+                                                          const Vehicle<Rotors>& vehicle) {
+  return check_reference(reference, start, end, vehicle, nmpc_settings(vehicle));
 }
 
 }  // namespace tilt_ropter
