@@ -3,6 +3,7 @@
 
 #include "support/mission_log.hpp"
 #include "support/pictures.hpp"
+#include "support/run_program.hpp"
 #include "support/vehicle_file.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
@@ -19,7 +20,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <exception>
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
@@ -268,8 +268,8 @@ The vehicle's file is what hybrid_mission --write-vehicle writes. In the output 
 envelope.csv and check_vehicle.png, the force that the vehicle gives without torque and the torque
 that it gives in hover, in the planes of its axes.
 
-Exit code: 0 it flies, 1 it does not, 2 a file could not be read or written, or a vehicle that
-cannot be, above 100 wrong options.)";
+Exit code: 0 it flies, 1 it does not or another error, 2 a vehicle that cannot be, above 100 wrong
+options.)";
 
 }  // namespace
 
@@ -286,15 +286,11 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--no-pictures", options.no_pictures, "write the envelope only");
   app.footer(footer);
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return examples::run_program(app, "check_vehicle", argc, argv, [&options] {
     const examples::VehicleFile file = examples::vehicle_or_default(options.input);
     const bool flies = std::visit(
         [&](const auto& vehicle) { return check(options, file, vehicle); }, file.vehicle);
     if (flies && !options.no_pictures) examples::draw_pictures("check_vehicle.gp", options.output);
     return flies ? 0 : 1;
-  } catch (const std::exception& error) {
-    std::cerr << "check_vehicle: " << error.what() << '\n';
-    return 2;
-  }
+  });
 }

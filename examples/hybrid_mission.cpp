@@ -3,13 +3,13 @@
 
 #include "support/mission_loop.hpp"
 #include "support/pictures.hpp"
+#include "support/run_program.hpp"
 
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <CLI/CLI.hpp>
 
-#include <exception>
-#include <iostream>
+#include <string>
 #include <variant>
 
 int main(int argc, char** argv) {
@@ -18,11 +18,13 @@ int main(int argc, char** argv) {
       "A vehicle without wheels flies the eight in the air."};
   examples::MissionOptions options;
   examples::add_options(app, options);
-  CLI11_PARSE(app, argc, argv);
-  try {
+  std::string write_path;
+  app.add_option("--write-vehicle", write_path,
+                 "write the vehicle to this JSON file, to begin from, and fly nothing");
+  return examples::run_program(app, "hybrid_mission", argc, argv, [&] {
     const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle_path);
-    if (!options.write_path.empty()) {
-      examples::write_vehicle(file, options.write_path);
+    if (!write_path.empty()) {
+      examples::write_vehicle(file, write_path);
       return 0;
     }
     std::visit(
@@ -36,11 +38,5 @@ int main(int argc, char** argv) {
         file.vehicle);
     if (!options.no_pictures) examples::draw_pictures("hybrid_mission.gp", options.output);
     return 0;
-  } catch (const examples::VehicleFileError& error) {
-    std::cerr << "hybrid_mission: " << error.what() << '\n';
-    return 2;
-  } catch (const std::exception& error) {
-    std::cerr << "hybrid_mission: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

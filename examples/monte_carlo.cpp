@@ -6,6 +6,7 @@
 #include "support/mission_loop.hpp"
 #include "support/pictures.hpp"
 #include "support/progress.hpp"
+#include "support/run_program.hpp"
 #include "support/spread_flight.hpp"
 #include "support/vehicle_spread.hpp"
 
@@ -212,15 +213,8 @@ int main(int argc, char** argv) {
       ->excludes(count)
       ->excludes(merge);
   app.add_flag("--no-pictures", options.no_pictures, "write the table or log only");
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return run_program(app, "monte_carlo", argc, argv, [&options, argv] {
     run(options, argv[0]);
     return 0;
-  } catch (const VehicleFileError& error) {
-    std::cerr << "monte_carlo: " << error.what() << '\n';
-    return 2;
-  } catch (const std::exception& error) {
-    std::cerr << "monte_carlo: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

@@ -6,6 +6,7 @@
 #include "support/mission_sensors.hpp"
 #include "support/pictures.hpp"
 #include "support/progress.hpp"
+#include "support/run_program.hpp"
 #include "support/vehicle_file.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -19,7 +20,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <exception>
 #include <filesystem>
 #include <functional>
 #include <iomanip>
@@ -214,16 +214,9 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--no-pictures", options.no_pictures, "write the responses only");
   app.footer(footer);
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return examples::run_program(app, "step_responses", argc, argv, [&options] {
     run(options);
     if (!options.no_pictures) examples::draw_pictures("step_responses.gp", options.output);
     return 0;
-  } catch (const examples::VehicleFileError& error) {
-    std::cerr << "step_responses: " << error.what() << '\n';
-    return 2;
-  } catch (const std::exception& error) {
-    std::cerr << "step_responses: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

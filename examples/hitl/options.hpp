@@ -1,13 +1,11 @@
 #pragma once
 
-#include "../support/vehicle_file.hpp"
+#include "../support/run_program.hpp"
 #include "link.hpp"
 
 #include <CLI/CLI.hpp>
 
 #include <csignal>
-#include <exception>
-#include <iostream>
 #include <string>
 
 namespace hitl {
@@ -43,21 +41,13 @@ inline void end_on_signals() {
   for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
 }
 
-/// What is left of main(): parses the options that `app` knows, runs, and tells errors. A vehicle
-/// that cannot be gives 2.
+/// examples::run_program() for a program that ends with its report when it is told to.
 template <typename Run>
 int run_program(CLI::App& app, const char* name, int argc, char** argv, const Run& run) {
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return examples::run_program(app, name, argc, argv, [&run] {
     end_on_signals();
     return run();
-  } catch (const examples::VehicleFileError& error) {
-    std::cerr << name << ": " << error.what() << '\n';
-    return 2;
-  } catch (const std::exception& error) {
-    std::cerr << name << ": " << error.what() << '\n';
-    return 1;
-  }
+  });
 }
 
 }  // namespace hitl

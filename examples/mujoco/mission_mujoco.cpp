@@ -3,6 +3,7 @@
 
 #include "../support/mission_loop.hpp"
 #include "../support/pictures.hpp"
+#include "../support/run_program.hpp"
 #include "plant.hpp"
 #ifdef MISSION_MUJOCO_FILM  // set by CMake where EGL is
 #include "film.hpp"
@@ -103,10 +104,6 @@ void fly(Options& options) {
   options.mujoco.slope = options.slope_deg * pi / 180.0;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
   const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
-  if (!options.mission.write_path.empty()) {
-    examples::write_vehicle(file, options.mission.write_path);
-    return;
-  }
   const auto vehicles = examples::vehicles(options.mission, examples::wheeled_quadrotor(file));
   examples::MujocoPlant plant(vehicles.truth, options.mujoco);
   if (options.slow_servo > 0) {
@@ -171,17 +168,10 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--film,!--no-film", options.film,
                "draw mission.mp4, mission.gif, air.png and ground.png too (EGL, ffmpeg)");
-  CLI11_PARSE(app, argc, argv);
-  try {
+  return examples::run_program(app, "mission_mujoco", argc, argv, [&options] {
     fly(options);  // the logs are closed when it returns
     if (!options.mission.no_pictures)
       examples::draw_pictures("hybrid_mission.gp", options.mission.output);
     return 0;
-  } catch (const examples::VehicleFileError& error) {
-    std::cerr << "mission_mujoco: " << error.what() << '\n';
-    return 2;
-  } catch (const std::exception& error) {
-    std::cerr << "mission_mujoco: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

@@ -30,7 +30,7 @@ struct MissionOptions {
   std::string output = "results";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
-  std::string vehicle_path, write_path;
+  std::string vehicle_path;
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
   bool no_actuator_rows = false;
   bool no_pictures = false;
@@ -43,8 +43,6 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle_path,
                  "JSON file of the vehicle to fly; the Tilt-Ropter without");
-  app.add_option("--write-vehicle", options.write_path,
-                 "write the vehicle to this JSON file, to begin from, and fly nothing");
   app.add_option("--seed", options.seed, "of the sensors' noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
