@@ -20,26 +20,9 @@ using test_support::run;
 
 const std::string head = "speed_radps,thrust_n,torque_nm,power_w\n";
 
-class FitRotor : public testing::Test {
+class FitRotor : public test_support::FittingProgram {
  protected:
-  [[nodiscard]] std::string path(const std::string& name) const { return directory_.file(name); }
-  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
-    return directory_.write(name, text);
-  }
-  [[nodiscard]] std::string generate(const std::string& name, const std::string& options = "") {
-    const Outcome made = run(program, "--generate '" + path(name) + "' " + options);
-    EXPECT_EQ(made.exit_code, 0) << made.output;
-    return path(name);
-  }
-  [[nodiscard]] Outcome fit(const std::string& file, const std::string& options = "") {
-    return run(program, "'" + file + "' --no-pictures --output '" + path("out") + "' " + options);
-  }
-  [[nodiscard]] Outcome fit_text(const std::string& text) { return fit(write("text.csv", text)); }
-
-  const std::string program = FIT_ROTOR_PROGRAM;  // set by CMake
-
- private:
-  test_support::Directory directory_{"fit_rotor"};
+  FitRotor() : FittingProgram("fit_rotor", FIT_ROTOR_PROGRAM) {}  // set by CMake
 };
 
 TEST_F(FitRotor, FindsTheRotorThatItSimulated) {

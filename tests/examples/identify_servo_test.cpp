@@ -17,29 +17,13 @@ using test_support::Outcome;
 using test_support::read_file;
 using test_support::run;
 
-class IdentifyServo : public testing::Test {
+class IdentifyServo : public test_support::FittingProgram {
  protected:
-  [[nodiscard]] std::string path(const std::string& name) const { return directory_.file(name); }
-  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
-    return directory_.write(name, text);
-  }
-  [[nodiscard]] std::string generate(const std::string& name, const std::string& options = "") {
-    const Outcome made = run(program, "--generate '" + path(name) + "' " + options);
-    EXPECT_EQ(made.exit_code, 0) << made.output;
-    return path(name);
-  }
-  [[nodiscard]] Outcome identify(const std::string& log, const std::string& options = "") {
-    return run(program, "'" + log + "' --no-pictures --output '" + path("out") + "' " + options);
-  }
-
-  const std::string program = IDENTIFY_SERVO_PROGRAM;  // set by CMake
-
- private:
-  test_support::Directory directory_{"identify_servo"};
+  IdentifyServo() : FittingProgram("identify_servo", IDENTIFY_SERVO_PROGRAM) {}  // set by CMake
 };
 
 TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
-  const Outcome found = identify(generate("log.csv"));
+  const Outcome found = fit(generate("log.csv"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
   EXPECT_EQ(found.figures.at("status"), "identified");
   EXPECT_NEAR(found["samples"], 2400, 100);
@@ -58,11 +42,10 @@ TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
 }
 
 TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
-  const Outcome found =
-      identify(generate("log.csv",
-                        "--seed 2 --time-constant 0.05 --dead-time 0.03 --gain 1.1 "
-                        "--offset -0.1 --noise 0.01 --resolution 0 --rate 500 "
-                        "--duration 6 --step 0.2"));
+  const Outcome found = fit(generate("log.csv",
+                                     "--seed 2 --time-constant 0.05 --dead-time 0.03 --gain 1.1 "
+                                     "--offset -0.1 --noise 0.01 --resolution 0 --rate 500 "
+                                     "--duration 6 --step 0.2"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
   EXPECT_NEAR(found["samples"], 3000, 100);
   EXPECT_NEAR(found["time_constant_s"], 0.05, 0.003);
@@ -80,7 +63,7 @@ TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
 }
 
 TEST_F(IdentifyServo, WritesTheFitBesideTheLog) {
-  ASSERT_EQ(identify(generate("log.csv", "--noise 0 --resolution 0")).exit_code, 0);
+  ASSERT_EQ(fit(generate("log.csv", "--noise 0 --resolution 0")).exit_code, 0);
   std::ifstream csv(path("out") + "/identify_servo.csv");
   std::string line;
   std::getline(csv, line);
@@ -97,17 +80,17 @@ TEST_F(IdentifyServo, WritesTheFitBesideTheLog) {
 TEST_F(IdentifyServo, ReadsOtherColumnNames) {
   const std::string names = "--time t --command u --angle y";
   const std::string log = generate("log.csv", names);
-  const Outcome wrong = identify(log);
+  const Outcome wrong = fit(log);
   EXPECT_EQ(wrong.exit_code, 2);
   EXPECT_TRUE(wrong.says("log.csv:2: no column time_s, the header line has 't', 'u', 'y'"))
       << wrong.output;
-  EXPECT_EQ(identify(log, names).exit_code, 0);
+  EXPECT_EQ(fit(log, names).exit_code, 0);
 }
 
 TEST_F(IdentifyServo, ADeadTimeBeyondTheLongestIsRefused) {
   const std::string log = generate("log.csv", "--dead-time 0.04");
-  EXPECT_EQ(identify(log).exit_code, 0);
-  const Outcome refused = identify(log, "--max-dead-time 0.02");
+  EXPECT_EQ(fit(log).exit_code, 0);
+  const Outcome refused = fit(log, "--max-dead-time 0.02");
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_EQ(refused.figures.at("status"), "the dead time is longer than looked for");
   EXPECT_FALSE(refused.says("fly with it"));
@@ -116,11 +99,11 @@ TEST_F(IdentifyServo, ADeadTimeBeyondTheLongestIsRefused) {
 TEST_F(IdentifyServo, RefusesLogsThatCannotTell) {
   std::string still = "time_s,command_rad,angle_rad\n";
   for (int i = 0; i < 100; ++i) still += std::to_string(0.01 * i) + ",0.2,0.1\n";
-  const Outcome constant = identify(write("still.csv", still));
+  const Outcome constant = fit(write("still.csv", still));
   EXPECT_EQ(constant.exit_code, 1);
   EXPECT_EQ(constant.figures.at("status"), "the command does not move enough");
   EXPECT_FALSE(constant.says("time_constant_s"));
-  const Outcome empty = identify(write("empty.csv", "time_s,command_rad,angle_rad\n"));
+  const Outcome empty = fit(write("empty.csv", "time_s,command_rad,angle_rad\n"));
   EXPECT_EQ(empty.exit_code, 1);
   EXPECT_EQ(empty.figures.at("status"), "too few samples");
 }
@@ -128,7 +111,7 @@ TEST_F(IdentifyServo, RefusesLogsThatCannotTell) {
 TEST_F(IdentifyServo, SaysWhereALogIsWrong) {
   const std::string head = "time_s,command_rad,angle_rad\n0,0,0\n0.1,0,0\n";
   const auto refusal = [&](const std::string& text) {
-    const Outcome refused = identify(write("bad.csv", text));
+    const Outcome refused = fit(write("bad.csv", text));
     EXPECT_EQ(refused.exit_code, 2) << refused.output;
     return refused.output.substr(refused.output.find("bad.csv"));
   };
@@ -137,12 +120,12 @@ TEST_F(IdentifyServo, SaysWhereALogIsWrong) {
             "bad.csv:4: column command_rad (2): 'nan' is not finite\n");
   EXPECT_EQ(refusal(head + "# late\n0.1,0,0\n"), "bad.csv:5: column time_s does not increase\n");
   EXPECT_EQ(refusal(""), "bad.csv:1: no header line\n");
-  EXPECT_EQ(identify(path("nowhere.csv")).exit_code, 2);
+  EXPECT_EQ(fit(path("nowhere.csv")).exit_code, 2);
 }
 
 TEST_F(IdentifyServo, TellsOfARateLimitInTheLog) {
-  EXPECT_FALSE(identify(generate("small.csv", "--step 0.5")).says("smaller"));
-  const Outcome large = identify(generate("large.csv", "--step 1.5 --time-constant 0.05"));
+  EXPECT_FALSE(fit(generate("small.csv", "--step 0.5")).says("smaller"));
+  const Outcome large = fit(generate("large.csv", "--step 1.5 --time-constant 0.05"));
   EXPECT_TRUE(large.says("make them smaller")) << large.output;
   EXPECT_GT(large["residual_correlation"], 0.5);
   EXPECT_GT(large["time_constant_s"], 0.06);
@@ -170,7 +153,7 @@ TEST_F(IdentifyServo, HelpAndBadArguments) {
 
 // The mission's servos have 0.08 s, no dead time, and no error of gain or offset.
 TEST_F(IdentifyServo, TheMissionFliesBetterWithTheConstantFoundThanWithOneOffByTwo) {
-  const Outcome found = identify(generate("log.csv", "--dead-time 0 --gain 1 --offset 0"));
+  const Outcome found = fit(generate("log.csv", "--dead-time 0 --gain 1 --offset 0"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
   const std::string options = found.figures.at("fly with it").substr(15);  // after hybrid_mission
   EXPECT_EQ(options.find("--servo-time-constant 0.0"), 0u) << options;

@@ -12,6 +12,7 @@
 #include <map>
 #include <sstream>
 #include <string>
+#include <utility>
 
 /// The example programs as a user runs them.
 namespace test_support {
@@ -75,6 +76,32 @@ class Directory {
 
  private:
   std::filesystem::path path_;
+};
+
+/// For tests of a program that fits something to a log, and makes one with --generate.
+class FittingProgram : public testing::Test {
+ protected:
+  FittingProgram(const std::string& name, std::string path_of_program)
+      : program(std::move(path_of_program)), directory_(name) {}
+
+  [[nodiscard]] std::string path(const std::string& name) const { return directory_.file(name); }
+  [[nodiscard]] std::string write(const std::string& name, const std::string& text) const {
+    return directory_.write(name, text);
+  }
+  [[nodiscard]] std::string generate(const std::string& name, const std::string& options = "") {
+    const Outcome made = run(program, "--generate '" + path(name) + "' " + options);
+    EXPECT_EQ(made.exit_code, 0) << made.output;
+    return path(name);
+  }
+  [[nodiscard]] Outcome fit(const std::string& log, const std::string& options = "") {
+    return run(program, "'" + log + "' --no-pictures --output '" + path("out") + "' " + options);
+  }
+  [[nodiscard]] Outcome fit_text(const std::string& text) { return fit(write("text.csv", text)); }
+
+  const std::string program;
+
+ private:
+  Directory directory_;
 };
 
 }  // namespace test_support
