@@ -1,6 +1,8 @@
 // A loop that must not be late: hover at a fixed rate with real-time scheduling, and how late it
 // was.
 
+#include "../support/run_program.hpp"
+#include "../support/vehicle_file.hpp"
 #include "latencies.hpp"
 #include "real_time.hpp"
 
@@ -19,7 +21,6 @@
 #include <csignal>
 #include <cstddef>
 #include <cstdint>
-#include <exception>
 #include <fstream>
 #include <iomanip>
 #include <iostream>
@@ -33,7 +34,7 @@ namespace {
 struct Options {
   double rate = 100.0, seconds = 10.0;
   int priority = 80, processor = -1;
-  std::string csv;
+  std::string vehicle, csv;
 };
 
 volatile std::sig_atomic_t interrupted = 0;
@@ -49,11 +50,12 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
 }
 
 void run(const Options& options) {
-  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
+  const Vehicle<4> vehicle = examples::wheeled_quadrotor(file);
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
-  Nmpc<4> nmpc(vehicle);
+  Nmpc<4> nmpc(vehicle, file.settings());
   Plant<4> robot(vehicle);  // your robot goes here
   const auto reference = [](double) {
     ReferencePoint point;
@@ -121,6 +123,8 @@ int main(int argc, char** argv) {
       "rtprio\n"
       "and memlock), it says, and goes on."};
   Options options;
+  app.add_option("--vehicle", options.vehicle,
+                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
   app.add_option("--rate", options.rate, "of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
       ->capture_default_str();
@@ -133,17 +137,9 @@ int main(int argc, char** argv) {
   app.add_option("--processor", options.processor, "to run on alone, from 0; default: any")
       ->check(CLI::Range(0, 1023));
   app.add_option("--csv", options.csv, "file for wake-up and computing times, tick by tick");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
-  try {
+  return examples::run_program(app, "rt_loop", argc, argv, [&options] {
+    for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
     run(options);
     return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "rt_loop: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

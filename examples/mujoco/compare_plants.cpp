@@ -1,5 +1,7 @@
 // What our plant and MuJoCo make of the same vehicle under the same commands, without a controller.
 
+#include "../support/run_program.hpp"
+#include "../support/vehicle_file.hpp"
 #include "plant.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -9,10 +11,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <iomanip>
 #include <iostream>
-#include <stdexcept>
+#include <string>
 
 using namespace tilt_ropter;
 
@@ -48,6 +49,7 @@ template <typename AnyPlant>
 Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   Results r;
   const double weight = vehicle.body.mass * gravity;
+  const double by_mass = vehicle.body.mass / tilt_ropter_vehicle().body.mass;
   ActuatorState<4> hover;
   hover.rotor_speed.setConstant(std::sqrt(0.25 * weight / vehicle.rotor.thrust_coefficient));
 
@@ -88,19 +90,19 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
     for (int i = 0; i < 1000; ++i) go(plant, {});
   };
   start();
-  while (plant.body().velocity.x() < 1.0) go(plant, {}, force(1.5, 0.0));
+  while (plant.body().velocity.x() < 1.0) go(plant, {}, force(1.5 * by_mass, 0.0));
   double from = plant.body().position.x();
   for (int i = 0; i < 15000; ++i) go(plant, {});
   r.roll_distance_m = plant.body().position.x() - from;
 
   start();
-  while (plant.body().velocity.y() < 1.0) go(plant, {}, force(0.0, 20.0));
+  while (plant.body().velocity.y() < 1.0) go(plant, {}, force(0.0, 20.0 * by_mass));
   from = plant.body().position.y();
   for (int i = 0; i < 3000; ++i) go(plant, {});
   r.slide_distance_m = plant.body().position.y() - from;
 
   start();
-  for (int i = 0; i < 2000; ++i) go(plant, {}, force(0.0, 2.0));
+  for (int i = 0; i < 2000; ++i) go(plant, {}, force(0.0, 2.0 * by_mass));
   r.creep_mmps = 1e3 * plant.body().velocity.y();
   return r;
 }
@@ -109,9 +111,11 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
 
 int main(int argc, char** argv) {
   CLI::App app{"Prints what our plant and MuJoCo make of the same vehicle without a controller."};
-  CLI11_PARSE(app, argc, argv);
-  try {
-    const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  std::string path;
+  app.add_option("--vehicle", path,
+                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
+  return examples::run_program(app, "compare_plants", argc, argv, [&path] {
+    const Vehicle<4> vehicle = examples::wheeled_quadrotor(examples::vehicle_or_default(path));
     Plant<4> ours(vehicle);
     examples::MujocoPlant other(vehicle);
     const Results a = measure(ours, vehicle), b = measure(other, vehicle);
@@ -130,8 +134,5 @@ int main(int argc, char** argv) {
     line("slide_distance_m", a.slide_distance_m, b.slide_distance_m);
     line("creep_mmps", a.creep_mmps, b.creep_mmps);
     return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "compare_plants: " << error.what() << '\n';
-    return 1;
-  }
+  });
 }

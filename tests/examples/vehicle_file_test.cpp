@@ -232,7 +232,7 @@ TEST(VehicleFile, EmptyTruncatedAndAbsentFiles) {
 
 TEST(VehicleFile, ProgramsForFourRotorsAndWheelsSaySo) {
   for (const char* program : {MONTE_CARLO_PROGRAM, HITL_SIMULATOR_PROGRAM, HITL_ONBOARD_PROGRAM,
-                              HITL_FLIGHT_CONTROLLER_PROGRAM}) {
+                              HITL_FLIGHT_CONTROLLER_PROGRAM, RT_LOOP_PROGRAM}) {
     const auto told = test_support::run(program, "--vehicle " + shipped("hexacopter"));
     EXPECT_EQ(told.exit_code, 2) << program;
     EXPECT_NE(told.output.find("4 rotors with wheels"), std::string::npos) << told.output;
