@@ -48,7 +48,7 @@ TEST_P(ShippedVehicle, FliesItsMissionWithoutTuning) {
 INSTANTIATE_TEST_SUITE_P(, ShippedVehicle,
                          testing::Values(Vehicle{"hexacopter", false}, Vehicle{"octocopter", false},
                                          Vehicle{"five_kilograms", true}),
-                         [](const auto& info) { return std::string(info.param.name); });
+                         [](const auto& vehicle) { return std::string(vehicle.param.name); });
 
 TEST(VehicleFile, TheTiltRopterIsWrittenAsShippedAndReadAsItIs) {
   const test_support::Directory directory("vehicle_file");
