@@ -285,7 +285,9 @@ struct Turning {
 template <typename Path>
 Turning turning(const Allocation<4>& allocation, const Path& path, double step) {
   Turning turning;
-  ActuatorState<4> last = allocation.allocate(path(0.0), {}).command;
+  // An arm of next to no thrust takes its time to its angle, which is not the path's turning.
+  ActuatorState<4> last;
+  for (int i = 0; i < 10000; ++i) last = allocation.allocate(path(0.0), last).command;
   for (double s = step; s <= 1.0; s += step) {
     const Wrench<> wanted = path(s);
     const auto result = allocation.allocate(wanted, last);
