@@ -2,6 +2,7 @@
 
 #include "hover_point.hpp"
 #include "px4_messages.hpp"
+#include "vehicle_parameter.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -33,9 +34,9 @@ its motors and servos.
 Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status
 Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos
 
-Parameters (--ros-args -p NAME:=VALUE): mass [kg], origin_height [m] of PX4's origin, which is where
-its estimator started, above the ground; thrust_model_factor, 0 if PX4's THR_MDL_FAC is set for the
-motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence [s].
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
+PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
+THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence [s].
 
 Set it down level and disarmed, the observer is calibrated until it is armed; then arm and switch to
 offboard. PX4's clock and the computer's have to be one (UXRCE_DDS_SYNCT). Without odometry for
@@ -49,12 +50,13 @@ class Px4Node : public rclcpp::Node {
   /// Throws std::invalid_argument for parameters out of range.
   explicit Px4Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
       : Node("tilt_ropter_px4", options),
-        vehicle_(vehicle(*this)),
+        file_(vehicle_parameter(*this)),
+        vehicle_(examples::wheeled_quadrotor(file_)),
         scaling_(vehicle_, {declare_parameter("thrust_model_factor", 0.0), {}}),
         allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
-        nmpc_(vehicle_),
+        nmpc_(vehicle_, file_.settings()),
         reference_(*this),
         origin_height_(declare_parameter("origin_height", vehicle_.wheels.radius)),
         max_silence_(declare_parameter("max_silence", 0.1)) {
@@ -77,12 +79,6 @@ class Px4Node : public rclcpp::Node {
 
  private:
   enum class Pilot { somebody_else, nobody, this_node };
-
-  static tilt_ropter::Vehicle<4> vehicle(Node& node) {
-    tilt_ropter::Vehicle<4> v = tilt_ropter::tilt_ropter_vehicle();  // or your own
-    v.body.mass = node.declare_parameter("mass", v.body.mass);
-    return v;
-  }
 
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
     const auto body = body_state(m, origin_height_);
@@ -142,6 +138,7 @@ class Px4Node : public rclcpp::Node {
     servo_publisher_->publish(m.servos);
   }
 
+  examples::VehicleFile file_;
   tilt_ropter::Vehicle<4> vehicle_;
   tilt_ropter::OutputScaling<4> scaling_;
   tilt_ropter::Allocation<4> allocation_;

@@ -2,8 +2,8 @@
 
 #include "../support/flight_controller.hpp"
 #include "hover_point.hpp"
+#include "vehicle_parameter.hpp"
 
-#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -27,8 +27,9 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
                              rotors 1 to 4 and their servos
 
-Parameters (--ros-args -p NAME:=VALUE): mass [kg], position_noise [m], orientation_noise [rad],
-pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad], max_silence [s].
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
+orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
+max_silence [s].
 
 It flies as soon as it has a pose. Where the IMU is silent for max_silence it publishes nothing, for
 the motors' own time-out to end the flight.)";
@@ -40,8 +41,8 @@ class Ros2Node : public rclcpp::Node {
   /// Throws std::invalid_argument for parameters out of range.
   explicit Ros2Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
       : Node("tilt_ropter", options),
-        vehicle_(vehicle(*this)),
-        controller_(vehicle_, tilt_ropter::nmpc_settings(vehicle_), estimation(*this)),
+        vehicle_(vehicle_parameter(*this)),
+        controller_(examples::wheeled_quadrotor(vehicle_), vehicle_.settings(), estimation(*this)),
         reference_(*this),
         max_silence_(declare_parameter("max_silence", 0.1)) {
     const rclcpp::SensorDataQoS qos;
@@ -63,12 +64,6 @@ class Ros2Node : public rclcpp::Node {
   template <typename Header>
   static double seconds(const Header& header) {
     return header.stamp.sec + 1e-9 * header.stamp.nanosec;
-  }
-
-  static tilt_ropter::Vehicle<4> vehicle(Node& node) {
-    tilt_ropter::Vehicle<4> v = tilt_ropter::tilt_ropter_vehicle();  // or your own
-    v.body.mass = node.declare_parameter("mass", v.body.mass);
-    return v;
   }
 
   static tilt_ropter::EkfSettings estimation(Node& node) {
@@ -108,7 +103,7 @@ class Ros2Node : public rclcpp::Node {
     publisher_->publish(m);
   }
 
-  tilt_ropter::Vehicle<4> vehicle_;
+  examples::VehicleFile vehicle_;
   examples::FlightController<4> controller_;
   HoverPoint reference_;
   double max_silence_;

@@ -150,8 +150,12 @@ TEST(Ros2Node, SaysNothingBeforeTheFirstPoseAndWhereTheImuIsSilent) {
 }
 
 TEST(Ros2Node, ParametersOutOfRangeAreRefused) {
-  EXPECT_THROW(Ros2Node(rclcpp::NodeOptions().parameter_overrides({{"mass", -1.0}})),
-               std::invalid_argument);
+  EXPECT_THROW(Ros2Node(rclcpp::NodeOptions().parameter_overrides(
+                   {rclcpp::Parameter("vehicle", std::string("nowhere.json"))})),
+               examples::VehicleFileError);
+  EXPECT_THROW(Px4Node(rclcpp::NodeOptions().parameter_overrides(
+                   {rclcpp::Parameter("vehicle", std::string("nowhere.json"))})),
+               examples::VehicleFileError);
   EXPECT_THROW(Ros2Node(rclcpp::NodeOptions().parameter_overrides({{"position_noise", -1.0}})),
                std::invalid_argument);
   EXPECT_THROW(Px4Node(rclcpp::NodeOptions().parameter_overrides({{"thrust_model_factor", 2.0}})),

@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 /// Stands in for ROS 2's rclcpp where there is none, with the names and signatures of the real one
@@ -59,12 +60,15 @@ class SensorDataQoS : public QoS {
 class Parameter {
  public:
   Parameter(std::string name, double value) : name_(std::move(name)), value_(value) {}
+  Parameter(std::string name, std::string value)
+      : name_(std::move(name)), value_(std::move(value)) {}
   [[nodiscard]] const std::string& get_name() const { return name_; }
-  [[nodiscard]] double as_double() const { return value_; }
+  [[nodiscard]] double as_double() const { return std::get<double>(value_); }
+  [[nodiscard]] std::string as_string() const { return std::get<std::string>(value_); }
 
  private:
   std::string name_;
-  double value_;
+  std::variant<double, std::string> value_;
 };
 
 class NodeOptions {
@@ -137,6 +141,11 @@ class Node {
   double declare_parameter(const std::string& name, double value) {
     for (const Parameter& parameter : options_.parameter_overrides())
       if (parameter.get_name() == name) return parameter.as_double();
+    return value;
+  }
+  std::string declare_parameter(const std::string& name, const std::string& value) {
+    for (const Parameter& parameter : options_.parameter_overrides())
+      if (parameter.get_name() == name) return parameter.as_string();
     return value;
   }
 
