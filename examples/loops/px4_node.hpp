@@ -35,8 +35,9 @@ Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/veh
 Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
-PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
-THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence [s].
+PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
+PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
+[s].
 
 Set it down level and disarmed, the observer is calibrated until it is armed; then arm and switch to
 offboard. PX4's clock and the computer's have to be one (UXRCE_DDS_SYNCT). Without odometry for
