@@ -215,6 +215,30 @@ TEST(VehicleFile, WrongOnesAreRefusedWithFieldValueAndRange) {
   }
 }
 
+// Each by another name, which is how most of them go missing.
+TEST(VehicleFile, EveryFieldThatIsNotOptionalIsMissed) {
+  for (const char* name : {"tilt_ropter", "octocopter"}) {
+    const std::string good = test_support::read_file(shipped(name));
+    int fields = 0;
+    for (std::size_t at = good.find("\": "); at != std::string::npos;
+         at = good.find("\": ", at + 1)) {
+      const std::size_t start = good.rfind('"', at - 1) + 1;
+      const std::string key = good.substr(start, at - start);
+      if (key == "allowed_errors") break;
+      std::istringstream in(good.substr(0, start) + "un" + good.substr(start));
+      try {
+        (void)examples::read_vehicle(in, "file");
+        ADD_FAILURE() << "read without " << key;
+      } catch (const examples::VehicleFileError& error) {
+        EXPECT_NE(std::string(error.what()).find(key + " is missing: must be "), std::string::npos)
+            << error.what();
+      }
+      ++fields;
+    }
+    EXPECT_GT(fields, 30);
+  }
+}
+
 TEST(VehicleFile, EmptyTruncatedAndAbsentFiles) {
   const std::string good = test_support::read_file(shipped("hexacopter"));
   for (std::size_t length = 0; length + 2 < good.size(); length += 37) {
