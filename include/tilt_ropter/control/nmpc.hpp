@@ -49,8 +49,7 @@ struct NmpcResult {
 /// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
 ///   reference that is not finite: the last plan goes on. Status solver_failed.
 /// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it
-/// is
-///   made anew from cold in the same call, and if that is no better, the safe wrench goes out.
+///   is made anew from cold in the same call, and if that is no better, the safe wrench goes out.
 /// - So often in a row (failures_before_reset): the next solve starts cold, from the measured state
 ///   and the wrench commanded last, which goes on if that fails, too.
 /// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
