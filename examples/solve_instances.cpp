@@ -267,6 +267,7 @@ class Batch {
     SolverSettings s;
     s.tolerance = options.tolerance;
     s.max_iterations = options.max_iterations;
+    s.max_time = 60.0;  // a slow machine's plans are the same
     return s;
   }
 

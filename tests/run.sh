@@ -93,7 +93,8 @@ real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 if [[ $instead == fuzz ]]; then
   bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev nlohmann-json3-dev
   build build-fuzz -DCMAKE_CXX_COMPILER=clang++ -DCMAKE_BUILD_TYPE=None \
-    -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_FUZZERS=ON
+    -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=OFF \
+    -DTILT_ROPTER_BUILD_BENCHMARKS=OFF -DTILT_ROPTER_BUILD_FUZZERS=ON
   exec bash tests/fuzz/run.sh "$fuzz_seconds" build-fuzz/tests/fuzz
 fi
 

@@ -6,6 +6,7 @@
 #include "../../examples/loops/run_node.hpp"
 #include "../../examples/support/mission_sensors.hpp"
 #include "support/program.hpp"
+#include "support/sanitizer.hpp"
 
 #include <tilt_ropter/simulation/plant.hpp>
 
@@ -419,15 +420,6 @@ std::pair<long, long> histogram_counts(const std::string& output) {
   return sums;
 }
 
-/// It takes mlockall from the system and always says yes.
-constexpr bool under_address_sanitizer() {
-#if defined(__has_feature)
-  return __has_feature(address_sanitizer);
-#else
-  return false;
-#endif
-}
-
 TEST(RtLoop, CountsEveryTick) {
   const test_support::Directory directory("loops");
   const auto flown = test_support::run(
@@ -465,7 +457,7 @@ TEST(RtLoop, HoversAndSaysWhatItCouldNotGet) {
                                                       RT_LOOP_PROGRAM " --seconds 0.1'");
   EXPECT_EQ(asked.exit_code, 0) << asked.output;
   EXPECT_TRUE(asked.says("SCHED_FIFO refused: Operation not permitted")) << asked.output;
-  if (!under_address_sanitizer()) {
+  if (!test_support::under_address_sanitizer()) {
     EXPECT_TRUE(asked.says("mlockall refused: ")) << asked.output;
   }
   EXPECT_EQ(asked["ticks"] + asked["skipped_ticks"], 10.0);

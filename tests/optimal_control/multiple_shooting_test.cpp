@@ -482,6 +482,7 @@ void expect_better_than_the_guess(int max_iterations) {
     const State<> x = wild_start(random);
     SolverSettings settings;
     settings.max_iterations = max_iterations;
+    settings.max_time = 60.0;
     Solver solver(step_problem(), settings);
     solver.reset(x);
     const double before = penalised_cost(solver, 1e4);

@@ -16,7 +16,8 @@ class Random {
     return std::uniform_real_distribution<double>(low, high)(engine_);
   }
   double normal(double deviation) {
-    return std::normal_distribution<double>(0.0, deviation)(engine_);
+    // A distribution's own deviation must not be zero.
+    return deviation * std::normal_distribution<double>()(engine_);
   }
   /// Entries uniform in [-size, size].
   Eigen::Vector3d vector(double size) {
