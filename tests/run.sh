@@ -164,7 +164,8 @@ if [[ $instead == variants ]]; then
     libc++abi-dev
   variant() {  # name, flags, CMake options
     build build-variants/"$1" "${with_clang[@]}" -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2" \
-      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF "${@:3}"
+      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF \
+      -DTILT_ROPTER_BUILD_QUICKLY=ON "${@:3}"
     echo "== Running the tests compiled with $2, two at a time"
     ctest --test-dir build-variants/"$1" --parallel 2 --output-on-failure --timeout 3600 \
       --exclude-regex "$sources_only"
