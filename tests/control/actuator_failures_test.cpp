@@ -8,10 +8,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <string>
 
 #include "support/control_loop.hpp"
+#include "support/full_run.hpp"
 
 // An actuator fails in hover, 0.1 s later it is known, 3 s later the landing begins. One line per
 // flight is printed, from which comes the table of the README.
@@ -109,7 +109,7 @@ void expect_soft_and_upright(const Landing& landing) {
 }
 
 unsigned seeds() {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr ? 10 : 1;
+  return test_support::full_run() ? 10 : 1;
 }
 
 std::string arm_name(const char* what, std::size_t arm) {

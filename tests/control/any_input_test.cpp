@@ -1,15 +1,19 @@
-// Numbers that nobody means, into the controller (CHECKS 2): it says so, gives a wrench within its
-// bounds, and flies on as before as soon as the numbers are good again. TILT_ROPTER_FULL=1 tries
-// 10 000 ticks instead of 200.
+// Numbers that nobody means (CHECKS 2), into the controller: it says so, gives a wrench within its
+// bounds, and flies on as before as soon as the numbers are good again; and into the functions
+// around it whose own tests do not do the same.
 
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/hovering.hpp"
 #include "support/random.hpp"
 
+#include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 
 #include <gtest/gtest.h>
@@ -17,9 +21,10 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <cmath>
 #include <cstddef>
-#include <cstdlib>
 #include <limits>
+#include <string>
 
 namespace tilt_ropter {
 namespace {
@@ -57,13 +62,30 @@ class AnyNumber {
     for (int i = 0; i < 4; ++i) q.coeffs()(i) = (*this)(q.coeffs()(i), share);
     return q;
   }
+  BodyState<> operator()(const BodyState<>& good, double share) {
+    BodyState<> x;
+    x.position = (*this)(good.position, share);
+    x.velocity = (*this)(good.velocity, share);
+    x.orientation = (*this)(good.orientation, share);
+    x.angular_velocity = (*this)(good.angular_velocity, share);
+    return x;
+  }
+  Wrench<> operator()(const Wrench<>& good, double share) {
+    const Eigen::Vector3d force = (*this)(good.force, share);
+    return {force, (*this)(good.torque, share)};
+  }
 
  private:
   test_support::Random random_;
 };
 
+/// Of bad numbers, in turn: hardly one that is good, some, a single one now and then.
+double share_of(int call) {
+  return call % 3 == 0 ? 0.5 : call % 3 == 1 ? 0.05 : 0.005;
+}
+
 TEST(AnyInput, ToTheControllerIsSurvived) {
-  const int ticks = std::getenv("TILT_ROPTER_FULL") != nullptr ? 10000 : 200;
+  const int ticks = test_support::quick_or_full(200, 10000);
   AnyNumber any(2);
   NmpcSettings settings;
   settings.solver.max_feedback_time = 0.05;
@@ -73,7 +95,7 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
   double longest = 0.0, time = 0.0, worst_way = 0.0, worst_error = 0.0;
   const RigidBody<> plant(tilt_ropter_vehicle().body);
   for (int i = 0; i < ticks; ++i) {
-    const double share = i % 3 == 0 ? 0.5 : i % 3 == 1 ? 0.05 : 0.005;
+    const double share = share_of(i);
     const double now = any(time, share);
     const auto reference = [&](double t) {
       ReferencePoint point = hover(t);
@@ -85,13 +107,8 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
       point.angular_acceleration = any(point.angular_acceleration, share);
       return point;
     };
-    BodyState<> state = hovering();
-    state.position = any(state.position, share);
-    state.velocity = any(state.velocity, share);
-    state.orientation = any(state.orientation, share);
-    state.angular_velocity = any(state.angular_velocity, share);
-    const Wrench<> external{any(Eigen::Vector3d::Zero().eval(), share),
-                            any(Eigen::Vector3d::Zero().eval(), share)};
+    const BodyState<> state = any(hovering(), share);
+    const Wrench<> external = any(Wrench<>{}, share);
     const auto begin = std::chrono::steady_clock::now();
     nmpc.prepare(now, reference, external);
     const NmpcResult result = nmpc.feedback(any(time, share), state);
@@ -128,6 +145,72 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
   test_support::check_at_most(2, "NMPC: error 3 s after bad input [m]", worst_error, 0.01);
   RecordProperty("worst_way_m", std::to_string(worst_way));
   RecordProperty("longest_tick_ms", std::to_string(1e3 * longest));
+}
+
+TEST(AnyInput, ToGroundContactIsSurvived) {
+  const int calls = test_support::quick_or_full(100000, 1000000);
+  AnyNumber any(3);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  GroundContact contact(vehicle.body, vehicle.wheels);
+  int rejected = 0;
+  for (int i = 0; i < calls; ++i) {
+    const double share = share_of(i);
+    const BodyState<> state = any(hovering(), share);
+    const Wrench<> external = any(Wrench<>{}, share), before = contact.air_wrench();
+    const bool was_on_ground = contact.on_ground();
+    const bool lifted_off = contact.update(state, external);
+    ASSERT_EQ(lifted_off, was_on_ground && !contact.on_ground());
+    if (!is_finite(state) || !is_finite(external)) {
+      ++rejected;
+      ASSERT_EQ(contact.on_ground(), was_on_ground);
+      ASSERT_EQ(contact.air_wrench().force, before.force);
+    }
+    ASSERT_TRUE(is_finite(contact.air_wrench()));
+    if (i % 100 != 0) continue;
+    // Good numbers again, in the air and on the wheels.
+    BodyState<> good = hovering();
+    contact.update(good, {});
+    ASSERT_FALSE(contact.on_ground());
+    good.position.z() = vehicle.wheels.radius;
+    contact.update(good, {});
+    ASSERT_TRUE(contact.on_ground());
+  }
+  EXPECT_GT(rejected, calls / 10);
+}
+
+TEST(AnyInput, ToTheActuatorModelIsSurvived) {
+  const int calls = test_support::quick_or_full(100000, 1000000);
+  AnyNumber any(4);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Rotor<> rotor(vehicle.rotor);
+  ActuatorModel<4> actuators(vehicle);
+  ActuatorState<4> command;
+  for (int i = 0; i < calls; ++i) {
+    const double time = 0.001 * i;
+    for (int k = 0; k < 4; ++k) {
+      command.rotor_speed(k) = any(1000.0, share_of(i));
+      command.tilt_angle(k) = any(0.3, share_of(i));
+    }
+    if (i % 1000 == 0) actuators.reset(command, any(time, 0.5));
+    const ActuatorState<4>& state = actuators.update(any(time, 0.01), command);
+    ASSERT_TRUE((state.rotor_speed.array() >= rotor.min_speed()).all() &&
+                (state.rotor_speed.array() <= rotor.max_speed()).all());
+    ASSERT_TRUE((state.tilt_angle.array() >= vehicle.servo.min_angle).all() &&
+                (state.tilt_angle.array() <= vehicle.servo.max_angle).all());
+  }
+}
+
+TEST(AnyInput, TimesToAMissionGiveFinitePoints) {
+  const int calls = test_support::quick_or_full(100000, 1000000);
+  AnyNumber any(5);
+  const Mission mission = hybrid_mission();
+  for (int i = 0; i < calls; ++i) {
+    const ReferencePoint point = mission(any(1e-5 * (i % 100000) * mission.duration(), 0.5));
+    ASSERT_TRUE(point.position.allFinite() && point.velocity.allFinite() &&
+                point.acceleration.allFinite() && point.angular_velocity.allFinite() &&
+                point.angular_acceleration.allFinite());
+    ASSERT_NEAR(point.orientation.norm(), 1.0, 1e-12);
+  }
 }
 
 }  // namespace

@@ -14,6 +14,7 @@
 
 #include "support/benchmark_problem.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
@@ -25,7 +26,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <cstdlib>
 #include <limits>
 #include <set>
 #include <sstream>
@@ -57,7 +57,7 @@ constexpr long creation_bytes(long rows) {
 constexpr long solve_calls = 20;
 
 int ticks() {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr ? 10000 : 1000;
+  return test_support::quick_or_full(1000, 10000);
 }
 
 // Calls functions of the loop and notes which of them use the heap after the warm-up, NLopt's use

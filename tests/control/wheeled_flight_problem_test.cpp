@@ -2,6 +2,8 @@
 
 #include "support/autodiff.hpp"
 #include "support/benchmark_problem.hpp"
+#include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
 
@@ -9,6 +11,7 @@
 
 #include <Eigen/Cholesky>
 
+#include <algorithm>
 #include <limits>
 #include <string>
 
@@ -60,9 +63,15 @@ State<Scalar> moved(const State<>& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
   return retract<Scalar>(test_support::cast<Scalar>(x), d);
 }
 
+template <typename Value, typename Truth>
+double relative(const Value& value, const Truth& truth) {
+  return (value - truth).cwiseAbs().maxCoeff() / truth.cwiseAbs().maxCoeff();
+}
+
 TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
   Random random(41);
-  for (int i = 0; i < 200; ++i) {
+  double worst = 0.0;
+  for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     const WheeledFlightProblem<> problem = random_problem(random);
     const int k = i % 2 == 0 ? 3 : problem.horizon();
     const NmpcWeights& w = problem.settings().weights;
@@ -85,8 +94,7 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
     const Eigen::Matrix<double, 18, 18> hessian =
         2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
     const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * q.cwiseProduct(e);
-    EXPECT_LT((model.lxx - hessian).cwiseAbs().maxCoeff(), 1e-12 * hessian.cwiseAbs().maxCoeff());
-    EXPECT_LT((model.lx - gradient).cwiseAbs().maxCoeff(), 1e-12 * gradient.cwiseAbs().maxCoeff());
+    worst = std::max({worst, relative(model.lxx, hessian), relative(model.lx, gradient)});
     double cost = e.dot(q.cwiseProduct(e));
     if (k < problem.horizon()) {
       Eigen::Matrix<double, 6, 1> r;
@@ -96,6 +104,7 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
     }
     EXPECT_NEAR(problem.cost(k, x, u), cost, 1e-12 * cost);
   }
+  test_support::check_at_most(7, "cost: model's relative error", worst, 1e-12);
 }
 
 // In tangent coordinates, at the node's reference.
@@ -144,8 +153,9 @@ TEST(WheeledFlightProblem, TheRiccatiCostIsTheCostToGoInHoverAtEveryHeading) {
 
 TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
   Random random(46);
+  double worst = 0.0;
   const Eigen::Matrix<double, 18, 18> level = 0.5 * hessian_at_reference(hovering_problem(0.0), 20);
-  for (int i = 0; i < 200; ++i) {
+  for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     const WheeledFlightProblem<> problem = random_problem(random, TerminalCost::riccati);
     const int k = problem.horizon();
     const State<> x = random_state(random);
@@ -166,16 +176,17 @@ TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
     problem.cost_model(k, x, D::Input::Zero(), model);
     const Eigen::Matrix<double, 18, 18> hessian = 2.0 * jacobian.transpose() * P * jacobian;
     const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * P * e;
-    EXPECT_LT((model.lxx - hessian).cwiseAbs().maxCoeff(), 1e-12 * hessian.cwiseAbs().maxCoeff());
-    EXPECT_LT((model.lx - gradient).cwiseAbs().maxCoeff(), 1e-12 * gradient.cwiseAbs().maxCoeff());
+    worst = std::max({worst, relative(model.lxx, hessian), relative(model.lx, gradient)});
     const double cost = e.dot(P * e);
     EXPECT_NEAR(problem.cost(k, x, D::Input::Zero()), cost, 1e-12 * cost);
   }
+  test_support::check_at_most(7, "Riccati cost: model's relative error", worst, 1e-12);
 }
 
 TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
   Random random(42);
-  for (int i = 0; i < 200; ++i) {
+  double worst = 0.0;
+  for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     const WheeledFlightProblem<> problem = random_problem(random);
     const State<> x = random_state(random);
     using S = Dual<18>;
@@ -188,10 +199,11 @@ TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
         });
     D::EqualitiesX H;
     problem.equality_derivatives(1, x, H);
-    EXPECT_LT((H - truth).cwiseAbs().maxCoeff(), 1e-12 * (1.0 + truth.cwiseAbs().maxCoeff()));
+    worst = std::max(worst, relative(H, truth));
     EXPECT_NEAR(problem.equality_values(1, x)(2), x.body.position.z() - WheelParameters{}.radius,
                 1e-15);
   }
+  test_support::check_at_most(7, "ground conditions: derivatives' relative error", worst, 1e-12);
 }
 
 TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {

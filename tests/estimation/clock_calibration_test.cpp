@@ -1,6 +1,7 @@
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 
 #include "support/flights.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -21,6 +22,7 @@ namespace {
 
 using test_support::Flight;
 using test_support::flipped;
+using test_support::full_run;
 using test_support::gone_wrong;
 using test_support::noisy;
 using test_support::NoisyImu;
@@ -28,10 +30,6 @@ using test_support::Random;
 using Status = ClockCalibrationStatus;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-bool full() {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr;
-}
 
 struct Logs {
   std::vector<Timed<InertialSample<>>> imu;
@@ -74,7 +72,7 @@ TEST(ClockCalibration, FindsTheOffsetAndTheMarkersRotation) {
   double worst = 0.0, worst_turn = 0.0;
   unsigned seed = 0;
   for (const double offset : {0.0, 0.004, -0.0123, 0.1, -0.1, 0.2817, -0.2817, 0.45, -0.45})
-    for (int i = 0; i < (full() ? 10 : 1); ++i) {
+    for (int i = 0; i < (full_run() ? 10 : 1); ++i) {
       const Flight flight = any_flight(++seed);
       Recording r;
       r.offset = offset;
@@ -116,7 +114,7 @@ TEST(ClockCalibration, WorksAtDifferentRates) {
 
 TEST(ClockCalibration, GapsOutliersAndSignsDoNoHarm) {
   double worst = 0.0;
-  for (unsigned seed = 200; seed < (full() ? 240U : 206U); ++seed) {
+  for (unsigned seed = 200; seed < (full_run() ? 240U : 206U); ++seed) {
     Random random(seed);
     const Flight flight = any_flight(seed);
     Recording r;
@@ -140,7 +138,7 @@ TEST(ClockCalibration, GapsOutliersAndSignsDoNoHarm) {
 }
 
 TEST(ClockCalibration, TheDeviationSaysHowFarOffItIs) {
-  const unsigned runs = full() ? 200 : 40;
+  const unsigned runs = full_run() ? 200 : 40;
   unsigned within_one = 0, within_three = 0;
   double squares = 0.0;
   for (unsigned seed = 300; seed < 300 + runs; ++seed) {

@@ -2,6 +2,7 @@
 
 #include "support/check_table.hpp"
 #include "support/flights.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -12,7 +13,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <cstdlib>
 #include <functional>
 #include <limits>
 #include <map>
@@ -26,6 +26,7 @@ namespace {
 
 using test_support::Flight;
 using test_support::flipped;
+using test_support::full_run;
 using test_support::gone_wrong;
 using test_support::noisy;
 using test_support::NoisyImu;
@@ -35,10 +36,6 @@ using test_support::Random;
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinite = std::numeric_limits<double>::infinity();
 constexpr double imu_period = 0.005;  // poses come with every second sample
-
-bool full() {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr;
-}
 
 // Both sensors of one flight, each in the order of its stamps.
 struct Log {
@@ -158,7 +155,7 @@ template <int Degrees>
 Consistency consistency(unsigned seed, double marker_position_deviation,
                         double marker_orientation_deviation) {
   constexpr int runs = 100;
-  const double duration = full() ? 60.0 : 20.0;
+  const double duration = full_run() ? 60.0 : 20.0;
   std::vector<double> nees, nis;
   for (int run = 0; run < runs; ++run) {
     Random random(seed + static_cast<unsigned>(run));
@@ -220,7 +217,7 @@ TEST(Ekf, KnowsHowWellItKnowsTheMarkerFrameToo) {
 TEST(Ekf, ConvergesFromAnyStartOrientation) {
   Random random(201);
   double worst = 0.0;
-  for (unsigned run = 0; run < (full() ? 200U : 20U); ++run) {
+  for (unsigned run = 0; run < (full_run() ? 200U : 20U); ++run) {
     const Flight flight(run, random.orientation());
     const Log log = record(flight, 10.0, run, {}, random.vector(0.05), random.vector(0.3));
     Ekf<> ekf;
@@ -235,7 +232,7 @@ TEST(Ekf, ConvergesFromAnyStartOrientation) {
 TEST(Ekf, FindsBiasesAndMarkerFrame) {
   Random random(202);
   double gyro = 0.0, accelerometer = 0.0, arm = 0.0, turn = 0.0;
-  for (unsigned run = 0; run < (full() ? 20U : 5U); ++run) {
+  for (unsigned run = 0; run < (full_run() ? 20U : 5U); ++run) {
     EkfSettings s;
     s.marker_orientation = random.orientation();
     s.marker_position = random.vector(0.1);
@@ -317,7 +314,7 @@ void expect_return_after(double minutes, unsigned seed) {
 }
 
 TEST(Ekf, ComesBackAfterMinutesWithoutPoses) {
-  for (const double minutes : {0.2, 1.0, 4.0, full() ? 60.0 : 10.0}) {
+  for (const double minutes : {0.2, 1.0, 4.0, full_run() ? 60.0 : 10.0}) {
     SCOPED_TRACE(minutes);
     expect_return_after<double>(minutes, 7);
     expect_return_after<float>(minutes, 8);
@@ -1054,7 +1051,7 @@ void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
 }
 
 TEST(Ekf, NothingThatIsSentToItLeavesItBroken) {
-  const unsigned runs = full() ? 500 : 50;
+  const unsigned runs = full_run() ? 1000 : 50;
   for (unsigned run = 0; run < runs; ++run) {
     EkfSettings s;
     if (run % 2 == 1) {

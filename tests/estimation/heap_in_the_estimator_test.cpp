@@ -6,12 +6,12 @@
 #include <tilt_ropter/estimation/ekf.hpp>
 
 #include "support/flights.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
 #include <limits>
 #include <memory>
 #include <set>
@@ -46,7 +46,7 @@ TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
     GTEST_SKIP() << "a sanitizer or another C library has the heap: it cannot be counted";
   ASSERT_GT(use_of([] { seen = std::make_unique<Ekf<Scalar>>().get(); }).allocations, 1);
 
-  const int ticks = std::getenv("TILT_ROPTER_FULL") != nullptr ? 10000 : 2000;
+  const int ticks = test_support::quick_or_full(2000, 10000);
   EkfSettings settings;
   settings.marker_position_deviation = 0.01;
   settings.marker_orientation_deviation = 0.01;

@@ -9,7 +9,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdio>
-#include <cstdlib>
 #include <limits>
 #include <numeric>
 #include <set>
@@ -19,6 +18,7 @@
 #include <vector>
 
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 namespace {
@@ -26,13 +26,10 @@ namespace {
 using namespace tilt_ropter;
 using Status = ServoIdentificationStatus;
 using Values = std::vector<double>;
+using test_support::full_run;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
-
-bool full() {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr;
-}
 
 // ---- Logs
 
@@ -201,7 +198,7 @@ TEST(ServoIdentification, DerivativesAreThoseOfDifferences) {
 
 TEST(ServoIdentification, WithoutNoiseTheServoIsRecoveredExactly) {
   test_support::Random random(1);
-  for (int run = 0; run < (full() ? 200 : 20); ++run) {
+  for (int run = 0; run < (full_run() ? 200 : 20); ++run) {
     const Shape shape = shapes[static_cast<std::size_t>(run) % shapes.size()];
     const ServoModel servo = random_servo(random);
     ServoLog log;
@@ -236,7 +233,7 @@ struct Campaign {
 
   Campaign(double decibels, unsigned seed) {
     test_support::Random random(seed);
-    for (; cases < (full() ? 1000 : 50); ++cases) {
+    for (; cases < (full_run() ? 1000 : 50); ++cases) {
       const Shape shape = shapes[static_cast<std::size_t>(cases) % shapes.size()];
       const ServoModel servo = random_servo(random);
       // As many logs from 50 to 100 Hz as from 500 to 1000; the library's servo holds 63 commands.
@@ -302,7 +299,7 @@ TEST(ServoIdentification, At20DecibelsTheTimeConstantIsWithin10PercentAndTheInte
 // Few samples on each edge: the error is full of kinks over the dead time, and flat.
 TEST(ServoIdentification, TheLeastSquaresAreFoundInSparseNoisyLogsToo) {
   test_support::Random random(13);
-  for (int run = 0; run < (full() ? 2000 : 200); ++run) {
+  for (int run = 0; run < (full_run() ? 2000 : 200); ++run) {
     const Shape shape = shapes[static_cast<std::size_t>(run) % shapes.size()];
     ServoModel servo = random_servo(random);
     servo.time_constant = random.uniform(0.02, 0.1);
@@ -322,7 +319,7 @@ TEST(ServoIdentification, TheLeastSquaresAreFoundInSparseNoisyLogsToo) {
 
 TEST(ServoIdentification, CorrelatedNoiseWidensTheIntervals) {
   test_support::Random random(3);
-  const int runs = full() ? 400 : 100;
+  const int runs = full_run() ? 400 : 100;
   int covered = 0, covered_by_white = 0;
   for (int run = 0; run < runs; ++run) {
     ServoLog log = square_log(usual);
@@ -460,7 +457,7 @@ TEST(ServoIdentification, RefusesCommandsThatDoNotExciteAndAnglesThatDoNotFollow
   log = square_log(usual);
   for (double& angle : log.angles) angle = 0.1;
   EXPECT_EQ(status_of(log), Status::no_response);
-  for (int run = 0; run < (full() ? 500 : 50); ++run) {
+  for (int run = 0; run < (full_run() ? 500 : 50); ++run) {
     for (double& angle : log.angles) angle = random.normal(0.01);
     EXPECT_EQ(status_of(log), Status::no_response);
   }
@@ -581,7 +578,7 @@ TEST(ServoIdentification, WhateverIsInTheLogTheAnswerIsFiniteOrRefused) {
   test_support::Random random(10);
   const Values pool{0.0, -0.0, 1.0, -1.0, 0.3, 1e-9, 5e-324, 1e300, -1e300, 1e150, 1e9, nan};
   int fits = 0;
-  for (int run = 0; run < (full() ? 20000 : 1000); ++run) {
+  for (int run = 0; run < (full_run() ? 20000 : 1000); ++run) {
     // One wild value in a good log, or nothing but.
     ServoLog log = square_log(usual, 0.3, 10.0);
     const std::size_t wild = run % 2 == 0 ? 1 : log.times.size();

@@ -2,6 +2,7 @@
 
 #include "../../examples/hitl/link.hpp"
 #include "../../examples/hitl/message.hpp"
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 #include "support/random.hpp"
 
@@ -12,7 +13,6 @@
 #include <chrono>
 #include <csignal>
 #include <cstdint>
-#include <cstdlib>
 #include <limits>
 #include <memory>
 #include <random>
@@ -229,7 +229,7 @@ class HitlFlight : public testing::Test {
   }
   [[nodiscard]] std::string report(const std::string& name) const { return directory_.file(name); }
 
-  const bool full_ = std::getenv("TILT_ROPTER_FULL") != nullptr;
+  const bool full_ = test_support::full_run();
   test_support::Directory directory_{"hitl"};
 };
 

@@ -1,9 +1,10 @@
 // Mission after mission without a break, on one controller and one clock: what creeps, grows or
-// overflows shows. Five minutes of flight and driving; an hour with TILT_ROPTER_FULL=1.
+// overflows shows. Five minutes of flight and driving; an hour in a full run.
 
 #include "../../examples/support/flight_controller.hpp"
 #include "../../examples/support/mission_sensors.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/sanitizer.hpp"
 
 #include <tilt_ropter/planning/mission.hpp>
@@ -34,7 +35,7 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
   constexpr double step = 1e-3;
   const Mission mission = hybrid_mission();
   const double lap = mission.duration() + 2.0;  // with a rest between
-  const double asked = std::getenv("TILT_ROPTER_FULL") != nullptr ? 3600.0 : 300.0;
+  const int asked = test_support::quick_or_full(300, 3600);
   const int laps = static_cast<int>(std::ceil(asked / lap));
   const examples::Reference reference = [&](double time) { return mission(std::fmod(time, lap)); };
 

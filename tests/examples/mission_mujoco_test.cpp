@@ -2,6 +2,7 @@
 // of the vehicle against the vehicle.
 
 #include "../../examples/mujoco/plant.hpp"
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <tilt_ropter/simulation/plant.hpp>
@@ -9,7 +10,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -259,7 +259,7 @@ TEST(MujocoPlant, RefusesBadSteps) {
 
 // The long form flies five seeds.
 TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
-  const int seeds = std::getenv("TILT_ROPTER_FULL") != nullptr ? 5 : 1;
+  const int seeds = test_support::quick_or_full(1, 5);
   for (int seed = 1; seed <= seeds; ++seed) {
     Flight flight = run("--seed " + std::to_string(seed));
     ASSERT_EQ(flight.exit_code, 0) << flight.output;
@@ -278,7 +278,7 @@ TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
 // The long form tries all of them.
 TEST(MissionMujoco, EveryOptionActs) {
   std::vector<const char*> options = {"--wind 1.5"};
-  if (std::getenv("TILT_ROPTER_FULL") != nullptr)
+  if (test_support::full_run())
     for (const char* more : {"--friction 0.2", "--payload 0.1", "--slope 5", "--step 0.01",
                              "--step 0.02", "--slow-servo 3"})
       options.push_back(more);
@@ -296,7 +296,7 @@ TEST(MissionMujoco, EveryOptionActs) {
 }
 
 TEST(MissionMujoco, LeavesAFilmWhereItCan) {
-  if (std::getenv("TILT_ROPTER_FULL") == nullptr) GTEST_SKIP() << "takes a minute: --full";
+  if (!test_support::full_run()) GTEST_SKIP() << "takes a minute: --full";
   const Flight flight = run("--film");
   EXPECT_EQ(flight.exit_code, 0);
   if (flight.output.find("no film: ") != std::string::npos)

@@ -1,7 +1,8 @@
-// The Monte Carlo program as a user runs it. With TILT_ROPTER_FULL=1 a thousand vehicles.
+// The Monte Carlo program as a user runs it. In a full run a thousand vehicles.
 
 #include "../../examples/support/flight_table.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -10,7 +11,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -220,7 +220,7 @@ TEST(MonteCarlo, HelpAndBadArguments) {
 }
 
 TEST(MonteCarlo, AThousandVehiclesWithoutADivergence) {
-  if (std::getenv("TILT_ROPTER_FULL") == nullptr) GTEST_SKIP() << "TILT_ROPTER_FULL is not set";
+  if (!test_support::full_run()) GTEST_SKIP() << "takes minutes: --full";
   const Outcome thousand = run("thousand", "--count 1000");
   ASSERT_EQ(thousand.exit_code, 0) << thousand.errors;
   std::istringstream csv(thousand.csv);

@@ -4,6 +4,7 @@
 
 #include "support/benchmark_problem.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -486,7 +487,7 @@ TEST_F(SolveInstances, GeneratedInstancesLieWhereSaid) {
 }
 
 TEST_F(SolveInstances, NearlyAllRandomInstancesConvergeAndReportsAreHonest) {
-  const bool full = std::getenv("TILT_ROPTER_FULL") != nullptr;
+  const bool full = test_support::full_run();
   const int count = full ? 10000 : 300;
   ASSERT_EQ(run("--generate " + std::to_string(count) + " -o in.csv").exit_code, 0);
   const Run result = run("in.csv --histogram");

@@ -1,6 +1,7 @@
 #include <tilt_ropter/model/actuator_outputs.hpp>
 
 #include "support/autodiff.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -126,7 +127,8 @@ TEST(OutputScaling, RandomCommandsStayInRangeAndBadOnesAreRefused) {
   const OutputScaling<4> scaling(vehicle(), settings());
   const double extremes[] = {nan, inf, -inf, 0.0, -0.0, 1e-310, 1e300, -1e300, 1.0, -5.0};
   int refused = 0;
-  for (int i = 0; i < 100000; ++i) {
+  const int calls = test_support::quick_or_full(100000, 1000000);
+  for (int i = 0; i < calls; ++i) {
     const auto number = [&] {
       return random.uniform(0.0, 1.0) < 0.2 ? extremes[static_cast<int>(random.uniform(0.0, 10.0))]
                                             : random.uniform(-1e4, 1e4);

@@ -5,10 +5,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <string>
 #include <vector>
 
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 namespace {
@@ -78,7 +78,7 @@ TEST(AllocationFailures, StuckServoIsAServoHeldThere) {
 }
 
 TEST(AllocationFailures, EveryWrenchIsReachedOrSaidToBeLostWithinLimits) {
-  const int wrenches = std::getenv("TILT_ROPTER_FULL") != nullptr ? 200000 : 20000;
+  const int wrenches = test_support::quick_or_full(20000, 200000);
   for (const Case& failure : cases()) {
     SCOPED_TRACE(failure.name);
     const Vehicle<4>& v = failure.vehicle;

@@ -5,13 +5,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <limits>
 #include <stdexcept>
 #include <vector>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
@@ -28,7 +28,7 @@ constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 int runs(int quick) {
-  return std::getenv("TILT_ROPTER_FULL") != nullptr ? 10 * quick : quick;
+  return test_support::quick_or_full(quick, 10 * quick);
 }
 
 Wrench<> random_wrench(Random& random, double force, double torque) {

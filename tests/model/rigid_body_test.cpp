@@ -2,6 +2,7 @@
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
 
@@ -9,7 +10,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 
 namespace tilt_ropter {
 namespace {
@@ -94,7 +94,7 @@ double sensitivity_error(const State<>& x, const Eigen::Matrix<double, 6, 1>& u,
 
 TEST(RigidBody, SensitivityIsTheDerivativeOfTheStep) {
   Random random(1);
-  const int states = std::getenv("TILT_ROPTER_FULL") != nullptr ? 10000 : 500;
+  const int states = test_support::quick_or_full(500, 10000);
   double worst = 0.0;
   for (int i = 0; i < states; ++i) {
     const State<> x = random_state(random);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "support/autodiff.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 namespace {
@@ -116,7 +117,8 @@ TEST(Rotor, RandomInputNeverLeavesTheLimits) {
                                  -1e300, 10.0,     -1.0,      1e-9, 1000.0};
   const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 10.999))]; };
   Rotor<> rotor(parameters());
-  for (int i = 0; i < 200000; ++i) {
+  const int calls = test_support::quick_or_full(200000, 1000000);
+  for (int i = 0; i < calls; ++i) {
     if (i % 1000 == 0) rotor.reset(pick(), pick());
     rotor.update(pick(), pick());
     ASSERT_TRUE(rotor.speed() >= rotor.min_speed() && rotor.speed() <= rotor.max_speed());

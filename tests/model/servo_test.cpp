@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "support/autodiff.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 namespace {
@@ -182,7 +183,8 @@ TEST(Servo, RandomInputNeverLeavesTheRange) {
                                  -1e300, 10.0,     -1.0,      1e-9, 0.5};
   const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 10.999))]; };
   Servo<> servo(parameters(0.1));
-  for (int i = 0; i < 200000; ++i) {
+  const int calls = test_support::quick_or_full(200000, 1000000);
+  for (int i = 0; i < calls; ++i) {
     if (i % 1000 == 0) servo.reset(pick(), pick());
     servo.update(pick(), pick());
     ASSERT_TRUE(servo.angle() >= -2.0 && servo.angle() <= 2.5) << i;

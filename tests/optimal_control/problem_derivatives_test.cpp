@@ -4,6 +4,7 @@
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/double_integrator.hpp"
+#include "support/full_run.hpp"
 #include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
@@ -100,7 +101,7 @@ Quadrotor::State random_body(Random& random) {
 
 TEST(ProblemDerivatives, AreExact) {
   Random random(71);
-  for (int i = 0; i < 200; ++i) {
+  for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     const int k = i % 2 == 0 ? 1 : 5;
     const Eigen::Vector3d x = random.vector(3.0), u = random.vector(3.0);
     expect_exact_derivatives(Pendulum({5}), k, x.head<2>(), u.head<1>());
@@ -142,7 +143,7 @@ TEST(ProblemDerivatives, NothingIsOutsideTheDeclaredTransitionBlocks) {
 TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
   Random random(72);
   using S = Dual<18>;
-  for (int i = 0; i < 200; ++i) {
+  for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     State<> x;
     x.body = random_body(random);
     StateTangent<> dx = StateTangent<>::Random();

@@ -2,6 +2,7 @@
 
 #include "check_table.hpp"
 #include "control_loop.hpp"
+#include "full_run.hpp"
 #include "random.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -14,20 +15,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <string>
 
 namespace test_support {
 
 /// Landings and take-offs that go wrong a little: the controller touches down while it drifts
 /// sideways and higher than it should be, and is called up from the ground by a reference that is
-/// higher and drifts, too. One mode change each and no bounce; TILT_ROPTER_FULL=1 does 200 instead
-/// of `few`.
+/// higher and drifts, too. One mode change each and no bounce; `few` of them, 200 in a full run.
 template <typename PlantType>
 void land_and_take_off(const std::string& plant, int few) {
   using namespace tilt_ropter;
   Random random(14);
-  const int cases = std::getenv("TILT_ROPTER_FULL") != nullptr ? 200 : few;
+  const int cases = quick_or_full(few, 200);
   double worst_bounce = 0.0, worst_force = 0.0;
   for (int i = 0; i < cases; ++i) {
     SCOPED_TRACE(i);
