@@ -18,8 +18,8 @@ benchmarks, is built by GCC.
                build-benchmarks/ and run them
   --fuzz SECONDS
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
-               build-fuzz/ and run each of them for so long; fails if one finds something. About
-               5 minutes to build
+               build-fuzz/ and run each of them for so long, one a processor; fails if one finds
+               something. About 5 minutes to build
   --sanitize   the tests under ASan and UBSan in build-sanitize/, the program that has threads under
                TSan in build-sanitize-threads/, some tests of the plain build under valgrind. About
                an hour
