@@ -453,23 +453,36 @@ std::string complaint(const Parameters& p) {
   return "";
 }
 
+TEST(ErrorStateFilter, APoseWhoseCovarianceRoundingHasMadeNegativeChangesNothing) {
+  ErrorStateFilter<> f = filter();
+  Covariance p = Covariance::Identity();
+  p(0, 0) = -3.0;  // far more than rounding does
+  InertialState<> x;
+  x.position << 1.0, 2.0, 3.0;
+  f.reset(x, p);
+  const Innovation in = f.innovation({});
+  EXPECT_EQ(in.distance, std::numeric_limits<double>::max());
+  EXPECT_FALSE(f.update(in));
+  EXPECT_EQ(f.covariance(), p);
+  EXPECT_EQ(difference(f.state(), x), Tangent::Zero());
+}
+
 TEST(ErrorStateFilter, NoiseOutOfRangeIsRefusedByName) {
   EXPECT_EQ(complaint(InertialNoise{}), "");
   EXPECT_EQ(complaint(InertialNoise{0.0, 0.0, 0.0, 0.0}), "");
   EXPECT_EQ(complaint(InertialNoise{-1.0, 0.0, 0.0, 0.0}),
-            "InertialNoise.gyro_density [rad/s/sqrt(Hz)] = -1: must be finite and >= 0");
+            "InertialNoise.gyro_density [rad/s/sqrt(Hz)] = -1: must be in [0, 1000]");
   EXPECT_EQ(complaint(InertialNoise{0.0, -2.0, 0.0, 0.0}),
-            "InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)] = -2: must be finite and >= 0");
+            "InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)] = -2: must be in [0, 1000]");
   EXPECT_EQ(complaint(InertialNoise{0.0, 0.0, -3.0, 0.0}),
-            "InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)] = -3: must be finite and >= 0");
+            "InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)] = -3: must be in [0, 1000]");
   EXPECT_EQ(complaint(InertialNoise{0.0, 0.0, 0.0, std::nan("")}),
-            "InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)] = nan: must be finite and >= "
-            "0");
+            "InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)] = nan: must be in [0, 1000]");
   EXPECT_EQ(complaint(MarkerPoseNoise{}), "");
   EXPECT_EQ(complaint(MarkerPoseNoise{0.0, 1.0}),
-            "MarkerPoseNoise.position [m] = 0: must be finite and > 0");
+            "MarkerPoseNoise.position [m] = 0: must be in [1e-06, 1000]");
   EXPECT_EQ(complaint(MarkerPoseNoise{1.0, std::numeric_limits<double>::infinity()}),
-            "MarkerPoseNoise.orientation [rad] = inf: must be finite and > 0");
+            "MarkerPoseNoise.orientation [rad] = inf: must be in [1e-06, 10]");
   EXPECT_THROW(ErrorStateFilter<>({-1.0, 0.0, 0.0, 0.0}, {}), std::invalid_argument);
   EXPECT_THROW(ErrorStateFilter<>({}, {0.0, 1.0}), std::invalid_argument);
 }

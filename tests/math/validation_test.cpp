@@ -54,6 +54,12 @@ TEST(Validation, ScalarsAreRefusedOutsideTheirRangeOnly) {
     EXPECT_NE(complaint([&] { require_positive("a", bad); }), "");
     EXPECT_NE(complaint([&] { require_non_negative("a", bad); }), "");
   }
+  EXPECT_EQ(complaint([] { require_in("a", 1.0, 1.0, 1.0); }), "");
+  EXPECT_EQ(complaint([] { require_in("a", 2.5, -0.5, 2.0); }), "a = 2.5: must be in [-0.5, 2]");
+  EXPECT_EQ(complaint([] { require_in("a", -0.6, -0.5, 2.0); }), "a = -0.6: must be in [-0.5, 2]");
+  EXPECT_EQ(complaint([] { require_in("a", nan, -0.5, 2.0); }), "a = nan: must be in [-0.5, 2]");
+  EXPECT_EQ(complaint([] { require_time("t", 1.7e9); }), "");  // seconds since 1970
+  EXPECT_EQ(complaint([] { require_time("t", -1e11); }), "t = -1e+11: must be in [-1e+10, 1e+10]");
   EXPECT_EQ(complaint([] { require_positive("a", 0.0); }), "a = 0: must be finite and > 0");
   EXPECT_EQ(complaint([] { require_non_negative("a", -1.0); }), "a = -1: must be finite and >= 0");
 }

@@ -359,11 +359,10 @@ TEST(FigureEight, RefusesBadParametersByName) {
   using P = FigureEightParameters;
   refused("FigureEightParameters.center [m] = (0, nan, 0): must be finite in every entry",
           [=](P& p) { p.center.y() = nan; });
-  refused("amplitude.x [m] = 0: must be between 0.01 and 10000",
-          [](P& p) { p.amplitude.x() = 0.0; });
+  refused("amplitude.x [m] = 0: must be in [0.01, 10000]", [](P& p) { p.amplitude.x() = 0.0; });
   refused("amplitude.y [m] = 4: must be between 0.05 and 2 times amplitude.x",
           [](P& p) { p.amplitude.y() = 4.0; });
-  refused("amplitude.z [m] = nan: must be between -10000 and 10000",
+  refused("amplitude.z [m] = nan: must be in [-10000, 10000]",
           [=](P& p) { p.amplitude.z() = nan; });
   refused("direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
   refused("laps = 0: must be >= 1", [](P& p) { p.laps = 0; });
@@ -377,6 +376,10 @@ TEST(FigureEight, RefusesBadParametersByName) {
           [](P& p) { p.max_acceleration = -1.0; });
   refused("yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
   refused("max_yaw_rate [rad/s] = 0: must be finite and > 0", [](P& p) { p.max_yaw_rate = 0.0; });
-  refused("start_time [s] = nan: must be finite", [=](P& p) { p.start_time = nan; });
+  refused("start_time [s] = nan: must be in [-1e+10, 1e+10]", [=](P& p) { p.start_time = nan; });
+  refused("start_time [s] = 1e+300: must be in", [](P& p) { p.start_time = 1e300; });
+  refused("FigureEight's duration within its limits [s]", [](P& p) { p.max_speed = 1e-300; });
+  refused("FigureEight's duration within its limits [s]",
+          [](P& p) { p.max_speed = p.max_acceleration = 1e300; });
   EXPECT_EQ(message_of(FigureEightParameters{}), "accepted");
 }

@@ -255,15 +255,15 @@ TEST(Transition, RefusesBadParametersByName) {
   refused("TransitionParameters.from.position [m] = (nan, 0, 0): must be finite in every entry",
           [=](P& p) { p.from.position.x() = nan; });
   refused("TransitionParameters.to.yaw [rad] = nan: must be finite", [=](P& p) { p.to.yaw = nan; });
-  refused("start_time [s] = nan: must be finite", [=](P& p) { p.start_time = nan; });
-  refused("duration [s] = -1: must be finite and >= 0", [](P& p) { p.duration = -1.0; });
+  refused("start_time [s] = nan: must be in [-1e+10, 1e+10]", [=](P& p) { p.start_time = nan; });
+  refused("duration [s] = -1: must be in [0, 1e+10]", [](P& p) { p.duration = -1.0; });
   refused("max_speed [m/s] = 0: must be finite and > 0", [](P& p) { p.max_speed = 0.0; });
   refused("max_acceleration [m/s^2] = 0: must be finite and > 0",
           [](P& p) { p.max_acceleration = 0.0; });
   refused("max_yaw_rate [rad/s] = 0: must be finite and > 0", [](P& p) { p.max_yaw_rate = 0.0; });
   refused("max_yaw_acceleration [rad/s^2] = 0: must be finite and > 0",
           [](P& p) { p.max_yaw_acceleration = 0.0; });
-  refused("shortest duration within its limits [s] = inf: must be finite", [](P& p) {
+  refused("shortest duration within its limits [s] = inf: must be in [0, 1e+10]", [](P& p) {
     p.to.position.x() = 1e300;
     p.max_speed = 1e-300;
   });

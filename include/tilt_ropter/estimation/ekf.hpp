@@ -52,21 +52,22 @@ struct EkfSettings {
 inline void validate(const EkfSettings& s) {
   validate(s.imu_noise);
   validate(s.pose_noise);
-  require_finite("EkfSettings.marker_position [m]", s.marker_position);
+  require(detail::all_entries(s.marker_position, [](double x) { return std::abs(x) <= 100.0; }),
+          "EkfSettings.marker_position [m]", s.marker_position, "in [-100, 100] in every entry");
   require(std::abs(s.marker_orientation.norm() - 1.0) < 1e-6, "EkfSettings.marker_orientation",
           s.marker_orientation.coeffs(), "of unit length");
-  require_non_negative("EkfSettings.marker_position_deviation [m]", s.marker_position_deviation);
-  require_non_negative("EkfSettings.marker_orientation_deviation [rad]",
-                       s.marker_orientation_deviation);
-  require_finite("EkfSettings.clock_offset [s]", s.clock_offset);
-  require_positive("EkfSettings.velocity_deviation [m/s]", s.velocity_deviation);
-  require_non_negative("EkfSettings.gyro_bias_deviation [rad/s]", s.gyro_bias_deviation);
-  require_non_negative("EkfSettings.accelerometer_bias_deviation [m/s^2]",
-                       s.accelerometer_bias_deviation);
+  require_in("EkfSettings.marker_position_deviation [m]", s.marker_position_deviation, 0.0, 100.0);
+  require_in("EkfSettings.marker_orientation_deviation [rad]", s.marker_orientation_deviation, 0.0,
+             10.0);
+  require_time("EkfSettings.clock_offset [s]", s.clock_offset);
+  require_in("EkfSettings.velocity_deviation [m/s]", s.velocity_deviation, 1e-6, 1e3);
+  require_in("EkfSettings.gyro_bias_deviation [rad/s]", s.gyro_bias_deviation, 0.0, 1e3);
+  require_in("EkfSettings.accelerometer_bias_deviation [m/s^2]", s.accelerometer_bias_deviation,
+             0.0, 1e3);
   require_positive("EkfSettings.gate", s.gate);
   require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
-  require_positive("EkfSettings.max_delay [s]", s.max_delay);
-  require_positive("EkfSettings.max_imu_gap [s]", s.max_imu_gap);
+  require_in("EkfSettings.max_delay [s]", s.max_delay, 1e-6, 10.0);
+  require_in("EkfSettings.max_imu_gap [s]", s.max_imu_gap, 1e-6, 1.0);
 }
 
 /// What became of a measurement. Those after `restarted` changed nothing in the estimate.
@@ -267,12 +268,11 @@ class Ekf {
     if (running_) {
       const auto innovation = filter_.innovation(pose);
       nis_ = innovation.distance;
-      if (nis_ <= Scalar(settings_.gate)) {
-        filter_.update(innovation);
-      } else if (++rejections_ < settings_.max_rejections) {
-        ++counts_.gated;
-        return EkfStatus::gated;
-      } else {
+      if (!(nis_ <= Scalar(settings_.gate)) || !filter_.update(innovation)) {
+        if (++rejections_ < settings_.max_rejections) {
+          ++counts_.gated;
+          return EkfStatus::gated;
+        }
         status = EkfStatus::restarted;
       }
     } else if (counts_.used > 0) {

@@ -9,6 +9,7 @@
 #include <Eigen/Geometry>
 
 #include <cmath>
+#include <limits>
 
 /// The mathematics of the state estimator, without clocks: an error-state Kalman filter on SO(3)
 /// after J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017, Secs. 5-7 (local
@@ -123,12 +124,13 @@ struct InertialNoise {
 };
 
 inline void validate(const InertialNoise& n) {
-  require_non_negative("InertialNoise.gyro_density [rad/s/sqrt(Hz)]", n.gyro_density);
-  require_non_negative("InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)]",
-                       n.accelerometer_density);
-  require_non_negative("InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)]", n.gyro_bias_walk);
-  require_non_negative("InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)]",
-                       n.accelerometer_bias_walk);
+  const double most = 1e3;
+  require_in("InertialNoise.gyro_density [rad/s/sqrt(Hz)]", n.gyro_density, 0.0, most);
+  require_in("InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)]", n.accelerometer_density, 0.0,
+             most);
+  require_in("InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)]", n.gyro_bias_walk, 0.0, most);
+  require_in("InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)]", n.accelerometer_bias_walk,
+             0.0, most);
 }
 
 /// Standard deviations of a MarkerPose, per axis.
@@ -138,8 +140,8 @@ struct MarkerPoseNoise {
 };
 
 inline void validate(const MarkerPoseNoise& n) {
-  require_positive("MarkerPoseNoise.position [m]", n.position);
-  require_positive("MarkerPoseNoise.orientation [rad]", n.orientation);
+  require_in("MarkerPoseNoise.position [m]", n.position, 1e-6, 1e3);
+  require_in("MarkerPoseNoise.orientation [rad]", n.orientation, 1e-6, 10.0);
 }
 
 /// State and covariance of its error. A part of the state whose rows of the covariance are zero is
@@ -153,7 +155,8 @@ class ErrorStateFilter {
   struct Innovation {
     Eigen::Matrix<Scalar, 6, 1> residual;      ///< position, world [m]; rotation vector, M [rad]
     Eigen::Matrix<Scalar, 6, 6> covariance;    ///< S, of the residual
-    Scalar distance;                           ///< NIS, r' S^-1 r: chi-square of 6 degrees
+    Scalar distance;                           ///< NIS, r' S^-1 r: chi-square of 6 degrees; the
+                                               ///< largest number if rounding has made S negative
     Eigen::Matrix<Scalar, 21, 6> correlation;  ///< P H', of the state's error with the residual
   };
 
@@ -232,15 +235,19 @@ class ErrorStateFilter {
     s.template bottomRows<3>().noalias() += h.to_marker * rows(I::orientation);
     in.covariance = (s + s.transpose()) / Scalar(2);
     in.covariance.diagonal() += pose_noise_;
-    in.distance = in.residual.dot(in.covariance.llt().solve(in.residual));
+    const auto factor = in.covariance.llt();
+    in.distance = factor.info() == Eigen::Success ? in.residual.dot(factor.solve(in.residual))
+                                                  : std::numeric_limits<Scalar>::max();
     return in;
   }
 
   /// Takes an innovation of the state as it is. The covariance is updated in Joseph's form, which
   /// an error of the gain, or of rounding, does not make negative: (I - K H) P (I - K H)' + K R K'.
-  void update(const Innovation& in) noexcept {
-    const Eigen::Matrix<Scalar, 21, 6> gain =
-        in.covariance.llt().solve(in.correlation.transpose()).transpose();
+  /// Where deviations are a million times those of a pose, rounding may: then false, and all stays.
+  bool update(const Innovation& in) noexcept {
+    const auto factor = in.covariance.llt();
+    if (factor.info() != Eigen::Success) return false;
+    const Eigen::Matrix<Scalar, 21, 6> gain = factor.solve(in.correlation.transpose()).transpose();
     Covariance left = covariance_;  // (I - K H) P
     left.noalias() -= gain * in.correlation.transpose();
     Eigen::Matrix<Scalar, 21, 6> rest = gain * pose_noise_.asDiagonal();
@@ -248,6 +255,7 @@ class ErrorStateFilter {
     left.noalias() += rest * gain.transpose();
     covariance_ = (left + left.transpose()) / Scalar(2);
     state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+    return true;
   }
 
   [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }

@@ -50,6 +50,18 @@ inline void require_non_negative(const std::string& field, double value) {
   require(std::isfinite(value) && value >= 0.0, field, value, "finite and >= 0");
 }
 
+inline void require_in(const std::string& field, double value, double low, double high) {
+  if (value >= low && value <= high) return;
+  std::ostringstream allowed;
+  allowed << "in [" << low << ", " << high << "]";
+  require(false, field, value, allowed.str());
+}
+
+/// A point of time [s], on whatever clock: to 300 years from its zero a double tells 2 us apart.
+inline void require_time(const std::string& field, double value) {
+  require_in(field, value, -1e10, 1e10);
+}
+
 namespace detail {
 
 /// Entry by entry: Eigen's reductions take the compiler longer, and every user of a parameter

@@ -102,10 +102,9 @@ struct ActuatorOutputSettings {
 /// Throws std::invalid_argument naming the field, its value and what is allowed.
 template <int Rotors>
 void validate(const ActuatorOutputSettings<Rotors>& s) {
-  require(s.thrust_model_factor >= 0.0 && s.thrust_model_factor <= 1.0,
-          "ActuatorOutputSettings.thrust_model_factor", s.thrust_model_factor, "in [0, 1]");
+  require_in("ActuatorOutputSettings.thrust_model_factor", s.thrust_model_factor, 0.0, 1.0);
   for (const ServoOutputParameters& servo : s.servos)
-    require(std::abs(servo.trim) <= 1.0, "ServoOutputParameters.trim", servo.trim, "in [-1, 1]");
+    require_in("ServoOutputParameters.trim", servo.trim, -1.0, 1.0);
 }
 
 /// Between commands and normalised outputs of a vehicle. No output is ever NaN: what PX4 takes for

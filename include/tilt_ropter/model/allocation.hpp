@@ -41,8 +41,7 @@ struct AllocationParameters {
 
 inline void validate(const AllocationParameters& p) {
   require_positive("AllocationParameters.hold_thrust [N]", p.hold_thrust);
-  require(p.lag_compensation >= 0.0 && p.lag_compensation <= 1.0,
-          "AllocationParameters.lag_compensation", p.lag_compensation, "in [0, 1]");
+  require_in("AllocationParameters.lag_compensation", p.lag_compensation, 0.0, 1.0);
   require_positive("AllocationParameters.calm_share", p.calm_share);
 }
 

@@ -104,8 +104,7 @@ inline void validate(const RotorGeometry& p, const std::string& field = "RotorGe
   require(std::abs(x.squaredNorm() - 1.0) <= 1e-6 && std::abs(y.squaredNorm() - 1.0) <= 1e-6 &&
               std::abs(x.dot(y)) <= 1e-6 && skewness <= 1e-6,
           field + ".orientation", p.orientation, "a rotation matrix");
-  require(p.effectiveness >= 0.0 && p.effectiveness <= 1.0, field + ".effectiveness",
-          p.effectiveness, "in [0, 1]");
+  require_in(field + ".effectiveness", p.effectiveness, 0.0, 1.0);
 }
 
 inline void validate(const RotorParameters& p) {
@@ -114,6 +113,8 @@ inline void validate(const RotorParameters& p) {
   require_non_negative("RotorParameters.min_thrust [N]", p.min_thrust);
   require(std::isfinite(p.max_thrust) && p.max_thrust > p.min_thrust,
           "RotorParameters.max_thrust [N]", p.max_thrust, "finite and > min_thrust");
+  require(p.max_thrust / p.thrust_coefficient <= 1e12, "RotorParameters.thrust_coefficient [N s^2]",
+          p.thrust_coefficient, "at least max_thrust / (1e6 rad/s)^2");
   require_positive("RotorParameters.time_constant [s]", p.time_constant);
 }
 

@@ -43,12 +43,10 @@ struct FigureEightParameters {
 inline void validate(const FigureEightParameters& p) {
   require_finite("FigureEightParameters.center [m]", p.center);
   const Eigen::Vector3d& a = p.amplitude;
-  require(a.x() >= 0.01 && a.x() <= 1e4, "FigureEightParameters.amplitude.x [m]", a.x(),
-          "between 0.01 and 10000");
+  require_in("FigureEightParameters.amplitude.x [m]", a.x(), 0.01, 1e4);
   require(a.y() >= 0.05 * a.x() && a.y() <= 2.0 * a.x(), "FigureEightParameters.amplitude.y [m]",
           a.y(), "between 0.05 and 2 times amplitude.x");
-  require(std::abs(a.z()) <= 1e4, "FigureEightParameters.amplitude.z [m]", a.z(),
-          "between -10000 and 10000");
+  require_in("FigureEightParameters.amplitude.z [m]", a.z(), -1e4, 1e4);
   require_finite("FigureEightParameters.direction [rad]", p.direction);
   require(p.laps >= 1, "FigureEightParameters.laps", p.laps, ">= 1");
   require(p.ramp_laps >= 0.05 && p.ramp_laps <= std::min(1.0, 0.5 * p.laps),
@@ -58,7 +56,7 @@ inline void validate(const FigureEightParameters& p) {
   require_positive("FigureEightParameters.max_acceleration [m/s^2]", p.max_acceleration);
   require_finite("FigureEightParameters.yaw [rad]", p.yaw);
   require_positive("FigureEightParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
-  require_finite("FigureEightParameters.start_time [s]", p.start_time);
+  require_time("FigureEightParameters.start_time [s]", p.start_time);
 }
 
 /// A reference along the eight: the phase s runs at a constant rate and is brought there and back
@@ -75,6 +73,7 @@ class FigureEight {
     fixed_orientation_ = quaternion_from_yaw(parameters.yaw);
     set_phase_rate(1.0);
     set_phase_rate(0.9999 * allowed_phase_rate());
+    require_in("FigureEight's duration within its limits [s]", duration_, 1e-3, 1e10);
   }
 
   /// Defined for every time [s]; at rest before the start and after the end, a NaN counts as
@@ -88,9 +87,9 @@ class FigureEight {
   [[nodiscard]] double duration() const noexcept { return duration_; }
   [[nodiscard]] const FigureEightParameters& parameters() const noexcept { return parameters_; }
 
-  /// Moves the whole motion in time. Throws std::invalid_argument if `time` is not finite.
+  /// Moves the whole motion in time. Throws std::invalid_argument for a time out of range.
   void set_start_time(double time) {
-    require_finite("FigureEight.start_time [s]", time);
+    require_time("FigureEight.start_time [s]", time);
     parameters_.start_time = time;
   }
 

@@ -43,10 +43,10 @@ enum class MissionPhase { rest, take_off, hover, air, landing, ground };
 /// Rest at one place.
 class Hold {
  public:
-  /// `duration` [s]. Throws std::invalid_argument unless it is positive and the place finite.
+  /// `duration` [s]. Throws std::invalid_argument for one out of range and a place not finite.
   Hold(const Waypoint& place, double duration) : duration_(duration) {
     validate(place, "Hold.place");
-    require_positive("Hold.duration [s]", duration);
+    require_in("Hold.duration [s]", duration, 1e-3, 1e10);
     point_.position = place.position;
     point_.orientation = quaternion_from_yaw(place.yaw);
   }
@@ -55,9 +55,9 @@ class Hold {
   [[nodiscard]] double start_time() const noexcept { return start_time_; }
   [[nodiscard]] double end_time() const noexcept { return start_time_ + duration_; }
 
-  /// Moves the rest in time. Throws std::invalid_argument if `time` is not finite.
+  /// Moves the rest in time. Throws std::invalid_argument for a time out of range.
   void set_start_time(double time) {
-    require_finite("Hold.start_time [s]", time);
+    require_time("Hold.start_time [s]", time);
     start_time_ = time;
   }
 
@@ -171,8 +171,8 @@ inline void validate(const HybridMissionParameters& p) {
   require(std::isfinite(p.flight_height) && p.flight_height > p.wheel_radius,
           "HybridMissionParameters.flight_height [m]", p.flight_height,
           "finite and > wheel_radius");
-  require_positive("HybridMissionParameters.rest_time [s]", p.rest_time);
-  require_positive("HybridMissionParameters.hover_time [s]", p.hover_time);
+  require_in("HybridMissionParameters.rest_time [s]", p.rest_time, 1e-3, 1e10);
+  require_in("HybridMissionParameters.hover_time [s]", p.hover_time, 1e-3, 1e10);
   require_positive("HybridMissionParameters.climb_speed [m/s]", p.climb_speed);
   require_positive("HybridMissionParameters.climb_acceleration [m/s^2]", p.climb_acceleration);
   require_positive("HybridMissionParameters.descent_speed [m/s]", p.descent_speed);
@@ -186,7 +186,7 @@ inline void validate(const HybridMissionParameters& p) {
   require_positive("HybridMissionParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
   require_positive("HybridMissionParameters.max_yaw_acceleration [rad/s^2]",
                    p.max_yaw_acceleration);
-  require_finite("HybridMissionParameters.start_time [s]", p.start_time);
+  require_time("HybridMissionParameters.start_time [s]", p.start_time);
 }
 
 namespace detail {

@@ -41,8 +41,8 @@ inline void validate(const Waypoint& p, const std::string& field = "Waypoint") {
 inline void validate(const TransitionParameters& p) {
   validate(p.from, "TransitionParameters.from");
   validate(p.to, "TransitionParameters.to");
-  require_finite("TransitionParameters.start_time [s]", p.start_time);
-  require_non_negative("TransitionParameters.duration [s]", p.duration);
+  require_time("TransitionParameters.start_time [s]", p.start_time);
+  require_in("TransitionParameters.duration [s]", p.duration, 0.0, 1e10);
   require_positive("TransitionParameters.max_speed [m/s]", p.max_speed);
   require_positive("TransitionParameters.max_acceleration [m/s^2]", p.max_acceleration);
   require_positive("TransitionParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
@@ -70,7 +70,7 @@ class Transition {
                   std::sqrt(peak_2 * distance / parameters.max_acceleration),
                   peak_1 * std::abs(turn_) / parameters.max_yaw_rate,
                   std::sqrt(peak_2 * std::abs(turn_) / parameters.max_yaw_acceleration)});
-    require_finite("Transition's shortest duration within its limits [s]", shortest);
+    require_in("Transition's shortest duration within its limits [s]", shortest, 0.0, 1e10);
     if (!(duration_ > 0.0)) duration_ = shortest;
     require(duration_ >= shortest * (1.0 - 1e-9), "TransitionParameters.duration [s]", duration_,
             "0 or >= " + std::to_string(shortest) + ", which the limits need");
@@ -101,9 +101,9 @@ class Transition {
   [[nodiscard]] double duration() const noexcept { return duration_; }
   [[nodiscard]] const TransitionParameters& parameters() const noexcept { return parameters_; }
 
-  /// Moves the whole motion in time. Throws std::invalid_argument if `time` is not finite.
+  /// Moves the whole motion in time. Throws std::invalid_argument for a time out of range.
   void set_start_time(double time) {
-    require_finite("Transition.start_time [s]", time);
+    require_time("Transition.start_time [s]", time);
     parameters_.start_time = time;
   }
 
