@@ -49,7 +49,7 @@ TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
       {"Vehicle.rotors[3].effectiveness", "1.5", [](V& v) { v.rotors[3].effectiveness = 1.5; }},
       {"Vehicle.rotors[0].effectiveness", "nan", [](V& v) { v.rotors[0].effectiveness = nan; }},
       {"RotorParameters.thrust_coefficient", "0", [](V& v) { v.rotor.thrust_coefficient = 0.0; }},
-      {"RotorParameters.thrust_coefficient", "1e-300: must be at least max_thrust / (1e6 rad/s)^2",
+      {"RotorParameters.thrust_coefficient", "1e-300: must be at least max_thrust / (1e8 rad/s)^2",
        [](V& v) { v.rotor.thrust_coefficient = 1e-300; }},
       {"RotorParameters.torque_ratio", "-0.5", [](V& v) { v.rotor.torque_ratio = -0.5; }},
       {"RotorParameters.min_thrust", "-2", [](V& v) { v.rotor.min_thrust = -2.0; }},

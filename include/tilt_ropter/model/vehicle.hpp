@@ -113,8 +113,8 @@ inline void validate(const RotorParameters& p) {
   require_non_negative("RotorParameters.min_thrust [N]", p.min_thrust);
   require(std::isfinite(p.max_thrust) && p.max_thrust > p.min_thrust,
           "RotorParameters.max_thrust [N]", p.max_thrust, "finite and > min_thrust");
-  require(p.max_thrust / p.thrust_coefficient <= 1e12, "RotorParameters.thrust_coefficient [N s^2]",
-          p.thrust_coefficient, "at least max_thrust / (1e6 rad/s)^2");
+  require(p.max_thrust / p.thrust_coefficient <= 1e16, "RotorParameters.thrust_coefficient [N s^2]",
+          p.thrust_coefficient, "at least max_thrust / (1e8 rad/s)^2");
   require_positive("RotorParameters.time_constant [s]", p.time_constant);
 }
 
