@@ -124,6 +124,7 @@ inline void require_inertia(const std::string& field, const Eigen::Matrix3d& ine
       size = std::fmax(size, std::abs(inertia(i, j)));
       asymmetry = std::fmax(asymmetry, std::abs(inertia(i, j) - inertia(j, i)));
     }
+  require(size >= 1e-12 && size <= 1e9, field, inertia, "of 1e-12 to 1e9 kg m^2");
   require(asymmetry <= 1e-9 * size, field, inertia, "symmetric");
   // Leading minors (Sylvester): an eigenvalue decomposition here, which every header of the model
   // includes, would be the longest part of compiling it.

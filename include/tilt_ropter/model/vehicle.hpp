@@ -91,13 +91,15 @@ struct Vehicle {
   PowerParameters power;
 };
 
+// The ranges are beyond any vehicle, and such that nothing computed from them overflows.
 inline void validate(const RigidBodyParameters& p) {
-  require_positive("RigidBodyParameters.mass [kg]", p.mass);
+  require_in("RigidBodyParameters.mass [kg]", p.mass, 1e-6, 1e6);
   require_inertia("RigidBodyParameters.inertia", p.inertia);
 }
 
 inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
-  require_finite(field + ".position [m]", p.position);
+  require(detail::all_entries(p.position, [](double x) { return std::abs(x) <= 1e3; }),
+          field + ".position [m]", p.position, "in [-1000, 1000] in every entry");
   require_finite(field + ".orientation", p.orientation);
   const Eigen::Vector3d x = p.orientation.col(0), y = p.orientation.col(1);
   const double skewness = (x.cross(y) - p.orientation.col(2)).norm();
@@ -108,34 +110,32 @@ inline void validate(const RotorGeometry& p, const std::string& field = "RotorGe
 }
 
 inline void validate(const RotorParameters& p) {
-  require_positive("RotorParameters.thrust_coefficient [N s^2]", p.thrust_coefficient);
-  require_non_negative("RotorParameters.torque_ratio [m]", p.torque_ratio);
-  require_non_negative("RotorParameters.min_thrust [N]", p.min_thrust);
-  require(std::isfinite(p.max_thrust) && p.max_thrust > p.min_thrust,
-          "RotorParameters.max_thrust [N]", p.max_thrust, "finite and > min_thrust");
-  require(p.max_thrust / p.thrust_coefficient <= 1e16, "RotorParameters.thrust_coefficient [N s^2]",
-          p.thrust_coefficient, "at least max_thrust / (1e8 rad/s)^2");
-  require_positive("RotorParameters.time_constant [s]", p.time_constant);
+  require_in("RotorParameters.thrust_coefficient [N s^2]", p.thrust_coefficient, 1e-11, 1e6);
+  require_in("RotorParameters.torque_ratio [m]", p.torque_ratio, 0.0, 1e3);
+  require_in("RotorParameters.min_thrust [N]", p.min_thrust, 0.0, 1e6);
+  require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, "RotorParameters.max_thrust [N]",
+          p.max_thrust, "> min_thrust and <= 1e6");
+  require_in("RotorParameters.time_constant [s]", p.time_constant, 1e-6, 1e3);
 }
 
 inline void validate(const ServoParameters& p) {
-  require_positive("ServoParameters.time_constant [s]", p.time_constant);
-  require_positive("ServoParameters.max_rate [rad/s]", p.max_rate);
-  require_finite("ServoParameters.min_angle [rad]", p.min_angle);
-  require(std::isfinite(p.max_angle) && p.max_angle > p.min_angle,
-          "ServoParameters.max_angle [rad]", p.max_angle, "finite and > min_angle");
-  require_non_negative("ServoParameters.dead_time [s]", p.dead_time);
+  require_in("ServoParameters.time_constant [s]", p.time_constant, 1e-6, 1e3);
+  require_in("ServoParameters.max_rate [rad/s]", p.max_rate, 1e-6, 1e6);
+  require_in("ServoParameters.min_angle [rad]", p.min_angle, -1e3, 1e3);
+  require(p.max_angle > p.min_angle && p.max_angle <= 1e3, "ServoParameters.max_angle [rad]",
+          p.max_angle, "> min_angle and <= 1e3");
+  require_in("ServoParameters.dead_time [s]", p.dead_time, 0.0, 1e3);
 }
 
 inline void validate(const WheelParameters& p) {
-  require_positive("WheelParameters.radius [m]", p.radius);
-  require_positive("WheelParameters.half_track [m]", p.half_track);
+  require_in("WheelParameters.radius [m]", p.radius, 1e-6, 1e3);
+  require_in("WheelParameters.half_track [m]", p.half_track, 1e-6, 1e3);
 }
 
 inline void validate(const PowerParameters& p) {
-  require_non_negative("PowerParameters.electronics [W]", p.electronics);
-  require(std::isfinite(p.hover) && p.hover > p.electronics, "PowerParameters.hover [W]", p.hover,
-          "finite and > electronics");
+  require_in("PowerParameters.electronics [W]", p.electronics, 0.0, 1e9);
+  require(p.hover > p.electronics && p.hover <= 1e9, "PowerParameters.hover [W]", p.hover,
+          "> electronics and <= 1e9");
 }
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed. Whether the
