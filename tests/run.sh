@@ -28,7 +28,8 @@ benchmarks, is built by GCC.
   --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
                target. About half an hour
   --variants   the library's tests, compiled in other ways into build-variants/: not optimised, for
-               this processor, with -ffast-math, with clang's libc++. About an hour
+               this processor, with -ffast-math, with clang's libc++. Takes long:
+               a test of one second takes over a minute where nothing is optimised
   --docs       instead of the tests, the reference as HTML in build-docs/html/, by Doxygen from the
                headers' comments; fails where a comment names what is not there. Seconds
   --help       this text

@@ -243,7 +243,8 @@ class ErrorStateFilter {
 
   /// Takes an innovation of the state as it is. The covariance is updated in Joseph's form, which
   /// an error of the gain, or of rounding, does not make negative: (I - K H) P (I - K H)' + K R K'.
-  /// Where deviations are a million times those of a pose, rounding may: then false, and all stays.
+  /// False, and nothing is changed, if S is not positive, as rounding could leave it where P is
+  /// larger than the pose's noise by more digits than a Scalar has.
   bool update(const Innovation& in) noexcept {
     const auto factor = in.covariance.llt();
     if (factor.info() != Eigen::Success) return false;

@@ -91,7 +91,7 @@ struct Vehicle {
   PowerParameters power;
 };
 
-// The ranges are beyond any vehicle, and such that nothing computed from them overflows.
+// The ranges are beyond any vehicle. Without them products of two parameters can overflow.
 inline void validate(const RigidBodyParameters& p) {
   require_in("RigidBodyParameters.mass [kg]", p.mass, 1e-6, 1e6);
   require_inertia("RigidBodyParameters.inertia", p.inertia);
