@@ -48,7 +48,7 @@ struct Options {
 
 /// The table's rows; its first column holds time stamps, which increase.
 examples::CsvTable read_log(const std::string& path, std::size_t columns, const std::string& form) {
-  const examples::CsvTable table = examples::read_csv(path);
+  examples::CsvTable table = examples::read_csv(path);
   if (table.columns.size() < columns)
     throw std::runtime_error(path + ":1: " + std::to_string(table.columns.size()) +
                              " columns, expected are " + form);

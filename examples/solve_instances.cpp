@@ -247,6 +247,7 @@ class Batch {
     solver.reset(instance.start);
     const Audit guess(solver, instance.start);
     std::vector<double> times_us;
+    times_us.reserve(static_cast<std::size_t>(repeat_));
     for (int i = 0; i < repeat_; ++i) times_us.push_back(run(solver, instance.start));
     const double median_us = std::round(10.0 * quantile(times_us, 0.5)) / 10.0;
     const SolveReport& report = solver.report();

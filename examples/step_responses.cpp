@@ -130,8 +130,8 @@ struct StepFigures {
 StepFigures figures(const std::vector<double>& values, double start, double end, double size) {
   StepFigures result;
   double at_ten = std::nan("");
-  const auto first = static_cast<std::size_t>(start / sample + 0.5),
-             last = static_cast<std::size_t>(end / sample + 0.5);
+  const auto first = static_cast<std::size_t>(std::lround(start / sample)),
+             last = static_cast<std::size_t>(std::lround(end / sample));
   for (std::size_t i = first; i < std::min(last, values.size()); ++i) {
     const double share = values[i] / size, time = sample * static_cast<double>(i);
     if (std::isnan(at_ten) && share >= 0.1) at_ten = time;

@@ -94,7 +94,7 @@ class Fields {
     const Json& field = get(key, allowed);
     if (!field.is_string() || field.get<std::string>().empty())
       refuse(name(key), shown(field), allowed);
-    const auto value = field.get<std::string>();
+    auto value = field.get<std::string>();
     bool chosen = choices.empty();
     for (const std::string& choice : choices) chosen = chosen || value == choice;
     if (!chosen) refuse(name(key), shown(field), allowed);

@@ -355,12 +355,14 @@ TEST(ClockCalibration, OfARecordedFlightAgreesWithItsGroundTruth) {
   if (imu_rows.empty() || pose_rows.empty() || truth_rows.empty())
     GTEST_SKIP() << "no recorded flight in TILT_ROPTER_DATA";
   std::vector<Timed<InertialSample<>>> imu, truth;
+  imu.reserve(imu_rows.size());
   for (const auto& row : imu_rows) {
     InertialSample<> sample;
     sample.angular_velocity << row.at(1), row.at(2), row.at(3);
     imu.push_back({row[0], sample});
   }
   std::vector<Timed<MarkerPose<>>> poses;
+  poses.reserve(pose_rows.size());
   for (const auto& row : pose_rows)
     poses.push_back({row.at(0),
                      {{row.at(1), row.at(2), row.at(3)},

@@ -178,7 +178,7 @@ TEST_F(FitRotor, RefusesPointsThatCannotTell) {
     const Outcome refused = fit_text(text);
     EXPECT_EQ(refused.exit_code, 1) << refused.output;
     EXPECT_FALSE(refused.says("thrust_coefficient")) << refused.output;
-    const std::string found = refused.figures.at("status");
+    std::string found = refused.figures.at("status");
     EXPECT_TRUE(refused.says("text.csv: " + found)) << refused.output;
     return found;
   };

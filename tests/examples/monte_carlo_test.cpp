@@ -36,7 +36,7 @@ std::string contents(const fs::path& path) {
 }
 
 fs::path scratch() {
-  const fs::path path = fs::path(testing::TempDir()) / ("monte_carlo_" + std::to_string(getpid()));
+  fs::path path = fs::path(testing::TempDir()) / ("monte_carlo_" + std::to_string(getpid()));
   fs::create_directories(path);
   return path;
 }

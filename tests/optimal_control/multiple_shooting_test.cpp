@@ -312,7 +312,7 @@ TEST(MultipleShooting, SaysOfEveryRowWhetherItWasGivenUp) {
     MultipleShooting<Contradiction> solver(Contradiction({4, weight}));
     solver.reset(Contradiction::State(0.3));
     solver.solve(Contradiction::State(0.3));
-    const auto rows = rows_given_up(solver);
+    auto rows = rows_given_up(solver);
     EXPECT_EQ(solver.report().given_up_rows, static_cast<int>(rows.size()));
     return rows;
   };

@@ -626,8 +626,8 @@ bool same(const PlantState<4>& a, const PlantState<4>& b) {
   const auto equal = [](const auto& u, const auto& v) {
     return std::memcmp(u.data(), v.data(), sizeof(double) * std::size_t(u.size())) == 0;
   };
-  return std::memcmp(&a.time, &b.time, sizeof(double)) == 0 &&
-         equal(a.body.position, b.body.position) && equal(a.body.velocity, b.body.velocity) &&
+  return a.time == b.time && equal(a.body.position, b.body.position) &&
+         equal(a.body.velocity, b.body.velocity) &&
          equal(a.body.orientation.coeffs(), b.body.orientation.coeffs()) &&
          equal(a.body.angular_velocity, b.body.angular_velocity) &&
          equal(a.actuators.rotor_speed, b.actuators.rotor_speed) &&

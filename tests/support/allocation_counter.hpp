@@ -148,11 +148,13 @@ inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
 #ifdef TILT_ROPTER_TEST_COUNTS_HEAP
 extern "C" {
 
+// NOLINTBEGIN(bugprone-reserved-identifier): the names that glibc gives its own functions.
 void* __libc_malloc(std::size_t size);
 void* __libc_calloc(std::size_t count, std::size_t size);
 void* __libc_realloc(void* memory, std::size_t size);
 void* __libc_memalign(std::size_t alignment, std::size_t size);
 void __libc_free(void* memory);
+// NOLINTEND(bugprone-reserved-identifier)
 
 void* malloc(std::size_t size) noexcept {
   test_support::detail::count_allocation(size);

@@ -290,7 +290,7 @@ class QuadraticProgram {
   DualSolver<> dual_;
   std::vector<Row> active_;
   Eigen::MatrixXd gradients_;  // row i: gradient of row i by z
-  Batch adjoints_[2];
+  std::array<Batch, 2> adjoints_;
   Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
   double damping_ = 0.0;
