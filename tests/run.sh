@@ -169,12 +169,14 @@ if [[ $instead == variants ]]; then
       -DTILT_ROPTER_BUILD_QUICKLY=ON "${@:3}"
     echo "== Running the tests compiled with $2, two at a time"
     ctest --test-dir build-variants/"$1" --parallel 2 --output-on-failure --timeout 3600 \
-      --exclude-regex "$sources_only"
+      --exclude-regex "$sources_only" || failed+=" $1"
   }
+  failed=
   variant native "-O3 -march=native"
   variant fast_math "-O2 -ffast-math -fno-finite-math-only"
   variant libcxx "-O1 -stdlib=libc++" -DTILT_ROPTER_GTEST_SOURCE=/usr/src/googletest
   variant plain -O0  # by far the longest
+  [[ ! $failed ]] || { echo "tests failed in:$failed" && exit 1; }
   exit 0
 fi
 

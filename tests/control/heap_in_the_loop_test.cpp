@@ -170,7 +170,10 @@ TEST_F(HeapInTheLoop, WhatTheLoopAllocatesIsCounted) {
   EXPECT_NE(deliberate.notes().find("vector: 1 allocations (" + bytes + " bytes), 0 releases"),
             std::string::npos)
       << deliberate.notes();
-  EXPECT_NE(deliberate.notes().find("Eigen: 1 allocations (40 bytes), 1 releases"),
+  // Where malloc aligns less than the processor's vectors like, Eigen takes what aligning needs.
+  const int aligning = EIGEN_MALLOC_ALREADY_ALIGNED ? 0 : EIGEN_DEFAULT_ALIGN_BYTES;
+  EXPECT_NE(deliberate.notes().find("Eigen: 1 allocations (" + std::to_string(40 + aligning) +
+                                    " bytes), 1 releases"),
             std::string::npos)
       << deliberate.notes();
   EXPECT_NE(deliberate.notes().find("release: 0 allocations (0 bytes), 1 releases"),
