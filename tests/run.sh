@@ -13,7 +13,7 @@ benchmarks, is built by GCC.
 
   --full       built by GCC, with the long forms of the tests too (TILT_ROPTER_FULL=1), every test
                and example read by clang as C++20, and clang-tidy; ends with a table of what was
-               asked and measured. Three quarters of an hour to an hour
+               asked and measured. Three quarters of an hour
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --fuzz SECONDS
@@ -24,9 +24,10 @@ benchmarks, is built by GCC.
                TSan in build-sanitize-threads/, some tests of the plain build under valgrind. About
                an hour
   --coverage   the tests, with a table of the lines of include/ that they reach and the lines
-               themselves as HTML in build-coverage/report/; fails under 95 %. About half an hour
+               themselves as HTML in build-coverage/report/; fails under 95 %. Three quarters of an
+               hour
   --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
-               target. About half an hour
+               target. A quarter of an hour
   --variants   the library's tests, compiled in other ways into build-variants/: for this processor,
                with -ffast-math, with clang's libc++, not optimised. Takes long:
                a test of one second takes over a minute where nothing is optimised

@@ -90,8 +90,8 @@ class MujocoPlant {
   /// way, after which the plant is of no use.
   bool step(const tilt_ropter::ActuatorState<4>& command, const tilt_ropter::Wrench<>& disturbance,
             double dt) {
-    if (!(dt > 0.0 && dt <= 10.0) || !command.rotor_speed.allFinite() ||
-        !command.tilt_angle.allFinite() || !tilt_ropter::is_finite(disturbance))
+    if (!(dt > 0.0 && dt <= 10.0) || !tilt_ropter::all_finite(command.rotor_speed) ||
+        !tilt_ropter::all_finite(command.tilt_angle) || !tilt_ropter::is_finite(disturbance))
       return false;
     disturbance_ = disturbance;
     const double end = data_->time + dt;

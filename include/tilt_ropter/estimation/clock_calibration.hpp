@@ -171,7 +171,7 @@ template <typename Scalar = double>
   };
   const bool numbers =
       std::all_of(imu.begin(), imu.end(),
-                  [](const auto& s) { return s.value.angular_velocity.allFinite(); }) &&
+                  [](const auto& s) { return all_finite(s.value.angular_velocity); }) &&
       std::all_of(poses.begin(), poses.end(),
                   [&](const auto& p) { return std::abs(orientation(p).norm() - 1.0) < 0.1; });
   if (!increasing(imu) || !increasing(poses) || !numbers) return result;

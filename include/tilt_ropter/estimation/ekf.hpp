@@ -210,7 +210,7 @@ class Ekf {
   using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
 
   static bool within(const Vector3<Scalar>& v, double limit) noexcept {
-    return v.allFinite() && v.cwiseAbs().maxCoeff() <= Scalar(limit);
+    return all_finite(v) && v.cwiseAbs().maxCoeff() <= Scalar(limit);
   }
 
   static InertialSample<Scalar> mean(const Sample& a, const Sample& b) noexcept {

@@ -1,7 +1,25 @@
 #pragma once
 
+#include <Eigen/Core>
+
+#include <cmath>
+
 /// For every header that asks whether a number is finite: -ffast-math would have it believe so of
 /// all, and what bad input does then is anyone's guess.
 #if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0
 #error "tilt_ropter asks isfinite(), which -ffast-math takes away: add -fno-finite-math-only"
 #endif
+
+namespace tilt_ropter {
+
+/// True if every entry of a matrix of float or double is finite. Eigen's allFinite() asks whether
+/// x - x is NaN, which clang's -fassociative-math, a part of -ffast-math, makes zero.
+template <typename Derived>
+[[nodiscard]] bool all_finite(const Eigen::MatrixBase<Derived>& values) noexcept {
+  bool finite = true;
+  for (Eigen::Index j = 0; j < values.cols(); ++j)
+    for (Eigen::Index i = 0; i < values.rows(); ++i) finite &= std::isfinite(values.coeff(i, j));
+  return finite;
+}
+
+}  // namespace tilt_ropter

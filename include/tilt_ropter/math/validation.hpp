@@ -79,8 +79,7 @@ template <typename Derived, typename Condition>
 
 template <typename Derived>
 void require_finite(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
-  require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x); }), field,
-          value.derived(), "finite in every entry");
+  require(all_finite(value), field, value.derived(), "finite in every entry");
 }
 
 template <typename Derived>

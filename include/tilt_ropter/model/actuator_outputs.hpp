@@ -124,7 +124,7 @@ class OutputScaling {
   template <typename Scalar>
   [[nodiscard]] std::optional<ActuatorOutputs<Rotors, Scalar>> outputs(
       const ActuatorState<Rotors, Scalar>& command) const noexcept {
-    if (!command.rotor_speed.allFinite() || !command.tilt_angle.allFinite()) return std::nullopt;
+    if (!all_finite(command.rotor_speed) || !all_finite(command.tilt_angle)) return std::nullopt;
     ActuatorOutputs<Rotors, Scalar> result;
     for (int i = 0; i < Rotors; ++i) {
       result.motor(i) = motor_output(command.rotor_speed(i), rotor_, settings_.thrust_model_factor);
@@ -138,7 +138,7 @@ class OutputScaling {
   template <typename Scalar>
   [[nodiscard]] std::optional<ActuatorState<Rotors, Scalar>> command(
       const ActuatorOutputs<Rotors, Scalar>& outputs) const noexcept {
-    if (!outputs.servo.allFinite()) return std::nullopt;
+    if (!all_finite(outputs.servo)) return std::nullopt;
     ActuatorState<Rotors, Scalar> result;
     for (int i = 0; i < Rotors; ++i) {
       result.rotor_speed(i) =

@@ -145,7 +145,7 @@ class Allocation {
       const Value thrust = thrust_from_speed(actuators.rotor_speed(i), thrust_coefficient(i));
       if (!tilts_[static_cast<std::size_t>(i)]) {
         thrusts(2 * i + 1) = thrust;
-      } else if (actuators.tilt_angle.template segment<1>(i).allFinite()) {
+      } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
         thrusts(2 * i) = thrust * sin(actuators.tilt_angle(i));
         thrusts(2 * i + 1) = thrust * cos(actuators.tilt_angle(i));
       }
@@ -160,7 +160,7 @@ class Allocation {
       const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept {
     AllocationResult<Rotors, Scalar> result;
     const bool usable =
-        is_finite(wanted) && last.rotor_speed.allFinite() && last.tilt_angle.allFinite();
+        is_finite(wanted) && all_finite(last.rotor_speed) && all_finite(last.tilt_angle);
     if (!usable) {
       result.command = within_limits(last);
       result.achieved = wrench(result.command);
@@ -224,7 +224,7 @@ class Allocation {
       rates.rotor_acceleration(i) =
           thrust_rate / (Scalar(2) * std::sqrt(Scalar(thrust_coefficient(i)) * size));
     }
-    if (!rates.tilt_rate.allFinite() || !rates.rotor_acceleration.allFinite()) return {};
+    if (!all_finite(rates.tilt_rate) || !all_finite(rates.rotor_acceleration)) return {};
     return rates;
   }
 

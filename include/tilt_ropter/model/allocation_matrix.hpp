@@ -96,7 +96,7 @@ struct AllocationMatrix {
       square.col(j).head<6>() =
           scale(columns).asDiagonal() * matrix.col(columns.of[static_cast<std::size_t>(j)]);
     // Products of finite numbers may overflow, and the decomposition's rank is nonsense then.
-    require(square.allFinite(), "size of the vehicle [m]", columns.size,
+    require(all_finite(square), "size of the vehicle [m]", columns.size,
             "one whose products are finite");
     return square;
   }

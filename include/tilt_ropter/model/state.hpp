@@ -105,14 +105,14 @@ template <typename Scalar>
 /// True if every number is finite and the quaternion can be normalised.
 template <typename Scalar>
 [[nodiscard]] bool is_finite(const BodyState<Scalar>& x) noexcept {
-  return x.position.allFinite() && x.velocity.allFinite() && x.orientation.coeffs().allFinite() &&
-         x.orientation.squaredNorm() > Scalar(1e-6) && x.angular_velocity.allFinite();
+  return all_finite(x.position) && all_finite(x.velocity) && all_finite(x.orientation.coeffs()) &&
+         x.orientation.squaredNorm() > Scalar(1e-6) && all_finite(x.angular_velocity);
 }
 
 /// True if every number is finite.
 template <typename Scalar>
 [[nodiscard]] bool is_finite(const Wrench<Scalar>& w) noexcept {
-  return w.force.allFinite() && w.torque.allFinite();
+  return all_finite(w.force) && all_finite(w.torque);
 }
 
 }  // namespace tilt_ropter

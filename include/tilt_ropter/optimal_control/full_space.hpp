@@ -133,7 +133,7 @@ class FullSpace {
   /// the initial state fixed to x0. Never throws; NLopt allocates its workspace.
   const FullSpaceReport& solve(const State& x0) noexcept {
     report_ = {};
-    if (!problem_.difference(x0, x0).allFinite()) {
+    if (!all_finite(problem_.difference(x0, x0))) {
       report_.status = FullSpaceStatus::rejected;
       return report_;
     }
@@ -341,7 +341,7 @@ class FullSpace {
     if (gradient != nullptr) {
       Vector g(gradient, static_cast<Eigen::Index>(size));
       g.array() *= self.scale_.array();
-      self.stop_unless(g.allFinite());
+      self.stop_unless(all_finite(g));
       if (self.finite_) self.look_for_the_end(point);
     }
     return sum;
@@ -431,9 +431,9 @@ class FullSpace {
   }
 
   void finish(const Vector& value, Jacobian& jacobian) {
-    stop_unless(value.allFinite());
+    stop_unless(all_finite(value));
     jacobian.array().rowwise() *= scale_.transpose().array();
-    stop_unless(jacobian.allFinite());
+    stop_unless(all_finite(jacobian));
   }
 
   // Figures of the base trajectory. A NaN stays one.

@@ -124,7 +124,7 @@ class MultipleShooting {
     report_.iterations = 1;
     report_.step = 1.0;
     const Tangent dx0 = problem_.difference(x0, here_.x(0));
-    if (!dx0.allFinite()) {
+    if (!all_finite(dx0)) {
       report_.status = SolveStatus::rejected;
     } else if (!prepared_ || !solve_program(dx0, deadline(start))) {
       report_.status = prepared_ && program_.late() ? SolveStatus::time_limit : SolveStatus::failed;
@@ -145,7 +145,7 @@ class MultipleShooting {
     const auto start = Clock::now();
     double prepare_us = 0.0, feedback_us = 0.0;
     int iteration = 0;
-    if (!problem_.difference(x0, here_.x(0)).allFinite()) {
+    if (!all_finite(problem_.difference(x0, here_.x(0)))) {
       report_.status = SolveStatus::rejected;
       return report_;
     }
@@ -227,7 +227,7 @@ class MultipleShooting {
       rows.lower = problem_.lower(k);
       rows.upper = problem_.upper(k);
       rows.penalty = problem_.penalty(k);
-      rows_are_finite = rows_are_finite && rows.value.allFinite();
+      rows_are_finite = rows_are_finite && all_finite(rows.value);
       for (int i = 0; i < nc; ++i)
         report_.max_violation =
             std::max(report_.max_violation, violation(rows.value(i), rows.lower(i), rows.upper(i)));

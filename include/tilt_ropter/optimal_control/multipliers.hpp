@@ -98,7 +98,7 @@ class DualSolver {
     upper_.head(size_) = rho.cwiseQuotient(scale_.head(size_));
     iterate_.head(size_) =
         lambda.cwiseQuotient(scale_.head(size_)).cwiseMax(0.0).cwiseMin(upper_.head(size_));
-    if (!linear_.head(size_).allFinite() || !iterate_.head(size_).allFinite()) return false;
+    if (!all_finite(linear_.head(size_)) || !all_finite(iterate_.head(size_))) return false;
 
     const double tolerance =
         settings_.tolerance * (1.0 + linear_.head(size_).cwiseAbs().maxCoeff());
@@ -110,7 +110,7 @@ class DualSolver {
       if (!solved) refine(tolerance);
     }
     if (!solved && late()) return false;
-    if (!iterate_.head(size_).allFinite()) return false;
+    if (!all_finite(iterate_.head(size_))) return false;
     lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_)).cwiseMin(rho);
     for (int i = 0; i < size_; ++i)
       if (iterate_(i) >= upper_(i)) lambda(i) = rho(i);  // rounding must not hide a row given up
@@ -194,7 +194,7 @@ class DualSolver {
     // NLopt's return code says little (positive even if all was NaN): the point itself is judged.
     nlopt_optimize(optimizer.get(), candidate_.data(), &value);
     if (solved_) return true;
-    if (candidate_.head(size_).allFinite())
+    if (all_finite(candidate_.head(size_)))
       iterate_.head(size_) = candidate_.head(size_).cwiseMax(0.0).cwiseMin(upper_.head(size_));
     return residual() <= tolerance;
   }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
 
@@ -133,7 +134,7 @@ class QuadraticProgram {
       if (rounds_ > settings_.max_rounds || !add_violated_rows()) break;
     }
     for (int k = 0; k <= horizon_; ++k)
-      if (!dx(k).allFinite() || !du(k).allFinite()) return false;
+      if (!all_finite(dx(k)) || !all_finite(du(k))) return false;
     store_multipliers();
     return true;
   }

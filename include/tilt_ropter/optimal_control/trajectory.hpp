@@ -46,7 +46,7 @@ class Trajectory {
   void advance(const Problem& problem, double part) {
     const int n = horizon();
     Tangent ahead = problem.difference(problem.step(n - 1, x(n), u(n - 1)), x(n));
-    if (!ahead.allFinite()) ahead.setZero();
+    if (!all_finite(ahead)) ahead.setZero();
     for (int k = 0; k < n; ++k) {
       x(k) = problem.retract(x(k), part * problem.difference(x(k + 1), x(k)));
       if (k + 1 < n) u(k) += part * (u(k + 1) - u(k));

@@ -54,7 +54,7 @@ void validate(const PlantState<Rotors>& x) {
   require_finite("PlantState.time [s]", x.time);
   require_finite("PlantState.body.position [m]", body.position);
   require_finite("PlantState.body.velocity [m/s]", body.velocity);
-  require(body.orientation.coeffs().allFinite() && body.orientation.squaredNorm() > 1e-6,
+  require(all_finite(body.orientation.coeffs()) && body.orientation.squaredNorm() > 1e-6,
           "PlantState.body.orientation", body.orientation.coeffs().transpose(),
           "finite and not zero");
   require_finite("PlantState.body.angular_velocity [rad/s]", body.angular_velocity);
@@ -136,8 +136,8 @@ class Plant {
   /// was, if an argument is not finite, dt is out of range, or the body or a wheel would become
   /// faster than max_speed.
   bool step(const ActuatorState<Rotors>& command, const Wrench<>& disturbance, double dt) noexcept {
-    if (!(dt > 0.0 && dt <= max_step) || !command.rotor_speed.allFinite() ||
-        !command.tilt_angle.allFinite() || !is_finite(disturbance))
+    if (!(dt > 0.0 && dt <= max_step) || !all_finite(command.rotor_speed) ||
+        !all_finite(command.tilt_angle) || !is_finite(disturbance))
       return false;
     const PlantState<Rotors> before = state_;
     disturbance_ = disturbance;
@@ -220,11 +220,11 @@ class Plant {
   [[nodiscard]] static bool is_sound(const PlantState<Rotors>& x) noexcept {
     const auto slow = [](const auto& rate) { return rate.squaredNorm() <= max_speed * max_speed; };
     bool sound = std::isfinite(x.time) && is_finite(x.body) && slow(x.body.velocity) &&
-                 slow(x.body.angular_velocity) && x.actuators.rotor_speed.allFinite() &&
-                 x.actuators.tilt_angle.allFinite();
+                 slow(x.body.angular_velocity) && all_finite(x.actuators.rotor_speed) &&
+                 all_finite(x.actuators.tilt_angle);
     for (const WheelState& wheel : x.wheels)
       sound = sound && std::isfinite(wheel.angle) && std::abs(wheel.spin) <= max_speed &&
-              wheel.bristle.allFinite();
+              all_finite(wheel.bristle);
     return sound;
   }
 

@@ -116,7 +116,7 @@ class ImuSensor {
   [[nodiscard]] std::optional<Measurement> sample(double time,
                                                   const Eigen::Vector3d& angular_velocity,
                                                   const Eigen::Vector3d& specific_force) noexcept {
-    if (angular_velocity.allFinite() && specific_force.allFinite() && core_.due(time)) {
+    if (all_finite(angular_velocity) && all_finite(specific_force) && core_.due(time)) {
       const ImuSensorParameters& p = core_.parameters;
       const double root_rate = std::sqrt(p.rate);
       Measurement m;
@@ -217,7 +217,7 @@ class RotorSpeedSensor {
 
   [[nodiscard]] std::optional<Measurement> sample(
       double time, const Eigen::Matrix<double, Rotors, 1>& rotor_speed) noexcept {
-    if (rotor_speed.allFinite() && core_.due(time)) {
+    if (all_finite(rotor_speed) && core_.due(time)) {
       Measurement m;
       m.time = time;
       m.rotor_speed =
