@@ -104,15 +104,17 @@ template <typename Rotation>
   result.bearing_torque = p.bearing_friction * relative_spin;
   result.axle_torque = -result.bearing_torque;
 
-  // All below in the world frame. Below 1e-3 rad from lying flat the lowest point has no sure
-  // direction any more and moves to the centre instead.
+  // All below in the world frame. Within 1e-3 rad of lying flat the lowest point has no sure
+  // direction any more and moves to the centre instead; the depth goes with it, so that the spring
+  // gives back what it was given: its derivative by the axle is the spoke's lever.
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
   const Eigen::Vector3d axle = rotation.col(1);
-  const double upright = std::max(std::hypot(axle.x(), axle.y()), 1e-3);
+  const double sine = std::hypot(axle.x(), axle.y()), upright = std::max(sine, 1e-3);
   const Eigen::Vector3d centre =
       rotation * p.axle_position + (wheel == 0 ? -wheels.half_track : wheels.half_track) * axle;
   const Eigen::Vector3d spoke = (wheels.radius / upright) * (axle.z() * axle - up);
-  const double depth = -(body.position.z() + centre.z() + spoke.z());
+  const double depth =
+      0.5 * wheels.radius * (sine * sine / upright + upright) - body.position.z() - centre.z();
   if (!(depth > 0.0)) return result;
 
   const Eigen::Vector3d spin_rate = rotation * body.angular_velocity;
