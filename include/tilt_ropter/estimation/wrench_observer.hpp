@@ -236,7 +236,7 @@ class WrenchObserver {
     double time = 0.0, block_time = 0.0;  ///< averaged so far, in the block [s]
   };
 
-  /// With automatic differentiation too, unlike all_finite(). NaN is not within.
+  /// NaN is not within.
   static bool within(const Vector3<Scalar>& v, double bound) noexcept {
     using std::abs;
     return abs(v.x()) <= Scalar(bound) && abs(v.y()) <= Scalar(bound) &&
