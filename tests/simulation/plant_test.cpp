@@ -427,6 +427,7 @@ TEST(Plant, RockingOnAFlatWheelNeverGainsEnergy) {
   EXPECT_GT(bounced, 100);
 }
 
+// Nothing takes energy here but the integration: it has to give none either.
 TEST(Plant, ElasticBounceKeepsItsEnergy) {
   PlantParameters p;
   p.contact.dissipation = p.contact.bristle_damping = 0.0;
