@@ -206,9 +206,9 @@ TEST(AnyInput, TimesToAMissionGiveFinitePoints) {
   const Mission mission = hybrid_mission();
   for (int i = 0; i < calls; ++i) {
     const ReferencePoint point = mission(any(1e-5 * (i % 100000) * mission.duration(), 0.5));
-    ASSERT_TRUE(point.position.allFinite() && point.velocity.allFinite() &&
-                point.acceleration.allFinite() && point.angular_velocity.allFinite() &&
-                point.angular_acceleration.allFinite());
+    ASSERT_TRUE(all_finite(point.position) && all_finite(point.velocity) &&
+                all_finite(point.acceleration) && all_finite(point.angular_velocity) &&
+                all_finite(point.angular_acceleration));
     ASSERT_NEAR(point.orientation.norm(), 1.0, 1e-12);
   }
 }

@@ -224,7 +224,7 @@ TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
   const ClockCalibration none = calibrate_clock(still.imu, still.poses);
   EXPECT_NE(none.status, Status::calibrated);
   EXPECT_FALSE(std::isnan(none.deviation));
-  EXPECT_TRUE(none.marker_orientation.coeffs().allFinite());
+  EXPECT_TRUE(all_finite(none.marker_orientation.coeffs()));
   const ClockCalibration c = calibrate_clock(exact.imu, exact.poses);
   EXPECT_EQ(c.status, Status::calibrated);
   EXPECT_NEAR(c.offset, 0.1, 1e-5);

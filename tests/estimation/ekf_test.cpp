@@ -310,7 +310,7 @@ void expect_return_after(double minutes, unsigned seed) {
   Ekf<Scalar> ekf;
   bool finite = true;
   fly(ekf, log, 0.0, Unobserved(),
-      [&] { finite = finite && is_finite(ekf.state()) && ekf.filter().covariance().allFinite(); });
+      [&] { finite = finite && is_finite(ekf.state()) && all_finite(ekf.filter().covariance()); });
   EXPECT_TRUE(finite);
   const Errors e = errors(ekf, flight);
   EXPECT_LT(e.position, 0.005);
@@ -996,13 +996,13 @@ Eigen::Vector3d wild_vector(Random& random, const Eigen::Vector3d& usual) {
 }
 
 template <typename Scalar>
-bool all_finite(const Ekf<Scalar>& ekf) {
+bool is_finite(const Ekf<Scalar>& ekf) {
   const InertialState<Scalar>& x = ekf.filter().state();
   return is_finite(ekf.state()) && std::isfinite(ekf.time()) && std::isfinite(ekf.filter_time()) &&
-         std::isfinite(ekf.nis()) && ekf.filter().covariance().allFinite() &&
-         x.position.allFinite() && x.velocity.allFinite() && x.orientation.coeffs().allFinite() &&
-         x.gyro_bias.allFinite() && x.accelerometer_bias.allFinite() &&
-         x.marker_position.allFinite() && x.marker_orientation.coeffs().allFinite() &&
+         std::isfinite(ekf.nis()) && all_finite(ekf.filter().covariance()) &&
+         all_finite(x.position) && all_finite(x.velocity) && all_finite(x.orientation.coeffs()) &&
+         all_finite(x.gyro_bias) && all_finite(x.accelerometer_bias) &&
+         all_finite(x.marker_position) && all_finite(x.marker_orientation.coeffs()) &&
          std::abs(static_cast<double>(ekf.state().orientation.norm()) - 1.0) < 1e-3;
 }
 
@@ -1032,7 +1032,7 @@ void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
     const InertialSample<> sample = flight.imu(t);
     imu(stamp,
         {wild_vector(random, sample.angular_velocity), wild_vector(random, sample.specific_force)});
-    ASSERT_TRUE(all_finite(ekf)) << "seed " << seed << ", call " << i;
+    ASSERT_TRUE(is_finite(ekf)) << "seed " << seed << ", call " << i;
     MarkerPose<> p = flight.pose(t);
     p.position = wild_vector(random, p.position);
     const double turn = random.uniform(0.0, 1.0);
@@ -1043,14 +1043,14 @@ void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
     else if (turn < 0.3)
       p.orientation = random.orientation();
     pose(choice > 0.97 ? wild(random) : stamp, p);
-    ASSERT_TRUE(all_finite(ekf)) << "seed " << seed << ", call " << i;
+    ASSERT_TRUE(is_finite(ekf)) << "seed " << seed << ", call " << i;
   }
   t = std::max(t, 0.0) + 1.0;
   for (int i = 0; i <= 4000; ++i) {
     t += imu_period;
     imu(t, flight.imu(t));
     if (i % 2 == 0) pose(t, noisy(flight.pose(t), {}, random));
-    ASSERT_TRUE(all_finite(ekf));
+    ASSERT_TRUE(is_finite(ekf));
   }
   const Errors e = errors(ekf, flight);
   EXPECT_TRUE(ekf.running()) << seed;
@@ -1086,7 +1086,7 @@ void expect_finite_at_the_ends(unsigned ends) {
     ekf.on_imu(t, {sample.angular_velocity.cast<Scalar>(), sample.specific_force.cast<Scalar>()});
     const MarkerPose<> pose = noisy(flight.pose(t), {}, random);
     if (i % 2 == 0) ekf.on_pose(t, {pose.position.cast<Scalar>(), pose.orientation.cast<Scalar>()});
-    ASSERT_TRUE(all_finite(ekf)) << i;
+    ASSERT_TRUE(is_finite(ekf)) << i;
   }
 }
 

@@ -629,7 +629,7 @@ TEST(WrenchObserver, AnyNumbersAreSurvived) {
       ASSERT_EQ(distance(observer.filtered(), before), 0.0);
       ASSERT_EQ(distance(observer.external(), shown), 0.0);
     }
-    if (!std::isfinite(time) || !a.allFinite() || !w.allFinite() || !is_finite(applied)) {
+    if (!std::isfinite(time) || !all_finite(a) || !all_finite(w) || !is_finite(applied)) {
       ASSERT_EQ(status, ObserverStatus::rejected);
     }
     ASSERT_NO_FATAL_FAILURE(expect_finite());

@@ -38,7 +38,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   for (int tick = 0; tick < 20 && !input.empty(); ++tick) {
     const Wrench<> wanted = input.wrench(40.0, 4.0), rate = input.wrench(40.0, 4.0);
     const bool bad =
-        !is_finite(wanted) || !last.rotor_speed.allFinite() || !last.tilt_angle.allFinite();
+        !is_finite(wanted) || !all_finite(last.rotor_speed) || !all_finite(last.tilt_angle);
     const auto result = allocation.allocate(wanted, rate, last);
     fuzz::expect((result.status == AllocationStatus::rejected) == bad, "the status is honest");
     fuzz::expect(is_finite(result.achieved) && is_finite(result.lost), "wrenches are finite");

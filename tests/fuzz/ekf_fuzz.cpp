@@ -31,10 +31,10 @@ void expect_sound(const Ekf<>& ekf) {
                "state and times are finite");
   fuzz::expect(std::abs(ekf.state().orientation.norm() - 1.0) < 1e-3,
                "the orientation is of unit length");
-  fuzz::expect(x.gyro_bias.allFinite() && x.accelerometer_bias.allFinite() &&
-                   x.marker_position.allFinite() && x.marker_orientation.coeffs().allFinite(),
+  fuzz::expect(all_finite(x.gyro_bias) && all_finite(x.accelerometer_bias) &&
+                   all_finite(x.marker_position) && all_finite(x.marker_orientation.coeffs()),
                "biases and marker frame are finite");
-  fuzz::expect(ekf.filter().covariance().allFinite(), "the covariance is finite");
+  fuzz::expect(all_finite(ekf.filter().covariance()), "the covariance is finite");
 }
 
 }  // namespace
@@ -53,12 +53,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
       const InertialSample<> sample{input.vector(10.0), input.vector(30.0)};
       const EkfStatus status = ekf->on_imu(stamp, sample);
       fuzz::expect(status == EkfStatus::rejected ||
-                       (std::isfinite(stamp) && sample.specific_force.allFinite()),
+                       (std::isfinite(stamp) && all_finite(sample.specific_force)),
                    "what is not finite is rejected");
     } else {
       const Eigen::Vector3d position = input.vector(2.0);
       const EkfStatus status = ekf->on_pose(stamp, {position, input.orientation()});
-      fuzz::expect(status == EkfStatus::rejected || position.allFinite(),
+      fuzz::expect(status == EkfStatus::rejected || all_finite(position),
                    "what is not finite is rejected");
     }
     expect_sound(*ekf);

@@ -17,8 +17,8 @@ void expect_finite(const Reference& reference) {
   fuzz::expect(duration > 0.0 && std::isfinite(duration), "it lasts for some time");
   for (const double share : {-1.0, 0.0, 1e-9, 0.1, 0.37, 0.5, 0.77, 0.999, 1.0, 2.0}) {
     const ReferencePoint p = reference(start + share * duration);
-    fuzz::expect(p.position.allFinite() && p.velocity.allFinite() && p.acceleration.allFinite() &&
-                     p.angular_velocity.allFinite() && p.angular_acceleration.allFinite() &&
+    fuzz::expect(all_finite(p.position) && all_finite(p.velocity) && all_finite(p.acceleration) &&
+                     all_finite(p.angular_velocity) && all_finite(p.angular_acceleration) &&
                      std::abs(p.orientation.norm() - 1.0) < 1e-9,
                  "the reference is finite");
   }

@@ -50,7 +50,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                                                   observer->filtered().torque == before.torque),
             "a sample that is not used changes nothing");
         fuzz::expect(status == ObserverStatus::rejected ||
-                         (std::isfinite(time) && force.allFinite() && is_finite(applied)),
+                         (std::isfinite(time) && all_finite(force) && is_finite(applied)),
                      "what is not finite is rejected");
       }
     }

@@ -142,7 +142,7 @@ TEST(OutputScaling, RandomCommandsStayInRangeAndBadOnesAreRefused) {
       outputs.servo(k) = number();
     }
     const auto out = scaling.outputs(command);
-    EXPECT_EQ(out.has_value(), command.rotor_speed.allFinite() && command.tilt_angle.allFinite());
+    EXPECT_EQ(out.has_value(), all_finite(command.rotor_speed) && all_finite(command.tilt_angle));
     if (out) {
       EXPECT_TRUE((out->motor.array() >= 0.0).all() && (out->motor.array() <= 1.0).all());
       EXPECT_TRUE((out->servo.array().abs() <= 1.0).all());
@@ -150,9 +150,9 @@ TEST(OutputScaling, RandomCommandsStayInRangeAndBadOnesAreRefused) {
       ++refused;
     }
     const auto back = scaling.command(outputs);
-    EXPECT_EQ(back.has_value(), outputs.servo.allFinite());
+    EXPECT_EQ(back.has_value(), all_finite(outputs.servo));
     if (!back) continue;
-    EXPECT_TRUE(back->rotor_speed.allFinite());
+    EXPECT_TRUE(all_finite(back->rotor_speed));
     EXPECT_GE(back->rotor_speed.minCoeff(), 0.0);
     EXPECT_GE(back->tilt_angle.minCoeff(), -1.0);
     EXPECT_LE(back->tilt_angle.maxCoeff(), 2.0);

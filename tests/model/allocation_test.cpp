@@ -171,7 +171,7 @@ TEST(Allocation, FloatReachesFloatPrecision) {
       ASSERT_LT(result.lost.force.norm(), 2e-3F);
       ASSERT_LT(result.lost.torque.norm(), 2e-3F);
     }
-    ASSERT_TRUE(result.command.rotor_speed.allFinite() && result.command.tilt_angle.allFinite());
+    ASSERT_TRUE(all_finite(result.command.rotor_speed) && all_finite(result.command.tilt_angle));
     last = result.command;
   }
 }
@@ -591,7 +591,7 @@ TEST(Allocation, RatesAreFiniteAtZeroThrustAndZeroForNonsense) {
     Wrench<> wrench;
     wrench.force.setConstant(bad);
     EXPECT_EQ(allocation.rates(wrench, wrench).tilt_rate.norm(), 0.0);
-    EXPECT_TRUE(allocation.rates(wrench, rate).rotor_acceleration.allFinite());
+    EXPECT_TRUE(all_finite(allocation.rates(wrench, rate).rotor_acceleration));
   }
 }
 
@@ -704,9 +704,9 @@ TEST(Allocation, AnyInputGivesAFiniteCommandWithinLimits) {
         const auto result = allocation.allocate(wanted, last);
         expect_within_limits(vehicle, result.command);
         ASSERT_TRUE(is_finite(result.achieved) && is_finite(result.lost));
-        ASSERT_TRUE(allocation.rates(wanted, wanted).tilt_rate.allFinite());
+        ASSERT_TRUE(all_finite(allocation.rates(wanted, wanted).tilt_rate));
         const bool finite =
-            is_finite(wanted) && last.rotor_speed.allFinite() && last.tilt_angle.allFinite();
+            is_finite(wanted) && all_finite(last.rotor_speed) && all_finite(last.tilt_angle);
         ASSERT_EQ(result.status == Status::rejected, !finite);
       }
     }

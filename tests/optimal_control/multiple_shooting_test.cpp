@@ -38,8 +38,8 @@ constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 template <typename AnySolver>
 bool plan_is_finite(const AnySolver& solver) {
   for (int k = 0; k <= solver.horizon(); ++k)
-    if (!solver.problem().difference(solver.state(k), solver.state(0)).allFinite() ||
-        !solver.input(k).allFinite())
+    if (!all_finite(solver.problem().difference(solver.state(k), solver.state(0))) ||
+        !all_finite(solver.input(k)))
       return false;
   return true;
 }

@@ -101,7 +101,7 @@ TEST(SolverRecovery, FailureForRowsThatAreNotNumbersKeepsTheIterateBefore) {
   solver.solve(rest);
   for (int k = 0; k <= 7; ++k) {
     const auto rows = solver.problem().row_values(k, solver.state(k), solver.input(k));
-    EXPECT_TRUE(rows.allFinite()) << "node " << k;
+    EXPECT_TRUE(all_finite(rows)) << "node " << k;
   }
 }
 

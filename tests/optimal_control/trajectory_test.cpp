@@ -143,8 +143,8 @@ TEST(Trajectory, FarBeyondTheHorizonIsFinite) {
     }
     t.shift(problem, intervals);
     for (int k = 0; k <= n; ++k) {
-      EXPECT_TRUE(difference(t.x(k), State<>{}).allFinite()) << intervals;
-      EXPECT_TRUE(t.u(k).allFinite()) << intervals;
+      EXPECT_TRUE(all_finite(difference(t.x(k), State<>{}))) << intervals;
+      EXPECT_TRUE(all_finite(t.u(k))) << intervals;
     }
   }
 }

@@ -691,8 +691,8 @@ TEST(Plant, RefusesBadInputAndGoesOnWithGood) {
       ++refused;
       EXPECT_TRUE(same(plant.state(), before));
     }
-    ASSERT_TRUE(is_finite(plant.body()) && plant.state().actuators.rotor_speed.allFinite());
-    ASSERT_TRUE(is_finite(plant.external_wrench()) && plant.specific_force().allFinite());
+    ASSERT_TRUE(is_finite(plant.body()) && all_finite(plant.state().actuators.rotor_speed));
+    ASSERT_TRUE(is_finite(plant.external_wrench()) && all_finite(plant.specific_force()));
     if (n % 10 == 0) plant.reset(Plant<4>(vehicle).state());
   }
   EXPECT_GT(refused, 8000);

@@ -160,7 +160,7 @@ TEST(WheelContact, StaysFiniteWhenTheWheelLiesFlat) {
         c.wheel.spin = 5.0;
         const WheelForces f = contact(p, c);
         EXPECT_TRUE(is_finite(f.ground));
-        EXPECT_TRUE(std::isfinite(f.axle_torque) && f.slip.allFinite());
+        EXPECT_TRUE(std::isfinite(f.axle_torque) && all_finite(f.slip));
         EXPECT_LT(f.ground.force.norm(), 1e5);
       }
 }

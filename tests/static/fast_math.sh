@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
 # fast_math.sh INCLUDE_DIR COMPILER EIGEN_DIR
 # Every header that asks whether a number is finite refuses -ffast-math by a sentence, and takes it
-# with -fno-finite-math-only. None asks Eigen, whose answer that flag does not save.
+# with -fno-finite-math-only. None asks Eigen, whose answer that flag does not save, and no test.
 set -euo pipefail
 
+tests=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 compile=("$2" -std=c++17 -ffast-math -I "$1" -isystem "$3" -x c++)
 cd "$1"
 headers=$(grep -rlE 'isfinite|is_finite|all_finite' --include='*.hpp' tilt_ropter)
 test "$(wc -l <<< "$headers")" -gt 10
-if grep -rnE 'allFinite\(\)|hasNaN\(\)' --include='*.hpp' tilt_ropter | grep -v '///'; then
+if grep -rnE 'allFinite\(\)|hasNaN\(\)' --include='*.[ch]pp' tilt_ropter "$tests" | grep -v '///'; then
   echo "all_finite() of math/finite.hpp is the way to ask"
   exit 1
 fi
