@@ -4,6 +4,7 @@
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/double_integrator.hpp"
+#include "support/patient.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -23,6 +24,7 @@ using test_support::air_plant;
 using test_support::air_position;
 using test_support::air_problem;
 using test_support::air_start;
+using test_support::patient;
 using test_support::Random;
 using test_support::set_air_reference;
 using test_support::step_problem;
@@ -54,7 +56,7 @@ std::set<std::pair<int, int>> rows_given_up(const AnySolver& solver) {
 }
 
 TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   const SolveReport report = solver.solve(step_start());
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -65,7 +67,7 @@ TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
 }
 
 TEST(MultipleShooting, ReachesTheKnownOptimumOfAirAtTickZero) {
-  Solver solver(air_problem());
+  Solver solver(air_problem(), patient());
   set_air_reference(solver.problem(), 0.0);
   solver.reset(air_start());
   const SolveReport report = solver.solve(air_start());
@@ -75,7 +77,7 @@ TEST(MultipleShooting, ReachesTheKnownOptimumOfAirAtTickZero) {
 }
 
 TEST(MultipleShooting, RealTimeIterationTracksAirLikeTheReferenceSolvers) {
-  Solver solver(air_problem());
+  Solver solver(air_problem(), patient());
   set_air_reference(solver.problem(), 0.0);
   State<> x = air_start();
   solver.reset(x);
@@ -94,7 +96,7 @@ TEST(MultipleShooting, RealTimeIterationTracksAirLikeTheReferenceSolvers) {
 TEST(MultipleShooting, ReportAgreesWithAnIndependentAudit) {
   Random random(11);
   for (int i = 0; i < 30; ++i) {
-    Solver solver(step_problem());
+    Solver solver(step_problem(), patient());
     State<> x = step_start();
     x.body.position = Eigen::Vector3d(0, 0, 1.5) + random.vector(1.0);
     x.body.velocity = random.vector(0.8);
@@ -114,7 +116,7 @@ TEST(MultipleShooting, ReportAgreesWithAnIndependentAudit) {
 
 TEST(MultipleShooting, OptimumCannotBeImprovedByFeasibleChanges) {
   // Multipliers or not: no feasible input sequence near the optimum costs less.
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   const SolveReport report = solver.solve(step_start());
   const WheeledFlightProblem<>& problem = solver.problem();
@@ -152,7 +154,7 @@ TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
     settings.row_penalty = row_penalty;
     WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
     for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);
-    Solver solver(problem);
+    Solver solver(problem, patient());
     solver.reset(step_start());
     EXPECT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
     double largest = 0.0;
@@ -166,7 +168,7 @@ TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
 }
 
 TEST(MultipleShooting, NonFiniteStartIsRejectedAndChangesNothing) {
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
   const auto plan = solver.input(0);
@@ -182,7 +184,7 @@ TEST(MultipleShooting, NonFiniteStartIsRejectedAndChangesNothing) {
 }
 
 TEST(MultipleShooting, NonFiniteProblemFailsAndKeepsThePlan) {
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
   const auto plan = solver.input(0);
@@ -193,13 +195,13 @@ TEST(MultipleShooting, NonFiniteProblemFailsAndKeepsThePlan) {
 }
 
 TEST(MultipleShooting, FeedbackWithoutPrepareFails) {
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   EXPECT_EQ(solver.feedback(step_start()).status, SolveStatus::failed);
 }
 
 TEST(MultipleShooting, LimitsOnIterationsAndTimeAreKept) {
-  SolverSettings settings;
+  SolverSettings settings = patient();
   settings.max_iterations = 2;
   Solver few(step_problem(), settings);
   few.reset(step_start());
@@ -214,9 +216,9 @@ TEST(MultipleShooting, LimitsOnIterationsAndTimeAreKept) {
 }
 
 TEST(MultipleShooting, ToleranceDecidesWhenItStops) {
-  SolverSettings loose;
+  SolverSettings loose = patient();
   loose.tolerance = 1.0;
-  Solver early(step_problem(), loose), late(step_problem());
+  Solver early(step_problem(), loose), late(step_problem(), patient());
   early.reset(step_start());
   late.reset(step_start());
   EXPECT_LT(early.solve(step_start()).iterations, late.solve(step_start()).iterations);
@@ -225,7 +227,7 @@ TEST(MultipleShooting, ToleranceDecidesWhenItStops) {
 
 TEST(MultipleShooting, MultipliersMeetTheGroundConditionsCloserThanWeights) {
   const auto largest_error = [](bool update_multipliers) {
-    SolverSettings settings;
+    SolverSettings settings = patient();
     settings.update_multipliers = update_multipliers;
     settings.max_iterations = 25;
     settings.tolerance = 1e-9;
@@ -326,7 +328,7 @@ TEST(MultipleShooting, InfeasibleStartGivesUpTheRowsThatItMust) {
   State<> x;
   x.body.position << 0.0, 0.0, 1.5;
   x.wrench.force << 9.0, 0.0, 14.7;  // the box ends at 6, and F_x falls by 2 an interval
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(x);
   SolveReport report = solver.solve(x);
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -356,9 +358,8 @@ TEST(MultipleShooting, RowsThatFindNoRoomAreCounted) {
     WheeledFlightSettings flight;
     flight.intervals = intervals;
     flight.bounds = paper_bounds();
-    SolverSettings settings;
+    SolverSettings settings = patient();
     settings.max_iterations = 4;
-    settings.max_time = 60.0;
     settings.program.max_active_rows = max_active_rows;
     Solver solver(WheeledFlightProblem<>(test_support::benchmark_body(), {}, flight), settings);
     set_air_reference(solver.problem(), 0.0);
@@ -383,9 +384,9 @@ TEST(MultipleShooting, MemorySavesIterationsAndDoesNotChangeTheOptimum) {
     x.body.velocity = random.vector(1.0);
     x.body.orientation = quaternion_exp(random.vector(0.6));
     x.body.angular_velocity = random.vector(1.0);
-    SolverSettings settings;
+    SolverSettings settings = patient();
     settings.memory = 0;
-    Solver forgetful(step_problem(), settings), learning(step_problem());
+    Solver forgetful(step_problem(), settings), learning(step_problem(), patient());
     forgetful.reset(x);
     learning.reset(x);
     ASSERT_EQ(forgetful.solve(x).status, SolveStatus::converged) << "start " << i;
@@ -432,7 +433,7 @@ TEST(MultipleShooting, NonFiniteNumbersOnTheWayEndInAFinitePlanThatIsNotCalledCo
   for (const auto unknown : {Fenced::Unknown::step, Fenced::Unknown::cost, Fenced::Unknown::rows})
     for (const double fence : {0.5, 2.0, 100.0})
       for (const int memory : {0, 16}) {
-        SolverSettings settings;
+        SolverSettings settings = patient();
         settings.memory = memory;
         MultipleShooting<Fenced> solver(Fenced(unknown, fence), settings);
         solver.reset(rest);
@@ -480,9 +481,8 @@ void expect_better_than_the_guess(int max_iterations) {
   Random random(132);
   for (int i = 0; i < 60; ++i) {
     const State<> x = wild_start(random);
-    SolverSettings settings;
+    SolverSettings settings = patient();
     settings.max_iterations = max_iterations;
-    settings.max_time = 60.0;
     Solver solver(step_problem(), settings);
     solver.reset(x);
     const double before = penalised_cost(solver, 1e4);

@@ -5,6 +5,7 @@
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/double_integrator.hpp"
+#include "support/patient.hpp"
 #include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
 #include "support/unicycle.hpp"
@@ -23,6 +24,7 @@ namespace {
 
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
+using test_support::patient;
 using test_support::Pendulum;
 using test_support::Quadrotor;
 using test_support::Unicycle;
@@ -54,7 +56,7 @@ FullSpace<Problem> expect_same_optimum(const Problem& problem, const typename Pr
        {DualAlgorithm::truncated_newton, DualAlgorithm::lbfgs, DualAlgorithm::variable_metric,
         DualAlgorithm::ccsa, DualAlgorithm::slsqp}) {
     SCOPED_TRACE("algorithm " + std::to_string(static_cast<int>(algorithm)));
-    SolverSettings settings;
+    SolverSettings settings = patient();
     settings.max_iterations = 200;
     settings.tolerance = tolerance;
     settings.program.sigma = 1e12;  // rows as hard as the oracle's
@@ -252,13 +254,6 @@ TEST(Problems, ContradictoryRowsAreWeighedByTheirPenalties) {
     EXPECT_NEAR(solver.row_multipliers(k)(0), -4.5, 1e-6);
     EXPECT_DOUBLE_EQ(solver.row_multipliers(k)(1), 3.0);
   }
-}
-
-// For a build with sanitizers or coverage, too, where a second is not enough.
-SolverSettings patient() {
-  SolverSettings settings;
-  settings.max_time = 600.0;
-  return settings;
 }
 
 TEST(Problems, PendulumSwingsUpWithAThirdOfTheTorqueItWouldTake) {

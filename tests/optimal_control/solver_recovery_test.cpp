@@ -3,6 +3,7 @@
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/double_integrator.hpp"
+#include "support/patient.hpp"
 
 #include <gtest/gtest.h>
 
@@ -17,6 +18,7 @@ using test_support::air_problem;
 using test_support::air_start;
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
+using test_support::patient;
 using test_support::set_air_reference;
 using test_support::step_problem;
 using test_support::step_start;
@@ -27,7 +29,7 @@ constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
 // A multiplier moves to a row without a bound: the measured state's.
 TEST(SolverRecovery, ClosedLoopWithAShiftByAWholeIntervalGoesOn) {
-  Solver solver(air_problem());
+  Solver solver(air_problem(), patient());
   State<> x = air_start();
   set_air_reference(solver.problem(), 0.0);
   solver.reset(x);
@@ -106,7 +108,7 @@ TEST(SolverRecovery, FailureForRowsThatAreNotNumbersKeepsTheIterateBefore) {
 }
 
 TEST(SolverRecovery, APlanShiftedThroughANonFiniteProblemIsGoodAgainAfterwards) {
-  Solver solver(step_problem());
+  Solver solver(step_problem(), patient());
   solver.reset(step_start());
   ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
   auto& external = solver.problem().node(solver.horizon() - 1).external.force.x();
@@ -117,7 +119,7 @@ TEST(SolverRecovery, APlanShiftedThroughANonFiniteProblemIsGoodAgainAfterwards) 
 }
 
 TEST(SolverRecovery, OneRoundOfTheWorkingSetKeepsToSomeRows) {
-  SolverSettings settings;
+  SolverSettings settings = patient();
   settings.program.max_rounds = 1;
   settings.max_iterations = 30;
   Solver solver(step_problem(), settings);

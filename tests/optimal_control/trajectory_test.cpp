@@ -3,6 +3,7 @@
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include "support/benchmark_problem.hpp"
+#include "support/patient.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
@@ -19,6 +20,7 @@ namespace {
 
 using test_support::air_problem;
 using test_support::air_start;
+using test_support::patient;
 using test_support::Quadrotor;
 using test_support::Random;
 using test_support::set_air_reference;
@@ -183,7 +185,7 @@ void solve_air(Solver& solver) {
 }
 
 TEST(ShiftOfASolver, NothingHappensUnlessTimePasses) {
-  Solver solver(air_problem());
+  Solver solver(air_problem(), patient());
   solve_air(solver);
   ASSERT_TRUE(solver.prepare());
   const Plan before(solver);
@@ -195,7 +197,7 @@ TEST(ShiftOfASolver, NothingHappensUnlessTimePasses) {
 }
 
 TEST(ShiftOfASolver, MovesThePlanAndTheMultipliersToTheNearestNodes) {
-  Solver solver(air_problem());
+  Solver solver(air_problem(), patient());
   solve_air(solver);
   const Plan before(solver);
   const int n = solver.horizon();
@@ -222,7 +224,7 @@ TEST(ShiftOfASolver, MakesThePlanFitAReferenceThatMoves) {
   };
   const auto fly = [](bool shifts) {
     constexpr double tick = 0.02;
-    Solver solver(air_problem());
+    Solver solver(air_problem(), patient());
     solve_air(solver);
     State<> x = air_start();
     Sum sum;
