@@ -21,16 +21,16 @@ benchmarks, is built by GCC.
                build-fuzz/ and run each of them for so long, one a processor; fails if one finds
                something. About 5 minutes to build
   --sanitize   the tests under ASan and UBSan in build-sanitize/, the program that has threads under
-               TSan in build-sanitize-threads/, some tests of the plain build under valgrind. About
-               an hour
+               TSan in build-sanitize-threads/, some tests of the plain build under valgrind. Three
+               quarters of an hour
   --coverage   the tests, with a table of the lines of include/ that they reach and the lines
                themselves as HTML in build-coverage/report/; fails under 95 %. Three quarters of an
                hour
   --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
                target. A quarter of an hour
   --variants   the library's tests, compiled in other ways into build-variants/: for this processor,
-               with -ffast-math, with clang's libc++, not optimised. Takes long:
-               a test of one second takes over a minute where nothing is optimised
+               with -ffast-math, with clang's libc++, not optimised. One and a half hours, five
+               minutes for each but the last
   --docs       instead of the tests, the reference as HTML in build-docs/html/, by Doxygen from the
                headers' comments; fails where a comment names what is not there. Seconds
   --help       this text
