@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -68,7 +69,9 @@ class RigidBody {
   [[nodiscard]] State<Scalar> step(const State<Scalar>& x, const WrenchRate& u,
                                    const Wrench<Scalar>& external, Scalar dt,
                                    const Freedom<Scalar>& freedom = {}) const {
-    return integrate<false>(x, u, external, dt, freedom, nullptr, nullptr);
+    State<Scalar> next;
+    integrate<false>(x, u, external, dt, freedom, next, nullptr, nullptr);
+    return next;
   }
 
   /// The same step and its exact derivative in tangent coordinates (dF, dM, dp, dv, dtheta, dw):
@@ -77,186 +80,181 @@ class RigidBody {
                                    const Wrench<Scalar>& external, Scalar dt,
                                    const Freedom<Scalar>& freedom, StateJacobian& A,
                                    InputJacobian& B) const {
-    return integrate<true>(x, u, external, dt, freedom, &A, &B);
-  }
-
- private:
-  // The attitude equation is linear in q from the left, so every stage of the Runge-Kutta step is
-  // q (x) c with c starting at identity and driven by w alone. That leaves a chain
-  // (M, dM, w) -> w stages -> c stages -> force stages -> (v, p), and makes the derivative with
-  // respect to the initial attitude the cross product with the integrated impulse. Flattened,
-  // because a compiler that leaves these small products as calls takes twice as long.
-  template <bool WithSensitivity>
-  [[gnu::flatten]] State<Scalar> integrate(const State<Scalar>& x, const WrenchRate& u,
-                                           const Wrench<Scalar>& external, Scalar dt,
-                                           const Freedom<Scalar>& freedom,
-                                           StateJacobian* state_jacobian,
-                                           InputJacobian* input_jacobian) const {
-    using Vector4 = Eigen::Matrix<Scalar, 4, 1>;  // quaternions as (w, x, y, z) here
-    // Derivatives with respect to (M, dM, w), one column per component. Three rows more than the
-    // nine needed let the compiler use whole registers.
-    using Chain3 = Eigen::Matrix<Scalar, 12, 3>;
-    using Chain4 = Eigen::Matrix<Scalar, 12, 4>;
-    const Scalar node[4] = {Scalar(0), dt / Scalar(2), dt / Scalar(2), dt};
-    const Scalar velocity_weight[4] = {dt / Scalar(6), dt / Scalar(3), dt / Scalar(3),
-                                       dt / Scalar(6)};
-    const Scalar position_weight = dt * dt / Scalar(6);  // of the first three stages
-
-    const Matrix3<Scalar> rotation = x.body.orientation.toRotationMatrix();
-    const Matrix3<Scalar> held_inverse_inertia = freedom.angular.asDiagonal() * inverse_inertia_;
-
-    Vector3<Scalar> w = x.body.angular_velocity, w_rate = Vector3<Scalar>::Zero();
-    Vector4 c(Scalar(1), Scalar(0), Scalar(0), Scalar(0)), c_rate = Vector4::Zero();
-    Vector3<Scalar> w_sum = Vector3<Scalar>::Zero();
-    Vector4 c_sum = Vector4::Zero();
-    Vector3<Scalar> velocity_impulse = Vector3<Scalar>::Zero();  // in the initial body frame [N s]
-    Vector3<Scalar> position_impulse = Vector3<Scalar>::Zero();  // [N s^2]
-
-    Chain3 dw, dw_rate = Chain3::Zero(), dw_sum = Chain3::Zero();
-    Chain4 dc, dc_rate = Chain4::Zero(), dc_sum = Chain4::Zero();
-    Chain3 velocity_chain = Chain3::Zero(), position_chain = Chain3::Zero();
-    Matrix3<Scalar> velocity_by_force = Matrix3<Scalar>::Zero(),
-                    velocity_by_rate = Matrix3<Scalar>::Zero(),
-                    position_by_force = Matrix3<Scalar>::Zero(),
-                    position_by_rate = Matrix3<Scalar>::Zero();
-
-    Chain3 initial_dw = Chain3::Zero(), by_torque = Chain3::Zero(), by_torque_rate = Chain3::Zero();
-    if constexpr (WithSensitivity) {
-      initial_dw.template middleRows<3>(6).setIdentity();
-      by_torque.template topRows<3>() = held_inverse_inertia.transpose();
-      by_torque_rate.template middleRows<3>(3) = held_inverse_inertia.transpose();
-    }
-
-    for (int stage = 0; stage < 4; ++stage) {
-      const Scalar t = node[stage];
-      const Scalar weight = velocity_weight[stage];
-      if (stage > 0) {
-        w = x.body.angular_velocity + t * w_rate;
-        c = t * c_rate;
-        c(0) += Scalar(1);
-      }
-      const Vector3<Scalar> momentum = inertia_ * w;
-      const Vector3<Scalar> torque = x.wrench.torque + t * u.template tail<3>() + external.torque;
-      w_rate = held_inverse_inertia * (torque - w.cross(momentum));
-      const Vector3<Scalar> v = c.template tail<3>();
-      c_rate(0) = -v.dot(w) / Scalar(2);
-      c_rate.template tail<3>() = (c(0) * w + v.cross(w)) / Scalar(2);
-      const Vector3<Scalar> f = x.wrench.force + t * u.template head<3>() + external.force;
-      const Vector3<Scalar> turned =
-          (c(0) * c(0) - v.squaredNorm()) * f + Scalar(2) * (v.dot(f) * v + c(0) * v.cross(f));
-      w_sum += weight * w_rate;
-      c_sum += weight * c_rate;
-      velocity_impulse += weight * turned;
-      if (stage < 3) position_impulse += position_weight * turned;
-
-      if constexpr (WithSensitivity) {
-        dw = t * dw_rate + initial_dw;
-        dc = t * dc_rate;
-        const Matrix3<Scalar> gyroscopic =
-            held_inverse_inertia * (skew(momentum) - skew(w) * inertia_);
-        turn_columns(dw, gyroscopic, dw_rate);
-        dw_rate += by_torque + t * by_torque_rate;
-
-        // d(c (x) w) / 2: the real part, then the vector part.
-        const Vector3<Scalar> hw = w / Scalar(2), hv = v / Scalar(2);
-        const Scalar hc = c(0) / Scalar(2);
-        dc_rate.col(0) = -(dc.col(1) * hw.x() + dc.col(2) * hw.y() + dc.col(3) * hw.z()) -
-                         (dw.col(0) * hv.x() + dw.col(1) * hv.y() + dw.col(2) * hv.z());
-        dc_rate.col(1) = dc.col(0) * hw.x() + dc.col(2) * hw.z() - dc.col(3) * hw.y() +
-                         dw.col(0) * hc + dw.col(2) * hv.y() - dw.col(1) * hv.z();
-        dc_rate.col(2) = dc.col(0) * hw.y() + dc.col(3) * hw.x() - dc.col(1) * hw.z() +
-                         dw.col(1) * hc + dw.col(0) * hv.z() - dw.col(2) * hv.x();
-        dc_rate.col(3) = dc.col(0) * hw.z() + dc.col(1) * hw.y() - dc.col(2) * hw.x() +
-                         dw.col(2) * hc + dw.col(1) * hv.x() - dw.col(0) * hv.y();
-        dw_sum += weight * dw_rate;
-        dc_sum += weight * dc_rate;
-
-        const Vector3<Scalar> by_real = Scalar(2) * (c(0) * f + v.cross(f));
-        Matrix3<Scalar> by_vector =
-            Scalar(2) * (v * f.transpose() - f * v.transpose() - c(0) * skew(f));
-        by_vector.diagonal().array() += Scalar(2) * v.dot(f);
-        for (int i = 0; i < 3; ++i) {
-          const auto dturned = dc.col(0) * by_real(i) + dc.col(1) * by_vector(i, 0) +
-                               dc.col(2) * by_vector(i, 1) + dc.col(3) * by_vector(i, 2);
-          velocity_chain.col(i) += weight * dturned;
-          if (stage < 3) position_chain.col(i) += position_weight * dturned;
-        }
-
-        Matrix3<Scalar> stage_rotation = Scalar(2) * (v * v.transpose() + c(0) * skew(v));
-        stage_rotation.diagonal().array() += c(0) * c(0) - v.squaredNorm();
-        velocity_by_force += weight * stage_rotation;
-        velocity_by_rate += (weight * t) * stage_rotation;
-        if (stage < 3) {
-          position_by_force += position_weight * stage_rotation;
-          position_by_rate += (position_weight * t) * stage_rotation;
-        }
-      }
-    }
-
-    c = c_sum;
-    c(0) += Scalar(1);
-    using std::sqrt;
-    const Scalar norm = sqrt(c.squaredNorm());
-    c /= norm;
-    const Eigen::Quaternion<Scalar> turn(c(0), c(1), c(2), c(3));
-    const Vector3<Scalar> down(Scalar(0), Scalar(0), Scalar(-gravity));
-
     State<Scalar> next;
-    next.wrench.force = x.wrench.force + dt * u.template head<3>();
-    next.wrench.torque = x.wrench.torque + dt * u.template tail<3>();
-    next.body.position = x.body.position + dt * x.body.velocity +
-                         freedom.linear.cwiseProduct(rotation * position_impulse / mass_ +
-                                                     (dt * dt / Scalar(2)) * down);
-    next.body.velocity = x.body.velocity + freedom.linear.cwiseProduct(
-                                               rotation * velocity_impulse / mass_ + dt * down);
-    next.body.orientation = (x.body.orientation * turn).normalized();
-    next.body.angular_velocity = x.body.angular_velocity + w_sum;
-
-    if constexpr (WithSensitivity) {
-      StateJacobian& A = *state_jacobian;
-      InputJacobian& B = *input_jacobian;
-      const Matrix3<Scalar> to_world = freedom.linear.asDiagonal() * rotation / mass_;
-      A.setIdentity();
-      B.setZero();
-      B.template topRows<6>().diagonal().setConstant(dt);
-      A.template block<3, 3>(6, 9).diagonal().setConstant(dt);
-
-      A.template block<3, 3>(6, 0).noalias() = to_world * position_by_force;
-      A.template block<3, 3>(9, 0).noalias() = to_world * velocity_by_force;
-      B.template block<3, 3>(6, 0).noalias() = to_world * position_by_rate;
-      B.template block<3, 3>(9, 0).noalias() = to_world * velocity_by_rate;
-      A.template block<3, 3>(6, 12).noalias() = -to_world * skew(position_impulse);
-      A.template block<3, 3>(9, 12).noalias() = -to_world * skew(velocity_impulse);
-      A.template block<3, 3>(12, 12) = turn.toRotationMatrix().transpose();
-
-      Matrix3<Scalar> to_angle = -skew(c.template tail<3>());
-      to_angle.diagonal().array() += c(0);
-      Chain3 angle_chain, turned_chain;
-      turn_columns(dc_sum.template rightCols<3>(), to_angle, angle_chain);
-      for (int i = 0; i < 3; ++i)
-        angle_chain.col(i) = (Scalar(2) / norm) * (angle_chain.col(i) - c(1 + i) * dc_sum.col(0));
-      dw_sum += initial_dw;
-      const auto scatter = [&](int row, const Chain3& chain) {
-        A.template block<3, 3>(row, 3) = chain.template topRows<3>().transpose();
-        B.template block<3, 3>(row, 3) = chain.template middleRows<3>(3).transpose();
-        A.template block<3, 3>(row, 15) = chain.template middleRows<3>(6).transpose();
-      };
-      turn_columns(position_chain, to_world, turned_chain);
-      scatter(6, turned_chain);
-      turn_columns(velocity_chain, to_world, turned_chain);
-      scatter(9, turned_chain);
-      scatter(12, angle_chain);
-      scatter(15, dw_sum);
-    }
+    integrate<true>(x, u, external, dt, freedom, next, &A, &B);
     return next;
   }
 
-  // out = chain turn', column by column.
-  template <typename Chain, typename Result>
-  static void turn_columns(const Chain& chain, const Matrix3<Scalar>& turn, Result& out) {
-    for (int i = 0; i < 3; ++i)
-      out.col(i) =
-          chain.col(0) * turn(i, 0) + chain.col(1) * turn(i, 1) + chain.col(2) * turn(i, 2);
+  /// The same into `next`, as a part of the caller's own code.
+  [[gnu::always_inline]] inline void step_inline(const State<Scalar>& x, const WrenchRate& u,
+                                                 const Wrench<Scalar>& external, const Scalar& dt,
+                                                 const Freedom<Scalar>& freedom,
+                                                 State<Scalar>& next, StateJacobian& A,
+                                                 InputJacobian& B) const {
+    integrate<true>(x, u, external, dt, freedom, next, &A, &B);
+  }
+
+ private:
+  using Triple = detail::Triple<Scalar>;
+  using Square = detail::Square<Scalar>;
+
+  // What the derivative of a Runge-Kutta stage needs of it.
+  struct Stage {
+    Square w_by_w, turned_by_v;  // of the rate of w by w, of the turned force by v
+    Triple half_w, half_v, turned_by_c;
+    Scalar half_c;
+  };
+
+  // The attitude equation is linear in q from the left, so every stage of the Runge-Kutta step is
+  // q (x) (c, v) with (c, v) starting at identity and driven by w alone. That leaves a chain
+  // (M, dM, w) -> w stages -> (c, v) stages -> force stages -> (v, p), and makes the derivative with
+  // respect to the initial attitude the cross product with the integrated impulse.
+  template <bool WithSensitivity>
+  [[gnu::always_inline]] inline void integrate(const State<Scalar>& x, const WrenchRate& rate,
+                                               const Wrench<Scalar>& external, const Scalar& dt,
+                                               const Freedom<Scalar>& freedom, State<Scalar>& next,
+                                               StateJacobian* A, InputJacobian* B) const {
+    using detail::cross;
+    using detail::dot;
+    using detail::triple;
+    using std::sqrt;
+    const Scalar zero(0), one(1), two(2), half(0.5), half_dt = half * dt, sixth = dt / Scalar(6),
+        third = dt / Scalar(3), position_weight = dt * sixth;  // of the first three stages
+    const Scalar node[4] = {zero, half_dt, half_dt, dt};
+    const Scalar velocity_weight[4] = {sixth, third, third, sixth};
+
+    const Scalar &qw = x.body.orientation.coeffs().coeffRef(3),
+                 &qx = x.body.orientation.coeffs().coeffRef(0),
+                 &qy = x.body.orientation.coeffs().coeffRef(1),
+                 &qz = x.body.orientation.coeffs().coeffRef(2);
+    const Triple qv{qx, qy, qz};
+    const Square rotation =
+        detail::outer(qw * qw - dot(qv, qv), two * qv, qv, (two * qw) * qv);
+    const Square inertia = detail::square(inertia_),
+                 inverse_inertia =
+                     detail::scaled(detail::square(inverse_inertia_), triple(freedom.angular));
+    const Triple w0 = triple(x.body.angular_velocity), none{zero, zero, zero};
+    const Triple force0 = triple(x.wrench.force) + triple(external.force),
+                 torque0 = triple(x.wrench.torque) + triple(external.torque),
+                 force_rate{rate.coeff(0), rate.coeff(1), rate.coeff(2)},
+                 torque_rate{rate.coeff(3), rate.coeff(4), rate.coeff(5)};
+
+    Triple w_rate = none, w_sum = none, v_rate = none, v_sum = none;
+    Scalar c_rate = zero, c_sum = one;
+    Triple velocity_impulse = none, position_impulse = none;  // in the initial body frame
+    const Square empty{none, none, none};
+    Square velocity_by_force = empty, velocity_by_rate = empty, position_by_force = empty,
+           position_by_rate = empty;
+    Stage stages[4];
+
+    for (int i = 0; i < 4; ++i) {
+      const Scalar t = node[i], weight = velocity_weight[i];
+      const Triple w = w0 + t * w_rate, v = t * v_rate, momentum = inertia * w,
+                   f = force0 + t * force_rate;
+      const Scalar c = one + t * c_rate, along = dot(v, f), level = c * c - dot(v, v);
+      const Triple turned = level * f + (two * along) * v + (two * c) * cross(v, f);
+      w_rate = inverse_inertia * (torque0 + t * torque_rate - cross(w, momentum));
+      c_rate = -half * dot(v, w);
+      v_rate = (half * c) * w + half * cross(v, w);
+      w_sum += weight * w_rate;
+      c_sum += weight * c_rate;
+      v_sum += weight * v_rate;
+      velocity_impulse += weight * turned;
+      if (i < 3) position_impulse += position_weight * turned;
+
+      if constexpr (WithSensitivity) {
+        Stage& s = stages[i];
+        s.w_by_w = inverse_inertia *
+                   detail::gyroscopic(inertia, w, momentum);
+        s.half_w = half * w;
+        s.half_v = half * v;
+        s.half_c = half * c;
+        s.turned_by_c = (two * c) * f + two * cross(v, f);
+        s.turned_by_v = detail::outer(two * along, two * v, f, (-two * c) * f) + detail::outer(zero, (-two) * f, v, none);
+        const Square turn = detail::outer(level, two * v, v, (two * c) * v);
+        velocity_by_force += weight * turn;
+        velocity_by_rate += (weight * t) * turn;
+        if (i < 3) {
+          position_by_force += position_weight * turn;
+          position_by_rate += (position_weight * t) * turn;
+        }
+      }
+    }
+
+    const Scalar norm = sqrt(c_sum * c_sum + dot(v_sum, v_sum)), per_norm = one / norm,
+                 c = c_sum * per_norm, per_mass = one / mass_, down = Scalar(-gravity) * dt;
+    const Triple v = per_norm * v_sum, linear = triple(freedom.linear);
+    const Square to_world = detail::scaled(per_mass * rotation, linear);
+
+    next.wrench.force = x.wrench.force;
+    next.wrench.torque = x.wrench.torque;
+    const Triple position = triple(x.body.position) + dt * triple(x.body.velocity) +
+                            to_world * position_impulse +
+                            Triple{zero, zero, half_dt * down * linear.z},
+                 velocity = triple(x.body.velocity) + to_world * velocity_impulse +
+                            Triple{zero, zero, down * linear.z},
+                 angular_velocity = w0 + w_sum;
+    detail::put(triple(x.wrench.force) + dt * force_rate, next.wrench.force, 0, 0);
+    detail::put(triple(x.wrench.torque) + dt * torque_rate, next.wrench.torque, 0, 0);
+    detail::put(position, next.body.position, 0, 0);
+    detail::put(velocity, next.body.velocity, 0, 0);
+    detail::put(angular_velocity, next.body.angular_velocity, 0, 0);
+    const Scalar real = qw * c - dot(qv, v);
+    const Triple vector = qw * v + c * qv + cross(qv, v);
+    const Scalar per_length = one / sqrt(real * real + dot(vector, vector));
+    auto& orientation = next.body.orientation.coeffs();
+    detail::put(per_length * vector, orientation, 0, 0);
+    orientation.coeffRef(3) = per_length * real;
+    if constexpr (!WithSensitivity) return;
+
+    A->setIdentity();
+    B->setZero();
+    for (int i = 0; i < 6; ++i) B->coeffRef(i, i) = dt;
+    for (int i = 0; i < 3; ++i) A->coeffRef(6 + i, 9 + i) = dt;
+    detail::put(to_world * position_by_force, *A, 6, 0);
+    detail::put(to_world * velocity_by_force, *A, 9, 0);
+    detail::put(to_world * position_by_rate, *B, 6, 0);
+    detail::put(to_world * velocity_by_rate, *B, 9, 0);
+    detail::put(detail::times_cross(to_world, -one * position_impulse), *A, 6, 12);
+    detail::put(detail::times_cross(to_world, -one * velocity_impulse), *A, 9, 12);
+    detail::put(detail::outer(c * c - dot(v, v), two * v, v, (-two * c) * v), *A, 12, 12);
+
+    // One column of the derivatives by M, dM or w: `start` is that of w, `push` and `push_rate`
+    // those of the rate of w.
+    const auto set_column = [&](const Triple& start, const Triple& push, const Triple& push_rate,
+                                auto& jacobian, int column) __attribute__((always_inline)) {
+      Triple dw_rate = none, dw_sum = start, dv_rate = none, dv_sum = none, by_velocity = none,
+             by_position = none;
+      Scalar dc_rate = zero, dc_sum = zero;
+#pragma GCC unroll 4
+      for (int i = 0; i < 4; ++i) {
+        const Stage& s = stages[i];
+        const Scalar t = node[i], weight = velocity_weight[i];
+        const Triple dw = start + t * dw_rate, dv = t * dv_rate;
+        const Scalar dc = t * dc_rate;
+        const Triple turned = dc * s.turned_by_c + s.turned_by_v * dv;
+        dw_rate = s.w_by_w * dw + push + t * push_rate;
+        // d((c, v) (x) w) / 2
+        dc_rate = -dot(dv, s.half_w) - dot(s.half_v, dw);
+        dv_rate = dc * s.half_w + cross(dv, s.half_w) + s.half_c * dw + cross(s.half_v, dw);
+        dw_sum += weight * dw_rate;
+        dc_sum += weight * dc_rate;
+        dv_sum += weight * dv_rate;
+        by_velocity += weight * turned;
+        if (i < 3) by_position += position_weight * turned;
+      }
+      detail::put(to_world * by_position, jacobian, 6, column);
+      detail::put(to_world * by_velocity, jacobian, 9, column);
+      detail::put((two * per_norm) * (c * dv_sum - cross(v, dv_sum) - dc_sum * v), jacobian, 12,
+                  column);
+      detail::put(dw_sum, jacobian, 15, column);
+    };
+    const Triple pushes[3] = {inverse_inertia.x, inverse_inertia.y, inverse_inertia.z};
+    for (int i = 0; i < 3; ++i) {
+      set_column(none, pushes[i], none, *A, 3 + i);
+      set_column(none, none, pushes[i], *B, 3 + i);
+      set_column({Scalar(i == 0), Scalar(i == 1), Scalar(i == 2)}, none, none, *A, 15 + i);
+    }
   }
 
   Scalar mass_;
