@@ -11,7 +11,10 @@
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/actuator_outputs.hpp>
@@ -28,12 +31,15 @@
 #include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/optimal_control/active_set.hpp>
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/block_product.hpp>
+#include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
+#include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -50,9 +56,11 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/step_search.hpp>
 #endif

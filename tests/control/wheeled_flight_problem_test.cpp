@@ -94,13 +94,13 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
     const Eigen::Matrix<double, 18, 18> hessian =
         2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
     const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * q.cwiseProduct(e);
-    worst = std::max({worst, relative(model.lxx, hessian), relative(model.lx, gradient)});
+    worst = std::max({worst, relative(model.lxx(), hessian), relative(model.lx(), gradient)});
     double cost = e.dot(q.cwiseProduct(e));
     if (k < problem.horizon()) {
       Eigen::Matrix<double, 6, 1> r;
       r << w.force_rate, w.torque_rate;
       cost += u.dot(r.cwiseProduct(u));
-      EXPECT_LT((model.lu - 2.0 * r.cwiseProduct(u)).norm(), 1e-12);
+      EXPECT_LT((model.lu() - 2.0 * r.cwiseProduct(u)).norm(), 1e-12);
     }
     EXPECT_NEAR(problem.cost(k, x, u), cost, 1e-12 * cost);
   }
@@ -114,7 +114,7 @@ Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<>&
   x.body = problem.node(k).reference;
   WheeledFlightProblem<>::Model model;
   problem.cost_model(k, x, D::Input::Zero(), model);
-  return model.lxx;
+  return model.lxx();
 }
 
 WheeledFlightProblem<> hovering_problem(double yaw) {
@@ -141,13 +141,13 @@ TEST(WheeledFlightProblem, TheRiccatiCostIsTheCostToGoInHoverAtEveryHeading) {
     WheeledFlightProblem<>::Model model;
     problem.cost_model(0, x, D::Input::Zero(), model);
     const Eigen::Matrix<double, 18, 18> P = hessian_at_reference(problem, problem.horizon());
-    const Eigen::Matrix<double, 6, 6> by_input = model.luu + B.transpose() * P * B;
+    const Eigen::Matrix<double, 6, 6> by_input = model.luu() + B.transpose() * P * B;
     const Eigen::Matrix<double, 6, 18> mixed = B.transpose() * P * A;
     const Eigen::Matrix<double, 18, 18> residual =
-        model.lxx + A.transpose() * P * A - mixed.transpose() * by_input.llt().solve(mixed) - P;
+        model.lxx() + A.transpose() * P * A - mixed.transpose() * by_input.llt().solve(mixed) - P;
     EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff()) << yaw;
     EXPECT_LT((P - P.transpose()).cwiseAbs().maxCoeff(), 1e-14 * P.cwiseAbs().maxCoeff());
-    EXPECT_EQ(Eigen::LLT<Eigen::MatrixXd>(P - model.lxx).info(), Eigen::Success);  // P > Q
+    EXPECT_EQ(Eigen::LLT<Eigen::MatrixXd>(P - model.lxx()).info(), Eigen::Success);  // P > Q
   }
 }
 
@@ -176,7 +176,7 @@ TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
     problem.cost_model(k, x, D::Input::Zero(), model);
     const Eigen::Matrix<double, 18, 18> hessian = 2.0 * jacobian.transpose() * P * jacobian;
     const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * P * e;
-    worst = std::max({worst, relative(model.lxx, hessian), relative(model.lx, gradient)});
+    worst = std::max({worst, relative(model.lxx(), hessian), relative(model.lx(), gradient)});
     const double cost = e.dot(P * e);
     EXPECT_NEAR(problem.cost(k, x, D::Input::Zero()), cost, 1e-12 * cost);
   }

@@ -53,9 +53,9 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
     const State<> x = test_support::random_state(random);
     for (const int k : {touch_down, 6}) {
       Flight::Model model, before;
-      before.lx.setConstant(3.0);
-      before.lxx.setConstant(2.0);
-      before.luu.setConstant(1.0);
+      before.lx().setConstant(3.0);
+      before.lxx().setConstant(2.0);
+      before.luu().setConstant(1.0);
       model = before;
       const double largest = lagrangian.add_to_model(problem, k, x, model);
 
@@ -74,11 +74,11 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
       }
       const Eigen::Matrix<double, 18, 18> hessian =
           jacobian.transpose() * w.asDiagonal() * jacobian;
-      EXPECT_LT((model.lx - before.lx - gradient).norm(), 1e-7 * gradient.norm());
-      EXPECT_LT((model.lxx - before.lxx - hessian).norm(), 1e-7 * hessian.norm());
-      EXPECT_EQ(model.lu, before.lu);
-      EXPECT_EQ(model.lux, before.lux);
-      EXPECT_EQ(model.luu, before.luu);
+      EXPECT_LT((model.lx() - before.lx() - gradient).norm(), 1e-7 * gradient.norm());
+      EXPECT_LT((model.lxx() - before.lxx() - hessian).norm(), 1e-7 * hessian.norm());
+      EXPECT_EQ(model.lu(), before.lu());
+      EXPECT_EQ(model.lux(), before.lux());
+      EXPECT_EQ(model.luu(), before.luu());
     }
   }
 }
@@ -95,7 +95,7 @@ TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
     EXPECT_EQ(lagrangian.has(problem, k), on);
     EXPECT_EQ(lagrangian.value(problem, k, x) != 0.0, on);
     EXPECT_EQ(lagrangian.add_to_model(problem, k, x, model) != 0.0, on);
-    EXPECT_EQ(model.lx.isZero(0.0) && model.lxx.isZero(0.0), !on);
+    EXPECT_EQ(model.lx().isZero(0.0) && model.lxx().isZero(0.0), !on);
     State<> rolling = x;  // nothing but the equality without a weight changes
     rolling.body.angular_velocity.x() += 1.0;
     EXPECT_EQ(lagrangian.value(problem, k, rolling), lagrangian.value(problem, k, x));

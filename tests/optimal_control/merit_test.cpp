@@ -25,7 +25,7 @@ using Flight = WheeledFlightProblem<>;
 
 template <typename Problem>
 using ProgramOf = QuadraticProgram<Problem::states, Problem::inputs, Problem::rows,
-                                   typename TransitionBlocksOf<Problem>::type>;
+                                   typename TransitionPatternOf<Problem>::type>;
 
 /// A problem linearised somewhere, the program solved, and the merit function that goes with it.
 template <typename Problem>
@@ -50,12 +50,16 @@ struct Linearised {
         equalities(n, 1e6),
         merit(n) {
     for (int k = 0; k <= n; ++k) {
-      auto& s = program.stage(k);
+      auto& s = program.riccati.stage(k);
       auto& rows = program.node(k);
       if (k < n) {
-        s.defect =
-            problem.difference(problem.step(k, here.x(k), here.u(k), s.A, s.B), here.x(k + 1));
-        max_defect = std::max(max_defect, s.defect.cwiseAbs().maxCoeff());
+        typename D::A A;
+        typename D::B B;
+        const typename D::Tangent defect =
+            problem.difference(problem.step(k, here.x(k), here.u(k), A, B), here.x(k + 1));
+        EXPECT_TRUE(program.riccati.set_transition(k, A, B));
+        program.riccati.set_defect(k, defect);
+        max_defect = std::max(max_defect, defect.cwiseAbs().maxCoeff());
       }
       problem.cost_model(k, here.x(k), here.u(k), s.cost);
       equalities.add_to_model(problem, k, here.x(k), s.cost);
@@ -64,7 +68,8 @@ struct Linearised {
       problem.row_derivatives(k, here.x(k), here.u(k), rows.C, rows.E);
       rows.lower = problem.lower(k);
       rows.upper = problem.upper(k);
-      rows.penalty = problem.penalty(k);
+      rows.price = problem.penalty(k);
+      EXPECT_TRUE(program.check_node(k));
       for (int i = 0; i < D::nc; ++i)
         max_violation =
             std::max(max_violation, violation(rows.value(i), rows.lower(i), rows.upper(i)));
@@ -72,9 +77,8 @@ struct Linearised {
   }
 
   bool solve(double damping = 0.0) {
-    if (!program.factorise(damping)) return false;
-    program.prepare();
-    return program.solve(D::Tangent::Zero());
+    return program.prepare(damping) &&
+           program.solve(D::Tangent::Zero()) == ProgramStatus::solved;
   }
 
   [[nodiscard]] double value_along_step(double length) const {
@@ -128,7 +132,7 @@ struct Linearised {
     return violated - met;
   }
   [[nodiscard]] double defect_weight(int k, int i) {
-    double& defect = program.stage(k).defect(i);
+    double& defect = program.riccati.stage(k).defect(i);
     const double before = defect;
     defect = 0.0;
     const double none = value_here();
@@ -142,16 +146,16 @@ struct Linearised {
   [[nodiscard]] double optimum(double damping) const {
     double sum = 0.0;
     for (int k = 0; k <= n; ++k) {
-      const auto& cost_here = program.stage(k).cost;
+      const auto& cost_here = program.riccati.stage(k).cost;
       const auto& rows = program.node(k);
       const auto& dx = program.dx(k);
-      sum += cost_here.lx.dot(dx) + 0.5 * dx.dot(cost_here.lxx * dx);
+      sum += cost_here.lx().dot(dx) + 0.5 * dx.dot(cost_here.lxx() * dx);
       sum += 0.5 * damping * dx.squaredNorm();
       for (int i = 0; i < D::nc; ++i)
-        sum += rows.penalty(i) * violation(rows.predicted(i), rows.lower(i), rows.upper(i));
+        sum += rows.price(i) * violation(rows.predicted(i), rows.lower(i), rows.upper(i));
       if (k == n) break;
       const auto& du = program.du(k);
-      sum += cost_here.lu.dot(du) + du.dot(cost_here.lux * dx) + 0.5 * du.dot(cost_here.luu * du);
+      sum += cost_here.lu().dot(du) + du.dot(cost_here.lux() * dx) + 0.5 * du.dot(cost_here.luu() * du);
       sum += 0.5 * damping * du.squaredNorm();
     }
     return sum;
@@ -160,7 +164,7 @@ struct Linearised {
   /// depends on the sign, because the rows that hold change there.
   [[nodiscard]] double defect_multiplier(int k, int i, double damping) {
     constexpr double h = 1e-4;
-    double& defect = program.stage(k).defect(i);
+    double& defect = program.riccati.stage(k).defect(i);
     const double before = defect;
     double slope[2];
     for (int side = 0; side < 2; ++side) {

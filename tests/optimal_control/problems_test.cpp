@@ -59,7 +59,6 @@ FullSpace<Problem> expect_same_optimum(const Problem& problem, const typename Pr
     SolverSettings settings = patient();
     settings.max_iterations = 200;
     settings.tolerance = tolerance;
-    settings.program.sigma = 1e12;  // rows as hard as the oracle's
     settings.program.dual.algorithm = algorithm;
     MultipleShooting<Problem> solver(problem, settings);
     solver.reset(x0);

@@ -6,203 +6,418 @@
 #include <Eigen/Dense>
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <optional>
+#include <utility>
+#include <vector>
 
 namespace tilt_ropter {
 namespace {
 
 using test_support::Random;
 
-constexpr int nx = 4, nu = 2, horizon = 6;
-using LinearQuadratic = Riccati<nx, nu>;
+constexpr int horizon = 6;
 
-LinearQuadratic random_problem(unsigned seed) {
-  Random random(seed);
-  const auto fill = [&](auto& m) {
-    for (Eigen::Index i = 0; i < m.size(); ++i) m.data()[i] = random.normal(1.0);
-  };
-  LinearQuadratic lq(horizon);
-  for (int k = 0; k <= horizon; ++k) {
-    auto& s = lq.stage(k);
-    fill(s.A);
-    fill(s.B);
-    fill(s.defect);
-    fill(s.cost.lx);
-    fill(s.cost.lu);
-    Eigen::Matrix<double, nx + nu, nx + nu> root;
-    fill(root);
-    const Eigen::Matrix<double, nx + nu, nx + nu> hessian = root * root.transpose();
-    s.cost.lxx = hessian.topLeftCorner<nx, nx>();
-    s.cost.luu = hessian.bottomRightCorner<nu, nu>();
-    s.cost.lux = hessian.bottomLeftCorner<nu, nx>();
-  }
-  return lq;
+template <typename Matrix>
+Matrix random_matrix(Random& random) {
+  Matrix m;
+  for (Eigen::Index i = 0; i < m.size(); ++i) m.data()[i] = random.normal(1.0);
+  return m;
 }
 
-struct Path {
-  double cost = 0.0, squares = 0.0;
+// A random linear-quadratic problem with the matrices that made it.
+template <int nx, int nu, typename Pattern = FullTransition>
+struct LinearQuadratic {
+  using Pass = Riccati<nx, nu, Pattern>;
+  using Tangent = typename Pass::Tangent;
+  using Input = typename Pass::Input;
+  using Vector = typename Pass::Vector;
+
+  explicit LinearQuadratic(unsigned seed) : pass(horizon), steps(horizon + 1, Vector::Zero()) {
+    Random random(seed);
+    for (int k = 0; k <= horizon; ++k) {
+      auto A_k = random_matrix<typename Pass::StateMatrix>(random);
+      auto B_k = random_matrix<typename Pass::InputMatrix>(random);
+      for (int i = 0; i < nx; ++i) {
+        for (int j = 0; j < nx; ++j)
+          if (!Pattern::nonzero(i, j)) A_k(i, j) = 0.0;
+        for (int j = 0; j < nu; ++j)
+          if (!Pattern::nonzero(i, nx + j)) B_k(i, j) = 0.0;
+      }
+      A.push_back(A_k);
+      B.push_back(B_k);
+      defect.push_back(random_matrix<Tangent>(random));
+      if (k < horizon) {
+        EXPECT_TRUE(pass.set_transition(k, A_k, B_k));
+        pass.set_defect(k, defect.back());
+      }
+      const auto root = random_matrix<Eigen::Matrix<double, nx + nu, nx + nu>>(random);
+      const Eigen::Matrix<double, nx + nu, nx + nu> hessian = root * root.transpose();
+      auto& cost = pass.stage(k).cost;
+      cost.lxx() = hessian.template topLeftCorner<nx, nx>();
+      cost.luu() = hessian.template bottomRightCorner<nu, nu>();
+      cost.lux() = hessian.template bottomLeftCorner<nu, nx>();
+      cost.lx() = random_matrix<Tangent>(random);
+      cost.lu() = random_matrix<Input>(random);
+    }
+    start = random_matrix<Tangent>(random);
+  }
+
+  // The optimal (dx_0, du_0, dx_1, ..) by the whole problem's first-order conditions, with a dense
+  // factorisation.
+  [[nodiscard]] Eigen::VectorXd dense_optimum(double damping = 0.0) const {
+    const int width = nx + nu, variables = width * horizon + nx, conditions = nx * (horizon + 1);
+    Eigen::MatrixXd kkt = Eigen::MatrixXd::Zero(variables + conditions, variables + conditions);
+    Eigen::VectorXd right = Eigen::VectorXd::Zero(variables + conditions);
+    for (int k = 0; k <= horizon; ++k) {
+      const auto& cost = pass.stage(k).cost;
+      const int at = width * k;
+      kkt.block<nx, nx>(at, at) = cost.lxx();
+      right.segment<nx>(at) = -cost.lx();
+      if (k < horizon) {
+        kkt.block<nu, nu>(at + nx, at + nx) = cost.luu();
+        kkt.block<nu, nx>(at + nx, at) = cost.lux();
+        kkt.block<nx, nu>(at, at + nx) = cost.lux().transpose();
+        right.segment<nu>(at + nx) = -cost.lu();
+      }
+    }
+    kkt.diagonal().head(variables).array() += damping;
+    for (int k = 0; k <= horizon; ++k) {
+      const int row = variables + nx * k;
+      kkt.block<nx, nx>(row, width * k).setIdentity();
+      if (k > 0) {
+        const auto i = static_cast<std::size_t>(k - 1);
+        kkt.block<nx, nx>(row, width * (k - 1)) = -A[i];
+        kkt.block<nx, nu>(row, width * (k - 1) + nx) = -B[i];
+      }
+      right.segment<nx>(row) = k > 0 ? defect[static_cast<std::size_t>(k - 1)] : start;
+    }
+    kkt.topRightCorner(variables, conditions) =
+        kkt.bottomLeftCorner(conditions, variables).transpose();
+    return kkt.fullPivLu().solve(right).head(variables);
+  }
+
+  [[nodiscard]] Eigen::VectorXd optimum() {
+    steps[0].template head<nx>() = start;
+    pass.sweep(steps);
+    Eigen::VectorXd all((nx + nu) * horizon + nx);
+    for (int k = 0; k < horizon; ++k)
+      all.segment<nx + nu>((nx + nu) * k) =
+          steps[static_cast<std::size_t>(k)].template head<nx + nu>();
+    all.tail<nx>() = steps.back().template head<nx>();
+    return all;
+  }
+
+  Pass pass;
+  std::vector<typename Pass::StateMatrix> A;
+  std::vector<typename Pass::InputMatrix> B;
+  std::vector<Tangent> defect;
+  std::vector<Vector> steps;
+  Tangent start;
 };
 
-// Cost of an input sequence by plain summation, and |z|^2 of the same sequence.
-Path follow(const LinearQuadratic& lq, const Eigen::VectorXd& inputs,
-            const Eigen::Matrix<double, nx, 1>& start) {
-  Path path;
-  Eigen::Matrix<double, nx, 1> dx = start;
-  for (int k = 0; k <= horizon; ++k) {
-    const auto& s = lq.stage(k);
-    path.cost += s.cost.lx.dot(dx) + 0.5 * dx.dot(s.cost.lxx * dx);
-    if (k == horizon) break;
-    const Eigen::Vector2d du = inputs.segment<nu>(nu * k);
-    path.cost += s.cost.lu.dot(du) + du.dot(s.cost.lux * dx) + 0.5 * du.dot(s.cost.luu * du);
-    path.squares += (s.L().transpose() * du + s.Y() * dx + s.y).squaredNorm();
-    const Eigen::Matrix<double, nx, 1> next = s.A * dx + s.B * du + s.defect;
-    dx = next;
+template <int nx, int nu, typename Pattern = FullTransition>
+void expect_the_dense_optimum(unsigned seed) {
+  SCOPED_TRACE(testing::Message() << nx << " states, " << nu << " inputs");
+  LinearQuadratic<nx, nu, Pattern> lq(seed);
+  for (const double damping : {0.0, 0.3}) {
+    ASSERT_TRUE(lq.pass.factorise(damping));
+    const Eigen::VectorXd expected = lq.dense_optimum(damping);
+    EXPECT_LT((lq.optimum() - expected).norm(), 1e-7 * expected.norm());
   }
-  return path;
+}
+
+TEST(Riccati, FindsTheOptimumOfTheDenseKktSystemForSizesOfEveryRemainder) {
+  expect_the_dense_optimum<1, 1>(1);
+  expect_the_dense_optimum<2, 1>(2);
+  expect_the_dense_optimum<3, 2>(3);
+  expect_the_dense_optimum<4, 4>(4);
+  expect_the_dense_optimum<5, 3>(5);
+  expect_the_dense_optimum<7, 6>(6);
+  expect_the_dense_optimum<9, 2>(7);
+  expect_the_dense_optimum<12, 5>(8);
+  expect_the_dense_optimum<18, 6>(9);
+  expect_the_dense_optimum<20, 8>(10);
+}
+
+struct Staircase {  // from the diagonal on to the right, inputs at the bottom
+  static constexpr bool nonzero(int row, int column) {
+    return column >= 6 ? row >= 3 : column >= row;
+  }
+};
+
+TEST(Riccati, KnownZerosChangeNothing) {
+  expect_the_dense_optimum<6, 2, Staircase>(36);
+  LinearQuadratic<6, 2, Staircase> sparse(37);
+  LinearQuadratic<6, 2> full(37);
+  for (int k = 0; k < horizon; ++k)
+    ASSERT_TRUE(full.pass.set_transition(k, sparse.A[static_cast<std::size_t>(k)],
+                                         sparse.B[static_cast<std::size_t>(k)]));
+  ASSERT_TRUE(full.pass.factorise());
+  ASSERT_TRUE(sparse.pass.factorise());
+  EXPECT_LT((full.pass.initial_cost() - sparse.pass.initial_cost()).norm(),
+            1e-9 * full.pass.initial_cost().norm());
 }
 
 TEST(Riccati, CompletesTheSquare) {
-  LinearQuadratic lq = random_problem(31);
-  ASSERT_TRUE(lq.factorise());
+  constexpr int nx = 5, nu = 3;
+  LinearQuadratic<nx, nu> lq(31);
+  ASSERT_TRUE(lq.pass.factorise());
   Random random(32);
-  const Eigen::Matrix<double, nx, 1> start = Eigen::Vector4d(1, -2, 0.5, 3);
   double constant = 0.0;
+  std::vector<double> z(nu * horizon);
   for (int trial = 0; trial < 50; ++trial) {
-    Eigen::VectorXd inputs(nu * horizon);
-    for (Eigen::Index i = 0; i < inputs.size(); ++i) inputs(i) = random.normal(2.0);
-    const Path path = follow(lq, inputs, start);
-    const double rest = path.cost - 0.5 * path.squares;
-    if (trial == 0) constant = rest;
-    EXPECT_NEAR(rest, constant, 1e-8 * (1.0 + std::abs(path.cost)));
+    double half_square = 0.0, cost = 0.0;
+    for (double& number : z) {
+      number = random.normal(2.0);
+      half_square += 0.5 * number * number;
+    }
+    lq.steps[0].head<nx>() = lq.start;
+    lq.pass.sweep(lq.steps, z.data());
+    for (int k = 0; k <= horizon; ++k) {
+      const auto& c = lq.pass.stage(k).cost;
+      const Eigen::Matrix<double, nx, 1> dx = lq.steps[static_cast<std::size_t>(k)].head<nx>();
+      cost += c.lx().dot(dx) + 0.5 * dx.dot(c.lxx() * dx);
+      if (k == horizon) break;
+      const Eigen::Matrix<double, nu, 1> du =
+          lq.steps[static_cast<std::size_t>(k)].segment<nu>(nx);
+      cost += c.lu().dot(du) + du.dot(c.lux() * dx) + 0.5 * du.dot(c.luu() * du);
+    }
+    if (trial == 0) constant = cost - half_square;
+    EXPECT_NEAR(cost - half_square, constant, 1e-8 * (1.0 + std::abs(cost)));
   }
 }
 
-TEST(Riccati, ZeroCoordinatesAreTheOptimalInputs) {
-  LinearQuadratic lq = random_problem(33);
-  ASSERT_TRUE(lq.factorise());
-  Eigen::Matrix<double, nx, 1> dx = Eigen::Vector4d(1, -2, 0.5, 3);
-  Eigen::VectorXd inputs(nu * horizon);
-  for (int k = 0; k < horizon; ++k) {
-    const auto& s = lq.stage(k);
-    inputs.segment<nu>(nu * k) = lq.input_step(k, dx, Eigen::Vector2d::Zero());
-    const Eigen::Matrix<double, nx, 1> next =
-        s.A * dx + s.B * inputs.segment<nu>(nu * k) + s.defect;
-    dx = next;
+// The optimum moves with the gradient as one more solve by the same factorisation says.
+TEST(Riccati, SolvesForOtherGradientsWithoutFactorising) {
+  constexpr int nx = 7, nu = 2;
+  using Problem = LinearQuadratic<nx, nu>;
+  Problem lq(33);
+  Random random(34);
+  ASSERT_TRUE(lq.pass.factorise());
+  const Eigen::VectorXd before = lq.optimum();
+  std::vector<Problem::Vector> change(horizon + 1), moved(horizon + 1, Problem::Vector::Zero());
+  for (auto& g : change) {
+    g.setZero();
+    g.head<nx + nu>() = random_matrix<Eigen::Matrix<double, nx + nu, 1>>(random);
   }
-  EXPECT_NEAR(follow(lq, inputs, Eigen::Vector4d(1, -2, 0.5, 3)).squares, 0.0, 1e-16);
+  lq.pass.solve([&](int k) -> const auto& { return change[static_cast<std::size_t>(k)]; });
+  lq.pass.sweep_change(moved);
+  for (int k = 0; k <= horizon; ++k) {
+    auto& gradient = lq.pass.stage(k).cost.gradient;
+    gradient += change[static_cast<std::size_t>(k)];
+    if (k == horizon) gradient.tail(gradient.size() - nx).setZero();
+  }
+  ASSERT_TRUE(lq.pass.factorise());
+  const Eigen::VectorXd after = lq.optimum();
+  for (int k = 0; k < horizon; ++k)
+    EXPECT_LT(((after - before).segment<nx + nu>((nx + nu) * k) -
+               moved[static_cast<std::size_t>(k)].head<nx + nu>())
+                  .norm(),
+              1e-8 * (1.0 + after.norm()));
+}
+
+TEST(Riccati, TermsAreAddedToTheHessianAndGradientOfTheirNode) {
+  constexpr int nx = 5, nu = 2;
+  LinearQuadratic<nx, nu> lq(35), by_hand(35);
+  Random random(36);
+  std::vector<Eigen::Matrix<double, nx + nu, 1>> rows;
+  for (int k = 0; k <= horizon; ++k) {
+    rows.push_back(random_matrix<Eigen::Matrix<double, nx + nu, 1>>(random));
+    auto& cost = by_hand.pass.stage(k).cost;
+    const auto& c = rows.back();
+    cost.lxx() += 2.0 * c.head<nx>() * c.head<nx>().transpose();
+    cost.lx() += 3.0 * c.head<nx>();
+    if (k == horizon) continue;
+    cost.luu() += 2.0 * c.tail<nu>() * c.tail<nu>().transpose();
+    cost.lux() += 2.0 * c.tail<nu>() * c.head<nx>().transpose();
+    cost.lu() += 3.0 * c.tail<nu>();
+  }
+  constexpr int stride = decltype(lq.pass)::rows;
+  ASSERT_TRUE(lq.pass.factorise(0.0, [&](int k, double* hessian, double* gradient) {
+    const auto& c = rows[static_cast<std::size_t>(k)];
+    const int last = k < horizon ? nx + nu : nx;
+    for (int j = 0; j < last; ++j) {
+      gradient[j] += 3.0 * c(j);
+      for (int i = j < nx ? j : 0; i < (j < nx ? nx : last); ++i)
+        hessian[stride * j + i] += 2.0 * c(i) * c(j);
+    }
+  }));
+  ASSERT_TRUE(by_hand.pass.factorise());
+  EXPECT_LT((lq.optimum() - by_hand.optimum()).norm(), 1e-9 * lq.optimum().norm());
+}
+
+TEST(Riccati, GainAndFeedforwardGiveTheOptimalInputs) {
+  constexpr int nx = 6, nu = 3;
+  LinearQuadratic<nx, nu> lq(38);
+  ASSERT_TRUE(lq.pass.factorise());
+  (void)lq.optimum();
+  for (int k = 0; k < horizon; ++k) {
+    const auto& w = lq.steps[static_cast<std::size_t>(k)];
+    EXPECT_LT((w.segment<nu>(nx) - lq.pass.feedforward(k) - lq.pass.gain(k) * w.head<nx>()).norm(),
+              1e-9 * (1.0 + w.norm()));
+  }
+}
+
+// All sweeps follow the same linear dynamics and differ in the inputs.
+TEST(Riccati, SweepsDifferInTheirInputsOnly) {
+  constexpr int nx = 6, nu = 3;
+  using Problem = LinearQuadratic<nx, nu>;
+  Problem lq(39);
+  ASSERT_TRUE(lq.pass.factorise());
+  const auto check = [&](const auto& input) {
+    for (int k = 0; k < horizon; ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      const Problem::Tangent dx = lq.steps[i].head<nx>();
+      const Problem::Input du = lq.steps[i].segment<nu>(nx);
+      EXPECT_LT((du - input(k, dx)).norm(), 1e-9 * (1.0 + du.norm()));
+      EXPECT_LT((lq.steps[i + 1].head<nx>() - lq.A[i] * dx - lq.B[i] * du - lq.defect[i]).norm(),
+                1e-9 * (1.0 + dx.norm()));
+    }
+  };
+  lq.steps[0].head<nx>() = lq.start;
+  lq.pass.sweep_plan(lq.steps);
+  check([&](int k, const Problem::Tangent& dx) -> Problem::Input { return lq.pass.gain(k) * dx; });
+  for (auto& w : lq.steps) w.segment<nu>(nx).setConstant(0.3);
+  lq.pass.roll_out(lq.steps);
+  check([](int, const Problem::Tangent&) -> Problem::Input { return Problem::Input::Constant(0.3); });
+  const auto limited = [](double input) { return std::min(std::max(input, -0.1), 0.1); };
+  lq.pass.sweep_with(lq.steps, [&](int, Problem::Vector& w) {
+    for (int j = 0; j < nu; ++j) w(nx + j) = limited(w(nx + j));
+  });
+  check([&](int k, const Problem::Tangent& dx) -> Problem::Input {
+    Problem::Input du = lq.pass.feedforward(k) + lq.pass.gain(k) * dx;
+    for (double& input : du) input = limited(input);
+    return du;
+  });
 }
 
 TEST(Riccati, AdjointStepIsTheTransposeOfTheClosedLoop) {
-  LinearQuadratic lq = random_problem(34);
-  ASSERT_TRUE(lq.factorise());
-  const auto& s = lq.stage(2);
-  // dx+ for a change of dx and of z, through input_step().
-  const auto next = [&](const Eigen::Vector4d& dx, const Eigen::Vector2d& z) -> Eigen::Vector4d {
-    return s.A * dx + s.B * lq.input_step(2, dx, z);
-  };
-  const Eigen::Vector4d origin = next(Eigen::Vector4d::Zero(), Eigen::Vector2d::Zero());
-  // Row i: the function dx+(i). More rows than fit one tile, and not a multiple of it.
-  constexpr int count = batch_rows + 3;
-  LinearQuadratic::Batch after(2 * batch_rows, nx + nu), before = after;
+  constexpr int nx = 5, nu = 2;
+  LinearQuadratic<nx, nu> lq(34);
+  ASSERT_TRUE(lq.pass.factorise());
+  // d dx_3 / d (dx_2, z_2): more rows than one packet, and not a multiple of it.
+  constexpr int count = 19, room = detail::padded(count);
+  decltype(lq.pass)::Batch after(room, nx + nu), before = after;
   after.setZero();
   before.setConstant(7.0);
-  for (int i = 0; i < count; ++i) after(i, nu + i % nx) = 1.0;
-  lq.step_back(2, after, before, count);
-  lq.to_coordinates(2, before, count);
+  for (int i = 0; i < count; ++i) after(i, i % nx) = 1.0;
+  lq.pass.step_back(2, after, before, count);
+  lq.pass.to_coordinates(2, before, count);
+  const auto& s = lq.pass.stage(2);
+  Eigen::Matrix<double, nu, nu> by_z;  // du for a unit of each coordinate
+  for (int j = 0; j < nu; ++j) {
+    Eigen::Matrix<double, nu, 1> du = Eigen::Matrix<double, nu, 1>::Zero();
+    for (int i = nu - 1; i >= 0; --i) {
+      du(i) = (i == j ? std::sqrt(s.inverse_pivot(i)) : 0.0);
+      for (int l = i + 1; l < nu; ++l) du(i) -= s.factor(nx + l, i) * du(l);
+    }
+    by_z.col(j) = du;
+  }
+  const Eigen::Matrix<double, nx, nx> by_state = lq.A[2] + lq.B[2] * lq.pass.gain(2);
+  const Eigen::Matrix<double, nx, nu> by_coordinates = lq.B[2] * by_z;
   for (int i = 0; i < count; ++i) {
-    for (int j = 0; j < nx; ++j)
-      EXPECT_NEAR(before(i, nu + j),
-                  (next(Eigen::Vector4d::Unit(j), Eigen::Vector2d::Zero()) - origin)(i % nx), 1e-9);
-    for (int j = 0; j < nu; ++j)
-      EXPECT_NEAR(before(i, j),
-                  (next(Eigen::Vector4d::Zero(), Eigen::Vector2d::Unit(j)) - origin)(i % nx), 1e-9);
+    EXPECT_LT((before.row(i).head<nx>() - by_state.row(i % nx)).norm(), 1e-9);
+    EXPECT_LT((before.row(i).tail<nu>() - by_coordinates.row(i % nx)).norm(), 1e-9);
   }
 }
 
-// x1 + x2 -> x1, x2 -> x2, u -> x2, in blocks of two.
-struct HalfTransition {
-  static constexpr int size = 2;
-  static constexpr bool nonzero(int row, int column) { return row == 0 ? column < 2 : column > 0; }
-};
-
-TEST(Riccati, ZeroBlocksChangeNothing) {
-  LinearQuadratic full = random_problem(36);
-  Riccati<nx, nu, HalfTransition> sparse(horizon);
-  for (int k = 0; k <= horizon; ++k) {
-    auto& s = full.stage(k);
-    s.A.bottomLeftCorner<2, 2>().setZero();
-    s.B.topRows<2>().setZero();
-    sparse.stage(k) = s;
+TEST(Riccati, DerivativesSideBySideAreTakenOverLikeOthers) {
+  constexpr int nx = 6, nu = 3;
+  LinearQuadratic<nx, nu> lq(40);
+  Eigen::Matrix<Lanes, nx, nx> A;
+  Eigen::Matrix<Lanes, nx, nu> B;
+  const auto at = [](int lane) { return static_cast<std::size_t>(std::min(lane, 2)); };
+  gather_into(A, [&](int lane) -> const auto& { return lq.A[at(lane)]; });
+  gather_into(B, [&](int lane) -> const auto& { return lq.B[at(lane)]; });
+  Riccati<nx, nu> pass(horizon);
+  EXPECT_TRUE(pass.set_transitions(0, 3, A, B));
+  for (int k = 0; k < 3; ++k) {
+    EXPECT_EQ(pass.stage(k).transition, lq.pass.stage(k).transition);
+    EXPECT_EQ(pass.stage(k).A(), lq.A[static_cast<std::size_t>(k)]);
+    EXPECT_EQ(pass.stage(k).B(), lq.B[static_cast<std::size_t>(k)]);
   }
-  ASSERT_TRUE(full.factorise());
-  ASSERT_TRUE(sparse.factorise());
-  for (int k = 0; k < horizon; ++k) {
-    EXPECT_LT((full.stage(k).factor - sparse.stage(k).factor).cwiseAbs().maxCoeff(), 1e-10);
-    EXPECT_LT((full.stage(k).y - sparse.stage(k).y).cwiseAbs().maxCoeff(), 1e-10);
-  }
+  EXPECT_TRUE(pass.stage(3).transition.isZero(0.0));
 }
 
-TEST(Riccati, DampingIsAddedToEveryHessian) {
-  LinearQuadratic damped = random_problem(37), by_hand = random_problem(37);
-  for (int k = 0; k <= horizon; ++k) {
-    by_hand.stage(k).cost.lxx.diagonal().array() += 3.0;
-    by_hand.stage(k).cost.luu.diagonal().array() += 3.0;
+TEST(Riccati, TellsOfTransitionsThatAreNotFinite) {
+  constexpr int nx = 5, nu = 3;
+  LinearQuadratic<nx, nu> lq(41);
+  for (const double bad : {std::numeric_limits<double>::quiet_NaN(),
+                           std::numeric_limits<double>::infinity()}) {
+    for (int i = 0; i < nx; ++i)
+      for (int j = 0; j < nx + nu; ++j) {
+        auto A = lq.A[0];
+        auto B = lq.B[0];
+        (j < nx ? A(i, j) : B(i, j - nx)) = bad;
+        EXPECT_FALSE(lq.pass.set_transition(0, A, B)) << i << ' ' << j;
+        for (int lane = 0; lane < 4; ++lane) {
+          Eigen::Matrix<Lanes, nx, nx> lanes_A;
+          Eigen::Matrix<Lanes, nx, nu> lanes_B;
+          gather_into(lanes_A, [&](int l) -> const auto& { return l == lane ? A : lq.A[0]; });
+          gather_into(lanes_B, [&](int l) -> const auto& { return l == lane ? B : lq.B[0]; });
+          EXPECT_FALSE(lq.pass.set_transitions(0, 4, lanes_A, lanes_B)) << i << ' ' << j;
+        }
+      }
   }
-  ASSERT_TRUE(damped.factorise(3.0));
-  ASSERT_TRUE(by_hand.factorise());
-  for (int k = 0; k < horizon; ++k)
-    EXPECT_LT((damped.stage(k).factor - by_hand.stage(k).factor).cwiseAbs().maxCoeff(), 1e-12);
 }
 
 TEST(Riccati, RefusesACostWithoutMinimum) {
-  LinearQuadratic lq = random_problem(35);
-  lq.stage(horizon).cost.lxx = -1e3 * Eigen::Matrix4d::Identity();
-  EXPECT_FALSE(lq.factorise());
+  LinearQuadratic<4, 2> lq(35);
+  lq.pass.stage(horizon).cost.lxx() = -1e3 * Eigen::Matrix4d::Identity();
+  EXPECT_FALSE(lq.pass.factorise());
+  lq.pass.stage(horizon).cost.lxx().setConstant(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_FALSE(lq.pass.factorise());
 }
 
-using Matrix4 = Eigen::Matrix<double, nx, nx>;
-
 TEST(EndlessCost, SolvesTheDiscreteRiccatiEquationByAFeedbackThatStabilises) {
+  constexpr int nx = 4, nu = 2;
+  using Matrix4 = Eigen::Matrix<double, nx, nx>;
   double fastest = 0.0;  // of the motions without feedback
   for (unsigned seed = 1; seed <= 200; ++seed) {
-    const RiccatiStage<nx, nu> stage = random_problem(seed).stage(0);
-    const auto& [lx, lu, lxx, lux, luu] = stage.cost;
-    const std::optional<Matrix4> found = endless_cost(stage);
+    const LinearQuadratic<nx, nu> lq(seed);
+    const auto& cost = lq.pass.stage(0).cost;
+    const auto& A = lq.A[0];
+    const auto& B = lq.B[0];
+    const std::optional<Matrix4> found = endless_cost<nx, nu>(A, B, cost);
     ASSERT_TRUE(found);
     const Matrix4& P = *found;
     EXPECT_EQ(P, P.transpose());
     EXPECT_GT(P.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), 0.0);
-    const Eigen::Matrix<double, nu, nx> mixed = lux + stage.B.transpose() * P * stage.A;
-    const Eigen::Matrix2d by_input = luu + stage.B.transpose() * P * stage.B;
+    const Eigen::Matrix<double, nu, nx> mixed = cost.lux() + B.transpose() * P * A;
+    const Eigen::Matrix2d by_input = cost.luu() + B.transpose() * P * B;
     const Eigen::Matrix<double, nu, nx> feedback = by_input.ldlt().solve(mixed);
-    const Matrix4 residual =
-        lxx + stage.A.transpose() * P * stage.A - mixed.transpose() * feedback - P;
+    const Matrix4 residual = cost.lxx() + A.transpose() * P * A - mixed.transpose() * feedback - P;
     EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff());
-    const Matrix4 closed = stage.A - stage.B * feedback;
+    const Matrix4 closed = A - B * feedback;
     EXPECT_LT(closed.eigenvalues().cwiseAbs().maxCoeff(), 1.0);
-    fastest = std::max(fastest, stage.A.eigenvalues().cwiseAbs().maxCoeff());
+    fastest = std::max(fastest, A.eigenvalues().cwiseAbs().maxCoeff());
   }
   EXPECT_GT(fastest, 2.0);
 }
 
 TEST(EndlessCost, IsEmptyWhereThereIsNone) {
-  RiccatiStage<2, 1> stage;  // of two integrators in a chain: A, B, lxx, luu
-  stage.A << 1.0, 0.1, 0.0, 1.0;
-  stage.B << 0.0, 0.1;
-  stage.cost.lxx = Eigen::Vector2d(1.0, 0.0).asDiagonal();
-  stage.cost.luu << 1.0;
-  EXPECT_TRUE(endless_cost(stage));
-  EXPECT_FALSE(endless_cost(stage, 10));  // passes, of the hundreds that it takes
-  auto changed = stage;
-  changed.cost.lxx = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first one's value is free
-  EXPECT_FALSE(endless_cost(changed));
-  changed = stage;
-  changed.B.setZero();  // nothing stops it
-  EXPECT_FALSE(endless_cost(changed));
-  changed.A << 0.5, 0.1, 0.0, 0.5;  // nothing need
-  EXPECT_TRUE(endless_cost(changed));
-  changed.cost.luu.setZero();  // no one best input
-  EXPECT_FALSE(endless_cost(changed));
+  Eigen::Matrix2d A;  // of two integrators in a chain
+  Eigen::Vector2d B(0.0, 0.1);
+  QuadraticModel<2, 1> cost;
+  A << 1.0, 0.1, 0.0, 1.0;
+  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
+  cost.luu() << 1.0;
+  const auto exists = [&](int max_passes = 20000) {
+    return endless_cost<2, 1>(A, B, cost, max_passes).has_value();
+  };
+  EXPECT_TRUE(exists());
+  EXPECT_FALSE(exists(10));  // passes, of the hundreds that it takes
+  cost.lxx() = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first one's value is free
+  EXPECT_FALSE(exists());
+  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
+  B.setZero();  // nothing stops it
+  EXPECT_FALSE(exists());
+  A << 0.5, 0.1, 0.0, 0.5;  // nothing need
+  EXPECT_TRUE(exists());
+  cost.luu().setZero();  // no one best input
+  EXPECT_FALSE(exists());
 }
 
 }  // namespace

@@ -73,7 +73,7 @@ struct Forgetful : DoubleIntegrator {
   Forgetful() : DoubleIntegrator({7, 30.0, 1.0}) {}
   void cost_model(int k, const State& x, const Input& u, QuadraticModel<2, 1>& model) const {
     DoubleIntegrator::cost_model(k, x, u, model);
-    if (forgets) model.lxx.setConstant(nan);
+    if (forgets) model.lxx().setConstant(nan);
   }
   bool forgets = false;
 };
@@ -120,7 +120,7 @@ TEST(SolverRecovery, APlanShiftedThroughANonFiniteProblemIsGoodAgainAfterwards) 
 
 TEST(SolverRecovery, OneRoundOfTheWorkingSetKeepsToSomeRows) {
   SolverSettings settings = patient();
-  settings.program.max_rounds = 1;
+  settings.program.dual.max_rounds = 1;
   settings.max_iterations = 30;
   Solver solver(step_problem(), settings);
   solver.reset(step_start());

@@ -66,11 +66,11 @@ class TestProblem : public Model {
     Eigen::Matrix<double, Model::residuals, Model::states> by_state;
     Eigen::Matrix<double, Model::residuals, Model::inputs> by_input;
     this->residual_derivatives(k, x, u, by_state, by_input);
-    model.lx = 2.0 * by_state.transpose() * r;
-    model.lu = 2.0 * by_input.transpose() * r;
-    model.lxx = 2.0 * by_state.transpose() * by_state;
-    model.lux = 2.0 * by_input.transpose() * by_state;
-    model.luu = 2.0 * by_input.transpose() * by_input;
+    model.lx() = 2.0 * by_state.transpose() * r;
+    model.lu() = 2.0 * by_input.transpose() * r;
+    model.lxx() = 2.0 * by_state.transpose() * by_state;
+    model.lux() = 2.0 * by_input.transpose() * by_state;
+    model.luu() = 2.0 * by_input.transpose() * by_input;
   }
 
   Rows row_values(int k, const State& x, const Input& u) const {

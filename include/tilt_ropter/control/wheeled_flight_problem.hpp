@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
@@ -11,6 +12,7 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cstddef>
 #include <limits>
 #include <optional>
@@ -147,6 +149,8 @@ class WheeledFlightProblem {
   using Input = Eigen::Matrix<double, 6, 1>;
   using StateJacobian = Eigen::Matrix<double, 18, 18>;
   using InputJacobian = Eigen::Matrix<double, 18, 6>;
+  using LaneStateJacobian = Eigen::Matrix<Lanes, 18, 18>;
+  using LaneInputJacobian = Eigen::Matrix<Lanes, 18, 6>;
   using Rows = typename D::Rows;
   using RowsX = typename D::RowsX;
   using RowsU = typename D::RowsU;
@@ -155,19 +159,20 @@ class WheeledFlightProblem {
 
   /// The wrench is the input's integral, nothing follows position or velocity but position, no
   /// force turns the body, and within one interval a torque's rate does not reach the position.
-  struct TransitionBlocks {
-    static constexpr int size = 3;
+  struct TransitionPattern {
     static constexpr bool nonzero(int row, int column) {
-      constexpr bool table[6][8] = {
-          // F  M  p  v th  w dF dM
-          {1, 0, 0, 0, 0, 0, 1, 0},  // F
-          {0, 1, 0, 0, 0, 0, 0, 1},  // M
-          {1, 1, 1, 1, 1, 1, 1, 0},  // p
-          {1, 1, 0, 1, 1, 1, 1, 1},  // v
-          {0, 1, 0, 0, 1, 1, 0, 1},  // theta
-          {0, 1, 0, 0, 0, 1, 0, 1},  // w
+      enum Block { zero, diagonal, full };
+      constexpr Block table[6][8] = {
+          // F, M, p, v, theta, w, dF, dM
+          {diagonal, zero, zero, zero, zero, zero, diagonal, zero},  // F
+          {zero, diagonal, zero, zero, zero, zero, zero, diagonal},  // M
+          {full, full, diagonal, diagonal, full, full, full, zero},  // p
+          {full, full, zero, diagonal, full, full, full, full},      // v
+          {zero, full, zero, zero, full, full, zero, full},          // theta
+          {zero, full, zero, zero, zero, full, zero, full},          // w
       };
-      return table[row][column];
+      const Block block = table[row / 3][column / 3];
+      return block == full || (block == diagonal && row % 3 == column % 3);
     }
   };
 
@@ -177,7 +182,7 @@ class WheeledFlightProblem {
   WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
                        const WheeledFlightSettings& settings = {},
                        const ActuatorRows<Rotors>& actuators = {})
-      : body_(body), actuators_(actuators), wheel_radius_(wheels.radius), settings_(settings) {
+      : body_(body), lanes_(body), actuators_(actuators), wheel_radius_(wheels.radius), settings_(settings) {
     validate(wheels);
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
@@ -231,6 +236,49 @@ class WheeledFlightProblem {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
   }
 
+  /// Intervals k, k + 1, .. side by side, as many as x has states; of the last one again where there
+  /// are no four.
+  [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
+                                                State* ends, LaneStateJacobian& A,
+                                                LaneInputJacobian& B) const {
+    const auto at = [&](int lane) { return std::min(lane, count - 1); };
+    const auto each = [&](auto& lanes, const auto& of) __attribute__((always_inline)) {
+      for (Eigen::Index i = 0; i < lanes.size(); ++i)
+        lanes.coeffRef(i) = gather([&](int lane) __attribute__((always_inline)) {
+          return of(at(lane)).coeff(i);
+        });
+    };
+    tilt_ropter::State<Lanes> start, end;
+    each(start.wrench.force, [&](int i) -> const auto& { return x[i].wrench.force; });
+    each(start.wrench.torque, [&](int i) -> const auto& { return x[i].wrench.torque; });
+    each(start.body.velocity, [&](int i) -> const auto& { return x[i].body.velocity; });
+    each(start.body.position, [&](int i) -> const auto& { return x[i].body.position; });
+    each(start.body.orientation.coeffs(),
+         [&](int i) -> const auto& { return x[i].body.orientation.coeffs(); });
+    each(start.body.angular_velocity,
+         [&](int i) -> const auto& { return x[i].body.angular_velocity; });
+    Eigen::Matrix<Lanes, 6, 1> rate;
+    each(rate, [&](int i) -> const auto& { return u[i]; });
+    Wrench<Lanes> external;
+    each(external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
+    each(external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
+    Freedom<Lanes> freedom;
+    each(freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
+    each(freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
+    for (int i = 0; i < count; ++i) {
+      const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {
+        for (Eigen::Index j = 0; j < number.size(); ++j) number.coeffRef(j) = from.coeff(j)[i];
+      };
+      put(ends[i].wrench.force, end.wrench.force);
+      put(ends[i].wrench.torque, end.wrench.torque);
+      put(ends[i].body.position, end.body.position);
+      put(ends[i].body.velocity, end.body.velocity);
+      put(ends[i].body.orientation.coeffs(), end.body.orientation.coeffs());
+      put(ends[i].body.angular_velocity, end.body.angular_velocity);
+    }
+  }
+
   /// e' Q e + u' R u with e = (F - F_r, M - M_r, p - p_r, v - v_r, 2 vec(q (x) q_r^-1), w - w_r).
   /// For the last node see TerminalCost.
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
@@ -243,8 +291,8 @@ class WheeledFlightProblem {
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
     const Tangent e = error(k, x);
     const Tangent q = 2.0 * state_weights(k);
-    model.lx = q.cwiseProduct(e);
-    model.lxx = q.asDiagonal();
+    model.lx() = q.cwiseProduct(e);
+    model.lxx() = q.asDiagonal();
     // d e_q = (w I - [v]x) R(q) dtheta for q (x) q_r^-1 = (w, v).
     const Eigen::Quaterniond turn = attitude_error(k, x);
     Eigen::Matrix3d by_angle = -skew(turn.vec());
@@ -252,12 +300,12 @@ class WheeledFlightProblem {
     const Eigen::Matrix3d jacobian = by_angle * x.body.orientation.toRotationMatrix();
     if (ends_with_riccati(k)) return set_riccati_model(e, jacobian, model);
     const Eigen::Matrix3d weighted = q.segment<3>(12).asDiagonal() * jacobian;
-    model.lx.segment<3>(12) = weighted.transpose() * e.segment<3>(12);
-    model.lxx.block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
+    model.lx().segment<3>(12) = weighted.transpose() * e.segment<3>(12);
+    model.lxx().block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
     if (k == horizon()) return;
     const Input r = 2.0 * input_weights();
-    model.lu = r.cwiseProduct(u);
-    model.luu = r.asDiagonal();
+    model.lu() = r.cwiseProduct(u);
+    model.luu() = r.asDiagonal();
   }
 
   [[nodiscard]] Rows row_values(int, const State& x, const Input& u) const {
@@ -350,19 +398,22 @@ class WheeledFlightProblem {
     by_state.block<3, 3>(12, 12) = turn * by_angle;
     StateJacobian weighted;
     weighted.noalias() = 2.0 * terminal_.front().lazyProduct(by_state);
-    model.lx.noalias() = weighted.transpose() * in_heading(e);
-    model.lxx.noalias() = by_state.transpose().lazyProduct(weighted);
+    model.lx().noalias() = weighted.transpose() * in_heading(e);
+    model.lxx().noalias() = by_state.transpose().lazyProduct(weighted);
   }
 
   // At heading zero the tangent coordinates are the error's, to first order.
   void set_terminal() {
     State hover;
     hover.wrench.force.z() = body_.mass() * gravity;
-    RiccatiStage<states, inputs> stage;
-    (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, stage.A, stage.B);
-    stage.cost.lxx = state_weights(0).asDiagonal();
-    stage.cost.luu = input_weights().asDiagonal();
-    const std::optional<StateJacobian> P = endless_cost<states, inputs, TransitionBlocks>(stage);
+    StateJacobian A;
+    InputJacobian B;
+    (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, A, B);
+    Model cost;
+    cost.lxx() = state_weights(0).asDiagonal();
+    cost.luu() = input_weights().asDiagonal();
+    const std::optional<StateJacobian> P =
+        endless_cost<states, inputs, TransitionPattern>(A, B, cost);
     require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
             "used with weights by which every error that stays costs something, as NmpcWeights."
             "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
@@ -388,6 +439,7 @@ class WheeledFlightProblem {
   }
 
   RigidBody<> body_;
+  RigidBody<Lanes> lanes_;
   ActuatorRows<Rotors> actuators_;
   double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;

@@ -65,8 +65,8 @@ class AugmentedLagrangian {
       for (int i = 0; i < D::ne; ++i) {
         if (!(w(i) > 0.0)) continue;
         largest = std::max(largest, std::abs(h(i)));
-        model.lx += (w(i) * h(i) + multiplier(k)(i)) * H.row(i).transpose();
-        model.lxx += w(i) * H.row(i).transpose() * H.row(i);
+        model.lx() += (w(i) * h(i) + multiplier(k)(i)) * H.row(i).transpose();
+        model.lxx() += w(i) * H.row(i).transpose() * H.row(i);
       }
     }
     return largest;

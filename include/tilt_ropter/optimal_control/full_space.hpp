@@ -239,8 +239,8 @@ class FullSpace {
     for (int k = 0; k <= horizon_; ++k) {
       QuadraticModel<nx, nu> model;
       problem_.cost_model(k, node(k).base, node(k).base_input, model);
-      if (k > 0) scale_.segment<nx>(state_at(k)) = model.lxx.diagonal();
-      if (k < horizon_) scale_.segment<nu>(input_at(k)) = model.luu.diagonal();
+      if (k > 0) scale_.segment<nx>(state_at(k)) = model.lxx().diagonal();
+      if (k < horizon_) scale_.segment<nu>(input_at(k)) = model.luu().diagonal();
     }
     scale_ = scale_.cwiseMax(1e-4).cwiseSqrt().cwiseInverse();
   }
@@ -334,8 +334,8 @@ class FullSpace {
       Vector g(gradient, static_cast<Eigen::Index>(size));
       QuadraticModel<nx, nu> model;
       self.problem_.cost_model(k, n.x, n.u, model);
-      if (k > 0) g.segment<nx>(state_at(k)) = n.turn.transpose() * model.lx;
-      if (k < self.horizon_) g.segment<nu>(input_at(k)) = model.lu;
+      if (k > 0) g.segment<nx>(state_at(k)) = n.turn.transpose() * model.lx();
+      if (k < self.horizon_) g.segment<nu>(input_at(k)) = model.lu();
     }
     self.stop_unless(std::isfinite(sum));
     if (gradient != nullptr) {

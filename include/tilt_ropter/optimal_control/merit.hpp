@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <algorithm>
@@ -25,7 +26,8 @@ class Merit {
  public:
   using D = ProblemDimensions<Problem>;
   using Tangent = typename D::Tangent;
-  using Rows = typename D::Rows;
+  using AllRows = ProblemRows<Problem>;
+  using Rows = typename AllRows::Values;
 
   /// Allocates; the functions below do not.
   explicit Merit(int horizon)
@@ -44,24 +46,25 @@ class Merit {
     double slope = 0.0;
     Tangent adjoint = Tangent::Zero();  // multiplier of the continuity that ends at node k
     for (int k = horizon; k >= 0; --k) {
-      const auto& s = program.stage(k);
+      const auto& s = program.riccati.stage(k);
       const auto& rows = program.node(k);
       Rows& row_weight = row_weights_[static_cast<std::size_t>(k)];
-      slope += s.cost.lx.dot(program.dx(k));
-      for (int i = 0; i < D::nc; ++i) {
+      slope += s.cost.gradient.template head<D::nx>().dot(program.dx(k));
+      for (int i = 0; i < AllRows::count; ++i) {
         follow(row_weight(i), rows.multiplier(i));
         slope += row_weight(i) * (violation(rows.predicted(i), rows.lower(i), rows.upper(i)) -
                                   violation(rows.value(i), rows.lower(i), rows.upper(i)));
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
-        slope += s.cost.lu.dot(program.du(k));
+        slope += s.cost.gradient.template segment<D::nu>(D::nx).dot(program.du(k));
         for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), adjoint(i));
-        slope -= defect_weight.dot(s.defect.cwiseAbs());
-        adjoint = (s.A.transpose() * adjoint + s.cost.lux.transpose() * program.du(k)).eval();
+        slope -= defect_weight.dot(s.defect.template head<D::nx>().cwiseAbs());
+        adjoint = (s.A().transpose() * adjoint).eval();
       }
-      adjoint += s.cost.lx + program.damping() * program.dx(k);
-      adjoint.noalias() += s.cost.lxx * program.dx(k);
+      typename Program::Vector gradient;
+      program.template cost_gradient<2>(k, program.step(k), program.damping(), gradient);
+      adjoint += gradient.template head<D::nx>();
       adjoint.noalias() += rows.C.transpose() * rows.multiplier;
     }
     return slope;
@@ -74,7 +77,7 @@ class Merit {
     double sum = cost;
     for (int k = 0; k <= here.horizon(); ++k) {
       sum += equalities.value(problem, k, here.x(k)) + of_rows(program, k, program.node(k).value);
-      if (k < here.horizon()) sum += defect_weight(k).dot(program.stage(k).defect.cwiseAbs());
+      if (k < here.horizon()) sum += defect_weight(k).dot(program.riccati.stage(k).defect.template head<D::nx>().cwiseAbs());
     }
     return sum;
   }
@@ -88,7 +91,7 @@ class Merit {
       const auto& x = at.x(k);
       const auto& u = at.u(k);
       sum += problem.cost(k, x, u) + equalities.value(problem, k, x);
-      sum += of_rows(program, k, problem.row_values(k, x, u));
+      sum += of_rows(program, k, AllRows::values(problem, k, x, u));
       if (k < at.horizon())
         sum +=
             defect_weight(k).dot(problem.difference(problem.step(k, x, u), at.x(k + 1)).cwiseAbs());
@@ -110,7 +113,7 @@ class Merit {
     const auto& rows = program.node(k);
     const Rows& weight = row_weights_[static_cast<std::size_t>(k)];
     double sum = 0.0;
-    for (int i = 0; i < D::nc; ++i)
+    for (int i = 0; i < AllRows::count; ++i)
       sum += weight(i) * violation(value(i), rows.lower(i), rows.upper(i));
     return sum;
   }

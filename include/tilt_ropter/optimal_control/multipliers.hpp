@@ -36,11 +36,15 @@ struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
   double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
+  double row_tolerance = 1e-9;  ///< violation that makes a constraint join the working set
+  int max_rounds = 20;  ///< of adding constraints
 };
 
 inline void validate(const DualSettings& s) {
   require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
   require_positive("DualSettings.tolerance", s.tolerance);
+  require_positive("DualSettings.row_tolerance", s.row_tolerance);
+  require(s.max_rounds > 0, "DualSettings.max_rounds", s.max_rounds, "> 0");
 }
 
 /// Minimiser of the dual above, with room for `capacity` rows. With a `Capacity` known to the

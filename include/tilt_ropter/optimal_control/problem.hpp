@@ -1,5 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/math/packet.hpp>
+
 #include <Eigen/Core>
 
 #include <type_traits>
@@ -11,7 +13,6 @@
 ///     static constexpr int rows, equalities;  // counts per node
 ///     using State = ...;                      // a point of the state manifold
 ///     using D = ProblemDimensions<Problem>;   // the vector and matrix types below
-///     using TransitionBlocks = ...;  // optional, what of A and B can be non-zero: FullTransition
 ///
 ///     int horizon() const;                                          // number of intervals N
 ///     State retract(const State& x, const D::Tangent& dx) const;    // x (+) dx
@@ -25,8 +26,10 @@
 ///     double cost(int k, const State& x, const D::Input& u) const;
 ///     void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<nx, nu>& m) const;
 ///
-///     // rows: lower <= c(x, u) <= upper; an infinite bound is no bound; the penalty bounds a
-///     // row's multiplier: the price of violating it by one unit
+///     // only if rows > 0, constraints: lower <= c(x, u) <= upper; an infinite bound is no bound.
+///     // The penalty is the price of violating a constraint by one unit, the largest multiplier it
+///     // can have; infinite: a hard constraint. At node N, constraints that depend on the input
+///     // (that have an entry in E) do not count.
 ///     D::Rows row_values(int k, const State& x, const D::Input& u) const;
 ///     void row_derivatives(int k, const State& x, const D::Input& u,
 ///                          D::RowsX& C, D::RowsU& E) const;
@@ -39,63 +42,65 @@
 ///     void equality_derivatives(int k, const State& x, D::EqualitiesX& H) const;
 ///     D::Equalities equality_weights(int k) const;
 ///
+/// A problem may also have
+///
+///     using TransitionPattern = ...;  // which entries of A and B can be non-zero: FullTransition
+///
+///     // a quadratic penalty weight v^2 / 2 on a violation v, up to where its slope reaches the
+///     // price: the multiplier is min(weight v, penalty); infinite: none
+///     const D::Rows& quadratic_penalty(int k) const;
+///
+///     // constraints of node N that are not those of the other nodes, which then end at N - 1
+///     static constexpr int terminal_rows;
+///     TerminalRows terminal_row_values(const State& x) const;
+///     void terminal_row_derivatives(const State& x, TerminalRowsX& C) const;
+///     const TerminalRows& terminal_lower() const;    // likewise terminal_upper(),
+///     const TerminalRows& terminal_penalty() const;  // terminal_quadratic_penalty()
+///
+///     // the intervals k .. k + count - 1, count <= 4, side by side; A and B are the identity and
+///     // zero where nothing is written, x and u are those of node k and the following
+///     void step_lanes(int k, int count, const State* x, const D::Input* u, State* ends,
+///                     Eigen::Matrix<Lanes, nx, nx>& A, Eigen::Matrix<Lanes, nx, nu>& B) const;
+///
 /// All derivatives with respect to the state are in tangent coordinates, d/d(dx) of f(x (+) dx) at
 /// dx = 0. A, B and H are set as a whole; entries of the model, C and E that are not set are what
 /// they were set to for that node before, zero at first. None of these functions may throw or
 /// allocate; they may return non-finite numbers, which the solver reports as a failure.
 ///
-/// A whole program: a pendulum (1 kg, 1 m, a semi-implicit Euler step) swings up by a torque that
-/// is half of what would lift it. The tests compile and run these very lines.
+/// AutoDiffProblem makes such a type of four short functions, without derivatives by hand, and
+/// check_derivatives() finds errors in those that are. A whole program: a pendulum (1 kg, 1 m, a
+/// semi-implicit Euler step) swings up by a torque that is half of what would lift it. The tests
+/// compile and run these very lines.
 ///
 /// ```cpp
+/// #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 /// #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 ///
-/// #include <cmath>
-///
 /// struct Pendulum {
-///   static constexpr int states = 2, inputs = 1, rows = 1, equalities = 0;
-///   using State = Eigen::Vector2d;  // angle from upright [rad] and its rate [rad/s]
-///   using D = tilt_ropter::ProblemDimensions<Pendulum>;
-///   using Input = D::Input;  // torque [N m]
-///   using Model = tilt_ropter::QuadraticModel<states, inputs>;
-///   double h = 0.05, g = 9.81;
-///   State weight{1.0, 0.1};
-///   D::Rows most = D::Rows(5.0), least = -most, price = D::Rows(1e4);
+///   static constexpr int states = 2, inputs = 1, residuals = 3, rows = 1;
+///   template <typename S> using Vector2 = Eigen::Matrix<S, 2, 1>;  // angle from upright, its rate
+///   template <typename S> using Vector1 = Eigen::Matrix<S, 1, 1>;  // torque [N m]
 ///
 ///   int horizon() const { return 80; }
-///   State retract(const State& x, const State& dx) const { return x + dx; }
-///   State difference(const State& y, const State& x) const { return y - x; }
-///   State step(int, const State& x, const Input& u) const {
-///     const double rate = x(1) + h * (g * std::sin(x(0)) + u(0));
-///     return {x(0) + h * rate, rate};
+///   template <typename S>
+///   Vector2<S> step(int, const Vector2<S>& x, const Vector1<S>& u) const {
+///     using std::sin;
+///     const S rate = x(1) + S(0.05) * (S(9.81) * sin(x(0)) + u(0));
+///     return {x(0) + S(0.05) * rate, rate};
 ///   }
-///   State step(int k, const State& x, const Input& u, D::A& A, D::B& B) const {
-///     const double slope = h * g * std::cos(x(0));
-///     A << 1.0 + h * slope, h, slope, 1.0;
-///     B << h * h, h;
-///     return step(k, x, u);
+///   template <typename S>  // the cost is the square of its norm
+///   Eigen::Matrix<S, 3, 1> residual(int, const Vector2<S>& x, const Vector1<S>& u) const {
+///     return {x(0), S(0.3) * x(1), S(0.3) * u(0)};
 ///   }
-///   double cost(int, const State& x, const Input& u) const {
-///     return x.dot(weight.cwiseProduct(x)) + 0.1 * u.squaredNorm();
-///   }
-///   void cost_model(int, const State& x, const Input& u, Model& m) const {
-///     m.lx = 2.0 * weight.cwiseProduct(x);
-///     m.lxx = 2.0 * weight.asDiagonal();
-///     m.lu = 0.2 * u;
-///     m.luu << 0.2;
-///   }
-///   Input row_values(int, const State&, const Input& u) const { return u; }
-///   void row_derivatives(int, const State&, const Input&, D::RowsX&, D::RowsU& E) const {
-///     E << 1.0;
-///   }
-///   const D::Rows& lower(int) const { return least; }
-///   const D::Rows& upper(int) const { return most; }
-///   const D::Rows& penalty(int) const { return price; }
+///   template <typename S>
+///   Vector1<S> constraints(int, const Vector2<S>&, const Vector1<S>& u) const { return u; }
+///   Vector1<double> lower(int) const { return Vector1<double>(-5.0); }
+///   Vector1<double> upper(int) const { return Vector1<double>(5.0); }
 /// };
 ///
 /// int main() {
-///   tilt_ropter::MultipleShooting<Pendulum> solver(Pendulum{});
-///   const Pendulum::State hanging(3.14, 0.0);
+///   tilt_ropter::MultipleShooting solver{tilt_ropter::AutoDiffProblem<Pendulum>()};
+///   const Eigen::Vector2d hanging(3.14, 0.0);
 ///   solver.reset(hanging);  // the guess: it stays there
 ///   const bool solved = solver.solve(hanging).status == tilt_ropter::SolveStatus::converged;
 ///
@@ -126,35 +131,47 @@ struct ProblemDimensions {
   using EqualitiesX = Eigen::Matrix<double, ne, nx>;
 };
 
-/// Quadratic model of a node's cost:
-/// l + lx' dx + lu' du + 1/2 dx' lxx dx + du' lux dx + 1/2 du' luu du.
+/// Quadratic model of a node's cost,
+/// l + lx' dx + lu' du + 1/2 dx' lxx dx + du' lux dx + 1/2 du' luu du, with symmetric lxx and luu.
 template <int States, int Inputs>
-struct QuadraticModel {
-  Eigen::Matrix<double, States, 1> lx = Eigen::Matrix<double, States, 1>::Zero();
-  Eigen::Matrix<double, Inputs, 1> lu = Eigen::Matrix<double, Inputs, 1>::Zero();
-  Eigen::Matrix<double, States, States> lxx = Eigen::Matrix<double, States, States>::Zero();
-  Eigen::Matrix<double, Inputs, States> lux = Eigen::Matrix<double, Inputs, States>::Zero();
-  Eigen::Matrix<double, Inputs, Inputs> luu = Eigen::Matrix<double, Inputs, Inputs>::Zero();
+class QuadraticModel {
+ public:
+  static constexpr int width = States + Inputs, rows = detail::padded(width);
+
+  [[nodiscard]] auto lx() { return gradient.template head<States>(); }
+  [[nodiscard]] auto lu() { return gradient.template segment<Inputs>(States); }
+  [[nodiscard]] auto lxx() { return hessian.template topLeftCorner<States, States>(); }
+  [[nodiscard]] auto lux() { return hessian.template block<States, Inputs>(0, States).transpose(); }
+  [[nodiscard]] auto luu() { return hessian.template block<Inputs, Inputs>(States, States); }
+  [[nodiscard]] auto lx() const { return gradient.template head<States>(); }
+  [[nodiscard]] auto lu() const { return gradient.template segment<Inputs>(States); }
+  [[nodiscard]] auto lxx() const { return hessian.template topLeftCorner<States, States>(); }
+  [[nodiscard]] auto lux() const {
+    return hessian.template block<States, Inputs>(0, States).transpose();
+  }
+  [[nodiscard]] auto luu() const { return hessian.template block<Inputs, Inputs>(States, States); }
+
+  /// How the solver has it: in the order (dx, du), filled up with zeros to whole packets; lux' in
+  /// the columns of du alone.
+  Eigen::Matrix<double, rows, width> hessian = Eigen::Matrix<double, rows, width>::Zero();
+  Eigen::Matrix<double, rows, 1> gradient = Eigen::Matrix<double, rows, 1>::Zero();
 };
 
-/// Which square blocks of [A B] can be non-zero: here all. A problem that knows better says so in a
-/// type of this form named TransitionBlocks, and the solver is faster by what it need not multiply.
-template <int States, int Inputs>
+/// Which entries of [A B] can be non-zero: here all. A problem that knows better says so in a type
+/// of this form named TransitionPattern, and the solver is faster by what it need not multiply.
 struct FullTransition {
-  static constexpr bool divides(int n) { return States % n == 0 && Inputs % n == 0; }
-  static constexpr int size = divides(4) ? 4 : divides(3) ? 3 : divides(2) ? 2 : 1;  ///< of a block
   static constexpr bool nonzero(int /*row*/, int /*column*/) { return true; }
 };
 
-/// The TransitionBlocks of a problem, or FullTransition where it names none.
+/// The TransitionPattern of a problem, or FullTransition where it names none.
 template <typename Problem, typename = void>
-struct TransitionBlocksOf {
-  using type = FullTransition<Problem::states, Problem::inputs>;
+struct TransitionPatternOf {
+  using type = FullTransition;
 };
 /// For a problem that names its own.
 template <typename Problem>
-struct TransitionBlocksOf<Problem, std::void_t<typename Problem::TransitionBlocks>> {
-  using type = typename Problem::TransitionBlocks;
+struct TransitionPatternOf<Problem, std::void_t<typename Problem::TransitionPattern>> {
+  using type = typename Problem::TransitionPattern;
 };
 
 }  // namespace tilt_ropter

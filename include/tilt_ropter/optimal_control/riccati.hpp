@@ -1,65 +1,79 @@
 #pragma once
 
-#include <tilt_ropter/optimal_control/block_product.hpp>
+#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
 
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <optional>
+#include <utility>
 #include <vector>
 
 /// The linear-quadratic problem of one SQP step without its inequalities, and its factorisation by
 /// one backward Riccati pass.
 ///
-/// With w = (du, dx) and M = [B A], the cost to go of node k is 1/2 w' H w + g' w with
+/// With w = (dx, du) and M = [A B], the cost to go of node k is 1/2 w' H w + g' w with
 ///
-///     H = [luu lux; lux' lxx] + M' P M,    g = (lu, lx) + M' (p + P defect),
+///     H = [lxx lux'; lux luu] + M' P M,    g = (lx, lu) + M' (p + P defect),
 ///
-/// P and p being those of node k + 1. The first columns [L; Y'] of the Cholesky factor of H, those
-/// of du, give the coordinates
+/// P and p being those of node k + 1. Eliminating du by a Cholesky factorisation of H whose pivots
+/// are its last rows leaves the P and p of node k (Rao, Wright & Rawlings, "Application of
+/// interior-point methods to model predictive control", 1998, for the recursion; Frison & Jorgensen,
+/// "Efficient implementation of the Riccati recursion", 2013, for its form as one Cholesky
+/// factorisation). With the eliminated columns [Y; L], divided by the roots of their pivots,
 ///
-///     z_k = L' du_k + Y dx_k + y_k,    y_k = L^-1 g_u,
+///     z_k = L' du_k + Y' dx_k + y_k,    L y_k = g_u,
 ///
-/// (the distance from the unconstrained optimal input), and what they leave of H and g is the P and
-/// p of node k. Completing the square in this way turns the whole cost into 1/2 |z|^2 + const, with
-/// continuity eliminated (Rao, Wright & Rawlings, "Application of interior-point methods to model
-/// predictive control", 1998, for the recursion; Frison & Jorgensen, "Efficient implementation of
-/// the Riccati recursion", 2013, for its form as one Cholesky factorisation).
+/// is the distance from the unconstrained optimal input, and completing the square turns the whole
+/// cost into 1/2 |z|^2 + const, with continuity eliminated.
 namespace tilt_ropter {
 
-/// One interval of the linear-quadratic problem: dx_{k+1} = A dx_k + B du_k + defect.
+/// A node of the linear-quadratic problem in whole packets: vectors and columns are (dx, du), filled
+/// up with zeros.
 template <int States, int Inputs>
 struct RiccatiStage {
-  static constexpr int width = States + Inputs;
+  static constexpr int width = States + Inputs, rows = detail::padded(width),
+                       state_rows = detail::padded(States), input_rows = detail::padded(Inputs);
+  using Vector = Eigen::Matrix<double, rows, 1>;
 
-  Eigen::Matrix<double, States, States> A = Eigen::Matrix<double, States, States>::Identity();
-  Eigen::Matrix<double, States, Inputs> B = Eigen::Matrix<double, States, Inputs>::Zero();
-  Eigen::Matrix<double, States, 1> defect = Eigen::Matrix<double, States, 1>::Zero();
+  Eigen::Matrix<double, rows, state_rows> transition =
+      Eigen::Matrix<double, rows, state_rows>::Zero();  ///< [A B]' of the interval from here
+  Eigen::Matrix<double, state_rows, 1> defect = Eigen::Matrix<double, state_rows, 1>::Zero();
   QuadraticModel<States, Inputs> cost;
 
-  // Written by factorise(); rows of du before those of dx, then zeros.
-  using Transition = Eigen::Matrix<double, padded(width), States>;
-  using Factor = Eigen::Matrix<double, padded(width), Inputs>;
-  Transition transition = Transition::Zero();  ///< [B A]'
-  Factor factor = Factor::Zero();              ///< [L; Y'], L lower triangular
-  Eigen::Matrix<double, Inputs, 1> y = Eigen::Matrix<double, Inputs, 1>::Zero();
+  // Written by factorise(): columns [Y; L] divided by the diagonal of L, in order of elimination;
+  // one over its square; and what g_u had become when the input's turn came.
+  Eigen::Matrix<double, rows, input_rows> factor = Eigen::Matrix<double, rows, input_rows>::Zero();
+  Eigen::Matrix<double, Inputs, 1> inverse_pivot = Eigen::Matrix<double, Inputs, 1>::Zero();
+  Eigen::Matrix<double, Inputs, 1> eliminated = Eigen::Matrix<double, Inputs, 1>::Zero();
 
-  [[nodiscard]] auto L() const { return factor.template topRows<Inputs>(); }
-  [[nodiscard]] auto Y() const { return factor.template middleRows<States>(Inputs).transpose(); }
+  [[nodiscard]] auto A() const { return transition.template topLeftCorner<States, States>().transpose(); }
+  [[nodiscard]] auto B() const { return transition.template block<Inputs, States>(States, 0).transpose(); }
 };
 
-/// The horizon: stage(0) to stage(N), of the last one only the cost is used. Of the Hessians
-/// only the lower triangles are used. `Blocks` says which blocks of [A B] can be non-zero: see
-/// TransitionBlocks.
-template <int States, int Inputs, typename Blocks = FullTransition<States, Inputs>>
+/// Adds nothing to the Hessian and gradient of any node: see Riccati::factorise().
+struct NoTerms {
+  void operator()(int /*k*/, double* /*hessian*/, double* /*gradient*/) const {}
+};
+
+/// The horizon: stage(0) to stage(N), of the last one only the cost of dx is used. `Pattern` says
+/// which entries of [A B] can be non-zero: see TransitionPattern.
+template <int States, int Inputs, typename Pattern = FullTransition>
 class Riccati {
  public:
   using Stage = RiccatiStage<States, Inputs>;
   using Tangent = Eigen::Matrix<double, States, 1>;
   using Input = Eigen::Matrix<double, Inputs, 1>;
-  using Hessian = Eigen::Matrix<double, States, States>;
+  using StateMatrix = Eigen::Matrix<double, States, States>;
+  using InputMatrix = Eigen::Matrix<double, States, Inputs>;
+  using Gain = Eigen::Matrix<double, Inputs, States>;
+  static constexpr int width = Stage::width, rows = Stage::rows;
+  /// (dx, du) of a node, or derivatives by it, filled up with zeros.
+  using Vector = typename Stage::Vector;
 
   /// Allocates once for `horizon` intervals.
   explicit Riccati(int horizon) : stages_(static_cast<std::size_t>(horizon) + 1) {}
@@ -68,142 +82,548 @@ class Riccati {
   [[nodiscard]] Stage& stage(int k) { return stages_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Stage& stage(int k) const { return stages_[static_cast<std::size_t>(k)]; }
 
-  /// Backward pass, with `damping` added to the diagonals of all Hessians. False if H_uu of some
-  /// node is not positive definite (then the problem has no unique minimum). No allocation.
-  [[nodiscard]] [[gnu::flatten]] bool factorise(double damping = 0.0) {
-    const auto& last = stages_.back().cost;
-    hessian_.template block<States, States>(Inputs, Inputs) = last.lxx;
-    hessian_.diagonal().array() += damping;
-    gradient_.template segment<States>(Inputs) = last.lx;
+  /// The interval dx_{k+1} = A dx_k + B du_k + defect. False if a number is not finite.
+  [[nodiscard]] bool set_transition(int k, const StateMatrix& A, const InputMatrix& B) {
+    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      Stage& s = stage(k);
+      detail::FiniteCheck<Width> check;
+      detail::copy_transposed<Width, States, States>(A.data(), s.transition.data(), rows, check);
+      detail::copy_transposed<Width, States, Inputs>(B.data(), s.transition.data() + States, rows,
+                                                     check);
+      return check.passed();
+    });
+  }
+  /// The same for the intervals k to k + count - 1, count <= 4, from derivatives side by side, of
+  /// which only what the pattern allows is read.
+  [[nodiscard, gnu::always_inline]] inline bool set_transitions(
+      int k, int count, const Eigen::Matrix<Lanes, States, States>& A,
+      const Eigen::Matrix<Lanes, States, Inputs>& B) {
+    constexpr int lanes = Lanes::count;
+    static constexpr auto lists = reached_by<lanes>();
+    detail::FiniteCheck<lanes> check;
+    for (int t = 0; t < rows / lanes; ++t) {
+      const Reached& list = lists[static_cast<std::size_t>(t)];
+      for (int n = 0; n < list.count; ++n) {
+        const int row = list.at[static_cast<std::size_t>(n)];
+        Packet<lanes> square[lanes];
+#pragma GCC unroll 4
+        for (int c = 0; c < lanes; ++c) {
+          const int column = lanes * t + c;
+          square[c] = column < States  ? A.coeffRef(row, column).packet
+                      : column < width ? B.coeffRef(row, column - States).packet
+                                       : Packet<lanes>{};
+          check.add(square[c]);
+        }
+        detail::transpose(square);
+#pragma GCC unroll 4
+        for (int c = 0; c < lanes; ++c)
+          if (c < count)
+            detail::store<lanes>(stage(k + c).transition.data() + rows * row + lanes * t,
+                                 square[c]);
+      }
+    }
+    return check.passed();
+  }
+  void set_defect(int k, const Tangent& defect) {
+    stage(k).defect.template head<States>() = defect;
+  }
+
+  /// Backward pass, with `damping` added to the diagonals of all Hessians and whatever
+  /// terms(k, hessian, gradient) adds to those of node k: `rows` x `width` and `rows` numbers, of
+  /// the columns of dx the lower triangle without the rows of du. False if the Hessian left for the
+  /// inputs of some node is not positive definite or not a number (then the problem has no unique
+  /// minimum). No allocation.
+  template <typename Terms = NoTerms>
+  [[nodiscard]] bool factorise(double damping = 0.0, const Terms& terms = {}) {
+    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      return pass<packet()>(damping, terms);
+    });
+  }
+
+  /// Backward pass for other gradients and no defects, by the last factorisation.
+  template <typename Gradients>
+  void solve(const Gradients& gradients) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      solve_for<packet()>(gradients);
+      return true;
+    });
+  }
+
+  /// Forward sweep from the dx in w[0]: the inputs du that have the coordinates z (Inputs of each
+  /// node, or null for zero: the optimal ones), and where they lead.
+  void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
+    move(w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
+      set_input<packet()>(s, z ? z + Inputs * k : nullptr, here);
+    });
+  }
+  /// Forward sweep with inputs that follow dx by the gains alone, and where they lead.
+  void sweep_plan(std::vector<Vector>& w) const {
+    move(w, [&](auto packet, const Stage& s, int, Vector& here) __attribute__((always_inline)) {
+      set_input<packet(), false>(s, nullptr, here);
+    });
+  }
+  /// Forward sweep with the inputs du in w as they are.
+  void roll_out(std::vector<Vector>& w) const {
+    move(w, [](auto, const Stage&, int, Vector&) __attribute__((always_inline)) {});
+  }
+  /// The same as sweep() without defects, for a change of a step.
+  void sweep_change(std::vector<Vector>& w) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (std::size_t k = 0; k + 1 < w.size(); ++k) {
+        set_input<packet()>(stages_[k], nullptr, w[k]);
+        advance<packet()>(stages_[k], w[k], w[k + 1]);
+      }
+      return true;
+    });
+  }
+  /// Forward sweep with whatever choose(k, du) makes of the optimal inputs.
+  template <typename Choose>
+  void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
+    move(w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
+      set_input<packet()>(s, nullptr, here);
+      choose(k, here);
+    });
+  }
+
+  /// P of node 0, symmetric, after factorise(): the Hessian of what the whole horizon costs.
+  [[nodiscard]] StateMatrix initial_cost() const {
+    return cost_to_go_.template topRows<States>();
+  }
+
+  /// A batch of linear functions of the trajectory, one a row: its derivative by dx_k, then by
+  /// du_k. Room for a multiple of detail::padding rows.
+  using Batch = Eigen::Matrix<double, Eigen::Dynamic, width>;
+
+  /// Adjoint step through interval k: from derivatives by dx_{k+1} to derivatives by (dx_k, du_k),
+  /// for the first `count` rows.
+  void step_back(int k, const Batch& after, Batch& before, Eigen::Index count) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      static constexpr auto lists = reached_by<1>();
+      for (int j = 0; j < width; ++j) {
+        const Reached& list = lists[static_cast<std::size_t>(j)];
+        Eigen::Index i = 0;
+        for (; i + 4 * Width <= count + Width - 1; i += 4 * Width)
+          step_back_column<Width, 4>(stage(k), list, after, i, before, j);
+        for (; i < count; i += Width)
+          step_back_column<Width, 1>(stage(k), list, after, i, before, j);
+      }
+      return true;
+    });
+  }
+
+  /// From derivatives by (dx_k, du_k) to those by (dx_k, z_k), for the first `count` rows.
+  void to_coordinates(int k, Batch& batch, Eigen::Index count) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      const Stage& s = stage(k);
+      const Eigen::Index stride = batch.rows();
+      for (Eigen::Index first = 0; first < count; first += Width) {
+        double* row = batch.data() + first;
+        for (int j = 0; j < Inputs; ++j) {
+          Packet<Width> by_input;
+          detail::load<Width>(row + stride * (States + j), by_input);
+          for (int i = 0; i < j; ++i)
+            detail::add_product<Width>(by_input, row + stride * (States + i),
+                                       -s.factor(States + j, i));
+          detail::store<Width>(row + stride * (States + j), by_input);
+          for (int i = 0; i < States; ++i) {
+            Packet<Width> by_state;
+            detail::load<Width>(row + stride * i, by_state);
+            by_state -= by_input * s.factor(i, j);
+            detail::store<Width>(row + stride * i, by_state);
+          }
+        }
+        for (int j = 0; j < Inputs; ++j) {
+          Packet<Width> by_input;
+          detail::load<Width>(row + stride * (States + j), by_input);
+          by_input *= std::sqrt(s.inverse_pivot(j));
+          detail::store<Width>(row + stride * (States + j), by_input);
+        }
+      }
+      return true;
+    });
+  }
+
+  /// The optimal input of node k where dx = 0.
+  [[nodiscard]] Input feedforward(int k) const {
+    const Stage& s = stage(k);
+    Input du;
+    for (int j = Inputs - 1; j >= 0; --j) {
+      du(j) = -s.inverse_pivot(j) * s.eliminated(j);
+      for (int i = j + 1; i < Inputs; ++i) du(j) -= s.factor(States + i, j) * du(i);
+    }
+    return du;
+  }
+  /// d du / d dx of the optimal input of node k.
+  [[nodiscard]] Gain gain(int k) const {
+    const Stage& s = stage(k);
+    Gain gain;
+    for (int j = Inputs - 1; j >= 0; --j) {
+      gain.row(j) = -s.factor.col(j).template head<States>().transpose();
+      for (int i = j + 1; i < Inputs; ++i) gain.row(j) -= s.factor(States + i, j) * gain.row(i);
+    }
+    return gain;
+  }
+
+ private:
+  template <int Width>
+  using Packet = detail::Packet<Width>;
+  static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
+
+  // Of the nodes of an interval's end: which of them an entry or a packet of (dx, du) reaches.
+  struct Reached {
+    int count = 0;
+    std::array<int, States> at{};
+  };
+  static constexpr bool nonzero(int row, int first, int last) {
+    for (int column = first; column < last && column < width; ++column)
+      if (Pattern::nonzero(row, column)) return true;
+    return false;
+  }
+  template <int Width>
+  static constexpr auto reached_by() {
+    std::array<Reached, rows / Width> lists{};
+    for (int t = 0; t < rows / Width; ++t)
+      for (int k = 0; k < States; ++k)
+        if (nonzero(k, Width * t, Width * (t + 1))) {
+          Reached& list = lists[static_cast<std::size_t>(t)];
+          list.at[static_cast<std::size_t>(list.count++)] = k;
+        }
+    return lists;
+  }
+
+  template <int Width, typename Terms>
+  [[gnu::always_inline]] inline bool pass(double damping, const Terms& terms) {
+    const Stage& last = stages_.back();
+    detail::FiniteCheck<Width> unused;
+    for (int j = 0; j < width; ++j)
+      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j, unused);
+    detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data(), unused);
+    for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
+    terms(horizon(), hessian_.data(), gradient_.data());
+    for (int j = 0; j < States; ++j)
+      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + state_rows * j,
+                                  unused);
+    mirror<Width>();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
-      set_transition(s);
-
-      product_.setZero();
-      add_product<FullColumns, States, States>(s.transition, cost_to_go(), product_);
-      const Tangent p = gradient_.template segment<States>(Inputs);
-      gradient_.template head<width>() << s.cost.lu, s.cost.lx;
-      gradient_.noalias() += s.transition * p;
-      gradient_.noalias() += product_ * s.defect;
-
-      hessian_.template topLeftCorner<Inputs, Inputs>() = s.cost.luu;
-      hessian_.template block<States, Inputs>(Inputs, 0) = s.cost.lux.transpose();
-      hessian_.template block<States, States>(Inputs, Inputs) = s.cost.lxx;
-      hessian_.template topRightCorner<Inputs, States>().setZero();
-      hessian_.diagonal().array() += damping;
-      const auto transition = [&s](int i, int j) { return s.transition(j, i); };
-      add_lower_product<Columns, States, width, 0>(product_, transition, hessian_);
-
-      if (!eliminate_inputs(s)) return false;
+      multiply<Width>(s);
+      add_gradient<Width>(s);
+      add_hessian<Width>(s);
+      if (damping > 0.0)
+        for (int i = 0; i < width; ++i) hessian_(i, i) += damping;
+      terms(k, hessian_.data(), gradient_.data());
+      if (!eliminate<Width>(s)) return false;
+      add_remainder<Width>(s);
+      mirror<Width>();
     }
     return true;
   }
 
-  /// P of node 0, symmetric, after factorise(): the Hessian of what the whole horizon costs.
-  [[nodiscard]] Hessian initial_cost() const {
-    Hessian P;
-    for (int j = 0; j < States; ++j)
-      for (int i = 0; i < States; ++i) P(i, j) = cost_to_go()(i, j);
-    return P;
+  // product_ = M' P.
+  template <int Width>
+  [[gnu::always_inline]] inline void multiply(const Stage& s) {
+    constexpr int most = 9;  // columns whose sums fit the registers
+    for (int t = 0; t < rows / Width; ++t) {
+      for (int column = 0; column + most <= States; column += most)
+        multiply_packet<Width, most>(s, t, column);
+      if constexpr (States % most > 0)
+        multiply_packet<Width, States % most>(s, t, States - States % most);
+    }
+  }
+  template <int Width, int Columns>
+  [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
+    static constexpr auto lists = reached_by<Width>();
+    const Reached& list = lists[static_cast<std::size_t>(t)];
+    Packet<Width> sum[Columns] = {};
+    for (int n = 0; n < list.count; ++n) {
+      const int k = list.at[static_cast<std::size_t>(n)];
+      Packet<Width> m;
+      detail::load<Width>(s.transition.data() + rows * k + Width * t, m);
+      const double* p = cost_to_go_.data() + state_rows * k + first;
+#pragma GCC unroll 16
+      for (int j = 0; j < Columns; ++j) sum[j] += m * p[j];
+    }
+#pragma GCC unroll 16
+    for (int j = 0; j < Columns; ++j)
+      detail::store<Width>(product_.data() + rows * (first + j) + Width * t, sum[j]);
   }
 
-  /// Input step at node k for the state step dx and the coordinates z.
-  [[nodiscard]] Input input_step(int k, const Tangent& dx, const Input& z) const {
-    const Stage& s = stage(k);
-    Eigen::Matrix<double, rows, 1> w = Eigen::Matrix<double, rows, 1>::Zero();  // (du, dx)
-    w.template segment<States>(Inputs) = dx;
-    for (int j = Inputs - 1; j >= 0; --j)
-      w(j) = (z(j) - s.y(j) - s.factor.col(j).dot(w)) / s.factor(j, j);
-    return w.template head<Inputs>();
+  // gradient_ = g, where its first entries were p.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_gradient(const Stage& s) {
+    constexpr int packets = rows / Width;
+    Packet<Width> sum[packets];
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t) detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
+    for (int k = 0; k < States; ++k) {
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) {
+        detail::add_product<Width>(sum[t], s.transition.data() + rows * k + Width * t, gradient_(k));
+        detail::add_product<Width>(sum[t], product_.data() + rows * k + Width * t, s.defect(k));
+      }
+    }
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, sum[t]);
   }
 
-  /// A batch of linear functions of the trajectory, one a row: its derivative by du_k, then by
-  /// dx_k. Room for a multiple of batch_rows.
-  using Batch = Eigen::Matrix<double, Eigen::Dynamic, States + Inputs>;
-
-  /// Adjoint step through interval k: from derivatives by dx_{k+1} (last columns of `after`) to
-  /// derivatives by (du_k, dx_k), for the first `count` rows.
-  void step_back(int k, const Batch& after, Batch& before, Eigen::Index count) const {
-    const Stage& s = stage(k);
-    const auto x = after.template rightCols<States>();
-    const auto transition = [&s](int i, int j) { return s.transition(j, i); };
-    before.topRows(count).setZero();
-    add_batch<Columns, States, width>(x, transition, before, count);
+  // hessian_ = H: columns of dx from the diagonal down, those of du whole.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_hessian(const Stage& s) {
+    add_state_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
+    for (int j = States; j < width; ++j) add_column<Width, 0, rows / Width>(s, j);
+  }
+  template <int Width, int... t>
+  [[gnu::always_inline]] inline void add_state_columns(const Stage& s,
+                                                       std::integer_sequence<int, t...>) {
+    (add_state_columns_from<Width, t>(s), ...);
+  }
+  template <int Width, int First>
+  [[gnu::always_inline]] inline void add_state_columns_from(const Stage& s) {
+    for (int j = Width * First; j < Width * (First + 1) && j < States; ++j)
+      add_column<Width, First, state_rows / Width>(s, j);
+  }
+  template <int Width, int First, int Last>
+  [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
+    static constexpr auto lists = reached_by<1>();
+    const Reached& list = lists[static_cast<std::size_t>(j)];
+    const double* cost = s.cost.hessian.data() + rows * j;
+    double* column = hessian_.data() + rows * j;
+    Packet<Width> sum[Last - First];
+#pragma GCC unroll 16
+    for (int t = First; t < Last; ++t) detail::load<Width>(cost + Width * t, sum[t - First]);
+    for (int n = 0; n < list.count; ++n) {
+      const int k = list.at[static_cast<std::size_t>(n)];
+      const double m = s.transition(j, k);
+      const double* product = product_.data() + rows * k;
+#pragma GCC unroll 16
+      for (int t = First; t < Last; ++t)
+        detail::add_product<Width>(sum[t - First], product + Width * t, m);
+    }
+#pragma GCC unroll 16
+    for (int t = First; t < Last; ++t) detail::store<Width>(column + Width * t, sum[t - First]);
   }
 
-  /// From derivatives by (du_k, dx_k) to those by (z_k, dx_k), for the first `count` rows.
-  void to_coordinates(int k, Batch& batch, Eigen::Index count) const {
-    const Stage& s = stage(k);
+  // The Cholesky factorisation of the last rows and columns, and what it leaves of the gradient.
+  template <int Width>
+  [[gnu::always_inline]] inline bool eliminate(Stage& s) {
+    constexpr int packets = rows / Width;
+    bool positive = true;
+    Packet<Width> g[packets];
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t) detail::load<Width>(gradient_.data() + Width * t, g[t]);
     for (int j = 0; j < Inputs; ++j) {
-      auto column = batch.col(j).head(count);
-      for (int i = 0; i < j; ++i) column -= s.factor(j, i) * batch.col(i).head(count);
-      column /= s.factor(j, j);
+      double* column = hessian_.data() + rows * (States + j);
+      Packet<Width> c[packets];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::load<Width>(column + Width * t, c[t]);
+      for (int i = 0; i < j; ++i) {
+        const double factor = -s.factor(States + j, i);
+        const double* before = hessian_.data() + rows * (States + i);
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(c[t], before + Width * t, factor);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(column + Width * t, c[t]);
+      const double pivot = column[States + j], inverse = 1.0 / pivot;
+      positive = positive && pivot > 0.0;
+      s.inverse_pivot(j) = inverse;
+      s.eliminated(j) = gradient_(States + j);
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) {
+        c[t] *= inverse;
+        detail::store<Width>(s.factor.data() + rows * j + Width * t, c[t]);
+        g[t] -= c[t] * s.eliminated(j);
+        detail::store<Width>(gradient_.data() + Width * t, g[t]);
+      }
     }
-    auto by_state = batch.template rightCols<States>();
-    const auto minus_y = [&s](int i, int j) { return -s.factor(Inputs + j, i); };
-    add_batch<FullColumns, Inputs, States>(batch, minus_y, by_state, count);
+    return positive;
   }
 
- private:
-  static constexpr int width = States + Inputs, rows = padded(width);
-  using FullColumns = FullBlocks<Blocks::size>;
-  /// Blocks of [B A].
-  struct Columns {
-    static constexpr int size = Blocks::size;
-    static constexpr bool nonzero(int row, int column) {
-      return Blocks::nonzero(row, (column + States / size) % (width / size));
+  // cost_to_go_ from the diagonal down: what the elimination leaves of hessian_.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_remainder(const Stage& s) {
+    add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
+  }
+  template <int Width, int... t>
+  [[gnu::always_inline]] inline void add_remainder_columns(const Stage& s,
+                                                           std::integer_sequence<int, t...>) {
+    (add_remainder_columns_from<Width, t>(s), ...);
+  }
+  template <int Width, int First>
+  [[gnu::always_inline]] inline void add_remainder_columns_from(const Stage& s) {
+    constexpr int count = state_rows / Width - First;
+    for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
+      Packet<Width> sum[count];
+#pragma GCC unroll 16
+      for (int t = 0; t < count; ++t)
+        detail::load<Width>(hessian_.data() + rows * j + Width * (First + t), sum[t]);
+      for (int i = 0; i < Inputs; ++i) {
+        const double factor = -s.factor(j, i);
+        const double* column = hessian_.data() + rows * (States + i) + Width * First;
+#pragma GCC unroll 16
+        for (int t = 0; t < count; ++t)
+          detail::add_product<Width>(sum[t], column + Width * t, factor);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < count; ++t)
+        detail::store<Width>(cost_to_go_.data() + state_rows * j + Width * (First + t), sum[t]);
     }
-  };
-  static_assert(States % Blocks::size == 0 && Inputs % Blocks::size == 0);
+  }
 
-  // The blocks that stay zero are zero from the beginning.
-  static void set_transition(Stage& s) {
-    constexpr int size = Blocks::size;
-    for (int row = 0; row < States / size; ++row) {
-      for (int column = 0; column < width / size; ++column) {
-        if (!Columns::nonzero(row, column)) continue;
-        auto block = s.transition.template block<size, size>(size * column, size * row);
-        if (size * column < Inputs)
-          block = s.B.template block<size, size>(size * row, size * column).transpose();
-        else
-          block = s.A.template block<size, size>(size * row, size * column - Inputs).transpose();
+  // The upper triangle of cost_to_go_ from the lower one.
+  template <int Width>
+  [[gnu::always_inline]] inline void mirror() {
+    for (int j = 0; j < States; j += Width) {
+      for (int i = j; i < States; i += Width) {
+        Packet<Width> square[Width];
+#pragma GCC unroll 4
+        for (int c = 0; c < Width; ++c)
+          if (j + c < States)
+            detail::load<Width>(cost_to_go_.data() + state_rows * (j + c) + i, square[c]);
+          else
+            square[c] = Packet<Width>{};
+        detail::transpose(square);
+#pragma GCC unroll 4
+        for (int c = 0; c < Width; ++c) {
+          if (i + c >= States) continue;
+          double* column = cost_to_go_.data() + state_rows * (i + c) + j;
+          if (i > j) {
+            detail::store<Width>(column, square[c]);
+          } else {
+#pragma GCC unroll 4
+            for (int r = 0; r < c; ++r) column[r] = square[c][r];
+          }
+        }
       }
     }
   }
 
-  // P: symmetric, kept as the lower triangle that the last elimination left.
-  [[nodiscard]] auto cost_to_go() const {
-    return [this](int i, int j) {
-      return i >= j ? hessian_(Inputs + i, Inputs + j) : hessian_(Inputs + j, Inputs + i);
-    };
+  template <int Width, typename Gradients>
+  [[gnu::always_inline]] inline void solve_for(const Gradients& gradients) {
+    constexpr int packets = rows / Width;
+    gradient_ = gradients(horizon());
+    for (int k = horizon() - 1; k >= 0; --k) {
+      Stage& s = stage(k);
+      const Vector& own = gradients(k);
+      Packet<Width> g[packets];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::load<Width>(own.data() + Width * t, g[t]);
+      for (int i = 0; i < States; ++i) {
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(g[t], s.transition.data() + rows * i + Width * t,
+                                     gradient_(i));
+      }
+      double by_input[rows];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(by_input + Width * t, g[t]);
+      for (int j = 0; j < Inputs; ++j) {
+        double sum = by_input[States + j];
+        for (int i = 0; i < j; ++i) sum -= s.factor(States + j, i) * s.eliminated(i);
+        s.eliminated(j) = sum;
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(g[t], s.factor.data() + rows * j + Width * t, -sum);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, g[t]);
+    }
   }
 
-  // The first columns of the Cholesky factorisation of H, and what they leave of H and g.
-  [[nodiscard]] bool eliminate_inputs(Stage& s) {
-    for (int j = 0; j < Inputs; ++j) {
-      auto column = s.factor.col(j);
-      column = hessian_.col(j);
-      for (int i = 0; i < j; ++i) column -= s.factor(j, i) * s.factor.col(i);
-      column.head(j).setZero();
-      if (!(column(j) > 0.0)) return false;
-      column *= 1.0 / std::sqrt(column(j));
-      s.y(j) = gradient_(j) / column(j);
-      gradient_ -= s.y(j) * column;
+  template <int Width, int Packets>
+  [[gnu::always_inline]] static inline void step_back_column(const Stage& s, const Reached& list,
+                                                             const Batch& after, Eigen::Index row,
+                                                             Batch& before, int column) {
+    Packet<Width> sum[Packets] = {};
+    for (int n = 0; n < list.count; ++n) {
+      const int k = list.at[static_cast<std::size_t>(n)];
+      const double factor = s.transition(column, k);
+      const double* from = after.data() + after.rows() * k + row;
+#pragma GCC unroll 4
+      for (int t = 0; t < Packets; ++t)
+        detail::add_product<Width>(sum[t], from + Width * t, factor);
     }
-    auto remainder = hessian_.template rightCols<States>();
-    const auto minus_y = [&s](int i, int j) { return -s.factor(Inputs + j, i); };
-    add_lower_product<FullColumns, Inputs, States, Inputs>(s.factor, minus_y, remainder);
-    return true;
+#pragma GCC unroll 4
+    for (int t = 0; t < Packets; ++t)
+      detail::store<Width>(before.data() + before.rows() * column + row + Width * t, sum[t]);
+  }
+
+  // From node to node with the inputs that set(width, stage, k, w) chooses.
+  template <typename Set>
+  void move(std::vector<Vector>& w, const Set& set) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (int k = 0; k < horizon(); ++k) {
+        const auto i = static_cast<std::size_t>(k);
+        set(packet, stages_[i], k, w[i]);
+        advance<packet()>(stages_[i], w[i], w[i + 1]);
+        w[i + 1].template head<States>() += stages_[i].defect.template head<States>();
+      }
+      return true;
+    });
+  }
+  // du of w = (dx, du).
+  template <int Width, bool Optimal = true>
+  [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z, Vector& w) {
+    double turned[input_rows];  // Y' dx, divided by the diagonal of L
+    for (int i = States; i < state_rows; ++i) w(i) = 0.0;
+    for (int j = 0; j < input_rows; j += Width)
+      multiply_transposed<Width, state_rows>(s.factor.data() + rows * j, w.data(), turned + j);
+    double* du = w.data() + States;
+    for (int j = Inputs - 1; j >= 0; --j) {
+      double sum = -turned[j];
+      if constexpr (Optimal) sum -= s.inverse_pivot(j) * s.eliminated(j);
+      if (z) sum += std::sqrt(s.inverse_pivot(j)) * z[j];
+      for (int i = Inputs - 1; i > j; --i) sum -= s.factor(States + i, j) * du[i];
+      du[j] = sum;
+    }
+  }
+  // dx of `next`, without the defect.
+  template <int Width>
+  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w,
+                                                    Vector& next) {
+    double dx[state_rows];
+    for (int k = 0; k < state_rows; k += Width)
+      multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);
+    for (int k = 0; k < States; ++k) next(k) = dx[k];
+  }
+  // The products of Width columns, `rows` numbers apart, with the first `Count` numbers of w.
+  template <int Width, int Count>
+  [[gnu::always_inline]] static inline void multiply_transposed(const double* columns,
+                                                                const double* w, double* result) {
+    Packet<Width> sums[Width] = {};
+#pragma GCC unroll 32
+    for (int i = 0; i < Count; i += Width) {
+      Packet<Width> factor;
+      detail::load<Width>(w + i, factor);
+#pragma GCC unroll 4
+      for (int c = 0; c < Width; ++c) {
+        Packet<Width> column;
+        detail::load<Width>(columns + rows * c + i, column);
+        sums[c] += column * factor;
+      }
+    }
+    detail::transpose(sums);
+#pragma GCC unroll 4
+    for (int c = 1; c < Width; ++c) sums[0] += sums[c];
+    detail::store<Width>(result, sums[0]);
   }
 
   std::vector<Stage> stages_;
-  typename Stage::Transition product_;  // M' P
+  // P of the node that was reached, M' P and H of the one being done; (p, what is left of g_u).
+  Eigen::Matrix<double, state_rows, States> cost_to_go_ =
+      Eigen::Matrix<double, state_rows, States>::Zero();
+  typename Eigen::Matrix<double, rows, States> product_ =
+      Eigen::Matrix<double, rows, States>::Zero();
   Eigen::Matrix<double, rows, width> hessian_ = Eigen::Matrix<double, rows, width>::Zero();
-  Eigen::Matrix<double, rows, 1> gradient_ = Eigen::Matrix<double, rows, 1>::Zero();
+  Vector gradient_ = Vector::Zero();
 };
 
-/// P of a horizon without end that has the interval and the cost of `stage` throughout: the
-/// solution that stabilises of the discrete algebraic Riccati equation
+/// P of a horizon without end that has the same interval and cost throughout: the solution that
+/// stabilises of the discrete algebraic Riccati equation
 ///
 ///     P = lxx + A' P A - (A' P B + lux') (luu + B' P B)^-1 (B' P A + lux),
 ///
@@ -212,15 +632,18 @@ class Riccati {
 /// motion that does not die out costs nothing or cannot be stopped. Allocates; takes about a
 /// microsecond a pass for an NMPC, and as many passes as the slowest motion takes intervals to
 /// decay by 1e-6, since the cost is its square.
-template <int States, int Inputs, typename Blocks = FullTransition<States, Inputs>>
+template <int States, int Inputs, typename Pattern = FullTransition>
 [[nodiscard]] std::optional<Eigen::Matrix<double, States, States>> endless_cost(
-    const RiccatiStage<States, Inputs>& stage, int max_passes = 20000) {
+    const Eigen::Matrix<double, States, States>& A, const Eigen::Matrix<double, States, Inputs>& B,
+    const QuadraticModel<States, Inputs>& cost, int max_passes = 20000) {
   using Hessian = Eigen::Matrix<double, States, States>;
-  Riccati<States, Inputs, Blocks> pass(1);
-  pass.stage(0) = stage;
+  Riccati<States, Inputs, Pattern> pass(1);
+  auto& end = pass.stage(1).cost;
+  if (!pass.set_transition(0, A, B)) return std::nullopt;
+  pass.stage(0).cost = cost;
   Hessian P = Hessian::Identity();
   for (int i = 0; i < max_passes; ++i) {
-    pass.stage(1).cost.lxx = P;
+    end.lxx() = P;
     if (!pass.factorise()) return std::nullopt;
     const Hessian last = P;
     P = pass.initial_cost();

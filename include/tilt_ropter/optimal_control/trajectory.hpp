@@ -33,6 +33,16 @@ class Trajectory {
     u_.swap(other.u_);
   }
 
+  /// Becomes `here` moved by `length` times the step of a quadratic program.
+  template <typename Program>
+  void set_moved(const Problem& problem, const Trajectory& here, const Program& program,
+                 double length) {
+    for (int k = 0; k <= horizon(); ++k) {
+      x(k) = problem.retract(here.x(k), length * program.dx(k));
+      if (k < horizon()) u(k) = here.u(k) + length * program.du(k);
+    }
+  }
+
   /// Moves the nodes `intervals` >= 0 ahead in time, interpolating between the old ones; beyond the
   /// old end the last input goes on, or nothing moves where the problem has no finite answer.
   void shift(const Problem& problem, double intervals) {

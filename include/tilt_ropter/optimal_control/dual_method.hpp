@@ -1,0 +1,210 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/optimal_control/subproblem.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <utility>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// Solves a Subproblem by the dual of the constraints that matter, its working set: a constraint's
+/// gradient with respect to the coordinates z of Riccati comes from one adjoint sweep, all in one
+/// batch; NLopt solves for the multipliers; a forward sweep shows which constraints the solution
+/// violates; they join, and so on. Those that had a multiplier last time are the first working set,
+/// and their gradients need no measurement: they are prepare()'s.
+///
+/// The fastest way for a handful of constraints. Work grows with the cube of their number, and
+/// memory with its square.
+template <int States, int Inputs, int Rows, typename Pattern>
+class DualMethod {
+ public:
+  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+
+  /// How solve() ended.
+  enum class Outcome {
+    solved,  ///< no constraint is violated that is not in the working set
+    full,    ///< there is no room, or there are no rounds left, for all that are violated
+    failed,  ///< no finite multipliers were found, or none before the deadline
+  };
+
+  /// Allocates everything for `horizon` intervals and `capacity` constraints.
+  DualMethod(int horizon, int capacity, const DualSettings& settings)
+      : settings_(settings),
+        capacity_(capacity),
+        dual_(capacity, settings),
+        gradients_(capacity, Inputs * horizon),
+        gram_(capacity, capacity),
+        offsets_(capacity),
+        bounds_(capacity),
+        multipliers_(capacity),
+        z_(Eigen::VectorXd::Zero(Inputs * horizon)),
+        in_set_(static_cast<std::size_t>(horizon) + 1) {
+    active_.reserve(static_cast<std::size_t>(capacity));
+    for (auto& batch : adjoints_) batch.setZero(detail::padded(capacity), States + Inputs);
+  }
+
+  [[nodiscard]] int capacity() const { return capacity_; }
+  [[nodiscard]] bool late() const { return dual_.late(); }  ///< the deadline has passed
+  [[nodiscard]] int rounds() const { return rounds_; }      ///< of the last solve
+
+  /// The first working set and its gradients; after the factorisation of `program` without terms.
+  /// False if it has no room.
+  [[nodiscard]] bool prepare(const Program& program) {
+    active_.clear();
+    for (const auto& [k, i] : program.active()) {
+      const double m = program.node(k).multiplier(i);
+      if (!std::isfinite(m > 0.0 ? program.node(k).upper(i) : program.node(k).lower(i))) continue;
+      if (size() == capacity_) return false;
+      multipliers_(size()) = std::abs(m);
+      active_.push_back({k, i, m > 0.0 ? 1.0 : -1.0});
+    }
+    add_gradients(program, 0);
+    return true;
+  }
+
+  /// The step for the initial step dx0, and the multipliers, in the nodes of `program`; after
+  /// prepare().
+  [[nodiscard]] Outcome solve(Program& program, const typename Program::Tangent& dx0,
+                              std::optional<SolverClock::time_point> deadline) {
+    program.step(0).template head<States>() = dx0;
+    program.riccati.sweep(program.steps());
+    program.predict();
+    for (int i = 0; i < size(); ++i) offsets_(i) = violation(program, row(i));
+    for (rounds_ = 1;; ++rounds_) {
+      const int count = size();
+      if (count > 0) {
+        auto lambda = multipliers_.head(count);
+        if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
+                         bounds_.head(count), lambda, deadline))
+          return Outcome::failed;
+        z_.setZero();  // a minus sign before the product would make a temporary
+        z_.noalias() -= gradients_.topRows(count).transpose() * lambda;
+        program.riccati.sweep(program.steps(), z_.data());
+        program.predict();
+      }
+      const int first = size();
+      const bool has_room = add_violated(program);
+      if (size() == first && has_room) break;
+      if (!has_room || rounds_ == settings_.max_rounds) {
+        active_.resize(static_cast<std::size_t>(first));
+        store_multipliers(program);
+        return Outcome::full;
+      }
+      add_gradients(program, first);
+      for (int i = first; i < size(); ++i) {
+        multipliers_(i) = 0.0;
+        // The row's value without any multiplier: its value now less what z contributes.
+        offsets_(i) = violation(program, row(i)) - gradients_.row(i).dot(z_);
+      }
+    }
+    store_multipliers(program);
+    return Outcome::solved;
+  }
+
+ private:
+  /// A row of the working set: component of node k, at its upper (+1) or lower (-1) bound.
+  struct Row {
+    int k, component;
+    double side;
+    [[nodiscard]] std::size_t slot() const {
+      return static_cast<std::size_t>(side > 0.0 ? Rows + component : component);
+    }
+  };
+
+  [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
+  [[nodiscard]] const Row& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
+
+  [[nodiscard]] static double violation(const Program& program, const Row& r) {
+    const auto& n = program.node(r.k);
+    return r.side > 0.0 ? n.predicted(r.component) - n.upper(r.component)
+                        : n.lower(r.component) - n.predicted(r.component);
+  }
+
+  /// Rows that the prediction violates join the working set. False if there is no room.
+  [[nodiscard]] bool add_violated(const Program& program) {
+    if (program.excess() <= settings_.row_tolerance) return true;
+    for (auto& flags : in_set_) flags.fill(false);
+    for (const Row& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
+    for (int k = program.horizon(); k >= 0; --k) {
+      const auto& n = program.node(k);
+      for (int i = 0; i < Rows; ++i) {
+        const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
+        if (std::max(over, under) <= settings_.row_tolerance) continue;
+        const Row r{k, i, over > under ? 1.0 : -1.0};
+        if (in_set_[static_cast<std::size_t>(k)][r.slot()]) continue;
+        if (size() == capacity_) return false;
+        active_.push_back(r);
+      }
+    }
+    return true;
+  }
+
+  /// Gradients by z of the rows from `first` on, which are ordered by falling node, by one adjoint
+  /// sweep for all of them, and their part of G G'.
+  void add_gradients(const Program& program, int first) {
+    const int last = size();
+    if (first == last) return;
+    gradients_.middleRows(first, last - first).setZero();
+    auto *after = &adjoints_[0], *here = &adjoints_[1];
+    int count = 0;  // rows whose node has been reached
+    for (int k = row(first).k; k >= 0; --k) {
+      if (count > 0) program.riccati.step_back(k, *after, *here, count);
+      for (; first + count < last && row(first + count).k == k; ++count) {
+        const Row& r = row(first + count);
+        here->row(count) =
+            r.side * program.row_gradient(k, r.component).template head<Program::width>();
+        bounds_(first + count) = program.node(k).price(r.component);
+      }
+      if (k < program.horizon()) {
+        program.riccati.to_coordinates(k, *here, count);
+        gradients_.block(first, Inputs * k, count, Inputs) =
+            here->topRightCorner(count, Inputs);
+      }
+      std::swap(after, here);
+    }
+    add_gram(program, first);
+  }
+
+  /// Rows from `first` on of G G' + 1 / stiffness. The gradient of a row is zero after its node.
+  void add_gram(const Program& program, int first) {
+    const int last = size(), end = Inputs * std::min(row(first).k + 1, program.horizon());
+    gram_.block(first, 0, last - first, last).noalias() =
+        gradients_.block(first, 0, last - first, end)
+            .lazyProduct(gradients_.topLeftCorner(last, end).transpose());
+    for (int i = first; i < last; ++i) {
+      const Row& r = row(i);
+      gram_(i, i) += 1.0 / std::min(program.node(r.k).stiffness(r.component), most_stiffness);
+    }
+  }
+
+  void store_multipliers(Program& program) const {
+    for (int k = 0; k <= program.horizon(); ++k) program.node(k).multiplier.setZero();
+    for (int i = 0; i < size(); ++i)
+      if (multipliers_(i) > 0.0)
+        program.node(row(i).k).multiplier(row(i).component) += row(i).side * multipliers_(i);
+  }
+
+  // Keeps the dual of rows that are multiples of each other from being singular.
+  static constexpr double most_stiffness = 1e12;
+
+  DualSettings settings_;
+  int capacity_;
+  DualSolver<> dual_;
+  std::vector<Row> active_;
+  Eigen::MatrixXd gradients_;  // row i: gradient of row i by z
+  std::array<typename Program::Factorisation::Batch, 2> adjoints_;
+  Eigen::MatrixXd gram_;
+  Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
+  std::vector<std::array<bool, 2 * static_cast<std::size_t>(Rows)>> in_set_;
+  int rounds_ = 0;
+};
+
+}  // namespace tilt_ropter

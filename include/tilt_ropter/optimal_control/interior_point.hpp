@@ -1,0 +1,580 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/subproblem.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// Solves a Subproblem by a primal-dual interior-point method whose every iteration is one Riccati
+/// pass and two solves with it, whatever holds: predictor and corrector (Mehrotra 1992) as in HPIPM
+/// (Frison & Diehl 2020), with the constraints' prices in it.
+///
+/// A bound with value v <= 0, price rho and softness c = 1 / stiffness has slacks t and s and a
+/// multiplier l,
+///
+///     v + t - s - c l = 0,    l t = mu,    (rho - l) s = mu,    t, s > 0,  0 < l < rho,
+///
+/// with mu -> 0. Eliminated, it adds one weight 1 / (t / l + s / (rho - l) + c) to the Hessian and
+/// one number to the gradient. No program is infeasible, no matrix singular, and no iterate leaves
+/// a bound that it is inside, so that a solve that is cut off leaves a plan that can be flown.
+template <int States, int Inputs, int Rows, typename Pattern>
+class InteriorPoint {
+ public:
+  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+  using Vector = typename Program::Vector;
+
+  /// Allocates everything for `horizon` intervals.
+  explicit InteriorPoint(int horizon)
+      : nodes_(static_cast<std::size_t>(horizon) + 1),
+        here_(nodes_.size(), Vector::Zero()),
+        change_(here_),
+        cost_gradients_(here_),
+        gradients_(here_),
+        of_rows_(Eigen::VectorXd::Zero(Rows * (horizon + 1))) {
+    const int most = 2 * Rows * (horizon + 1);
+    sides_.reserve(static_cast<std::size_t>(most));
+    immovable_.reserve(static_cast<std::size_t>(most / 2));
+    for (Eigen::VectorXd* numbers :
+         {&price_, &softness_, &value_, &multiplier_, &slack_, &excess_, &weight_, &per_multiplier_,
+          &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_, &slack_change_,
+          &excess_change_, &value_change_})
+      numbers->setOnes(detail::padded(std::max(most, 1)));
+  }
+
+  /// Begins with the inputs of the plan from which `program` was linearised, or, where they lead
+  /// far astray, with inputs that follow the deviation from it by the gains of the last pass, whose
+  /// step is in `program`; curvature(k, row) is what it costs to move a constraint. Hard
+  /// constraints get a price that is `far_above` times what the cost pushes against them with.
+  template <typename Curvature>
+  void start(Program& program, double damping, double far_above, const Curvature& curvature) {
+    damping_ = damping;
+    read_rows(program);
+    double gain = 0.0;
+    for (Vector& w : here_) w.setZero();
+    here_[0].template head<States>() = program.dx(0);
+    program.riccati.roll_out(here_);
+    if (!(largest(here_) <= 100.0 * largest(program.steps()))) {
+      program.riccati.sweep_plan(here_);
+      for (Eigen::Index i = 0; i < count(); ++i) {
+        const Side& side = sides_[static_cast<std::size_t>(i)];
+        const double v = std::max(value_change_(i), 0.0);
+        gain += curvature(side.k, program.row_gradient(side.k, side.row)) * v * v;
+      }
+    }
+    multiply_rows(program, here_);
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const auto& n = program.node(side.k);
+      const double value = n.value(side.row) + of_rows_(side.at);
+      value_(i) = side.sign > 0.0 ? value - n.upper(side.row) : n.lower(side.row) - value;
+      if (!n.hard[static_cast<std::size_t>(side.row)])
+        gain += 0.1 * price_(i) * std::max(value_(i), 0.0);
+    }
+    begin(program, gain + to_gain(program), far_above);
+  }
+
+  /// One iteration. False if there is no factorisation or a number is not finite.
+  [[nodiscard]] bool iterate(Program& program) {
+    const double mu = set_weights() / (2.0 * static_cast<double>(count()));
+    if (!program.riccati.factorise(damping_, [&](int k, double* hessian,
+                                                 double*) __attribute__((always_inline)) {
+          add_weights(k, hessian);
+        }))
+      return false;
+    set_cost_gradients(program);
+    aim_at_solution();
+    find_direction(program);
+    const double next = predict() / (2.0 * static_cast<double>(count()));
+    const double ratio = std::min(1.0, next / mu);
+    aim_at_center(ratio * ratio * ratio * mu, 1.0);
+    find_direction(program);
+    Lengths lengths = complete_direction();
+    if (std::min(lengths.primal, lengths.dual) < short_step) {
+      // The correction has led astray: towards the centre, and no further.
+      aim_at_center(mu, 0.0);
+      find_direction(program);
+      lengths = complete_direction();
+    }
+    if (!move(lengths)) return false;
+    stuck_ = std::min(lengths.primal, lengths.dual) < short_step ? stuck_ + 1 : 0;
+    if (stuck_ == 3) {
+      stuck_ = 0;
+      center(restart_mu_ *= 1e3);
+    }
+    return true;
+  }
+
+  [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
+  /// Bounds of which the last iteration does not clearly say whether they hold.
+  [[nodiscard]] int undecided() const { return undecided_; }
+
+  /// Writes the step into `program`, and the multipliers into its nodes; if `decided`, those of
+  /// bounds that seem not to hold as zero, and those that seem to be at their price as that.
+  void finish(Program& program, bool decided) const {
+    for (int k = 0; k <= program.horizon(); ++k) {
+      program.step(k) = here_[static_cast<std::size_t>(k)];
+      program.node(k).multiplier.setZero();
+    }
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      if (!side.holds && decided) continue;
+      const bool at_price =
+          (side.at_price && decided) || multiplier_(i) > (1.0 - 1e-6) * price_(i);
+      program.node(side.k).multiplier(side.row) +=
+          side.sign * (at_price ? price_(i) : multiplier_(i));
+    }
+    program.predict();
+    for (const auto& [k, i] : immovable_) {
+      auto& n = program.node(k);
+      if (n.predicted(i) > n.upper(i)) n.multiplier(i) = n.price(i);
+      if (n.predicted(i) < n.lower(i)) n.multiplier(i) = -n.price(i);
+    }
+  }
+
+ private:
+  struct Side {  // a finite bound: of row `row` of node k, upper (+1) or lower (-1)
+    int k, row, at;  // at: in of_rows_
+    double sign;
+    bool holds = false, at_price = false;
+  };
+  // The rows of a node that have a bound, by what they add to a Hessian.
+  struct NodeRowsRead {
+    int bounds = 0;  // with a single non-zero entry
+    std::array<int, static_cast<std::size_t>(Rows)> bound{}, entry{};
+    std::array<double, static_cast<std::size_t>(Rows)> square{};
+    int dense = 0;  // with more of them
+    std::array<int, static_cast<std::size_t>(Rows)> row{};
+    std::array<Vector, static_cast<std::size_t>(Rows)> gradient;
+    int columns = 0;  // that they reach
+    std::array<int, static_cast<std::size_t>(Program::width)> column{};
+  };
+
+  [[nodiscard]] static double largest(const std::vector<Vector>& w) {
+    double most = 0.0, sum = 0.0;  // the sum is NaN if any is
+    for (const Vector& v : w) {
+      most = std::max(most, v.cwiseAbs().maxCoeff());
+      sum += v.sum();
+    }
+    return std::isfinite(sum) ? most : infinity;
+  }
+  [[nodiscard]] Eigen::Index count() const { return static_cast<Eigen::Index>(sides_.size()); }
+
+  // Which bounds there are, and which entries of their rows; value_change_ is what their values are
+  // at the step in `program`.
+  void read_rows(const Program& program) {
+    sides_.clear();
+    immovable_.clear();
+    for (int k = 0; k <= program.horizon(); ++k) {
+      const auto& n = program.node(k);
+      NodeRowsRead& node = nodes_[static_cast<std::size_t>(k)];
+      node.bounds = node.dense = node.columns = 0;
+      std::array<bool, static_cast<std::size_t>(Program::width)> reached{};
+      for (int i = 0; i < Rows; ++i) {
+        const bool above = n.upper(i) < infinity, below = n.lower(i) > -infinity;
+        if (!above && !below) continue;
+        Vector& gradient = node.gradient[static_cast<std::size_t>(node.dense)];
+        gradient = program.row_gradient(k, i);
+        int entries = 0, last = 0;
+        for (int j = 0; j < Program::width; ++j)
+          if (gradient(j) != 0.0) {
+            ++entries;
+            last = j;
+          }
+        if (entries == 0) {
+          immovable_.push_back({k, i});
+          continue;
+        }
+        if (entries == 1) {
+          const auto b = static_cast<std::size_t>(node.bounds++);
+          node.bound[b] = i;
+          node.entry[b] = last;
+          node.square[b] = gradient(last) * gradient(last);
+        } else {
+          node.row[static_cast<std::size_t>(node.dense++)] = i;
+          for (int j = 0; j < Program::width; ++j)
+            if (gradient(j) != 0.0) reached[static_cast<std::size_t>(j)] = true;
+        }
+        for (const double sign : {1.0, -1.0}) {
+          if (!(sign > 0.0 ? above : below)) continue;
+          const Eigen::Index at = count();
+          sides_.push_back({k, i, Rows * k + i, sign});
+          price_(at) = n.price(i);
+          softness_(at) = 1.0 / n.stiffness(i);
+          value_change_(at) =
+              sign > 0.0 ? n.predicted(i) - n.upper(i) : n.lower(i) - n.predicted(i);
+        }
+      }
+      for (int j = 0; j < Program::width; ++j)
+        if (reached[static_cast<std::size_t>(j)])
+          node.column[static_cast<std::size_t>(node.columns++)] = j;
+    }
+  }
+
+  // By how much the program's step would be better than here_ if nothing were bounded; gradients_
+  // are those of the cost there.
+  [[nodiscard]] double to_gain(const Program& program) {
+    double sum = 0.0;
+    set_cost_gradients(program);
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (int k = 0; k <= program.horizon(); ++k) {
+        const auto i = static_cast<std::size_t>(k);
+        program.template cost_gradient<packet()>(k, program.step(k), damping_, gradients_[i]);
+        sum += 0.5 * (cost_gradients_[i] + gradients_[i])
+                         .template head<Program::width>()
+                         .dot((here_[i] - program.step(k)).template head<Program::width>());
+      }
+      return true;
+    });
+    return std::abs(sum);
+  }
+
+  void begin(Program& program, double gain, double far_above) {
+    std::array<double, static_cast<std::size_t>(Rows)> unit{};  // how far a row moves at most
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      double& u = unit[static_cast<std::size_t>(sides_[static_cast<std::size_t>(i)].row)];
+      u = std::max({u, std::abs(value_change_(i) - value_(i)), value_(i)});
+    }
+    // What the cost pushes with at the program's step.
+    (void)program.sweep_back(
+        false, [&](auto, int k, Vector& g) { g = gradients_[static_cast<std::size_t>(k)]; },
+        [&](int k, const Vector& sum, const Vector&) {
+          gradients_[static_cast<std::size_t>(k)] = sum;
+        });
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      auto& n = program.node(side.k);
+      if (!n.hard[static_cast<std::size_t>(side.row)]) continue;
+      const Vector row = program.row_gradient(side.k, side.row);
+      double push = 1.0 + gain / std::max(unit[static_cast<std::size_t>(side.row)], 1e-100);
+      for (int j = 0; j < Program::width; ++j)
+        if (row(j) != 0.0)
+          push = std::max(push, std::abs(gradients_[static_cast<std::size_t>(side.k)](j) / row(j)));
+      n.price(side.row) = price_(i) = std::min(far_above * push, Program::hard_price);
+    }
+    unit_ = unit;
+    restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
+    center(restart_mu_);
+  }
+
+  // Slacks and multipliers about as they should be at here_ for products of `mu`.
+  void center(double mu) {
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      Side& side = sides_[static_cast<std::size_t>(i)];
+      const double u = unit_[static_cast<std::size_t>(side.row)];
+      slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
+      multiplier_(i) = std::min(mu / slack_(i), 0.1 * price_(i));
+      excess_(i) = mu / (price_(i) - multiplier_(i));
+      side.holds = side.at_price = false;
+    }
+    mu_ = mu;
+    undecided_ = static_cast<int>(count());
+  }
+
+  // Calls body(width, i) for every packet of sides.
+  template <typename Body>
+  void for_sides(const Body& body) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      const Eigen::Index end = count();
+      for (Eigen::Index i = 0; i < end; i += packet()) body(packet, i);
+      return true;
+    });
+  }
+  // The sum of all complementarity products.
+  double set_weights() {
+    // What fills up the last packet has no say.
+    for (Eigen::Index i = count(); i < detail::padded(static_cast<int>(count())); ++i) {
+      price_(i) = 2.0;
+      multiplier_(i) = softness_(i) = value_(i) = value_change_(i) = 1.0;
+      slack_(i) = excess_(i) = 1e-200;
+      value_change_(i) = 0.0;
+    }
+    double sum = 0.0;
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, rho, c;
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(slack_.data() + i, t);
+      detail::load<W>(excess_.data() + i, s);
+      detail::load<W>(price_.data() + i, rho);
+      detail::load<W>(softness_.data() + i, c);
+      const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
+              weight = 1.0 / (t * per_l + s * per_rest + c), products = l * t + rest * s;
+      detail::store<W>(per_multiplier_.data() + i, per_l);
+      detail::store<W>(per_rest_.data() + i, per_rest);
+      detail::store<W>(weight_.data() + i, weight);
+      for (int j = 0; j < W; ++j) sum += products[j];
+    });
+    of_rows_.setZero();
+    for (Eigen::Index i = 0; i < count(); ++i)
+      of_rows_(sides_[static_cast<std::size_t>(i)].at) += weight_(i);
+    return sum;
+  }
+
+  [[gnu::always_inline]] inline void add_weights(int k, double* hessian) const {
+    constexpr int rows = Program::rows, W = detail::padding, packets = rows / W;
+    const NodeRowsRead& node = nodes_[static_cast<std::size_t>(k)];
+    const double* weights = of_rows_.data() + Rows * k;
+    for (int b = 0; b < node.bounds; ++b) {
+      const auto i = static_cast<std::size_t>(b);
+      hessian[(rows + 1) * node.entry[i]] += weights[node.bound[i]] * node.square[i];
+    }
+    if (node.dense == 0) return;
+    for (int c = 0; c < node.columns; ++c) {
+      const int j = node.column[static_cast<std::size_t>(c)];
+      double* column = hessian + rows * j;
+      detail::Packet<W> sum[packets];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::load<W>(column + W * t, sum[t]);
+      for (int d = 0; d < node.dense; ++d) {
+        const auto i = static_cast<std::size_t>(d);
+        const double factor = weights[node.row[i]] * node.gradient[i](j);
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<W>(sum[t], node.gradient[i].data() + W * t, factor);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<W>(column + W * t, sum[t]);
+    }
+  }
+
+  // Rows times w, of every node.
+  void multiply_rows(const Program& program, const std::vector<Vector>& w) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (int k = 0; k <= program.horizon(); ++k) {
+        double* result = of_rows_.data() + Rows * k;
+        std::fill(result, result + Rows, 0.0);
+        program.template add_row_values<packet()>(k, w[static_cast<std::size_t>(k)], result);
+      }
+      return true;
+    });
+  }
+
+  void set_cost_gradients(const Program& program) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (std::size_t k = 0; k < here_.size(); ++k)
+        program.template cost_gradient<packet()>(static_cast<int>(k), here_[k], damping_,
+                                                 cost_gradients_[k]);
+      return true;
+    });
+  }
+
+  // push_: the multipliers after a Newton step towards complementarity products of zero, if it
+  // changed no value.
+  void aim_at_solution() {
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, v, c, weight;
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(value_.data() + i, v);
+      detail::load<W>(softness_.data() + i, c);
+      detail::load<W>(weight_.data() + i, weight);
+      detail::store<W>(push_.data() + i, l + weight * (v - c * l));
+    });
+  }
+
+  // The same towards products of `mu`, with a second-order correction by the last direction.
+  void aim_at_center(double mu, double correction) {
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, v, c, weight, per_l, per_rest, dl, dt, ds;
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(slack_.data() + i, t);
+      detail::load<W>(excess_.data() + i, s);
+      detail::load<W>(value_.data() + i, v);
+      detail::load<W>(softness_.data() + i, c);
+      detail::load<W>(weight_.data() + i, weight);
+      detail::load<W>(per_multiplier_.data() + i, per_l);
+      detail::load<W>(per_rest_.data() + i, per_rest);
+      detail::load<W>(multiplier_change_.data() + i, dl);
+      detail::load<W>(slack_change_.data() + i, dt);
+      detail::load<W>(excess_change_.data() + i, ds);
+      const P slack_aim = (mu - correction * dl * dt) * per_l - t,
+              excess_aim = (mu + correction * dl * ds) * per_rest - s;
+      detail::store<W>(slack_aim_.data() + i, slack_aim);
+      detail::store<W>(excess_aim_.data() + i, excess_aim);
+      detail::store<W>(push_.data() + i, l + weight * (v + t - s - c * l + slack_aim - excess_aim));
+    });
+  }
+
+  // The step for these multipliers, and how it changes the values.
+  void find_direction(Program& program) {
+    of_rows_.setZero();
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      of_rows_(side.at) += side.sign * push_(i);
+    }
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (std::size_t k = 0; k < here_.size(); ++k) {
+        gradients_[k] = cost_gradients_[k];
+        program.template add_row_gradients<packet()>(
+            static_cast<int>(k), of_rows_.data() + Rows * static_cast<Eigen::Index>(k),
+            gradients_[k]);
+      }
+      return true;
+    });
+    program.riccati.solve(
+        [&](int k) -> const Vector& { return gradients_[static_cast<std::size_t>(k)]; });
+    change_[0].template head<States>().setZero();
+    program.riccati.sweep_change(change_);
+    multiply_rows(program, change_);
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      value_change_(i) = side.sign * of_rows_(side.at);
+    }
+  }
+
+  // Completes the direction towards the solution, and tells by it which bounds hold: there the
+  // slack vanishes and the multiplier stays, at others it is the other way round (El-Bakry, Tapia &
+  // Zhang 1994). Returns the sum of the products after the longest step along it.
+  double predict() {
+    double most_primal = 1.0, most_dual = 1.0, constant = 0.0, by_primal = 0.0, by_dual = 0.0,
+           by_both = 0.0;
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, rho, weight, per_l, per_rest, push, dv;
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(slack_.data() + i, t);
+      detail::load<W>(excess_.data() + i, s);
+      detail::load<W>(price_.data() + i, rho);
+      detail::load<W>(weight_.data() + i, weight);
+      detail::load<W>(per_multiplier_.data() + i, per_l);
+      detail::load<W>(per_rest_.data() + i, per_rest);
+      detail::load<W>(push_.data() + i, push);
+      detail::load<W>(value_change_.data() + i, dv);
+      const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest,
+              dt = -t - t * of_l, ds = s * of_rest - s, rest = rho - l;
+      detail::store<W>(multiplier_change_.data() + i, dl);
+      detail::store<W>(slack_change_.data() + i, dt);
+      detail::store<W>(excess_change_.data() + i, ds);
+      const P zeroth = l * t + rest * s, first = l * dt + rest * ds, second = dl * (t - s),
+              third = dl * (dt - ds);
+      for (int j = 0; j < W; ++j) {
+        constant += zeroth[j];
+        by_primal += first[j];
+        by_dual += second[j];
+        by_both += third[j];
+        most_primal = std::max(most_primal, 1.0 + std::max(of_l[j], -of_rest[j]));
+        most_dual = std::max(most_dual, std::max(-of_l[j], of_rest[j]));
+      }
+    });
+    undecided_ = 0;
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      Side& side = sides_[static_cast<std::size_t>(i)];
+      const double of_multiplier = -multiplier_change_(i) * per_multiplier_(i),
+                   of_rest = multiplier_change_(i) * per_rest_(i);
+      const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
+      side.holds = of_multiplier < 0.5;
+      side.at_price = of_rest > 0.5;
+      undecided_ += unclear(of_multiplier) || unclear(of_rest);
+    }
+    const double primal = 1.0 / most_primal, dual = 1.0 / most_dual;
+    return constant + primal * by_primal + dual * by_dual + primal * dual * by_both;
+  }
+
+  struct Lengths {
+    double primal, dual;
+  };
+
+  // Completes the direction towards the centre; most of the way along it to the nearest bound.
+  [[nodiscard]] Lengths complete_direction() {
+    double most_primal = most_of_the_way, most_dual = most_of_the_way;
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(slack_.data() + i, t);
+      detail::load<W>(excess_.data() + i, s);
+      detail::load<W>(weight_.data() + i, weight);
+      detail::load<W>(per_multiplier_.data() + i, per_l);
+      detail::load<W>(per_rest_.data() + i, per_rest);
+      detail::load<W>(push_.data() + i, push);
+      detail::load<W>(slack_aim_.data() + i, slack_aim);
+      detail::load<W>(excess_aim_.data() + i, excess_aim);
+      detail::load<W>(value_change_.data() + i, dv);
+      const P dl = push - l + weight * dv, dt = slack_aim - t * per_l * dl,
+              ds = excess_aim + s * per_rest * dl, of_t = dt / t, of_s = ds / s, of_l = dl * per_l,
+              of_rest = dl * per_rest;
+      detail::store<W>(multiplier_change_.data() + i, dl);
+      detail::store<W>(slack_change_.data() + i, dt);
+      detail::store<W>(excess_change_.data() + i, ds);
+      for (int j = 0; j < W; ++j) {
+        most_primal = std::max(most_primal, std::max(-of_t[j], -of_s[j]));
+        most_dual = std::max(most_dual, std::max(-of_l[j], of_rest[j]));
+      }
+    });
+    return {most_of_the_way / most_primal, most_of_the_way / most_dual};
+  }
+
+  // False, and nothing is done, if a number is not finite.
+  [[nodiscard]] bool move(const Lengths& lengths) {
+    const double primal = lengths.primal, dual = lengths.dual;
+    if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
+      return false;
+    for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += primal * change_[k];
+    double sum = 0.0;
+    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, v, rho, change;
+      detail::load<W>(price_.data() + i, rho);
+      detail::load<W>(multiplier_.data() + i, l);
+      detail::load<W>(multiplier_change_.data() + i, change);
+      l += dual * change;
+      detail::store<W>(multiplier_.data() + i, l);
+      detail::load<W>(slack_.data() + i, t);
+      detail::load<W>(slack_change_.data() + i, change);
+      t += primal * change;
+      detail::store<W>(slack_.data() + i, t);
+      detail::load<W>(excess_.data() + i, s);
+      detail::load<W>(excess_change_.data() + i, change);
+      s += primal * change;
+      detail::store<W>(excess_.data() + i, s);
+      detail::load<W>(value_.data() + i, v);
+      detail::load<W>(value_change_.data() + i, change);
+      v += primal * change;
+      detail::store<W>(value_.data() + i, v);
+      const P products = l * t + (rho - l) * s;
+      for (int j = 0; j < W; ++j) sum += products[j];
+    });
+    mu_ = sum / (2.0 * static_cast<double>(count()));
+    return true;
+  }
+
+  [[nodiscard]] double largest_change() const {
+    double sum = 0.0;  // NaN if any is
+    for (Eigen::Index i = 0; i < count(); ++i)
+      sum += std::abs(multiplier_change_(i)) + std::abs(slack_change_(i)) +
+             std::abs(excess_change_(i));
+    return sum;
+  }
+
+  static constexpr double infinity = std::numeric_limits<double>::infinity();
+  static constexpr double most_of_the_way = 0.99, short_step = 0.1;
+
+  std::vector<NodeRowsRead> nodes_;
+  std::vector<Side> sides_;
+  std::vector<typename Program::ActiveRow> immovable_;  // bounded rows that no step changes
+  std::vector<Vector> here_, change_, cost_gradients_, gradients_;
+  Eigen::VectorXd of_rows_;  // a number of each row of each node
+  // Of each side:
+  Eigen::VectorXd price_, softness_, value_, multiplier_, slack_, excess_, weight_, per_multiplier_,
+      per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_, excess_change_,
+      value_change_;
+  double damping_ = 0.0, mu_ = 0.0, restart_mu_ = 0.0;
+  int undecided_ = 0, stuck_ = 0;
+  std::array<double, static_cast<std::size_t>(Rows)> unit_{};
+};
+
+}  // namespace tilt_ropter

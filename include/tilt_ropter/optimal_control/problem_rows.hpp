@@ -1,0 +1,124 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <limits>
+#include <type_traits>
+#include <utility>
+
+namespace tilt_ropter {
+
+/// The constraints of a problem in vectors of one size for every node, whatever of the optional
+/// functions it has: what the solvers read.
+template <typename Problem>
+class ProblemRows {
+ private:
+  template <typename P, typename = void>
+  struct TerminalCount : std::integral_constant<int, -1> {};
+  template <typename P>
+  struct TerminalCount<P, std::void_t<decltype(P::terminal_rows)>>
+      : std::integral_constant<int, P::terminal_rows> {};
+  template <typename P, typename = void>
+  struct HasQuadratic : std::false_type {};
+  template <typename P>
+  struct HasQuadratic<P, std::void_t<decltype(std::declval<const P&>().quadratic_penalty(0))>>
+      : std::true_type {};
+  template <typename P, typename = void>
+  struct HasTerminalQuadratic : std::false_type {};
+  template <typename P>
+  struct HasTerminalQuadratic<
+      P, std::void_t<decltype(std::declval<const P&>().terminal_quadratic_penalty())>>
+      : std::true_type {};
+
+ public:
+  using D = ProblemDimensions<Problem>;
+  using State = typename Problem::State;
+  using Input = typename D::Input;
+  static constexpr int of_nodes = D::nc;
+  /// Of node N; -1 if they are those of the other nodes.
+  static constexpr int of_end = TerminalCount<Problem>::value;
+  static constexpr int count = std::max(of_nodes, of_end);
+  using Values = Eigen::Matrix<double, count, 1>;
+  using ByState = Eigen::Matrix<double, count, D::nx>;
+  using ByInput = Eigen::Matrix<double, count, D::nu>;
+
+  [[nodiscard]] static Values values(const Problem& problem, int k, const State& x,
+                                     const Input& u) {
+    if constexpr (count == of_nodes && of_end < 0) {
+      if constexpr (count > 0) return problem.row_values(k, x, u);
+      return {};
+    } else {
+      Values all = Values::Zero();
+      if (k == problem.horizon()) {
+        if constexpr (of_end > 0) all.template head<of_end>() = problem.terminal_row_values(x);
+      } else if constexpr (of_nodes > 0) {
+        all.template head<of_nodes>() = problem.row_values(k, x, u);
+      }
+      return all;
+    }
+  }
+
+  /// Entries that the problem does not set keep what they were.
+  static void derivatives(const Problem& problem, int k, const State& x, const Input& u, ByState& C,
+                          ByInput& E) {
+    if constexpr (count == of_nodes && of_end < 0) {
+      if constexpr (count > 0) problem.row_derivatives(k, x, u, C, E);
+    } else if (k == problem.horizon()) {
+      if constexpr (of_end > 0) {
+        Eigen::Matrix<double, of_end, D::nx> by_state = C.template topRows<of_end>();
+        problem.terminal_row_derivatives(x, by_state);
+        C.template topRows<of_end>() = by_state;
+      }
+    } else if constexpr (of_nodes > 0) {
+      typename D::RowsX by_state = C.template topRows<of_nodes>();
+      typename D::RowsU by_input = E.template topRows<of_nodes>();
+      problem.row_derivatives(k, x, u, by_state, by_input);
+      C.template topRows<of_nodes>() = by_state;
+      E.template topRows<of_nodes>() = by_input;
+    }
+  }
+
+  /// Bounds, price and stiffness (quadratic penalty), which are infinite where there are none.
+  static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& price,
+                     Values& stiffness) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    if constexpr (count > of_nodes || of_end >= 0) {
+      lower.setConstant(-infinity);
+      upper.setConstant(infinity);
+      price.setConstant(infinity);
+    }
+    if constexpr (HasQuadratic<Problem>::value || HasTerminalQuadratic<Problem>::value)
+      stiffness.setConstant(infinity);
+    if constexpr (of_end >= 0) {
+      if (k == problem.horizon()) {
+        if constexpr (of_end > 0) {
+          lower.template head<of_end>() = problem.terminal_lower();
+          upper.template head<of_end>() = problem.terminal_upper();
+          price.template head<of_end>() = problem.terminal_penalty();
+          if constexpr (HasTerminalQuadratic<Problem>::value)
+            stiffness.template head<of_end>() = problem.terminal_quadratic_penalty();
+        }
+        return;
+      }
+    }
+    if constexpr (of_nodes > 0) {
+      lower.template head<of_nodes>() = problem.lower(k);
+      upper.template head<of_nodes>() = problem.upper(k);
+      price.template head<of_nodes>() = problem.penalty(k);
+      if constexpr (HasQuadratic<Problem>::value)
+        stiffness.template head<of_nodes>() = problem.quadratic_penalty(k);
+    }
+  }
+
+  /// True if row i, with these derivatives at node k, has a meaning there: node N has no input.
+  [[nodiscard]] static bool applies(const Problem& problem, int k, const ByInput& E, int i) {
+    if constexpr (count > 0)
+      return k < problem.horizon() || of_end >= 0 || E.row(i).isZero(0.0);
+    return false;
+  }
+};
+
+}  // namespace tilt_ropter

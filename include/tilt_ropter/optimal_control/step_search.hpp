@@ -1,0 +1,210 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/anderson.hpp>
+#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/merit.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/trajectory.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+
+namespace tilt_ropter {
+
+/// Finds the next iterate of MultipleShooting::solve() from the step of a quadratic program.
+///
+/// What is tried first is the step that Anderson makes of it; it need not lower the merit where
+/// that is nearly level or rounding hides it (the merit's norms reject good steps there: Maratos),
+/// but then is on trust: unless the next program's step is shorter, the search goes back. Else a
+/// line search along the step.
+template <typename Problem, typename Program>
+class StepSearch {
+ public:
+  using D = ProblemDimensions<Problem>;
+  using Points = Trajectory<Problem>;
+  static constexpr int nx = D::nx, nu = D::nu;
+
+  /// Allocates; the functions below do not.
+  StepSearch(int horizon, const SolverSettings& settings)
+      : settings_(settings),
+        horizon_(horizon),
+        trial_(horizon),
+        base_(horizon),
+        merit_(horizon),
+        anderson_((nx + nu) * (horizon + 1), settings.memory),
+        residual_(Eigen::VectorXd::Zero((nx + nu) * (horizon + 1))),
+        base_residual_(residual_),
+        move_(residual_),
+        scale_(residual_) {}
+
+  /// Before the first step of a solve. Without `accelerated`, line searches only.
+  void begin(bool accelerated) {
+    merit_.forget();
+    accelerates_ = accelerated && settings_.memory > 0;
+    forget_moves();
+    length_ = 1.0;
+    first_ = true;
+  }
+
+  /// The last step was accepted without a lower merit, and nothing says yet that it is better.
+  [[nodiscard]] bool on_trust() const { return on_trust_; }
+  [[nodiscard]] double length() const { return length_; }  ///< of the last step
+
+  /// Moves `here` by the step in `program`, which was linearised there at this cost; back to where
+  /// the step on trust started if that is not worth it. Returns iterated, or stalled if no step is
+  /// better.
+  SolveStatus advance(const Problem& problem, const Program& program,
+                      const AugmentedLagrangian<Problem>& equalities, double cost, Points& here) {
+    if (accelerates_) {
+      if (first_) set_scale(program);
+      first_ = false;
+      pack_step(program);
+      if (moved_) anderson_.add(move_, base_residual_, residual_);
+      if (on_trust_ && !(residual_.norm() < 0.9 * base_residual_.norm()))
+        return go_back(problem, here, true);
+    }
+    const double slope = merit_.update(program, horizon_);
+    const double merit = merit_.value_here(problem, program, equalities, here, cost);
+    const bool level = -slope <= 1e-4 * (1.0 + std::abs(merit)) && !searches_;
+    const bool hidden = -slope <= 1e-9 * (1.0 + std::abs(merit));
+    searches_ = on_trust_ = false;
+    attempts_ = 0;
+    const auto merit_of_trial = [&] {
+      return merit_.value(problem, program, equalities, trial_);
+    };
+    if (!accelerates_) return search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
+
+    base_ = here;
+    base_residual_ = residual_;
+    moved_ = true;
+    if (!anderson_.empty()) {
+      move_ = anderson_.step(residual_);
+      try_move(problem, here);
+      const bool lower = merit_of_trial() <= merit + 1e-4 * slope;
+      if (lower || level || hidden) {
+        on_trust_ = !lower;
+        length_ = 1.0;
+        here.swap(trial_);
+        return SolveStatus::iterated;
+      }
+    }
+    on_trust_ = hidden;
+    const SolveStatus status =
+        search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
+    move_ = length_ * residual_;
+    return status;
+  }
+
+  /// Back to where the trusted step started. What was learnt at its end makes for a better one, a
+  /// few times; then the line search has to find one.
+  SolveStatus go_back(const Problem& problem, Points& here, bool learnt) {
+    here = base_;
+    if (learnt && ++attempts_ < max_attempts) {
+      move_ = anderson_.step(base_residual_);
+      try_move(problem, here);
+      here.swap(trial_);
+    } else {
+      forget_moves();
+      searches_ = true;
+    }
+    return SolveStatus::iterated;
+  }
+  /// The same for the end of a solve.
+  void give_back(Points& here) { here.swap(base_); }
+
+ private:
+  // Along the step of the quadratic program.
+  template <typename MeritOfTrial>
+  SolveStatus search_line(const Problem& problem, const Program& program, double merit,
+                          double slope, bool hidden, const MeritOfTrial& merit_of_trial,
+                          Points& here) {
+    double length = 1.0;
+    if (hidden) {  // nothing to go by but what was right before
+      if (!accelerates_) length = length_;
+      try_step(problem, program, length, here);
+    } else {
+      try_step(problem, program, length, here);
+      double there = merit_of_trial();
+      // The parabola through the merit here, its slope and its value at the end: where a
+      // Gauss-Newton step goes far beyond the minimum, it does so every time, and only a shorter
+      // one converges.
+      const double bend = there - merit - slope;
+      if (bend > 0.0 && -slope < 1.5 * bend) {
+        length = std::max(0.1, -slope / (2.0 * bend));
+        try_step(problem, program, length, here);
+        there = merit_of_trial();
+      }
+      while (!(there <= merit + 1e-4 * length * slope)) {
+        length *= 0.5;
+        if (length < settings_.min_step) return SolveStatus::stalled;
+        try_step(problem, program, length, here);
+        there = merit_of_trial();
+      }
+    }
+    length_ = length;
+    here.swap(trial_);
+    return SolveStatus::iterated;
+  }
+
+  void try_step(const Problem& problem, const Program& program, double length, const Points& here) {
+    trial_.set_moved(problem, here, program, length);
+  }
+
+  void forget_moves() {
+    anderson_.clear();
+    moved_ = on_trust_ = searches_ = false;
+    attempts_ = 0;
+  }
+
+  // The step of the quadratic program as one vector, scaled by the first Hessians' diagonals.
+  void pack_step(const Program& program) {
+    for (int k = 0; k <= horizon_; ++k) {
+      of_state(residual_, k) = of_state(scale_, k).cwiseProduct(program.dx(k));
+      if (k < horizon_) of_input(residual_, k) = of_input(scale_, k).cwiseProduct(program.du(k));
+    }
+  }
+  void try_move(const Problem& problem, const Points& here) {
+    for (int k = 0; k <= horizon_; ++k) {
+      const typename D::Tangent dx = of_state(move_, k).cwiseQuotient(of_state(scale_, k));
+      trial_.x(k) = problem.retract(here.x(k), dx);
+      if (k < horizon_)
+        trial_.u(k) = here.u(k) + of_input(move_, k).cwiseQuotient(of_input(scale_, k));
+    }
+  }
+  void set_scale(const Program& program) {
+    for (int k = 0; k <= horizon_; ++k) {
+      const auto curvature = program.riccati.stage(k)
+                                 .cost.hessian.diagonal()
+                                 .cwiseAbs()
+                                 .cwiseMax(1e-6)
+                                 .cwiseSqrt();
+      of_state(scale_, k) = curvature.template head<nx>();
+      if (k < horizon_) of_input(scale_, k) = curvature.template segment<nu>(nx);
+    }
+  }
+  static auto of_state(Eigen::VectorXd& v, int k) { return v.template segment<nx>((nx + nu) * k); }
+  static auto of_input(Eigen::VectorXd& v, int k) {
+    return v.template segment<nu>((nx + nu) * k + nx);
+  }
+
+  static constexpr int max_attempts = 5;
+
+  SolverSettings settings_;
+  int horizon_;
+  Points trial_, base_;  // base: where the last step started
+  Merit<Problem, Program> merit_;
+  Anderson<> anderson_;
+  // Scaled: step of the program here and at the base, step taken from the base; and the scales.
+  Eigen::VectorXd residual_, base_residual_, move_, scale_;
+  double length_ = 1.0;
+  bool accelerates_ = false, first_ = true;
+  bool moved_ = false;     // move_ and base_residual_ are set
+  bool on_trust_ = false;  // the last step was accepted without a lower merit
+  bool searches_ = false;  // the next step must lower the merit
+  int attempts_ = 0;       // trusted steps from the same base
+};
+
+}  // namespace tilt_ropter
