@@ -31,7 +31,7 @@ violations=$(
       else if ($2 == "<nlopt.h>")
         ok = room == "optimal_control" || $1 ~ /estimation\/servo_identification.hpp$/
       else  # Eigen and the standard library
-        ok = $2 ~ /^<Eigen\/[A-Za-z]+>$/ || $2 ~ /^<[a-z_]+>$/
+        ok = $2 ~ /^<(unsupported\/)?Eigen\/[A-Za-z]+>$/ || $2 ~ /^<[a-z_]+>$/
       if (!ok) print $1 " may not include " $2
     }' <<< "$includes"
   for header in $headers; do

@@ -1,0 +1,250 @@
+#pragma once
+
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+#include <unsupported/Eigen/AutoDiff>
+
+#include <limits>
+#include <type_traits>
+#include <utility>
+
+namespace tilt_ropter {
+namespace detail {
+
+/// True if the struct has the function or constant that Member<User> is formed from.
+template <template <typename> class Member, typename User, typename = void>
+inline constexpr bool has_member = false;
+template <template <typename> class Member, typename User>
+inline constexpr bool has_member<Member, User, std::void_t<Member<User>>> = true;
+
+template <typename User>
+using RowsMember = std::integral_constant<int, User::rows>;
+template <typename User>
+using LowerMember = decltype(std::declval<const User&>().lower(0));
+template <typename User>
+using PenaltyMember = decltype(std::declval<const User&>().penalty(0));
+template <typename User>
+using TerminalRowsMember = std::integral_constant<int, User::terminal_rows>;
+template <typename User>
+using TerminalLowerMember = decltype(std::declval<const User&>().terminal_lower());
+template <typename User>
+using TerminalPenaltyMember = decltype(std::declval<const User&>().terminal_penalty());
+template <typename User>
+using TerminalResidualsMember = std::integral_constant<int, User::terminal_residuals>;
+template <typename User>
+using TerminalResidualMember = decltype(std::declval<const User&>().terminal_residual(
+    std::declval<const Eigen::Matrix<double, User::states, 1>&>()));
+
+/// The value of such a constant, 0 where it is absent.
+template <template <typename> class Member, typename User>
+constexpr int count_of() {
+  if constexpr (has_member<Member, User>) return Member<User>::value;
+  return 0;
+}
+
+/// Has the constant only if the struct has it: ProblemRows asks whether it is there.
+template <typename User, bool = has_member<TerminalRowsMember, User>>
+struct AutoDiffTerminalRows {};
+template <typename User>
+struct AutoDiffTerminalRows<User, true> {
+  static constexpr int terminal_rows = User::terminal_rows;
+};
+}  // namespace detail
+
+/// A problem for MultipleShooting, made of a struct whose functions are templates on their scalar.
+/// Its derivatives are exact, by forward automatic differentiation (Eigen's AutoDiffScalar). The
+/// state is a vector and moves by addition; there are no equalities by weight. problem.hpp has an
+/// example. With V<S, n> for Eigen::Matrix<S, n, 1> the struct has
+///
+///     static constexpr int states, inputs, residuals;
+///     int horizon() const;  // number of intervals N
+///     template <typename S>  // end of interval k, 0 <= k < N
+///     V<S, states> step(int k, const V<S, states>& x, const V<S, inputs>& u) const;
+///     template <typename S>  // cost of node k: the square of its norm
+///     V<S, residuals> residual(int k, const V<S, states>& x, const V<S, inputs>& u) const;
+///
+/// and may have
+///
+///     static constexpr int rows;  // of constraints: lower <= c(x, u) <= upper
+///     template <typename S>
+///     V<S, rows> constraints(int k, const V<S, states>& x, const V<S, inputs>& u) const;
+///     V<double, rows> lower(int k) const;  // and upper(k)
+///     V<double, rows> penalty(int k) const;  // absent: infinite, all constraints are hard
+///     V<double, rows> quadratic_penalty(int k) const;
+///
+///     // constraints of node N instead of those above; terminal_rows = 0: none, without functions
+///     static constexpr int terminal_rows;
+///     template <typename S>
+///     V<S, terminal_rows> terminal_constraints(const V<S, states>& x) const;
+///     V<double, terminal_rows> terminal_lower() const;  // and terminal_upper()
+///     V<double, terminal_rows> terminal_penalty() const;  // absent: infinite
+///     V<double, terminal_rows> terminal_quadratic_penalty() const;
+///
+///     // cost of node N instead of residual(N, x, 0); terminal_residuals = 0: none
+///     static constexpr int terminal_residuals;
+///     template <typename S>
+///     V<S, terminal_residuals> terminal_residual(const V<S, states>& x) const;
+///
+/// Equal lower and upper bounds make an equality. Without `terminal_rows`, the `constraints` that
+/// do not depend on the input also hold at node N. They are called there with an arbitrary input,
+/// and a constraint whose derivative by this input is not zero does not count.
+///
+/// The functions may be static. Intermediate results must be declared as S or as a matrix of S:
+/// with auto they refer to temporaries. The residual of node N has to be differentiable at u = 0.
+/// Nothing here allocates unless the struct does; Eigen's atan2 of AutoDiffScalars allocates.
+template <typename User>
+class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
+  template <template <typename> class Member>
+  static constexpr bool has = detail::has_member<Member, User>;
+  static_assert(has<detail::RowsMember> || !has<detail::LowerMember>, "lower(k) needs rows");
+  static_assert(has<detail::TerminalRowsMember> || !has<detail::TerminalLowerMember>,
+                "terminal_lower() needs terminal_rows");
+  static_assert(has<detail::TerminalResidualsMember> || !has<detail::TerminalResidualMember>,
+                "terminal_residual(x) needs terminal_residuals");
+  static constexpr bool has_terminal_cost = has<detail::TerminalResidualsMember>;
+  static constexpr int end_rows = detail::count_of<detail::TerminalRowsMember, User>(),
+                       end_residuals = detail::count_of<detail::TerminalResidualsMember, User>();
+
+ public:
+  static constexpr int states = User::states, inputs = User::inputs, equalities = 0,
+                       rows = detail::count_of<detail::RowsMember, User>();
+  using D = ProblemDimensions<AutoDiffProblem>;
+  using Tangent = typename D::Tangent;
+  using State = Tangent;
+  using Input = typename D::Input;
+  using Rows = typename D::Rows;
+  using Model = QuadraticModel<states, inputs>;
+  using TerminalRows = Eigen::Matrix<double, end_rows, 1>;
+  using TerminalRowsX = Eigen::Matrix<double, end_rows, states>;
+
+  explicit AutoDiffProblem(User user = User()) : user_(std::move(user)) {}
+
+  /// The struct: its references and weights may change between solves, its horizon may not.
+  [[nodiscard]] User& user() { return user_; }
+  [[nodiscard]] const User& user() const { return user_; }
+
+  [[nodiscard]] int horizon() const { return user_.horizon(); }
+  [[nodiscard]] State retract(const State& x, const Tangent& dx) const { return x + dx; }
+  [[nodiscard]] Tangent difference(const State& y, const State& x) const { return y - x; }
+
+  [[nodiscard]] State step(int k, const State& x, const Input& u) const {
+    return user_.step(k, x, u);
+  }
+  [[nodiscard]] State step(int k, const State& x, const Input& u, typename D::A& A,
+                           typename D::B& B) const {
+    const Duals<states> end = user_.step(k, variables(x), variables(u, states));
+    set_derivatives(end, A, B);
+    return values(end);
+  }
+
+  [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
+    if (k < horizon()) return user_.residual(k, x, u).squaredNorm();
+    if constexpr (end_residuals > 0) return user_.terminal_residual(x).squaredNorm();
+    if constexpr (has_terminal_cost) return 0.0;
+    return user_.residual(k, x, Input(Input::Zero())).squaredNorm();
+  }
+  void cost_model(int k, const State& x, const Input& u, Model& model) const {
+    const Input at = k < horizon() ? u : Input(Input::Zero());
+    if (k < horizon() || !has_terminal_cost)
+      set_model<User::residuals>(user_.residual(k, variables(x), variables(at, states)), k, model);
+    else if constexpr (end_residuals > 0)
+      set_model<end_residuals>(user_.terminal_residual(variables(x)), k, model);
+  }
+
+  [[nodiscard]] Rows row_values(int k, const State& x, const Input& u) const {
+    return user_.constraints(k, x, k < horizon() ? u : arbitrary_input());
+  }
+  void row_derivatives(int k, const State& x, const Input& u, typename D::RowsX& C,
+                       typename D::RowsU& E) const {
+    const Input at = k < horizon() ? u : arbitrary_input();
+    const Duals<rows> c = user_.constraints(k, variables(x), variables(at, states));
+    set_derivatives(c, C, E);
+  }
+  [[nodiscard]] Rows lower(int k) const { return user_.lower(k); }
+  [[nodiscard]] Rows upper(int k) const { return user_.upper(k); }
+  [[nodiscard]] Rows penalty(int k) const {
+    if constexpr (has<detail::PenaltyMember>) return user_.penalty(k);
+    return Rows::Constant(std::numeric_limits<double>::infinity());
+  }
+  template <typename U = User>
+  [[nodiscard]] auto quadratic_penalty(int k) const
+      -> decltype(Rows(std::declval<const U&>().quadratic_penalty(k))) {
+    return user_.quadratic_penalty(k);
+  }
+
+  [[nodiscard]] TerminalRows terminal_row_values(const State& x) const {
+    return user_.terminal_constraints(x);
+  }
+  void terminal_row_derivatives(const State& x, TerminalRowsX& C) const {
+    const Duals<end_rows> c = user_.terminal_constraints(variables(x));
+    for (int i = 0; i < end_rows; ++i)
+      C.row(i) = c(i).derivatives().template head<states>().transpose();
+  }
+  [[nodiscard]] TerminalRows terminal_lower() const { return user_.terminal_lower(); }
+  [[nodiscard]] TerminalRows terminal_upper() const { return user_.terminal_upper(); }
+  [[nodiscard]] TerminalRows terminal_penalty() const {
+    if constexpr (has<detail::TerminalPenaltyMember>) return user_.terminal_penalty();
+    return TerminalRows::Constant(std::numeric_limits<double>::infinity());
+  }
+  template <typename U = User>
+  [[nodiscard]] auto terminal_quadratic_penalty() const
+      -> decltype(TerminalRows(std::declval<const U&>().terminal_quadratic_penalty())) {
+    return user_.terminal_quadratic_penalty();
+  }
+
+ private:
+  // A number with its derivatives by (x, u).
+  using Dual = Eigen::AutoDiffScalar<Eigen::Matrix<double, states + inputs, 1>>;
+  template <int Count>
+  using Duals = Eigen::Matrix<Dual, Count, 1>;
+
+  // The numbers to differentiate by: those of (x, u) from `first` on.
+  template <int Count>
+  static Duals<Count> variables(const Eigen::Matrix<double, Count, 1>& numbers, int first = 0) {
+    Duals<Count> duals;
+    for (int i = 0; i < Count; ++i) duals(i) = Dual(numbers(i), states + inputs, first + i);
+    return duals;
+  }
+
+  // No zero, where a square has no derivative, and no two equal entries.
+  static Input arbitrary_input() {
+    Input u;
+    for (int i = 0; i < inputs; ++i) u(i) = 0.37 + 0.113 * i;
+    return u;
+  }
+
+  template <int Count>
+  static Eigen::Matrix<double, Count, 1> values(const Duals<Count>& duals) {
+    return duals.unaryExpr([](const Dual& dual) { return dual.value(); });
+  }
+
+  template <int Count>
+  static void set_derivatives(const Duals<Count>& duals,
+                              Eigen::Matrix<double, Count, states>& by_state,
+                              Eigen::Matrix<double, Count, inputs>& by_input) {
+    for (int i = 0; i < Count; ++i) {
+      by_state.row(i) = duals(i).derivatives().template head<states>().transpose();
+      by_input.row(i) = duals(i).derivatives().template tail<inputs>().transpose();
+    }
+  }
+
+  // The Gauss-Newton model of |r|^2, whose Hessian leaves out the second derivatives of r.
+  template <int Count>
+  void set_model(const Duals<Count>& residual, int k, Model& model) const {
+    const Eigen::Matrix<double, Count, 1> r = values<Count>(residual);
+    Eigen::Matrix<double, Count, states> by_state;
+    Eigen::Matrix<double, Count, inputs> by_input;
+    set_derivatives<Count>(residual, by_state, by_input);
+    model.lx().noalias() = 2.0 * by_state.transpose().lazyProduct(r);
+    model.lxx().noalias() = 2.0 * by_state.transpose().lazyProduct(by_state);
+    if (k == horizon()) return;
+    model.lu().noalias() = 2.0 * by_input.transpose().lazyProduct(r);
+    model.lux().noalias() = 2.0 * by_input.transpose().lazyProduct(by_state);
+    model.luu().noalias() = 2.0 * by_input.transpose().lazyProduct(by_input);
+  }
+
+  User user_;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,374 @@
+#pragma once
+
+#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/problem_rows.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <sstream>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace tilt_ropter {
+
+/// An entry that a function of a problem got wrong; see check_derivatives().
+struct DerivativeError {
+  std::string callback;  ///< the function and its result, such as "step: A"
+  int node = 0;
+  int row = 0, column = 0;  ///< of the entry; the column is -1 in a vector, both are -1 in a number
+  double given = 0.0;       ///< what the function returned
+  double expected = 0.0;    ///< what it should be; NaN: any finite number
+};
+
+/// One line, such as "step: A(3, 7) at node 0 is 0.5, expected 0.25".
+[[nodiscard]] inline std::string to_string(const DerivativeError& error) {
+  std::ostringstream text;
+  text.precision(9);
+  text << error.callback;
+  if (error.row >= 0) text << '(' << error.row;
+  if (error.column >= 0) text << ", " << error.column;
+  text << (error.row >= 0 ? ")" : "") << " at node " << error.node << " is " << error.given;
+  if (std::isfinite(error.expected))
+    text << ", expected " << error.expected;
+  else if (std::isfinite(error.given))
+    text << ", but finite differences there are not finite";
+  else
+    text << ", expected a finite number";
+  return text.str();
+}
+
+namespace detail {
+
+/// The work of check_derivatives().
+template <typename Problem>
+class DerivativeCheck {
+ public:
+  using D = ProblemDimensions<Problem>;
+  using State = typename Problem::State;
+  using Tangent = typename D::Tangent;
+  using Input = typename D::Input;
+
+  DerivativeCheck(const Problem& problem, double tolerance)
+      : problem_(problem), tolerance_(tolerance) {}
+
+  void check_node(int k, const State& x, const Input& u) {
+    check_retraction(k, x);
+    if (k < problem_.horizon()) check_step(k, x, u);
+    check_cost(k, x, u);
+    if constexpr (AllRows::count > 0) check_rows(k, x, u);
+    if constexpr (D::ne > 0) check_equalities(k, x);
+  }
+
+  /// Compares step_lanes() with step(), if the problem has it, for all intervals.
+  void check_lanes(const std::vector<State>& xs, const std::vector<Input>& us) {
+    if constexpr (HasLanes<Problem>::value)
+      for (int k = 0; k < problem_.horizon(); k += Lanes::count)
+        check_lanes(k, std::min(Lanes::count, problem_.horizon() - k), xs, us);
+  }
+
+  /// What was found, worst first.
+  [[nodiscard]] std::vector<DerivativeError> errors() {
+    std::stable_sort(found_.begin(), found_.end(),
+                     [](const auto& a, const auto& b) { return a.first > b.first; });
+    std::vector<DerivativeError> sorted;
+    for (const auto& found : found_) sorted.push_back(found.second);
+    return sorted;
+  }
+
+ private:
+  using AllRows = ProblemRows<Problem>;
+  using Pattern = typename TransitionPatternOf<Problem>::type;
+  template <typename P, typename = void>
+  struct HasLanes : std::false_type {};
+  template <typename P>
+  struct HasLanes<P, std::void_t<decltype(&P::step_lanes)>> : std::true_type {};
+  static constexpr double nan = std::numeric_limits<double>::quiet_NaN(),
+                          infinity = std::numeric_limits<double>::infinity();
+
+  // Derivatives of the same function by long and by short steps.
+  template <int Rows, int Columns>
+  struct Differences {
+    Eigen::Matrix<double, Rows, Columns> by_long, by_short;
+  };
+
+  // d function(e) / de at e = 0, by central differences of fourth order.
+  template <int Rows, int Columns, typename Function>
+  static Eigen::Matrix<double, Rows, Columns> difference_quotients(const Function& function,
+                                                                   double length) {
+    Eigen::Matrix<double, Rows, Columns> derivative;
+    for (int j = 0; j < Columns; ++j) {
+      using Step = Eigen::Matrix<double, Columns, 1>;
+      const Step e = length * Step::Unit(j);
+      const Eigen::Matrix<double, Rows, 1> far = function(Step(2.0 * e)) - function(Step(-2.0 * e)),
+                                           near = function(e) - function(Step(-e));
+      derivative.col(j) = (8.0 * near - far) / (12.0 * length);
+    }
+    return derivative;
+  }
+  template <int Rows, int Columns, typename Function>
+  static Differences<Rows, Columns> differences(const Function& function) {
+    return {difference_quotients<Rows, Columns>(function, 1e-3),
+            difference_quotients<Rows, Columns>(function, 1e-5)};
+  }
+
+  void note(double size, const std::string& callback, int k, int row, int column, double given,
+            double expected) {
+    found_.push_back({size, {callback, k, row, column, given, expected}});
+  }
+
+  // An entry has to be near one of two numbers, of which the first may not be finite.
+  void expect(const std::string& callback, int k, int row, int column, double given, double first,
+              double second) {
+    const double expected = std::abs(given - first) <= std::abs(given - second) ? first : second;
+    const double size = std::abs(given - expected) / (tolerance_ * (1.0 + std::abs(expected)));
+    if (!(size <= 1.0))
+      note(std::isfinite(size) ? size : infinity, callback, k, row, column, given, expected);
+  }
+  template <typename Given, int Rows, int Columns>
+  void expect_row(const std::string& callback, int k, int row, const Given& given,
+                  const Differences<Rows, Columns>& by) {
+    for (int j = 0; j < Columns; ++j)
+      expect(callback, k, row, j, given(row, j), by.by_long(row, j), by.by_short(row, j));
+  }
+  template <typename Given, int Columns>
+  void expect_gradient(const std::string& callback, int k, const Given& given,
+                       const Differences<1, Columns>& by) {
+    for (int j = 0; j < Columns; ++j)
+      expect(callback, k, j, -1, given(j), by.by_long(0, j), by.by_short(0, j));
+  }
+  template <typename Given>
+  void expect_zero(const std::string& callback, int k, const Given& vector) {
+    for (int i = 0; i < static_cast<int>(vector.size()); ++i)
+      expect(callback, k, i, -1, vector(i), 0.0, 0.0);
+  }
+  template <typename Given>
+  bool expect_finite(const std::string& callback, int k, const Given& vector) {
+    for (int i = 0; i < static_cast<int>(vector.size()); ++i)
+      if (!std::isfinite(vector(i))) note(infinity, callback, k, i, -1, vector(i), nan);
+    return all_finite(vector);
+  }
+  template <typename Given>
+  void expect_finite_matrix(const std::string& callback, int k, const Given& matrix) {
+    for (int i = 0; i < static_cast<int>(matrix.rows()); ++i)
+      for (int j = 0; j < static_cast<int>(matrix.cols()); ++j)
+        if (!std::isfinite(matrix(i, j))) note(infinity, callback, k, i, j, matrix(i, j), nan);
+  }
+  template <typename Given>
+  void expect_symmetric(const std::string& callback, int k, const Given& matrix) {
+    expect_finite_matrix(callback, k, matrix);
+    for (int i = 0; i < static_cast<int>(matrix.rows()); ++i)
+      for (int j = i + 1; j < static_cast<int>(matrix.cols()); ++j)
+        if (std::isfinite(matrix(i, j)) && std::isfinite(matrix(j, i)))
+          expect(callback, k, i, j, matrix(i, j), matrix(j, i), matrix(j, i));
+  }
+
+  void check_retraction(int k, const State& x) {
+    expect_zero("difference(x, x)", k, problem_.difference(x, x));
+    const auto by_step = differences<D::nx, D::nx>([&](const Tangent& e) -> Tangent {
+      return problem_.difference(problem_.retract(x, e), x);
+    });
+    const typename D::A identity = D::A::Identity();
+    for (int i = 0; i < D::nx; ++i)
+      expect_row("identity, the derivative of difference(retract(x, dx), x)", k, i, identity,
+                 by_step);
+  }
+
+  void check_step(int k, const State& x, const Input& u) {
+    typename D::A A = D::A::Constant(nan);
+    typename D::B B = D::B::Constant(nan);
+    const State end = problem_.step(k, x, u), same_end = problem_.step(k, x, u, A, B);
+    if (!expect_finite("step: end minus x", k, problem_.difference(end, x))) return;
+    expect_zero("step: end with A, B minus end without", k, problem_.difference(same_end, end));
+    const auto by_state = differences<D::nx, D::nx>([&](const Tangent& e) -> Tangent {
+      return problem_.difference(problem_.step(k, problem_.retract(x, e), u), end);
+    });
+    const auto by_input = differences<D::nx, D::nu>([&](const Input& e) -> Tangent {
+      return problem_.difference(problem_.step(k, x, u + e), end);
+    });
+    for (int i = 0; i < D::nx; ++i) {
+      expect_row("step: A", k, i, A, by_state);
+      expect_row("step: B", k, i, B, by_input);
+      for (int j = 0; j < D::nx + D::nu; ++j) {
+        if (Pattern::nonzero(i, j)) continue;
+        const auto of = [&](const auto& state, const auto& input) {
+          return j < D::nx ? state(i, j) : input(i, j - D::nx);
+        };
+        expect("TransitionPattern of [A B]", k, i, j, 0.0, of(by_state.by_long, by_input.by_long),
+               of(by_state.by_short, by_input.by_short));
+      }
+    }
+  }
+
+  void check_lanes(int first, int count, const std::vector<State>& xs,
+                   const std::vector<Input>& us) {
+    Eigen::Matrix<Lanes, D::nx, D::nx> lanes_A;
+    Eigen::Matrix<Lanes, D::nx, D::nu> lanes_B;
+    lanes_A.setIdentity();
+    lanes_B.setZero();
+    std::vector<State> ends(static_cast<std::size_t>(Lanes::count));
+    const auto start = static_cast<std::size_t>(first);
+    problem_.step_lanes(first, count, &xs[start], &us[start], ends.data(), lanes_A, lanes_B);
+    for (int lane = 0; lane < count; ++lane) {
+      const int k = first + lane;
+      const auto node = static_cast<std::size_t>(k);
+      typename D::A A = D::A::Constant(nan);
+      typename D::B B = D::B::Constant(nan);
+      const State end = problem_.step(k, xs[node], us[node], A, B);
+      // What step() itself got wrong is not said twice.
+      const Tangent end_minus = problem_.difference(ends[static_cast<std::size_t>(lane)], end);
+      if (all_finite(problem_.difference(end, xs[node])))
+        expect_zero("step_lanes: end minus that of step", k, end_minus);
+      const auto expect_same = [&](const char* callback, const auto& given, const auto& expected) {
+        for (int i = 0; i < static_cast<int>(expected.rows()); ++i)
+          for (int j = 0; j < static_cast<int>(expected.cols()); ++j)
+            if (std::isfinite(expected(i, j)))
+              expect(callback, k, i, j, given(i, j)[lane], expected(i, j), expected(i, j));
+      };
+      expect_same("step_lanes: A", lanes_A, A);
+      expect_same("step_lanes: B", lanes_B, B);
+    }
+  }
+
+  void check_cost(int k, const State& x, const Input& u) {
+    using Number = Eigen::Matrix<double, 1, 1>;
+    QuadraticModel<D::nx, D::nu> model;
+    problem_.cost_model(k, x, u, model);
+    const double cost = problem_.cost(k, x, u);
+    if (std::isfinite(cost)) {
+      expect_gradient("cost_model: lx", k, model.lx(),
+                      differences<1, D::nx>([&](const Tangent& e) -> Number {
+                        return Number(problem_.cost(k, problem_.retract(x, e), u));
+                      }));
+      if (k < problem_.horizon())
+        expect_gradient("cost_model: lu", k, model.lu(),
+                        differences<1, D::nu>([&](const Input& e) -> Number {
+                          return Number(problem_.cost(k, x, u + e));
+                        }));
+    } else {
+      note(infinity, "cost", k, -1, -1, cost, nan);
+    }
+    if (k == problem_.horizon()) expect_finite("cost_model: lu", k, model.lu());
+    expect_symmetric("cost_model: lxx", k, model.lxx());
+    expect_symmetric("cost_model: luu", k, model.luu());
+    expect_finite_matrix("cost_model: lux", k, model.lux());
+  }
+
+  void check_rows(int k, const State& x, const Input& u) {
+    using Values = typename AllRows::Values;
+    const bool own_end = AllRows::of_end >= 0 && k == problem_.horizon();
+    const std::string prefix = own_end ? "terminal_" : "";
+    const Values values = AllRows::values(problem_, k, x, u);
+    typename AllRows::ByState C = AllRows::ByState::Zero();
+    typename AllRows::ByInput E = AllRows::ByInput::Zero();
+    AllRows::derivatives(problem_, k, x, u, C, E);
+    const auto by_state = differences<AllRows::count, D::nx>([&](const Tangent& e) -> Values {
+      return AllRows::values(problem_, k, problem_.retract(x, e), u);
+    });
+    const auto by_input = differences<AllRows::count, D::nu>(
+        [&](const Input& e) -> Values { return AllRows::values(problem_, k, x, u + e); });
+    Values lower, upper, price, stiffness = Values::Constant(infinity);
+    AllRows::bounds(problem_, k, lower, upper, price, stiffness);
+    expect_finite(prefix + "row_values", k, values);
+    for (int i = 0; i < AllRows::count; ++i) {
+      if (!AllRows::applies(problem_, k, E, i)) continue;
+      const auto expect_number = [&](const char* callback, double bound) {
+        if (std::isnan(bound)) note(infinity, prefix + callback, k, i, -1, bound, nan);
+      };
+      expect_number("lower", lower(i));
+      expect_number("upper", upper(i));
+      expect_number("penalty", price(i));
+      expect_number("quadratic_penalty", stiffness(i));
+      if (!std::isfinite(values(i))) continue;
+      expect_row(prefix + "row_derivatives: C", k, i, C, by_state);
+      if (!own_end) expect_row(prefix + "row_derivatives: E", k, i, E, by_input);
+    }
+  }
+
+  void check_equalities(int k, const State& x) {
+    using Equalities = typename D::Equalities;
+    const Equalities weights = problem_.equality_weights(k);
+    expect_finite("equality_weights", k, weights);
+    if (!(weights.array() > 0.0).any()) return;
+    typename D::EqualitiesX H = D::EqualitiesX::Constant(nan);
+    problem_.equality_derivatives(k, x, H);
+    const Equalities values = problem_.equality_values(k, x);
+    const auto by_state = differences<D::ne, D::nx>([&](const Tangent& e) -> Equalities {
+      return problem_.equality_values(k, problem_.retract(x, e));
+    });
+    for (int i = 0; i < D::ne; ++i) {
+      if (!(weights(i) > 0.0)) continue;
+      if (std::isfinite(values(i)))
+        expect_row("equality_derivatives: H", k, i, H, by_state);
+      else
+        note(infinity, "equality_values", k, i, -1, values(i), nan);
+    }
+  }
+
+  const Problem& problem_;
+  double tolerance_;
+  std::vector<std::pair<double, DerivativeError>> found_;
+};
+
+}  // namespace detail
+
+/// Compares all that a problem (see problem.hpp) returns for the solver with what it has to be,
+/// at the nodes 0 .. N of the states `xs` (N + 1 of them) and inputs `us` (N; more are not read):
+///
+/// - step: A and B, cost_model: lx and lu, row_derivatives: C and E, terminal_row_derivatives and
+///   equality_derivatives (where the weight is not zero) with central differences in tangent
+///   coordinates;
+/// - difference() with retract(): the one undoes the other, to first order;
+/// - entries of A and B that TransitionPattern calls zero with zero;
+/// - the two forms of step() with one another, and step_lanes(), if there is one, with them;
+/// - cost_model: lxx and luu with their transposes. Their values are not checked, as Gauss-Newton
+///   Hessians are not the second derivatives of the cost;
+/// - every number with being finite, bounds and penalties with not being NaN.
+///
+/// At node N the input is zero, and constraints that have an entry in E there are left out. An
+/// entry is an error if it differs by more than tolerance (1 + |expected|): entries smaller than
+/// the tolerance are not seen. Differences are taken of fourth order with steps of 1e-3 and of
+/// 1e-5, and the entry has to agree with one of them. Where a function has a kink closer than that,
+/// what is reported may be no error.
+///
+/// Returns the errors, worst first, empty if there are none. Takes 8 (nx + nu) calls of every
+/// function for a node and allocates: for tests, not for the loop. Throws std::invalid_argument for
+/// trajectories of other lengths or a tolerance that is not positive.
+template <typename Problem>
+[[nodiscard]] std::vector<DerivativeError> check_derivatives(
+    const Problem& problem, const std::vector<typename Problem::State>& xs,
+    const std::vector<typename ProblemDimensions<Problem>::Input>& us, double tolerance = 1e-6) {
+  using Input = typename ProblemDimensions<Problem>::Input;
+  require(problem.horizon() >= 1, "Problem.horizon()", problem.horizon(), ">= 1");
+  const auto horizon = static_cast<std::size_t>(problem.horizon());
+  require(xs.size() == horizon + 1, "check_derivatives: number of states", xs.size(),
+          "Problem.horizon() + 1");
+  require(us.size() >= horizon, "check_derivatives: number of inputs", us.size(),
+          ">= Problem.horizon()");
+  require_positive("check_derivatives: tolerance", tolerance);
+  detail::DerivativeCheck<Problem> check(problem, tolerance);
+  for (std::size_t k = 0; k <= horizon; ++k)
+    check.check_node(static_cast<int>(k), xs[k], k < horizon ? us[k] : Input(Input::Zero()));
+  check.check_lanes(xs, us);
+  return check.errors();
+}
+
+/// The same with one state and one input at every node.
+template <typename Problem>
+[[nodiscard]] std::vector<DerivativeError> check_derivatives(
+    const Problem& problem, const typename Problem::State& x,
+    const typename ProblemDimensions<Problem>::Input& u, double tolerance = 1e-6) {
+  const auto horizon = static_cast<std::size_t>(std::max(problem.horizon(), 0));
+  return check_derivatives(problem, std::vector<typename Problem::State>(horizon + 1, x),
+                           std::vector<typename ProblemDimensions<Problem>::Input>(horizon, u),
+                           tolerance);
+}
+
+}  // namespace tilt_ropter
