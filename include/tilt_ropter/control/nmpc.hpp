@@ -12,6 +12,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstddef>
 #include <vector>
@@ -22,11 +23,19 @@ namespace tilt_ropter {
 
 /// Where the wrench of an NmpcResult comes from.
 enum class NmpcStatus {
-  solved,         ///< the wrench comes from a plan made from this measurement
+  solved,  ///< the wrench comes from a plan made from this measurement: a solved program
+  /// The same, but the program was not solved within the limits on time or passes, or gave up a
+  /// hard constraint: SolveReport says which. The plan is finite, and the command within the bounds.
+  approximate,
   bad_state,      ///< the measurement was not finite: the last plan goes on
   solver_failed,  ///< no plan from this measurement: the last plan goes on
   no_plan,        ///< no plan, or it has run out: the safe wrench
 };
+
+/// True if the wrench comes from a plan made from this measurement.
+[[nodiscard]] constexpr bool has_plan(NmpcStatus status) {
+  return status == NmpcStatus::solved || status == NmpcStatus::approximate;
+}
 
 /// What leaves the controller.
 struct NmpcResult {
@@ -46,13 +55,17 @@ struct NmpcResult {
 ///   solved.
 /// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
 ///   sees: hold()): the last plan goes on. Status bad_state.
-/// - feedback() runs out of SolverSettings.max_feedback_time, or there is no solution, as with a
-///   reference that is not finite: the last plan goes on. Status solver_failed.
+/// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes: the
+///   best plan so far is used, and the next tick goes on from there. Status approximate.
+/// - There is no solution, as with a reference that is not finite: the last plan goes on. Status
+///   solver_failed.
 /// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it
 ///   is made anew from cold in the same call, and if that is no better, the safe wrench goes out.
+///   Where there is no time for it, the last plan goes on. Status solver_failed.
 /// - So often in a row (failures_before_reset): the next solve starts cold, from the measured state
 ///   and the wrench commanded last, which goes on if that fails, too.
 /// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
+///   After an interruption as long as that, the next plan begins with it, too.
 ///
 /// One good tick ends each of these. The safe wrench is hover against the external wrench known
 /// last, or down_force in contact: it keeps level what is level and holds no position, so a caller
@@ -89,8 +102,10 @@ class Nmpc {
   /// if the vehicle has just left the ground: see GroundContact::update.
   template <typename Reference>
   bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
+    const auto start = SolverClock::now();
     prepared_ = false;
     if (!std::isfinite(time)) return false;
+    forget_old_plan(time);
     bool lifted_off = false;
     if (is_plausible(external)) external_ = external;
     if (!cold_) lifted_off = contact_.update(body_state_, external_);
@@ -101,11 +116,14 @@ class Nmpc {
     if (!cold_) {
       // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
       // exact, and what is commanded keeps to them.
-      State<> first = solver_.state(0);
-      first.wrench = planned_wrench(time - plan_time_);
-      solver_.set_guess(0, first, solver_.input(0));
+      if (!solver_.goes_on()) {
+        State<> first = solver_.state(0);
+        first.wrench = wrench_at(time);
+        solver_.set_guess(0, first, solver_.input(0));
+      }
       (void)solver_.prepare();
     }
+    prepare_time_ = SolverClock::now() - start;
     return lifted_off;
   }
 
@@ -117,6 +135,8 @@ class Nmpc {
     body_state_ = measured;
     body_state_.orientation.normalize();
     if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
+    const auto deadline = deadline_from(SolverClock::now());
+    forget_old_plan(time);
     if (cold_) {
       contact_.update(body_state_, external_);
       set_nodes();
@@ -126,27 +146,66 @@ class Nmpc {
     // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
     // while it turns with its nose up or down. A model that did would rather keep the nose there.
     if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
-    x.wrench = cold_ && !has_plan_ ? safe_wrench() : planned_wrench(time - plan_time_);
+    x.wrench = has_plan_ ? wrench_at(time) : safe_wrench();
     if (cold_) start_cold(x);
     prepared_ = false;
-    result_.report = solver_.feedback(x);
-    if (result_.report.status == SolveStatus::iterated && !plan_is_credible()) {
-      start_cold(x);
-      result_.report = solver_.feedback(x);
-      if (result_.report.status != SolveStatus::iterated || !plan_is_credible()) {
-        has_plan_ = false;  // the last one has been written over
-        result_.report.status = SolveStatus::failed;
+    bool credible = make_plan(x, deadline);
+    if (!credible && tilt_ropter::has_plan(result_.report.status)) {
+      solver_.take_back();
+      if (!cold_ && can_start_again(deadline)) {
+        start_cold(x);
+        has_plan_ = false;  // it has been written over
+        credible = make_plan(x, deadline);
+        if (!credible && tilt_ropter::has_plan(result_.report.status)) solver_.take_back();
       }
+      if (!credible) result_.report.status = SolveStatus::failed;
     }
-    if (result_.report.status != SolveStatus::iterated)
-      return continue_last_plan(time, NmpcStatus::solver_failed);
+    if (!credible) return continue_last_plan(time, NmpcStatus::solver_failed);
+    if (!solver_.has_step() && plan_in_force(time))
+      return hand_out_last_plan(time, NmpcStatus::approximate);
     failures_ = 0;
     cold_ = false;
     has_plan_ = true;
     plan_time_ = time;
-    plan_start_ = solver_.state(0).wrench;
-    result_.status = NmpcStatus::solved;
+    plan_start_ = solver_.state(0);
+    gain_ = solver_.gain(0);
+    corrected_ = false;
+    plan_status_ = result_.report.status == SolveStatus::iterated ? NmpcStatus::solved
+                                                                  : NmpcStatus::approximate;
+    result_.status = plan_status_;
     set_command(0.0);
+    return result_;
+  }
+
+  /// Between two ticks, as from an inner loop at 1 kHz: the wrench for the body state measured at
+  /// `time` [s]. Its rate is that of the plan, corrected by the gains of the last factorisation for
+  /// the deviation from where the plan should be by now, within the bounds; the wrench follows from
+  /// the rates since the last call, and the next tick starts from it. Takes microseconds. With a
+  /// state that is not finite, or without a plan that is in force: as hold(), but not counted as a
+  /// failure.
+  [[nodiscard]] const NmpcResult& between_ticks(double time,
+                                                const BodyState<>& measured) noexcept {
+    if (!plan_in_force(time) || !is_finite(measured))
+      return hand_out_last_plan(time, NmpcStatus::bad_state);
+    const double age = std::max(time - plan_time_, 0.0), interval = settings_.problem.interval;
+    const Problem& problem = solver_.problem();
+    const int k = interval_at(age);
+    State<> x;
+    x.body = measured;
+    x.body.orientation.normalize();
+    if (problem.node(0).on_ground) x.body.angular_velocity.x() = 0.0;  // as in feedback()
+    x.wrench = wrench_at(time);
+    const State<> expected = problem.step_for(age - interval * k, k,
+                                              k == 0 ? plan_start_ : solver_.state(k),
+                                              solver_.input(k));
+    corrected_ = true;
+    corrected_time_ = time;
+    corrected_wrench_ = x.wrench;
+    corrected_rate_ = rate_within_bounds(
+        Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
+    result_.wrench = x.wrench;
+    result_.rate = {corrected_rate_.head<3>(), corrected_rate_.tail<3>()};
+    result_.status = plan_status_;
     return result_;
   }
 
@@ -161,6 +220,7 @@ class Nmpc {
 
  private:
   using Actuators = ActuatorRows<Rotors>;
+  using Rate = Eigen::Matrix<double, 6, 1>;
 
   static const NmpcSettings& checked(const NmpcSettings& settings) {
     validate(settings);
@@ -172,10 +232,43 @@ class Nmpc {
     return external.force.norm() <= most && external.torque.norm() <= most;
   }
 
+  // When this tick has to be over, prepare() counted.
+  [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const {
+    const double limit =
+        settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
+    return now - prepare_time_ + std::chrono::duration_cast<SolverClock::duration>(
+                                     std::chrono::duration<double>(std::min(limit, 1e6)));
+  }
+
+  [[nodiscard]] bool plan_in_force(double time) const {
+    return has_plan_ && std::abs(time - plan_time_) <= settings_.max_plan_age;
+  }
+  // After an interruption: nobody has followed it.
+  void forget_old_plan(double time) {
+    if (has_plan_ && !plan_in_force(time)) {
+      has_plan_ = false;
+      cold_ = true;
+    }
+  }
+
+  [[nodiscard]] bool make_plan(const State<>& x, SolverClock::time_point deadline) {
+    result_.report = solver_.feedback(x, deadline);
+    return tilt_ropter::has_plan(result_.report.status) && plan_is_credible();
+  }
+
+  // In the same tick, which must not get much longer by it.
+  [[nodiscard]] bool can_start_again(SolverClock::time_point deadline) const {
+    const auto needed = std::chrono::duration_cast<SolverClock::duration>(
+        std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
+    return 4 * solver_.report().passes <= settings_.solver.program.max_passes &&
+           SolverClock::now() + needed < deadline;
+  }
+
   /// A plan from anywhere begins with the whole horizon at `x`.
   void start_cold(const State<>& x) {
     solver_.reset(x);
-    plan_start_ = x.wrench;
+    plan_start_ = x;
+    corrected_ = false;
     (void)solver_.prepare();
   }
 
@@ -226,21 +319,38 @@ class Nmpc {
     }
   }
 
+  [[nodiscard]] int interval_at(double age) const {
+    return std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
+  }
+
   /// Wrench of the last plan `age` [s] after its measurement: linear in each interval.
   [[nodiscard]] Wrench<> planned_wrench(double age) const {
     const double interval = settings_.problem.interval;
     const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
-    const int k = std::min(static_cast<int>(clamped / interval), solver_.horizon() - 1);
-    const Wrench<>& start = k == 0 ? plan_start_ : solver_.state(k).wrench;
-    const Eigen::Matrix<double, 6, 1>& rate = solver_.input(k);
+    const int k = interval_at(clamped);
+    const Wrench<>& start = k == 0 ? plan_start_.wrench : solver_.state(k).wrench;
+    const Rate& rate = solver_.input(k);
     const double t = clamped - interval * k;
     return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
+  }
+
+  /// What has been commanded by now, while a plan is in force.
+  [[nodiscard]] Wrench<> wrench_at(double time) const {
+    if (!corrected_) return planned_wrench(time - plan_time_);
+    const double t = std::max(time - corrected_time_, 0.0);
+    return within_bounds({corrected_wrench_.force + t * corrected_rate_.head<3>(),
+                          corrected_wrench_.torque + t * corrected_rate_.tail<3>()});
   }
 
   [[nodiscard]] Wrench<> within_bounds(const Wrench<>& wrench) const {
     const NmpcBounds& b = settings_.problem.bounds;
     return {wrench.force.cwiseMax(b.force_min).cwiseMin(b.force_max),
             wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
+  }
+  [[nodiscard]] Rate rate_within_bounds(const Rate& rate) const {
+    Rate most;
+    most << settings_.problem.bounds.force_rate, settings_.problem.bounds.torque_rate;
+    return rate.cwiseMax(-most).cwiseMin(most);
   }
 
   /// Without a plan: carry the weight and what else is known to pull, turn nothing; on the ground,
@@ -258,9 +368,7 @@ class Nmpc {
 
   void set_command(double age) {
     result_.wrench = planned_wrench(age);
-    const int k = static_cast<int>(
-        std::min(age / settings_.problem.interval, static_cast<double>(solver_.horizon() - 1)));
-    const Eigen::Matrix<double, 6, 1>& rate = solver_.input(k);
+    const Rate rate = rate_within_bounds(solver_.input(interval_at(age)));
     result_.rate = {rate.head<3>(), rate.tail<3>()};
     result_.on_ground = contact_.on_ground();
   }
@@ -268,9 +376,13 @@ class Nmpc {
   const NmpcResult& continue_last_plan(double time, NmpcStatus status) {
     prepared_ = false;
     if (++failures_ >= settings_.failures_before_reset) cold_ = true;
+    return hand_out_last_plan(time, status);
+  }
+  const NmpcResult& hand_out_last_plan(double time, NmpcStatus status) {
     const double age = time - plan_time_;
     if (has_plan_ && age >= 0.0 && age <= settings_.max_plan_age) {
       set_command(age);
+      if (corrected_) result_.wrench = wrench_at(time);
       result_.status = status;
     } else {
       has_plan_ = false;
@@ -293,7 +405,15 @@ class Nmpc {
   Wrench<> external_;       // the last good estimate
   NmpcResult result_;
   double plan_time_ = 0.0;
-  Wrench<> plan_start_;  // at plan_time_
+  State<> plan_start_;  // at plan_time_
+  typename MultipleShooting<Problem>::Gain gain_ = MultipleShooting<Problem>::Gain::Zero();
+  NmpcStatus plan_status_ = NmpcStatus::no_plan;
+  // By between_ticks() since the last tick:
+  bool corrected_ = false;
+  double corrected_time_ = 0.0;
+  Wrench<> corrected_wrench_;
+  Rate corrected_rate_ = Rate::Zero();
+  SolverClock::duration prepare_time_{};
   int failures_ = 0;
   bool prepared_ = false, has_plan_ = false, cold_ = true;
 };

@@ -22,10 +22,25 @@ namespace tilt_ropter {
   return s;
 }
 
+/// The solver's own settings with work that is bounded for a loop: what a tick's quadratic program
+/// has not been solved in eight passes, the next tick goes on with (status approximate). The
+/// worst flights of the stress_flights example need up to 17 passes to solve every tick, and
+/// recover the same with eight.
+[[nodiscard]] inline SolverSettings real_time_settings() {
+  SolverSettings s;
+  s.program.max_passes = 8;
+  return s;
+}
+
 /// The defaults fly the reference vehicle; nmpc_settings() has those for another one.
 struct NmpcSettings {
   WheeledFlightSettings problem = damped_flight_settings();
-  SolverSettings solver;
+  SolverSettings solver = real_time_settings();
+  double period = 0.01;  ///< of the loop that calls the controller [s]
+  /// For prepare() and feedback() together, cold starts and plans made anew included; work that
+  /// would end later is not begun, and what is left is the next tick's. Zero: half the period.
+  /// Infinite: none. In [s].
+  double time_limit = 0.0;
   GroundContactSettings ground;
   /// A plan older than this is not followed; the safe wrench is commanded [s].
   double max_plan_age = 0.2;
@@ -45,6 +60,8 @@ inline void validate(const NmpcSettings& s) {
   validate(s.solver);
   validate(s.ground);
   validate(s.actuators);
+  require_positive("NmpcSettings.period [s]", s.period);
+  require(s.time_limit >= 0.0, "NmpcSettings.time_limit [s]", s.time_limit, ">= 0, or infinite");
   require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
   require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
           s.failures_before_reset, ">= 1");

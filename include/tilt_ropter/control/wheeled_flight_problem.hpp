@@ -73,6 +73,17 @@ enum class TerminalCost {
   riccati,
 };
 
+/// Prices of violating a constraint by one unit: one whose multiplier would have to be larger is
+/// given up. Infinite: a hard constraint.
+struct NmpcPenalties {
+  /// Bounds on the wrench's rate: hard, and so met by what is commanded whatever else becomes of a
+  /// plan [s/N, s/(N m)].
+  double rate = std::numeric_limits<double>::infinity();
+  double wrench = 1e4;            ///< [1/N, 1/(N m)]
+  double angular_velocity = 1e4;  ///< for comfort; the state measured may be beyond [s/rad]
+  double actuators = 1e4;         ///< of the rows of ActuatorRows, by their units
+};
+
 /// What the problem needs beyond the model.
 struct WheeledFlightSettings {
   int intervals = 20;     ///< N (paper: 20)
@@ -80,9 +91,7 @@ struct WheeledFlightSettings {
   NmpcWeights weights;
   TerminalCost terminal_cost = TerminalCost::weights;
   NmpcBounds bounds;
-  /// Price of violating a bound by one unit (of ActuatorRows: their rows' unit); a bound whose
-  /// multiplier would have to be larger is given up.
-  double row_penalty = 1e4;
+  NmpcPenalties penalties;
 };
 
 inline void validate(const NmpcWeights& w) {
@@ -106,6 +115,16 @@ inline void validate(const NmpcBounds& b) {
   require_positive_or_infinite("NmpcBounds.angular_velocity [rad/s]", b.angular_velocity);
 }
 
+inline void validate(const NmpcPenalties& p) {
+  const auto require_price = [](const char* field, double price) {
+    require(price > 0.0, field, price, "> 0, or infinite");
+  };
+  require_price("NmpcPenalties.rate [s/N, s/(N m)]", p.rate);
+  require_price("NmpcPenalties.wrench [1/N, 1/(N m)]", p.wrench);
+  require_price("NmpcPenalties.angular_velocity [s/rad]", p.angular_velocity);
+  require_price("NmpcPenalties.actuators", p.actuators);
+}
+
 inline void validate(const WheeledFlightSettings& s) {
   require(s.intervals >= 1 && s.intervals <= 1000, "WheeledFlightSettings.intervals", s.intervals,
           "in [1, 1000]");
@@ -121,7 +140,7 @@ inline void validate(const WheeledFlightSettings& s) {
     require_round("NmpcWeights.orientation [1/rad^2]", s.weights.orientation);
   }
   validate(s.bounds);
-  require_positive("WheeledFlightSettings.row_penalty", s.row_penalty);
+  validate(s.penalties);
 }
 
 /// What a node should do and what acts on it.
@@ -204,7 +223,10 @@ class WheeledFlightProblem {
     first_upper_.template tail<Rotors>().setConstant(infinity);
     last_upper_.template segment<6 + 2 * Rotors>(9).setConstant(infinity);
     last_lower_.template segment<6 + 2 * Rotors>(9).setConstant(-infinity);
-    penalty_.setConstant(settings.row_penalty);
+    penalty_.template head<6>().setConstant(settings.penalties.wrench);
+    penalty_.template segment<3>(6).setConstant(settings.penalties.angular_velocity);
+    penalty_.template segment<6>(9).setConstant(settings.penalties.rate);
+    penalty_.template tail<3 * Rotors>().setConstant(settings.penalties.actuators);
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal();
   }
 
@@ -234,6 +256,11 @@ class WheeledFlightProblem {
   [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
                            InputJacobian& B) const {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
+  }
+
+  /// Where a part of interval k, `seconds` long, ends.
+  [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
+    return body_.step(x, u, node(k).external, seconds, node(k).freedom);
   }
 
   /// Intervals k, k + 1, .. side by side, as many as x has states; of the last one again where there

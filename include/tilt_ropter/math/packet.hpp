@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <type_traits>
 #include <utility>
 
@@ -10,6 +11,11 @@
 /// Packets are GCC's and clang's vector extension. None is passed to or returned from a function by
 /// value, so that functions compiled for different instruction sets agree on how they are called.
 namespace tilt_ropter::detail {
+
+/// A number of things, as the size of an array.
+[[nodiscard]] constexpr std::size_t size(int count) {
+  return static_cast<std::size_t>(count);
+}
 
 /// `Width` doubles, and the same at any address.
 template <int Width>
@@ -114,7 +120,7 @@ template <int Width, int Rows, int Columns>
   constexpr int rows = Rows - Rows % Width, columns = Columns - Columns % Width;
   for (int j = 0; j < columns; j += Width)
     for (int i = 0; i < rows; i += Width) {
-      Packet<Width> square[Width];
+      Packet<Width> square[size(Width)];
 #pragma GCC unroll 4
       for (int c = 0; c < Width; ++c) {
         load<Width>(from + Rows * (j + c) + i, square[c]);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -36,7 +37,9 @@ class ActiveSet {
       : states_(static_cast<std::size_t>(horizon) + 1),
         curvatures_(states_.size(), Program::Vector::Ones()),
         weights_(states_.size()),
-        offsets_(states_.size()) {}
+        offsets_(states_.size()),
+        gradients_(states_.size(), Program::Vector::Zero()),
+        changes_(gradients_) {}
 
   /// Assumes what the multipliers in the nodes say.
   void assume(const Program& program) {
@@ -94,13 +97,32 @@ class ActiveSet {
   int solve(Program& program, const typename Program::Tangent& dx0) {
     program.step(0).template head<States>() = dx0;
     program.riccati.sweep(program.steps());
-    program.predict();
-    int contradictions = 0;
+    return judge_all(program);
+  }
+
+  /// After solve() without a contradiction: the last pass again with the multipliers it found, for
+  /// held constraints that are met to within rounding. A fraction of a pass, as only the gradients
+  /// change. Returns the number of contradictions.
+  int refine(Program& program) {
     for (int k = 0; k <= program.horizon(); ++k) {
+      auto& gradient = gradients_[static_cast<std::size_t>(k)];
+      gradient.setZero();
       auto& n = program.node(k);
-      for (int i = 0; i < Rows; ++i) contradictions += judge(program, n, k, i);
+      for (int i = 0; i < Rows; ++i) {
+        if (state(k, i) != 1 && state(k, i) != -1) continue;
+        const double w = weight(k, i), before = offset(k, i);
+        offset(k, i) = n.multiplier(i) * (1.0 / w - 1.0 / n.stiffness(i));
+        gradient += w * (offset(k, i) - before) * program.row_gradient(k, i);
+      }
     }
-    return contradictions;
+    program.riccati.solve([this](int k) -> const typename Program::Vector& {
+      return gradients_[static_cast<std::size_t>(k)];
+    });
+    changes_[0].template head<States>().setZero();
+    program.riccati.sweep_change(changes_);
+    for (int k = 0; k <= program.horizon(); ++k)
+      program.step(k) += changes_[static_cast<std::size_t>(k)];
+    return judge_all(program);
   }
 
  private:
@@ -157,6 +179,16 @@ class ActiveSet {
     }
   }
 
+  int judge_all(Program& program) {
+    program.predict();
+    int contradictions = 0;
+    for (int k = 0; k <= program.horizon(); ++k) {
+      auto& n = program.node(k);
+      for (int i = 0; i < Rows; ++i) contradictions += judge(program, n, k, i);
+    }
+    return contradictions;
+  }
+
   // 1 if the constraint contradicts what was assumed.
   int judge(const Program& program, typename Program::Node& n, int k, int i) {
     signed char& assumed = state(k, i);
@@ -203,6 +235,7 @@ class ActiveSet {
   std::vector<States8> states_;
   std::vector<typename Program::Vector> curvatures_;  // diagonals of H in a pass without weights
   std::vector<std::array<double, static_cast<std::size_t>(Rows)>> weights_, offsets_;
+  std::vector<typename Program::Vector> gradients_, changes_;  // of refine()
 };
 
 }  // namespace tilt_ropter

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
+#include <tilt_ropter/optimal_control/problem_rows.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/LU>
@@ -42,7 +43,7 @@
 /// and where it is absent it is taken to be the identity: exact where the retraction is addition;
 /// elsewhere a call of NLopt then goes astray far from its base, and it takes more of them.
 ///
-/// Differences to MultipleShooting: penalties do not count, so a problem without a feasible point
+/// Differences to MultipleShooting: penalties do not count, linear or quadratic, so a problem without a feasible point
 /// is reported as infeasible and not solved; equality weights only switch rows on and off; and
 /// equalities that no variable moves (a height that the problem holds anyway) make SLSQP's
 /// subproblem singular: a failure.
@@ -94,7 +95,8 @@ class FullSpace {
   using State = typename Problem::State;
   using Tangent = typename Dimensions::Tangent;
   using Input = typename Dimensions::Input;
-  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = Dimensions::nc,
+  using AllRows = ProblemRows<Problem>;
+  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllRows::count,
                        ne = Dimensions::ne;
 
   /// Throws std::invalid_argument for settings out of range or a horizon below 1.
@@ -187,7 +189,11 @@ class FullSpace {
   };
   struct Bound {  // a finite bound of a row: upper (side +1) or lower (-1)
     int k, component;
-    double side;
+    double side, limit;
+  };
+  using Rows = typename AllRows::Values;
+  struct RowBounds {
+    Rows lower, upper, price, stiffness;
   };
   struct Equality {
     int k, component;
@@ -210,9 +216,10 @@ class FullSpace {
     bounds_.clear();
     equalities_.clear();
     for (int k = 0; k <= horizon_; ++k) {
+      const RowBounds bounds = row_bounds(k);
       for (int i = 0; i < nc; ++i) {
-        if (std::isfinite(problem_.upper(k)(i))) bounds_.push_back({k, i, 1.0});
-        if (std::isfinite(problem_.lower(k)(i))) bounds_.push_back({k, i, -1.0});
+        if (std::isfinite(bounds.upper(i))) bounds_.push_back({k, i, 1.0, bounds.upper(i)});
+        if (std::isfinite(bounds.lower(i))) bounds_.push_back({k, i, -1.0, bounds.lower(i)});
       }
       if constexpr (ne > 0) {
         const auto weights = problem_.equality_weights(k);
@@ -231,6 +238,22 @@ class FullSpace {
            (bounds_.empty() ||
             nlopt_add_inequality_mconstraint(optimizer, static_cast<unsigned>(bounds_.size()), row,
                                              this, nullptr) > 0);
+  }
+
+  // At node N, only of rows that do not see the input.
+  [[nodiscard]] RowBounds row_bounds(int k) const {
+    RowBounds b;
+    AllRows::bounds(problem_, k, b.lower, b.upper, b.price, b.stiffness);
+    if (k < horizon_) return b;
+    typename AllRows::ByState C = AllRows::ByState::Zero();
+    typename AllRows::ByInput E = AllRows::ByInput::Zero();
+    AllRows::derivatives(problem_, k, node(k).base, Input::Zero(), C, E);
+    for (int i = 0; i < nc; ++i)
+      if (!AllRows::applies(problem_, k, E, i)) {
+        b.lower(i) = -std::numeric_limits<double>::infinity();
+        b.upper(i) = std::numeric_limits<double>::infinity();
+      }
+    return b;
   }
 
   // SLSQP starts from the identity as Hessian, so the variables are scaled until the diagonal of
@@ -402,25 +425,25 @@ class FullSpace {
     Jacobian jacobian(gradient, gradient ? static_cast<Eigen::Index>(count) : 0,
                       static_cast<Eigen::Index>(size));
     jacobian.setZero();
-    typename Dimensions::Rows c;
-    typename Dimensions::RowsX C;
-    typename Dimensions::RowsU E;
+    if constexpr (nc == 0) return;
+    Rows c;
+    typename AllRows::ByState C;
+    typename AllRows::ByInput E;
     int evaluated = -1;
     for (std::size_t i = 0; i < self.bounds_.size(); ++i) {
       const Bound& b = self.bounds_[i];
       const auto index = static_cast<Eigen::Index>(i);
       const Node& n = self.node(b.k);
       if (evaluated != b.k) {
-        c = problem.row_values(b.k, n.x, n.u);
+        c = AllRows::values(problem, b.k, n.x, n.u);
         if (gradient) {
           C.setZero();
           E.setZero();
-          problem.row_derivatives(b.k, n.x, n.u, C, E);
+          AllRows::derivatives(problem, b.k, n.x, n.u, C, E);
         }
         evaluated = b.k;
       }
-      const double limit = (b.side > 0.0 ? problem.upper(b.k) : problem.lower(b.k))(b.component);
-      value(index) = b.side * (c(b.component) - limit);
+      value(index) = b.side * (c(b.component) - b.limit);
       if (!gradient) continue;
       if (b.k > 0)
         jacobian.block<1, nx>(index, state_at(b.k)) = b.side * C.row(b.component) * n.turn;
@@ -449,10 +472,11 @@ class FullSpace {
         const Tangent defect = problem_.difference(end, node(k + 1).base);
         for (int i = 0; i < nx; ++i) raise(report_.max_defect, std::abs(defect(i)));
       }
-      const auto c = problem_.row_values(k, n.base, n.base_input);
+      const Rows c = AllRows::values(problem_, k, n.base, n.base_input);
+      const RowBounds bounds = row_bounds(k);
       for (int i = 0; i < nc; ++i) {
-        raise(report_.max_violation, c(i) - problem_.upper(k)(i));
-        raise(report_.max_violation, problem_.lower(k)(i) - c(i));
+        raise(report_.max_violation, c(i) - bounds.upper(i));
+        raise(report_.max_violation, bounds.lower(i) - c(i));
       }
     }
     if constexpr (ne > 0)

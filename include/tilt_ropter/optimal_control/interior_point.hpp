@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -51,11 +52,13 @@ class InteriorPoint {
   /// Begins with the inputs of the plan from which `program` was linearised, or, where they lead
   /// far astray, with inputs that follow the deviation from it by the gains of the last pass, whose
   /// step is in `program`; curvature(k, row) is what it costs to move a constraint. Hard
-  /// constraints get a price that is `far_above` times what the cost pushes against them with.
+  /// constraints get a price that is `far_above` times what the cost pushes against them with. False,
+  /// and nothing is begun, if no step changes any bounded constraint.
   template <typename Curvature>
-  void start(Program& program, double damping, double far_above, const Curvature& curvature) {
+  [[nodiscard]] bool start(Program& program, double damping, double far_above, const Curvature& curvature) {
     damping_ = damping;
     read_rows(program);
+    if (sides_.empty()) return false;
     double gain = 0.0;
     for (Vector& w : here_) w.setZero();
     here_[0].template head<States>() = program.dx(0);
@@ -68,16 +71,31 @@ class InteriorPoint {
         gain += curvature(side.k, program.row_gradient(side.k, side.row)) * v * v;
       }
     }
-    multiply_rows(program, here_);
+    set_values(program);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[static_cast<std::size_t>(i)];
-      const auto& n = program.node(side.k);
-      const double value = n.value(side.row) + of_rows_(side.at);
-      value_(i) = side.sign > 0.0 ? value - n.upper(side.row) : n.lower(side.row) - value;
-      if (!n.hard[static_cast<std::size_t>(side.row)])
+      if (!program.node(side.k).hard[static_cast<std::size_t>(side.row)])
         gain += 0.1 * price_(i) * std::max(value_(i), 0.0);
     }
     begin(program, gain + to_gain(program), far_above);
+    return true;
+  }
+
+  /// Instead of start(): the same program with another initial step. Inputs follow the difference by
+  /// the gains of the last pass. False, and nothing is done, if a number is not finite.
+  [[nodiscard]] bool go_on(Program& program, const typename Program::Tangent& dx0) {
+    change_[0].template head<States>() = dx0 - here_[0].template head<States>();
+    program.riccati.sweep_deviation(change_);
+    if (!(largest(change_) < infinity)) return false;
+    multiply_rows(program, change_);
+    for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += change_[k];
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const double change = side.sign * of_rows_(side.at);
+      value_(i) += change;
+      slack_(i) = std::max(slack_(i) - change, 0.1 * slack_(i));
+    }
+    return true;
   }
 
   /// One iteration. False if there is no factorisation or a number is not finite.
@@ -112,6 +130,7 @@ class InteriorPoint {
   }
 
   [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
+  [[nodiscard]] double first_mu() const { return first_mu_; }  ///< that of start()
   /// Bounds of which the last iteration does not clearly say whether they hold.
   [[nodiscard]] int undecided() const { return undecided_; }
 
@@ -217,6 +236,17 @@ class InteriorPoint {
     }
   }
 
+  // Of all bounds at here_.
+  void set_values(const Program& program) {
+    multiply_rows(program, here_);
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const auto& n = program.node(side.k);
+      const double value = n.value(side.row) + of_rows_(side.at);
+      value_(i) = side.sign > 0.0 ? value - n.upper(side.row) : n.lower(side.row) - value;
+    }
+  }
+
   // By how much the program's step would be better than here_ if nothing were bounded; gradients_
   // are those of the cost there.
   [[nodiscard]] double to_gain(const Program& program) {
@@ -256,10 +286,11 @@ class InteriorPoint {
       for (int j = 0; j < Program::width; ++j)
         if (row(j) != 0.0)
           push = std::max(push, std::abs(gradients_[static_cast<std::size_t>(side.k)](j) / row(j)));
-      n.price(side.row) = price_(i) = std::min(far_above * push, Program::hard_price);
+      n.price(side.row) = n.stand_in(side.row) = price_(i) =
+          std::min(far_above * push, Program::hard_price);
     }
     unit_ = unit;
-    restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
+    first_mu_ = restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
     center(restart_mu_);
   }
 
@@ -330,7 +361,7 @@ class InteriorPoint {
     for (int c = 0; c < node.columns; ++c) {
       const int j = node.column[static_cast<std::size_t>(c)];
       double* column = hessian + rows * j;
-      detail::Packet<W> sum[packets];
+      detail::Packet<W> sum[detail::size(packets)];
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) detail::load<W>(column + W * t, sum[t]);
       for (int d = 0; d < node.dense; ++d) {
@@ -572,7 +603,7 @@ class InteriorPoint {
   Eigen::VectorXd price_, softness_, value_, multiplier_, slack_, excess_, weight_, per_multiplier_,
       per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_, excess_change_,
       value_change_;
-  double damping_ = 0.0, mu_ = 0.0, restart_mu_ = 0.0;
+  double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
   int undecided_ = 0, stuck_ = 0;
   std::array<double, static_cast<std::size_t>(Rows)> unit_{};
 };

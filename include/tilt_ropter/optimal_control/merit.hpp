@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
@@ -52,8 +53,10 @@ class Merit {
       slope += s.cost.gradient.template head<D::nx>().dot(program.dx(k));
       for (int i = 0; i < AllRows::count; ++i) {
         follow(row_weight(i), rows.multiplier(i));
-        slope += row_weight(i) * (violation(rows.predicted(i), rows.lower(i), rows.upper(i)) -
-                                  violation(rows.value(i), rows.lower(i), rows.upper(i)));
+        // Beyond the price, the merit would rise towards the solution that pays it.
+        row_weight(i) = std::min(row_weight(i), rows.price(i));
+        slope += of_row(rows, row_weight, i, rows.predicted(i)) -
+                 of_row(rows, row_weight, i, rows.value(i));
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
@@ -114,8 +117,15 @@ class Merit {
     const Rows& weight = row_weights_[static_cast<std::size_t>(k)];
     double sum = 0.0;
     for (int i = 0; i < AllRows::count; ++i)
-      sum += weight(i) * violation(value(i), rows.lower(i), rows.upper(i));
+      sum += of_row(rows, weight, i, value(i));
     return sum;
+  }
+  // What it costs by itself, or a weight times its violation.
+  [[nodiscard]] static double of_row(const typename Program::Node& rows, const Rows& weight, int i,
+                                     double value) {
+    const double v = violation(value, rows.lower(i), rows.upper(i));
+    return std::isfinite(rows.stiffness(i)) ? violation_cost(rows.price(i), rows.stiffness(i), v)
+                                            : weight(i) * v;
   }
 
   std::vector<Tangent> defect_weights_;  // of the interval that starts at the node

@@ -84,9 +84,11 @@ class MultipleShooting {
   /// for an interval k < N: optimal to first order while the same constraints hold, which count in
   /// it by the weights that solved the last quadratic program. It keeps to no bounds by itself.
   [[nodiscard]] Gain gain(int k) const { return program_.riccati.gain(k); }
-  /// The feed-forward of the last factorisation: what it added to the input of interval k where the
-  /// state stayed on the plan before.
-  [[nodiscard]] Input feedforward(int k) const { return program_.riccati.feedforward(k); }
+  /// The feed-forward that goes with it: the change of the input of interval k that the last quadratic
+  /// program asks for where the state stays on the plan before.
+  [[nodiscard]] Input feedforward(int k) const {
+    return program_.du(k) - gain(k) * program_.dx(k);
+  }
 
   /// Cold start: every state x0, every input zero, no multipliers.
   void reset(const State& x0) {
@@ -96,6 +98,7 @@ class MultipleShooting {
       program_.node(k).multiplier.setZero();
     }
     equalities_.forget_multipliers();
+    program_.forget();
     report_.damping = 0.0;
     shifted_ = 0.0;
     prepared_ = false;
@@ -105,6 +108,7 @@ class MultipleShooting {
   void set_guess(int k, const State& x, const Input& u) {
     here_.x(k) = x;
     if (k < horizon_) here_.u(k) = u;
+    program_.forget();
     prepared_ = false;
   }
 
@@ -118,20 +122,33 @@ class MultipleShooting {
     const int whole = static_cast<int>(std::min(std::floor(shifted_ + 0.5), 1.0 * horizon_));
     shifted_ -= whole;
     equalities_.shift(whole);
+    program_.forget();
     for (int k = 0; whole > 0 && k <= horizon_; ++k)
       program_.node(k).multiplier = program_.node(std::min(k + whole, horizon_)).multiplier;
     prepared_ = false;
   }
 
+  /// True if the last feedback() was cut off by its deadline. The next prepare() has then nothing to
+  /// do, and feedback() goes on with the same quadratic program from the state measured by then,
+  /// unless reset(), set_guess() or shift() come in between.
+  [[nodiscard]] bool goes_on() const { return program_.goes_on(); }
+  /// False if it was cut off so early that the plan is still the one before it.
+  [[nodiscard]] bool has_step() const { return program_.has_step(); }
+
   /// Linearises and factorises: all that needs no measurement. False if the problem returned a
   /// number that is not finite, or no damping makes the Hessians positive definite.
   [[nodiscard]] bool prepare() noexcept {
     const auto start = Clock::now();
+    if (program_.goes_on()) {
+      report_.linearise_us = report_.factorise_us = report_.rows_us = report_.prepare_us = 0.0;
+      return prepared_ = true;
+    }
     prepared_ = linearise();
     report_.linearise_us = since(start);
     const auto linearised = Clock::now();
     prepared_ = prepared_ && factorise();
-    report_.factorise_us = since(linearised);
+    report_.rows_us = std::chrono::duration<double, std::micro>(program_.rows_time()).count();
+    report_.factorise_us = since(linearised) - report_.rows_us;
     report_.prepare_us = since(start);
     return prepared_;
   }
@@ -145,7 +162,11 @@ class MultipleShooting {
     const auto start = Clock::now();
     report_.iterations = 1;
     report_.step = 1.0;
-    const Tangent dx0 = problem_.difference(x0, here_.x(0));
+    // A program that goes on is that of the plan before the last one.
+    const bool goes_on = program_.goes_on();
+    const Trajectory<Problem>& base = goes_on ? trial_ : here_;
+    Trajectory<Problem>& next = goes_on ? here_ : trial_;
+    const Tangent dx0 = problem_.difference(x0, base.x(0));
     if (!all_finite(dx0)) {
       report_.status = SolveStatus::rejected;
     } else if (!prepared_) {
@@ -157,22 +178,32 @@ class MultipleShooting {
                                      std::chrono::duration<double>(seconds));
         if (!deadline || end < *deadline) deadline = end;
       }
-      report_.status = solve_program(dx0, deadline);
-      if (has_plan(report_.status)) {
+      report_.status = solve_program(dx0, deadline, true);
+      if (!program_.has_step()) {
+        if (!goes_on) trial_ = here_;
+      } else if (has_plan(report_.status)) {
         report_.kkt = std::max(report_.kkt, dx0.cwiseAbs().maxCoeff());
-        trial_.set_moved(problem_, here_, program_, 1.0);
-        if (all_finite(problem_.difference(trial_.x(horizon_), here_.x(horizon_)))) {
-          program_.clamp_first_input(here_.u(0), trial_.u(0));
-          here_.swap(trial_);
-          shifted_ = 0.0;
-        } else {
+        next.set_moved(problem_, base, program_, 1.0);
+        if (!all_finite(problem_.difference(next.x(horizon_), base.x(horizon_)))) {
           report_.status = SolveStatus::failed;
+          if (goes_on) here_.swap(trial_);
+        } else if (!goes_on) {
+          here_.swap(trial_);
         }
+        shifted_ = 0.0;
       }
     }
     prepared_ = false;
     report_.feedback_us = since(start);
     return report_;
+  }
+
+  /// After a feedback() whose plan cannot be used: back to the plan before it, without multipliers.
+  void take_back() noexcept {
+    here_.swap(trial_);
+    for (int k = 0; k <= horizon_; ++k) program_.node(k).multiplier.setZero();
+    program_.forget();
+    prepared_ = false;
   }
 
   /// Iterates to convergence from the current guess with the initial state fixed to x0. Steps are
@@ -190,9 +221,11 @@ class MultipleShooting {
     }
     here_.x(0) = x0;
     shifted_ = 0.0;
+    program_.forget();
     equalities_.forget_scale();
     updates_multipliers_ = settings_.update_multipliers && equalities_.any(problem_);
     search_.begin(!updates_multipliers_);
+    progress_ = {};
     for (;; ++iteration) {
       const bool prepared = prepare();
       prepare_us += report_.prepare_us;
@@ -202,6 +235,7 @@ class MultipleShooting {
                                                          : SolveStatus::converged)
                        : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
                        : Clock::now() > end                    ? SolveStatus::time_limit
+                       : prepared && stalls(iteration)         ? SolveStatus::stalled
                        : !prepared && !search_.on_trust()      ? SolveStatus::failed
                                                                : SolveStatus::iterated;
       if (report_.status != SolveStatus::iterated) break;
@@ -221,6 +255,7 @@ class MultipleShooting {
     report_.feedback_us = feedback_us;
     report_.step = search_.length();
     prepared_ = false;
+    program_.forget();
     equalities_.forget_scale();
     return report_;
   }
@@ -368,8 +403,10 @@ class MultipleShooting {
   }
 
   // Solves the quadratic program, and says how in the report.
-  SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline) {
-    const ProgramStatus status = program_.solve(dx0, deadline);
+  SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline,
+                            bool clamps) {
+    ProgramStatus status = program_.solve(dx0, deadline);
+    if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();
     report_.program_residual = program_.residual();
@@ -396,15 +433,35 @@ class MultipleShooting {
 
   [[nodiscard]] bool hard_rows_given_up() const { return report_.given_up_hard_rows > 0; }
 
+  // True if neither residual nor merit has become lower for long. Acceleration, which may go round in
+  // circles, goes first.
+  [[nodiscard]] bool stalls(int iteration) {
+    const double merit = search_.lowest_merit();
+    if (report_.kkt < 0.9 * progress_.kkt) {
+      progress_.kkt = report_.kkt;
+      progress_.iteration = iteration;
+    }
+    if (merit < progress_.merit - 1e-7 * (1.0 + std::abs(merit))) {
+      progress_.merit = merit;
+      progress_.iteration = iteration;
+    }
+    if (iteration - progress_.iteration < patience || search_.on_trust()) return false;
+    progress_.iteration = iteration;
+    if (!search_.accelerates()) return true;
+    search_.stop_accelerating();
+    return false;
+  }
+
   // The next iterate of solve().
   SolveStatus advance(bool prepared, Clock::time_point end) {
-    SolveStatus status = prepared ? solve_program(Tangent::Zero(), end) : SolveStatus::failed;
+    SolveStatus status = prepared ? solve_program(Tangent::Zero(), end, false) : SolveStatus::failed;
     if (status == SolveStatus::failed)
       return search_.on_trust() ? search_.go_back(problem_, here_, false) : status;
     if (status == SolveStatus::time_limit) return status;
     return search_.advance(problem_, program_, equalities_, report_.cost, here_);
   }
 
+  static constexpr int patience = 40;  // iterations
   static constexpr double least_damping = 1e-6, largest_damping = 1e12;
 
   Problem problem_;
@@ -418,6 +475,12 @@ class MultipleShooting {
   Eigen::Matrix<Lanes, nx, nx> lanes_A_;
   Eigen::Matrix<Lanes, nx, nu> lanes_B_;
   SolveReport report_;
+  // The lowest of solve()'s iterates, and the last one that was lower.
+  struct Progress {
+    double kkt = std::numeric_limits<double>::infinity(),
+           merit = std::numeric_limits<double>::infinity();
+    int iteration = 0;
+  } progress_;
   double shifted_ = 0.0;  // intervals by which the plan is ahead of the multipliers
   bool prepared_ = false, updates_multipliers_ = false;
 };

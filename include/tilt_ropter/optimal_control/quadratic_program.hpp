@@ -8,6 +8,9 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <cstddef>
+#include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -36,7 +39,7 @@ struct QuadraticProgramSettings {
   double tolerance = 1e-6;
   /// Constraints up to which the method `automatic` leaves them to NLopt.
   int max_dual_rows = 16;
-  int max_passes = 40;  ///< Riccati passes in one solve, besides that of prepare()
+  int max_passes = 100;  ///< Riccati passes in one solve, besides that of prepare()
   DualSettings dual;
 };
 
@@ -70,55 +73,101 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   /// Factorises with `damping` on the Hessians' diagonals, for the constraints that have
   /// multipliers. False if the cost has no minimum.
   [[nodiscard]] bool prepare(double damping = 0.0) {
+    goes_on_ = false;
+    const auto start = SolverClock::now();
     damping_ = damping;
     this->collect_active();
+    const bool few_rows = static_cast<int>(this->active().size()) <= dual_.capacity();
     by_dual_ = settings_.method == ProgramMethod::dual ||
-               (settings_.method == ProgramMethod::automatic && static_cast<int>(this->active().size()) <= dual_.capacity());
-    if (!by_dual_ && settings_.method == ProgramMethod::automatic) {
+               (settings_.method == ProgramMethod::automatic && few_rows && !unsolved_);
+    bool good;
+    assumes_ = !by_dual_ && settings_.method == ProgramMethod::automatic && !unsolved_;
+    if (assumes_) {
       active_set_.assume(*this);
-      return active_set_.factorise(*this, damping);
+      good = active_set_.factorise(*this, damping);
+    } else {
+      good = active_set_.factorise_free(*this, damping);
     }
-    if (!active_set_.factorise_free(*this, damping)) return false;
-    if (by_dual_) by_dual_ = dual_.prepare(*this);
-    return true;
+    const auto factorised = SolverClock::now();
+    pass_time_ = 2 * (factorised - start);  // with the sweep after it
+    if (good && by_dual_) by_dual_ = dual_.prepare(*this);
+    rows_time_ = SolverClock::now() - factorised;
+    return good;
   }
+  /// What the last prepare() took for the gradients of the dual's first working set.
+  [[nodiscard]] SolverClock::duration rows_time() const { return rows_time_; }
   [[nodiscard]] double damping() const { return damping_; }  ///< of the last prepare()
+  /// True if the last solve() was cut off by its deadline: the next one goes on with the same
+  /// program, for another initial step, instead of a new one after prepare().
+  [[nodiscard]] bool goes_on() const { return goes_on_; }
+  /// False where it was cut off before the first pass that takes all constraints into account.
+  [[nodiscard]] bool has_step() const { return !goes_on_ || passes_ > 0; }
+  void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
 
-  /// The step and multipliers for the initial step dx0; after prepare().
+  /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end after
+  /// the deadline, by what the last ones took, is not begun.
   ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
     deadline_ = deadline;
-    passes_ = 0;
     late_ = false;
-    solve_by_method(dx0);
+    if (!goes_on_) {
+      passes_ = 0;
+      solve_by_method(dx0);
+    } else if (!go_on(dx0)) {
+      return ProgramStatus::failed;
+    }
     bool finite = true;
     for (const auto& w : this->steps()) finite = finite && all_finite(w);
+    unsolved_ = !(finite && residual_ <= settings_.tolerance);
     if (!finite) return ProgramStatus::failed;
-    return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
+    return unsolved_ ? ProgramStatus::interrupted : ProgramStatus::solved;
   }
 
-  /// Takes the first input, which was `before` at the point of linearisation, into its hard bounds:
-  /// those of node 0 that see one input and the state, which is known.
-  template <typename Input>
-  void clamp_first_input(const Input& before, Input& after) const {
-    const auto& n = this->node(0);
-    for (int i = 0; i < Rows; ++i) {
-      int j = -1, entries = 0;
-      for (int l = 0; l < Inputs; ++l)
-        if (n.E(i, l) != 0.0) {
-          j = l;
-          ++entries;
-        }
-      if (entries != 1 || !n.hard[static_cast<std::size_t>(i)]) continue;
-      const double at_rest = n.value(i) + n.C.row(i).dot(this->dx(0)), slope = n.E(i, j);
-      double low = (n.lower(i) - at_rest) / slope, high = (n.upper(i) - at_rest) / slope;
-      if (low > high) std::swap(low, high);
-      after(j) = before(j) + std::min(std::max(after(j) - before(j), low), high);
+  /// Takes the input step du of node k at this dx into its hard bounds: those of constraints that
+  /// see one input (and the state).
+  template <typename StateStep, typename InputStep>
+  void clamp_input(int k, const StateStep& dx, InputStep&& du) const {
+    if constexpr (Rows > 0) {
+      const auto& n = this->node(k);
+      for (int i = 0; i < Rows; ++i) {
+        if (!n.hard[static_cast<std::size_t>(i)] || n.stiffness(i) < infinity) continue;
+        int j = -1, entries = 0;
+        for (int l = 0; l < Inputs; ++l)
+          if (n.E(i, l) != 0.0) {
+            j = l;
+            ++entries;
+          }
+        if (entries != 1) continue;
+        const double at_rest = n.value(i) + n.C.row(i).dot(dx), slope = n.E(i, j);
+        double low = (n.lower(i) - at_rest) / slope, high = (n.upper(i) - at_rest) / slope;
+        if (low > high) std::swap(low, high);
+        du(j) = std::min(std::max(du(j), low), high);
+      }
     }
+  }
+
+  /// Takes the first input into its hard bounds; the inputs after it follow by the gains. What a
+  /// solved program leaves to do is rounding, but if it is not, the residual tells. Returns what
+  /// solve() does.
+  ProgramStatus clamp_first_input() {
+    auto& change = saved_steps_[0];
+    change.setZero();
+    auto du = this->step(0).template segment<Inputs>(States);
+    const Eigen::Matrix<double, Inputs, 1> before = du;
+    clamp_input(0, this->step(0).template head<States>(), du);
+    change.template segment<Inputs>(States) = du - before;
+    if (change.cwiseAbs().maxCoeff() > 1e-12 * (1.0 + before.cwiseAbs().maxCoeff())) {
+      this->riccati.sweep_deviation(saved_steps_, 1);
+      for (std::size_t k = 1; k < saved_steps_.size(); ++k) this->steps()[k] += saved_steps_[k];
+      this->predict();
+      (void)solved();
+    }
+    return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
 
   [[nodiscard]] double residual() const { return residual_; }  ///< of the last solve
   [[nodiscard]] bool late() const { return late_; }            ///< it ended at the deadline
-  [[nodiscard]] int passes() const { return passes_; }         ///< of it, besides prepare()'s
+  /// Of the last solve, besides prepare()'s, and of those that it went on from.
+  [[nodiscard]] int passes() const { return passes_; }
   [[nodiscard]] int rounds() const { return dual_.rounds(); }  ///< of the working set
 
  private:
@@ -128,8 +177,13 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
         settings.method == ProgramMethod::dual ? 1000 : settings.max_dual_rows;
     return std::max(1, std::min(wanted, all));
   }
-  [[nodiscard]] bool out_of_time() {
-    late_ = late_ || (deadline_ && SolverClock::now() > *deadline_);
+  // If a pass that takes so long would be late, with what follows it, or one too many. What it takes
+  // may have been something else that the machine did, so the next time it counts as a little less.
+  [[nodiscard]] bool out_of_time(SolverClock::duration& needed) {
+    if (!late_ && deadline_ && SolverClock::now() + needed + pass_time_ / 2 > *deadline_) {
+      late_ = true;
+      needed -= needed / 8;
+    }
     return late_ || passes_ >= settings_.max_passes;
   }
   [[nodiscard]] bool solved() {
@@ -137,30 +191,49 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     return residual_ <= settings_.tolerance;
   }
 
+  // A hard bound on the first input that is met nearly is met by clamping, which would leave the rest
+  // of the plan to an input that it was not made for.
+  [[nodiscard]] bool refined() {
+    if (solved() && residual_ > 1e-6 * settings_.tolerance) {
+      (void)active_set_.refine(*this);
+      (void)solved();
+    }
+    return residual_ <= settings_.tolerance;
+  }
+
   void solve_by_method(const Tangent& dx0) {
     if (by_dual_) {
       using Outcome = typename DualMethod<States, Inputs, Rows, Pattern>::Outcome;
       const Outcome outcome = dual_.solve(*this, dx0, deadline_);
-      if ((outcome == Outcome::solved && solved()) || settings_.method == ProgramMethod::dual) {
-        if (outcome != Outcome::solved) (void)solved();
-        return;
+      if (outcome == Outcome::solved && solved()) return;
+      if (settings_.method == ProgramMethod::dual) {
+        late_ = dual_.late();
+        return make_do(dx0);
       }
-    } else {
+    } else if (assumes_) {
       const int contradictions = active_set_.solve(*this, dx0);
-      if (contradictions == 0 && solved()) return;
+      if (contradictions == 0 && refined()) return;
       if (contradictions <= few && settle(dx0, contradictions)) return;
+    } else {
+      sweep(dx0);
+      if (this->excess() <= 0.0) {
+        for (int k = 0; k <= this->horizon(); ++k) this->node(k).multiplier.setZero();
+        if (solved()) return;
+      }
     }
     solve_by_interior_point(dx0);
   }
 
   // Passes of the active set, as long as each has clearly fewer contradictions than the one before.
   bool settle(const Tangent& dx0, int contradictions) {
-    for (int tries = 0; tries < 8 && !out_of_time(); ++tries) {
+    for (int tries = 0; tries < 8 && !out_of_time(pass_time_); ++tries) {
+      const auto start = SolverClock::now();
       ++passes_;
       if (contradictions == 0) active_set_.stiffen();
       if (!active_set_.factorise(*this, damping_)) return false;
       const int next = active_set_.solve(*this, dx0);
-      if (next == 0 && solved()) return true;
+      pass_time_ = SolverClock::now() - start;
+      if (next == 0 && refined()) return true;
       if (next > few || (tries > 1 && next > 0 && next >= contradictions)) return false;
       contradictions = next;
     }
@@ -168,37 +241,96 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   }
 
   void solve_by_interior_point(const Tangent& dx0) {
-    iterate_interior_point(dx0, 1e4);
+    auto start = SolverClock::now();
+    if (!begin_interior_point(1e4)) {
+      for (int k = 0; k <= this->horizon(); ++k) this->node(k).multiplier.setZero();
+      active_set_.assume(*this);
+      (void)settle(dx0, few);
+      return;
+    }
+    iterate_interior_point(dx0, start, false);
+    goes_on_ = cut_off();
     if (residual_ > settings_.tolerance || !hard_given_up()) return;
     // Their price may have been too low: once more with a higher one, if there is time.
     save();
-    if (!plain_pass(dx0)) return restore();
-    iterate_interior_point(dx0, 1e8);
+    if (out_of_time(interior_time_) || !plain_pass(dx0)) return restore();
+    start = SolverClock::now();
+    if (!begin_interior_point(1e8)) return restore();
+    iterate_interior_point(dx0, start, false);
     if (residual_ > settings_.tolerance) restore();
   }
 
-  void iterate_interior_point(const Tangent& dx0, double far_above) {
-    interior_point_.start(*this, damping_, far_above, [this](int k, const auto& row) {
+  // Goes on with iterations that were cut off.
+  [[nodiscard]] bool go_on(const Tangent& dx0) {
+    goes_on_ = false;
+    const auto start = SolverClock::now();
+    if (!interior_point_.go_on(*this, dx0)) return false;
+    iterate_interior_point(dx0, start, true);
+    goes_on_ = cut_off();
+    return true;
+  }
+  // After half the passes a program is old: linearised anew, it is worth more than when solved.
+  [[nodiscard]] bool cut_off() const {
+    return late_ && residual_ > settings_.tolerance && 2 * passes_ < settings_.max_passes;
+  }
+
+  [[nodiscard]] bool begin_interior_point(double far_above) {
+    return interior_point_.start(*this, damping_, far_above, [this](int k, const auto& row) {
       return active_set_.curvature(k, row);
     });
-    const double first = interior_point_.mu();
-    double next_try = 1e-2 * first;
-    while (!out_of_time()) {
+  }
+
+  // With `one`, there is always time for one iteration, or nothing would ever come of it.
+  void iterate_interior_point(const Tangent& dx0, SolverClock::time_point start, bool one) {
+    const double first = interior_point_.first_mu();
+    double next_try = 1e-2 * interior_point_.mu();
+    for (; one || !out_of_time(interior_time_); one = false) {
       ++passes_;
       if (!interior_point_.iterate(*this)) break;
+      const auto end = SolverClock::now();
+      interior_time_ = end - start;
+      start = end;
       const double mu = interior_point_.mu();
       if (mu < next_try && interior_point_.undecided() <= few) {
         next_try = 1e-2 * mu;
         interior_point_.finish(*this, true);
         active_set_.assume(*this);
         if (settle(dx0, few + 1)) return;
+        start = SolverClock::now();
       }
       if (mu < 1e-10 * first) {
         interior_point_.finish(*this, false);
         if (solved() || mu < 1e-18 * first) return;
       }
     }
-    interior_point_.finish(*this, false);
+    // Cut off, its best use is a guess of what holds.
+    interior_point_.finish(*this, true);
+    (void)solved();
+  }
+
+  // The step where there is no time to solve anything: inputs that follow the gains of the last
+  // pass as far as hard bounds allow, or those of the plan that was linearised, whichever costs
+  // less. Multipliers stay what they are.
+  void make_do(const Tangent& dx0) {
+    this->step(0).template head<States>() = dx0;
+    const auto clamp = [this](int k, auto& w) {
+      this->clamp_input(k, w.template head<States>(), w.template segment<Inputs>(States));
+    };
+    this->riccati.sweep_with(this->steps(), clamp);
+    this->predict();
+    const double following = this->price_of_step(damping_);
+    std::swap(saved_steps_, this->steps());
+    for (auto& w : this->steps()) w.setZero();
+    this->step(0).template head<States>() = dx0;
+    this->riccati.sweep_with(this->steps(), [&](int k, auto& w) {
+      w.template segment<Inputs>(States).setZero();
+      clamp(k, w);
+    });
+    this->predict();
+    if (!(this->price_of_step(damping_) < following)) {
+      std::swap(saved_steps_, this->steps());
+      this->predict();
+    }
     (void)solved();
   }
 
@@ -222,21 +354,28 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     for (int k = 0; k <= this->horizon(); ++k) {
       this->step(k) = saved_steps_[static_cast<std::size_t>(k)];
       this->node(k).multiplier = saved_multipliers_[static_cast<std::size_t>(k)];
-      this->node(k).price = saved_prices_[static_cast<std::size_t>(k)];
+      auto& n = this->node(k);
+      n.price = saved_prices_[static_cast<std::size_t>(k)];
+      for (int i = 0; i < Rows; ++i)
+        if (n.hard[static_cast<std::size_t>(i)]) n.stand_in(i) = n.price(i);
     }
     this->predict();
     (void)solved();
   }
 
-  // The step that is optimal without constraints.
-  bool plain_pass(const Tangent& dx0) {
-    if (!active_set_.factorise_free(*this, damping_)) return false;
+  // The step that is optimal without constraints, by a pass without them.
+  void sweep(const Tangent& dx0) {
     this->step(0).template head<States>() = dx0;
     this->riccati.sweep(this->steps());
     this->predict();
+  }
+  bool plain_pass(const Tangent& dx0) {
+    if (!active_set_.factorise_free(*this, damping_)) return false;
+    sweep(dx0);
     return true;
   }
 
+  static constexpr double infinity = std::numeric_limits<double>::infinity();
   static constexpr int few = 10;  // contradictions that an active set gets over
 
   QuadraticProgramSettings settings_;
@@ -246,9 +385,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   std::vector<typename Program::Vector> saved_steps_;
   std::vector<typename Program::Values> saved_multipliers_, saved_prices_;
   std::optional<SolverClock::time_point> deadline_;
+  // What a pass and an iteration of the interior point last took.
+  SolverClock::duration pass_time_{}, interior_time_{}, rows_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0;
   bool by_dual_ = true, late_ = false;
+  bool assumes_ = false;   // the last factorisation holds what had a multiplier
+  bool unsolved_ = false;  // the last program: its multipliers are no guess of what holds
+  bool goes_on_ = false;
 };
 
 }  // namespace tilt_ropter

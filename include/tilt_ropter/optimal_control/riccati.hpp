@@ -106,7 +106,7 @@ class Riccati {
       const Reached& list = lists[static_cast<std::size_t>(t)];
       for (int n = 0; n < list.count; ++n) {
         const int row = list.at[static_cast<std::size_t>(n)];
-        Packet<lanes> square[lanes];
+        Packet<lanes> square[detail::size(lanes)];
 #pragma GCC unroll 4
         for (int c = 0; c < lanes; ++c) {
           const int column = lanes * t + c;
@@ -172,6 +172,17 @@ class Riccati {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (std::size_t k = 0; k + 1 < w.size(); ++k) {
         set_input<packet()>(stages_[k], nullptr, w[k]);
+        advance<packet()>(stages_[k], w[k], w[k + 1]);
+      }
+      return true;
+    });
+  }
+  /// The same for a deviation from a step, without defects; inputs of nodes before `first` are those
+  /// in w.
+  void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      for (std::size_t k = 0; k + 1 < w.size(); ++k) {
+        if (k >= first) set_input<packet(), false>(stages_[k], nullptr, w[k]);
         advance<packet()>(stages_[k], w[k], w[k + 1]);
       }
       return true;
@@ -337,7 +348,7 @@ class Riccati {
   [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
     static constexpr auto lists = reached_by<Width>();
     const Reached& list = lists[static_cast<std::size_t>(t)];
-    Packet<Width> sum[Columns] = {};
+    Packet<Width> sum[detail::size(Columns)] = {};
     for (int n = 0; n < list.count; ++n) {
       const int k = list.at[static_cast<std::size_t>(n)];
       Packet<Width> m;
@@ -355,7 +366,7 @@ class Riccati {
   template <int Width>
   [[gnu::always_inline]] inline void add_gradient(const Stage& s) {
     constexpr int packets = rows / Width;
-    Packet<Width> sum[packets];
+    Packet<Width> sum[detail::size(packets)];
 #pragma GCC unroll 16
     for (int t = 0; t < packets; ++t) detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
     for (int k = 0; k < States; ++k) {
@@ -391,7 +402,7 @@ class Riccati {
     const Reached& list = lists[static_cast<std::size_t>(j)];
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
-    Packet<Width> sum[Last - First];
+    Packet<Width> sum[detail::size(Last - First)];
 #pragma GCC unroll 16
     for (int t = First; t < Last; ++t) detail::load<Width>(cost + Width * t, sum[t - First]);
     for (int n = 0; n < list.count; ++n) {
@@ -411,12 +422,12 @@ class Riccati {
   [[gnu::always_inline]] inline bool eliminate(Stage& s) {
     constexpr int packets = rows / Width;
     bool positive = true;
-    Packet<Width> g[packets];
+    Packet<Width> g[detail::size(packets)];
 #pragma GCC unroll 16
     for (int t = 0; t < packets; ++t) detail::load<Width>(gradient_.data() + Width * t, g[t]);
     for (int j = 0; j < Inputs; ++j) {
       double* column = hessian_.data() + rows * (States + j);
-      Packet<Width> c[packets];
+      Packet<Width> c[detail::size(packets)];
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) detail::load<Width>(column + Width * t, c[t]);
       for (int i = 0; i < j; ++i) {
@@ -457,7 +468,7 @@ class Riccati {
   [[gnu::always_inline]] inline void add_remainder_columns_from(const Stage& s) {
     constexpr int count = state_rows / Width - First;
     for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
-      Packet<Width> sum[count];
+      Packet<Width> sum[detail::size(count)];
 #pragma GCC unroll 16
       for (int t = 0; t < count; ++t)
         detail::load<Width>(hessian_.data() + rows * j + Width * (First + t), sum[t]);
@@ -479,7 +490,7 @@ class Riccati {
   [[gnu::always_inline]] inline void mirror() {
     for (int j = 0; j < States; j += Width) {
       for (int i = j; i < States; i += Width) {
-        Packet<Width> square[Width];
+        Packet<Width> square[detail::size(Width)];
 #pragma GCC unroll 4
         for (int c = 0; c < Width; ++c)
           if (j + c < States)
@@ -509,7 +520,7 @@ class Riccati {
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
       const Vector& own = gradients(k);
-      Packet<Width> g[packets];
+      Packet<Width> g[detail::size(packets)];
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) detail::load<Width>(own.data() + Width * t, g[t]);
       for (int i = 0; i < States; ++i) {
@@ -518,7 +529,7 @@ class Riccati {
           detail::add_product<Width>(g[t], s.transition.data() + rows * i + Width * t,
                                      gradient_(i));
       }
-      double by_input[rows];
+      double by_input[detail::size(rows)];
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) detail::store<Width>(by_input + Width * t, g[t]);
       for (int j = 0; j < Inputs; ++j) {
@@ -538,7 +549,7 @@ class Riccati {
   [[gnu::always_inline]] static inline void step_back_column(const Stage& s, const Reached& list,
                                                              const Batch& after, Eigen::Index row,
                                                              Batch& before, int column) {
-    Packet<Width> sum[Packets] = {};
+    Packet<Width> sum[detail::size(Packets)] = {};
     for (int n = 0; n < list.count; ++n) {
       const int k = list.at[static_cast<std::size_t>(n)];
       const double factor = s.transition(column, k);
@@ -568,7 +579,7 @@ class Riccati {
   // du of w = (dx, du).
   template <int Width, bool Optimal = true>
   [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z, Vector& w) {
-    double turned[input_rows];  // Y' dx, divided by the diagonal of L
+    double turned[detail::size(input_rows)];  // Y' dx, divided by the diagonal of L
     for (int i = States; i < state_rows; ++i) w(i) = 0.0;
     for (int j = 0; j < input_rows; j += Width)
       multiply_transposed<Width, state_rows>(s.factor.data() + rows * j, w.data(), turned + j);
@@ -585,7 +596,7 @@ class Riccati {
   template <int Width>
   [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w,
                                                     Vector& next) {
-    double dx[state_rows];
+    double dx[detail::size(state_rows)];
     for (int k = 0; k < state_rows; k += Width)
       multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);
     for (int k = 0; k < States; ++k) next(k) = dx[k];
@@ -594,7 +605,7 @@ class Riccati {
   template <int Width, int Count>
   [[gnu::always_inline]] static inline void multiply_transposed(const double* columns,
                                                                 const double* w, double* result) {
-    Packet<Width> sums[Width] = {};
+    Packet<Width> sums[detail::size(Width)] = {};
 #pragma GCC unroll 32
     for (int i = 0; i < Count; i += Width) {
       Packet<Width> factor;

@@ -79,7 +79,8 @@ struct SolveReport {
   double step = 1.0;     ///< length of the last step, 1 if it was a full one
   double damping = 0.0;  ///< added to the Hessians because they were not positive definite
   double prepare_us = 0.0, feedback_us = 0.0;       ///< wall time of the two phases [us]
-  double linearise_us = 0.0, factorise_us = 0.0;    ///< parts of prepare [us]
+  /// Parts of prepare; the last one: gradients of the constraints that NLopt gets [us].
+  double linearise_us = 0.0, factorise_us = 0.0, rows_us = 0.0;
 };
 
 }  // namespace tilt_ropter

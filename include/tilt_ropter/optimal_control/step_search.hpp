@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace tilt_ropter {
 
@@ -43,6 +44,7 @@ class StepSearch {
   /// Before the first step of a solve. Without `accelerated`, line searches only.
   void begin(bool accelerated) {
     merit_.forget();
+    lowest_merit_ = std::numeric_limits<double>::infinity();
     accelerates_ = accelerated && settings_.memory > 0;
     forget_moves();
     length_ = 1.0;
@@ -52,6 +54,14 @@ class StepSearch {
   /// The last step was accepted without a lower merit, and nothing says yet that it is better.
   [[nodiscard]] bool on_trust() const { return on_trust_; }
   [[nodiscard]] double length() const { return length_; }  ///< of the last step
+  /// Of all iterates since begin(), each by its own weights.
+  [[nodiscard]] double lowest_merit() const { return lowest_merit_; }
+  [[nodiscard]] bool accelerates() const { return accelerates_; }
+  /// Line searches only from now on: what was learnt leads nowhere.
+  void stop_accelerating() {
+    forget_moves();
+    accelerates_ = false;
+  }
 
   /// Moves `here` by the step in `program`, which was linearised there at this cost; back to where
   /// the step on trust started if that is not worth it. Returns iterated, or stalled if no step is
@@ -68,6 +78,7 @@ class StepSearch {
     }
     const double slope = merit_.update(program, horizon_);
     const double merit = merit_.value_here(problem, program, equalities, here, cost);
+    lowest_merit_ = std::min(lowest_merit_, merit);
     const bool level = -slope <= 1e-4 * (1.0 + std::abs(merit)) && !searches_;
     const bool hidden = -slope <= 1e-9 * (1.0 + std::abs(merit));
     searches_ = on_trust_ = false;
@@ -199,7 +210,7 @@ class StepSearch {
   Anderson<> anderson_;
   // Scaled: step of the program here and at the base, step taken from the base; and the scales.
   Eigen::VectorXd residual_, base_residual_, move_, scale_;
-  double length_ = 1.0;
+  double length_ = 1.0, lowest_merit_ = 0.0;
   bool accelerates_ = false, first_ = true;
   bool moved_ = false;     // move_ and base_residual_ are set
   bool on_trust_ = false;  // the last step was accepted without a lower merit

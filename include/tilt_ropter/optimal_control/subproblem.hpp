@@ -22,6 +22,13 @@
 /// price. So every program has a solution.
 namespace tilt_ropter {
 
+/// What a violation >= 0 costs: quadratic up to where its slope, the stiffness times it, reaches the
+/// price, linear from there on.
+[[nodiscard]] inline double violation_cost(double price, double stiffness, double violation) {
+  const double linear = violation - 0.5 * price / stiffness;
+  return stiffness * violation < price ? 0.5 * stiffness * violation * violation : price * linear;
+}
+
 /// Constraints of one node.
 template <int States, int Inputs, int Rows>
 struct NodeRows {
@@ -37,6 +44,8 @@ struct NodeRows {
   /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
   Values multiplier = Values::Zero();
   Values predicted = Values::Zero();  ///< value + C dx + E du at the current step
+  /// Of hard constraints: the finite price that the last program had for them, see InteriorPoint.
+  Values stand_in = Values::Constant(infinity);
   /// The lower bound was above the upper one, see Subproblem::check_node(); in any row, in row i.
   bool crossed = false;
   std::array<bool, static_cast<std::size_t>(Rows)> crosses{};
@@ -103,7 +112,12 @@ class Subproblem {
     Node& n = node(k);
     n.crossed = false;
     for (int i = 0; i < Rows; ++i) n.hard[static_cast<std::size_t>(i)] = n.price(i) == infinity;
-    n.price = n.price.cwiseMin(hard_price);
+    for (int i = 0; i < Rows; ++i) {
+      if (n.price(i) < infinity) continue;
+      // One that was given up goes on with the price at which it was.
+      const bool gave_up = std::abs(n.multiplier(i)) >= n.stand_in(i);
+      n.price(i) = n.stand_in(i) = gave_up ? n.stand_in(i) : hard_price;
+    }
     const bool regular = (n.lower.array() <= n.upper.array()).all() && (n.price.array() > 0.0).all() &&
                          (n.stiffness.array() > 0.0).all();
     if (!regular && !repair(n)) return false;
@@ -149,9 +163,11 @@ class Subproblem {
   /// The gradient of row i of node k by (dx, du).
   [[nodiscard]] Vector row_gradient(int k, int i) const {
     Vector gradient = Vector::Zero();
-    gradient.template head<States>() = node(k).C.row(i).transpose();
-    if (k < horizon())
-      gradient.template segment<Inputs>(States) = node(k).E.row(i).transpose();
+    if constexpr (Rows > 0) {
+      gradient.template head<States>() = node(k).C.row(i).transpose();
+      if (k < horizon())
+        gradient.template segment<Inputs>(States) = node(k).E.row(i).transpose();
+    }
     return gradient;
   }
 
@@ -232,7 +248,7 @@ class Subproblem {
           for (int j = 0; j < States; ++j) g(j) += m * node(k).C(i, j);
           for (int j = 0; k < horizon() && j < Inputs; ++j) g(States + j) += m * node(k).E(i, j);
         }
-        detail::Packet<Width> sum[packets];
+        detail::Packet<Width> sum[detail::size(packets)];
 #pragma GCC unroll 16
         for (int t = 0; t < packets; ++t) detail::load<Width>(g.data() + Width * t, sum[t]);
         for (int i = 0; k < horizon() && i < States; ++i) {
@@ -262,7 +278,7 @@ class Subproblem {
   [[gnu::always_inline]] inline void add_row_values(int k, const Vector& w, double* values) const {
     const Node& n = node(k);
     if constexpr (Rows >= Width) {
-      detail::Packet<Width> sum[row_packets<Width>];
+      detail::Packet<Width> sum[detail::size(row_packets<Width>)];
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t)
         detail::load<Width>(values + row_packet<Width>(t), sum[t]);
@@ -296,7 +312,7 @@ class Subproblem {
     if constexpr (Rows >= Width) {
       // Packets of rows overlap where they do not come out even: there the second one counts for
       // its last rows only.
-      detail::Packet<Width> factor[row_packets<Width>];
+      detail::Packet<Width> factor[detail::size(row_packets<Width>)];
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t) {
         detail::load<Width>(m + row_packet<Width>(t), factor[t]);
@@ -347,7 +363,7 @@ class Subproblem {
     constexpr int packets = rows / Width;
     const Stage& s = riccati.stage(k);
     const double* w = at.data();
-    detail::Packet<Width> sum[packets];
+    detail::Packet<Width> sum[detail::size(packets)];
 #pragma GCC unroll 16
     for (int t = 0; t < packets; ++t) {
       detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
@@ -364,6 +380,27 @@ class Subproblem {
     for (int j = 0; j < Inputs; ++j)
       g(States + j) += s.cost.hessian.template block<States, 1>(0, States + j).dot(
           at.template head<States>());
+  }
+
+  /// What the step changes the cost by, with the price of every violation, after predict().
+  [[nodiscard]] double price_of_step(double damping) const {
+    double sum = 0.0;
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      Vector g;
+      for (int k = 0; k <= horizon(); ++k) {
+        cost_gradient<packet()>(k, step(k), damping, g);
+        const auto& cost = riccati.stage(k).cost.gradient;
+        const int columns = k < horizon() ? width : States;
+        sum += 0.5 * (g + cost).head(columns).dot(step(k).head(columns));
+      }
+      return true;
+    });
+    for (const Node& n : nodes_)
+      for (int i = 0; i < Rows; ++i) {
+        if (n.predicted(i) > n.upper(i) || n.predicted(i) < n.lower(i))
+          sum += violation_cost(n.price(i), n.stiffness(i), n.violation(i, n.predicted(i)));
+      }
+    return sum;
   }
 
   /// Residual of the step with the multipliers in the nodes, after predict().
