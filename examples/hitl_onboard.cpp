@@ -70,7 +70,7 @@ class Onboard {
     if (nmpc_.prepare(time, mission_, observer_.external()))
       observer_.set_external(nmpc_.contact().air_wrench());
     const NmpcResult& result = nmpc_.feedback(time, ekf_.state());
-    if (result.status != NmpcStatus::solved) ++failures_;
+    if (!has_plan(result.status)) ++failures_;
     hitl::Message m;
     m.type = hitl::MessageType::wrench;
     m.time = time;

@@ -96,6 +96,8 @@ const char* to_string(SolveStatus status) {
       return "converged";
     case SolveStatus::iterated:
       return "iterated";
+    case SolveStatus::infeasible:
+      return "infeasible";
     case SolveStatus::iteration_limit:
       return "iteration_limit";
     case SolveStatus::time_limit:

@@ -186,7 +186,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
       controller.prepare(time, reference);
       command = controller.control(time);
       const NmpcResult& result = controller.result();
-      figures.on_control(result.status == NmpcStatus::solved,
+      figures.on_control(has_plan(result.status),
                          result.report.prepare_us + result.report.feedback_us,
                          result.report.feedback_us);
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,

@@ -154,7 +154,7 @@ template <typename OnTick>
       if (controller.started()) {
         controller.prepare(time, reference);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
-        if (controller.result().status != NmpcStatus::solved) ++record.solver_failures;
+        if (!has_plan(controller.result().status)) ++record.solver_failures;
         on_tick(mission, plant, controller, power);
       }
     }
