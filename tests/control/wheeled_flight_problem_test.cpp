@@ -318,7 +318,10 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   expect_refused([](auto& s) { s.weights.position.z() = -1.0; }, "NmpcWeights.position [1/m^2]");
   expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
   expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
-  expect_refused([&](auto& s) { s.row_penalty = 0.0; }, "row_penalty");
+  expect_refused([](auto& s) { s.penalties.rate = 0.0; }, "NmpcPenalties.rate [s/N, s/(N m)] = 0");
+  expect_refused([](auto& s) { s.penalties.wrench = -1.0; }, "NmpcPenalties.wrench");
+  expect_refused([&](auto& s) { s.penalties.angular_velocity = nan; }, "NmpcPenalties.angular_vel");
+  expect_refused([](auto& s) { s.penalties.actuators = 0.0; }, "NmpcPenalties.actuators");
   const auto riccati = [](WheeledFlightSettings& s) -> NmpcWeights& {
     s.terminal_cost = TerminalCost::riccati;
     return s.weights;

@@ -14,11 +14,13 @@ diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/nmpc.hpp
 tilt_ropter/control/nmpc_settings.hpp
 tilt_ropter/control/reference_check.hpp
+tilt_ropter/optimal_control/dual_method.hpp
 tilt_ropter/optimal_control/full_space.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp
 tilt_ropter/optimal_control/multipliers.hpp
 tilt_ropter/optimal_control/quadratic_program.hpp
 tilt_ropter/optimal_control/solve_report.hpp
+tilt_ropter/optimal_control/step_search.hpp
 HEADERS
 "${compile[@]}" -w -fsyntax-only - << 'PROGRAM'
 #undef __has_include

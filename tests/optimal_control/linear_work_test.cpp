@@ -1,0 +1,155 @@
+// Work grows with the length of the horizon, and not with a power of it (CHECKS 21).
+
+#include "support/check_table.hpp"
+#include "support/full_run.hpp"
+#include "support/sanitizer.hpp"
+
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <ctime>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::check_at_most;
+
+double thread_seconds() {
+  std::timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+/// Masses on a line, each with a force and a speed that are bounded and with a target that jumps to
+/// and fro, so that more than one constraint holds at most nodes.
+struct Masses {
+  static constexpr int states = 6, inputs = 3, rows = 6, equalities = 0;
+  using State = Eigen::Matrix<double, 6, 1>;
+  using D = ProblemDimensions<Masses>;
+  int intervals = 20;
+  double target = 1.0, price = 1e4;
+
+  int horizon() const { return intervals; }
+  State retract(const State& x, const State& dx) const { return x + dx; }
+  State difference(const State& y, const State& x) const { return y - x; }
+  static D::A transition() {
+    D::A A = D::A::Identity();
+    A.topRightCorner<3, 3>().diagonal().setConstant(0.1);
+    return A;
+  }
+  static D::B push() {
+    D::B B = D::B::Zero();
+    B.topRows<3>().diagonal().setConstant(0.005);
+    B.bottomRows<3>().diagonal().setConstant(0.1);
+    return B;
+  }
+  State step(int, const State& x, const D::Input& u) const { return transition() * x + push() * u; }
+  State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const {
+    A = transition();
+    B = push();
+    return step(k, x, u);
+  }
+  State error(int k, const State& x) const {
+    State e = x;
+    for (int i = 0; i < 3; ++i) e(i) -= (k + 4 * i) % 16 < 8 ? target : -target;
+    return e;
+  }
+  double cost(int k, const State& x, const D::Input& u) const {
+    return error(k, x).squaredNorm() + 1e-3 * u.squaredNorm();
+  }
+  void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<6, 3>& m) const {
+    m.lx() = 2.0 * error(k, x);
+    m.lxx().diagonal().setConstant(2.0);
+    m.lu() = 2e-3 * u;
+    m.luu().diagonal().setConstant(2e-3);
+  }
+  D::Rows row_values(int, const State& x, const D::Input& u) const {
+    D::Rows r;
+    r << u, x.tail<3>();
+    return r;
+  }
+  void row_derivatives(int, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
+    C.bottomRightCorner<3, 3>().setIdentity();
+    E.topRows<3>().setIdentity();
+  }
+  D::Rows upper(int k) const {
+    D::Rows r;
+    r << 3.0, 3.0, 3.0, 1.0, 1.0, 1.0;
+    if (k == 0) r.tail<3>().setConstant(10.0);
+    return r;
+  }
+  D::Rows lower(int k) const { return -upper(k); }
+  D::Rows penalty(int) const { return D::Rows::Constant(price); }
+};
+
+struct Work {
+  double seconds = 0.0;  // of an iteration, the median
+  double active = 0.0, passes = 0.0;  // per node, and of an iteration
+};
+
+// Iterations with a target that flips each time, which is the worst for warm starts; or one that
+// stays about where it is.
+Work iterate(int horizon, bool flips) {
+  Masses masses;
+  masses.intervals = horizon;
+  SolverSettings settings;
+  settings.program.max_passes = 1000;
+  MultipleShooting<Masses> solver(masses, settings);
+  const Masses::State rest = Masses::State::Zero();
+  solver.reset(rest);
+  Work work;
+  std::vector<double> seconds;
+  const int count = test_support::quick_or_full(9, 31);
+  for (int i = 0; i < count; ++i) {
+    solver.problem().target = flips ? (i % 2 == 0 ? 1.0 : -1.0) : 1.0 + 1e-3 * (i % 2);
+    const double start = thread_seconds();
+    EXPECT_TRUE(solver.prepare());
+    const SolveReport& report = solver.feedback(rest);
+    seconds.push_back(thread_seconds() - start);
+    EXPECT_EQ(report.status, SolveStatus::iterated) << report.program_residual;
+    work.active += static_cast<double>(report.active_rows) / (horizon * count);
+    work.passes += static_cast<double>(report.passes) / count;
+  }
+  std::nth_element(seconds.begin(), seconds.begin() + count / 2, seconds.end());
+  work.seconds = seconds[static_cast<std::size_t>(count / 2)];
+  return work;
+}
+
+TEST(LinearWork, CostPerNodeIsTheSameForAnyHorizon) {
+  double least = 1e9, most = 0.0;
+  for (const int horizon : {20, 50, 100, 200}) {
+    double best = 1e9;
+    for (int again = 0; again < 3; ++again) {
+      const Work work = iterate(horizon, false);
+      EXPECT_GT(work.active, 1.2);
+      EXPECT_LE(work.passes, 3.0);
+      best = std::min(best, work.seconds / horizon);
+    }
+    least = std::min(least, best);
+    most = std::max(most, best);
+  }
+  if (test_support::under_address_sanitizer()) return;
+  check_at_most(21, "cost per node from N = 20 to 200, largest over smallest", most / least, 1.3);
+}
+
+TEST(LinearWork, TenTimesTheHorizonWithAllConstraintsFlipping) {
+  Work shorter = iterate(50, true), longer = iterate(500, true);
+  for (int again = 0; again < 2; ++again) {
+    shorter.seconds = std::min(shorter.seconds, iterate(50, true).seconds);
+    longer.seconds = std::min(longer.seconds, iterate(500, true).seconds);
+  }
+  EXPECT_GT(longer.active, 1.2);
+  EXPECT_LE(longer.passes, 1.6 * shorter.passes + 5.0);
+  if (test_support::under_address_sanitizer()) return;
+  check_at_most(21, "N = 500 over N = 50, all constraints flipping",
+                longer.seconds / shorter.seconds, 15.0);
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,211 @@
+// Numbers that are none, out of every function of a problem, at any node (CHECKS 22).
+
+#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <limits>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+enum class Output { none, step, A, B, cost, lx, lu, lxx, lux, luu, value, C, E, lower, upper,
+                    penalty, stiffness, equality, H, weight, terminal_value, terminal_C,
+                    terminal_lower, terminal_upper, terminal_penalty, difference, count };
+
+/// Every function that a problem can have: a mass on a line, of which one output at one node can be
+/// spoilt.
+struct Spoilt {
+  static constexpr int states = 2, inputs = 1, rows = 2, equalities = 1, terminal_rows = 1;
+  using State = Eigen::Vector2d;
+  using D = ProblemDimensions<Spoilt>;
+  using TerminalRow = Eigen::Matrix<double, 1, 1>;
+
+  Output output = Output::none;
+  int node = 0;
+  double number = 0.0;
+
+  template <typename Value>
+  void spoil(Output which, int k, Value&& value) const {
+    if (output == which && k == node) value(0) = number;
+  }
+  template <typename Value>
+  Value spoilt(Output which, int k, Value value) const {
+    spoil(which, k, value);
+    return value;
+  }
+
+  int horizon() const { return 10; }
+  State retract(const State& x, const State& dx) const { return x + dx; }
+  State difference(const State& y, const State& x) const {
+    return spoilt(Output::difference, node, State(y - x));
+  }
+  State step(int k, const State& x, const D::Input& u) const {
+    return spoilt(Output::step, k, State(x(0) + 0.1 * x(1), x(1) + 0.1 * u(0)));
+  }
+  State step(int k, const State& x, const D::Input& u, D::A& A, D::B& B) const {
+    A << 1.0, 0.1, 0.0, 1.0;
+    B << 0.0, 0.1;
+    if (output == Output::A && k == node) A(0, 1) = number;
+    if (output == Output::B && k == node) B(1) = number;
+    return step(k, x, u);
+  }
+  double cost(int k, const State& x, const D::Input& u) const {
+    if (output == Output::cost && k == node) return number;
+    return x.squaredNorm() + 0.1 * u.squaredNorm();
+  }
+  void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<2, 1>& m) const {
+    m.lx() = spoilt(Output::lx, k, State(2.0 * x));
+    Eigen::Matrix2d lxx = 2.0 * Eigen::Matrix2d::Identity();
+    if (output == Output::lxx && k == node) lxx(1, 1) = number;
+    m.lxx() = lxx;
+    m.lu() = spoilt(Output::lu, k, D::Input(0.2 * u));
+    m.luu() = spoilt(Output::luu, k, D::Input(D::Input::Constant(0.2)));
+    m.lux() = spoilt(Output::lux, k, Eigen::RowVector2d(0.0, 0.0));
+  }
+  D::Rows row_values(int k, const State& x, const D::Input& u) const {
+    return spoilt(Output::value, k, D::Rows(u(0), x(1)));
+  }
+  void row_derivatives(int k, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
+    C << 0.0, 0.0, 0.0, 1.0;
+    E << 1.0, 0.0;
+    if (output == Output::C && k == node) C(1, 1) = number;
+    if (output == Output::E && k == node) E(0, 0) = number;
+  }
+  D::Rows lower(int k) const { return spoilt(Output::lower, k, D::Rows(-2.0, -0.5)); }
+  D::Rows upper(int k) const { return spoilt(Output::upper, k, D::Rows(2.0, 0.5)); }
+  D::Rows penalty(int k) const { return spoilt(Output::penalty, k, D::Rows(1e9, 1e3)); }
+  D::Rows quadratic_penalty(int k) const { return spoilt(Output::stiffness, k, D::Rows(1e5, 1e5)); }
+  D::Equalities equality_values(int k, const State& x) const {
+    return spoilt(Output::equality, k, D::Equalities(x(1)));
+  }
+  void equality_derivatives(int k, const State&, D::EqualitiesX& H) const {
+    H << 0.0, 1.0;
+    if (output == Output::H && k == node) H(0, 1) = number;
+  }
+  D::Equalities equality_weights(int k) const {
+    return spoilt(Output::weight, k, D::Equalities(k == horizon() ? 10.0 : 1e-3));
+  }
+  TerminalRow terminal_row_values(const State& x) const {
+    return spoilt(Output::terminal_value, horizon(), TerminalRow(x(0)));
+  }
+  void terminal_row_derivatives(const State&, Eigen::Matrix<double, 1, 2>& C) const {
+    C << 1.0, 0.0;
+    spoil(Output::terminal_C, horizon(), C);
+  }
+  TerminalRow terminal_lower() const {
+    return spoilt(Output::terminal_lower, horizon(), TerminalRow(-0.6));
+  }
+  TerminalRow terminal_upper() const {
+    return spoilt(Output::terminal_upper, horizon(), TerminalRow(0.6));
+  }
+  TerminalRow terminal_penalty() const {
+    return spoilt(Output::terminal_penalty, horizon(), TerminalRow(1e3));
+  }
+};
+
+using Solver = MultipleShooting<Spoilt>;
+
+bool finite_plan(const Solver& solver) {
+  bool finite = true;
+  for (int k = 0; k <= solver.horizon(); ++k) {
+    finite = finite && all_finite(solver.state(k));
+    if (k < solver.horizon()) finite = finite && all_finite(solver.input(k));
+  }
+  return finite;
+}
+
+// Nothing there, or an infinity that means something: no bound, or a hard constraint.
+bool means_something(Output output, int node, double number) {
+  const int horizon = Spoilt().horizon();
+  switch (output) {
+    case Output::step:
+    case Output::A:
+    case Output::B:
+    case Output::value:
+    case Output::C:
+    case Output::E:
+    case Output::lu:
+    case Output::lux:
+    case Output::luu:
+      return node == horizon;
+    case Output::lower:
+      return node == horizon || number == -std::numeric_limits<double>::infinity();
+    case Output::upper:
+    case Output::penalty:
+    case Output::stiffness:
+      return node == horizon || number == std::numeric_limits<double>::infinity();
+    case Output::terminal_lower:
+      return node != horizon || number == -std::numeric_limits<double>::infinity();
+    case Output::terminal_upper:
+    case Output::terminal_penalty:
+      return node != horizon || number == std::numeric_limits<double>::infinity();
+    case Output::terminal_value:
+    case Output::terminal_C:
+      return node != horizon;
+    default:
+      return false;
+  }
+}
+
+TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
+  const Eigen::Vector2d x(1.0, 0.3);
+  const double infinity = std::numeric_limits<double>::infinity();
+  Solver reference{Spoilt{}};
+  reference.reset(x);
+  ASSERT_EQ(reference.solve(x).status, SolveStatus::converged);
+  for (int output = 1; output < static_cast<int>(Output::count); ++output)
+    for (const int node : {0, 1, 5, 9, 10})
+      for (const double number : {std::numeric_limits<double>::quiet_NaN(), infinity, -infinity}) {
+        if (means_something(static_cast<Output>(output), node, number)) continue;
+        SCOPED_TRACE("output " + std::to_string(output) + " at node " + std::to_string(node) +
+                     " is " + std::to_string(number));
+        for (const bool warm : {false, true}) {
+          Solver solver{Spoilt{}};
+          solver.reset(x);
+          if (warm) solver.solve(x);
+          const auto spoil = [&](bool bad) {
+            solver.problem().output = bad ? static_cast<Output>(output) : Output::none;
+            solver.problem().node = node;
+            solver.problem().number = number;
+          };
+          spoil(true);
+          const SolveReport bad = solver.solve(x);
+          EXPECT_NE(bad.status, SolveStatus::converged);
+          EXPECT_NE(bad.status, SolveStatus::infeasible);
+          EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
+          EXPECT_TRUE(finite_plan(solver));
+          const bool prepared = solver.prepare();
+          const SolveStatus iterated = solver.feedback(x).status;
+          EXPECT_TRUE(finite_plan(solver));
+          if (static_cast<Output>(output) != Output::cost)
+            EXPECT_FALSE(prepared && iterated == SolveStatus::iterated);
+          spoil(false);
+          ASSERT_EQ(solver.solve(x).status, SolveStatus::converged);
+          EXPECT_NEAR(solver.report().cost, reference.report().cost, 1e-9);
+        }
+      }
+}
+
+TEST(NotANumber, GoodAgainByTheNextIteration) {
+  const Eigen::Vector2d x(1.0, 0.3);
+  Solver solver{Spoilt{}};
+  solver.reset(x);
+  ASSERT_EQ(solver.solve(x).status, SolveStatus::converged);
+  solver.problem().output = Output::lx;
+  solver.problem().node = 10;
+  solver.problem().number = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(solver.prepare());
+  EXPECT_EQ(solver.feedback(x).status, SolveStatus::failed);
+  solver.problem().output = Output::none;
+  ASSERT_TRUE(solver.prepare());
+  EXPECT_EQ(solver.feedback(x).status, SolveStatus::iterated);
+  EXPECT_TRUE(finite_plan(solver));
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,289 @@
+// What users can ask of a quadratic program: methods, softness, gains, limits, and answers to
+// constraints that cannot be met.
+
+#include "support/patient.hpp"
+#include "support/random.hpp"
+#include "support/random_program.hpp"
+
+#include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
+#include <tilt_ropter/optimal_control/full_space.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+/// A mass on a line that is to be at 1 m, with a bounded force.
+struct Mass {
+  static constexpr int states = 2, inputs = 1, residuals = 3, rows = 2;
+  template <typename S>
+  using Vector2 = Eigen::Matrix<S, 2, 1>;
+  template <typename S>
+  using Vector1 = Eigen::Matrix<S, 1, 1>;
+  using Bounds = Eigen::Vector2d;
+
+  int intervals = 30;
+  Bounds low{-1.0, -infinity}, high{1.0, 0.4}, price{infinity, 1e3}, stiffness{infinity, infinity};
+
+  int horizon() const { return intervals; }
+  template <typename S>
+  Vector2<S> step(int, const Vector2<S>& x, const Vector1<S>& u) const {
+    return {x(0) + S(0.1) * x(1) + S(0.005) * u(0), x(1) + S(0.1) * u(0)};
+  }
+  template <typename S>
+  Eigen::Matrix<S, 3, 1> residual(int, const Vector2<S>& x, const Vector1<S>& u) const {
+    return {x(0) - S(1.0), S(0.1) * x(1), S(0.1) * u(0)};
+  }
+  template <typename S>
+  Vector2<S> constraints(int, const Vector2<S>& x, const Vector1<S>& u) const {
+    return {u(0), x(1)};
+  }
+  Bounds lower(int) const { return low; }
+  Bounds upper(int) const { return high; }
+  Bounds penalty(int) const { return price; }
+  Bounds quadratic_penalty(int) const { return stiffness; }
+};
+using Problem = AutoDiffProblem<Mass>;
+using Solver = MultipleShooting<Problem>;
+
+const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
+
+Solver solved(const Mass& mass, ProgramMethod method = ProgramMethod::automatic) {
+  SolverSettings settings = test_support::patient();
+  settings.program.method = method;
+  Solver solver(Problem(mass), settings);
+  solver.reset(rest);
+  solver.solve(rest);
+  return solver;
+}
+
+TEST(QuadraticProgram, EveryMethodReachesTheOptimumOfFullSpace) {
+  const Mass mass;
+  FullSpace<Problem> full{Problem(mass)};
+  full.reset(rest);
+  ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);
+  for (const ProgramMethod method :
+       {ProgramMethod::automatic, ProgramMethod::dual, ProgramMethod::interior_point}) {
+    const Solver solver = solved(mass, method);
+    ASSERT_EQ(solver.report().status, SolveStatus::converged) << static_cast<int>(method);
+    EXPECT_NEAR(solver.report().cost, full.report().cost, 1e-6 * full.report().cost);
+    EXPECT_LE(solver.report().program_residual, 1e-6);
+    EXPECT_GT(solver.report().active_rows, 5);
+    EXPECT_EQ(solver.report().given_up_rows, 0);
+  }
+}
+
+// The method is chosen by the number of constraints that hold; setting it has its effect.
+TEST(QuadraticProgram, ManyConstraintsAreLeftToRiccatiPasses) {
+  Mass mass;
+  mass.high(1) = 0.1;  // nearly all the way
+  const Solver automatic = solved(mass), dual = solved(mass, ProgramMethod::dual);
+  EXPECT_GT(automatic.report().active_rows, 16);
+  EXPECT_EQ(dual.report().passes, 0);
+  EXPECT_NEAR(automatic.report().cost, dual.report().cost, 1e-6);
+}
+
+TEST(QuadraticProgram, ALinearPenaltyIsGivenUpAndAQuadraticOneGivesWay) {
+  Mass mass;
+  mass.price(1) = 1.5;  // less than it would take
+  const Solver linear = solved(mass);
+  ASSERT_EQ(linear.report().status, SolveStatus::converged);
+  EXPECT_GT(linear.report().given_up_rows, 0);
+  EXPECT_EQ(linear.report().given_up_hard_rows, 0);
+  EXPECT_GT(linear.report().largest_given_up, 0.01);
+  double largest = 0.0;
+  for (int k = 0; k <= linear.horizon(); ++k) {
+    EXPECT_NEAR(linear.slack(k, 1), std::max(0.0, linear.state(k)(1) - 0.4), 1e-6);
+    largest = std::max(largest, linear.slack(k, 1));
+    EXPECT_LE(linear.row_multipliers(k)(1), 1.5 + 1e-9);
+  }
+  EXPECT_NEAR(linear.report().largest_given_up, largest, 1e-6);
+
+  mass.price(1) = infinity;
+  mass.stiffness(1) = 50.0;
+  const Solver quadratic = solved(mass);
+  ASSERT_EQ(quadratic.report().status, SolveStatus::converged);
+  int held = 0;
+  for (int k = 1; k <= quadratic.horizon(); ++k) {
+    const double violation = quadratic.state(k)(1) - 0.4;
+    if (violation > 1e-6) {
+      EXPECT_NEAR(quadratic.row_multipliers(k)(1), 50.0 * violation, 1e-5);
+      EXPECT_NEAR(quadratic.slack(k, 1), violation, 1e-7);
+      ++held;
+    }
+  }
+  EXPECT_GT(held, 3);
+  EXPECT_EQ(quadratic.report().given_up_rows, 0);
+}
+
+TEST(QuadraticProgram, HardConstraintsThatContradictEachOtherAreInfeasible) {
+  Mass mass;
+  mass.low(0) = 0.5;    // it has to accelerate
+  mass.price(1) = infinity;  // and must not
+  const Solver solver = solved(mass);
+  EXPECT_EQ(solver.report().status, SolveStatus::infeasible);
+  EXPECT_GT(solver.report().given_up_hard_rows, 0);
+  EXPECT_GT(solver.report().largest_given_up_hard, 0.1);
+}
+
+TEST(QuadraticProgram, ALowerBoundAboveTheUpperOneSaysSo) {
+  Mass mass;
+  mass.low(0) = 1.5;  // of 1.0
+  const Solver solver = solved(mass);
+  EXPECT_EQ(solver.report().status, SolveStatus::infeasible);
+  EXPECT_GT(solver.report().given_up_hard_rows, 0);
+  EXPECT_NEAR(solver.report().largest_given_up_hard, 0.5, 0.51);
+}
+
+// Of the state of node 0 nobody has a say.
+TEST(QuadraticProgram, AMeasuredStateBeyondItsBoundIsGivenUpAndNothingElse) {
+  Mass mass;
+  Solver solver{Problem(mass)};
+  const Eigen::Vector2d fast(0.0, 0.42);
+  solver.reset(fast);
+  solver.solve(fast);
+  EXPECT_EQ(solver.report().status, SolveStatus::converged);
+  EXPECT_TRUE(solver.given_up(0, 1));
+  EXPECT_EQ(solver.report().given_up_rows, 1);
+  EXPECT_NEAR(solver.report().largest_given_up, 0.02, 1e-9);
+}
+
+TEST(QuadraticProgram, GainsAndFeedForwardAreThoseOfTheOptimum) {
+  Mass mass;
+  mass.high = {100.0, 100.0};
+  mass.low = {-100.0, -100.0};
+  Solver solver = solved(mass);
+  ASSERT_EQ(solver.report().status, SolveStatus::converged);
+  const auto gain = solver.gain(0);
+  const double before = solver.input(0)(0);
+  ASSERT_TRUE(solver.prepare());
+  const Eigen::Vector2d moved(0.03, -0.02);
+  ASSERT_EQ(solver.feedback(moved).status, SolveStatus::iterated);
+  EXPECT_NEAR(solver.input(0)(0), before + (gain * moved)(0), 1e-9);
+  EXPECT_NEAR(solver.feedforward(0)(0), 0.0, 1e-9);  // the plan before was optimal
+  EXPECT_LT(gain(0, 0), -1.0);
+}
+
+TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
+  test_support::Random random(3);
+  for (const double limit : {1e-9, 1e-6, 1e-5, 3e-5, 1e-3}) {
+    Mass mass;
+    mass.intervals = 100;
+    SolverSettings settings;
+    settings.max_feedback_time = limit;
+    Solver solver(Problem(mass), settings);
+    Eigen::Vector2d x = rest;
+    solver.reset(x);
+    for (int i = 0; i < 200; ++i) {
+      ASSERT_TRUE(solver.prepare());
+      const SolveReport& report = solver.feedback(x);
+      ASSERT_TRUE(has_plan(report.status));
+      if (report.status == SolveStatus::iterated) EXPECT_LE(report.program_residual, 1e-6);
+      EXPECT_LE(std::abs(solver.input(0)(0)), 1.0 + 1e-12);
+      x = mass.step<double>(0, x, solver.input(0));
+      if (i == 100) x << -3.0, random.uniform(-1.0, 1.0);
+    }
+    EXPECT_NEAR(x(0), 1.0, 0.3) << limit;
+  }
+}
+
+TEST(QuadraticProgram, ASolveThatIsCutOffGoesOnWhereItWas) {
+  Mass mass;
+  mass.intervals = 200;
+  mass.high(1) = 0.1;
+  Solver solver{Problem(mass)};
+  solver.reset(rest);
+  int calls = 0;
+  SolveStatus status = SolveStatus::time_limit;
+  for (; status != SolveStatus::iterated && calls < 100; ++calls) {
+    ASSERT_TRUE(solver.prepare());
+    status = solver.feedback(rest, SolverClock::now() + std::chrono::microseconds(150)).status;
+    ASSERT_TRUE(status == SolveStatus::iterated || status == SolveStatus::time_limit);
+    EXPECT_LE(std::abs(solver.input(0)(0)), 1.0 + 1e-12);
+  }
+  EXPECT_LT(calls, 100);
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_TRUE(solver.prepare());
+    status = solver.feedback(rest).status;
+  }
+  EXPECT_EQ(status, SolveStatus::iterated);
+  ASSERT_TRUE(solver.prepare());
+  EXPECT_LT(solver.report().kkt, 1e-6);
+}
+
+TEST(QuadraticProgram, AGuessOrAResetAfterPreparationNeedsAnotherOne) {
+  Solver solver = solved(Mass{});
+  ASSERT_TRUE(solver.prepare());
+  solver.reset(rest);
+  EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
+  ASSERT_TRUE(solver.prepare());
+  solver.set_guess(3, rest, Eigen::Matrix<double, 1, 1>(0.1));
+  EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
+  ASSERT_TRUE(solver.prepare());
+  solver.shift(0.3);
+  EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
+}
+
+// Multipliers go to the nodes they are nearest to, however small the parts.
+TEST(QuadraticProgram, FractionsOfAShiftAddUp) {
+  Solver once = solved(Mass{}), parts = solved(Mass{});
+  ASSERT_GT(once.row_multipliers(3)(0), 0.0);
+  const double third = once.row_multipliers(3)(0);
+  once.shift(2.0);
+  for (int i = 0; i < 5; ++i) parts.shift(0.4);
+  EXPECT_EQ(once.row_multipliers(1)(0), third);
+  for (int k = 0; k <= once.horizon(); ++k)
+    EXPECT_EQ(once.row_multipliers(k), parts.row_multipliers(k)) << k;
+  Solver halves = solved(Mass{});
+  halves.shift(0.5);
+  halves.shift(0.5);
+  EXPECT_EQ(halves.row_multipliers(2)(0), third);
+}
+
+TEST(QuadraticProgram, BoundsOnAnInputBelowZeroDoNotCountAtTheLastNode) {
+  Mass mass;
+  mass.low(0) = 0.05;  // at every node; at the last one there is no input
+  mass.high(1) = 100.0;
+  const Solver solver = solved(mass);
+  EXPECT_EQ(solver.report().status, SolveStatus::converged);
+  EXPECT_EQ(solver.report().max_violation, 0.0);
+  FullSpace<Problem> full{Problem(mass)};
+  full.reset(rest);
+  ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);
+  EXPECT_NEAR(full.report().cost, solver.report().cost, 1e-6);
+}
+
+TEST(QuadraticProgram, SettingsOutOfRangeAreRefusedByName) {
+  const auto message = [](const QuadraticProgramSettings& program) -> std::string {
+    SolverSettings settings;
+    settings.program = program;
+    try {
+      Solver solver(Problem{}, settings);
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  QuadraticProgramSettings s;
+  s.tolerance = 0.0;
+  EXPECT_NE(message(s).find("QuadraticProgramSettings.tolerance"), std::string::npos);
+  s = {};
+  s.max_dual_rows = -1;
+  EXPECT_NE(message(s).find("max_dual_rows = -1: must be in [0, 1000]"), std::string::npos);
+  s = {};
+  s.max_passes = 0;
+  EXPECT_NE(message(s).find("max_passes = 0: must be >= 1"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace tilt_ropter

@@ -1,0 +1,119 @@
+// Random convex quadratic programs of all sizes, ranks and scales, feasible or not: what is reported
+// as solved is solved, and the rest says what is wrong (CHECKS 23).
+
+#include "../../examples/support/program_audit.hpp"
+
+#include "support/check_table.hpp"
+#include "support/full_run.hpp"
+#include "support/random.hpp"
+#include "support/random_program.hpp"
+
+#include <tilt_ropter/optimal_control/full_space.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Feasibility;
+using test_support::RandomProgram;
+
+struct Tally {
+  int programs = 0, solved = 0, compared = 0;
+  int infeasible = 0, infeasible_told = 0, feasible_called_infeasible = 0;
+  double worst_residual = 0.0, worst_difference = 0.0;
+};
+
+template <int States, int Inputs, int Rows>
+void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
+  using Problem = RandomProgram<States, Inputs, Rows>;
+  test_support::Random random(seed);
+  const int horizon = 5 + static_cast<int>(random.uniform(0.0, 36.0));
+  const Feasibility feasibility = static_cast<Feasibility>(seed % 3);
+  const Problem problem(random, horizon, feasibility, std::numeric_limits<double>::infinity());
+  SolverSettings settings;
+  settings.program.method = method;
+  MultipleShooting<Problem> solver(problem, settings);
+  solver.reset(problem.start());
+  ASSERT_TRUE(solver.prepare());
+  examples::ProgramAudit<Problem> audit;
+  audit.before(solver);
+  const SolveReport report = solver.feedback(problem.start());
+  ++tally.programs;
+  const bool told_infeasible =
+      report.status == SolveStatus::infeasible || report.given_up_hard_rows > 0;
+  if (feasibility == Feasibility::infeasible) {
+    ++tally.infeasible;
+    tally.infeasible_told += told_infeasible;
+    EXPECT_NE(report.status, SolveStatus::iterated);
+  } else {
+    tally.feasible_called_infeasible += report.status == SolveStatus::infeasible;
+  }
+  if (report.status != SolveStatus::iterated) {
+    EXPECT_TRUE(told_infeasible || report.program_residual > settings.program.tolerance);
+    return;
+  }
+  ++tally.solved;
+  tally.worst_residual = std::max(tally.worst_residual, audit.after(solver));
+  const int most = test_support::quick_or_full(60, 240);
+  if (horizon * (States + Inputs) > most) return;
+  FullSpace<Problem> full(problem);
+  full.reset(problem.start());
+  if (full.solve(problem.start()).status != FullSpaceStatus::converged) return;
+  double cost = 0.0;
+  for (int k = 0; k <= horizon; ++k) cost += problem.cost(k, solver.state(k), solver.input(k));
+  ++tally.compared;
+  tally.worst_difference =
+      std::max(tally.worst_difference,
+               std::abs(cost - full.report().cost) / (1.0 + std::abs(full.report().cost)));
+}
+
+void solve_all(ProgramMethod method, int count, Tally& tally) {
+  for (int i = 0; i < count; ++i) {
+    SCOPED_TRACE("program " + std::to_string(i));
+    const auto seed = static_cast<unsigned>(i);
+    if (i % 4 == 0) solve_one<2, 1, 3>(seed, method, tally);
+    if (i % 4 == 1) solve_one<4, 2, 6>(seed, method, tally);
+    if (i % 4 == 2) solve_one<6, 2, 8>(seed, method, tally);
+    if (i % 4 == 3) solve_one<12, 6, 9>(seed, method, tally);
+  }
+}
+
+TEST(RandomPrograms, WhatIsReportedSolvedIsSolvedAndTheRestSaysWhatIsWrong) {
+  Tally t;
+  solve_all(ProgramMethod::automatic, test_support::quick_or_full(300, 3000), t);
+  EXPECT_GT(t.compared, 10);
+  EXPECT_GT(t.solved, 0.6 * t.programs);
+  test_support::check_at_most(23, "cost of solved programs, from that of full_space",
+                              t.worst_difference, 1e-6);
+  test_support::check_at_most(23, "residual of solved programs, counted again", t.worst_residual,
+                              1e-5);
+  test_support::check_at_least(23, "infeasible programs that say so, share",
+                               1.0 * t.infeasible_told / t.infeasible, 0.99);
+  test_support::check_at_most(23, "others called infeasible, share",
+                              1.0 * t.feasible_called_infeasible / t.programs, 1e-2);
+}
+
+TEST(RandomPrograms, ByRiccatiPassesAlone) {
+  Tally t;
+  solve_all(ProgramMethod::interior_point, test_support::quick_or_full(120, 1200), t);
+  EXPECT_GT(t.solved, 0.6 * t.programs);
+  EXPECT_LE(t.worst_difference, 1e-6);
+  EXPECT_LE(t.worst_residual, 1e-5);
+}
+
+TEST(RandomPrograms, ByTheDualAlone) {
+  Tally t;
+  solve_all(ProgramMethod::dual, test_support::quick_or_full(40, 400), t);
+  EXPECT_GT(t.solved, 0.1 * t.programs);
+  EXPECT_LE(t.worst_difference, 1e-6);
+  EXPECT_LE(t.worst_residual, 1e-5);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
