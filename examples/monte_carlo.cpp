@@ -82,7 +82,7 @@ class Rows {
 void fly_all(const Options& options, const std::string& path) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
   const tilt_ropter::Vehicle<4> believed = wheeled_quadrotor(file);
-  const tilt_ropter::NmpcSettings settings = file.settings();
+  const tilt_ropter::NmpcSettings settings = in_simulated_time(file.settings());
   const tilt_ropter::Mission mission = mission_of(file);
   Rows rows(path, options.first);
   Progress progress;
@@ -126,7 +126,7 @@ void replay(const Options& options, std::uint64_t index) {
   MissionLog log(options.output + "/hybrid_mission.csv", examples::detail::mission_columns(4));
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   const FlightRecord record = fly_spread(
-      draw, random, believed, file.settings(), mission_of(file),
+      draw, random, believed, in_simulated_time(file.settings()), mission_of(file),
       [&](const auto& mission, const auto& plant, const auto& controller, const auto& power) {
         examples::detail::log_row(log, mission, plant, controller,
                                   power.power(plant.actuators().rotor_speed));

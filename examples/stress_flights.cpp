@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <iostream>
+#include <limits>
 #include <sstream>
 #include <string>
 #include <variant>
@@ -87,7 +88,8 @@ void run(const Options& options, const VehicleFile& file,
          const tilt_ropter::Vehicle<Rotors>& vehicle, const std::string& program) {
   const Scenario scenario = scenarios().at(options.scenario);
   tilt_ropter::NmpcSettings settings = file.settings();
-  settings.time_limit = 1e-6 * options.time_limit_us;
+  settings.time_limit = options.time_limit_us > 0.0 ? 1e-6 * options.time_limit_us
+                                                    : std::numeric_limits<double>::infinity();
   std::filesystem::create_directories(options.output);
   MissionLog table(options.output + "/stress_flights.csv",
                    {"flight", "recovered", "recovery_time_s", "lowest_m", "speed_mps",
@@ -213,7 +215,7 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{1} << 52U))
       ->capture_default_str();
   app.add_option("--time-limit-us", options.time_limit_us,
-                 "for a tick [us]; 0: half the controller's period")
+                 "for a tick [us]; 0: none")
       ->check(CLI::Range(0.0, 1e9))
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle, "its JSON file; the Tilt-Ropter without");

@@ -5,6 +5,7 @@
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <iosfwd>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <variant>
@@ -55,6 +56,14 @@ struct VehicleFile {
     return s;
   }
 };
+
+/// The same without a limit on time: in a simulation it stands still while the controller computes,
+/// and results are the same on every machine.
+[[nodiscard]] inline tilt_ropter::NmpcSettings in_simulated_time(
+    tilt_ropter::NmpcSettings settings) {
+  settings.time_limit = std::numeric_limits<double>::infinity();
+  return settings;
+}
 
 /// A vehicle that cannot be: the message names file, field, value and what is allowed.
 class VehicleFileError : public std::runtime_error {

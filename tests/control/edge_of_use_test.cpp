@@ -74,7 +74,7 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
     if (i % control == 0) {
       nmpc.prepare(time, hover, observer.external());
       const NmpcResult& result = nmpc.feedback(time, plant.body());
-      failures += result.status != NmpcStatus::solved;
+      failures += !has_plan(result.status);
       command = allocation.allocate(result.wrench, result.rate, command).command;
       actuators.update(time, command);
     }

@@ -83,7 +83,7 @@ Outcome fail_for(int ticks, const Reference& reference, const Tamper& tamper, Nm
   }
   outcome.error = distance(loop);
   for (int i = 0; i < 100; ++i) {
-    EXPECT_EQ(loop.tick(hover).status, NmpcStatus::solved);  // from the first good tick on
+    EXPECT_TRUE(has_plan(loop.tick(hover).status));  // from the first good tick on
     outcome.worst = std::max(outcome.worst, distance(loop));
   }
   outcome.after = distance(loop);
@@ -142,10 +142,12 @@ TEST(FailureLadder, MissedBudget) {
     expect_within_bounds(result, settings.problem.bounds);
     if (result.status == NmpcStatus::solved) continue;  // nothing to find out
     ++late;
+    EXPECT_EQ(result.status, NmpcStatus::approximate);
     EXPECT_EQ(result.report.status, SolveStatus::time_limit);
   }
-  EXPECT_GT(late, 20);
-  EXPECT_LT(distance(loop), 0.8);  // began 0.5 m below
+  EXPECT_GT(late, 5);
+  loop.run(3.0, hover);  // one pass a tick, and no more, brings it there
+  EXPECT_LT(distance(loop), 0.05);
 }
 
 TEST(FailureLadder, OneEvaluationOfTheDualStillFlies) {
@@ -175,7 +177,7 @@ TEST(FailureLadder, BoundsThatContradictTheStateAreGivenUpNotFailed) {
       measured->angular_velocity.z() =
           6.0 * loop.nmpc().settings().problem.bounds.angular_velocity.z();
     });
-    ASSERT_EQ(result.status, NmpcStatus::solved);
+    ASSERT_TRUE(has_plan(result.status));
     expect_within_bounds(result, loop.nmpc().settings().problem.bounds);
     given_up += result.report.given_up_rows > 0;
   }

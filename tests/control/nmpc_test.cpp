@@ -279,7 +279,7 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
     const double time = plant.time();
     nmpc.prepare(time, circle, {});
     const NmpcResult& r = nmpc.feedback(time, plant.body());
-    if (r.status != NmpcStatus::solved) ++result.failures;
+    if (!has_plan(r.status)) ++result.failures;
     const double speed = slow.servo.max_rate;
     const Eigen::Vector4d planned = allocation.rates(r.wrench, r.rate).tilt_rate / speed;
     command = allocation.allocate(r.wrench, r.rate, command).command;
@@ -320,7 +320,7 @@ TEST(Nmpc, WhatIsCommandedKeepsToTheActuatorRowsWhateverTheStart) {
     loop.state.body.orientation = quaternion_from_yaw(0.4 * side * start);
     for (int i = 0; i < 150; ++i) {
       const NmpcResult& result = loop.tick(hover);
-      ASSERT_EQ(result.status, NmpcStatus::solved);
+      ASSERT_TRUE(has_plan(result.status));
       expect_within_bounds(result, loop.nmpc.settings().problem.bounds);
       const auto rates = allocation.rates(result.wrench, result.rate);
       fastest = std::max(fastest, rates.tilt_rate.cwiseAbs().maxCoeff());

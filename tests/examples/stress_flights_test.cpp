@@ -38,7 +38,7 @@ TEST(StressFlights, EveryScenarioRecoversWithinBounds) {
 
 TEST(StressFlights, TheWorstFlightIsRepeatedByTheCommandItNames) {
   const Directory directory("stress_flights");
-  const Outcome told = fly(directory, "--scenario knocked --size 25 --height 3 --count 4 --seed 2");
+  const Outcome told = fly(directory, "--scenario knocked --size 60 --height 1 --count 4 --seed 2");
   ASSERT_EQ(told.exit_code, 0) << told.output;
   EXPECT_LT(told["recovered_fraction"], 1.0) << "too easy for this test";
   std::string command = told.figures.at("repeat_worst");

@@ -63,7 +63,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     const NmpcResult& result = nmpc.feedback(stamp, measured);
     expect_within_bounds(result, nmpc.settings().problem.bounds);
     fuzz::expect(
-        result.status != NmpcStatus::solved || (std::isfinite(stamp) && is_finite(measured)),
+        !has_plan(result.status) || (std::isfinite(stamp) && is_finite(measured)),
         "no plan is made from what is not finite");
   }
   // A few good measurements bring it back, whatever was before.
@@ -78,6 +78,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     expect_within_bounds(result, nmpc.settings().problem.bounds);
     status = result.status;
   }
-  fuzz::expect(status == NmpcStatus::solved, "good measurements are planned from");
+  fuzz::expect(has_plan(status), "good measurements are planned from");
   return 0;
 }

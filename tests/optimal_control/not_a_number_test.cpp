@@ -88,7 +88,7 @@ struct Spoilt {
     if (output == Output::H && k == node) H(0, 1) = number;
   }
   D::Equalities equality_weights(int k) const {
-    return spoilt(Output::weight, k, D::Equalities(k == horizon() ? 10.0 : 1e-3));
+    return spoilt(Output::weight, k, D::Equalities(k == horizon() ? 10.0 : 0.0));
   }
   TerminalRow terminal_row_values(const State& x) const {
     return spoilt(Output::terminal_value, horizon(), TerminalRow(x(0)));
@@ -146,6 +146,8 @@ bool means_something(Output output, int node, double number) {
       return node != horizon || number == std::numeric_limits<double>::infinity();
     case Output::terminal_value:
     case Output::terminal_C:
+    case Output::equality:
+    case Output::H:
       return node != horizon;
     default:
       return false;

@@ -184,7 +184,7 @@ TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
     Solver solver(Problem(mass), settings);
     Eigen::Vector2d x = rest;
     solver.reset(x);
-    for (int i = 0; i < 200; ++i) {
+    for (int i = 0; i < 500; ++i) {
       ASSERT_TRUE(solver.prepare());
       const SolveReport& report = solver.feedback(x);
       ASSERT_TRUE(has_plan(report.status));
@@ -256,7 +256,7 @@ TEST(QuadraticProgram, BoundsOnAnInputBelowZeroDoNotCountAtTheLastNode) {
   mass.high(1) = 100.0;
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::converged);
-  EXPECT_EQ(solver.report().max_violation, 0.0);
+  EXPECT_LE(solver.report().max_violation, 1e-9);
   FullSpace<Problem> full{Problem(mass)};
   full.reset(rest);
   ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);

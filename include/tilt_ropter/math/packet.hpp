@@ -79,13 +79,13 @@ struct FiniteCheck {
   [[gnu::always_inline]] inline void add(double number) { single += number * 0.0; }
   template <typename Index>
   [[gnu::always_inline]] inline void add(const double* numbers, Index count) {
-    Index i = 0;
-    for (; i + Width <= count; i += Width) {
+    const Index whole = count - count % Width;
+    for (Index i = 0; i < whole; i += Width) {
       Packet<Width> packet;
       load<Width>(numbers + i, packet);
       add(packet);
     }
-    for (; i < count; ++i) add(numbers[i]);
+    for (Index i = 0; i < count % Width; ++i) add(numbers[whole + i]);
   }
   [[gnu::always_inline]] inline bool passed() const {
     double sum = single + pairs[0] + pairs[1];

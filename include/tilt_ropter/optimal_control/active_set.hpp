@@ -37,9 +37,7 @@ class ActiveSet {
       : states_(static_cast<std::size_t>(horizon) + 1),
         curvatures_(states_.size(), Program::Vector::Ones()),
         weights_(states_.size()),
-        offsets_(states_.size()),
-        gradients_(states_.size(), Program::Vector::Zero()),
-        changes_(gradients_) {}
+        offsets_(states_.size()) {}
 
   /// Assumes what the multipliers in the nodes say.
   void assume(const Program& program) {
@@ -97,32 +95,13 @@ class ActiveSet {
   int solve(Program& program, const typename Program::Tangent& dx0) {
     program.step(0).template head<States>() = dx0;
     program.riccati.sweep(program.steps());
-    return judge_all(program);
-  }
-
-  /// After solve() without a contradiction: the last pass again with the multipliers it found, for
-  /// held constraints that are met to within rounding. A fraction of a pass, as only the gradients
-  /// change. Returns the number of contradictions.
-  int refine(Program& program) {
+    program.predict();
+    int contradictions = 0;
     for (int k = 0; k <= program.horizon(); ++k) {
-      auto& gradient = gradients_[static_cast<std::size_t>(k)];
-      gradient.setZero();
       auto& n = program.node(k);
-      for (int i = 0; i < Rows; ++i) {
-        if (state(k, i) != 1 && state(k, i) != -1) continue;
-        const double w = weight(k, i), before = offset(k, i);
-        offset(k, i) = n.multiplier(i) * (1.0 / w - 1.0 / n.stiffness(i));
-        gradient += w * (offset(k, i) - before) * program.row_gradient(k, i);
-      }
+      for (int i = 0; i < Rows; ++i) contradictions += judge(program, n, k, i);
     }
-    program.riccati.solve([this](int k) -> const typename Program::Vector& {
-      return gradients_[static_cast<std::size_t>(k)];
-    });
-    changes_[0].template head<States>().setZero();
-    program.riccati.sweep_change(changes_);
-    for (int k = 0; k <= program.horizon(); ++k)
-      program.step(k) += changes_[static_cast<std::size_t>(k)];
-    return judge_all(program);
+    return contradictions;
   }
 
  private:
@@ -162,7 +141,9 @@ class ActiveSet {
           state(k, i) = 0;
           continue;
         }
-        const double stiff = stiffening_ * curvature / (squares * squares);
+        // The first input is what is used, and stiffness hurts least where the pass ends.
+        const double stiff =
+            (k == 0 ? 100.0 : 1.0) * stiffening_ * curvature / (squares * squares);
         const double w = 1.0 / (1.0 / stiff + 1.0 / n.stiffness(i));
         weight(k, i) = w;
         slope = w * (n.value(i) - (assumed > 0 ? n.upper(i) : n.lower(i)) +
@@ -177,16 +158,6 @@ class ActiveSet {
       }
       for (int j = 0; j < width; ++j) gradient[j] += slope * row[j];
     }
-  }
-
-  int judge_all(Program& program) {
-    program.predict();
-    int contradictions = 0;
-    for (int k = 0; k <= program.horizon(); ++k) {
-      auto& n = program.node(k);
-      for (int i = 0; i < Rows; ++i) contradictions += judge(program, n, k, i);
-    }
-    return contradictions;
   }
 
   // 1 if the constraint contradicts what was assumed.
@@ -235,7 +206,6 @@ class ActiveSet {
   std::vector<States8> states_;
   std::vector<typename Program::Vector> curvatures_;  // diagonals of H in a pass without weights
   std::vector<std::array<double, static_cast<std::size_t>(Rows)>> weights_, offsets_;
-  std::vector<typename Program::Vector> gradients_, changes_;  // of refine()
 };
 
 }  // namespace tilt_ropter

@@ -45,7 +45,8 @@ class InteriorPoint {
     for (Eigen::VectorXd* numbers :
          {&price_, &softness_, &value_, &multiplier_, &slack_, &excess_, &weight_, &per_multiplier_,
           &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_, &slack_change_,
-          &excess_change_, &value_change_})
+          &excess_change_, &value_change_,
+          &of_multiplier_, &of_rest_})
       numbers->setOnes(detail::padded(std::max(most, 1)));
   }
 
@@ -132,7 +133,13 @@ class InteriorPoint {
   [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
   [[nodiscard]] double first_mu() const { return first_mu_; }  ///< that of start()
   /// Bounds of which the last iteration does not clearly say whether they hold.
-  [[nodiscard]] int undecided() const { return undecided_; }
+  [[nodiscard]] int undecided() const {
+    const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
+    int undecided = 0;
+    for (Eigen::Index i = 0; i < count(); ++i)
+      undecided += unclear(of_multiplier_(i)) || unclear(of_rest_(i));
+    return undecided;
+  }
 
   /// Writes the step into `program`, and the multipliers into its nodes; if `decided`, those of
   /// bounds that seem not to hold as zero, and those that seem to be at their price as that.
@@ -143,9 +150,10 @@ class InteriorPoint {
     }
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[static_cast<std::size_t>(i)];
-      if (!side.holds && decided) continue;
+      const bool holds = of_multiplier_(i) < 0.5;
+      if (!holds && decided) continue;
       const bool at_price =
-          (side.at_price && decided) || multiplier_(i) > (1.0 - 1e-6) * price_(i);
+          (of_rest_(i) > 0.5 && decided) || multiplier_(i) > (1.0 - 1e-6) * price_(i);
       program.node(side.k).multiplier(side.row) +=
           side.sign * (at_price ? price_(i) : multiplier_(i));
     }
@@ -161,7 +169,6 @@ class InteriorPoint {
   struct Side {  // a finite bound: of row `row` of node k, upper (+1) or lower (-1)
     int k, row, at;  // at: in of_rows_
     double sign;
-    bool holds = false, at_price = false;
   };
   // The rows of a node that have a bound, by what they add to a Hessian.
   struct NodeRowsRead {
@@ -302,10 +309,10 @@ class InteriorPoint {
       slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
       multiplier_(i) = std::min(mu / slack_(i), 0.1 * price_(i));
       excess_(i) = mu / (price_(i) - multiplier_(i));
-      side.holds = side.at_price = false;
+      of_multiplier_(i) = 1.0;  // nothing holds
+      of_rest_(i) = 0.0;
     }
     mu_ = mu;
-    undecided_ = static_cast<int>(count());
   }
 
   // Calls body(width, i) for every packet of sides.
@@ -317,6 +324,37 @@ class InteriorPoint {
       return true;
     });
   }
+  // The sum of what body(width, i, total) adds to `total`.
+  template <typename Body>
+  [[nodiscard]] double sum_of_sides(const Body& body) const {
+    double sum = 0.0;
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      detail::Packet<W> total{};
+      const Eigen::Index end = count();
+      for (Eigen::Index i = 0; i < end; i += W) body(packet, i, total);
+#pragma GCC unroll 4
+      for (int j = 0; j < W; ++j) sum += total[j];
+      return true;
+    });
+    return sum;
+  }
+  // The largest of two numbers of each side, at least `least` each: body(width, i, first, second).
+  template <typename Body>
+  [[nodiscard]] std::array<double, 2> largest_of_sides(double least, const Body& body) const {
+    std::array<double, 2> most{least, least};
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int W = packet();
+      detail::Packet<W> first = detail::Packet<W>{} + least, second = first;
+      const Eigen::Index end = count();
+      for (Eigen::Index i = 0; i < end; i += W) body(packet, i, first, second);
+#pragma GCC unroll 4
+      for (int j = 0; j < W; ++j)
+        most = {std::max(most[0], first[j]), std::max(most[1], second[j])};
+      return true;
+    });
+    return most;
+  }
   // The sum of all complementarity products.
   double set_weights() {
     // What fills up the last packet has no say.
@@ -326,8 +364,8 @@ class InteriorPoint {
       slack_(i) = excess_(i) = 1e-200;
       value_change_(i) = 0.0;
     }
-    double sum = 0.0;
-    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+    const double sum = sum_of_sides([&](auto packet, Eigen::Index i,
+                                        auto& total) __attribute__((always_inline)) {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, t, s, rho, c;
@@ -337,11 +375,11 @@ class InteriorPoint {
       detail::load<W>(price_.data() + i, rho);
       detail::load<W>(softness_.data() + i, c);
       const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
-              weight = 1.0 / (t * per_l + s * per_rest + c), products = l * t + rest * s;
+              weight = 1.0 / (t * per_l + s * per_rest + c);
       detail::store<W>(per_multiplier_.data() + i, per_l);
       detail::store<W>(per_rest_.data() + i, per_rest);
       detail::store<W>(weight_.data() + i, weight);
-      for (int j = 0; j < W; ++j) sum += products[j];
+      total += l * t + rest * s;
     });
     of_rows_.setZero();
     for (Eigen::Index i = 0; i < count(); ++i)
@@ -468,49 +506,47 @@ class InteriorPoint {
   // slack vanishes and the multiplier stays, at others it is the other way round (El-Bakry, Tapia &
   // Zhang 1994). Returns the sum of the products after the longest step along it.
   double predict() {
-    double most_primal = 1.0, most_dual = 1.0, constant = 0.0, by_primal = 0.0, by_dual = 0.0,
-           by_both = 0.0;
-    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+    const auto [most_primal, most_dual] = largest_of_sides(
+        1.0, [&](auto packet, Eigen::Index i, auto& of_primal,
+                 auto& of_dual) __attribute__((always_inline)) {
+          constexpr int W = packet();
+          using P = detail::Packet<W>;
+          P l, t, s, weight, per_l, per_rest, push, dv;
+          detail::load<W>(multiplier_.data() + i, l);
+          detail::load<W>(slack_.data() + i, t);
+          detail::load<W>(excess_.data() + i, s);
+          detail::load<W>(weight_.data() + i, weight);
+          detail::load<W>(per_multiplier_.data() + i, per_l);
+          detail::load<W>(per_rest_.data() + i, per_rest);
+          detail::load<W>(push_.data() + i, push);
+          detail::load<W>(value_change_.data() + i, dv);
+          const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest;
+          detail::store<W>(multiplier_change_.data() + i, dl);
+          detail::store<W>(slack_change_.data() + i, -t - t * of_l);
+          detail::store<W>(excess_change_.data() + i, s * of_rest - s);
+          detail::store<W>(of_multiplier_.data() + i, -of_l);
+          detail::store<W>(of_rest_.data() + i, of_rest);
+          const P slacks = 1.0 + (of_l > -of_rest ? of_l : -of_rest),
+                  multipliers = -of_l > of_rest ? -of_l : of_rest;
+          of_primal = slacks > of_primal ? slacks : of_primal;
+          of_dual = multipliers > of_dual ? multipliers : of_dual;
+        });
+    const double primal = 1.0 / most_primal, dual = 1.0 / most_dual;
+    return sum_of_sides([&](auto packet, Eigen::Index i,
+                            auto& total) __attribute__((always_inline)) {
       constexpr int W = packet();
       using P = detail::Packet<W>;
-      P l, t, s, rho, weight, per_l, per_rest, push, dv;
+      P l, t, s, rho, dl, dt, ds;
       detail::load<W>(multiplier_.data() + i, l);
       detail::load<W>(slack_.data() + i, t);
       detail::load<W>(excess_.data() + i, s);
       detail::load<W>(price_.data() + i, rho);
-      detail::load<W>(weight_.data() + i, weight);
-      detail::load<W>(per_multiplier_.data() + i, per_l);
-      detail::load<W>(per_rest_.data() + i, per_rest);
-      detail::load<W>(push_.data() + i, push);
-      detail::load<W>(value_change_.data() + i, dv);
-      const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest,
-              dt = -t - t * of_l, ds = s * of_rest - s, rest = rho - l;
-      detail::store<W>(multiplier_change_.data() + i, dl);
-      detail::store<W>(slack_change_.data() + i, dt);
-      detail::store<W>(excess_change_.data() + i, ds);
-      const P zeroth = l * t + rest * s, first = l * dt + rest * ds, second = dl * (t - s),
-              third = dl * (dt - ds);
-      for (int j = 0; j < W; ++j) {
-        constant += zeroth[j];
-        by_primal += first[j];
-        by_dual += second[j];
-        by_both += third[j];
-        most_primal = std::max(most_primal, 1.0 + std::max(of_l[j], -of_rest[j]));
-        most_dual = std::max(most_dual, std::max(-of_l[j], of_rest[j]));
-      }
+      detail::load<W>(multiplier_change_.data() + i, dl);
+      detail::load<W>(slack_change_.data() + i, dt);
+      detail::load<W>(excess_change_.data() + i, ds);
+      const P after = l + dual * dl;
+      total += after * (t + primal * dt) + (rho - after) * (s + primal * ds);
     });
-    undecided_ = 0;
-    for (Eigen::Index i = 0; i < count(); ++i) {
-      Side& side = sides_[static_cast<std::size_t>(i)];
-      const double of_multiplier = -multiplier_change_(i) * per_multiplier_(i),
-                   of_rest = multiplier_change_(i) * per_rest_(i);
-      const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
-      side.holds = of_multiplier < 0.5;
-      side.at_price = of_rest > 0.5;
-      undecided_ += unclear(of_multiplier) || unclear(of_rest);
-    }
-    const double primal = 1.0 / most_primal, dual = 1.0 / most_dual;
-    return constant + primal * by_primal + dual * by_dual + primal * dual * by_both;
   }
 
   struct Lengths {
@@ -519,8 +555,8 @@ class InteriorPoint {
 
   // Completes the direction towards the centre; most of the way along it to the nearest bound.
   [[nodiscard]] Lengths complete_direction() {
-    double most_primal = most_of_the_way, most_dual = most_of_the_way;
-    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+    const auto [most_primal, most_dual] = largest_of_sides(most_of_the_way, [&](
+        auto packet, Eigen::Index i, auto& of_primal, auto& of_dual) __attribute__((always_inline)) {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
@@ -540,10 +576,9 @@ class InteriorPoint {
       detail::store<W>(multiplier_change_.data() + i, dl);
       detail::store<W>(slack_change_.data() + i, dt);
       detail::store<W>(excess_change_.data() + i, ds);
-      for (int j = 0; j < W; ++j) {
-        most_primal = std::max(most_primal, std::max(-of_t[j], -of_s[j]));
-        most_dual = std::max(most_dual, std::max(-of_l[j], of_rest[j]));
-      }
+      const P slacks = of_t < of_s ? -of_t : -of_s, multipliers = -of_l > of_rest ? -of_l : of_rest;
+      of_primal = slacks > of_primal ? slacks : of_primal;
+      of_dual = multipliers > of_dual ? multipliers : of_dual;
     });
     return {most_of_the_way / most_primal, most_of_the_way / most_dual};
   }
@@ -554,8 +589,8 @@ class InteriorPoint {
     if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
       return false;
     for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += primal * change_[k];
-    double sum = 0.0;
-    for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
+    const double sum = sum_of_sides([&](auto packet, Eigen::Index i,
+                                        auto& total) __attribute__((always_inline)) {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, t, s, v, rho, change;
@@ -576,8 +611,7 @@ class InteriorPoint {
       detail::load<W>(value_change_.data() + i, change);
       v += primal * change;
       detail::store<W>(value_.data() + i, v);
-      const P products = l * t + (rho - l) * s;
-      for (int j = 0; j < W; ++j) sum += products[j];
+      total += l * t + (rho - l) * s;
     });
     mu_ = sum / (2.0 * static_cast<double>(count()));
     return true;
@@ -602,9 +636,9 @@ class InteriorPoint {
   // Of each side:
   Eigen::VectorXd price_, softness_, value_, multiplier_, slack_, excess_, weight_, per_multiplier_,
       per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_, excess_change_,
-      value_change_;
+      value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
-  int undecided_ = 0, stuck_ = 0;
+  int stuck_ = 0;
   std::array<double, static_cast<std::size_t>(Rows)> unit_{};
 };
 

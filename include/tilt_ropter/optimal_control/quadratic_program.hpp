@@ -105,9 +105,11 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
 
   /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end after
-  /// the deadline, by what the last ones took, is not begun.
-  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
+  /// the deadline, by what the last ones took, is not begun; nor more than `most_passes`.
+  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {},
+                      int most_passes = std::numeric_limits<int>::max()) {
     deadline_ = deadline;
+    max_passes_ = std::min(most_passes, settings_.max_passes);
     late_ = false;
     if (!goes_on_) {
       passes_ = 0;
@@ -117,9 +119,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     }
     bool finite = true;
     for (const auto& w : this->steps()) finite = finite && all_finite(w);
-    unsolved_ = !(finite && residual_ <= settings_.tolerance);
+    unsolved_ = late_ && residual_ > settings_.tolerance;
     if (!finite) return ProgramStatus::failed;
-    return unsolved_ ? ProgramStatus::interrupted : ProgramStatus::solved;
+    return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
 
   /// Takes the input step du of node k at this dx into its hard bounds: those of constraints that
@@ -184,20 +186,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
       late_ = true;
       needed -= needed / 8;
     }
-    return late_ || passes_ >= settings_.max_passes;
+    return late_ || passes_ >= max_passes_;
   }
   [[nodiscard]] bool solved() {
     residual_ = Program::residual(damping_).largest();
-    return residual_ <= settings_.tolerance;
-  }
-
-  // A hard bound on the first input that is met nearly is met by clamping, which would leave the rest
-  // of the plan to an input that it was not made for.
-  [[nodiscard]] bool refined() {
-    if (solved() && residual_ > 1e-6 * settings_.tolerance) {
-      (void)active_set_.refine(*this);
-      (void)solved();
-    }
     return residual_ <= settings_.tolerance;
   }
 
@@ -212,7 +204,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
       }
     } else if (assumes_) {
       const int contradictions = active_set_.solve(*this, dx0);
-      if (contradictions == 0 && refined()) return;
+      if (contradictions == 0 && solved()) return;
       if (contradictions <= few && settle(dx0, contradictions)) return;
     } else {
       sweep(dx0);
@@ -233,7 +225,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
       if (!active_set_.factorise(*this, damping_)) return false;
       const int next = active_set_.solve(*this, dx0);
       pass_time_ = SolverClock::now() - start;
-      if (next == 0 && refined()) return true;
+      if (next == 0 && solved()) return true;
       if (next > few || (tries > 1 && next > 0 && next >= contradictions)) return false;
       contradictions = next;
     }
@@ -388,10 +380,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   // What a pass and an iteration of the interior point last took.
   SolverClock::duration pass_time_{}, interior_time_{}, rows_time_{};
   double damping_ = 0.0, residual_ = 0.0;
-  int passes_ = 0;
+  int passes_ = 0, max_passes_ = 0;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation holds what had a multiplier
-  bool unsolved_ = false;  // the last program: its multipliers are no guess of what holds
+  bool unsolved_ = false;  // the last program was cut off: its multipliers are no guess
   bool goes_on_ = false;
 };
 

@@ -286,7 +286,7 @@ class Riccati {
   // Of the nodes of an interval's end: which of them an entry or a packet of (dx, du) reaches.
   struct Reached {
     int count = 0;
-    std::array<int, States> at{};
+    std::array<int, static_cast<std::size_t>(States)> at{};
   };
   static constexpr bool nonzero(int row, int first, int last) {
     for (int column = first; column < last && column < width; ++column)
@@ -295,7 +295,7 @@ class Riccati {
   }
   template <int Width>
   static constexpr auto reached_by() {
-    std::array<Reached, rows / Width> lists{};
+    std::array<Reached, static_cast<std::size_t>(rows / Width)> lists{};
     for (int t = 0; t < rows / Width; ++t)
       for (int k = 0; k < States; ++k)
         if (nonzero(k, Width * t, Width * (t + 1))) {
