@@ -9,6 +9,7 @@
 
 #include <limits>
 #include <stdexcept>
+#include <string>
 
 namespace tilt_ropter {
 namespace {
@@ -85,6 +86,27 @@ TEST(NmpcSettings, RefusesErrorsThatAreNone) {
   Vehicle<4> point = vehicle;
   for (RotorGeometry& rotor : point.rotors) rotor.position.setZero();
   EXPECT_THROW((void)nmpc_settings(point), std::invalid_argument);
+}
+
+TEST(NmpcSettings, TimesOutOfRangeAreRefusedByName) {
+  const auto message = [](const NmpcSettings& settings) -> std::string {
+    try {
+      validate(settings);
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  NmpcSettings settings;
+  EXPECT_EQ(message(settings), "accepted");
+  settings.time_limit = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(message(settings), "accepted");
+  settings.time_limit = -1e-3;
+  EXPECT_NE(message(settings).find("NmpcSettings.time_limit [s] = -0.001: must be >= 0"),
+            std::string::npos);
+  settings = {};
+  settings.period = 0.0;
+  EXPECT_NE(message(settings).find("NmpcSettings.period [s] = 0: must be"), std::string::npos);
 }
 
 }  // namespace

@@ -240,6 +240,93 @@ TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
   EXPECT_DOUBLE_EQ(cut.wrench.force.z(), 10.0);
 }
 
+// Nobody has followed it, and the vehicle is somewhere else.
+TEST(Nmpc, APlanFromBeforeAnInterruptionIsNotFollowed) {
+  IdealLoop loop;
+  loop.state.body.position.x() -= 3.0;
+  for (int i = 0; i < 40; ++i) loop.tick(hover);
+  const Wrench<> before = loop.nmpc.feedback(loop.time, loop.state.body).wrench;
+  EXPECT_GT(before.force.head<2>().norm() + before.torque.norm(), 0.5);  // in the middle of it
+  loop.time += 0.3;
+  loop.state.body = hovering();
+  const NmpcResult& resumed = loop.tick(hover);
+  EXPECT_EQ(resumed.status, NmpcStatus::solved);
+  EXPECT_NEAR(resumed.wrench.force.z(), body.mass * gravity, 1e-9);
+  EXPECT_LT(resumed.wrench.force.head<2>().norm() + resumed.wrench.torque.norm(), 1e-9);
+  for (int i = 0; i < 100; ++i) loop.tick(hover);
+  EXPECT_LT((loop.state.body.position - hovering().position).norm(), 1e-3);
+  // Between an interruption as short as that and the next tick, the last plan is still good.
+  loop.time += 0.5 * loop.nmpc.settings().max_plan_age;
+  EXPECT_EQ(loop.tick(hover).status, NmpcStatus::solved);
+}
+
+// Ticks at 10 Hz, a body rate that nobody ordered after each: how far the vehicle turns.
+double turned(bool between_ticks) {
+  NmpcSettings settings;
+  settings.period = 0.1;
+  Nmpc<4> nmpc(vehicle, settings);
+  const RigidBody<> plant(body);
+  State<> state;
+  state.body = hovering();
+  double sum = 0.0;
+  const int steps = 3000;
+  for (int i = 0; i < steps; ++i) {
+    const double time = 1e-3 * i;
+    const NmpcResult* result = nullptr;
+    if (i % 100 == 0) {
+      nmpc.prepare(time, hover, {});
+      result = &nmpc.feedback(time, state.body);
+      EXPECT_TRUE(has_plan(result->status));
+    } else if (between_ticks) {
+      result = &nmpc.between_ticks(time, state.body);
+      EXPECT_TRUE(has_plan(result->status));
+    }
+    if (result != nullptr) {
+      expect_within_bounds(*result, settings.problem.bounds);
+      EXPECT_LE((result->rate.force.cwiseAbs() - settings.problem.bounds.force_rate).maxCoeff(), 0);
+      state.wrench = result->wrench;
+    }
+    if (i % 500 == 20) state.body.angular_velocity += Eigen::Vector3d(0.6, -0.4, 0.2);
+    Eigen::Matrix<double, 6, 1> rate;
+    rate << nmpc.result().rate.force, nmpc.result().rate.torque;
+    state = plant.step(state, rate, {}, 1e-3);
+    sum += std::pow(state.body.orientation.angularDistance(hovering().orientation), 2) / steps;
+  }
+  return std::sqrt(sum);
+}
+
+TEST(Nmpc, BetweenTicksTheGainsCounterWhatTheNextTickWouldSeeLate) {
+  const double with = turned(true), without = turned(false);
+  EXPECT_LT(with, 0.7 * without);
+  EXPECT_GT(without, 0.02);
+}
+
+TEST(Nmpc, BetweenTicksOnThePlanTheCommandIsThePlans) {
+  IdealLoop loop, other;
+  for (IdealLoop* l : {&loop, &other}) {
+    l->state.body.position.x() -= 0.2;
+    for (int i = 0; i < 10; ++i) l->tick(hover);
+  }
+  // Half a period later, exactly where the plan leads.
+  loop.nmpc.prepare(loop.time, hover, {});
+  const NmpcResult first = loop.nmpc.feedback(loop.time, loop.state.body);
+  State<> x = loop.state;
+  x.wrench = first.wrench;
+  Eigen::Matrix<double, 6, 1> rate;
+  rate << first.rate.force, first.rate.torque;
+  x = loop.plant.step(x, rate, {}, 0.005);
+  const NmpcResult between = loop.nmpc.between_ticks(loop.time + 0.005, x.body);
+  EXPECT_EQ(between.status, NmpcStatus::solved);
+  EXPECT_LT((between.wrench.force - x.wrench.force).norm(), 1e-9);
+  EXPECT_LT((between.rate.force - first.rate.force).norm(), 1e-6);
+  EXPECT_LT((between.rate.torque - first.rate.torque).norm(), 1e-6);
+  // What is not finite changes nothing; without a plan it is the safe wrench.
+  x.body.position.x() = std::nan("");
+  EXPECT_EQ(loop.nmpc.between_ticks(loop.time + 0.006, x.body).status, NmpcStatus::bad_state);
+  Nmpc<4> fresh(vehicle);
+  EXPECT_EQ(fresh.between_ticks(0.0, hovering()).status, NmpcStatus::no_plan);
+}
+
 // What a vehicle with slow servos does along a fast, small circle with a box on the wrench rate
 // that bounds nothing.
 struct SlowServos {

@@ -214,6 +214,7 @@ class Nmpc {
     return continue_last_plan(time, NmpcStatus::bad_state);
   }
 
+  [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
   [[nodiscard]] const GroundContact& contact() const { return contact_; }
   [[nodiscard]] const MultipleShooting<Problem>& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
