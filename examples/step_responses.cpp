@@ -96,7 +96,8 @@ Response fly(const Options& options, const VehicleFile& file, const Vehicle<Roto
   };
   Plant<Rotors> plant(vehicle);
   examples::MissionSensors<Rotors> sensors(1);
-  examples::FlightController<Rotors> controller(vehicle, examples::in_simulated_time(file.settings()),
+  examples::FlightController<Rotors> controller(vehicle,
+                                                examples::in_simulated_time(file.settings()),
                                                 examples::MissionSensors<Rotors>::estimation());
   ActuatorState<Rotors> command = controller.lift(vehicle.body.mass * gravity);
   controller.start_with(command);

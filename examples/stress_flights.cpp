@@ -91,13 +91,13 @@ void run(const Options& options, const VehicleFile& file,
   settings.time_limit = options.time_limit_us > 0.0 ? 1e-6 * options.time_limit_us
                                                     : std::numeric_limits<double>::infinity();
   std::filesystem::create_directories(options.output);
-  MissionLog table(options.output + "/stress_flights.csv",
-                   {"flight", "recovered", "recovery_time_s", "lowest_m", "speed_mps",
-                    "tilt_deg", "rate_radps", "worst_tick_us", "most_passes", "bound_ratio",
-                    "approximate_ticks", "solver_failures"});
-  MissionLog log(options.output + "/stress_flights_log.csv",
-                 {"flight", "recovered", "time_s", "distance_m", "angle_deg", "speed_mps",
-                  "height_m"});
+  MissionLog table(
+      options.output + "/stress_flights.csv",
+      {"flight", "recovered", "recovery_time_s", "lowest_m", "speed_mps", "tilt_deg", "rate_radps",
+       "worst_tick_us", "most_passes", "bound_ratio", "approximate_ticks", "solver_failures"});
+  MissionLog log(
+      options.output + "/stress_flights_log.csv",
+      {"flight", "recovered", "time_s", "distance_m", "angle_deg", "speed_mps", "height_m"});
   Summary all;
   Progress progress;
   constexpr double degrees = 180.0 / tilt_ropter::pi;
@@ -116,8 +116,7 @@ void run(const Options& options, const VehicleFile& file,
     }
     const double worst = ticks.empty() ? 0.0 : *std::max_element(ticks.begin(), ticks.end());
     all.add(index, r, worst);
-    const Eigen::Vector3d up =
-        start.body.orientation.conjugate() * Eigen::Vector3d::UnitZ();
+    const Eigen::Vector3d up = start.body.orientation.conjugate() * Eigen::Vector3d::UnitZ();
     table.add(static_cast<double>(index))
         .add(r.recovered)
         .add(r.recovery_time)
@@ -197,7 +196,8 @@ Exit code: 0, 1 an error, 2 a vehicle that cannot be, above 100 wrong options.)"
 
 int main(int argc, char** argv) {
   CLI::App app{
-      "What can a vehicle recover from? Flies a scenario many times: from the vehicle's hover into\n"
+      "What can a vehicle recover from? Flies a scenario many times: from the vehicle's hover "
+      "into\n"
       "a large step, a knock, any attitude, under the controller with the vehicle's settings."};
   Options options;
   app.add_option("--scenario", options.scenario, "step, yaw, knocked, thrown, inverted, random")
@@ -214,13 +214,11 @@ int main(int argc, char** argv) {
   app.add_option("--first", options.first, "index of the first flight")
       ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{1} << 52U))
       ->capture_default_str();
-  app.add_option("--time-limit-us", options.time_limit_us,
-                 "for a tick [us]; 0: none")
+  app.add_option("--time-limit-us", options.time_limit_us, "for a tick [us]; 0: none")
       ->check(CLI::Range(0.0, 1e9))
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle, "its JSON file; the Tilt-Ropter without");
-  app.add_option("--height", options.height,
-                 "of the hover before [m]; 10 without, 20 in random")
+  app.add_option("--height", options.height, "of the hover before [m]; 10 without, 20 in random")
       ->check(CLI::Range(0.2, 1e4));
   app.add_option("--duration", options.duration, "of a flight [s]")
       ->check(CLI::Range(0.1, 1e4))

@@ -61,10 +61,10 @@ class ProgramAudit {
       const auto i = static_cast<std::size_t>(k);
       largest_multiplier =
           std::max(largest_multiplier, solver.row_multipliers(k).cwiseAbs().maxCoeff());
-      worst = std::max(worst, problem.difference(solver.state(k),
-                                                 problem.retract(states_[i], steps_[i]))
-                                  .cwiseAbs()
-                                  .maxCoeff());
+      worst = std::max(worst,
+                       problem.difference(solver.state(k), problem.retract(states_[i], steps_[i]))
+                           .cwiseAbs()
+                           .maxCoeff());
       if (k == horizon) break;
       auto& [A, B] = derivatives_[i];
       const State end = problem.step(k, states_[i], inputs_[i], A, B);

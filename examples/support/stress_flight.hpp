@@ -29,8 +29,9 @@ enum class Scenario { step, yaw, knocked, thrown, inverted, random };
 
 [[nodiscard]] inline const std::map<std::string, Scenario>& scenarios() {
   static const std::map<std::string, Scenario> all{
-      {"step", Scenario::step},     {"yaw", Scenario::yaw},           {"knocked", Scenario::knocked},
-      {"thrown", Scenario::thrown}, {"inverted", Scenario::inverted}, {"random", Scenario::random}};
+      {"step", Scenario::step},         {"yaw", Scenario::yaw},
+      {"knocked", Scenario::knocked},   {"thrown", Scenario::thrown},
+      {"inverted", Scenario::inverted}, {"random", Scenario::random}};
   return all;
 }
 
@@ -83,8 +84,7 @@ struct StressStart {
   switch (scenario) {
     case Scenario::step: {
       const double heading = plain ? 0.0 : random.uniform(-tilt_ropter::pi, tilt_ropter::pi);
-      start.reference.position +=
-          size * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0.0);
+      start.reference.position += size * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0.0);
       break;
     }
     case Scenario::yaw:
@@ -119,9 +119,9 @@ struct StressStart {
 
 /// How far off a vehicle is at one time.
 struct StressSample {
-  double time = 0.0;                                         ///< since it began [s]
-  double distance = 0.0, angle = 0.0, speed = 0.0;           ///< from the reference [m, rad, m/s]
-  double height = 0.0;                                       ///< of the CoM [m]
+  double time = 0.0;                                ///< since it began [s]
+  double distance = 0.0, angle = 0.0, speed = 0.0;  ///< from the reference [m, rad, m/s]
+  double height = 0.0;                              ///< of the CoM [m]
 };
 
 struct StressRecord {
@@ -209,7 +209,8 @@ template <int Rotors>
                     allocation.wrench(applied));
     if (i == before) observer.set_external({});
     const double began = thread_microseconds();
-    const bool lifted = nmpc.prepare(time, [&](double) { return reference; }, observer.external());
+    const bool lifted = nmpc.prepare(
+        time, [&](double) { return reference; }, observer.external());
     const double prepared = thread_microseconds();
     audit.before(nmpc.solver());
     const double measured = thread_microseconds();
@@ -228,12 +229,12 @@ template <int Rotors>
       ++record.failures;
     }
     record.most_passes = std::max(record.most_passes, result.report.passes);
-    record.worst_bound_ratio = std::max(
-        {record.worst_bound_ratio,
-         bound_ratio(result.wrench.force, bounds.force_min, bounds.force_max),
-         bound_ratio(result.wrench.torque, bounds.torque_min, bounds.torque_max),
-         bound_ratio(result.rate.force, -bounds.force_rate, bounds.force_rate),
-         bound_ratio(result.rate.torque, -bounds.torque_rate, bounds.torque_rate)});
+    record.worst_bound_ratio =
+        std::max({record.worst_bound_ratio,
+                  bound_ratio(result.wrench.force, bounds.force_min, bounds.force_max),
+                  bound_ratio(result.wrench.torque, bounds.torque_min, bounds.torque_max),
+                  bound_ratio(result.rate.force, -bounds.force_rate, bounds.force_rate),
+                  bound_ratio(result.rate.torque, -bounds.torque_rate, bounds.torque_rate)});
     command = allocation.allocate(result.wrench, result.rate, command).command;
     actuators.update(time, command);
     for (int j = 0; j < steps && sound; ++j) {

@@ -248,7 +248,7 @@ struct NloptInTicks {
 TEST_F(HeapInTheLoop, RealTimeIterationsWhoseActiveRowsChange) {
   using Solver = MultipleShooting<WheeledFlightProblem<>>;
   SolverSettings settings;
-  settings.program.max_dual_rows = 150;  // all left to NLopt
+  settings.program.max_dual_rows = 40;  // left to NLopt
   Solver solver(test_support::air_problem(), settings);
   State<> x = test_support::air_start();
   solver.reset(x);

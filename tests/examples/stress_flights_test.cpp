@@ -15,8 +15,7 @@ using test_support::Outcome;
 using test_support::run;
 
 Outcome fly(const Directory& directory, const std::string& options) {
-  return run(STRESS_FLIGHTS_PROGRAM,
-             "--no-pictures -o '" + directory.file("out") + "' " + options);
+  return run(STRESS_FLIGHTS_PROGRAM, "--no-pictures -o '" + directory.file("out") + "' " + options);
 }
 
 TEST(StressFlights, EveryScenarioRecoversWithinBounds) {
@@ -70,9 +69,9 @@ TEST(StressFlights, ATableOfFlightsAndALog) {
 
 TEST(StressFlights, AnyVehicleAndATimeLimit) {
   const Directory directory("stress_flights");
-  const Outcome told = fly(directory,
-                           "--scenario step --size 3 --count 1 --time-limit-us 2000 --vehicle "
-                           VEHICLES_DIR "/hexacopter.json");
+  const Outcome told = fly(
+      directory, "--scenario step --size 3 --count 1 --time-limit-us 2000 --vehicle " VEHICLES_DIR
+                 "/hexacopter.json");
   ASSERT_EQ(told.exit_code, 0) << told.output;
   EXPECT_EQ(told["recovered_fraction"], 1.0);
   EXPECT_LE(told["worst_bound_ratio"], 1.0);
@@ -82,8 +81,8 @@ TEST(StressFlights, DrawsAPicture) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const Directory directory("stress_flights");
-  const Outcome told = run(STRESS_FLIGHTS_PROGRAM,
-                           "--count 3 --duration 5 -o '" + directory.file("out") + "'");
+  const Outcome told =
+      run(STRESS_FLIGHTS_PROGRAM, "--count 3 --duration 5 -o '" + directory.file("out") + "'");
   EXPECT_EQ(told.exit_code, 0) << told.output;
   EXPECT_EQ(told.output.find("arning"), std::string::npos) << told.output;
   EXPECT_GT(test_support::read_file(directory.file("out/stress_flights.png")).size(), 30000u);

@@ -63,9 +63,8 @@ Totals fly_all(double time_limit, int random_states, const Look& look) {
     for (int i = 0; i < c.count; ++i) {
       SCOPED_TRACE(std::string(c.name) + " of " + std::to_string(c.size) + ", flight " +
                    std::to_string(i));
-      const examples::StressStart start =
-          examples::stress_start(c.scenario, c.size, examples::usual_height(c.scenario), 7,
-                                 static_cast<std::uint64_t>(i));
+      const examples::StressStart start = examples::stress_start(
+          c.scenario, c.size, examples::usual_height(c.scenario), 7, static_cast<std::uint64_t>(i));
       const StressRecord r = examples::fly_stress(vehicle, settings, start, 15.0);
       EXPECT_TRUE(r.recovered);
       EXPECT_EQ(r.unsolved_called_solved, 0) << r.worst_solved;
@@ -82,8 +81,8 @@ Totals fly_all(double time_limit, int random_states, const Look& look) {
 }
 
 double quantile(std::vector<double> values, double share) {
-  const auto at = values.begin() +
-                  static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
 }
@@ -116,18 +115,18 @@ TEST(WorstTick, EveryFlightRecoversWithinBoundsInBoundedTime) {
 }
 
 TEST(WorstTick, WithinThreeTimesTheMedianEveryFlightStillRecovers) {
-  if (test_support::under_address_sanitizer()) GTEST_SKIP() << "a sanitizer takes longer than the limit";
+  if (test_support::under_address_sanitizer())
+    GTEST_SKIP() << "a sanitizer takes longer than the limit";
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const StressRecord hover = examples::fly_stress(
-      vehicle, nmpc_settings(vehicle),
-      examples::stress_start(Scenario::step, 0.1, 10.0, 1, 0), 5.0);
+  const StressRecord hover =
+      examples::fly_stress(vehicle, nmpc_settings(vehicle),
+                           examples::stress_start(Scenario::step, 0.1, 10.0, 1, 0), 5.0);
   const double limit_us = 3.0 * quantile(hover.tick_us, 0.5);
   long ticks = 0, late = 0;
-  const Totals t =
-      fly_all(1e-6 * limit_us, quick_or_full(5, 200), [&](const auto& r, const auto&) {
-        ticks += static_cast<long>(r.tick_us.size());
-        for (const double us : r.tick_us) late += us > 1.2 * limit_us;
-      });
+  const Totals t = fly_all(1e-6 * limit_us, quick_or_full(5, 200), [&](const auto& r, const auto&) {
+    ticks += static_cast<long>(r.tick_us.size());
+    for (const double us : r.tick_us) late += us > 1.2 * limit_us;
+  });
   check_at_least(20, "flights that recovered, share", 1.0 * t.recovered / t.flights, 1.0);
   check_at_most(20, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
   // What the machine does in a tick is measured with it.

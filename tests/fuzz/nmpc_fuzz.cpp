@@ -62,9 +62,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
           stamp, [&](double) { return point; }, external);
     const NmpcResult& result = nmpc.feedback(stamp, measured);
     expect_within_bounds(result, nmpc.settings().problem.bounds);
-    fuzz::expect(
-        !has_plan(result.status) || (std::isfinite(stamp) && is_finite(measured)),
-        "no plan is made from what is not finite");
+    fuzz::expect(!has_plan(result.status) || (std::isfinite(stamp) && is_finite(measured)),
+                 "no plan is made from what is not finite");
   }
   // A few good measurements bring it back, whatever was before.
   BodyState<> level;

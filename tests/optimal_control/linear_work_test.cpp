@@ -94,7 +94,7 @@ struct Masses {
 };
 
 struct Work {
-  double seconds = 0.0;  // of an iteration, the median
+  double seconds = 0.0;               // of an iteration, the median
   double active = 0.0, passes = 0.0;  // per node, and of an iteration
 };
 

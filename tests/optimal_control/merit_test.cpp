@@ -77,8 +77,7 @@ struct Linearised {
   }
 
   bool solve(double damping = 0.0) {
-    return program.prepare(damping) &&
-           program.solve(D::Tangent::Zero()) == ProgramStatus::solved;
+    return program.prepare(damping) && program.solve(D::Tangent::Zero()) == ProgramStatus::solved;
   }
 
   [[nodiscard]] double value_along_step(double length) const {
@@ -142,7 +141,8 @@ struct Linearised {
     return one - none;
   }
 
-  /// The program's optimum: model, damping and price of the violated rows.
+  /// The program's optimum: model, damping and what violated rows cost, those that are held nearly
+  /// included.
   [[nodiscard]] double optimum(double damping) const {
     double sum = 0.0;
     for (int k = 0; k <= n; ++k) {
@@ -152,10 +152,12 @@ struct Linearised {
       sum += cost_here.lx().dot(dx) + 0.5 * dx.dot(cost_here.lxx() * dx);
       sum += 0.5 * damping * dx.squaredNorm();
       for (int i = 0; i < D::nc; ++i)
-        sum += rows.price(i) * violation(rows.predicted(i), rows.lower(i), rows.upper(i));
+        sum += std::abs(rows.multiplier(i)) *
+               violation(rows.predicted(i), rows.lower(i), rows.upper(i));
       if (k == n) break;
       const auto& du = program.du(k);
-      sum += cost_here.lu().dot(du) + du.dot(cost_here.lux() * dx) + 0.5 * du.dot(cost_here.luu() * du);
+      sum += cost_here.lu().dot(du) + du.dot(cost_here.lux() * dx) +
+             0.5 * du.dot(cost_here.luu() * du);
       sum += 0.5 * damping * du.squaredNorm();
     }
     return sum;

@@ -13,9 +13,35 @@
 namespace tilt_ropter {
 namespace {
 
-enum class Output { none, step, A, B, cost, lx, lu, lxx, lux, luu, value, C, E, lower, upper,
-                    penalty, stiffness, equality, H, weight, terminal_value, terminal_C,
-                    terminal_lower, terminal_upper, terminal_penalty, difference, count };
+enum class Output {
+  none,
+  step,
+  A,
+  B,
+  cost,
+  lx,
+  lu,
+  lxx,
+  lux,
+  luu,
+  value,
+  C,
+  E,
+  lower,
+  upper,
+  penalty,
+  stiffness,
+  equality,
+  H,
+  weight,
+  terminal_value,
+  terminal_C,
+  terminal_lower,
+  terminal_upper,
+  terminal_penalty,
+  difference,
+  count
+};
 
 /// Every function that a problem can have: a mass on a line, of which one output at one node can be
 /// spoilt.
@@ -149,6 +175,8 @@ bool means_something(Output output, int node, double number) {
     case Output::equality:
     case Output::H:
       return node != horizon;
+    case Output::weight:  // the initial state is as it is
+      return node == 0 || number < 0.0;
     default:
       return false;
   }
@@ -179,7 +207,7 @@ TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
           const SolveReport bad = solver.solve(x);
           EXPECT_NE(bad.status, SolveStatus::converged);
           EXPECT_NE(bad.status, SolveStatus::infeasible);
-          EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
+          if (bad.status != SolveStatus::rejected) EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
           EXPECT_TRUE(finite_plan(solver));
           const bool prepared = solver.prepare();
           const SolveStatus iterated = solver.feedback(x).status;

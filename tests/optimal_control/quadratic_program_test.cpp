@@ -128,7 +128,7 @@ TEST(QuadraticProgram, ALinearPenaltyIsGivenUpAndAQuadraticOneGivesWay) {
 
 TEST(QuadraticProgram, HardConstraintsThatContradictEachOtherAreInfeasible) {
   Mass mass;
-  mass.low(0) = 0.5;    // it has to accelerate
+  mass.low(0) = 0.5;         // it has to accelerate
   mass.price(1) = infinity;  // and must not
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::infeasible);

@@ -1,5 +1,5 @@
-// Random convex quadratic programs of all sizes, ranks and scales, feasible or not: what is reported
-// as solved is solved, and the rest says what is wrong (CHECKS 23).
+// Random convex quadratic programs of all sizes, ranks and scales, feasible or not: what is
+// reported as solved is solved, and the rest says what is wrong (CHECKS 23).
 
 #include "../../examples/support/program_audit.hpp"
 

@@ -180,8 +180,7 @@ TEST(Riccati, CompletesTheSquare) {
       const Eigen::Matrix<double, nx, 1> dx = lq.steps[static_cast<std::size_t>(k)].head<nx>();
       cost += c.lx().dot(dx) + 0.5 * dx.dot(c.lxx() * dx);
       if (k == horizon) break;
-      const Eigen::Matrix<double, nu, 1> du =
-          lq.steps[static_cast<std::size_t>(k)].segment<nu>(nx);
+      const Eigen::Matrix<double, nu, 1> du = lq.steps[static_cast<std::size_t>(k)].segment<nu>(nx);
       cost += c.lu().dot(du) + du.dot(c.lux() * dx) + 0.5 * du.dot(c.luu() * du);
     }
     if (trial == 0) constant = cost - half_square;
@@ -281,7 +280,8 @@ TEST(Riccati, SweepsDifferInTheirInputsOnly) {
   check([&](int k, const Problem::Tangent& dx) -> Problem::Input { return lq.pass.gain(k) * dx; });
   for (auto& w : lq.steps) w.segment<nu>(nx).setConstant(0.3);
   lq.pass.roll_out(lq.steps);
-  check([](int, const Problem::Tangent&) -> Problem::Input { return Problem::Input::Constant(0.3); });
+  check(
+      [](int, const Problem::Tangent&) -> Problem::Input { return Problem::Input::Constant(0.3); });
   const auto limited = [](double input) { return std::min(std::max(input, -0.1), 0.1); };
   lq.pass.sweep_with(lq.steps, [&](int, Problem::Vector& w) {
     for (int j = 0; j < nu; ++j) w(nx + j) = limited(w(nx + j));
@@ -329,8 +329,10 @@ TEST(Riccati, DerivativesSideBySideAreTakenOverLikeOthers) {
   Eigen::Matrix<Lanes, nx, nx> A;
   Eigen::Matrix<Lanes, nx, nu> B;
   const auto at = [](int lane) { return static_cast<std::size_t>(std::min(lane, 2)); };
-  gather_into(A, [&](int lane) -> const auto& { return lq.A[at(lane)]; });
-  gather_into(B, [&](int lane) -> const auto& { return lq.B[at(lane)]; });
+  gather_into(
+      A, [&](int lane) -> const auto& { return lq.A[at(lane)]; });
+  gather_into(
+      B, [&](int lane) -> const auto& { return lq.B[at(lane)]; });
   Riccati<nx, nu> pass(horizon);
   EXPECT_TRUE(pass.set_transitions(0, 3, A, B));
   for (int k = 0; k < 3; ++k) {
@@ -344,8 +346,8 @@ TEST(Riccati, DerivativesSideBySideAreTakenOverLikeOthers) {
 TEST(Riccati, TellsOfTransitionsThatAreNotFinite) {
   constexpr int nx = 5, nu = 3;
   LinearQuadratic<nx, nu> lq(41);
-  for (const double bad : {std::numeric_limits<double>::quiet_NaN(),
-                           std::numeric_limits<double>::infinity()}) {
+  for (const double bad :
+       {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
     for (int i = 0; i < nx; ++i)
       for (int j = 0; j < nx + nu; ++j) {
         auto A = lq.A[0];
@@ -355,8 +357,10 @@ TEST(Riccati, TellsOfTransitionsThatAreNotFinite) {
         for (int lane = 0; lane < 4; ++lane) {
           Eigen::Matrix<Lanes, nx, nx> lanes_A;
           Eigen::Matrix<Lanes, nx, nu> lanes_B;
-          gather_into(lanes_A, [&](int l) -> const auto& { return l == lane ? A : lq.A[0]; });
-          gather_into(lanes_B, [&](int l) -> const auto& { return l == lane ? B : lq.B[0]; });
+          gather_into(
+              lanes_A, [&](int l) -> const auto& { return l == lane ? A : lq.A[0]; });
+          gather_into(
+              lanes_B, [&](int l) -> const auto& { return l == lane ? B : lq.B[0]; });
           EXPECT_FALSE(lq.pass.set_transitions(0, 4, lanes_A, lanes_B)) << i << ' ' << j;
         }
       }
@@ -408,7 +412,7 @@ TEST(EndlessCost, IsEmptyWhereThereIsNone) {
     return endless_cost<2, 1>(A, B, cost, max_passes).has_value();
   };
   EXPECT_TRUE(exists());
-  EXPECT_FALSE(exists(10));  // passes, of the hundreds that it takes
+  EXPECT_FALSE(exists(10));                             // passes, of the hundreds that it takes
   cost.lxx() = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first one's value is free
   EXPECT_FALSE(exists());
   cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();

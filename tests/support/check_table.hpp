@@ -15,10 +15,10 @@ inline void add_to_table(int check, const std::string& what, const std::string& 
   const char* path = std::getenv("TILT_ROPTER_CHECKS");
   if (path == nullptr) return;
   // One write of one line, which stays whole where tests run side by side.
-  std::ofstream(path, std::ios::app) << (std::to_string(check) + '\t' + what + '\t' + asked + '\t' +
-                                         testing::PrintToString(measured) + '\t' +
-                                         (kept ? "kept" : "BROKEN") + '\n')
-                                     << std::flush;
+  std::ofstream(path, std::ios::app)
+      << (std::to_string(check) + '\t' + what + '\t' + asked + '\t' +
+          testing::PrintToString(measured) + '\t' + (kept ? "kept" : "BROKEN") + '\n')
+      << std::flush;
 }
 
 /// `what` names the figure and its unit.

@@ -128,8 +128,7 @@ class ControlLoop {
  private:
   // Unless a limit is set, time stands still while the controller computes.
   static tilt_ropter::NmpcSettings in_simulated_time(tilt_ropter::NmpcSettings settings) {
-    if (settings.time_limit == 0.0)
-      settings.time_limit = std::numeric_limits<double>::infinity();
+    if (settings.time_limit == 0.0) settings.time_limit = std::numeric_limits<double>::infinity();
     return settings;
   }
 

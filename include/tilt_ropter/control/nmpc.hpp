@@ -25,7 +25,8 @@ namespace tilt_ropter {
 enum class NmpcStatus {
   solved,  ///< the wrench comes from a plan made from this measurement: a solved program
   /// The same, but the program was not solved within the limits on time or passes, or gave up a
-  /// hard constraint: SolveReport says which. The plan is finite, and the command within the bounds.
+  /// hard constraint: SolveReport says which. The plan is finite, and the command within the
+  /// bounds.
   approximate,
   bad_state,      ///< the measurement was not finite: the last plan goes on
   solver_failed,  ///< no plan from this measurement: the last plan goes on
@@ -55,7 +56,8 @@ struct NmpcResult {
 ///   solved.
 /// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
 ///   sees: hold()): the last plan goes on. Status bad_state.
-/// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes: the
+/// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes:
+/// the
 ///   best plan so far is used, and the next tick goes on from there. Status approximate.
 /// - There is no solution, as with a reference that is not finite: the last plan goes on. Status
 ///   solver_failed.
@@ -183,8 +185,7 @@ class Nmpc {
   /// the rates since the last call, and the next tick starts from it. Takes microseconds. With a
   /// state that is not finite, or without a plan that is in force: as hold(), but not counted as a
   /// failure.
-  [[nodiscard]] const NmpcResult& between_ticks(double time,
-                                                const BodyState<>& measured) noexcept {
+  [[nodiscard]] const NmpcResult& between_ticks(double time, const BodyState<>& measured) noexcept {
     if (!plan_in_force(time) || !is_finite(measured))
       return hand_out_last_plan(time, NmpcStatus::bad_state);
     const double age = std::max(time - plan_time_, 0.0), interval = settings_.problem.interval;
@@ -195,14 +196,13 @@ class Nmpc {
     x.body.orientation.normalize();
     if (problem.node(0).on_ground) x.body.angular_velocity.x() = 0.0;  // as in feedback()
     x.wrench = wrench_at(time);
-    const State<> expected = problem.step_for(age - interval * k, k,
-                                              k == 0 ? plan_start_ : solver_.state(k),
-                                              solver_.input(k));
+    const State<> expected = problem.step_for(
+        age - interval * k, k, k == 0 ? plan_start_ : solver_.state(k), solver_.input(k));
     corrected_ = true;
     corrected_time_ = time;
     corrected_wrench_ = x.wrench;
-    corrected_rate_ = rate_within_bounds(
-        Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
+    corrected_rate_ =
+        rate_within_bounds(Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
     result_.wrench = x.wrench;
     result_.rate = {corrected_rate_.head<3>(), corrected_rate_.tail<3>()};
     result_.status = plan_status_;
@@ -235,10 +235,10 @@ class Nmpc {
 
   // When this tick has to be over, prepare() counted.
   [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const {
-    const double limit =
-        settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
-    return now - prepare_time_ + std::chrono::duration_cast<SolverClock::duration>(
-                                     std::chrono::duration<double>(std::min(limit, 1e6)));
+    const double limit = settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
+    return now - prepare_time_ +
+           std::chrono::duration_cast<SolverClock::duration>(
+               std::chrono::duration<double>(std::min(limit, 1e6)));
   }
 
   [[nodiscard]] bool plan_in_force(double time) const {

@@ -22,12 +22,12 @@ namespace tilt_ropter {
   return s;
 }
 
-/// The solver's own settings with less work at most, for a loop: a tick whose quadratic program takes
-/// more passes says approximate. After the worst that the example stress_flights begins with, up
-/// to 30 would be needed, and flights with 8 recover the same.
+/// The solver's own settings with less work at most, for a loop: a tick whose quadratic program
+/// takes more passes says approximate. After the worst that the example stress_flights begins with,
+/// up to 30 would be needed, and flights with 8 recover the same.
 [[nodiscard]] inline SolverSettings real_time_settings() {
   SolverSettings s;
-  s.program.max_passes = 12;
+  s.program.max_passes = 10;
   return s;
 }
 

@@ -201,7 +201,11 @@ class WheeledFlightProblem {
   WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
                        const WheeledFlightSettings& settings = {},
                        const ActuatorRows<Rotors>& actuators = {})
-      : body_(body), lanes_(body), actuators_(actuators), wheel_radius_(wheels.radius), settings_(settings) {
+      : body_(body),
+        lanes_(body),
+        actuators_(actuators),
+        wheel_radius_(wheels.radius),
+        settings_(settings) {
     validate(wheels);
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
@@ -263,35 +267,47 @@ class WheeledFlightProblem {
     return body_.step(x, u, node(k).external, seconds, node(k).freedom);
   }
 
-  /// Intervals k, k + 1, .. side by side, as many as x has states; of the last one again where there
-  /// are no four.
+  /// Intervals k, k + 1, .. side by side, as many as x has states; of the last one again where
+  /// there are no four.
   [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {
     const auto at = [&](int lane) { return std::min(lane, count - 1); };
     const auto each = [&](auto& lanes, const auto& of) __attribute__((always_inline)) {
       for (Eigen::Index i = 0; i < lanes.size(); ++i)
-        lanes.coeffRef(i) = gather([&](int lane) __attribute__((always_inline)) {
-          return of(at(lane)).coeff(i);
-        });
+        lanes.coeffRef(i) =
+            gather([&](int lane) __attribute__((always_inline)) { return of(at(lane)).coeff(i); });
     };
     tilt_ropter::State<Lanes> start, end;
-    each(start.wrench.force, [&](int i) -> const auto& { return x[i].wrench.force; });
-    each(start.wrench.torque, [&](int i) -> const auto& { return x[i].wrench.torque; });
-    each(start.body.velocity, [&](int i) -> const auto& { return x[i].body.velocity; });
-    each(start.body.position, [&](int i) -> const auto& { return x[i].body.position; });
-    each(start.body.orientation.coeffs(),
-         [&](int i) -> const auto& { return x[i].body.orientation.coeffs(); });
-    each(start.body.angular_velocity,
-         [&](int i) -> const auto& { return x[i].body.angular_velocity; });
+    each(
+        start.wrench.force, [&](int i) -> const auto& { return x[i].wrench.force; });
+    each(
+        start.wrench.torque, [&](int i) -> const auto& { return x[i].wrench.torque; });
+    each(
+        start.body.velocity, [&](int i) -> const auto& { return x[i].body.velocity; });
+    each(
+        start.body.position, [&](int i) -> const auto& { return x[i].body.position; });
+    each(
+        start.body.orientation.coeffs(), [&](int i) -> const auto& {
+          return x[i].body.orientation.coeffs();
+        });
+    each(
+        start.body.angular_velocity, [&](int i) -> const auto& {
+          return x[i].body.angular_velocity;
+        });
     Eigen::Matrix<Lanes, 6, 1> rate;
-    each(rate, [&](int i) -> const auto& { return u[i]; });
+    each(
+        rate, [&](int i) -> const auto& { return u[i]; });
     Wrench<Lanes> external;
-    each(external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
-    each(external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
+    each(
+        external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
+    each(
+        external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
     Freedom<Lanes> freedom;
-    each(freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
-    each(freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    each(
+        freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
+    each(
+        freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
     lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
     for (int i = 0; i < count; ++i) {
       const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {

@@ -55,7 +55,9 @@ struct Lanes {
 [[gnu::always_inline]] inline Lanes operator/(const Lanes& a, const Lanes& b) {
   return Lanes(a.packet / b.packet);
 }
-[[gnu::always_inline]] inline Lanes operator-(const Lanes& a) { return Lanes(-a.packet); }
+[[gnu::always_inline]] inline Lanes operator-(const Lanes& a) {
+  return Lanes(-a.packet);
+}
 [[gnu::always_inline]] inline Lanes sqrt(const Lanes& a) {
   return {std::sqrt(a[0]), std::sqrt(a[1]), std::sqrt(a[2]), std::sqrt(a[3])};
 }

@@ -36,7 +36,8 @@ template <int Width>
 }
 /// sum += factor * the packet at `from`.
 template <int Width>
-[[gnu::always_inline]] inline void add_product(Packet<Width>& sum, const double* from, double factor) {
+[[gnu::always_inline]] inline void add_product(Packet<Width>& sum, const double* from,
+                                               double factor) {
   sum += *reinterpret_cast<const typename PacketType<Width>::anywhere*>(from) * factor;
 }
 
@@ -155,7 +156,9 @@ template <int Width, int Rows, int Columns>
 
 /// Numbers that matrices of packets are filled up to a multiple of: the same on every processor.
 inline constexpr int padding = 4;
-constexpr int padded(int size) { return (size + padding - 1) / padding * padding; }
+constexpr int padded(int size) {
+  return (size + padding - 1) / padding * padding;
+}
 
 /// Width of the packets that the whole program is compiled for.
 #if defined(__AVX__)

@@ -107,8 +107,8 @@ class RigidBody {
 
   // The attitude equation is linear in q from the left, so every stage of the Runge-Kutta step is
   // q (x) (c, v) with (c, v) starting at identity and driven by w alone. That leaves a chain
-  // (M, dM, w) -> w stages -> (c, v) stages -> force stages -> (v, p), and makes the derivative with
-  // respect to the initial attitude the cross product with the integrated impulse.
+  // (M, dM, w) -> w stages -> (c, v) stages -> force stages -> (v, p), and makes the derivative
+  // with respect to the initial attitude the cross product with the integrated impulse.
   template <bool WithSensitivity>
   [[gnu::always_inline]] inline void integrate(const State<Scalar>& x, const WrenchRate& rate,
                                                const Wrench<Scalar>& external, const Scalar& dt,
@@ -118,8 +118,9 @@ class RigidBody {
     using detail::dot;
     using detail::triple;
     using std::sqrt;
-    const Scalar zero(0), one(1), two(2), half(0.5), half_dt = half * dt, sixth = dt / Scalar(6),
-        third = dt / Scalar(3), position_weight = dt * sixth;  // of the first three stages
+    const Scalar zero(0), one(1), two(2), half(0.5),
+        half_dt = half * dt, sixth = dt / Scalar(6), third = dt / Scalar(3),
+        position_weight = dt * sixth;  // of the first three stages
     const Scalar node[4] = {zero, half_dt, half_dt, dt};
     const Scalar velocity_weight[4] = {sixth, third, third, sixth};
 
@@ -128,8 +129,7 @@ class RigidBody {
                  &qy = x.body.orientation.coeffs().coeffRef(1),
                  &qz = x.body.orientation.coeffs().coeffRef(2);
     const Triple qv{qx, qy, qz};
-    const Square rotation =
-        detail::outer(qw * qw - dot(qv, qv), two * qv, qv, (two * qw) * qv);
+    const Square rotation = detail::outer(qw * qw - dot(qv, qv), two * qv, qv, (two * qw) * qv);
     const Square inertia = detail::square(inertia_),
                  inverse_inertia =
                      detail::scaled(detail::square(inverse_inertia_), triple(freedom.angular));
@@ -164,13 +164,13 @@ class RigidBody {
 
       if constexpr (WithSensitivity) {
         Stage& s = stages[i];
-        s.w_by_w = inverse_inertia *
-                   detail::gyroscopic(inertia, w, momentum);
+        s.w_by_w = inverse_inertia * detail::gyroscopic(inertia, w, momentum);
         s.half_w = half * w;
         s.half_v = half * v;
         s.half_c = half * c;
         s.turned_by_c = (two * c) * f + two * cross(v, f);
-        s.turned_by_v = detail::outer(two * along, two * v, f, (-two * c) * f) + detail::outer(zero, (-two) * f, v, none);
+        s.turned_by_v = detail::outer(two * along, two * v, f, (-two * c) * f) +
+                        detail::outer(zero, (-two) * f, v, none);
         const Square turn = detail::outer(level, two * v, v, (two * c) * v);
         velocity_by_force += weight * turn;
         velocity_by_rate += (weight * t) * turn;

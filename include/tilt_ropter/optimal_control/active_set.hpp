@@ -13,8 +13,8 @@
 
 namespace tilt_ropter {
 
-/// Solves a Subproblem by Newton steps on its first-order conditions, each of them one Riccati pass:
-/// constraints that are held at a bound enter the pass as quadratic terms,
+/// Solves a Subproblem by Newton steps on its first-order conditions, each of them one Riccati
+/// pass: constraints that are held at a bound enter the pass as quadratic terms,
 ///
 ///     multiplier = m + weight (value - bound),
 ///
@@ -79,10 +79,9 @@ class ActiveSet {
 
   /// One pass with what is assumed. False if the cost has no minimum.
   [[nodiscard]] bool factorise(Program& program, double damping) {
-    return program.riccati.factorise(damping, [&](int k, double* hessian, double* gradient)
-                                                  __attribute__((always_inline)) {
-                                                    add_terms(program, k, hessian, gradient);
-                                                  });
+    return program.riccati.factorise(
+        damping, [&](int k, double* hessian, double* gradient)
+                     __attribute__((always_inline)) { add_terms(program, k, hessian, gradient); });
   }
 
   /// Makes weights ten times as large, as far as rounding allows: where many constraints hold, the
@@ -142,12 +141,11 @@ class ActiveSet {
           continue;
         }
         // The first input is what is used, and stiffness hurts least where the pass ends.
-        const double stiff =
-            (k == 0 ? 100.0 : 1.0) * stiffening_ * curvature / (squares * squares);
+        const double stiff = (k == 0 ? 100.0 : 1.0) * stiffening_ * curvature / (squares * squares);
         const double w = 1.0 / (1.0 / stiff + 1.0 / n.stiffness(i));
         weight(k, i) = w;
-        slope = w * (n.value(i) - (assumed > 0 ? n.upper(i) : n.lower(i)) +
-                     n.multiplier(i) / stiff);
+        slope =
+            w * (n.value(i) - (assumed > 0 ? n.upper(i) : n.lower(i)) + n.multiplier(i) / stiff);
         offset(k, i) = n.multiplier(i) / stiff;
         for (int j = 0; j < width; ++j) {
           if (row[j] == 0.0) continue;
@@ -198,7 +196,7 @@ class ActiveSet {
     return 1;
   }
 
-  static constexpr double tolerance = 1e-8;        // relative violation that is none
+  static constexpr double tolerance = 1e-8;  // relative violation that is none
   static constexpr double least_stiffening = 1e6, most_stiffening = 1e10;
   static constexpr double least_curvature = 1e-6;  // of the largest
 

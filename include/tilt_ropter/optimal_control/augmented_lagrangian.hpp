@@ -27,9 +27,9 @@ class AugmentedLagrangian {
       : multipliers_(static_cast<std::size_t>(horizon) + 1, Equalities::Zero()),
         max_multiplier_(max_multiplier) {}
 
-  /// True if node k has an equality with a weight.
+  /// True if node k has an equality with a weight, or with one that is no number.
   [[nodiscard]] bool has(const Problem& problem, int k) const {
-    if constexpr (D::ne > 0) return weights(problem, k).maxCoeff() > 0.0;
+    if constexpr (D::ne > 0) return !(weights(problem, k).array() <= 0.0).all();
     return false;
   }
   /// True if any node has.
@@ -63,7 +63,7 @@ class AugmentedLagrangian {
       typename D::EqualitiesX H;
       problem.equality_derivatives(k, x, H);
       for (int i = 0; i < D::ne; ++i) {
-        if (!(w(i) > 0.0)) continue;
+        if (w(i) <= 0.0) continue;
         largest = std::max(largest, std::abs(h(i)));
         model.lx() += (w(i) * h(i) + multiplier(k)(i)) * H.row(i).transpose();
         model.lxx() += w(i) * H.row(i).transpose() * H.row(i);

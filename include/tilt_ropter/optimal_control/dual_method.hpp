@@ -165,8 +165,7 @@ class DualMethod {
       }
       if (k < program.horizon()) {
         program.riccati.to_coordinates(k, *here, count);
-        gradients_.block(first, Inputs * k, count, Inputs) =
-            here->topRightCorner(count, Inputs);
+        gradients_.block(first, Inputs * k, count, Inputs) = here->topRightCorner(count, Inputs);
       }
       std::swap(after, here);
     }

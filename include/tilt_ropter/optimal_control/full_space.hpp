@@ -43,10 +43,10 @@
 /// and where it is absent it is taken to be the identity: exact where the retraction is addition;
 /// elsewhere a call of NLopt then goes astray far from its base, and it takes more of them.
 ///
-/// Differences to MultipleShooting: penalties do not count, linear or quadratic, so a problem without a feasible point
-/// is reported as infeasible and not solved; equality weights only switch rows on and off; and
-/// equalities that no variable moves (a height that the problem holds anyway) make SLSQP's
-/// subproblem singular: a failure.
+/// Differences to MultipleShooting: penalties do not count, linear or quadratic, so a problem
+/// without a feasible point is reported as infeasible and not solved; equality weights only switch
+/// rows on and off; and equalities that no variable moves (a height that the problem holds anyway)
+/// make SLSQP's subproblem singular: a failure.
 namespace tilt_ropter {
 
 /// How a solve of FullSpace ended.

@@ -45,18 +45,18 @@ class InteriorPoint {
     for (Eigen::VectorXd* numbers :
          {&price_, &softness_, &value_, &multiplier_, &slack_, &excess_, &weight_, &per_multiplier_,
           &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_, &slack_change_,
-          &excess_change_, &value_change_,
-          &of_multiplier_, &of_rest_})
+          &excess_change_, &value_change_, &of_multiplier_, &of_rest_})
       numbers->setOnes(detail::padded(std::max(most, 1)));
   }
 
   /// Begins with the inputs of the plan from which `program` was linearised, or, where they lead
   /// far astray, with inputs that follow the deviation from it by the gains of the last pass, whose
   /// step is in `program`; curvature(k, row) is what it costs to move a constraint. Hard
-  /// constraints get a price that is `far_above` times what the cost pushes against them with. False,
-  /// and nothing is begun, if no step changes any bounded constraint.
+  /// constraints get a price that is `far_above` times what the cost pushes against them with.
+  /// False, and nothing is begun, if no step changes any bounded constraint.
   template <typename Curvature>
-  [[nodiscard]] bool start(Program& program, double damping, double far_above, const Curvature& curvature) {
+  [[nodiscard]] bool start(Program& program, double damping, double far_above,
+                           const Curvature& curvature) {
     damping_ = damping;
     read_rows(program);
     if (sides_.empty()) return false;
@@ -82,8 +82,8 @@ class InteriorPoint {
     return true;
   }
 
-  /// Instead of start(): the same program with another initial step. Inputs follow the difference by
-  /// the gains of the last pass. False, and nothing is done, if a number is not finite.
+  /// Instead of start(): the same program with another initial step. Inputs follow the difference
+  /// by the gains of the last pass. False, and nothing is done, if a number is not finite.
   [[nodiscard]] bool go_on(Program& program, const typename Program::Tangent& dx0) {
     change_[0].template head<States>() = dx0 - here_[0].template head<States>();
     program.riccati.sweep_deviation(change_);
@@ -102,10 +102,9 @@ class InteriorPoint {
   /// One iteration. False if there is no factorisation or a number is not finite.
   [[nodiscard]] bool iterate(Program& program) {
     const double mu = set_weights() / (2.0 * static_cast<double>(count()));
-    if (!program.riccati.factorise(damping_, [&](int k, double* hessian,
-                                                 double*) __attribute__((always_inline)) {
-          add_weights(k, hessian);
-        }))
+    if (!program.riccati.factorise(
+            damping_, [&](int k, double* hessian, double*)
+                          __attribute__((always_inline)) { add_weights(k, hessian); }))
       return false;
     set_cost_gradients(program);
     aim_at_solution();
@@ -130,7 +129,7 @@ class InteriorPoint {
     return true;
   }
 
-  [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
+  [[nodiscard]] double mu() const { return mu_; }              ///< mean complementarity product
   [[nodiscard]] double first_mu() const { return first_mu_; }  ///< that of start()
   /// Bounds of which the last iteration does not clearly say whether they hold.
   [[nodiscard]] int undecided() const {
@@ -166,7 +165,7 @@ class InteriorPoint {
   }
 
  private:
-  struct Side {  // a finite bound: of row `row` of node k, upper (+1) or lower (-1)
+  struct Side {      // a finite bound: of row `row` of node k, upper (+1) or lower (-1)
     int k, row, at;  // at: in of_rows_
     double sign;
   };
@@ -203,7 +202,7 @@ class InteriorPoint {
       node.bounds = node.dense = node.columns = 0;
       std::array<bool, static_cast<std::size_t>(Program::width)> reached{};
       for (int i = 0; i < Rows; ++i) {
-        const bool above = n.upper(i) < infinity, below = n.lower(i) > -infinity;
+        const bool above = n.upper(i)<infinity, below = n.lower(i)> - infinity;
         if (!above && !below) continue;
         Vector& gradient = node.gradient[static_cast<std::size_t>(node.dense)];
         gradient = program.row_gradient(k, i);
@@ -364,23 +363,23 @@ class InteriorPoint {
       slack_(i) = excess_(i) = 1e-200;
       value_change_(i) = 0.0;
     }
-    const double sum = sum_of_sides([&](auto packet, Eigen::Index i,
-                                        auto& total) __attribute__((always_inline)) {
-      constexpr int W = packet();
-      using P = detail::Packet<W>;
-      P l, t, s, rho, c;
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(slack_.data() + i, t);
-      detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(price_.data() + i, rho);
-      detail::load<W>(softness_.data() + i, c);
-      const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
-              weight = 1.0 / (t * per_l + s * per_rest + c);
-      detail::store<W>(per_multiplier_.data() + i, per_l);
-      detail::store<W>(per_rest_.data() + i, per_rest);
-      detail::store<W>(weight_.data() + i, weight);
-      total += l * t + rest * s;
-    });
+    const double sum =
+        sum_of_sides([&](auto packet, Eigen::Index i, auto& total) __attribute__((always_inline)) {
+          constexpr int W = packet();
+          using P = detail::Packet<W>;
+          P l, t, s, rho, c;
+          detail::load<W>(multiplier_.data() + i, l);
+          detail::load<W>(slack_.data() + i, t);
+          detail::load<W>(excess_.data() + i, s);
+          detail::load<W>(price_.data() + i, rho);
+          detail::load<W>(softness_.data() + i, c);
+          const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
+                  weight = 1.0 / (t * per_l + s * per_rest + c);
+          detail::store<W>(per_multiplier_.data() + i, per_l);
+          detail::store<W>(per_rest_.data() + i, per_rest);
+          detail::store<W>(weight_.data() + i, weight);
+          total += l * t + rest * s;
+        });
     of_rows_.setZero();
     for (Eigen::Index i = 0; i < count(); ++i)
       of_rows_(sides_[static_cast<std::size_t>(i)].at) += weight_(i);
@@ -507,30 +506,30 @@ class InteriorPoint {
   // Zhang 1994). Returns the sum of the products after the longest step along it.
   double predict() {
     const auto [most_primal, most_dual] = largest_of_sides(
-        1.0, [&](auto packet, Eigen::Index i, auto& of_primal,
-                 auto& of_dual) __attribute__((always_inline)) {
-          constexpr int W = packet();
-          using P = detail::Packet<W>;
-          P l, t, s, weight, per_l, per_rest, push, dv;
-          detail::load<W>(multiplier_.data() + i, l);
-          detail::load<W>(slack_.data() + i, t);
-          detail::load<W>(excess_.data() + i, s);
-          detail::load<W>(weight_.data() + i, weight);
-          detail::load<W>(per_multiplier_.data() + i, per_l);
-          detail::load<W>(per_rest_.data() + i, per_rest);
-          detail::load<W>(push_.data() + i, push);
-          detail::load<W>(value_change_.data() + i, dv);
-          const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest;
-          detail::store<W>(multiplier_change_.data() + i, dl);
-          detail::store<W>(slack_change_.data() + i, -t - t * of_l);
-          detail::store<W>(excess_change_.data() + i, s * of_rest - s);
-          detail::store<W>(of_multiplier_.data() + i, -of_l);
-          detail::store<W>(of_rest_.data() + i, of_rest);
-          const P slacks = 1.0 + (of_l > -of_rest ? of_l : -of_rest),
-                  multipliers = -of_l > of_rest ? -of_l : of_rest;
-          of_primal = slacks > of_primal ? slacks : of_primal;
-          of_dual = multipliers > of_dual ? multipliers : of_dual;
-        });
+        1.0, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
+                 __attribute__((always_inline)) {
+                   constexpr int W = packet();
+                   using P = detail::Packet<W>;
+                   P l, t, s, weight, per_l, per_rest, push, dv;
+                   detail::load<W>(multiplier_.data() + i, l);
+                   detail::load<W>(slack_.data() + i, t);
+                   detail::load<W>(excess_.data() + i, s);
+                   detail::load<W>(weight_.data() + i, weight);
+                   detail::load<W>(per_multiplier_.data() + i, per_l);
+                   detail::load<W>(per_rest_.data() + i, per_rest);
+                   detail::load<W>(push_.data() + i, push);
+                   detail::load<W>(value_change_.data() + i, dv);
+                   const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest;
+                   detail::store<W>(multiplier_change_.data() + i, dl);
+                   detail::store<W>(slack_change_.data() + i, -t - t * of_l);
+                   detail::store<W>(excess_change_.data() + i, s * of_rest - s);
+                   detail::store<W>(of_multiplier_.data() + i, -of_l);
+                   detail::store<W>(of_rest_.data() + i, of_rest);
+                   const P slacks = 1.0 + (of_l > -of_rest ? of_l : -of_rest),
+                           multipliers = -of_l > of_rest ? -of_l : of_rest;
+                   of_primal = slacks > of_primal ? slacks : of_primal;
+                   of_dual = multipliers > of_dual ? multipliers : of_dual;
+                 });
     const double primal = 1.0 / most_primal, dual = 1.0 / most_dual;
     return sum_of_sides([&](auto packet, Eigen::Index i,
                             auto& total) __attribute__((always_inline)) {
@@ -555,31 +554,33 @@ class InteriorPoint {
 
   // Completes the direction towards the centre; most of the way along it to the nearest bound.
   [[nodiscard]] Lengths complete_direction() {
-    const auto [most_primal, most_dual] = largest_of_sides(most_of_the_way, [&](
-        auto packet, Eigen::Index i, auto& of_primal, auto& of_dual) __attribute__((always_inline)) {
-      constexpr int W = packet();
-      using P = detail::Packet<W>;
-      P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(slack_.data() + i, t);
-      detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(weight_.data() + i, weight);
-      detail::load<W>(per_multiplier_.data() + i, per_l);
-      detail::load<W>(per_rest_.data() + i, per_rest);
-      detail::load<W>(push_.data() + i, push);
-      detail::load<W>(slack_aim_.data() + i, slack_aim);
-      detail::load<W>(excess_aim_.data() + i, excess_aim);
-      detail::load<W>(value_change_.data() + i, dv);
-      const P dl = push - l + weight * dv, dt = slack_aim - t * per_l * dl,
-              ds = excess_aim + s * per_rest * dl, of_t = dt / t, of_s = ds / s, of_l = dl * per_l,
-              of_rest = dl * per_rest;
-      detail::store<W>(multiplier_change_.data() + i, dl);
-      detail::store<W>(slack_change_.data() + i, dt);
-      detail::store<W>(excess_change_.data() + i, ds);
-      const P slacks = of_t < of_s ? -of_t : -of_s, multipliers = -of_l > of_rest ? -of_l : of_rest;
-      of_primal = slacks > of_primal ? slacks : of_primal;
-      of_dual = multipliers > of_dual ? multipliers : of_dual;
-    });
+    const auto [most_primal, most_dual] = largest_of_sides(
+        most_of_the_way, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
+                             __attribute__((always_inline)) {
+                               constexpr int W = packet();
+                               using P = detail::Packet<W>;
+                               P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
+                               detail::load<W>(multiplier_.data() + i, l);
+                               detail::load<W>(slack_.data() + i, t);
+                               detail::load<W>(excess_.data() + i, s);
+                               detail::load<W>(weight_.data() + i, weight);
+                               detail::load<W>(per_multiplier_.data() + i, per_l);
+                               detail::load<W>(per_rest_.data() + i, per_rest);
+                               detail::load<W>(push_.data() + i, push);
+                               detail::load<W>(slack_aim_.data() + i, slack_aim);
+                               detail::load<W>(excess_aim_.data() + i, excess_aim);
+                               detail::load<W>(value_change_.data() + i, dv);
+                               const P dl = push - l + weight * dv, dt = slack_aim - t * per_l * dl,
+                                       ds = excess_aim + s * per_rest * dl, of_t = dt / t,
+                                       of_s = ds / s, of_l = dl * per_l, of_rest = dl * per_rest;
+                               detail::store<W>(multiplier_change_.data() + i, dl);
+                               detail::store<W>(slack_change_.data() + i, dt);
+                               detail::store<W>(excess_change_.data() + i, ds);
+                               const P slacks = of_t < of_s ? -of_t : -of_s,
+                                       multipliers = -of_l > of_rest ? -of_l : of_rest;
+                               of_primal = slacks > of_primal ? slacks : of_primal;
+                               of_dual = multipliers > of_dual ? multipliers : of_dual;
+                             });
     return {most_of_the_way / most_primal, most_of_the_way / most_dual};
   }
 
@@ -589,30 +590,30 @@ class InteriorPoint {
     if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
       return false;
     for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += primal * change_[k];
-    const double sum = sum_of_sides([&](auto packet, Eigen::Index i,
-                                        auto& total) __attribute__((always_inline)) {
-      constexpr int W = packet();
-      using P = detail::Packet<W>;
-      P l, t, s, v, rho, change;
-      detail::load<W>(price_.data() + i, rho);
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(multiplier_change_.data() + i, change);
-      l += dual * change;
-      detail::store<W>(multiplier_.data() + i, l);
-      detail::load<W>(slack_.data() + i, t);
-      detail::load<W>(slack_change_.data() + i, change);
-      t += primal * change;
-      detail::store<W>(slack_.data() + i, t);
-      detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(excess_change_.data() + i, change);
-      s += primal * change;
-      detail::store<W>(excess_.data() + i, s);
-      detail::load<W>(value_.data() + i, v);
-      detail::load<W>(value_change_.data() + i, change);
-      v += primal * change;
-      detail::store<W>(value_.data() + i, v);
-      total += l * t + (rho - l) * s;
-    });
+    const double sum =
+        sum_of_sides([&](auto packet, Eigen::Index i, auto& total) __attribute__((always_inline)) {
+          constexpr int W = packet();
+          using P = detail::Packet<W>;
+          P l, t, s, v, rho, change;
+          detail::load<W>(price_.data() + i, rho);
+          detail::load<W>(multiplier_.data() + i, l);
+          detail::load<W>(multiplier_change_.data() + i, change);
+          l += dual * change;
+          detail::store<W>(multiplier_.data() + i, l);
+          detail::load<W>(slack_.data() + i, t);
+          detail::load<W>(slack_change_.data() + i, change);
+          t += primal * change;
+          detail::store<W>(slack_.data() + i, t);
+          detail::load<W>(excess_.data() + i, s);
+          detail::load<W>(excess_change_.data() + i, change);
+          s += primal * change;
+          detail::store<W>(excess_.data() + i, s);
+          detail::load<W>(value_.data() + i, v);
+          detail::load<W>(value_change_.data() + i, change);
+          v += primal * change;
+          detail::store<W>(value_.data() + i, v);
+          total += l * t + (rho - l) * s;
+        });
     mu_ = sum / (2.0 * static_cast<double>(count()));
     return true;
   }

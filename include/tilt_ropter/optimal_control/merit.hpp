@@ -4,6 +4,7 @@
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <algorithm>
@@ -80,7 +81,9 @@ class Merit {
     double sum = cost;
     for (int k = 0; k <= here.horizon(); ++k) {
       sum += equalities.value(problem, k, here.x(k)) + of_rows(program, k, program.node(k).value);
-      if (k < here.horizon()) sum += defect_weight(k).dot(program.riccati.stage(k).defect.template head<D::nx>().cwiseAbs());
+      if (k < here.horizon())
+        sum +=
+            defect_weight(k).dot(program.riccati.stage(k).defect.template head<D::nx>().cwiseAbs());
     }
     return sum;
   }
@@ -116,8 +119,7 @@ class Merit {
     const auto& rows = program.node(k);
     const Rows& weight = row_weights_[static_cast<std::size_t>(k)];
     double sum = 0.0;
-    for (int i = 0; i < AllRows::count; ++i)
-      sum += of_row(rows, weight, i, value(i));
+    for (int i = 0; i < AllRows::count; ++i) sum += of_row(rows, weight, i, value(i));
     return sum;
   }
   // What it costs by itself, or a weight times its violation.

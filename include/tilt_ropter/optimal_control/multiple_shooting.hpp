@@ -84,11 +84,9 @@ class MultipleShooting {
   /// for an interval k < N: optimal to first order while the same constraints hold, which count in
   /// it by the weights that solved the last quadratic program. It keeps to no bounds by itself.
   [[nodiscard]] Gain gain(int k) const { return program_.riccati.gain(k); }
-  /// The feed-forward that goes with it: the change of the input of interval k that the last quadratic
-  /// program asks for where the state stays on the plan before.
-  [[nodiscard]] Input feedforward(int k) const {
-    return program_.du(k) - gain(k) * program_.dx(k);
-  }
+  /// The feed-forward that goes with it: the change of the input of interval k that the last
+  /// quadratic program asks for where the state stays on the plan before.
+  [[nodiscard]] Input feedforward(int k) const { return program_.du(k) - gain(k) * program_.dx(k); }
 
   /// Cold start: every state x0, every input zero, no multipliers.
   void reset(const State& x0) {
@@ -128,8 +126,8 @@ class MultipleShooting {
     prepared_ = false;
   }
 
-  /// True if the last feedback() was cut off by its deadline. The next prepare() has then nothing to
-  /// do, and feedback() goes on with the same quadratic program from the state measured by then,
+  /// True if the last feedback() was cut off by its deadline. The next prepare() has then nothing
+  /// to do, and feedback() goes on with the same quadratic program from the state measured by then,
   /// unless reset(), set_guess() or shift() come in between.
   [[nodiscard]] bool goes_on() const { return program_.goes_on(); }
   /// False if it was cut off so early that the plan is still the one before it.
@@ -231,13 +229,13 @@ class MultipleShooting {
       prepare_us += report_.prepare_us;
       if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
       const bool converged = prepared && report_.kkt <= settings_.tolerance;
-      report_.status = converged ? (hard_rows_given_up() ? SolveStatus::infeasible
-                                                         : SolveStatus::converged)
-                       : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
-                       : Clock::now() > end                    ? SolveStatus::time_limit
-                       : prepared && stalls(iteration)         ? SolveStatus::stalled
-                       : !prepared && !search_.on_trust()      ? SolveStatus::failed
-                                                               : SolveStatus::iterated;
+      report_.status =
+          converged ? (hard_rows_given_up() ? SolveStatus::infeasible : SolveStatus::converged)
+          : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
+          : Clock::now() > end                    ? SolveStatus::time_limit
+          : prepared && stalls(iteration)         ? SolveStatus::stalled
+          : !prepared && !search_.on_trust()      ? SolveStatus::failed
+                                                  : SolveStatus::iterated;
       if (report_.status != SolveStatus::iterated) break;
       const auto prepared_at = Clock::now();
       report_.status = advance(prepared, end);
@@ -334,12 +332,12 @@ class MultipleShooting {
       State ends[Lanes::count];
       for (int k = 0; k < horizon_; k += Lanes::count) {
         const int count = std::min(Lanes::count, horizon_ - k);
-        finite = detail::vectorised([&](auto) __attribute__((always_inline)) {
-                   problem_.step_lanes(k, count, &here_.x(k), &here_.u(k), ends, lanes_A_,
-                                       lanes_B_);
-                   return program_.riccati.set_transitions(k, count, lanes_A_, lanes_B_);
-                 }) &&
-                 finite;
+        finite =
+            detail::vectorised([&](auto) __attribute__((always_inline)) {
+              problem_.step_lanes(k, count, &here_.x(k), &here_.u(k), ends, lanes_A_, lanes_B_);
+              return program_.riccati.set_transitions(k, count, lanes_A_, lanes_B_);
+            }) &&
+            finite;
         for (int i = 0; i < count; ++i) set_defect(k + i, ends[i]);
       }
     } else {
@@ -372,14 +370,12 @@ class MultipleShooting {
             __attribute__((always_inline)) { g = program_.riccati.stage(k).cost.gradient; },
         [&](int k, const auto& sum, const auto&) {
           if (k < horizon_)
-            residual =
-                std::max(residual, sum.template segment<nu>(nx).cwiseAbs().maxCoeff());
+            residual = std::max(residual, sum.template segment<nu>(nx).cwiseAbs().maxCoeff());
         });
     for (const auto& [k, i] : program_.active()) {
       const auto& rows = program_.node(k);
       const double m = rows.multiplier(i), size = std::abs(m);
-      const double inside =
-          m > 0.0 ? rows.upper(i) - rows.value(i) : rows.value(i) - rows.lower(i);
+      const double inside = m > 0.0 ? rows.upper(i) - rows.value(i) : rows.value(i) - rows.lower(i);
       residual = std::max(residual, std::min(size, inside + size / rows.stiffness(i)));
     }
     if (!finite || !(report_.max_violation < std::numeric_limits<double>::infinity()))
@@ -435,15 +431,15 @@ class MultipleShooting {
 
   [[nodiscard]] bool hard_rows_given_up() const { return report_.given_up_hard_rows > 0; }
 
-  // True if neither residual nor merit has become lower for long. Acceleration, which may go round in
-  // circles, goes first.
+  // True if neither residual nor merit has become lower for long. Acceleration, which may go round
+  // in circles, goes first.
   [[nodiscard]] bool stalls(int iteration) {
     const double merit = search_.lowest_merit();
     if (report_.kkt < 0.9 * progress_.kkt) {
       progress_.kkt = report_.kkt;
       progress_.iteration = iteration;
     }
-    if (merit < progress_.merit - 1e-7 * (1.0 + std::abs(merit))) {
+    if (merit < progress_.merit - 1e-5 * (1.0 + std::abs(merit))) {
       progress_.merit = merit;
       progress_.iteration = iteration;
     }
@@ -456,7 +452,8 @@ class MultipleShooting {
 
   // The next iterate of solve().
   SolveStatus advance(bool prepared, Clock::time_point end) {
-    SolveStatus status = prepared ? solve_program(Tangent::Zero(), end, false) : SolveStatus::failed;
+    SolveStatus status =
+        prepared ? solve_program(Tangent::Zero(), end, false) : SolveStatus::failed;
     if (status == SolveStatus::failed)
       return search_.on_trust() ? search_.go_back(problem_, here_, false) : status;
     if (status == SolveStatus::time_limit) return status;

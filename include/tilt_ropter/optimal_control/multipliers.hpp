@@ -37,7 +37,7 @@ struct DualSettings {
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
   double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
   double row_tolerance = 1e-9;  ///< violation that makes a constraint join the working set
-  int max_rounds = 20;  ///< of adding constraints
+  int max_rounds = 20;          ///< of adding constraints
 };
 
 inline void validate(const DualSettings& s) {

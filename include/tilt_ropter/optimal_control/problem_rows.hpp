@@ -115,8 +115,7 @@ class ProblemRows {
 
   /// True if row i, with these derivatives at node k, has a meaning there: node N has no input.
   [[nodiscard]] static bool applies(const Problem& problem, int k, const ByInput& E, int i) {
-    if constexpr (count > 0)
-      return k < problem.horizon() || of_end >= 0 || E.row(i).isZero(0.0);
+    if constexpr (count > 0) return k < problem.horizon() || of_end >= 0 || E.row(i).isZero(0.0);
     return false;
   }
 };

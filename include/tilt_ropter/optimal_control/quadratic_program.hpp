@@ -104,8 +104,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   [[nodiscard]] bool has_step() const { return !goes_on_ || passes_ > 0; }
   void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
 
-  /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end after
-  /// the deadline, by what the last ones took, is not begun; nor more than `most_passes`.
+  /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end
+  /// after the deadline, by what the last ones took, is not begun; nor more than `most_passes`.
   ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {},
                       int most_passes = std::numeric_limits<int>::max()) {
     deadline_ = deadline;
@@ -175,12 +175,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
  private:
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
     const int all = 2 * Rows * (horizon + 1);
-    const int wanted =
-        settings.method == ProgramMethod::dual ? 1000 : settings.max_dual_rows;
+    const int wanted = settings.method == ProgramMethod::dual ? 1000 : settings.max_dual_rows;
     return std::max(1, std::min(wanted, all));
   }
-  // If a pass that takes so long would be late, with what follows it, or one too many. What it takes
-  // may have been something else that the machine did, so the next time it counts as a little less.
+  // If a pass that takes so long would be late, with what follows it, or one too many. What it
+  // takes may have been something else that the machine did, so the next time it counts as a little
+  // less.
   [[nodiscard]] bool out_of_time(SolverClock::duration& needed) {
     if (!late_ && deadline_ && SolverClock::now() + needed + pass_time_ / 2 > *deadline_) {
       late_ = true;

@@ -22,9 +22,10 @@
 ///
 /// P and p being those of node k + 1. Eliminating du by a Cholesky factorisation of H whose pivots
 /// are its last rows leaves the P and p of node k (Rao, Wright & Rawlings, "Application of
-/// interior-point methods to model predictive control", 1998, for the recursion; Frison & Jorgensen,
-/// "Efficient implementation of the Riccati recursion", 2013, for its form as one Cholesky
-/// factorisation). With the eliminated columns [Y; L], divided by the roots of their pivots,
+/// interior-point methods to model predictive control", 1998, for the recursion; Frison &
+/// Jorgensen, "Efficient implementation of the Riccati recursion", 2013, for its form as one
+/// Cholesky factorisation). With the eliminated columns [Y; L], divided by the roots of their
+/// pivots,
 ///
 ///     z_k = L' du_k + Y' dx_k + y_k,    L y_k = g_u,
 ///
@@ -32,8 +33,8 @@
 /// cost into 1/2 |z|^2 + const, with continuity eliminated.
 namespace tilt_ropter {
 
-/// A node of the linear-quadratic problem in whole packets: vectors and columns are (dx, du), filled
-/// up with zeros.
+/// A node of the linear-quadratic problem in whole packets: vectors and columns are (dx, du),
+/// filled up with zeros.
 template <int States, int Inputs>
 struct RiccatiStage {
   static constexpr int width = States + Inputs, rows = detail::padded(width),
@@ -51,8 +52,12 @@ struct RiccatiStage {
   Eigen::Matrix<double, Inputs, 1> inverse_pivot = Eigen::Matrix<double, Inputs, 1>::Zero();
   Eigen::Matrix<double, Inputs, 1> eliminated = Eigen::Matrix<double, Inputs, 1>::Zero();
 
-  [[nodiscard]] auto A() const { return transition.template topLeftCorner<States, States>().transpose(); }
-  [[nodiscard]] auto B() const { return transition.template block<Inputs, States>(States, 0).transpose(); }
+  [[nodiscard]] auto A() const {
+    return transition.template topLeftCorner<States, States>().transpose();
+  }
+  [[nodiscard]] auto B() const {
+    return transition.template block<Inputs, States>(States, 0).transpose();
+  }
 };
 
 /// Adds nothing to the Hessian and gradient of any node: see Riccati::factorise().
@@ -153,19 +158,20 @@ class Riccati {
   /// Forward sweep from the dx in w[0]: the inputs du that have the coordinates z (Inputs of each
   /// node, or null for zero: the optimal ones), and where they lead.
   void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
-    move(w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
-      set_input<packet()>(s, z ? z + Inputs * k : nullptr, here);
-    });
+    move(
+        w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
+          set_input<packet()>(s, z ? z + Inputs * k : nullptr, here);
+        });
   }
   /// Forward sweep with inputs that follow dx by the gains alone, and where they lead.
   void sweep_plan(std::vector<Vector>& w) const {
-    move(w, [&](auto packet, const Stage& s, int, Vector& here) __attribute__((always_inline)) {
-      set_input<packet(), false>(s, nullptr, here);
-    });
+    move(
+        w, [&](auto packet, const Stage& s, int, Vector& here)
+               __attribute__((always_inline)) { set_input<packet(), false>(s, nullptr, here); });
   }
   /// Forward sweep with the inputs du in w as they are.
   void roll_out(std::vector<Vector>& w) const {
-    move(w, [](auto, const Stage&, int, Vector&) __attribute__((always_inline)) {});
+    move(w, [](auto, const Stage&, int, Vector&) __attribute__((always_inline)){});
   }
   /// The same as sweep() without defects, for a change of a step.
   void sweep_change(std::vector<Vector>& w) const {
@@ -177,8 +183,8 @@ class Riccati {
       return true;
     });
   }
-  /// The same for a deviation from a step, without defects; inputs of nodes before `first` are those
-  /// in w.
+  /// The same for a deviation from a step, without defects; inputs of nodes before `first` are
+  /// those in w.
   void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (std::size_t k = 0; k + 1 < w.size(); ++k) {
@@ -191,10 +197,11 @@ class Riccati {
   /// Forward sweep with whatever choose(k, du) makes of the optimal inputs.
   template <typename Choose>
   void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
-    move(w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
-      set_input<packet()>(s, nullptr, here);
-      choose(k, here);
-    });
+    move(
+        w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
+          set_input<packet()>(s, nullptr, here);
+          choose(k, here);
+        });
   }
 
   /// P of node 0, symmetric, after factorise(): the Hessian of what the whole horizon costs.
@@ -310,7 +317,8 @@ class Riccati {
     const Stage& last = stages_.back();
     detail::FiniteCheck<Width> unused;
     for (int j = 0; j < width; ++j)
-      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j, unused);
+      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j,
+                                unused);
     detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data(), unused);
     for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
     terms(horizon(), hessian_.data(), gradient_.data());
@@ -368,11 +376,13 @@ class Riccati {
     constexpr int packets = rows / Width;
     Packet<Width> sum[detail::size(packets)];
 #pragma GCC unroll 16
-    for (int t = 0; t < packets; ++t) detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
+    for (int t = 0; t < packets; ++t)
+      detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
     for (int k = 0; k < States; ++k) {
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) {
-        detail::add_product<Width>(sum[t], s.transition.data() + rows * k + Width * t, gradient_(k));
+        detail::add_product<Width>(sum[t], s.transition.data() + rows * k + Width * t,
+                                   gradient_(k));
         detail::add_product<Width>(sum[t], product_.data() + rows * k + Width * t, s.defect(k));
       }
     }
@@ -594,8 +604,7 @@ class Riccati {
   }
   // dx of `next`, without the defect.
   template <int Width>
-  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w,
-                                                    Vector& next) {
+  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w, Vector& next) {
     double dx[detail::size(state_rows)];
     for (int k = 0; k < state_rows; k += Width)
       multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);

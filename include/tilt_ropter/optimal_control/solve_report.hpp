@@ -63,10 +63,10 @@ inline void validate(const SolverSettings& s) {
 struct SolveReport {
   SolveStatus status = SolveStatus::failed;
   double cost = 0.0;
-  double kkt = 0.0;            ///< largest of stationarity, defect, violation, complementarity
-  double max_defect = 0.0;     ///< of continuity, in tangent coordinates
-  double max_violation = 0.0;  ///< of constraints
-  double max_equality = 0.0;   ///< of equalities with a weight
+  double kkt = 0.0;               ///< largest of stationarity, defect, violation, complementarity
+  double max_defect = 0.0;        ///< of continuity, in tangent coordinates
+  double max_violation = 0.0;     ///< of constraints
+  double max_equality = 0.0;      ///< of equalities with a weight
   double program_residual = 0.0;  ///< of the last quadratic program: see ProgramResidual
   int iterations = 0;
   int passes = 0;       ///< Riccati passes in the last quadratic program, besides prepare()'s
@@ -78,7 +78,7 @@ struct SolveReport {
   double largest_given_up = 0.0, largest_given_up_hard = 0.0;
   double step = 1.0;     ///< length of the last step, 1 if it was a full one
   double damping = 0.0;  ///< added to the Hessians because they were not positive definite
-  double prepare_us = 0.0, feedback_us = 0.0;       ///< wall time of the two phases [us]
+  double prepare_us = 0.0, feedback_us = 0.0;  ///< wall time of the two phases [us]
   /// Parts of prepare; the last one: gradients of the constraints that NLopt gets [us].
   double linearise_us = 0.0, factorise_us = 0.0, rows_us = 0.0;
 };

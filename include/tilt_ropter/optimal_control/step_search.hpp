@@ -83,10 +83,9 @@ class StepSearch {
     const bool hidden = -slope <= 1e-9 * (1.0 + std::abs(merit));
     searches_ = on_trust_ = false;
     attempts_ = 0;
-    const auto merit_of_trial = [&] {
-      return merit_.value(problem, program, equalities, trial_);
-    };
-    if (!accelerates_) return search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
+    const auto merit_of_trial = [&] { return merit_.value(problem, program, equalities, trial_); };
+    if (!accelerates_)
+      return search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
 
     base_ = here;
     base_residual_ = residual_;
@@ -187,11 +186,8 @@ class StepSearch {
   }
   void set_scale(const Program& program) {
     for (int k = 0; k <= horizon_; ++k) {
-      const auto curvature = program.riccati.stage(k)
-                                 .cost.hessian.diagonal()
-                                 .cwiseAbs()
-                                 .cwiseMax(1e-6)
-                                 .cwiseSqrt();
+      const auto curvature =
+          program.riccati.stage(k).cost.hessian.diagonal().cwiseAbs().cwiseMax(1e-6).cwiseSqrt();
       of_state(scale_, k) = curvature.template head<nx>();
       if (k < horizon_) of_input(scale_, k) = curvature.template segment<nu>(nx);
     }

@@ -22,8 +22,8 @@
 /// price. So every program has a solution.
 namespace tilt_ropter {
 
-/// What a violation >= 0 costs: quadratic up to where its slope, the stiffness times it, reaches the
-/// price, linear from there on.
+/// What a violation >= 0 costs: quadratic up to where its slope, the stiffness times it, reaches
+/// the price, linear from there on.
 [[nodiscard]] inline double violation_cost(double price, double stiffness, double violation) {
   const double linear = violation - 0.5 * price / stiffness;
   return stiffness * violation < price ? 0.5 * stiffness * violation * violation : price * linear;
@@ -39,7 +39,7 @@ struct NodeRows {
   Eigen::Matrix<double, Rows, Inputs> E = Eigen::Matrix<double, Rows, Inputs>::Zero();
   Values lower = Values::Constant(-infinity);  ///< infinite: no bound
   Values upper = Values::Constant(infinity);
-  Values price = Values::Ones();  ///< largest multiplier, finite
+  Values price = Values::Ones();                  ///< largest multiplier, finite
   Values stiffness = Values::Constant(infinity);  ///< infinite: no violation below the price
   /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
   Values multiplier = Values::Zero();
@@ -61,11 +61,11 @@ struct NodeRows {
 
 /// How far a step with its multipliers is from solving a program: the largest of each condition.
 struct ProgramResidual {
-  double stationarity = 0.0;  ///< of the inputs, relative to the largest term
-  double violation = 0.0;     ///< beyond what the multiplier pays for, relative to the bound
+  double stationarity = 0.0;     ///< of the inputs, relative to the largest term
+  double violation = 0.0;        ///< beyond what the multiplier pays for, relative to the bound
   double complementarity = 0.0;  ///< distance from the bound or multiplier, whichever is smaller,
                                  ///< relative to the bound and to the largest multiplier
-  double gap = 0.0;  ///< what the cost is off by for that, relative to the cost
+  double gap = 0.0;              ///< what the cost is off by for that, relative to the cost
   [[nodiscard]] double largest() const {
     const double most = std::max({stationarity, violation, complementarity, gap});
     return stationarity + violation + complementarity + gap <
@@ -113,13 +113,13 @@ class Subproblem {
     n.crossed = false;
     for (int i = 0; i < Rows; ++i) n.hard[static_cast<std::size_t>(i)] = n.price(i) == infinity;
     for (int i = 0; i < Rows; ++i) {
-      if (n.price(i) < infinity) continue;
+      if (!n.hard[static_cast<std::size_t>(i)]) continue;
       // One that was given up goes on with the price at which it was.
       const bool gave_up = std::abs(n.multiplier(i)) >= n.stand_in(i);
       n.price(i) = n.stand_in(i) = gave_up ? n.stand_in(i) : hard_price;
     }
-    const bool regular = (n.lower.array() <= n.upper.array()).all() && (n.price.array() > 0.0).all() &&
-                         (n.stiffness.array() > 0.0).all();
+    const bool regular = (n.lower.array() <= n.upper.array()).all() &&
+                         (n.price.array() > 0.0).all() && (n.stiffness.array() > 0.0).all();
     if (!regular && !repair(n)) return false;
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       const auto& cost = riccati.stage(k).cost;
@@ -165,8 +165,7 @@ class Subproblem {
     Vector gradient = Vector::Zero();
     if constexpr (Rows > 0) {
       gradient.template head<States>() = node(k).C.row(i).transpose();
-      if (k < horizon())
-        gradient.template segment<Inputs>(States) = node(k).E.row(i).transpose();
+      if (k < horizon()) gradient.template segment<Inputs>(States) = node(k).E.row(i).transpose();
     }
     return gradient;
   }
@@ -218,7 +217,9 @@ class Subproblem {
   struct ActiveRow {
     int k, i;
   };
-  [[nodiscard]] const std::vector<ActiveRow>& active() const { return active_; }
+  [[nodiscard]] const std::vector<ActiveRow>& active() const {
+    return active_;
+  }
   /// Looks for the constraints that have a multiplier, from the last node to the first.
   void collect_active() {
     active_.clear();
@@ -230,9 +231,9 @@ class Subproblem {
     }
   }
 
-  /// Derivatives by (dx, du) of each node with all that follows from them, from the last node to the
-  /// first: of gradients that set(width, k, g) writes and, on request, of the multipliers. Calls
-  /// see(k, derivative, the node's own part of it). False if a number is not finite.
+  /// Derivatives by (dx, du) of each node with all that follows from them, from the last node to
+  /// the first: of gradients that set(width, k, g) writes and, on request, of the multipliers.
+  /// Calls see(k, derivative, the node's own part of it). False if a number is not finite.
   template <typename Set, typename See>
   [[nodiscard]] bool sweep_back(bool with_multipliers, const Set& set, const See& see) const {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -378,8 +379,8 @@ class Subproblem {
     for (int t = 0; t < packets; ++t) detail::store<Width>(g.data() + Width * t, sum[t]);
     if (k == horizon()) return;
     for (int j = 0; j < Inputs; ++j)
-      g(States + j) += s.cost.hessian.template block<States, 1>(0, States + j).dot(
-          at.template head<States>());
+      g(States + j) +=
+          s.cost.hessian.template block<States, 1>(0, States + j).dot(at.template head<States>());
   }
 
   /// What the step changes the cost by, with the price of every violation, after predict().
@@ -410,11 +411,10 @@ class Subproblem {
     double largest_term = 0.0, cost = cost_here;
     const bool finite = sweep_back(
         true,
-        [&](auto packet, int k, Vector& g)
-            __attribute__((always_inline)) {
-              cost_gradient<packet()>(k, step(k), damping, g);
-              cost += 0.5 * (g + riccati.stage(k).cost.gradient).dot(step(k));
-            },
+        [&](auto packet, int k, Vector& g) __attribute__((always_inline)) {
+          cost_gradient<packet()>(k, step(k), damping, g);
+          cost += 0.5 * (g + riccati.stage(k).cost.gradient).dot(step(k));
+        },
         [&](int k, const Vector& sum, const Vector& own) {
           for (int j = States; k < horizon() && j < width; ++j) {
             r.stationarity = std::max(r.stationarity, std::abs(sum(j)));
@@ -429,8 +429,7 @@ class Subproblem {
       // Hard constraints that contradict each other cancel, and rounding of what they push with
       // hides the rest.
       if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
-        largest_term =
-            std::max(largest_term, m * row_gradient(row.k, row.i).cwiseAbs().maxCoeff());
+        largest_term = std::max(largest_term, m * row_gradient(row.k, row.i).cwiseAbs().maxCoeff());
     }
     r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
     r.violation = excess_;
@@ -442,9 +441,8 @@ class Subproblem {
       const double bound = above ? n.upper(row.i) : n.lower(row.i),
                    inside = m / n.stiffness(row.i) +
                             (above ? bound - n.predicted(row.i) : n.predicted(row.i) - bound);
-      r.complementarity =
-          std::max(r.complementarity, std::min(m / (1.0 + largest_multiplier),
-                                               inside / (1.0 + std::abs(bound))));
+      r.complementarity = std::max(r.complementarity, std::min(m / (1.0 + largest_multiplier),
+                                                               inside / (1.0 + std::abs(bound))));
       if (inside > 0.0 || m < n.price(row.i)) r.gap += m * std::abs(inside);
     }
     r.gap /= 1.0 + std::abs(cost);
@@ -466,7 +464,9 @@ class Subproblem {
     return Width * t < Rows - Width ? Width * t : Rows - Width;
   }
 
-  [[nodiscard]] static double larger(double a, double b) { return a > b ? a : b; }
+  [[nodiscard]] static double larger(double a, double b) {
+    return a > b ? a : b;
+  }
 
   [[nodiscard]] bool repair(Node& n) {
     for (int i = 0; i < Rows; ++i) {
@@ -495,10 +495,10 @@ class Subproblem {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
         const double most = std::max(over, under), m = std::abs(n.multiplier(i));
         if (!(most > 0.0)) continue;
-        const double unpaid = (most - m / n.stiffness(i)) /
-                              (1.0 + std::abs(over > under ? n.upper(i) : n.lower(i)));
-        largest = std::max(largest,
-                           std::min(unpaid, (n.price(i) - m) / (1.0 + largest_multiplier)));
+        const double unpaid =
+            (most - m / n.stiffness(i)) / (1.0 + std::abs(over > under ? n.upper(i) : n.lower(i)));
+        largest =
+            std::max(largest, std::min(unpaid, (n.price(i) - m) / (1.0 + largest_multiplier)));
       }
     return largest;
   }
