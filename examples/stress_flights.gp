@@ -23,7 +23,7 @@ if_recovered(value) = column("recovered") > 0 ? value : NaN
 if_lost(value) = column("recovered") > 0 ? NaN : value
 
 set xlabel "time [s]"
-set yrange [0:*]
+set xrange [0:8]; set yrange [0:*]
 set ylabel "distance from the reference [m]"
 plot log using (column("time_s")):(if_recovered(column("distance_m"))) with points pt 7 ps 0.2 \
     lc rgb blue notitle, \
