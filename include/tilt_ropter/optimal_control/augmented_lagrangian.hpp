@@ -4,6 +4,7 @@
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -65,8 +66,19 @@ class AugmentedLagrangian {
       for (int i = 0; i < D::ne; ++i) {
         if (w(i) <= 0.0) continue;
         largest = std::max(largest, std::abs(h(i)));
-        model.lx() += (w(i) * h(i) + multiplier(k)(i)) * H.row(i).transpose();
-        model.lxx() += w(i) * H.row(i).transpose() * H.row(i);
+        // Most entries are zero as a rule.
+        std::array<int, static_cast<std::size_t>(D::nx)> at{};
+        std::size_t count = 0;
+        for (int j = 0; j < D::nx; ++j)
+          if (H(i, j) != 0.0) at[count++] = j;
+        const double slope = w(i) * h(i) + multiplier(k)(i);
+        for (std::size_t a = 0; a < count; ++a) {
+          const double entry = H(i, at[a]);
+          model.lx()(at[a]) += slope * entry;
+          for (std::size_t b = 0; b < count; ++b)
+            model.lxx()(at[b], at[a]) += w(i) * entry * H(i, at[b]);
+        }
+        if (count == 0) model.lx()(0) += 0.0 * slope;  // is it a number?
       }
     }
     return largest;
