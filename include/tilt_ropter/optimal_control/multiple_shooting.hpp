@@ -401,9 +401,7 @@ class MultipleShooting {
   // Solves the quadratic program, and says how in the report.
   SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline,
                             bool clamps) {
-    // Far from a solution the program says little of the problem, and an inexact step goes as far.
-    const int most_passes = !clamps && report_.kkt > 100.0 ? 4 : settings_.program.max_passes;
-    ProgramStatus status = program_.solve(dx0, deadline, most_passes);
+    ProgramStatus status = program_.solve(dx0, deadline);
     if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();

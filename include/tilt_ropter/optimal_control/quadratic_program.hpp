@@ -105,11 +105,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
 
   /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end
-  /// after the deadline, by what the last ones took, is not begun; nor more than `most_passes`.
-  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {},
-                      int most_passes = std::numeric_limits<int>::max()) {
+  /// after the deadline, by what the last ones took, is not begun.
+  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
     deadline_ = deadline;
-    max_passes_ = std::min(most_passes, settings_.max_passes);
     late_ = false;
     if (!goes_on_) {
       passes_ = 0;
@@ -186,7 +184,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
       late_ = true;
       needed -= needed / 8;
     }
-    return late_ || passes_ >= max_passes_;
+    return late_ || passes_ >= settings_.max_passes;
   }
   [[nodiscard]] bool solved() {
     residual_ = Program::residual(damping_).largest();
@@ -380,7 +378,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   // What a pass and an iteration of the interior point last took.
   SolverClock::duration pass_time_{}, interior_time_{}, rows_time_{};
   double damping_ = 0.0, residual_ = 0.0;
-  int passes_ = 0, max_passes_ = 0;
+  int passes_ = 0;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation holds what had a multiplier
   bool unsolved_ = false;  // the last program was cut off: its multipliers are no guess
