@@ -49,7 +49,7 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
   Random random(121);
   for (int trial = 0; trial < 30; ++trial) {
     const Flight problem = landing({1e3, trial % 2 == 0 ? 0.0 : 500.0, 2e3});
-    const auto lagrangian = used_lagrangian(random, problem);
+    auto lagrangian = used_lagrangian(random, problem);
     const State<> x = test_support::random_state(random);
     for (const int k : {touch_down, 6}) {
       Flight::Model model, before;
@@ -79,6 +79,10 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
       EXPECT_EQ(model.lu(), before.lu());
       EXPECT_EQ(model.lux(), before.lux());
       EXPECT_EQ(model.luu(), before.luu());
+      // What the problem does not set again is as it was.
+      lagrangian.take_from_model(k, model);
+      EXPECT_EQ(model.gradient, before.gradient);
+      EXPECT_EQ(model.hessian, before.hessian);
     }
   }
 }
@@ -87,7 +91,7 @@ TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
   Random random(122);
   Flight problem = landing(Eigen::Vector3d(1e3, 0.0, 1e3));
   problem.node(0).on_ground = true;
-  const auto lagrangian = used_lagrangian(random, problem);
+  auto lagrangian = used_lagrangian(random, problem);
   const State<> x = test_support::random_state(random);
   for (int k = 0; k <= 6; ++k) {
     const bool on = k >= touch_down;

@@ -26,6 +26,7 @@ class AugmentedLagrangian {
   /// Allocates; the functions below do not.
   AugmentedLagrangian(int horizon, double max_multiplier)
       : multipliers_(static_cast<std::size_t>(horizon) + 1, Equalities::Zero()),
+        added_(multipliers_.size()),
         max_multiplier_(max_multiplier) {}
 
   /// True if node k has an equality with a weight, or with one that is no number.
@@ -56,32 +57,48 @@ class AugmentedLagrangian {
   }
 
   /// Adds node k's part to the model of its cost. Returns the largest |h|.
-  double add_to_model(const Problem& problem, int k, const State& x, Model& model) const {
+  double add_to_model(const Problem& problem, int k, const State& x, Model& model) {
     double largest = 0.0;
     if constexpr (D::ne > 0) {
       if (!has(problem, k)) return 0.0;
       const Equalities w = weights(problem, k), h = problem.equality_values(k, x);
       typename D::EqualitiesX H;
       problem.equality_derivatives(k, x, H);
+      Added& added = added_[static_cast<std::size_t>(k)];
+      for (int j = 0; j < D::nx; ++j)  // most entries are zero as a rule
+        if ((H.col(j).array() != 0.0).any()) added.columns[added.count++] = j;
+      const auto columns = added.begin(), end = added.end();
+      double* entry = added.entries.data();
+      for (auto a = columns; a != end; ++a) {
+        *entry++ = model.lx()(*a);
+        for (auto b = columns; b != end; ++b) *entry++ = model.lxx()(*b, *a);
+      }
       for (int i = 0; i < D::ne; ++i) {
         if (w(i) <= 0.0) continue;
         largest = std::max(largest, std::abs(h(i)));
-        // Most entries are zero as a rule.
-        std::array<int, static_cast<std::size_t>(D::nx)> at{};
-        std::size_t count = 0;
-        for (int j = 0; j < D::nx; ++j)
-          if (H(i, j) != 0.0) at[count++] = j;
         const double slope = w(i) * h(i) + multiplier(k)(i);
-        for (std::size_t a = 0; a < count; ++a) {
-          const double entry = H(i, at[a]);
-          model.lx()(at[a]) += slope * entry;
-          for (std::size_t b = 0; b < count; ++b)
-            model.lxx()(at[b], at[a]) += w(i) * entry * H(i, at[b]);
+        for (auto a = columns; a != end; ++a) {
+          model.lx()(*a) += slope * H(i, *a);
+          const double factor = w(i) * H(i, *a);
+          if (factor == 0.0) continue;
+          for (auto b = columns; b != end; ++b) model.lxx()(*b, *a) += factor * H(i, *b);
         }
-        if (count == 0) model.lx()(0) += 0.0 * slope;  // is it a number?
+        if (added.count == 0) largest += 0.0 * slope;  // is it a number?
       }
     }
     return largest;
+  }
+  /// Undoes the last add_to_model() of node k.
+  void take_from_model(int k, Model& model) {
+    if constexpr (D::ne > 0) {
+      Added& added = added_[static_cast<std::size_t>(k)];
+      const double* entry = added.entries.data();
+      for (auto a = added.begin(); a != added.end(); ++a) {
+        model.lx()(*a) = *entry++;
+        for (auto b = added.begin(); b != added.end(); ++b) model.lxx()(*b, *a) = *entry++;
+      }
+      added.count = 0;
+    }
   }
 
   /// Node k's part of the cost.
@@ -115,6 +132,16 @@ class AugmentedLagrangian {
   }
 
  private:
+  // The states that a node's equalities depend on, and what the model had there before them.
+  struct Added {
+    [[nodiscard]] const int* begin() const { return columns.data(); }
+    [[nodiscard]] const int* end() const { return columns.data() + count; }
+
+    std::size_t count = 0;
+    std::array<int, static_cast<std::size_t>(D::nx)> columns{};
+    std::array<double, static_cast<std::size_t>(D::nx * (D::nx + 1))> entries{};
+  };
+
   // The measured state is not ours to change.
   [[nodiscard]] Equalities weights(const Problem& problem, int k) const {
     return k == 0 ? Equalities::Zero() : Equalities(scale_ * problem.equality_weights(k));
@@ -124,6 +151,7 @@ class AugmentedLagrangian {
   }
 
   std::vector<Equalities> multipliers_;
+  std::vector<Added> added_;  // to each node's model
   double max_multiplier_, scale_ = 1.0;
   double last_residual_ = std::numeric_limits<double>::infinity();
 };

@@ -53,8 +53,7 @@ class MultipleShooting {
         here_(horizon_),
         trial_(horizon_),
         equalities_(horizon_, settings.max_multiplier),
-        search_(horizon_, settings),
-        model_has_equalities_(static_cast<std::size_t>(horizon_) + 1, false) {
+        search_(horizon_, settings) {
     lanes_A_.setIdentity();
     lanes_B_.setZero();
   }
@@ -291,7 +290,7 @@ class MultipleShooting {
       const State& x = here_.x(k);
       const Input& u = here_.u(k);
       auto& model = program_.riccati.stage(k).cost;
-      if constexpr (ne > 0) forget_equalities(k);
+      equalities_.take_from_model(k, model);  // the problem need not set all of it again
       problem_.cost_model(k, x, u, model);
       report_.cost += problem_.cost(k, x, u);
       if constexpr (ne > 0)
@@ -349,13 +348,6 @@ class MultipleShooting {
       }
     }
     return finite;
-  }
-
-  // The problem need not set again what it set before, but the equalities were added to that.
-  void forget_equalities(int k) {
-    auto& has = model_has_equalities_[static_cast<std::size_t>(k)];
-    if (has) program_.riccati.stage(k).cost = {};
-    has = equalities_.has(problem_, k);
   }
 
   // Largest violation of the first-order conditions at the iterate with the current multipliers;
@@ -468,7 +460,6 @@ class MultipleShooting {
   Trajectory<Problem> here_, trial_;
   AugmentedLagrangian<Problem> equalities_;
   StepSearch<Problem, Program> search_;
-  std::vector<char> model_has_equalities_;  // by node, in the last linearisation
   Eigen::Matrix<Lanes, nx, nx> lanes_A_;
   Eigen::Matrix<Lanes, nx, nu> lanes_B_;
   SolveReport report_;
