@@ -145,9 +145,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     }
   }
 
-  /// Takes the first input into its hard bounds; the inputs after it follow by the gains. What a
-  /// solved program leaves to do is rounding, but if it is not, the residual tells. Returns what
-  /// solve() does.
+  /// Takes the first input into its hard bounds; the inputs after it follow by the gains, also what
+  /// is rounding, as a horizon can make a thousand times as much of it. The residual counts what is
+  /// more than that. Returns what solve() does.
   ProgramStatus clamp_first_input() {
     auto& change = saved_steps_[0];
     change.setZero();
@@ -155,11 +155,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     const Eigen::Matrix<double, Inputs, 1> before = du;
     clamp_input(0, this->step(0).template head<States>(), du);
     change.template segment<Inputs>(States) = du - before;
-    if (change.cwiseAbs().maxCoeff() > 1e-12 * (1.0 + before.cwiseAbs().maxCoeff())) {
+    const double largest = change.cwiseAbs().maxCoeff();
+    if (largest > 0.0) {
       this->riccati.sweep_deviation(saved_steps_, 1);
       for (std::size_t k = 1; k < saved_steps_.size(); ++k) this->steps()[k] += saved_steps_[k];
       this->predict();
-      (void)solved();
+      if (largest > 1e-12 * (1.0 + before.cwiseAbs().maxCoeff())) (void)solved();
     }
     return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
