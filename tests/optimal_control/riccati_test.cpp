@@ -201,7 +201,7 @@ TEST(Riccati, SolvesForOtherGradientsWithoutFactorising) {
     g.setZero();
     g.head<nx + nu>() = random_matrix<Eigen::Matrix<double, nx + nu, 1>>(random);
   }
-  lq.pass.solve([&](int k) -> const auto& { return change[static_cast<std::size_t>(k)]; });
+  lq.pass.solve(change);
   lq.pass.sweep_change(moved);
   for (int k = 0; k <= horizon; ++k) {
     auto& gradient = lq.pass.stage(k).cost.gradient;

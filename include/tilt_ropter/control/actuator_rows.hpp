@@ -100,20 +100,22 @@ class ActuatorRows {
   void derivatives(const Vector& wrench, const Vector& rate, ByWrench&& by_wrench,
                    ByRate&& by_rate) const {
     if (!enabled_) return;
-    using Row = Eigen::Matrix<double, 1, 6>;
     for (int i = 0; i < Rotors; ++i) {
       const Rotor r = rotor(i, wrench, rate);
-      const auto lateral = pseudoinverse_.row(2 * i), vertical = pseudoinverse_.row(2 * i + 1);
-      const Row half_square = r.lateral * lateral + r.vertical * vertical;
-      const Row cross = scale_ * (r.lateral_rate * vertical - r.vertical_rate * lateral);
       const bool held = r.square < hold_square_;
-      const Row allowed = (held ? 0.0 : 2.0 * scale_ * max_rate_(i)) * half_square;
-      by_wrench.row(i) = cross - allowed;
-      by_wrench.row(Rotors + i) = -cross - allowed;
-      by_wrench.row(2 * Rotors + i) =
-          (r.square > 0.0 ? 1.0 / std::sqrt(r.square) : 0.0) * half_square;
-      by_rate.row(i) = scale_ * (r.vertical * lateral - r.lateral * vertical);
-      by_rate.row(Rotors + i) = -by_rate.row(i);
+      const double by_square = held ? 0.0 : 2.0 * scale_ * max_rate_(i),
+                   per_thrust = r.square > 0.0 ? 1.0 / std::sqrt(r.square) : 0.0;
+      for (int j = 0; j < 6; ++j) {
+        const double lateral = pseudoinverse_(2 * i, j), vertical = pseudoinverse_(2 * i + 1, j);
+        const double half_square = r.lateral * lateral + r.vertical * vertical,
+                     cross = scale_ * (r.lateral_rate * vertical - r.vertical_rate * lateral),
+                     cross_by_rate = scale_ * (r.vertical * lateral - r.lateral * vertical);
+        by_wrench(i, j) = cross - by_square * half_square;
+        by_wrench(Rotors + i, j) = -cross - by_square * half_square;
+        by_wrench(2 * Rotors + i, j) = per_thrust * half_square;
+        by_rate(i, j) = cross_by_rate;
+        by_rate(Rotors + i, j) = -cross_by_rate;
+      }
     }
   }
 
@@ -125,10 +127,13 @@ class ActuatorRows {
 
   [[nodiscard]] Rotor rotor(int i, const Vector& wrench, const Vector& rate) const {
     Rotor r{};
-    r.lateral = pseudoinverse_.row(2 * i).dot(wrench);
-    r.vertical = pseudoinverse_.row(2 * i + 1).dot(wrench);
-    r.lateral_rate = pseudoinverse_.row(2 * i).dot(rate);
-    r.vertical_rate = pseudoinverse_.row(2 * i + 1).dot(rate);
+    for (int j = 0; j < 6; ++j) {
+      const double lateral = pseudoinverse_(2 * i, j), vertical = pseudoinverse_(2 * i + 1, j);
+      r.lateral += lateral * wrench(j);
+      r.vertical += vertical * wrench(j);
+      r.lateral_rate += lateral * rate(j);
+      r.vertical_rate += vertical * rate(j);
+    }
     r.square = r.lateral * r.lateral + r.vertical * r.vertical;
     r.cross = r.lateral_rate * r.vertical - r.lateral * r.vertical_rate;
     return r;

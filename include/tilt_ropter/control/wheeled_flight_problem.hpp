@@ -209,28 +209,8 @@ class WheeledFlightProblem {
     validate(wheels);
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
-    const double infinity = std::numeric_limits<double>::infinity();
-    const NmpcBounds& b = settings.bounds;
-    upper_.template head<15>() << b.force_max, b.torque_max, b.angular_velocity, b.force_rate,
-        b.torque_rate;
-    lower_.template head<15>() << b.force_min, b.torque_min, -b.angular_velocity, -b.force_rate,
-        -b.torque_rate;
-    if constexpr (Rotors > 0) {
-      upper_.template tail<3 * Rotors>() = actuators.upper();
-      lower_.template tail<3 * Rotors>().setConstant(-infinity);
-    }
-    // The measured state is not ours to bound, and the last node has no input.
-    first_upper_ = last_upper_ = upper_;
-    first_lower_ = last_lower_ = lower_;
-    first_upper_.template head<9>().setConstant(infinity);
-    first_lower_.template head<9>().setConstant(-infinity);
-    first_upper_.template tail<Rotors>().setConstant(infinity);
-    last_upper_.template segment<6 + 2 * Rotors>(9).setConstant(infinity);
-    last_lower_.template segment<6 + 2 * Rotors>(9).setConstant(-infinity);
-    penalty_.template head<6>().setConstant(settings.penalties.wrench);
-    penalty_.template segment<3>(6).setConstant(settings.penalties.angular_velocity);
-    penalty_.template segment<6>(9).setConstant(settings.penalties.rate);
-    penalty_.template tail<3 * Rotors>().setConstant(settings.penalties.actuators);
+    set_weights();
+    set_bounds();
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal();
   }
 
@@ -327,41 +307,52 @@ class WheeledFlightProblem {
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
     if (ends_with_riccati(k)) return riccati_cost(e);
-    const double state_cost = e.dot(state_weights(k).cwiseProduct(e));
-    return k == horizon() ? state_cost : state_cost + u.dot(input_weights().cwiseProduct(u));
+    const Tangent& q = state_weights(k);
+    double sum = 0.0;
+    for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
+    for (int i = 0; k < horizon() && i < inputs; ++i) sum += u(i) * input_weights_(i) * u(i);
+    return sum;
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
     const Tangent e = error(k, x);
-    const Tangent q = 2.0 * state_weights(k);
-    model.lx() = q.cwiseProduct(e);
-    model.lxx() = q.asDiagonal();
     // d e_q = (w I - [v]x) R(q) dtheta for q (x) q_r^-1 = (w, v).
     const Eigen::Quaterniond turn = attitude_error(k, x);
-    Eigen::Matrix3d by_angle = -skew(turn.vec());
-    by_angle.diagonal().array() += turn.w();
-    const Eigen::Matrix3d jacobian = by_angle * x.body.orientation.toRotationMatrix();
-    if (ends_with_riccati(k)) return set_riccati_model(e, jacobian, model);
-    const Eigen::Matrix3d weighted = q.segment<3>(12).asDiagonal() * jacobian;
-    model.lx().segment<3>(12) = weighted.transpose() * e.segment<3>(12);
-    model.lxx().block<3, 3>(12, 12).noalias() = jacobian.transpose() * weighted;
-    if (k == horizon()) return;
-    const Input r = 2.0 * input_weights();
-    model.lu() = r.cwiseProduct(u);
-    model.luu() = r.asDiagonal();
+    const Triple none{0.0, 0.0, 0.0};
+    const Square by_angle = detail::outer(turn.w(), none, none, {-turn.x(), -turn.y(), -turn.z()}) *
+                            detail::square(x.body.orientation.toRotationMatrix());
+    if (ends_with_riccati(k)) return set_riccati_model(e, by_angle, model);
+    const Tangent& q = state_weights(k);
+    for (int i = 0; i < states; ++i) {
+      model.gradient(i) = 2.0 * q(i) * e(i);
+      model.hessian(i, i) = 2.0 * q(i);
+    }
+    const Square weighted =
+        detail::transposed(detail::scaled(by_angle, {2.0 * q(12), 2.0 * q(13), 2.0 * q(14)}));
+    detail::put(weighted * detail::triple_at(e, 12), model.gradient, 12, 0);
+    detail::put(weighted * by_angle, model.hessian, 12, 12);
+    for (int i = 0; k < horizon() && i < inputs; ++i) {
+      model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
+      model.hessian(states + i, states + i) = 2.0 * input_weights_(i);
+    }
   }
 
   [[nodiscard]] Rows row_values(int, const State& x, const Input& u) const {
+    using detail::triple;
     Rows value;
-    value.template head<15>() << x.wrench.force, x.wrench.torque, x.body.angular_velocity, u;
-    if constexpr (Rotors > 0)
-      value.template tail<3 * Rotors>() = actuators_.values(packed(x.wrench), u);
+    detail::put(triple(x.wrench.force), value, 0, 0);
+    detail::put(triple(x.wrench.torque), value, 3, 0);
+    detail::put(triple(x.body.angular_velocity), value, 6, 0);
+    for (int i = 0; i < inputs; ++i) value(9 + i) = u(i);
+    if constexpr (Rotors > 0) {
+      const auto of_actuators = actuators_.values(packed(x.wrench), u);
+      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + 15);
+    }
     return value;
   }
   void row_derivatives(int, const State& x, const Input& u, RowsX& C, RowsU& E) const {
-    C.template topLeftCorner<6, 6>().diagonal().setOnes();
-    C.template block<3, 3>(6, 15).diagonal().setOnes();
-    E.template block<6, 6>(9, 0).diagonal().setOnes();
+    for (int i = 0; i < 6; ++i) C(i, i) = E(9 + i, i) = 1.0;
+    for (int i = 0; i < 3; ++i) C(6 + i, 15 + i) = 1.0;
     if constexpr (Rotors > 0)
       actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
                              E.template bottomRows<3 * Rotors>());
@@ -376,24 +367,77 @@ class WheeledFlightProblem {
 
   /// v_By, w_x and p_z - r (paper, Eq. mpc_subject), where the node is on the ground.
   [[nodiscard]] Equalities equality_values(int, const State& x) const {
-    const Eigen::Vector3d velocity = x.body.orientation.conjugate() * x.body.velocity;
-    return {velocity.y(), x.body.angular_velocity.x(), x.body.position.z() - wheel_radius_};
+    return {body_velocity(x).y, x.body.angular_velocity.x(), x.body.position.z() - wheel_radius_};
   }
   void equality_derivatives(int, const State& x, EqualitiesX& H) const {
-    const Eigen::Matrix3d to_body = x.body.orientation.conjugate().toRotationMatrix();
-    const Eigen::Vector3d velocity = to_body * x.body.velocity;
-    H.setZero();
-    H.block<1, 3>(0, 9) = to_body.row(1);
-    H.block<1, 3>(0, 12) = skew(velocity).row(1);
+    const Square to_world = detail::square(x.body.orientation.toRotationMatrix());
+    const Triple velocity = body_velocity(x);
+    std::fill_n(H.data(), H.size(), 0.0);
+    H(0, 9) = to_world.y.x;
+    H(0, 10) = to_world.y.y;
+    H(0, 11) = to_world.y.z;
+    H(0, 12) = velocity.z;
+    H(0, 14) = -velocity.x;
     H(1, 15) = 1.0;
     H(2, 8) = 1.0;
   }
   [[nodiscard]] Equalities equality_weights(int k) const {
     if (!node(k).on_ground) return Equalities::Zero();
-    return 2.0 * settings_.weights.ground;
+    const Eigen::Vector3d& w = settings_.weights.ground;
+    return {2.0 * w.x(), 2.0 * w.y(), 2.0 * w.z()};
   }
 
  private:
+  using Triple = detail::Triple<double>;
+  using Square = detail::Square<double>;
+
+  void set_weights() {
+    const NmpcWeights& w = settings_.weights;
+    const Eigen::Vector3d* of_state[] = {&w.force,    &w.torque,      &w.position,
+                                         &w.velocity, &w.orientation, &w.angular_velocity};
+    const Eigen::Vector3d* of_input[] = {&w.force_rate, &w.torque_rate};
+    for (int i = 0; i < 6; ++i) {
+      detail::put(detail::triple(*of_state[i]), state_weights_, 3 * i, 0);
+      detail::put(w.terminal * detail::triple(*of_state[i]), last_state_weights_, 3 * i, 0);
+    }
+    for (int i = 0; i < 2; ++i) detail::put(detail::triple(*of_input[i]), input_weights_, 3 * i, 0);
+  }
+
+  void set_bounds() {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    const NmpcBounds& b = settings_.bounds;
+    const Eigen::Vector3d* upper[] = {&b.force_max, &b.torque_max, &b.angular_velocity,
+                                      &b.force_rate, &b.torque_rate};
+    const Eigen::Vector3d* lower[] = {&b.force_min, &b.torque_min};
+    for (int i = 0; i < 5; ++i) {
+      detail::put(detail::triple(*upper[i]), upper_, 3 * i, 0);
+      const Triple below = i < 2 ? detail::triple(*lower[i]) : -1.0 * detail::triple(*upper[i]);
+      detail::put(below, lower_, 3 * i, 0);
+    }
+    if constexpr (Rotors > 0) {
+      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + 15);
+      std::fill_n(lower_.data() + 15, 3 * Rotors, -infinity);
+    }
+    // The measured state is not ours to bound, and the last node has no input.
+    first_upper_ = last_upper_ = upper_;
+    first_lower_ = last_lower_ = lower_;
+    std::fill_n(first_upper_.data(), 9, infinity);
+    std::fill_n(first_lower_.data(), 9, -infinity);
+    std::fill_n(first_upper_.data() + rows - Rotors, Rotors, infinity);
+    std::fill_n(last_upper_.data() + 9, 6 + 2 * Rotors, infinity);
+    std::fill_n(last_lower_.data() + 9, 6 + 2 * Rotors, -infinity);
+    const NmpcPenalties& p = settings_.penalties;
+    std::fill_n(penalty_.data(), 6, p.wrench);
+    std::fill_n(penalty_.data() + 6, 3, p.angular_velocity);
+    std::fill_n(penalty_.data() + 9, 6, p.rate);
+    std::fill_n(penalty_.data() + 15, 3 * Rotors, p.actuators);
+  }
+
+  [[nodiscard]] static Triple body_velocity(const State& x) {
+    return detail::transposed(detail::square(x.body.orientation.toRotationMatrix())) *
+           detail::triple(x.body.velocity);
+  }
+
   // The rotation from reference to body, on the half of the sphere where it is the shorter one.
   [[nodiscard]] Eigen::Quaterniond attitude_error(int k, const State& x) const {
     Eigen::Quaterniond turn = x.body.orientation * node(k).reference.orientation.conjugate();
@@ -402,11 +446,18 @@ class WheeledFlightProblem {
   }
 
   [[nodiscard]] Tangent error(int k, const State& x) const {
+    using detail::triple;
     const WheeledFlightNode& n = node(k);
+    const auto &wrench = x.wrench, &wrench_reference = n.wrench_reference;
+    const auto &body = x.body, &reference = n.reference;
+    const Eigen::Quaterniond turn = attitude_error(k, x);
     Tangent e;
-    e << x.wrench.force - n.wrench_reference.force, x.wrench.torque - n.wrench_reference.torque,
-        x.body.position - n.reference.position, x.body.velocity - n.reference.velocity,
-        2.0 * attitude_error(k, x).vec(), x.body.angular_velocity - n.reference.angular_velocity;
+    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, 0, 0);
+    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, 3, 0);
+    detail::put(triple(body.position) - triple(reference.position), e, 6, 0);
+    detail::put(triple(body.velocity) - triple(reference.velocity), e, 9, 0);
+    detail::put(2.0 * Triple{turn.x(), turn.y(), turn.z()}, e, 12, 0);
+    detail::put(triple(body.angular_velocity) - triple(reference.angular_velocity), e, 15, 0);
     return e;
   }
 
@@ -414,35 +465,42 @@ class WheeledFlightProblem {
     return k == horizon() && settings_.terminal_cost == TerminalCost::riccati;
   }
 
-  // From the world's axes to those that turn with the heading of the last node's reference.
-  [[nodiscard]] Eigen::Matrix3d to_heading() const {
-    return quaternion_from_yaw(-yaw_of(nodes_.back().reference.orientation)).toRotationMatrix();
-  }
-
-  // In level hover the dynamics of the error are the same for all headings if what of it is in the
+  // From the world's axes to those that turn with the heading of the last node's reference. In
+  // level hover the dynamics of the error are the same for all headings if what of it is in the
   // world's axes, position, velocity and orientation, turns with the heading; the rest is in the
   // body's.
-  [[nodiscard]] Tangent in_heading(Tangent e) const {
-    const Eigen::Matrix3d turn = to_heading();
-    for (const int i : {6, 9, 12}) e.segment<3>(i) = (turn * e.segment<3>(i)).eval();
-    return e;
+  [[nodiscard]] Square to_heading() const {
+    return detail::square(
+        quaternion_from_yaw(-yaw_of(nodes_.back().reference.orientation)).toRotationMatrix());
   }
 
   // Apart, or the code of all other nodes is slower for it.
-  [[nodiscard]] [[gnu::noinline]] double riccati_cost(const Tangent& e) const {
-    const Tangent turned = in_heading(e);
-    return turned.dot(terminal_.front() * turned);
+  [[nodiscard]] [[gnu::noinline]] double riccati_cost(Tangent e) const {
+    const Square turn = to_heading();
+    for (const int i : {6, 9, 12}) detail::put(turn * detail::triple_at(e, i), e, i, 0);
+    double sum = 0.0;
+    for (int j = 0; j < states; ++j)
+      for (int i = 0; i < states; ++i) sum += e(i) * terminal_.front()(i, j) * e(j);
+    return sum;
   }
-  [[gnu::noinline]] void set_riccati_model(const Tangent& e, const Eigen::Matrix3d& by_angle,
+  // e' T' P T e with a T of 3x3 blocks on the diagonal, and its derivatives by the state.
+  [[gnu::noinline]] void set_riccati_model(const Tangent& e, const Square& by_angle,
                                            Model& model) const {
-    const Eigen::Matrix3d turn = to_heading();
-    StateJacobian by_state = StateJacobian::Identity();  // of the error in the heading's frame
-    by_state.block<3, 3>(6, 6) = by_state.block<3, 3>(9, 9) = turn;
-    by_state.block<3, 3>(12, 12) = turn * by_angle;
-    StateJacobian weighted;
-    weighted.noalias() = 2.0 * terminal_.front().lazyProduct(by_state);
-    model.lx().noalias() = weighted.transpose() * in_heading(e);
-    model.lxx().noalias() = by_state.transpose().lazyProduct(weighted);
+    const StateJacobian& P = terminal_.front();
+    const Square one = detail::outer(1.0, Triple{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}),
+                 turn = to_heading();
+    const Square of_error[6] = {one, one, turn, turn, turn, one},
+                 of_state[6] = {one, one, turn, turn, turn * by_angle, one};
+    for (int i = 0; i < 6; ++i) {
+      const Square back = 2.0 * detail::transposed(of_state[i]);
+      Triple gradient{0.0, 0.0, 0.0};
+      for (int j = 0; j < 6; ++j) {
+        const Square block = back * detail::square_at(P, 3 * i, 3 * j);
+        gradient += block * (of_error[j] * detail::triple_at(e, 3 * j));
+        detail::put(block * of_state[j], model.hessian, 3 * i, 3 * j);
+      }
+      detail::put(gradient, model.gradient, 3 * i, 0);
+    }
   }
 
   // At heading zero the tangent coordinates are the error's, to first order.
@@ -453,8 +511,8 @@ class WheeledFlightProblem {
     InputJacobian B;
     (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, A, B);
     Model cost;
-    cost.lxx() = state_weights(0).asDiagonal();
-    cost.luu() = input_weights().asDiagonal();
+    for (int i = 0; i < states; ++i) cost.hessian(i, i) = state_weights_(i);
+    for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = input_weights_(i);
     const std::optional<StateJacobian> P =
         endless_cost<states, inputs, TransitionPattern>(A, B, cost);
     require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
@@ -463,21 +521,14 @@ class WheeledFlightProblem {
     terminal_.push_back(*P);
   }
 
-  [[nodiscard]] Tangent state_weights(int k) const {
-    const NmpcWeights& w = settings_.weights;
-    Tangent q;
-    q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
-    return k == horizon() ? Tangent(w.terminal * q) : q;
-  }
-  [[nodiscard]] Input input_weights() const {
-    Input r;
-    r << settings_.weights.force_rate, settings_.weights.torque_rate;
-    return r;
+  [[nodiscard]] const Tangent& state_weights(int k) const {
+    return k == horizon() ? last_state_weights_ : state_weights_;
   }
 
   [[nodiscard]] static Input packed(const Wrench<>& wrench) {
     Input w;
-    w << wrench.force, wrench.torque;
+    detail::put(detail::triple(wrench.force), w, 0, 0);
+    detail::put(detail::triple(wrench.torque), w, 3, 0);
     return w;
   }
 
@@ -487,6 +538,8 @@ class WheeledFlightProblem {
   double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
+  Tangent state_weights_, last_state_weights_;
+  Input input_weights_;
   std::vector<StateJacobian> terminal_;  // P of TerminalCost::riccati, else nothing
   Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };

@@ -160,16 +160,13 @@ constexpr int padded(int size) {
   return (size + padding - 1) / padding * padding;
 }
 
-/// Width of the packets that the whole program is compiled for.
-#if defined(__AVX__)
-inline constexpr int native_width = 4;
-#else
-inline constexpr int native_width = 2;
-#endif
+/// Width of all packets. Compilers make two of one where registers are shorter, and code that was
+/// written for another width would be read and compiled once more.
+inline constexpr int packet_width = padding;
 
 template <typename Body>
 [[gnu::flatten]] inline auto with_native_instructions(const Body& body) {
-  return body(std::integral_constant<int, native_width>{});
+  return body(std::integral_constant<int, packet_width>{});
 }
 
 /// Returns body(width), compiled for the best instructions there are here, with the width of their
@@ -180,7 +177,7 @@ template <typename Body>
     !defined(TILT_ROPTER_NO_DISPATCH)
 template <typename Body>
 [[gnu::target("avx2,fma"), gnu::flatten]] inline auto with_avx2(const Body& body) {
-  return body(std::integral_constant<int, 4>{});
+  return body(std::integral_constant<int, packet_width>{});
 }
 template <typename Body>
 inline auto vectorised(const Body& body) {

@@ -40,7 +40,7 @@ template <typename Derived>
   using std::sin;
   using std::sqrt;
   using Scalar = typename Derived::Scalar;
-  const Scalar square = theta.squaredNorm();
+  const Scalar square = theta.x() * theta.x() + theta.y() * theta.y() + theta.z() * theta.z();
   Scalar real, scale;
   if (square < Scalar(1e-6)) {
     real = Scalar(1) - square / Scalar(8) + square * square / Scalar(384);
@@ -62,7 +62,7 @@ template <typename Scalar>
   using std::sqrt;
   const Scalar sign = q.w() < Scalar(0) ? Scalar(-1) : Scalar(1);
   const Scalar w = sign * q.w();
-  const Scalar square = q.vec().squaredNorm();
+  const Scalar square = q.x() * q.x() + q.y() * q.y() + q.z() * q.z();
   Scalar scale;
   if (square < Scalar(1e-6)) {
     const Scalar ratio = square / (w * w);
@@ -72,7 +72,8 @@ template <typename Scalar>
     const Scalar half = atan2(n, w);
     scale = Scalar(2) * half / n;
   }
-  return (sign * scale) * q.vec();
+  const Scalar factor = sign * scale;
+  return {Scalar(factor * q.x()), Scalar(factor * q.y()), Scalar(factor * q.z())};
 }
 
 /// Right Jacobian of SO(3): Exp(theta + e) = Exp(theta) Exp(J e) to first order in e

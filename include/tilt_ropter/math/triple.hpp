@@ -97,6 +97,10 @@ template <typename Scalar>
                                                     const Triple<Scalar>& by) {
   return {scaled(m.x, by), scaled(m.y, by), scaled(m.z, by)};
 }
+template <typename Scalar>
+[[gnu::always_inline]] inline Square<Scalar> transposed(const Square<Scalar>& m) {
+  return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z.y}, {m.x.z, m.y.z, m.z.z}};
+}
 /// m times the cross-product matrix of a.
 template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> times_cross(const Square<Scalar>& m,
@@ -128,12 +132,21 @@ template <typename Derived>
     const Eigen::MatrixBase<Derived>& a) {
   return {a.coeff(0), a.coeff(1), a.coeff(2)};
 }
+/// Entries row, row + 1, row + 2 of a column, or of a square from (row, column) on.
+template <typename Matrix>
+[[gnu::always_inline]] inline Triple<typename Matrix::Scalar> triple_at(const Matrix& m, int row,
+                                                                        int column = 0) {
+  return {m.coeff(row, column), m.coeff(row + 1, column), m.coeff(row + 2, column)};
+}
+template <typename Matrix>
+[[gnu::always_inline]] inline Square<typename Matrix::Scalar> square_at(const Matrix& m, int row,
+                                                                        int column) {
+  return {triple_at(m, row, column), triple_at(m, row, column + 1), triple_at(m, row, column + 2)};
+}
 template <typename Derived>
 [[gnu::always_inline]] inline Square<typename Derived::Scalar> square(
     const Eigen::MatrixBase<Derived>& m) {
-  return {{m.coeff(0, 0), m.coeff(1, 0), m.coeff(2, 0)},
-          {m.coeff(0, 1), m.coeff(1, 1), m.coeff(2, 1)},
-          {m.coeff(0, 2), m.coeff(1, 2), m.coeff(2, 2)}};
+  return square_at(m.derived(), 0, 0);
 }
 /// Writes entries row, row + 1, row + 2 of a column.
 template <typename Scalar, typename Matrix>

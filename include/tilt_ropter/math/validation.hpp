@@ -5,60 +5,92 @@
 #include <Eigen/Core>
 
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <type_traits>
 
 /// Checks of parameters at construction. Each throws std::invalid_argument with a sentence that
-/// names the field, its value and what is allowed; none is called in a control loop.
+/// names the field, its value and what is allowed; none is called in a control loop. Where
+/// exceptions are switched off (-fno-exceptions) the sentence goes to stderr and the program ends
+/// by abort().
 namespace tilt_ropter {
+
+namespace detail {
+
+/// The message stands in one place, or every check would be as long as it is.
+[[noreturn, gnu::noinline, gnu::cold]] inline void refuse(std::string_view field,
+                                                          std::string_view value,
+                                                          std::string_view allowed) {
+  std::string message(field);
+  message.append(" = ").append(value).append(": must be ").append(allowed);
+#if defined(__cpp_exceptions)
+  throw std::invalid_argument(message);
+#else
+  std::fprintf(stderr, "tilt_ropter: %s\n", message.c_str());
+  std::abort();
+#endif
+}
+
+/// What `<<` prints.
+template <typename Value>
+[[nodiscard, gnu::noinline, gnu::cold]] std::string printed(const Value& value) {
+  std::ostringstream stream;
+  stream.precision(9);
+  stream << value;
+  return stream.str();
+}
+/// A matrix in one line: Eigen's own printing takes the compiler as long as all the rest of this
+/// header.
+template <typename Value>
+[[nodiscard, gnu::noinline, gnu::cold]] std::string printed_matrix(const Value& value) {
+  std::string text;
+  const char* before = "(";
+  for (Eigen::Index i = 0; i < value.rows(); ++i)
+    for (Eigen::Index j = 0; j < value.cols(); ++j) {
+      text += before + printed(value.coeff(i, j));
+      before = j + 1 < value.cols() || value.cols() == 1 ? ", " : "; ";
+    }
+  return text + ")";
+}
+
+}  // namespace detail
 
 /// Throws "`field` = `value`: must be `allowed`" unless `ok`. `value` is anything that can be
 /// printed; vectors and matrices are printed in one line.
 template <typename Value>
-void require(bool ok, const std::string& field, const Value& value, const std::string& allowed) {
+void require(bool ok, std::string_view field, const Value& value, std::string_view allowed) {
   if (ok) return;
-  std::ostringstream message;
-  message.precision(9);
-  message << field << " = ";
-  if constexpr (std::is_base_of_v<Eigen::EigenBase<Value>, Value>) {
-    // Eigen's own printing takes the compiler as long as all the rest of this header.
-    const char* before = "(";
-    for (Eigen::Index i = 0; i < value.rows(); ++i)
-      for (Eigen::Index j = 0; j < value.cols(); ++j) {
-        message << before << value(i, j);
-        before = j + 1 < value.cols() || value.cols() == 1 ? ", " : "; ";
-      }
-    message << ")";
-  } else {
-    message << value;
-  }
-  message << ": must be " << allowed;
-  throw std::invalid_argument(message.str());
+  if constexpr (std::is_base_of_v<Eigen::EigenBase<Value>, Value>)
+    detail::refuse(field, detail::printed_matrix(value), allowed);
+  else
+    detail::refuse(field, detail::printed(value), allowed);
 }
 
-inline void require_finite(const std::string& field, double value) {
+inline void require_finite(std::string_view field, double value) {
   require(std::isfinite(value), field, value, "finite");
 }
 
-inline void require_positive(const std::string& field, double value) {
+inline void require_positive(std::string_view field, double value) {
   require(std::isfinite(value) && value > 0.0, field, value, "finite and > 0");
 }
 
-inline void require_non_negative(const std::string& field, double value) {
+inline void require_non_negative(std::string_view field, double value) {
   require(std::isfinite(value) && value >= 0.0, field, value, "finite and >= 0");
 }
 
-inline void require_in(const std::string& field, double value, double low, double high) {
+inline void require_in(std::string_view field, double value, double low, double high) {
   if (value >= low && value <= high) return;
   std::ostringstream allowed;
   allowed << "in [" << low << ", " << high << "]";
-  require(false, field, value, allowed.str());
+  detail::refuse(field, detail::printed(value), allowed.str());
 }
 
 /// A point of time [s], on whatever clock: to 300 years from its zero a double tells 2 us apart.
-inline void require_time(const std::string& field, double value) {
+inline void require_time(std::string_view field, double value) {
   require_in(field, value, -1e10, 1e10);
 }
 
@@ -78,44 +110,44 @@ template <typename Derived, typename Condition>
 }  // namespace detail
 
 template <typename Derived>
-void require_finite(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
+void require_finite(std::string_view field, const Eigen::MatrixBase<Derived>& value) {
   require(all_finite(value), field, value.derived(), "finite in every entry");
 }
 
 template <typename Derived>
-void require_non_negative(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
+void require_non_negative(std::string_view field, const Eigen::MatrixBase<Derived>& value) {
   require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x) && x >= 0; }),
           field, value.derived(), "finite and >= 0 in every entry");
 }
 
 template <typename Derived>
-void require_positive(const std::string& field, const Eigen::MatrixBase<Derived>& value) {
+void require_positive(std::string_view field, const Eigen::MatrixBase<Derived>& value) {
   require(detail::all_entries(value, [](const auto& x) { return std::isfinite(x) && x > 0; }),
           field, value.derived(), "finite and > 0 in every entry");
 }
 
 /// Infinite entries are allowed, NaN is not.
 template <typename Derived>
-void require_positive_or_infinite(const std::string& field,
-                                  const Eigen::MatrixBase<Derived>& value) {
+void require_positive_or_infinite(std::string_view field, const Eigen::MatrixBase<Derived>& value) {
   require(detail::all_entries(value, [](const auto& x) { return x > 0; }), field, value.derived(),
           "> 0 in every entry");
 }
 
 /// lower <= upper entry by entry; infinite entries are allowed, NaN is not.
 template <typename Lower, typename Upper>
-void require_ordered(const std::string& field, const Eigen::MatrixBase<Lower>& lower,
+void require_ordered(std::string_view field, const Eigen::MatrixBase<Lower>& lower,
                      const Eigen::MatrixBase<Upper>& upper) {
   bool ordered = true;
   for (Eigen::Index j = 0; j < lower.cols(); ++j)
     for (Eigen::Index i = 0; i < lower.rows(); ++i) ordered = ordered && lower(i, j) <= upper(i, j);
-  require(ordered, field + " lower bound", lower.derived(), "<= the upper bound in every entry");
+  require(ordered, std::string(field) + " lower bound", lower.derived(),
+          "<= the upper bound in every entry");
 }
 
 /// An inertia that some rigid body has: symmetric, positive, and no principal moment larger than
 /// the sum of the two others. That is the same as a positive semi-definite tr(I) / 2 - I, which is
 /// the second moment of its mass.
-inline void require_inertia(const std::string& field, const Eigen::Matrix3d& inertia) {
+inline void require_inertia(std::string_view field, const Eigen::Matrix3d& inertia) {
   require_finite(field, inertia);
   double size = 0.0, asymmetry = 0.0;
   for (int i = 0; i < 3; ++i)

@@ -1,12 +1,15 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
+#include <tilt_ropter/math/singular_values.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/SVD>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <string>
 #include <vector>
@@ -25,11 +28,9 @@ struct AllocationMatrix {
   static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
   static constexpr int components = 2 * Rotors;
 
-  Eigen::Matrix<double, 6, components> matrix =
-      Eigen::Matrix<double, 6, components>::Zero();  ///< A; rows F [1] and M [m]
-  Eigen::Matrix<double, components, 6> pseudoinverse =
-      Eigen::Matrix<double, components, 6>::Zero();  ///< Moore-Penrose
-  Eigen::MatrixXd null_space;                        ///< orthonormal columns, zero where A's are
+  Eigen::Matrix<double, 6, components> matrix = detail::Filled();  ///< A; rows F [1] and M [m]
+  Eigen::Matrix<double, components, 6> pseudoinverse = detail::Filled();  ///< Moore-Penrose
+  Eigen::MatrixXd null_space;  ///< orthonormal columns, zero where A's are
 
   /// Allocates. Throws std::invalid_argument on a geometry that cannot give every wrench, naming
   /// the rank of A and what is out of reach.
@@ -41,7 +42,7 @@ struct AllocationMatrix {
   [[nodiscard]] static Eigen::Matrix<double, 6, 1> singular_values(const Vehicle<Rotors>& vehicle) {
     AllocationMatrix allocation;
     const Columns columns = allocation.fill(vehicle);
-    return decompose(allocation.scaled(columns)).singularValues().template head<6>();
+    return allocation.decompose(columns).values;
   }
 
  private:
@@ -61,80 +62,99 @@ struct AllocationMatrix {
       columns.size = std::max(columns.size, rotor.position.norm() + vehicle.rotor.torque_ratio);
       if (!(rotor.effectiveness > 0.0)) continue;
       if (rotor.tilts) {
-        matrix.col(2 * i) = wrench_of(rotor, -rotor.orientation.col(1), vehicle.rotor);
+        set_column(2 * i, rotor, -1.0, 1, vehicle.rotor);
         columns.of.push_back(2 * i);
       }
-      matrix.col(2 * i + 1) = wrench_of(rotor, rotor.orientation.col(2), vehicle.rotor);
+      set_column(2 * i + 1, rotor, 1.0, 2, vehicle.rotor);
       columns.of.push_back(2 * i + 1);
     }
     return columns;
   }
 
-  static Eigen::Matrix<double, 6, 1> wrench_of(const RotorGeometry& rotor,
-                                               const Eigen::Vector3d& force,
-                                               const RotorParameters& parameters) {
-    Eigen::Matrix<double, 6, 1> wrench;
-    wrench << force, rotor.position.cross(force) -
-                         static_cast<int>(rotor.spin) * parameters.torque_ratio * force;
-    return wrench;
+  /// The wrench of a force of one newton along an axis of the rotor frame, or against it.
+  void set_column(int column, const RotorGeometry& rotor, double sign, int axis,
+                  const RotorParameters& parameters) {
+    const detail::Triple<double> force = sign * detail::triple_at(rotor.orientation, 0, axis);
+    const double drag = static_cast<int>(rotor.spin) * parameters.torque_ratio;
+    detail::put(force, matrix, 0, column);
+    detail::put(detail::cross(detail::triple(rotor.position), force) - drag * force, matrix, 3,
+                column);
   }
 
-  /// Diagonal that measures torques in units of the vehicle's size, so that the rank is that of its
-  /// shape; with full rank the pseudo-inverse does not depend on it.
-  static Eigen::Matrix<double, 6, 1> scale(const Columns& columns) {
-    Eigen::Matrix<double, 6, 1> diagonal;
-    diagonal << 1.0, 1.0, 1.0, Eigen::Vector3d::Constant(1.0 / columns.size);
-    return diagonal;
-  }
+  using Decomposition = SingularValues<6, components>;
 
-  [[nodiscard]] Eigen::MatrixXd scaled(const Columns& columns) const {
-    const auto count = static_cast<Eigen::Index>(columns.of.size());
-    // Made square by zeros, which needs no QR decomposition and spares the compiler two of them.
-    const Eigen::Index side = std::max<Eigen::Index>(count, 6);
-    Eigen::MatrixXd square = Eigen::MatrixXd::Zero(side, side);
-    for (Eigen::Index j = 0; j < count; ++j)
-      square.col(j).head<6>() =
-          scale(columns).asDiagonal() * matrix.col(columns.of[static_cast<std::size_t>(j)]);
+  /// Of A with torques in units of the vehicle's size, so that the rank is that of its shape; with
+  /// full rank the pseudo-inverse does not depend on it.
+  [[nodiscard]] Decomposition decompose(const Columns& columns) const {
+    Eigen::Matrix<double, 6, components> scaled = matrix;
+    for (int j = 0; j < components; ++j)
+      for (int i = 3; i < 6; ++i) scaled(i, j) /= columns.size;
     // Products of finite numbers may overflow, and the decomposition's rank is nonsense then.
-    require(all_finite(square), "size of the vehicle [m]", columns.size,
+    double squares = 0.0;
+    for (Eigen::Index i = 0; i < scaled.size(); ++i) squares += scaled(i) * scaled(i);
+    require(std::isfinite(squares), "size of the vehicle [m]", columns.size,
             "one whose products are finite");
-    return square;
+    return Decomposition(scaled);
   }
 
   void invert(const Columns& columns) {
-    const auto count = static_cast<Eigen::Index>(columns.of.size());
-    const auto svd = decompose(scaled(columns));
-    require_rank(svd.matrixU(), svd.rank());
+    const Decomposition svd = decompose(columns);
+    require_rank(svd);
+    for (int i = 0; i < components; ++i)
+      for (int j = 0; j < 6; ++j) {
+        double sum = 0.0;
+        for (int s = 0; s < 6; ++s) sum += svd.right(s, i) / svd.values(s) * svd.left(j, s);
+        pseudoinverse(i, j) = j < 3 ? sum : sum / columns.size;
+      }
+    set_null_space(columns, svd);
+  }
 
-    const Eigen::MatrixXd inverse =
-        svd.matrixV().leftCols(6) *
-        svd.singularValues().template head<6>().cwiseInverse().asDiagonal() *
-        svd.matrixU().template topLeftCorner<6, 6>().transpose() * scale(columns).asDiagonal();
-    null_space.setZero(components, count - 6);
-    for (Eigen::Index j = 0; j < count; ++j) {
-      const int row = columns.of[static_cast<std::size_t>(j)];
-      pseudoinverse.row(row) = inverse.row(j);
-      if (count > 6) null_space.row(row) = svd.matrixV().row(j).tail(count - 6);
+  /// Completes the rows of `svd` to a basis, by the unit vector that is farthest from what there
+  /// is, again and again, made orthogonal to it twice, for rounding.
+  void set_null_space(const Columns& columns, const Decomposition& svd) {
+    const auto count = static_cast<Eigen::Index>(columns.of.size()) - 6;
+    null_space = Eigen::MatrixXd(components, count);
+    for (Eigen::Index n = 0; n < count; ++n) {
+      int farthest = columns.of.front();
+      double most = -1.0;
+      for (const int j : columns.of) {
+        double square = 1.0;
+        for (int s = 0; s < 6; ++s) square -= svd.right(s, j) * svd.right(s, j);
+        for (Eigen::Index m = 0; m < n; ++m) square -= null_space(j, m) * null_space(j, m);
+        if (square > most) {
+          most = square;
+          farthest = j;
+        }
+      }
+      double* vector = null_space.data() + components * n;
+      std::fill_n(vector, components, 0.0);
+      vector[farthest] = 1.0;
+      const auto take_out = [&](const auto& entry) {
+        double along = 0.0;
+        for (int i = 0; i < components; ++i) along += vector[i] * entry(i);
+        for (int i = 0; i < components; ++i) vector[i] -= along * entry(i);
+      };
+      for (int twice = 0; twice < 2; ++twice) {
+        for (int s = 0; s < 6; ++s) take_out([&](int i) { return svd.right(s, i); });
+        for (Eigen::Index m = 0; m < n; ++m) take_out([&](int i) { return null_space(i, m); });
+      }
+      double square = 0.0;
+      for (int i = 0; i < components; ++i) square += vector[i] * vector[i];
+      for (int i = 0; i < components; ++i) vector[i] /= std::sqrt(square);
     }
   }
 
-  /// A template, so that the compiler looks at it only where a matrix is made.
-  template <typename Matrix>
-  static auto decompose(const Matrix& square) {
-    Eigen::JacobiSVD<Matrix, Eigen::NoQRPreconditioner> svd(
-        square, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    svd.setThreshold(1e-6);
-    return svd;
-  }
-
-  static void require_rank(const Eigen::MatrixXd& left_vectors, Eigen::Index rank) {
+  static void require_rank(const Decomposition& svd) {
+    const int rank = svd.rank(1e-6);
     if (rank == 6) return;
     static constexpr const char* names[] = {"force x",  "force y",  "force z",
                                             "torque x", "torque y", "torque z"};
     std::string missing;
-    for (int axis = 0; axis < 6; ++axis)
-      if (left_vectors.row(axis).tail(left_vectors.cols() - rank).norm() > 1e-6)
-        missing += (missing.empty() ? "" : ", ") + std::string(names[axis]);
+    for (int axis = 0; axis < 6; ++axis) {
+      double square = 0.0;
+      for (int s = rank; s < 6; ++s) square += svd.left(axis, s) * svd.left(axis, s);
+      if (square > 1e-12) missing += (missing.empty() ? "" : ", ") + std::string(names[axis]);
+    }
     require(false, "rank of the allocation matrix", rank,
             "6, but " + std::to_string(6 - rank) +
                 " direction(s) of the wrench cannot be produced; out of reach by themselves are " +

@@ -42,8 +42,11 @@ class RigidBody {
   explicit RigidBody(const RigidBodyParameters& parameters) {
     validate(parameters);
     mass_ = Scalar(parameters.mass);
-    inertia_ = parameters.inertia.cast<Scalar>();
-    inverse_inertia_ = Eigen::Matrix3d(parameters.inertia.inverse()).cast<Scalar>();
+    const Eigen::Matrix3d inverse = parameters.inertia.inverse();
+    for (int i = 0; i < 9; ++i) {
+      inertia_(i) = Scalar(parameters.inertia(i));
+      inverse_inertia_(i) = Scalar(inverse(i));
+    }
   }
 
   [[nodiscard]] const Scalar& mass() const { return mass_; }
@@ -207,8 +210,9 @@ class RigidBody {
     orientation.coeffRef(3) = per_length * real;
     if constexpr (!WithSensitivity) return;
 
-    A->setIdentity();
-    B->setZero();
+    for (int i = 0; i < 18 * 18; ++i) A->coeffRef(i) = zero;
+    for (int i = 0; i < 18 * 6; ++i) B->coeffRef(i) = zero;
+    for (int i = 0; i < 18; ++i) A->coeffRef(i, i) = one;
     for (int i = 0; i < 6; ++i) B->coeffRef(i, i) = dt;
     for (int i = 0; i < 3; ++i) A->coeffRef(6 + i, 9 + i) = dt;
     detail::put(to_world * position_by_force, *A, 6, 0);

@@ -80,13 +80,16 @@ template <typename Scalar>
 template <typename Scalar>
 [[nodiscard]] State<Scalar> retract(const State<Scalar>& x, const StateTangent<Scalar>& dx) {
   State<Scalar> y;
-  y.wrench.force = x.wrench.force + dx.template segment<3>(0);
-  y.wrench.torque = x.wrench.torque + dx.template segment<3>(3);
-  y.body.position = x.body.position + dx.template segment<3>(6);
-  y.body.velocity = x.body.velocity + dx.template segment<3>(9);
+  const auto add = [&dx](const Vector3<Scalar>& from, int first, Vector3<Scalar>& to) {
+    for (int i = 0; i < 3; ++i) to(i) = from(i) + dx(first + i);
+  };
+  add(x.wrench.force, 0, y.wrench.force);
+  add(x.wrench.torque, 3, y.wrench.torque);
+  add(x.body.position, 6, y.body.position);
+  add(x.body.velocity, 9, y.body.velocity);
   y.body.orientation =
-      (x.body.orientation * quaternion_exp(dx.template segment<3>(12))).normalized();
-  y.body.angular_velocity = x.body.angular_velocity + dx.template segment<3>(15);
+      (x.body.orientation * quaternion_exp(Vector3<Scalar>(dx(12), dx(13), dx(14)))).normalized();
+  add(x.body.angular_velocity, 15, y.body.angular_velocity);
   return y;
 }
 
@@ -94,11 +97,17 @@ template <typename Scalar>
 template <typename Scalar>
 [[nodiscard]] StateTangent<Scalar> difference(const State<Scalar>& y, const State<Scalar>& x) {
   StateTangent<Scalar> dx;
-  dx << y.wrench.force - x.wrench.force, y.wrench.torque - x.wrench.torque,
-      y.body.position - x.body.position, y.body.velocity - x.body.velocity,
-      quaternion_log(
-          Eigen::Quaternion<Scalar>(x.body.orientation.conjugate() * y.body.orientation)),
-      y.body.angular_velocity - x.body.angular_velocity;
+  const auto subtract = [&dx](const Vector3<Scalar>& to, const Vector3<Scalar>& from, int first) {
+    for (int i = 0; i < 3; ++i) dx(first + i) = to(i) - from(i);
+  };
+  subtract(y.wrench.force, x.wrench.force, 0);
+  subtract(y.wrench.torque, x.wrench.torque, 3);
+  subtract(y.body.position, x.body.position, 6);
+  subtract(y.body.velocity, x.body.velocity, 9);
+  const Vector3<Scalar> turn = quaternion_log(
+      Eigen::Quaternion<Scalar>(x.body.orientation.conjugate() * y.body.orientation));
+  for (int i = 0; i < 3; ++i) dx(12 + i) = turn(i);
+  subtract(y.body.angular_velocity, x.body.angular_velocity, 15);
   return dx;
 }
 

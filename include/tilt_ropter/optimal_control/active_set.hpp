@@ -56,32 +56,38 @@ class ActiveSet {
   /// How much it costs to move a constraint with this gradient, from the curvature of the last pass
   /// in which none held.
   [[nodiscard]] double curvature(int k, const typename Program::Vector& row) const {
-    const auto squares = row.cwiseAbs2();
-    const double sum = squares.sum();
-    return squares.dot(curvatures_[static_cast<std::size_t>(k)]) / (sum * sum);
+    const auto& curvature = curvatures_[static_cast<std::size_t>(k)];
+    double squares = 0.0, weighted = 0.0;
+    for (Eigen::Index j = 0; j < row.size(); ++j) {
+      squares += row(j) * row(j);
+      weighted += row(j) * row(j) * curvature(j);
+    }
+    return weighted / (squares * squares);
   }
 
   /// A pass in which no constraint holds: notes the curvature that weights are measured by. False
   /// if the cost has no minimum.
   [[nodiscard]] bool factorise_free(Program& program, double damping) {
     double most = 0.0;
-    const bool good = program.riccati.factorise(
-        damping, [&](int k, double* hessian, double*) __attribute__((always_inline)) {
-          auto& c = curvatures_[static_cast<std::size_t>(k)];
-          for (int j = 0; j < Program::width; ++j) {
-            c(j) = hessian[(Program::rows + 1) * j];
-            most = std::max(most, c(j));
-          }
-        });
-    for (auto& c : curvatures_) c = c.cwiseMax(least_curvature * most);
+    const auto note = [&](int k, double* hessian, double*) {
+      auto& c = curvatures_[static_cast<std::size_t>(k)];
+      for (int j = 0; j < Program::width; ++j) {
+        c(j) = hessian[(Program::rows + 1) * j];
+        most = std::max(most, c(j));
+      }
+    };
+    const bool good = program.riccati.factorise(damping, note);
+    for (auto& c : curvatures_)
+      for (Eigen::Index j = 0; j < c.size(); ++j) c(j) = std::max(c(j), least_curvature * most);
     return good;
   }
 
   /// One pass with what is assumed. False if the cost has no minimum.
   [[nodiscard]] bool factorise(Program& program, double damping) {
-    return program.riccati.factorise(
-        damping, [&](int k, double* hessian, double* gradient)
-                     __attribute__((always_inline)) { add_terms(program, k, hessian, gradient); });
+    const auto terms = [&](int k, double* hessian, double* gradient) {
+      add_terms(program, k, hessian, gradient);
+    };
+    return program.riccati.factorise(damping, terms);
   }
 
   /// Makes weights ten times as large, as far as rounding allows: where many constraints hold, the
@@ -92,7 +98,7 @@ class ActiveSet {
   /// `program`. Returns the number of constraints that contradict what was assumed; from now on the
   /// opposite is.
   int solve(Program& program, const typename Program::Tangent& dx0) {
-    program.step(0).template head<States>() = dx0;
+    program.set_first(dx0);
     program.riccati.sweep(program.steps());
     program.predict();
     int contradictions = 0;
@@ -118,8 +124,7 @@ class ActiveSet {
     return offsets_[static_cast<std::size_t>(k)][static_cast<std::size_t>(i)];
   }
 
-  [[gnu::always_inline]] inline void add_terms(const Program& program, int k, double* hessian,
-                                               double* gradient) {
+  void add_terms(const Program& program, int k, double* hessian, double* gradient) {
     constexpr int width = Program::width, rows = Program::rows;
     for (int i = 0; i < Rows; ++i) {
       const int assumed = state(k, i);

@@ -25,14 +25,18 @@ class AugmentedLagrangian {
 
   /// Allocates; the functions below do not.
   AugmentedLagrangian(int horizon, double max_multiplier)
-      : multipliers_(static_cast<std::size_t>(horizon) + 1, Equalities::Zero()),
+      : multipliers_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
         added_(multipliers_.size()),
         max_multiplier_(max_multiplier) {}
 
   /// True if node k has an equality with a weight, or with one that is no number.
   [[nodiscard]] bool has(const Problem& problem, int k) const {
-    if constexpr (D::ne > 0) return !(weights(problem, k).array() <= 0.0).all();
-    return false;
+    bool any = false;
+    if constexpr (D::ne > 0) {
+      const Equalities w = weights(problem, k);
+      for (int i = 0; i < D::ne; ++i) any |= !(w(i) <= 0.0);
+    }
+    return any;
   }
   /// True if any node has.
   [[nodiscard]] bool any(const Problem& problem) const {
@@ -42,7 +46,7 @@ class AugmentedLagrangian {
   }
 
   void forget_multipliers() {
-    for (Equalities& m : multipliers_) m.setZero();
+    for (Equalities& m : multipliers_) detail::fill(m, 0.0);
   }
   /// Multipliers move `nodes` ahead, those of the last node stay.
   void shift(int nodes) {
@@ -65,8 +69,11 @@ class AugmentedLagrangian {
       typename D::EqualitiesX H;
       problem.equality_derivatives(k, x, H);
       Added& added = added_[static_cast<std::size_t>(k)];
-      for (int j = 0; j < D::nx; ++j)  // most entries are zero as a rule
-        if ((H.col(j).array() != 0.0).any()) added.columns[added.count++] = j;
+      for (int j = 0; j < D::nx; ++j) {  // most entries are zero as a rule
+        bool any = false;
+        for (int i = 0; i < D::ne; ++i) any |= H(i, j) != 0.0;
+        if (any) added.columns[added.count++] = j;
+      }
       const auto columns = added.begin(), end = added.end();
       double* entry = added.entries.data();
       for (auto a = columns; a != end; ++a) {
@@ -139,12 +146,16 @@ class AugmentedLagrangian {
 
     std::size_t count = 0;
     std::array<int, static_cast<std::size_t>(D::nx)> columns{};
-    std::array<double, static_cast<std::size_t>(D::nx * (D::nx + 1))> entries{};
+    std::array<double, static_cast<std::size_t>(D::nx*(D::nx + 1))> entries{};
   };
 
   // The measured state is not ours to change.
   [[nodiscard]] Equalities weights(const Problem& problem, int k) const {
-    return k == 0 ? Equalities::Zero() : Equalities(scale_ * problem.equality_weights(k));
+    Equalities w = detail::Filled();
+    if (k == 0) return w;
+    w = problem.equality_weights(k);
+    for (int i = 0; i < D::ne; ++i) w(i) *= scale_;
+    return w;
   }
   [[nodiscard]] const Equalities& multiplier(int k) const {
     return multipliers_[static_cast<std::size_t>(k)];

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
@@ -9,6 +10,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <vector>
 
 namespace tilt_ropter {
@@ -34,7 +36,7 @@ class InteriorPoint {
   /// Allocates everything for `horizon` intervals.
   explicit InteriorPoint(int horizon)
       : nodes_(static_cast<std::size_t>(horizon) + 1),
-        here_(nodes_.size(), Vector::Zero()),
+        here_(nodes_.size(), detail::Filled()),
         change_(here_),
         cost_gradients_(here_),
         gradients_(here_),
@@ -61,8 +63,8 @@ class InteriorPoint {
     read_rows(program);
     if (sides_.empty()) return false;
     double gain = 0.0;
-    for (Vector& w : here_) w.setZero();
-    here_[0].template head<States>() = program.dx(0);
+    for (Vector& w : here_) detail::fill(w, 0.0);
+    detail::copy_first(States, program.step(0), here_[0]);
     program.riccati.roll_out(here_);
     if (!(largest(here_) <= 100.0 * largest(program.steps()))) {
       program.riccati.sweep_plan(here_);
@@ -85,11 +87,11 @@ class InteriorPoint {
   /// Instead of start(): the same program with another initial step. Inputs follow the difference
   /// by the gains of the last pass. False, and nothing is done, if a number is not finite.
   [[nodiscard]] bool go_on(Program& program, const typename Program::Tangent& dx0) {
-    change_[0].template head<States>() = dx0 - here_[0].template head<States>();
+    for (int i = 0; i < States; ++i) change_[0](i) = dx0(i) - here_[0](i);
     program.riccati.sweep_deviation(change_);
     if (!(largest(change_) < infinity)) return false;
     multiply_rows(program, change_);
-    for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += change_[k];
+    add_change(1.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[static_cast<std::size_t>(i)];
       const double change = side.sign * of_rows_(side.at);
@@ -102,10 +104,13 @@ class InteriorPoint {
   /// One iteration. False if there is no factorisation or a number is not finite.
   [[nodiscard]] bool iterate(Program& program) {
     const double mu = set_weights() / (2.0 * static_cast<double>(count()));
-    if (!program.riccati.factorise(
-            damping_, [&](int k, double* hessian, double*)
-                          __attribute__((always_inline)) { add_weights(k, hessian); }))
-      return false;
+    const auto weights = [this](int k, double* hessian, double*) {
+      detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+        add_weights<packet()>(k, hessian);
+        return true;
+      });
+    };
+    if (!program.riccati.factorise(damping_, weights)) return false;
     set_cost_gradients(program);
     aim_at_solution();
     find_direction(program);
@@ -145,7 +150,7 @@ class InteriorPoint {
   void finish(Program& program, bool decided) const {
     for (int k = 0; k <= program.horizon(); ++k) {
       program.step(k) = here_[static_cast<std::size_t>(k)];
-      program.node(k).multiplier.setZero();
+      detail::fill(program.node(k).multiplier, 0.0);
     }
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[static_cast<std::size_t>(i)];
@@ -184,12 +189,20 @@ class InteriorPoint {
   [[nodiscard]] static double largest(const std::vector<Vector>& w) {
     double most = 0.0, sum = 0.0;  // the sum is NaN if any is
     for (const Vector& v : w) {
-      most = std::max(most, v.cwiseAbs().maxCoeff());
-      sum += v.sum();
+      for (Eigen::Index i = 0; i < v.size(); ++i) {
+        most = std::max(most, std::abs(v(i)));
+        sum += v(i);
+      }
     }
     return std::isfinite(sum) ? most : infinity;
   }
   [[nodiscard]] Eigen::Index count() const { return static_cast<Eigen::Index>(sides_.size()); }
+
+  // here_ += length change_.
+  void add_change(double length) {
+    for (std::size_t k = 0; k < here_.size(); ++k)
+      for (Eigen::Index i = 0; i < here_[k].size(); ++i) here_[k](i) += length * change_[k](i);
+  }
 
   // Which bounds there are, and which entries of their rows; value_change_ is what their values are
   // at the step in `program`.
@@ -202,7 +215,7 @@ class InteriorPoint {
       node.bounds = node.dense = node.columns = 0;
       std::array<bool, static_cast<std::size_t>(Program::width)> reached{};
       for (int i = 0; i < Rows; ++i) {
-        const bool above = n.upper(i)<infinity, below = n.lower(i)> - infinity;
+        const bool above = std::isfinite(n.upper(i)), below = std::isfinite(n.lower(i));
         if (!above && !below) continue;
         Vector& gradient = node.gradient[static_cast<std::size_t>(node.dense)];
         gradient = program.row_gradient(k, i);
@@ -262,9 +275,9 @@ class InteriorPoint {
       for (int k = 0; k <= program.horizon(); ++k) {
         const auto i = static_cast<std::size_t>(k);
         program.template cost_gradient<packet()>(k, program.step(k), damping_, gradients_[i]);
-        sum += 0.5 * (cost_gradients_[i] + gradients_[i])
-                         .template head<Program::width>()
-                         .dot((here_[i] - program.step(k)).template head<Program::width>());
+        for (int j = 0; j < Program::width; ++j)
+          sum +=
+              0.5 * (cost_gradients_[i](j) + gradients_[i](j)) * (here_[i](j) - program.step(k)(j));
       }
       return true;
     });
@@ -380,14 +393,15 @@ class InteriorPoint {
           detail::store<W>(weight_.data() + i, weight);
           total += l * t + rest * s;
         });
-    of_rows_.setZero();
+    detail::fill(of_rows_, 0.0);
     for (Eigen::Index i = 0; i < count(); ++i)
       of_rows_(sides_[static_cast<std::size_t>(i)].at) += weight_(i);
     return sum;
   }
 
+  template <int W>
   [[gnu::always_inline]] inline void add_weights(int k, double* hessian) const {
-    constexpr int rows = Program::rows, W = detail::padding, packets = rows / W;
+    constexpr int rows = Program::rows, packets = rows / W;
     const NodeRowsRead& node = nodes_[static_cast<std::size_t>(k)];
     const double* weights = of_rows_.data() + Rows * k;
     for (int b = 0; b < node.bounds; ++b) {
@@ -476,7 +490,7 @@ class InteriorPoint {
 
   // The step for these multipliers, and how it changes the values.
   void find_direction(Program& program) {
-    of_rows_.setZero();
+    detail::fill(of_rows_, 0.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[static_cast<std::size_t>(i)];
       of_rows_(side.at) += side.sign * push_(i);
@@ -490,9 +504,8 @@ class InteriorPoint {
       }
       return true;
     });
-    program.riccati.solve(
-        [&](int k) -> const Vector& { return gradients_[static_cast<std::size_t>(k)]; });
-    change_[0].template head<States>().setZero();
+    program.riccati.solve(gradients_);
+    std::fill_n(change_[0].data(), States, 0.0);
     program.riccati.sweep_change(change_);
     multiply_rows(program, change_);
     for (Eigen::Index i = 0; i < count(); ++i) {
@@ -589,7 +602,7 @@ class InteriorPoint {
     const double primal = lengths.primal, dual = lengths.dual;
     if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
       return false;
-    for (std::size_t k = 0; k < here_.size(); ++k) here_[k] += primal * change_[k];
+    add_change(primal);
     const double sum =
         sum_of_sides([&](auto packet, Eigen::Index i, auto& total) __attribute__((always_inline)) {
           constexpr int W = packet();

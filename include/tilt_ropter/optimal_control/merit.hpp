@@ -51,7 +51,9 @@ class Merit {
       const auto& s = program.riccati.stage(k);
       const auto& rows = program.node(k);
       Rows& row_weight = row_weights_[static_cast<std::size_t>(k)];
-      slope += s.cost.gradient.template head<D::nx>().dot(program.dx(k));
+      const double* step = program.step(k).data();  // (dx, du)
+      for (int i = 0; i < (k < horizon ? D::nx + D::nu : D::nx); ++i)
+        slope += s.cost.gradient(i) * step[i];
       for (int i = 0; i < AllRows::count; ++i) {
         follow(row_weight(i), rows.multiplier(i));
         // Beyond the price, the merit would rise towards the solution that pays it.
@@ -61,15 +63,10 @@ class Merit {
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
-        slope += s.cost.gradient.template segment<D::nu>(D::nx).dot(program.du(k));
         for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), adjoint(i));
-        slope -= defect_weight.dot(s.defect.template head<D::nx>().cwiseAbs());
-        adjoint = (s.A().transpose() * adjoint).eval();
+        slope -= weighted_norm(defect_weight, s.defect.data());
       }
-      typename Program::Vector gradient;
-      program.template cost_gradient<2>(k, program.step(k), program.damping(), gradient);
-      adjoint += gradient.template head<D::nx>();
-      adjoint.noalias() += rows.C.transpose() * rows.multiplier;
+      adjoint = adjoint_before(program, k, adjoint);
     }
     return slope;
   }
@@ -82,8 +79,7 @@ class Merit {
     for (int k = 0; k <= here.horizon(); ++k) {
       sum += equalities.value(problem, k, here.x(k)) + of_rows(program, k, program.node(k).value);
       if (k < here.horizon())
-        sum +=
-            defect_weight(k).dot(program.riccati.stage(k).defect.template head<D::nx>().cwiseAbs());
+        sum += weighted_norm(defect_weight(k), program.riccati.stage(k).defect.data());
     }
     return sum;
   }
@@ -98,9 +94,10 @@ class Merit {
       const auto& u = at.u(k);
       sum += problem.cost(k, x, u) + equalities.value(problem, k, x);
       sum += of_rows(program, k, AllRows::values(problem, k, x, u));
-      if (k < at.horizon())
-        sum +=
-            defect_weight(k).dot(problem.difference(problem.step(k, x, u), at.x(k + 1)).cwiseAbs());
+      if (k < at.horizon()) {
+        const Tangent defect = problem.difference(problem.step(k, x, u), at.x(k + 1));
+        sum += weighted_norm(defect_weight(k), defect.data());
+      }
     }
     return sum;
   }
@@ -109,6 +106,25 @@ class Merit {
   static void follow(double& weight, double multiplier) {
     const double m = 1.1 * std::abs(multiplier);
     weight = std::max(m, 0.5 * (weight + m));
+  }
+
+  // The multiplier of the continuity that ends at node k, from that of the next one (k < N).
+  [[nodiscard]] static Tangent adjoint_before(const Program& program, int k, const Tangent& after) {
+    typename Program::Vector gradient;
+    program.template cost_gradient<2>(k, program.step(k), program.damping(), gradient);
+    program.template add_row_gradients<2>(k, program.node(k).multiplier.data(), gradient);
+    const auto& transition = program.riccati.stage(k).transition;
+    Tangent before;
+    for (int j = 0; j < D::nx; ++j) before(j) = gradient(j);
+    for (int i = 0; k < program.horizon() && i < D::nx; ++i)
+      for (int j = 0; j < D::nx; ++j) before(j) += transition(j, i) * after(i);
+    return before;
+  }
+
+  [[nodiscard]] static double weighted_norm(const Tangent& weight, const double* defect) {
+    double sum = 0.0;
+    for (int i = 0; i < D::nx; ++i) sum += weight(i) * std::abs(defect[i]);
+    return sum;
   }
 
   [[nodiscard]] const Tangent& defect_weight(int k) const {

@@ -55,7 +55,7 @@ class MultipleShooting {
         equalities_(horizon_, settings.max_multiplier),
         search_(horizon_, settings) {
     lanes_A_.setIdentity();
-    lanes_B_.setZero();
+    detail::fill(lanes_B_, 0.0);
   }
 
   [[nodiscard]] Problem& problem() { return problem_; }
@@ -91,8 +91,8 @@ class MultipleShooting {
   void reset(const State& x0) {
     for (int k = 0; k <= horizon_; ++k) {
       here_.x(k) = x0;
-      here_.u(k).setZero();
-      program_.node(k).multiplier.setZero();
+      detail::fill(here_.u(k), 0.0);
+      detail::fill(program_.node(k).multiplier, 0.0);
     }
     equalities_.forget_multipliers();
     program_.forget();
@@ -179,7 +179,7 @@ class MultipleShooting {
       if (!program_.has_step()) {
         if (!goes_on) trial_ = here_;
       } else if (has_plan(report_.status)) {
-        report_.kkt = std::max(report_.kkt, dx0.cwiseAbs().maxCoeff());
+        report_.kkt = std::max(report_.kkt, detail::largest(dx0));
         next.set_moved(problem_, base, program_, 1.0);
         if (!all_finite(problem_.difference(next.x(horizon_), base.x(horizon_)))) {
           report_.status = SolveStatus::failed;
@@ -198,7 +198,7 @@ class MultipleShooting {
   /// After a feedback() whose plan cannot be used: back to the plan before it, without multipliers.
   void take_back() noexcept {
     here_.swap(trial_);
-    for (int k = 0; k <= horizon_; ++k) program_.node(k).multiplier.setZero();
+    for (int k = 0; k <= horizon_; ++k) detail::fill(program_.node(k).multiplier, 0.0);
     program_.forget();
     prepared_ = false;
   }
@@ -325,7 +325,7 @@ class MultipleShooting {
       const Tangent defect = problem_.difference(end, here_.x(k + 1));
       program_.riccati.set_defect(k, defect);
       finite = finite && all_finite(defect);
-      report_.max_defect = std::max(report_.max_defect, defect.cwiseAbs().maxCoeff());
+      report_.max_defect = std::max(report_.max_defect, detail::largest(defect));
     };
     if constexpr (HasLanes<Problem>::value) {
       State ends[Lanes::count];
@@ -361,8 +361,8 @@ class MultipleShooting {
         [&](auto, int k, auto& g)
             __attribute__((always_inline)) { g = program_.riccati.stage(k).cost.gradient; },
         [&](int k, const auto& sum, const auto&) {
-          if (k < horizon_)
-            residual = std::max(residual, sum.template segment<nu>(nx).cwiseAbs().maxCoeff());
+          for (int j = nx; k < horizon_ && j < nx + nu; ++j)
+            residual = std::max(residual, std::abs(sum(j)));
         });
     for (const auto& [k, i] : program_.active()) {
       const auto& rows = program_.node(k);
@@ -443,7 +443,7 @@ class MultipleShooting {
   // The next iterate of solve().
   SolveStatus advance(bool prepared, Clock::time_point end) {
     SolveStatus status =
-        prepared ? solve_program(Tangent::Zero(), end, false) : SolveStatus::failed;
+        prepared ? solve_program(detail::Filled(), end, false) : SolveStatus::failed;
     if (status == SolveStatus::failed)
       return search_.on_trust() ? search_.go_back(problem_, here_, false) : status;
     if (status == SolveStatus::time_limit) return status;

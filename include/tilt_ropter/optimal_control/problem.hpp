@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/packet.hpp>
 
 #include <Eigen/Core>
@@ -153,8 +154,8 @@ class QuadraticModel {
 
   /// How the solver has it: in the order (dx, du), filled up with zeros to whole packets; lux' in
   /// the columns of du alone.
-  Eigen::Matrix<double, rows, width> hessian = Eigen::Matrix<double, rows, width>::Zero();
-  Eigen::Matrix<double, rows, 1> gradient = Eigen::Matrix<double, rows, 1>::Zero();
+  Eigen::Matrix<double, rows, width> hessian = detail::Filled();
+  Eigen::Matrix<double, rows, 1> gradient = detail::Filled();
 };
 
 /// Which entries of [A B] can be non-zero: here all. A problem that knows better says so in a type

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
@@ -95,28 +96,30 @@ class ProblemRows {
     if constexpr (of_end >= 0) {
       if (k == problem.horizon()) {
         if constexpr (of_end > 0) {
-          lower.template head<of_end>() = problem.terminal_lower();
-          upper.template head<of_end>() = problem.terminal_upper();
-          price.template head<of_end>() = problem.terminal_penalty();
+          detail::copy_first(of_end, problem.terminal_lower(), lower);
+          detail::copy_first(of_end, problem.terminal_upper(), upper);
+          detail::copy_first(of_end, problem.terminal_penalty(), price);
           if constexpr (HasTerminalQuadratic<Problem>::value)
-            stiffness.template head<of_end>() = problem.terminal_quadratic_penalty();
+            detail::copy_first(of_end, problem.terminal_quadratic_penalty(), stiffness);
         }
         return;
       }
     }
     if constexpr (of_nodes > 0) {
-      lower.template head<of_nodes>() = problem.lower(k);
-      upper.template head<of_nodes>() = problem.upper(k);
-      price.template head<of_nodes>() = problem.penalty(k);
+      detail::copy_first(of_nodes, problem.lower(k), lower);
+      detail::copy_first(of_nodes, problem.upper(k), upper);
+      detail::copy_first(of_nodes, problem.penalty(k), price);
       if constexpr (HasQuadratic<Problem>::value)
-        stiffness.template head<of_nodes>() = problem.quadratic_penalty(k);
+        detail::copy_first(of_nodes, problem.quadratic_penalty(k), stiffness);
     }
   }
 
   /// True if row i, with these derivatives at node k, has a meaning there: node N has no input.
   [[nodiscard]] static bool applies(const Problem& problem, int k, const ByInput& E, int i) {
-    if constexpr (count > 0) return k < problem.horizon() || of_end >= 0 || E.row(i).isZero(0.0);
-    return false;
+    if constexpr (count == 0) return false;
+    bool sees_input = false;
+    for (int j = 0; j < D::nu; ++j) sees_input |= E(i, j) != 0.0;
+    return k < problem.horizon() || of_end >= 0 || !sees_input;
   }
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/active_set.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
@@ -124,8 +125,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
 
   /// Takes the input step du of node k at this dx into its hard bounds: those of constraints that
   /// see one input (and the state).
-  template <typename StateStep, typename InputStep>
-  void clamp_input(int k, const StateStep& dx, InputStep&& du) const {
+  void clamp_input(int k, const double* dx, double* du) const {
     if constexpr (Rows > 0) {
       const auto& n = this->node(k);
       for (int i = 0; i < Rows; ++i) {
@@ -137,10 +137,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
             ++entries;
           }
         if (entries != 1) continue;
-        const double at_rest = n.value(i) + n.C.row(i).dot(dx), slope = n.E(i, j);
+        double at_rest = n.value(i);
+        for (int l = 0; l < States; ++l) at_rest += n.C(i, l) * dx[l];
+        const double slope = n.E(i, j);
         double low = (n.lower(i) - at_rest) / slope, high = (n.upper(i) - at_rest) / slope;
         if (low > high) std::swap(low, high);
-        du(j) = std::min(std::max(du(j), low), high);
+        du[j] = std::min(std::max(du[j], low), high);
       }
     }
   }
@@ -149,18 +151,22 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   /// is rounding, as a horizon can make a thousand times as much of it. The residual counts what is
   /// more than that. Returns what solve() does.
   ProgramStatus clamp_first_input() {
-    auto& change = saved_steps_[0];
-    change.setZero();
-    auto du = this->step(0).template segment<Inputs>(States);
-    const Eigen::Matrix<double, Inputs, 1> before = du;
-    clamp_input(0, this->step(0).template head<States>(), du);
-    change.template segment<Inputs>(States) = du - before;
-    const double largest = change.cwiseAbs().maxCoeff();
+    auto &change = saved_steps_[0], &here = this->step(0);
+    double size = 0.0;
+    for (int i = 0; i < States + Inputs; ++i) change(i) = i < States ? 0.0 : -here(i);
+    clamp_input(0, here.data(), here.data() + States);
+    for (int i = States; i < States + Inputs; ++i) {
+      size = std::max(size, std::abs(change(i)));
+      change(i) += here(i);
+    }
+    const double largest = detail::largest(change);
     if (largest > 0.0) {
       this->riccati.sweep_deviation(saved_steps_, 1);
-      for (std::size_t k = 1; k < saved_steps_.size(); ++k) this->steps()[k] += saved_steps_[k];
+      for (int k = 1; k <= this->horizon(); ++k)
+        for (int i = 0; i < States + Inputs; ++i)
+          this->step(k)(i) += saved_steps_[static_cast<std::size_t>(k)](i);
       this->predict();
-      if (largest > 1e-12 * (1.0 + before.cwiseAbs().maxCoeff())) (void)solved();
+      if (largest > 1e-12 * (1.0 + size)) (void)solved();
     }
     return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
@@ -208,7 +214,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     } else {
       sweep(dx0);
       if (this->excess() <= 0.0) {
-        for (int k = 0; k <= this->horizon(); ++k) this->node(k).multiplier.setZero();
+        for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
         if (solved()) return;
       }
     }
@@ -234,7 +240,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   void solve_by_interior_point(const Tangent& dx0) {
     auto start = SolverClock::now();
     if (!begin_interior_point(1e4)) {
-      for (int k = 0; k <= this->horizon(); ++k) this->node(k).multiplier.setZero();
+      for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
       active_set_.assume(*this);
       (void)settle(dx0, few);
       return;
@@ -303,18 +309,18 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   // pass as far as hard bounds allow, or those of the plan that was linearised, whichever costs
   // less. Multipliers stay what they are.
   void make_do(const Tangent& dx0) {
-    this->step(0).template head<States>() = dx0;
+    this->set_first(dx0);
     const auto clamp = [this](int k, auto& w) {
-      this->clamp_input(k, w.template head<States>(), w.template segment<Inputs>(States));
+      this->clamp_input(k, w.data(), w.data() + States);
     };
     this->riccati.sweep_with(this->steps(), clamp);
     this->predict();
     const double following = this->price_of_step(damping_);
     std::swap(saved_steps_, this->steps());
-    for (auto& w : this->steps()) w.setZero();
-    this->step(0).template head<States>() = dx0;
+    for (auto& w : this->steps()) detail::fill(w, 0.0);
+    this->set_first(dx0);
     this->riccati.sweep_with(this->steps(), [&](int k, auto& w) {
-      w.template segment<Inputs>(States).setZero();
+      std::fill_n(w.data() + States, Inputs, 0.0);
       clamp(k, w);
     });
     this->predict();
@@ -356,7 +362,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
 
   // The step that is optimal without constraints, by a pass without them.
   void sweep(const Tangent& dx0) {
-    this->step(0).template head<States>() = dx0;
+    this->set_first(dx0);
     this->riccati.sweep(this->steps());
     this->predict();
   }

@@ -1,11 +1,13 @@
 #pragma once
 
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -42,15 +44,15 @@ struct RiccatiStage {
   using Vector = Eigen::Matrix<double, rows, 1>;
 
   Eigen::Matrix<double, rows, state_rows> transition =
-      Eigen::Matrix<double, rows, state_rows>::Zero();  ///< [A B]' of the interval from here
-  Eigen::Matrix<double, state_rows, 1> defect = Eigen::Matrix<double, state_rows, 1>::Zero();
+      detail::Filled();  ///< [A B]' of the interval from here
+  Eigen::Matrix<double, state_rows, 1> defect = detail::Filled();
   QuadraticModel<States, Inputs> cost;
 
   // Written by factorise(): columns [Y; L] divided by the diagonal of L, in order of elimination;
   // one over its square; and what g_u had become when the input's turn came.
-  Eigen::Matrix<double, rows, input_rows> factor = Eigen::Matrix<double, rows, input_rows>::Zero();
-  Eigen::Matrix<double, Inputs, 1> inverse_pivot = Eigen::Matrix<double, Inputs, 1>::Zero();
-  Eigen::Matrix<double, Inputs, 1> eliminated = Eigen::Matrix<double, Inputs, 1>::Zero();
+  Eigen::Matrix<double, rows, input_rows> factor = detail::Filled();
+  Eigen::Matrix<double, Inputs, 1> inverse_pivot = detail::Filled();
+  Eigen::Matrix<double, Inputs, 1> eliminated = detail::Filled();
 
   [[nodiscard]] auto A() const {
     return transition.template topLeftCorner<States, States>().transpose();
@@ -60,9 +62,25 @@ struct RiccatiStage {
   }
 };
 
-/// Adds nothing to the Hessian and gradient of any node: see Riccati::factorise().
-struct NoTerms {
-  void operator()(int /*k*/, double* /*hessian*/, double* /*gradient*/) const {}
+/// What is added to the Hessian and gradient of a node before its inputs are eliminated:
+/// add(k, hessian, gradient) of any callable, which has to outlive this, or nothing. Not a template
+/// of Riccati::factorise(), which would then be compiled once more for every callable.
+class NodeTerms {
+ public:
+  NodeTerms() = default;
+  template <typename Add>
+  NodeTerms(const Add& add)
+      : add_(&add), call_([](const void* of, int k, double* hessian, double* gradient) {
+          (*static_cast<const Add*>(of))(k, hessian, gradient);
+        }) {}
+
+  void operator()(int k, double* hessian, double* gradient) const {
+    if (call_) call_(add_, k, hessian, gradient);
+  }
+
+ private:
+  const void* add_ = nullptr;
+  void (*call_)(const void*, int, double*, double*) = nullptr;
 };
 
 /// The horizon: stage(0) to stage(N), of the last one only the cost of dx is used. `Pattern` says
@@ -131,7 +149,7 @@ class Riccati {
     return check.passed();
   }
   void set_defect(int k, const Tangent& defect) {
-    stage(k).defect.template head<States>() = defect;
+    for (int i = 0; i < States; ++i) stage(k).defect(i) = defect(i);
   }
 
   /// Backward pass, with `damping` added to the diagonals of all Hessians and whatever
@@ -139,16 +157,15 @@ class Riccati {
   /// the columns of dx the lower triangle without the rows of du. False if the Hessian left for the
   /// inputs of some node is not positive definite or not a number (then the problem has no unique
   /// minimum). No allocation.
-  template <typename Terms = NoTerms>
-  [[nodiscard]] bool factorise(double damping = 0.0, const Terms& terms = {}) {
+  [[nodiscard]] bool factorise(double damping = 0.0, const NodeTerms& terms = {}) {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       return pass<packet()>(damping, terms);
     });
   }
 
-  /// Backward pass for other gradients and no defects, by the last factorisation.
-  template <typename Gradients>
-  void solve(const Gradients& gradients) {
+  /// Backward pass for other gradients, one of each node, and no defects, by the last
+  /// factorisation.
+  void solve(const std::vector<Vector>& gradients) {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       solve_for<packet()>(gradients);
       return true;
@@ -158,55 +175,59 @@ class Riccati {
   /// Forward sweep from the dx in w[0]: the inputs du that have the coordinates z (Inputs of each
   /// node, or null for zero: the optimal ones), and where they lead.
   void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
-    move(
-        w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
-          set_input<packet()>(s, z ? z + Inputs * k : nullptr, here);
-        });
+    Sweep how;
+    how.z = z;
+    run(how, w);
   }
   /// Forward sweep with inputs that follow dx by the gains alone, and where they lead.
   void sweep_plan(std::vector<Vector>& w) const {
-    move(
-        w, [&](auto packet, const Stage& s, int, Vector& here)
-               __attribute__((always_inline)) { set_input<packet(), false>(s, nullptr, here); });
+    Sweep how;
+    how.feedforward = false;
+    run(how, w);
   }
   /// Forward sweep with the inputs du in w as they are.
   void roll_out(std::vector<Vector>& w) const {
-    move(w, [](auto, const Stage&, int, Vector&) __attribute__((always_inline)){});
+    Sweep how;
+    how.first = w.size();
+    run(how, w);
   }
   /// The same as sweep() without defects, for a change of a step.
   void sweep_change(std::vector<Vector>& w) const {
-    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      for (std::size_t k = 0; k + 1 < w.size(); ++k) {
-        set_input<packet()>(stages_[k], nullptr, w[k]);
-        advance<packet()>(stages_[k], w[k], w[k + 1]);
-      }
-      return true;
-    });
+    Sweep how;
+    how.defects = false;
+    run(how, w);
   }
   /// The same for a deviation from a step, without defects; inputs of nodes before `first` are
   /// those in w.
   void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
-    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      for (std::size_t k = 0; k + 1 < w.size(); ++k) {
-        if (k >= first) set_input<packet(), false>(stages_[k], nullptr, w[k]);
-        advance<packet()>(stages_[k], w[k], w[k + 1]);
-      }
-      return true;
-    });
+    Sweep how;
+    how.first = first;
+    how.feedforward = how.defects = false;
+    run(how, w);
   }
-  /// Forward sweep with whatever choose(k, du) makes of the optimal inputs.
+  /// Forward sweep with whatever choose(k, w) makes of the optimal inputs in w = (dx, du).
   template <typename Choose>
   void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
-    move(
-        w, [&](auto packet, const Stage& s, int k, Vector& here) __attribute__((always_inline)) {
-          set_input<packet()>(s, nullptr, here);
-          choose(k, here);
-        });
+    for (int k = 0; k < horizon(); ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      Sweep how;
+      how.begin = i;
+      how.end = i + 1;
+      how.move = false;
+      run(how, w);
+      choose(k, w[i]);
+      how.move = true;
+      how.first = how.end;
+      run(how, w);
+    }
   }
 
   /// P of node 0, symmetric, after factorise(): the Hessian of what the whole horizon costs.
   [[nodiscard]] StateMatrix initial_cost() const {
-    return cost_to_go_.template topRows<States>();
+    StateMatrix P;
+    for (int j = 0; j < States; ++j)
+      for (int i = 0; i < States; ++i) P(i, j) = cost_to_go_(i, j);
+    return P;
   }
 
   /// A batch of linear functions of the trajectory, one a row: its derivative by dx_k, then by
@@ -278,10 +299,11 @@ class Riccati {
   [[nodiscard]] Gain gain(int k) const {
     const Stage& s = stage(k);
     Gain gain;
-    for (int j = Inputs - 1; j >= 0; --j) {
-      gain.row(j) = -s.factor.col(j).template head<States>().transpose();
-      for (int i = j + 1; i < Inputs; ++i) gain.row(j) -= s.factor(States + i, j) * gain.row(i);
-    }
+    for (int j = Inputs - 1; j >= 0; --j)
+      for (int n = 0; n < States; ++n) {
+        gain(j, n) = -s.factor(n, j);
+        for (int i = j + 1; i < Inputs; ++i) gain(j, n) -= s.factor(States + i, j) * gain(i, n);
+      }
     return gain;
   }
 
@@ -312,8 +334,8 @@ class Riccati {
     return lists;
   }
 
-  template <int Width, typename Terms>
-  [[gnu::always_inline]] inline bool pass(double damping, const Terms& terms) {
+  template <int Width>
+  [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
     const Stage& last = stages_.back();
     detail::FiniteCheck<Width> unused;
     for (int j = 0; j < width; ++j)
@@ -523,13 +545,13 @@ class Riccati {
     }
   }
 
-  template <int Width, typename Gradients>
-  [[gnu::always_inline]] inline void solve_for(const Gradients& gradients) {
+  template <int Width>
+  [[gnu::always_inline]] inline void solve_for(const std::vector<Vector>& gradients) {
     constexpr int packets = rows / Width;
-    gradient_ = gradients(horizon());
+    gradient_ = gradients.back();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
-      const Vector& own = gradients(k);
+      const Vector& own = gradients[static_cast<std::size_t>(k)];
       Packet<Width> g[detail::size(packets)];
 #pragma GCC unroll 16
       for (int t = 0; t < packets; ++t) detail::load<Width>(own.data() + Width * t, g[t]);
@@ -573,22 +595,32 @@ class Riccati {
       detail::store<Width>(before.data() + before.rows() * column + row + Width * t, sum[t]);
   }
 
-  // From node to node with the inputs that set(width, stage, k, w) chooses.
-  template <typename Set>
-  void move(std::vector<Vector>& w, const Set& set) const {
+  // What a forward sweep does: at run time, or each of its kinds would be compiled by itself.
+  struct Sweep {
+    std::size_t begin = 0, end = static_cast<std::size_t>(-1);  // nodes
+    std::size_t first = 0;      // the first one whose input is not that in w
+    const double* z = nullptr;  // coordinates of the inputs
+    bool feedforward = true;    // else inputs follow dx by the gains alone
+    bool defects = true;        // else of a linear system
+    bool move = true;           // else the inputs alone
+  };
+  void run(const Sweep& how, std::vector<Vector>& w) const {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      for (int k = 0; k < horizon(); ++k) {
-        const auto i = static_cast<std::size_t>(k);
-        set(packet, stages_[i], k, w[i]);
-        advance<packet()>(stages_[i], w[i], w[i + 1]);
-        w[i + 1].template head<States>() += stages_[i].defect.template head<States>();
+      const std::size_t end = std::min(how.end, stages_.size() - 1);
+      for (std::size_t k = how.begin; k < end; ++k) {
+        const Stage& s = stages_[k];
+        if (k >= how.first)
+          set_input<packet()>(s, how.z ? how.z + Inputs * static_cast<int>(k) : nullptr,
+                              how.feedforward, w[k]);
+        if (how.move) advance<packet()>(s, w[k], how.defects, w[k + 1]);
       }
       return true;
     });
   }
   // du of w = (dx, du).
-  template <int Width, bool Optimal = true>
-  [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z, Vector& w) {
+  template <int Width>
+  [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z,
+                                                      bool feedforward, Vector& w) {
     double turned[detail::size(input_rows)];  // Y' dx, divided by the diagonal of L
     for (int i = States; i < state_rows; ++i) w(i) = 0.0;
     for (int j = 0; j < input_rows; j += Width)
@@ -596,19 +628,20 @@ class Riccati {
     double* du = w.data() + States;
     for (int j = Inputs - 1; j >= 0; --j) {
       double sum = -turned[j];
-      if constexpr (Optimal) sum -= s.inverse_pivot(j) * s.eliminated(j);
+      if (feedforward) sum -= s.inverse_pivot(j) * s.eliminated(j);
       if (z) sum += std::sqrt(s.inverse_pivot(j)) * z[j];
       for (int i = Inputs - 1; i > j; --i) sum -= s.factor(States + i, j) * du[i];
       du[j] = sum;
     }
   }
-  // dx of `next`, without the defect.
+  // dx of `next`.
   template <int Width>
-  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w, Vector& next) {
+  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w, bool defects,
+                                                    Vector& next) {
     double dx[detail::size(state_rows)];
     for (int k = 0; k < state_rows; k += Width)
       multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);
-    for (int k = 0; k < States; ++k) next(k) = dx[k];
+    for (int k = 0; k < States; ++k) next(k) = defects ? dx[k] + s.defect(k) : dx[k];
   }
   // The products of Width columns, `rows` numbers apart, with the first `Count` numbers of w.
   template <int Width, int Count>
@@ -634,12 +667,10 @@ class Riccati {
 
   std::vector<Stage> stages_;
   // P of the node that was reached, M' P and H of the one being done; (p, what is left of g_u).
-  Eigen::Matrix<double, state_rows, States> cost_to_go_ =
-      Eigen::Matrix<double, state_rows, States>::Zero();
-  typename Eigen::Matrix<double, rows, States> product_ =
-      Eigen::Matrix<double, rows, States>::Zero();
-  Eigen::Matrix<double, rows, width> hessian_ = Eigen::Matrix<double, rows, width>::Zero();
-  Vector gradient_ = Vector::Zero();
+  Eigen::Matrix<double, state_rows, States> cost_to_go_ = detail::Filled();
+  Eigen::Matrix<double, rows, States> product_ = detail::Filled();
+  Eigen::Matrix<double, rows, width> hessian_ = detail::Filled();
+  Vector gradient_ = detail::Filled();
 };
 
 /// P of a horizon without end that has the same interval and cost throughout: the solution that
@@ -656,20 +687,23 @@ template <int States, int Inputs, typename Pattern = FullTransition>
 [[nodiscard]] std::optional<Eigen::Matrix<double, States, States>> endless_cost(
     const Eigen::Matrix<double, States, States>& A, const Eigen::Matrix<double, States, Inputs>& B,
     const QuadraticModel<States, Inputs>& cost, int max_passes = 20000) {
-  using Hessian = Eigen::Matrix<double, States, States>;
   Riccati<States, Inputs, Pattern> pass(1);
   auto& end = pass.stage(1).cost;
   if (!pass.set_transition(0, A, B)) return std::nullopt;
   pass.stage(0).cost = cost;
-  Hessian P = Hessian::Identity();
+  Eigen::Matrix<double, States, States> P = detail::Filled();
+  for (int i = 0; i < States; ++i) P(i, i) = 1.0;
   for (int i = 0; i < max_passes; ++i) {
-    end.lxx() = P;
+    for (int c = 0; c < States; ++c)
+      for (int r = 0; r < States; ++r) end.hessian(r, c) = P(r, c);
     if (!pass.factorise()) return std::nullopt;
-    const Hessian last = P;
+    const auto last = P;
     P = pass.initial_cost();
-    const Eigen::Matrix<double, States, 1> scale = P.diagonal().cwiseSqrt();
-    const auto moved = (P - last).cwiseAbs().array();
-    if ((moved <= 1e-12 * (scale * scale.transpose()).array()).all()) return P;
+    bool moved = false;
+    for (int c = 0; c < States; ++c)
+      for (int r = 0; r < States; ++r)
+        moved |= !(std::abs(P(r, c) - last(r, c)) <= 1e-12 * std::sqrt(P(r, r) * P(c, c)));
+    if (!moved) return P;
   }
   return std::nullopt;
 }

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
@@ -36,7 +37,7 @@ class StepSearch {
         base_(horizon),
         merit_(horizon),
         anderson_((nx + nu) * (horizon + 1), settings.memory),
-        residual_(Eigen::VectorXd::Zero((nx + nu) * (horizon + 1))),
+        residual_(zeros((nx + nu) * (horizon + 1))),
         base_residual_(residual_),
         move_(residual_),
         scale_(residual_) {}
@@ -73,7 +74,7 @@ class StepSearch {
       first_ = false;
       pack_step(program);
       if (moved_) anderson_.add(move_, base_residual_, residual_);
-      if (on_trust_ && !(residual_.norm() < 0.9 * base_residual_.norm()))
+      if (on_trust_ && !(norm(residual_) < 0.9 * norm(base_residual_)))
         return go_back(problem, here, true);
     }
     const double slope = merit_.update(program, horizon_);
@@ -104,7 +105,7 @@ class StepSearch {
     on_trust_ = hidden;
     const SolveStatus status =
         search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
-    move_ = length_ * residual_;
+    for (int i = 0; i < move_.size(); ++i) move_(i) = length_ * residual_(i);
     return status;
   }
 
@@ -171,30 +172,37 @@ class StepSearch {
 
   // The step of the quadratic program as one vector, scaled by the first Hessians' diagonals.
   void pack_step(const Program& program) {
-    for (int k = 0; k <= horizon_; ++k) {
-      of_state(residual_, k) = of_state(scale_, k).cwiseProduct(program.dx(k));
-      if (k < horizon_) of_input(residual_, k) = of_input(scale_, k).cwiseProduct(program.du(k));
-    }
+    for (int k = 0; k <= horizon_; ++k)
+      for (int i = 0; i < entries_of(k); ++i)
+        residual_(entry(k, i)) = scale_(entry(k, i)) * program.step(k)(i);
   }
   void try_move(const Problem& problem, const Points& here) {
     for (int k = 0; k <= horizon_; ++k) {
-      const typename D::Tangent dx = of_state(move_, k).cwiseQuotient(of_state(scale_, k));
+      typename D::Tangent dx;
+      for (int i = 0; i < nx; ++i) dx(i) = move_(entry(k, i)) / scale_(entry(k, i));
       trial_.x(k) = problem.retract(here.x(k), dx);
-      if (k < horizon_)
-        trial_.u(k) = here.u(k) + of_input(move_, k).cwiseQuotient(of_input(scale_, k));
+      for (int i = nx; i < entries_of(k); ++i)
+        trial_.u(k)(i - nx) = here.u(k)(i - nx) + move_(entry(k, i)) / scale_(entry(k, i));
     }
   }
   void set_scale(const Program& program) {
     for (int k = 0; k <= horizon_; ++k) {
-      const auto curvature =
-          program.riccati.stage(k).cost.hessian.diagonal().cwiseAbs().cwiseMax(1e-6).cwiseSqrt();
-      of_state(scale_, k) = curvature.template head<nx>();
-      if (k < horizon_) of_input(scale_, k) = curvature.template segment<nu>(nx);
+      const auto& hessian = program.riccati.stage(k).cost.hessian;
+      for (int i = 0; i < entries_of(k); ++i)
+        scale_(entry(k, i)) = std::sqrt(std::max(std::abs(hessian(i, i)), 1e-6));
     }
   }
-  static auto of_state(Eigen::VectorXd& v, int k) { return v.template segment<nx>((nx + nu) * k); }
-  static auto of_input(Eigen::VectorXd& v, int k) {
-    return v.template segment<nu>((nx + nu) * k + nx);
+  // Of (dx, du) of node k: their number, and where they are in a vector of all nodes.
+  [[nodiscard]] int entries_of(int k) const { return k < horizon_ ? nx + nu : nx; }
+  [[nodiscard]] static int entry(int k, int i) { return (nx + nu) * k + i; }
+
+  [[nodiscard]] static Eigen::VectorXd zeros(int size) {
+    Eigen::VectorXd vector(size);
+    std::fill_n(vector.data(), size, 0.0);
+    return vector;
+  }
+  [[nodiscard]] static double norm(const Eigen::VectorXd& v) {
+    return std::sqrt(detail::dot(v.data(), v.data(), static_cast<int>(v.size())));
   }
 
   static constexpr int max_attempts = 5;
@@ -203,7 +211,7 @@ class StepSearch {
   int horizon_;
   Points trial_, base_;  // base: where the last step started
   Merit<Problem, Program> merit_;
-  Anderson<> anderson_;
+  Anderson anderson_;
   // Scaled: step of the program here and at the base, step taken from the base; and the scales.
   Eigen::VectorXd residual_, base_residual_, move_, scale_;
   double length_ = 1.0, lowest_merit_ = 0.0;

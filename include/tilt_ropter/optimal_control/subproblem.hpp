@@ -34,18 +34,18 @@ template <int States, int Inputs, int Rows>
 struct NodeRows {
   using Values = Eigen::Matrix<double, Rows, 1>;
   static constexpr double infinity = std::numeric_limits<double>::infinity();
-  Values value = Values::Zero();  ///< at the point of linearisation
-  Eigen::Matrix<double, Rows, States> C = Eigen::Matrix<double, Rows, States>::Zero();
-  Eigen::Matrix<double, Rows, Inputs> E = Eigen::Matrix<double, Rows, Inputs>::Zero();
-  Values lower = Values::Constant(-infinity);  ///< infinite: no bound
-  Values upper = Values::Constant(infinity);
-  Values price = Values::Ones();                  ///< largest multiplier, finite
-  Values stiffness = Values::Constant(infinity);  ///< infinite: no violation below the price
+  Values value = detail::Filled();  ///< at the point of linearisation
+  Eigen::Matrix<double, Rows, States> C = detail::Filled();
+  Eigen::Matrix<double, Rows, Inputs> E = detail::Filled();
+  Values lower = detail::Filled{-infinity};  ///< infinite: no bound
+  Values upper = detail::Filled{infinity};
+  Values price = detail::Filled{1.0};           ///< largest multiplier, finite
+  Values stiffness = detail::Filled{infinity};  ///< infinite: no violation below the price
   /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
-  Values multiplier = Values::Zero();
-  Values predicted = Values::Zero();  ///< value + C dx + E du at the current step
+  Values multiplier = detail::Filled();
+  Values predicted = detail::Filled();  ///< value + C dx + E du at the current step
   /// Of hard constraints: the finite price that the last program had for them, see InteriorPoint.
-  Values stand_in = Values::Constant(infinity);
+  Values stand_in = detail::Filled{infinity};
   /// The lower bound was above the upper one, see Subproblem::check_node(); in any row, in row i.
   bool crossed = false;
   std::array<bool, static_cast<std::size_t>(Rows)> crosses{};
@@ -90,7 +90,7 @@ class Subproblem {
   explicit Subproblem(int horizon)
       : riccati(horizon),
         nodes_(static_cast<std::size_t>(horizon) + 1),
-        steps_(nodes_.size(), Vector::Zero()) {
+        steps_(nodes_.size(), detail::Filled()) {
     active_.reserve(static_cast<std::size_t>(Rows) * nodes_.size());
   }
 
@@ -102,6 +102,8 @@ class Subproblem {
   [[nodiscard]] Vector& step(int k) { return steps_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Vector& step(int k) const { return steps_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] std::vector<Vector>& steps() { return steps_; }
+  /// dx of node 0.
+  void set_first(const Tangent& dx0) { detail::copy_first(States, dx0, steps_[0]); }
 
   /// Makes of what was written into the cost and the constraints of node k what can be solved:
   /// those of infinite price are hard, and get a price so large that only those give up who must;
@@ -118,8 +120,9 @@ class Subproblem {
       const bool gave_up = std::abs(n.multiplier(i)) >= n.stand_in(i);
       n.price(i) = n.stand_in(i) = gave_up ? n.stand_in(i) : hard_price;
     }
-    const bool regular = (n.lower.array() <= n.upper.array()).all() &&
-                         (n.price.array() > 0.0).all() && (n.stiffness.array() > 0.0).all();
+    bool regular = true;
+    for (int i = 0; i < Rows; ++i)
+      regular &= n.lower(i) <= n.upper(i) && n.price(i) > 0.0 && n.stiffness(i) > 0.0;
     if (!regular && !repair(n)) return false;
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       const auto& cost = riccati.stage(k).cost;
@@ -162,10 +165,10 @@ class Subproblem {
 
   /// The gradient of row i of node k by (dx, du).
   [[nodiscard]] Vector row_gradient(int k, int i) const {
-    Vector gradient = Vector::Zero();
+    Vector gradient = detail::Filled();
     if constexpr (Rows > 0) {
-      gradient.template head<States>() = node(k).C.row(i).transpose();
-      if (k < horizon()) gradient.template segment<Inputs>(States) = node(k).E.row(i).transpose();
+      for (int j = 0; j < States; ++j) gradient(j) = node(k).C(i, j);
+      for (int j = 0; k < horizon() && j < Inputs; ++j) gradient(States + j) = node(k).E(i, j);
     }
     return gradient;
   }
@@ -225,7 +228,6 @@ class Subproblem {
     active_.clear();
     for (int k = horizon(); k >= 0; --k) {
       const Values& m = node(k).multiplier;
-      if ((m.array() == 0.0).all()) continue;
       for (int i = 0; i < Rows; ++i)
         if (m(i) != 0.0) active_.push_back({k, i});
     }
@@ -239,7 +241,7 @@ class Subproblem {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       constexpr int Width = packet(), packets = rows / Width;
       detail::FiniteCheck<Width> check;
-      Vector g, adjoint = Vector::Zero();
+      Vector g, adjoint = detail::Filled();
       std::size_t next = with_multipliers ? 0 : active_.size();
       for (int k = horizon(); k >= 0; --k) {
         set(packet, k, g);
@@ -271,7 +273,10 @@ class Subproblem {
 
   /// False if no step changes the value of row i of node k.
   [[nodiscard]] bool can_move(int k, int i) const {
-    return !node(k).C.row(i).isZero(0.0) || (k < horizon() && !node(k).E.row(i).isZero(0.0));
+    bool moves = false;
+    for (int j = 0; j < States; ++j) moves |= node(k).C(i, j) != 0.0;
+    for (int j = 0; k < horizon() && j < Inputs; ++j) moves |= node(k).E(i, j) != 0.0;
+    return moves;
   }
 
   /// Adds C dx + E du of node k to `values`.
@@ -379,8 +384,7 @@ class Subproblem {
     for (int t = 0; t < packets; ++t) detail::store<Width>(g.data() + Width * t, sum[t]);
     if (k == horizon()) return;
     for (int j = 0; j < Inputs; ++j)
-      g(States + j) +=
-          s.cost.hessian.template block<States, 1>(0, States + j).dot(at.template head<States>());
+      for (int i = 0; i < States; ++i) g(States + j) += s.cost.hessian(i, States + j) * w[i];
   }
 
   /// What the step changes the cost by, with the price of every violation, after predict().
@@ -392,7 +396,7 @@ class Subproblem {
         cost_gradient<packet()>(k, step(k), damping, g);
         const auto& cost = riccati.stage(k).cost.gradient;
         const int columns = k < horizon() ? width : States;
-        sum += 0.5 * (g + cost).head(columns).dot(step(k).head(columns));
+        for (int j = 0; j < columns; ++j) sum += 0.5 * (g(j) + cost(j)) * step(k)(j);
       }
       return true;
     });
@@ -413,7 +417,8 @@ class Subproblem {
         true,
         [&](auto packet, int k, Vector& g) __attribute__((always_inline)) {
           cost_gradient<packet()>(k, step(k), damping, g);
-          cost += 0.5 * (g + riccati.stage(k).cost.gradient).dot(step(k));
+          for (int j = 0; j < width; ++j)
+            cost += 0.5 * (g(j) + riccati.stage(k).cost.gradient(j)) * step(k)(j);
         },
         [&](int k, const Vector& sum, const Vector& own) {
           for (int j = States; k < horizon() && j < width; ++j) {
@@ -429,7 +434,7 @@ class Subproblem {
       // Hard constraints that contradict each other cancel, and rounding of what they push with
       // hides the rest.
       if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
-        largest_term = std::max(largest_term, m * row_gradient(row.k, row.i).cwiseAbs().maxCoeff());
+        largest_term = std::max(largest_term, m * detail::largest(row_gradient(row.k, row.i)));
     }
     r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
     r.violation = excess_;

@@ -38,8 +38,10 @@ class Trajectory {
   void set_moved(const Problem& problem, const Trajectory& here, const Program& program,
                  double length) {
     for (int k = 0; k <= horizon(); ++k) {
-      x(k) = problem.retract(here.x(k), length * program.dx(k));
-      if (k < horizon()) u(k) = here.u(k) + length * program.du(k);
+      const double* step = program.step(k).data();  // (dx, du)
+      x(k) = problem.retract(here.x(k), scaled(length, step));
+      for (int i = 0; k < horizon() && i < inputs; ++i)
+        u(k)(i) = here.u(k)(i) + length * step[states + i];
     }
   }
 
@@ -52,16 +54,25 @@ class Trajectory {
   }
 
  private:
+  static constexpr int states = Problem::states, inputs = Problem::inputs;
+
+  static Tangent scaled(double factor, const double* entries) {
+    Tangent result;
+    for (int i = 0; i < states; ++i) result(i) = factor * entries[i];
+    return result;
+  }
+
   // By part of one interval.
   void advance(const Problem& problem, double part) {
     const int n = horizon();
     Tangent ahead = problem.difference(problem.step(n - 1, x(n), u(n - 1)), x(n));
-    if (!all_finite(ahead)) ahead.setZero();
+    if (!all_finite(ahead)) std::fill_n(ahead.data(), states, 0.0);
     for (int k = 0; k < n; ++k) {
-      x(k) = problem.retract(x(k), part * problem.difference(x(k + 1), x(k)));
-      if (k + 1 < n) u(k) += part * (u(k + 1) - u(k));
+      const Tangent to_next = problem.difference(x(k + 1), x(k));
+      x(k) = problem.retract(x(k), scaled(part, to_next.data()));
+      for (int i = 0; k + 1 < n && i < inputs; ++i) u(k)(i) += part * (u(k + 1)(i) - u(k)(i));
     }
-    x(n) = problem.retract(x(n), part * ahead);
+    x(n) = problem.retract(x(n), scaled(part, ahead.data()));
   }
 
   std::vector<State> x_;

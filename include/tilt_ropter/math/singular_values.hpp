@@ -1,0 +1,88 @@
+#pragma once
+
+#include <tilt_ropter/math/entries.hpp>
+
+#include <Eigen/Core>
+
+#include <cmath>
+#include <utility>
+
+namespace tilt_ropter {
+
+/// The singular value decomposition A = left diag(values) right of a matrix with no more rows than
+/// columns, by rotations of pairs of its rows until all are orthogonal (one-sided Jacobi, Hestenes
+/// 1958), which finds small values as exactly as large ones (Demmel & Veselic, "Jacobi's method is
+/// more accurate than QR", 1992). Eigen has one that is faster for large matrices, and takes a
+/// compiler fifty times as long.
+template <int Rows, int Columns>
+struct SingularValues {
+  static_assert(Rows <= Columns);
+
+  Eigen::Matrix<double, Rows, Rows> left = detail::Filled();  ///< orthogonal
+  Eigen::Matrix<double, Rows, 1> values = detail::Filled();   ///< the largest first
+  /// Orthonormal rows; those of values of zero are zero.
+  Eigen::Matrix<double, Rows, Columns> right;
+
+  /// Of finite numbers whose squares are finite, too. No allocation.
+  explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
+    for (int i = 0; i < Rows; ++i) left(i, i) = 1.0;
+    for (int sweep = 0; sweep < max_sweeps; ++sweep) {
+      bool rotated = false;
+      for (int i = 0; i < Rows; ++i)
+        for (int j = i + 1; j < Rows; ++j) rotated = rotate(i, j) || rotated;
+      if (!rotated) break;
+    }
+    for (int i = 0; i < Rows; ++i) {
+      values(i) = std::sqrt(product(i, i));
+      for (int c = 0; c < Columns; ++c)
+        right(i, c) = values(i) > 0.0 ? right(i, c) / values(i) : 0.0;
+    }
+    for (int i = 0; i < Rows; ++i) {
+      int most = i;
+      for (int j = i; j < Rows; ++j)
+        if (values(j) > values(most)) most = j;
+      exchange(i, most);
+    }
+  }
+
+  /// How many values are above `share` times the largest.
+  [[nodiscard]] int rank(double share) const {
+    int rank = 0;
+    for (int i = 0; i < Rows; ++i) rank += values(i) > share * values(0);
+    return rank;
+  }
+
+ private:
+  [[nodiscard]] double product(int i, int j) const {
+    double sum = 0.0;
+    for (int c = 0; c < Columns; ++c) sum += right(i, c) * right(j, c);
+    return sum;
+  }
+
+  // Makes two rows orthogonal. False if they are.
+  bool rotate(int i, int j) {
+    const double ii = product(i, i), jj = product(j, j), ij = product(i, j);
+    if (!(std::abs(ij) > 1e-15 * std::sqrt(ii) * std::sqrt(jj))) return false;
+    const double ratio = (jj - ii) / (2.0 * ij),
+                 tangent = (ratio < 0.0 ? -1.0 : 1.0) / (std::abs(ratio) + std::hypot(1.0, ratio)),
+                 cosine = 1.0 / std::hypot(1.0, tangent), sine = cosine * tangent;
+    const auto turn = [=](double& a, double& b) {
+      const double before = a;
+      a = cosine * before - sine * b;
+      b = sine * before + cosine * b;
+    };
+    for (int c = 0; c < Columns; ++c) turn(right(i, c), right(j, c));
+    for (int r = 0; r < Rows; ++r) turn(left(r, i), left(r, j));
+    return true;
+  }
+
+  void exchange(int i, int j) {
+    std::swap(values(i), values(j));
+    for (int c = 0; c < Columns; ++c) std::swap(right(i, c), right(j, c));
+    for (int r = 0; r < Rows; ++r) std::swap(left(r, i), left(r, j));
+  }
+
+  static constexpr int max_sweeps = 60;  // six or seven are usual
+};
+
+}  // namespace tilt_ropter
