@@ -1,6 +1,9 @@
 # What our own tests, examples and benchmarks are compiled with. None of it reaches a user's target.
 set(TILT_ROPTER_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion
-  -Wdouble-promotion -Wold-style-cast -Werror)
+  -Wdouble-promotion -Wold-style-cast)
+if(TILT_ROPTER_WERROR)
+  list(APPEND TILT_ROPTER_WARNINGS -Werror)
+endif()
 
 function(tilt_ropter_own_target target)
   target_link_libraries(${target} PRIVATE tilt_ropter::tilt_ropter)

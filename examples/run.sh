@@ -37,8 +37,7 @@ bash cmake/install_missing.sh "${packages[@]}"
 
 echo "== Configuring and building into build-examples/"
 cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Release \
-  -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF \
-  -DTILT_ROPTER_BUILD_EXAMPLES=ON -DTILT_ROPTER_NATIVE=ON
+  -DTILT_ROPTER_WERROR=ON -DTILT_ROPTER_NATIVE=ON
 cmake --build build-examples --parallel "$(nproc)" \
   --target "$([[ $mujoco ]] && echo mission_mujoco || echo hybrid_mission)"
 

@@ -66,7 +66,8 @@ packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev)
 
 configure() {  # directory, CMake options
   echo "== Configuring $1/"
-  cmake --log-level=WARNING -S . -B "$1" -G Ninja -DCMAKE_BUILD_TYPE=Release "${@:2}"
+  cmake --log-level=WARNING -S . -B "$1" -G Ninja -DCMAKE_BUILD_TYPE=Release \
+    -DTILT_ROPTER_WERROR=ON "${@:2}"
 }
 
 build() {  # directory, CMake options
@@ -77,7 +78,7 @@ build() {  # directory, CMake options
 
 benchmark_packages=(libbenchmark-dev)
 test_packages=(clang libgtest-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core
-  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf)
+  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
@@ -166,7 +167,7 @@ if [[ $instead == variants ]]; then
     libc++abi-dev
   variant() {  # name, flags, CMake options
     build build-variants/"$1" "${with_clang[@]}" -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2" \
-      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF \
+      -DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=OFF \
       -DTILT_ROPTER_BUILD_QUICKLY=ON "${@:3}"
     echo "== Running the tests compiled with $2, two at a time"
     ctest --test-dir build-variants/"$1" --parallel 2 --output-on-failure --timeout 3600 \

@@ -10,10 +10,12 @@
 #include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/singular_values.hpp>
 #include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
@@ -35,6 +37,7 @@
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
+#include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>

@@ -12,8 +12,7 @@ cd "$away/consumer"
 
 case $way in
   installed)
-    cmake -S "$source" -B "$away/build" -DTILT_ROPTER_BUILD_TESTS=OFF \
-      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF
+    cmake -S "$source" -B "$away/build" -DTILT_ROPTER_BUILD_EXAMPLES=OFF
     cmake --install "$away/build" --prefix "$away/prefix"
     mv "$away/prefix" "$away/moved"
     if grep -rlF -e "$source" -e "$away" "$away/moved"; then
@@ -25,8 +24,7 @@ case $way in
     cmake --build build
     build/consumer ;;
   packed)  # as .deb and as sources; the one used by pkg-config, too
-    cmake -S "$source" -B "$away/build" -DCMAKE_INSTALL_PREFIX=/usr -DTILT_ROPTER_BUILD_TESTS=OFF \
-      -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_BENCHMARKS=OFF
+    cmake -S "$source" -B "$away/build" -DCMAKE_INSTALL_PREFIX=/usr -DTILT_ROPTER_BUILD_EXAMPLES=OFF
     (cd "$away/build" && cpack -G DEB && cpack --config CPackSourceConfig.cmake)
     dpkg-deb --field "$away"/build/libtilt-ropter-dev_*_all.deb
     dpkg-deb -x "$away"/build/libtilt-ropter-dev_*_all.deb "$away/root"

@@ -57,8 +57,7 @@ struct NmpcResult {
 /// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
 ///   sees: hold()): the last plan goes on. Status bad_state.
 /// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes:
-/// the
-///   best plan so far is used, and the next tick goes on from there. Status approximate.
+///   the best plan so far is used, and the next tick goes on from there. Status approximate.
 /// - There is no solution, as with a reference that is not finite: the last plan goes on. Status
 ///   solver_failed.
 /// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it
