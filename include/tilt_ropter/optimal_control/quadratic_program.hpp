@@ -67,7 +67,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
         dual_(horizon, dual_capacity(settings, horizon), settings.dual),
         active_set_(horizon),
         interior_point_(horizon),
-        saved_steps_(static_cast<std::size_t>(horizon) + 1),
+        saved_steps_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
         saved_multipliers_(saved_steps_.size()),
         saved_prices_(saved_steps_.size()) {}
 
