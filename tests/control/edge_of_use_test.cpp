@@ -3,6 +3,7 @@
 
 #include "support/hovering.hpp"
 #include "support/random.hpp"
+#include "support/simulated_time.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -52,7 +53,7 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   const Allocation<4> allocation(vehicle, parameters);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
-  Nmpc<4> nmpc(vehicle, settings);
+  Nmpc<4> nmpc(vehicle, test_support::in_simulated_time(settings));
   PlantState<4> start = plant.state();
   start.body.position << 0.1, -0.1, 1.5;
   Wrench<> weight, pull;

@@ -3,6 +3,7 @@
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include "support/hovering.hpp"
+#include "support/simulated_time.hpp"
 
 #include <gtest/gtest.h>
 
@@ -17,6 +18,7 @@ namespace {
 using test_support::expect_within_bounds;
 using test_support::hover;
 using test_support::hovering;
+using test_support::in_simulated_time;
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 const RigidBodyParameters body = vehicle.body;
@@ -24,7 +26,8 @@ const RigidBodyParameters body = vehicle.body;
 // A rigid body that gets exactly the wrench that is planned, with an unknown force.
 class IdealLoop {
  public:
-  explicit IdealLoop(const NmpcSettings& settings = {}) : nmpc(vehicle, settings) {
+  explicit IdealLoop(const NmpcSettings& settings = {})
+      : nmpc(vehicle, in_simulated_time(settings)) {
     state.body = hovering();
   }
 
@@ -191,7 +194,7 @@ TEST(Nmpc, ABadReferenceOrEstimateFailsWithAFiniteCommandAndRecovers) {
 }
 
 TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
-  Nmpc nmpc(vehicle);
+  Nmpc nmpc(vehicle, in_simulated_time());
   nmpc.prepare(0.0, hover, {});
   BodyState<> bad = hovering();
   bad.orientation.coeffs().setZero();
@@ -203,7 +206,7 @@ TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
 TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   // Down on the ground the estimate is the normal force, whatever the thrust.
   NmpcSettings settings;
-  Nmpc nmpc(vehicle, settings);
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> standing;
   standing.position.z() = vehicle.wheels.radius;
   const auto rest = [&](double) {
@@ -231,7 +234,7 @@ TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
   NmpcSettings settings;
   settings.problem.bounds.force_min.z() = 0.0;
   settings.problem.bounds.force_max.z() = 10.0;  // less than the weight: the safe wrench is cut
-  Nmpc nmpc(vehicle, settings);
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> bad = hovering();
   bad.position.x() = std::nan("");
   nmpc.prepare(0.0, hover, {});
@@ -264,7 +267,7 @@ TEST(Nmpc, APlanFromBeforeAnInterruptionIsNotFollowed) {
 double turned(bool between_ticks) {
   NmpcSettings settings;
   settings.period = 0.1;
-  Nmpc<4> nmpc(vehicle, settings);
+  Nmpc<4> nmpc(vehicle, in_simulated_time(settings));
   const RigidBody<> plant(body);
   State<> state;
   state.body = hovering();
@@ -358,7 +361,7 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
       speed_from_thrust(body.mass * gravity / 4.0, slow.rotor.thrust_coefficient));
   plant.reset(start);
   const Allocation<4> allocation(slow);
-  Nmpc<4> nmpc(slow, settings);
+  Nmpc<4> nmpc(slow, in_simulated_time(settings));
   ActuatorState<4> command = start.actuators;
   SlowServos result;
   const int ticks = 800;
@@ -419,7 +422,7 @@ TEST(Nmpc, WhatIsCommandedKeepsToTheActuatorRowsWhateverTheStart) {
 TEST(Nmpc, WithoutThrustOnTheGroundTheCommandStaysFiniteAndWithinBounds) {
   NmpcSettings settings;
   settings.ground.down_force = 0.0;
-  Nmpc nmpc(vehicle, settings);
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> standing;
   standing.position.z() = vehicle.wheels.radius;
   const auto drive = [&](double t) {
@@ -462,7 +465,7 @@ TEST(Nmpc, SoManyFailuresInARowDropTheWarmStart) {
 TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
   const auto message = [](const NmpcSettings& settings) -> std::string {
     try {
-      Nmpc nmpc(vehicle, settings);
+      Nmpc nmpc(vehicle, in_simulated_time(settings));
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
@@ -488,7 +491,7 @@ TEST(Nmpc, OnTheGroundTheRollRateOfAPitchedVehicleInACurveIsNotCarriedOn) {
     return point;
   };
   const auto torque = [&](double height, double roll_rate) {
-    Nmpc<4> nmpc(vehicle);
+    Nmpc<4> nmpc(vehicle, in_simulated_time());
     BodyState<> state;
     state.position.z() = height;
     state.orientation = Eigen::Quaterniond(Eigen::AngleAxisd(-0.1, Eigen::Vector3d::UnitY()));

@@ -8,12 +8,13 @@
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include "support/simulated_time.hpp"
+
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
 
 #include <algorithm>
-#include <limits>
 #include <optional>
 
 namespace test_support {
@@ -126,12 +127,6 @@ class ControlLoop {
   tilt_ropter::Wrench<> disturbance;  ///< on the plant, in the body frame
 
  private:
-  // Unless a limit is set, time stands still while the controller computes.
-  static tilt_ropter::NmpcSettings in_simulated_time(tilt_ropter::NmpcSettings settings) {
-    if (settings.time_limit == 0.0) settings.time_limit = std::numeric_limits<double>::infinity();
-    return settings;
-  }
-
   tilt_ropter::Vehicle<4> vehicle_;
   PlantType plant_;
   tilt_ropter::StateSensor state_sensor_;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
@@ -45,10 +46,13 @@ class DualMethod {
         offsets_(capacity),
         bounds_(capacity),
         multipliers_(capacity),
-        z_(Eigen::VectorXd::Zero(Inputs * horizon)),
+        z_(Inputs * horizon),
         in_set_(static_cast<std::size_t>(horizon) + 1) {
     active_.reserve(static_cast<std::size_t>(capacity));
-    for (auto& batch : adjoints_) batch.setZero(detail::padded(capacity), States + Inputs);
+    for (auto& batch : adjoints_) {
+      batch.resize(detail::padded(capacity), States + Inputs);
+      std::fill_n(batch.data(), batch.size(), 0.0);  // packets read beyond the last row
+    }
   }
 
   [[nodiscard]] int capacity() const { return capacity_; }
@@ -74,19 +78,17 @@ class DualMethod {
   /// prepare().
   [[nodiscard]] Outcome solve(Program& program, const typename Program::Tangent& dx0,
                               std::optional<SolverClock::time_point> deadline) {
-    program.step(0).template head<States>() = dx0;
+    std::copy_n(dx0.data(), States, program.step(0).data());
     program.riccati.sweep(program.steps());
     program.predict();
     for (int i = 0; i < size(); ++i) offsets_(i) = violation(program, row(i));
     for (rounds_ = 1;; ++rounds_) {
       const int count = size();
       if (count > 0) {
-        auto lambda = multipliers_.head(count);
-        if (!dual_.solve(gram_.topLeftCorner(count, count), offsets_.head(count),
-                         bounds_.head(count), lambda, deadline))
+        if (!dual_.solve(count, gram_, offsets_, bounds_, multipliers_, deadline))
           return Outcome::failed;
-        z_.setZero();  // a minus sign before the product would make a temporary
-        z_.noalias() -= gradients_.topRows(count).transpose() * lambda;
+        for (int j = 0; j < z_.size(); ++j)
+          z_(j) = -detail::dot(&gradients_(0, j), multipliers_.data(), count);
         program.riccati.sweep(program.steps(), z_.data());
         program.predict();
       }
@@ -101,9 +103,12 @@ class DualMethod {
       add_gradients(program, first);
       for (int i = first; i < size(); ++i) {
         multipliers_(i) = 0.0;
-        // The row's value without any multiplier: its value now less what z contributes.
-        offsets_(i) = violation(program, row(i)) - gradients_.row(i).dot(z_);
+        offsets_(i) = violation(program, row(i));
       }
+      // A row's value without any multiplier: its value now less what z contributes.
+      if (first > 0)
+        detail::add_product(-1.0, gradients(first, static_cast<int>(z_.size())), {z_.data()},
+                            &offsets_(first));
     }
     store_multipliers(program);
     return Outcome::solved;
@@ -152,32 +157,52 @@ class DualMethod {
   void add_gradients(const Program& program, int first) {
     const int last = size();
     if (first == last) return;
-    gradients_.middleRows(first, last - first).setZero();
     auto *after = &adjoints_[0], *here = &adjoints_[1];
     int count = 0;  // rows whose node has been reached
-    for (int k = row(first).k; k >= 0; --k) {
+    for (int k = program.horizon(); k >= 0; --k) {
       if (count > 0) program.riccati.step_back(k, *after, *here, count);
       for (; first + count < last && row(first + count).k == k; ++count) {
         const Row& r = row(first + count);
-        here->row(count) =
-            r.side * program.row_gradient(k, r.component).template head<Program::width>();
+        set_row_gradient(program, r, here->data() + count, here->rows());
         bounds_(first + count) = program.node(k).price(r.component);
       }
       if (k < program.horizon()) {
-        program.riccati.to_coordinates(k, *here, count);
-        gradients_.block(first, Inputs * k, count, Inputs) = here->topRightCorner(count, Inputs);
+        if (count > 0) program.riccati.to_coordinates(k, *here, count);
+        for (int j = 0; j < Inputs; ++j) {
+          double* column = &gradients_(first, Inputs * k + j);
+          std::copy_n(&(*here)(0, States + j), count, column);
+          std::fill(column + count, column + last - first, 0.0);
+        }
       }
       std::swap(after, here);
     }
     add_gram(program, first);
   }
 
-  /// Rows from `first` on of G G' + 1 / stiffness. The gradient of a row is zero after its node.
+  /// The row's gradient by (dx, du) of its node, into entries that are `stride` apart.
+  static void set_row_gradient(const Program& program, const Row& r, double* entries,
+                               Eigen::Index stride) {
+    const auto& n = program.node(r.k);
+    for (int j = 0; j < States; ++j) entries[stride * j] = r.side * n.C(r.component, j);
+    for (int j = 0; j < Inputs; ++j)
+      entries[stride * (States + j)] = r.k < program.horizon() ? r.side * n.E(r.component, j) : 0.0;
+  }
+
+  /// The gradients of the rows from `first` on, by the first `count` entries of z.
+  [[nodiscard]] detail::MatrixView gradients(int first, int count) const {
+    return {gradients_.data() + first, size() - first, count, capacity_};
+  }
+
+  /// Rows from `first` on of the lower triangle of G G' + 1 / stiffness. The gradient of a row is
+  /// zero after its node.
   void add_gram(const Program& program, int first) {
     const int last = size(), end = Inputs * std::min(row(first).k + 1, program.horizon());
-    gram_.block(first, 0, last - first, last).noalias() =
-        gradients_.block(first, 0, last - first, end)
-            .lazyProduct(gradients_.topLeftCorner(last, end).transpose());
+    for (int j = 0; j < last; ++j) {
+      const int start = std::max(first, j);
+      double* column = &gram_(start, j);
+      std::fill_n(column, last - start, 0.0);
+      detail::add_product(1.0, gradients(start, end), {&gradients_(j, 0), capacity_}, column);
+    }
     for (int i = first; i < last; ++i) {
       const Row& r = row(i);
       gram_(i, i) += 1.0 / std::min(program.node(r.k).stiffness(r.component), most_stiffness);
@@ -185,7 +210,8 @@ class DualMethod {
   }
 
   void store_multipliers(Program& program) const {
-    for (int k = 0; k <= program.horizon(); ++k) program.node(k).multiplier.setZero();
+    for (int k = 0; k <= program.horizon(); ++k)
+      std::fill_n(program.node(k).multiplier.data(), Rows, 0.0);
     for (int i = 0; i < size(); ++i)
       if (multipliers_(i) > 0.0)
         program.node(row(i).k).multiplier(row(i).component) += row(i).side * multipliers_(i);

@@ -1,8 +1,9 @@
 #pragma once
 
+#include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/optimal_control/cholesky.hpp>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 #include <nlopt.h>
@@ -10,7 +11,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
+#include <cstddef>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -48,17 +49,15 @@ inline void validate(const DualSettings& s) {
 }
 
 /// Minimiser of the dual above, with room for `capacity` rows. With a `Capacity` known to the
-/// compiler (of up to 128, Eigen's limit) the matrices are part of the object; and those who only
-/// include this do not wait for a Cholesky factorisation. From cold NLopt finds the rows that hold,
-/// in short calls with projected Newton steps between them; from the last multipliers those steps
-/// come first, and NLopt confirms the result or goes on from it.
+/// compiler (of up to 128, Eigen's limit) the matrices are part of the object. From cold NLopt
+/// finds the rows that hold, in short calls with projected Newton steps between them; from the last
+/// multipliers those steps come first, and NLopt confirms the result or goes on from it.
 ///
-/// After construction only NLopt allocates (with a capacity beyond 300, Eigen's Cholesky
-/// factorisation does, too). A solve makes at most 20 calls of NLopt; one with n rows takes 2
-/// blocks of together at most 256 (n + 1) bytes (NLopt 2.7.1: 220 n from n = 8 on) and gives them
-/// back before it returns. For every n met for the first time 3 blocks of together at most 32 n +
-/// 512 bytes (16 n + 248) are taken and kept. These bounds are those of the default algorithm:
-/// lbfgs, variable_metric and ccsa take less, slsqp 1.6 MB a call at n = 150.
+/// After construction only NLopt allocates. A solve makes at most 20 calls of NLopt; one with n
+/// rows takes 2 blocks of together at most 256 (n + 1) bytes (NLopt 2.7.1: 220 n from n = 8 on) and
+/// gives them back before it returns. For every n met for the first time 3 blocks of together at
+/// most 32 n + 512 bytes (16 n + 248) are taken and kept. These bounds are those of the default
+/// algorithm: lbfgs, variable_metric and ccsa take less, slsqp 1.6 MB a call at n = 150.
 template <int Capacity = Eigen::Dynamic>
 class DualSolver {
  public:
@@ -73,9 +72,9 @@ class DualSolver {
         scale_(capacity),
         iterate_(capacity),
         gradient_(capacity),
+        gradient_before_(capacity),
         candidate_(capacity),
         step_(capacity),
-        lower_(Vector::Zero(capacity)),
         reduced_(capacity),
         free_(static_cast<std::size_t>(capacity)) {}
 
@@ -88,36 +87,31 @@ class DualSolver {
                            const Eigen::MatrixBase<Bound>& rho,
                            Eigen::MatrixBase<Multiplier>& lambda,
                            std::optional<SolverClock::time_point> deadline = {}) noexcept {
+    return solve(static_cast<int>(b.size()), H.derived(), b.derived(), rho.derived(),
+                 lambda.derived(), deadline);
+  }
+  /// The same for the first `size` rows of what may have more.
+  template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
+  [[nodiscard]] bool solve(int size, const Hessian& H, const Offset& b, const Bound& rho,
+                           Multiplier& lambda,
+                           std::optional<SolverClock::time_point> deadline = {}) noexcept {
     deadline_ = deadline;
-    size_ = static_cast<int>(b.size());
+    size_ = size;
     if (size_ == 0) return true;
     // Jacobi scaling: unit diagonal, multipliers in units of their row.
-    scale_.head(size_) = H.diagonal().array().max(1e-300).sqrt().inverse();
-    for (int j = 0; j < size_; ++j)
-      for (int i = j; i < size_; ++i) {
-        hessian_(i, j) = H(i, j) * scale_(i) * scale_(j);
-        hessian_(j, i) = hessian_(i, j);
-      }
-    linear_.head(size_) = b.cwiseProduct(scale_.head(size_));
-    upper_.head(size_) = rho.cwiseQuotient(scale_.head(size_));
-    iterate_.head(size_) =
-        lambda.cwiseQuotient(scale_.head(size_)).cwiseMax(0.0).cwiseMin(upper_.head(size_));
-    if (!all_finite(linear_.head(size_)) || !all_finite(iterate_.head(size_))) return false;
-
-    const double tolerance =
-        settings_.tolerance * (1.0 + linear_.head(size_).cwiseAbs().maxCoeff());
-    // The last multipliers are nearly right; without any, NLopt finds the rows that hold first.
-    if (iterate_.head(size_).maxCoeff() > 0.0) refine(tolerance);
-    bool solved = false;
-    for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
-      solved = optimize(tolerance);
-      if (!solved) refine(tolerance);
+    for (int i = 0; i < size_; ++i) {
+      scale_(i) = 1.0 / std::sqrt(std::max(H.coeff(i, i), 1e-300));
+      linear_(i) = b.coeff(i) * scale_(i);
+      upper_(i) = rho.coeff(i) / scale_(i);
+      iterate_(i) = clamped(lambda.coeff(i) / scale_(i), i);
     }
-    if (!solved && late()) return false;
-    if (!all_finite(iterate_.head(size_))) return false;
-    lambda = iterate_.head(size_).cwiseProduct(scale_.head(size_)).cwiseMin(rho);
-    for (int i = 0; i < size_; ++i)
-      if (iterate_(i) >= upper_(i)) lambda(i) = rho(i);  // rounding must not hide a row given up
+    for (int j = 0; j < size_; ++j)
+      for (int i = j; i < size_; ++i)
+        hessian(i, j) = hessian(j, i) = H.coeff(i, j) * scale_(i) * scale_(j);
+    if (!minimise()) return false;
+    for (int i = 0; i < size_; ++i)  // rounding must not hide a row given up
+      lambda.coeffRef(i) =
+          iterate_(i) >= upper_(i) ? rho.coeff(i) : std::min(iterate_(i) * scale_(i), rho.coeff(i));
     return true;
   }
 
@@ -153,61 +147,97 @@ class DualSolver {
     return NLOPT_LD_TNEWTON_PRECOND_RESTART;
   }
 
-  static double objective(unsigned n, const double* x, double* gradient, void* self_pointer) {
+  /// The entry of a matrix of the current size, without gaps.
+  [[nodiscard]] double& hessian(int i, int j) {
+    return hessian_.data()[static_cast<std::ptrdiff_t>(size_) * j + i];
+  }
+  [[nodiscard]] double clamped(double x, int i) const {
+    return std::min(std::max(x, 0.0), upper_(i));  // NaN stays NaN
+  }
+  [[nodiscard]] bool finite(const Vector& numbers) const {
+    detail::FiniteCheck<detail::padding> check;
+    check.add(numbers.data(), size_);
+    return check.passed();
+  }
+
+  /// The dual's objective, and its gradient in gradient_.
+  double evaluate(const double* x) {
+    double* g = gradient_.data();
+    for (int i = 0; i < size_; ++i) g[i] = -linear_(i);
+    detail::add_product(1.0, {hessian_.data(), size_, size_, size_}, {x}, g);
+    return 0.5 * (detail::dot(x, g, size_) - detail::dot(x, linear_.data(), size_));
+  }
+  /// The largest entry of the projected gradient at x, where evaluate() was.
+  [[nodiscard]] double residual(const double* x) const {
+    double largest = 0.0;
+    for (int i = 0; i < size_; ++i) {
+      const double entry = std::abs(clamped(x[i] - gradient_(i), i) - x[i]);
+      if (entry > largest || std::isnan(entry)) largest = entry;
+    }
+    return largest;
+  }
+
+  static double objective(unsigned /*n*/, const double* x, double* gradient, void* self_pointer) {
     DualSolver& self = *static_cast<DualSolver*>(self_pointer);
-    const Eigen::Map<const Eigen::VectorXd> lambda(x, static_cast<Eigen::Index>(n));
     ++self.evaluations_;
-    self.gradient_.head(n).noalias() = self.hessian_.topLeftCorner(n, n).lazyProduct(lambda);
-    const double value = lambda.dot(0.5 * self.gradient_.head(n) - self.linear_.head(n));
+    const double value = self.evaluate(x);
     if (gradient != nullptr) {
-      Eigen::Map<Eigen::VectorXd> g(gradient, static_cast<Eigen::Index>(n));
-      g = self.gradient_.head(n) - self.linear_.head(n);
+      std::copy_n(self.gradient_.data(), self.size_, gradient);
       // A solution to tolerance needs no further evaluation.
-      if (self.projected_gradient(lambda, g) <= self.stop_) {
-        self.iterate_.head(n) = lambda;
+      if (self.residual(x) <= self.stop_) {
+        std::copy_n(x, self.size_, self.iterate_.data());
         self.solved_ = true;
-        nlopt_force_stop(self.optimizers_[n].get());
+        nlopt_force_stop(self.optimizer().get());
       }
     }
     return value;
   }
 
-  template <typename Point, typename Gradient>
-  double projected_gradient(const Point& x, const Gradient& g) const {
-    const auto step = (x - g).cwiseMax(0.0).cwiseMin(upper_.head(x.size())) - x;
-    return step.cwiseAbs().maxCoeff();
+  /// From iterate_, with the data scaled. False if there is no finite solution, or none in time.
+  [[nodiscard]] bool minimise() {
+    if (!finite(linear_) || !finite(iterate_)) return false;
+    double largest = 0.0;
+    bool warm = false;
+    for (int i = 0; i < size_; ++i) {
+      largest = std::max(largest, std::abs(linear_(i)));
+      warm = warm || iterate_(i) > 0.0;
+    }
+    const double tolerance = settings_.tolerance * (1.0 + largest);
+    // The last multipliers are nearly right; without any, NLopt finds the rows that hold first.
+    if (warm) refine(tolerance);
+    bool solved = false;
+    for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
+      solved = optimize(tolerance);
+      if (!solved) refine(tolerance);
+    }
+    return (solved || !late()) && finite(iterate_);
   }
+
+  [[nodiscard]] Optimizer& optimizer() { return optimizers_[static_cast<std::size_t>(size_)]; }
 
   /// One call of NLopt from iterate_. True if the dual is then solved to tolerance.
   bool optimize(double tolerance) {
-    Optimizer& optimizer = optimizers_[static_cast<std::size_t>(size_)];
-    if (!optimizer) {
-      optimizer.reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
-      if (!optimizer) return false;
-      nlopt_set_lower_bounds(optimizer.get(), lower_.data());
-      nlopt_set_maxeval(optimizer.get(), settings_.max_evaluations);
-      nlopt_set_vector_storage(optimizer.get(), vector_storage);
-      nlopt_set_ftol_rel(optimizer.get(), 1e-15);
+    if (!optimizer()) {
+      optimizer().reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
+      if (!optimizer()) return false;
+      nlopt_set_lower_bounds1(optimizer().get(), 0.0);
+      nlopt_set_maxeval(optimizer().get(), settings_.max_evaluations);
+      nlopt_set_vector_storage(optimizer().get(), vector_storage);
+      nlopt_set_ftol_rel(optimizer().get(), 1e-15);
     }
-    nlopt_set_min_objective(optimizer.get(), objective, this);
-    nlopt_set_upper_bounds(optimizer.get(), upper_.data());
+    nlopt_set_min_objective(optimizer().get(), objective, this);
+    nlopt_set_upper_bounds(optimizer().get(), upper_.data());
     stop_ = tolerance;
     solved_ = false;
-    candidate_.head(size_) = iterate_.head(size_);
+    std::copy_n(iterate_.data(), size_, candidate_.data());
     double value = 0.0;
     // NLopt's return code says little (positive even if all was NaN): the point itself is judged.
-    nlopt_optimize(optimizer.get(), candidate_.data(), &value);
+    nlopt_optimize(optimizer().get(), candidate_.data(), &value);
     if (solved_) return true;
-    if (all_finite(candidate_.head(size_)))
-      iterate_.head(size_) = candidate_.head(size_).cwiseMax(0.0).cwiseMin(upper_.head(size_));
-    return residual() <= tolerance;
-  }
-
-  double residual() {
-    gradient_.head(size_).noalias() =
-        hessian_.topLeftCorner(size_, size_).lazyProduct(iterate_.head(size_));
-    gradient_.head(size_) -= linear_.head(size_);
-    return projected_gradient(iterate_.head(size_), gradient_.head(size_));
+    if (finite(candidate_))
+      for (int i = 0; i < size_; ++i) iterate_(i) = clamped(candidate_(i), i);
+    evaluate(iterate_.data());
+    return residual(iterate_.data()) <= tolerance;
   }
 
   /// Projected Newton steps (Bertsekas 1982) from iterate_, each with its own Cholesky
@@ -215,55 +245,61 @@ class DualSolver {
   /// what the last multipliers are off by, this finishes to rounding. Never increases the dual's
   /// objective.
   void refine(double tolerance) {
-    for (int pass = 0; pass < max_passes && residual() > tolerance && !late(); ++pass) {
-      const double before = objective_at(iterate_, gradient_);
-      int free = 0;
-      step_.head(size_).setZero();
-      for (int i = 0; i < size_; ++i) {
-        const double next = iterate_(i) - gradient_(i);
-        if (next <= 0.0 || next >= upper_(i))
-          step_(i) = -gradient_(i);
-        else
-          free_[static_cast<std::size_t>(free++)] = i;
-      }
-      for (int j = 0; j < free; ++j) {
-        const int column = free_[static_cast<std::size_t>(j)];
-        reduced_(j) = -gradient_(column);
-        for (int i = j; i < free; ++i)
-          factor_(i, j) = hessian_(free_[static_cast<std::size_t>(i)], column);
-      }
-      if (free > 0) {
-        Eigen::Ref<Matrix> block = factor_.topLeftCorner(free, free);
-        const Eigen::LLT<Eigen::Ref<Matrix>> cholesky(block);
-        if (cholesky.info() != Eigen::Success) return;
-        cholesky.matrixL().solveInPlace(reduced_.head(free));
-        cholesky.matrixU().solveInPlace(reduced_.head(free));
-        for (int i = 0; i < free; ++i) step_(free_[static_cast<std::size_t>(i)]) = reduced_(i);
-      }
-      bool better = false;
-      for (double length = 1.0; length > 1e-4 && !better; length *= 0.5) {
-        candidate_.head(size_) = (iterate_.head(size_) + length * step_.head(size_))
-                                     .cwiseMax(0.0)
-                                     .cwiseMin(upper_.head(size_));
-        gradient_.head(size_).noalias() =
-            hessian_.topLeftCorner(size_, size_).lazyProduct(candidate_.head(size_));
-        gradient_.head(size_) -= linear_.head(size_);
-        better = objective_at(candidate_, gradient_) < before;
-      }
-      if (!better) return;
-      iterate_.head(size_).swap(candidate_.head(size_));
-    }
+    evaluate(iterate_.data());
+    for (int pass = 0; pass < max_passes && residual(iterate_.data()) > tolerance && !late();
+         ++pass)
+      if (!find_newton_step() || !search_line()) return;
   }
 
-  /// The dual's objective where its gradient is known.
-  [[nodiscard]] double objective_at(const Vector& x, const Vector& g) const {
-    return 0.5 * x.head(size_).dot(g.head(size_) - linear_.head(size_));
+  /// In step_, from iterate_ and its gradient. False if the Hessian is singular.
+  [[nodiscard]] bool find_newton_step() {
+    int free = 0;
+    for (int i = 0; i < size_; ++i) {
+      const double next = iterate_(i) - gradient_(i);
+      if (next <= 0.0 || next >= upper_(i))
+        step_(i) = -gradient_(i);
+      else
+        free_[static_cast<std::size_t>(free++)] = i;
+    }
+    for (int j = 0; j < free; ++j) {
+      const int column = free_[static_cast<std::size_t>(j)];
+      reduced_(j) = -gradient_(column);
+      double* entries = factor_.data() + static_cast<std::ptrdiff_t>(free) * j;
+      for (int i = j; i < free; ++i)
+        entries[i] = hessian(free_[static_cast<std::size_t>(i)], column);
+    }
+    if (detail::factorise(factor_.data(), free, free) > 0) return false;
+    detail::solve_factorised(factor_.data(), free, free, reduced_.data());
+    for (int i = 0; i < free; ++i) step_(free_[static_cast<std::size_t>(i)]) = reduced_(i);
+    return true;
+  }
+
+  /// Moves iterate_ along step_ to where the objective is lower. False if it is so nowhere.
+  [[nodiscard]] bool search_line() {
+    std::copy_n(gradient_.data(), size_, gradient_before_.data());
+    for (double length = 1.0; length > 1e-4; length *= 0.5) {
+      for (int i = 0; i < size_; ++i) candidate_(i) = clamped(iterate_(i) + length * step_(i), i);
+      evaluate(candidate_.data());
+      if (!(change_to_candidate() < 0.0)) continue;
+      std::copy_n(candidate_.data(), size_, iterate_.data());
+      return true;
+    }
+    return false;
+  }
+  /// Of the objective, by its gradients at both ends: its values differ by less than their rounding
+  /// near the solution.
+  [[nodiscard]] double change_to_candidate() const {
+    double change = 0.0;
+    for (int i = 0; i < size_; ++i)
+      change += 0.5 * (candidate_(i) - iterate_(i)) * (gradient_(i) + gradient_before_(i));
+    return change;
   }
 
   DualSettings settings_;
   std::vector<Optimizer> optimizers_;  // by size, made when first needed
-  Matrix hessian_, factor_;
-  Vector linear_, upper_, scale_, iterate_, gradient_, candidate_, step_, lower_, reduced_;
+  Matrix hessian_, factor_;            // without gaps, see hessian()
+  Vector linear_, upper_, scale_, iterate_, gradient_, gradient_before_, candidate_, step_;
+  Vector reduced_;
   std::vector<int> free_;
   int size_ = 0;
   std::optional<SolverClock::time_point> deadline_;

@@ -1,0 +1,16 @@
+#pragma once
+
+#include <tilt_ropter/control/nmpc_settings.hpp>
+
+#include <limits>
+
+namespace test_support {
+
+/// The settings for a loop in which time stands still while the controller computes: without a time
+/// limit, unless one is set, so that what flies does not depend on what else the machine does.
+inline tilt_ropter::NmpcSettings in_simulated_time(tilt_ropter::NmpcSettings settings = {}) {
+  if (settings.time_limit == 0.0) settings.time_limit = std::numeric_limits<double>::infinity();
+  return settings;
+}
+
+}  // namespace test_support
