@@ -1,0 +1,236 @@
+// Model and estimation in single precision, as on a microcontroller, in the loop with NMPC and
+// plant.
+
+#include "support/simulated_time.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/model/rigid_body.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+template <typename To, typename From>
+Wrench<To> cast(const Wrench<From>& w) {
+  return {w.force.template cast<To>(), w.torque.template cast<To>()};
+}
+template <typename To, typename From>
+BodyState<To> cast(const BodyState<From>& x) {
+  return {x.position.template cast<To>(), x.velocity.template cast<To>(),
+          x.orientation.template cast<To>(), x.angular_velocity.template cast<To>()};
+}
+template <typename To, typename From>
+ActuatorState<4, To> cast(const ActuatorState<4, From>& a) {
+  return {a.rotor_speed.template cast<To>(), a.tilt_angle.template cast<To>()};
+}
+
+/// All on board that is templated on its scalar, around the Nmpc, which is not. The command of a
+/// tick acts from the next one on: the rigid body predicts the state there.
+template <typename Scalar>
+class OnBoard {
+ public:
+  static constexpr double period = 0.01;
+
+  explicit OnBoard(const Vehicle<4>& vehicle)
+      : allocation_(vehicle),
+        actuators_(vehicle),
+        body_(vehicle.body),
+        observer_(vehicle.body),
+        nmpc_(vehicle, test_support::in_simulated_time()) {}
+
+  void on_imu(const ImuSensor::Measurement& m) {
+    applied_ = allocation_.wrench(actuators_.update(m.time, acting_));
+    const InertialSample<Scalar> sample{m.angular_velocity.cast<Scalar>(),
+                                        m.specific_force.cast<Scalar>()};
+    ekf_.on_imu(m.time, sample);
+    const InertialState<Scalar>& x = ekf_.filter().state();
+    observer_.update(m.time, sample.specific_force - x.accelerometer_bias,
+                     sample.angular_velocity - x.gyro_bias, applied_);
+  }
+
+  void on_pose(const PoseSensor::Measurement& m) {
+    ekf_.on_pose(m.time, {m.position.cast<Scalar>(), m.orientation.cast<Scalar>()});
+  }
+
+  /// Returns what acts from `time` on; what it computes acts a period later.
+  ActuatorState<4> tick(double time, const Mission& mission) {
+    acting_ = next_;
+    actuators_.update(time, acting_);
+    if (!ekf_.running()) return cast<double>(acting_);
+    const double then = time + period;
+    if (nmpc_.prepare(then, mission, cast<double>(observer_.external())))
+      observer_.set_external(cast<Scalar>(nmpc_.contact().air_wrench()));
+    Eigen::Matrix<Scalar, 6, 1> rate;
+    rate << rate_.force, rate_.torque;
+    const State<Scalar> predicted =
+        body_.step({applied_, ekf_.state()}, rate, observer_.external(), Scalar(period));
+    const NmpcResult& result = nmpc_.feedback(then, cast<double>(predicted.body));
+    rate_ = cast<Scalar>(result.rate);
+    next_ = allocation_.allocate(cast<Scalar>(result.wrench), rate_, next_).command;
+    EXPECT_TRUE(has_plan(result.status));
+    EXPECT_TRUE(is_finite(ekf_.state()) && is_finite(observer_.external()) &&
+                is_finite(predicted.body) && all_finite(next_.rotor_speed) &&
+                all_finite(next_.tilt_angle));
+    return cast<double>(acting_);
+  }
+
+  [[nodiscard]] BodyState<> state() const { return cast<double>(ekf_.state()); }
+  [[nodiscard]] Wrench<> external() const { return cast<double>(observer_.external()); }
+  [[nodiscard]] int mode_changes() const { return nmpc_.contact().mode_changes(); }
+
+ private:
+  Allocation<4, Scalar> allocation_;
+  ActuatorModel<4, Scalar> actuators_;
+  RigidBody<Scalar> body_;
+  Ekf<Scalar> ekf_;
+  WrenchObserver<Scalar> observer_;
+  Nmpc<4> nmpc_;
+  ActuatorState<4, Scalar> acting_, next_;
+  Wrench<Scalar> applied_, rate_;
+};
+
+struct Rms {
+  double squares = 0.0;
+  int count = 0;
+  void add(const Eigen::Vector3d& error) {
+    squares += error.squaredNorm();
+    ++count;
+  }
+  [[nodiscard]] double value() const { return std::sqrt(squares / count); }
+};
+
+/// A flight, tick by tick, with the errors of tracking and, while the wind blows, of the estimates.
+struct Flight {
+  std::vector<Eigen::Vector3d> positions;  ///< true
+  std::vector<Wrench<>> external;          ///< estimated
+  Rms air, ground, position, force, torque;
+  int mode_changes = 0;
+};
+
+/// Take-off, an eight in the air in wind, landing, an eight on the ground, take-off and landing:
+/// `distance` [m] from the origin in x and in y, at times that a float resolves to 1/16 s.
+template <typename Scalar>
+Flight fly(double distance) {
+  HybridMissionParameters parameters;
+  parameters.laps = 1;
+  parameters.flight_height = 1.0;
+  parameters.hover_time = 0.5;
+  parameters.descent_acceleration = 1.0;
+  parameters.origin << distance, -distance;
+  parameters.start_time = 1e6;
+  const Mission mission = hybrid_mission(parameters);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  Plant<4> plant(vehicle);
+  PlantState<4> start = plant.state();
+  start.time = mission.start_time();
+  start.body.position.head<2>() = parameters.origin;
+  plant.reset(start);
+
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = 1000.0;
+  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
+  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
+  PoseSensorParameters pose_parameters;
+  pose_parameters.delay = 0.02;
+  ImuSensor imu(imu_parameters, 1);
+  PoseSensor poses(pose_parameters, 2);
+
+  OnBoard<Scalar> on_board(vehicle);
+  ActuatorState<4> command;
+  Flight flight;
+  const long steps = std::lround(mission.duration() / 1e-3);
+  for (long i = 0; i < steps && !testing::Test::HasFailure(); ++i) {
+    const double time = plant.time();
+    const bool in_the_air = mission.phase(time) == MissionPhase::air;
+    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+      on_board.on_imu(*m);
+    if (const auto m = poses.sample(time, plant.body())) on_board.on_pose(*m);
+    if (i % 10 == 0) {
+      command = on_board.tick(time, mission);
+      const Eigen::Vector3d position = plant.body().position;
+      const Wrench<> external = on_board.external();
+      flight.positions.push_back(position);
+      flight.external.push_back(external);
+      if (mission.phase(time) == MissionPhase::ground)
+        flight.ground.add(position - mission(time).position);
+      if (in_the_air) {
+        flight.air.add(position - mission(time).position);
+        flight.position.add(on_board.state().position - position);
+        flight.force.add(external.force - plant.external_wrench().force);
+        flight.torque.add(external.torque - plant.external_wrench().torque);
+      }
+    }
+    Wrench<> wind;  // in the body frame, whose yaw is constant then
+    if (in_the_air) wind = {{1.0, -1.5, 0.5}, {0.02, 0.03, -0.02}};
+    EXPECT_TRUE(plant.step(command, wind, 1e-3));
+  }
+  flight.mode_changes = on_board.mode_changes();
+  return flight;
+}
+
+/// The greatest differences of two flights.
+struct Differences {
+  double position = 0.0, force = 0.0, torque = 0.0;  // [m], [N], [N m]
+
+  Differences(const Flight& a, const Flight& b) {
+    for (std::size_t i = 0; i < std::min(a.positions.size(), b.positions.size()); ++i) {
+      position = std::max(position, (a.positions[i] - b.positions[i]).norm());
+      force = std::max(force, (a.external[i].force - b.external[i].force).norm());
+      torque = std::max(torque, (a.external[i].torque - b.external[i].torque).norm());
+    }
+  }
+};
+
+// Measured in five builds (GCC, clang, -march=native, -ffast-math): rmse 33.4 mm in the air and
+// 6.9 mm on the ground; the estimated wrench off by 0.17 N and 0.0039 N m rms, mostly where it
+// still follows the sudden wind; between the two flights at most 6 um, 0.0005 N and 0.00002 N m.
+TEST(SinglePrecision, FliesAndDrivesLikeDoublePrecision) {
+  const Flight exact = fly<double>(0.0), single = fly<float>(0.0);
+  EXPECT_LT(exact.air.value(), 0.04);
+  EXPECT_LT(exact.ground.value(), 0.01);
+  EXPECT_NEAR(single.air.value(), exact.air.value(), 1e-3 * exact.air.value());
+  EXPECT_NEAR(single.ground.value(), exact.ground.value(), 1e-3 * exact.ground.value());
+  EXPECT_LT(single.force.value(), 0.2);
+  EXPECT_LT(single.torque.value(), 0.005);
+  EXPECT_EQ(exact.mode_changes, 4);
+  EXPECT_EQ(single.mode_changes, 4);
+
+  const Differences differences(exact, single);
+  EXPECT_LT(differences.position, 1.5e-5);
+  EXPECT_LT(differences.force, 1.5e-3);
+  EXPECT_LT(differences.torque, 1e-4);
+}
+
+// A float resolves 0.06 mm at a kilometre, and the filter rounds its position to that at every IMU
+// sample: at 1 kHz the estimate is off by 0.9 mm rms, at the origin by 0.3 mm. Measured in five
+// builds: rmse 35 mm in the air and 7.7 to 8.3 mm on the ground.
+TEST(SinglePrecision, FliesAndDrivesAKilometreFromTheOrigin) {
+  const Flight single = fly<float>(1000.0);
+  EXPECT_LT(single.air.value(), 0.04);
+  EXPECT_LT(single.ground.value(), 0.012);
+  EXPECT_LT(single.position.value(), 1.5e-3);
+  EXPECT_LT(single.force.value(), 0.2);
+  EXPECT_LT(single.torque.value(), 0.005);
+  EXPECT_EQ(single.mode_changes, 4);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
