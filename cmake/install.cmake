@@ -20,6 +20,7 @@ install(FILES
   "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropterConfig.cmake"
   "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropterConfigVersion.cmake"
   cmake/FindNLopt.cmake
+  cmake/compiled.cmake
   DESTINATION "${package_dir}")
 
 if(NOT top_level)

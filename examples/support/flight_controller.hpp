@@ -1,10 +1,8 @@
 #pragma once
 
-#include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>

@@ -3,11 +3,10 @@
 #include "program_audit.hpp"
 #include "vehicle_spread.hpp"
 
-#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>

@@ -13,6 +13,7 @@
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/one_processor.hpp>
 #include <tilt_ropter/math/packet.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/singular_values.hpp>

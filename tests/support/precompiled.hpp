@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #include <gtest/gtest.h>

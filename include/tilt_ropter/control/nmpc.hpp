@@ -80,21 +80,10 @@ class Nmpc {
   /// cannot give every wrench (see control_authority()). Allocates; the functions below allocate
   /// nothing outside NLopt and never throw. When an actuator fails in flight, make another one for
   /// the vehicle that is left.
-  Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
-      : settings_(checked(settings)),
-        body_(vehicle.body),
-        contact_(vehicle.body, vehicle.wheels, settings.ground),
-        ground_thrust_(vehicle, settings.ground),
-        solver_(
-            Problem(vehicle.body, vehicle.wheels, settings.problem,
-                    settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
-            settings.solver),
-        points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
-    result_.wrench = safe_wrench();
-  }
+  Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings);
 
   /// With the settings that fly this vehicle without tuning.
-  explicit Nmpc(const Vehicle<Rotors>& vehicle) : Nmpc(vehicle, nmpc_settings(vehicle)) {}
+  explicit Nmpc(const Vehicle<Rotors>& vehicle);
 
   /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
   /// reference, linearisation, factorisation. `reference` is any callable that returns a
@@ -104,79 +93,18 @@ class Nmpc {
   template <typename Reference>
   bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
     const auto start = SolverClock::now();
-    prepared_ = false;
+    const bool lifted_off = begin_to_prepare(time, external);
     if (!std::isfinite(time)) return false;
-    forget_old_plan(time);
-    bool lifted_off = false;
-    if (is_plausible(external)) external_ = external;
-    if (!cold_) lifted_off = contact_.update(body_state_, external_);
     for (std::size_t k = 0; k < points_.size(); ++k)
       points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
-    set_nodes();
-    prepared_ = true;
-    if (!cold_) {
-      // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
-      // exact, and what is commanded keeps to them.
-      if (!solver_.goes_on()) {
-        State<> first = solver_.state(0);
-        first.wrench = wrench_at(time);
-        solver_.set_guess(0, first, solver_.input(0));
-      }
-      (void)solver_.prepare();
-    }
+    finish_preparing(time);
     prepare_time_ = SolverClock::now() - start;
     return lifted_off;
   }
 
   /// The wrench to command from the body state measured at `time` [s]. Needs a prepare() before.
   /// After a cold start or repeated failure this one call does the work of prepare(), too.
-  [[nodiscard]] const NmpcResult& feedback(double time, const BodyState<>& measured) noexcept {
-    if (!std::isfinite(time) || !is_finite(measured))
-      return continue_last_plan(time, NmpcStatus::bad_state);
-    body_state_ = measured;
-    body_state_.orientation.normalize();
-    if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
-    const auto deadline = deadline_from(SolverClock::now());
-    forget_old_plan(time);
-    if (cold_) {
-      contact_.update(body_state_, external_);
-      set_nodes();
-    }
-    State<> x;
-    x.body = body_state_;
-    // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
-    // while it turns with its nose up or down. A model that did would rather keep the nose there.
-    if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
-    x.wrench = has_plan_ ? wrench_at(time) : safe_wrench();
-    if (cold_) start_cold(x);
-    prepared_ = false;
-    bool credible = make_plan(x, deadline);
-    if (!credible && tilt_ropter::has_plan(result_.report.status)) {
-      solver_.take_back();
-      if (!cold_ && can_start_again(deadline)) {
-        start_cold(x);
-        has_plan_ = false;  // it has been written over
-        credible = make_plan(x, deadline);
-        if (!credible && tilt_ropter::has_plan(result_.report.status)) solver_.take_back();
-      }
-      if (!credible) result_.report.status = SolveStatus::failed;
-    }
-    if (!credible) return continue_last_plan(time, NmpcStatus::solver_failed);
-    if (!solver_.has_step() && plan_in_force(time))
-      return hand_out_last_plan(time, NmpcStatus::approximate);
-    failures_ = 0;
-    cold_ = false;
-    has_plan_ = true;
-    plan_time_ = time;
-    plan_start_ = solver_.state(0);
-    gain_ = solver_.gain(0);
-    corrected_ = false;
-    plan_status_ = result_.report.status == SolveStatus::iterated ? NmpcStatus::solved
-                                                                  : NmpcStatus::approximate;
-    result_.status = plan_status_;
-    set_command(0.0);
-    return result_;
-  }
+  [[nodiscard]] const NmpcResult& feedback(double time, const BodyState<>& measured) noexcept;
 
   /// Between two ticks, as from an inner loop at 1 kHz: the wrench for the body state measured at
   /// `time` [s]. Its rate is that of the plan, corrected by the gains of the last factorisation for
@@ -184,34 +112,10 @@ class Nmpc {
   /// the rates since the last call, and the next tick starts from it. Takes microseconds. With a
   /// state that is not finite, or without a plan that is in force: as hold(), but not counted as a
   /// failure.
-  [[nodiscard]] const NmpcResult& between_ticks(double time, const BodyState<>& measured) noexcept {
-    if (!plan_in_force(time) || !is_finite(measured))
-      return hand_out_last_plan(time, NmpcStatus::bad_state);
-    const double age = std::max(time - plan_time_, 0.0), interval = settings_.problem.interval;
-    const Problem& problem = solver_.problem();
-    const int k = interval_at(age);
-    State<> x;
-    x.body = measured;
-    x.body.orientation.normalize();
-    if (problem.node(0).on_ground) x.body.angular_velocity.x() = 0.0;  // as in feedback()
-    x.wrench = wrench_at(time);
-    const State<> expected = problem.step_for(
-        age - interval * k, k, k == 0 ? plan_start_ : solver_.state(k), solver_.input(k));
-    corrected_ = true;
-    corrected_time_ = time;
-    corrected_wrench_ = x.wrench;
-    corrected_rate_ =
-        rate_within_bounds(Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
-    result_.wrench = x.wrench;
-    result_.rate = {corrected_rate_.head<3>(), corrected_rate_.tail<3>()};
-    result_.status = plan_status_;
-    return result_;
-  }
+  [[nodiscard]] const NmpcResult& between_ticks(double time, const BodyState<>& measured) noexcept;
 
   /// Instead of feedback(), where there is no state to trust at `time` [s].
-  [[nodiscard]] const NmpcResult& hold(double time) noexcept {
-    return continue_last_plan(time, NmpcStatus::bad_state);
-  }
+  [[nodiscard]] const NmpcResult& hold(double time) noexcept;
 
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
   [[nodiscard]] const GroundContact& contact() const { return contact_; }
@@ -227,173 +131,56 @@ class Nmpc {
     return settings;
   }
 
-  [[nodiscard]] bool is_plausible(const Wrench<>& external) const {
-    const double most = 10.0 * body_.mass * gravity;  // not a comparison that NaN passes
-    return external.force.norm() <= most && external.torque.norm() <= most;
-  }
+  // What prepare() does before it looks at the reference, and after.
+  bool begin_to_prepare(double time, const Wrench<>& external);
+  void finish_preparing(double time);
+
+  [[nodiscard]] bool is_plausible(const Wrench<>& external) const;
 
   // When this tick has to be over, prepare() counted.
-  [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const {
-    const double limit = settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
-    return now - prepare_time_ +
-           std::chrono::duration_cast<SolverClock::duration>(
-               std::chrono::duration<double>(std::min(limit, 1e6)));
-  }
+  [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const;
 
-  [[nodiscard]] bool plan_in_force(double time) const {
-    return has_plan_ && std::abs(time - plan_time_) <= settings_.max_plan_age;
-  }
+  [[nodiscard]] bool plan_in_force(double time) const;
   // After an interruption: nobody has followed it.
-  void forget_old_plan(double time) {
-    if (has_plan_ && !plan_in_force(time)) {
-      has_plan_ = false;
-      cold_ = true;
-    }
-  }
+  void forget_old_plan(double time);
 
-  [[nodiscard]] bool make_plan(const State<>& x, SolverClock::time_point deadline) {
-    result_.report = solver_.feedback(x, deadline);
-    return tilt_ropter::has_plan(result_.report.status) && plan_is_credible();
-  }
+  [[nodiscard]] bool make_plan(const State<>& x, SolverClock::time_point deadline);
 
   // In the same tick, which must not get much longer by it.
-  [[nodiscard]] bool can_start_again(SolverClock::time_point deadline) const {
-    const auto needed = std::chrono::duration_cast<SolverClock::duration>(
-        std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
-    return 4 * solver_.report().passes <= settings_.solver.program.max_passes &&
-           SolverClock::now() + needed < deadline;
-  }
+  [[nodiscard]] bool can_start_again(SolverClock::time_point deadline) const;
 
   /// A plan from anywhere begins with the whole horizon at `x`.
-  void start_cold(const State<>& x) {
-    solver_.reset(x);
-    plan_start_ = x;
-    corrected_ = false;
-    (void)solver_.prepare();
-  }
+  void start_cold(const State<>& x);
 
   /// False if the plan turns or pushes ten times as much as the bounds allow, or goes a kilometre
   /// away: bad input has led it astray, from where one iteration at a time does not find back.
-  [[nodiscard]] bool plan_is_credible() const {
-    const NmpcBounds& b = settings_.problem.bounds;
-    const double turn = 10.0 * b.angular_velocity.maxCoeff(),
-                 force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
-                 torque =
-                     10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
-    for (int k = 1; k <= solver_.horizon(); ++k) {
-      const State<>& x = solver_.state(k);
-      if (!(x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
-            x.wrench.torque.norm() <= torque &&
-            (x.body.position - body_state_.position).norm() <= 1e3))
-        return false;
-    }
-    return true;
-  }
+  [[nodiscard]] bool plan_is_credible() const;
 
-  void set_nodes() {
-    for (std::size_t k = 0; k < points_.size(); ++k)
-      set_node(points_[k], solver_.problem().node(static_cast<int>(k)));
-  }
+  void set_nodes();
 
-  void set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
-    node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
-    contact_.apply(points_.front(), point, node);
-    node.wrench_reference = {};
-    if (!settings_.wrench_feedforward) {
-      node.wrench_reference.force.z() =
-          node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
-      return;
-    }
-    const Eigen::Vector3d& w = point.angular_velocity;
-    Wrench<>& feedforward = node.wrench_reference;
-    feedforward.force = body_.mass * (point.orientation.conjugate() *
-                                      (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
-                        node.external.force;
-    feedforward.torque = body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) -
-                         node.external.torque;
-    if (node.on_ground) {
-      // The wheels give the side force, the ground the vertical one and the roll torque.
-      feedforward.force.y() = 0.0;
-      feedforward.torque.x() = 0.0;
-      feedforward.force.z() = ground_thrust_(feedforward);
-    }
-  }
+  void set_node(const ReferencePoint& point, WheeledFlightNode& node) const;
 
   [[nodiscard]] int interval_at(double age) const {
     return std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
   }
 
   /// Wrench of the last plan `age` [s] after its measurement: linear in each interval.
-  [[nodiscard]] Wrench<> planned_wrench(double age) const {
-    const double interval = settings_.problem.interval;
-    const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
-    const int k = interval_at(clamped);
-    const Wrench<>& start = k == 0 ? plan_start_.wrench : solver_.state(k).wrench;
-    const Rate& rate = solver_.input(k);
-    const double t = clamped - interval * k;
-    return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
-  }
+  [[nodiscard]] Wrench<> planned_wrench(double age) const;
 
   /// What has been commanded by now, while a plan is in force.
-  [[nodiscard]] Wrench<> wrench_at(double time) const {
-    if (!corrected_) return planned_wrench(time - plan_time_);
-    const double t = std::max(time - corrected_time_, 0.0);
-    return within_bounds({corrected_wrench_.force + t * corrected_rate_.head<3>(),
-                          corrected_wrench_.torque + t * corrected_rate_.tail<3>()});
-  }
+  [[nodiscard]] Wrench<> wrench_at(double time) const;
 
-  [[nodiscard]] Wrench<> within_bounds(const Wrench<>& wrench) const {
-    const NmpcBounds& b = settings_.problem.bounds;
-    return {wrench.force.cwiseMax(b.force_min).cwiseMin(b.force_max),
-            wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
-  }
-  [[nodiscard]] Rate rate_within_bounds(const Rate& rate) const {
-    Rate most;
-    most << settings_.problem.bounds.force_rate, settings_.problem.bounds.torque_rate;
-    return rate.cwiseMax(-most).cwiseMin(most);
-  }
+  [[nodiscard]] Wrench<> within_bounds(const Wrench<>& wrench) const;
+  [[nodiscard]] Rate rate_within_bounds(const Rate& rate) const;
 
   /// Without a plan: carry the weight and what else is known to pull, turn nothing; on the ground,
   /// almost no thrust.
-  [[nodiscard]] Wrench<> safe_wrench() const {
-    Wrench<> wrench;
-    if (contact_.on_ground()) {
-      wrench.force.z() = settings_.ground.down_force;
-    } else {
-      wrench = {-external_.force, -external_.torque};
-      wrench.force.z() += body_.mass * gravity;
-    }
-    return within_bounds(wrench);
-  }
+  [[nodiscard]] Wrench<> safe_wrench() const;
 
-  void set_command(double age) {
-    result_.wrench = planned_wrench(age);
-    const Rate rate = rate_within_bounds(solver_.input(interval_at(age)));
-    result_.rate = {rate.head<3>(), rate.tail<3>()};
-    result_.on_ground = contact_.on_ground();
-  }
+  void set_command(double age);
 
-  const NmpcResult& continue_last_plan(double time, NmpcStatus status) {
-    prepared_ = false;
-    if (++failures_ >= settings_.failures_before_reset) cold_ = true;
-    return hand_out_last_plan(time, status);
-  }
-  const NmpcResult& hand_out_last_plan(double time, NmpcStatus status) {
-    const double age = time - plan_time_;
-    if (has_plan_ && age >= 0.0 && age <= settings_.max_plan_age) {
-      set_command(age);
-      if (corrected_) result_.wrench = wrench_at(time);
-      result_.status = status;
-    } else {
-      has_plan_ = false;
-      cold_ = true;
-      result_.wrench = safe_wrench();
-      result_.rate = {};
-      result_.on_ground = contact_.on_ground();
-      result_.status = NmpcStatus::no_plan;
-    }
-    return result_;
-  }
+  const NmpcResult& continue_last_plan(double time, NmpcStatus status);
+  const NmpcResult& hand_out_last_plan(double time, NmpcStatus status);
 
   NmpcSettings settings_;
   RigidBodyParameters body_;
@@ -417,5 +204,299 @@ class Nmpc {
   int failures_ = 0;
   bool prepared_ = false, has_plan_ = false, cold_ = true;
 };
+
+template <int Rotors>
+Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
+    : settings_(checked(settings)),
+      body_(vehicle.body),
+      contact_(vehicle.body, vehicle.wheels, settings.ground),
+      ground_thrust_(vehicle, settings.ground),
+      solver_(
+          Problem(vehicle.body, vehicle.wheels, settings.problem,
+                  settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
+          settings.solver),
+      points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
+  result_.wrench = safe_wrench();
+}
+
+template <int Rotors>
+Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle) : Nmpc(vehicle, nmpc_settings(vehicle)) {}
+
+template <int Rotors>
+const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyState<>& measured) noexcept {
+  if (!std::isfinite(time) || !is_finite(measured))
+    return continue_last_plan(time, NmpcStatus::bad_state);
+  body_state_ = measured;
+  body_state_.orientation.normalize();
+  if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
+  const auto deadline = deadline_from(SolverClock::now());
+  forget_old_plan(time);
+  if (cold_) {
+    contact_.update(body_state_, external_);
+    set_nodes();
+  }
+  State<> x;
+  x.body = body_state_;
+  // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
+  // while it turns with its nose up or down. A model that did would rather keep the nose there.
+  if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
+  x.wrench = has_plan_ ? wrench_at(time) : safe_wrench();
+  if (cold_) start_cold(x);
+  prepared_ = false;
+  bool credible = make_plan(x, deadline);
+  if (!credible && tilt_ropter::has_plan(result_.report.status)) {
+    solver_.take_back();
+    if (!cold_ && can_start_again(deadline)) {
+      start_cold(x);
+      has_plan_ = false;  // it has been written over
+      credible = make_plan(x, deadline);
+      if (!credible && tilt_ropter::has_plan(result_.report.status)) solver_.take_back();
+    }
+    if (!credible) result_.report.status = SolveStatus::failed;
+  }
+  if (!credible) return continue_last_plan(time, NmpcStatus::solver_failed);
+  if (!solver_.has_step() && plan_in_force(time))
+    return hand_out_last_plan(time, NmpcStatus::approximate);
+  failures_ = 0;
+  cold_ = false;
+  has_plan_ = true;
+  plan_time_ = time;
+  plan_start_ = solver_.state(0);
+  gain_ = solver_.gain(0);
+  corrected_ = false;
+  plan_status_ =
+      result_.report.status == SolveStatus::iterated ? NmpcStatus::solved : NmpcStatus::approximate;
+  result_.status = plan_status_;
+  set_command(0.0);
+  return result_;
+}
+
+template <int Rotors>
+const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyState<>& measured) noexcept {
+  if (!plan_in_force(time) || !is_finite(measured))
+    return hand_out_last_plan(time, NmpcStatus::bad_state);
+  const double age = std::max(time - plan_time_, 0.0), interval = settings_.problem.interval;
+  const Problem& problem = solver_.problem();
+  const int k = interval_at(age);
+  State<> x;
+  x.body = measured;
+  x.body.orientation.normalize();
+  if (problem.node(0).on_ground) x.body.angular_velocity.x() = 0.0;  // as in feedback()
+  x.wrench = wrench_at(time);
+  const State<> expected = problem.step_for(
+      age - interval * k, k, k == 0 ? plan_start_ : solver_.state(k), solver_.input(k));
+  corrected_ = true;
+  corrected_time_ = time;
+  corrected_wrench_ = x.wrench;
+  corrected_rate_ =
+      rate_within_bounds(Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
+  result_.wrench = x.wrench;
+  result_.rate = {corrected_rate_.head<3>(), corrected_rate_.tail<3>()};
+  result_.status = plan_status_;
+  return result_;
+}
+
+template <int Rotors>
+const NmpcResult& Nmpc<Rotors>::hold(double time) noexcept {
+  return continue_last_plan(time, NmpcStatus::bad_state);
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::begin_to_prepare(double time, const Wrench<>& external) {
+  prepared_ = false;
+  if (!std::isfinite(time)) return false;
+  forget_old_plan(time);
+  if (is_plausible(external)) external_ = external;
+  return !cold_ && contact_.update(body_state_, external_);
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::finish_preparing(double time) {
+  set_nodes();
+  prepared_ = true;
+  if (cold_) return;
+  // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
+  // exact, and what is commanded keeps to them.
+  if (!solver_.goes_on()) {
+    State<> first = solver_.state(0);
+    first.wrench = wrench_at(time);
+    solver_.set_guess(0, first, solver_.input(0));
+  }
+  (void)solver_.prepare();
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::is_plausible(const Wrench<>& external) const {
+  const double most = 10.0 * body_.mass * gravity;  // not a comparison that NaN passes
+  return external.force.norm() <= most && external.torque.norm() <= most;
+}
+
+template <int Rotors>
+SolverClock::time_point Nmpc<Rotors>::deadline_from(SolverClock::time_point now) const {
+  const double limit = settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
+  return now - prepare_time_ +
+         std::chrono::duration_cast<SolverClock::duration>(
+             std::chrono::duration<double>(std::min(limit, 1e6)));
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::plan_in_force(double time) const {
+  return has_plan_ && std::abs(time - plan_time_) <= settings_.max_plan_age;
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::forget_old_plan(double time) {
+  if (has_plan_ && !plan_in_force(time)) {
+    has_plan_ = false;
+    cold_ = true;
+  }
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::make_plan(const State<>& x, SolverClock::time_point deadline) {
+  result_.report = solver_.feedback(x, deadline);
+  return tilt_ropter::has_plan(result_.report.status) && plan_is_credible();
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::can_start_again(SolverClock::time_point deadline) const {
+  const auto needed = std::chrono::duration_cast<SolverClock::duration>(
+      std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
+  return 4 * solver_.report().passes <= settings_.solver.program.max_passes &&
+         SolverClock::now() + needed < deadline;
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::start_cold(const State<>& x) {
+  solver_.reset(x);
+  plan_start_ = x;
+  corrected_ = false;
+  (void)solver_.prepare();
+}
+
+template <int Rotors>
+bool Nmpc<Rotors>::plan_is_credible() const {
+  const NmpcBounds& b = settings_.problem.bounds;
+  const double turn = 10.0 * b.angular_velocity.maxCoeff(),
+               force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
+               torque = 10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
+  for (int k = 1; k <= solver_.horizon(); ++k) {
+    const State<>& x = solver_.state(k);
+    if (!(x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
+          x.wrench.torque.norm() <= torque &&
+          (x.body.position - body_state_.position).norm() <= 1e3))
+      return false;
+  }
+  return true;
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::set_nodes() {
+  for (std::size_t k = 0; k < points_.size(); ++k)
+    set_node(points_[k], solver_.problem().node(static_cast<int>(k)));
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
+  node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
+  contact_.apply(points_.front(), point, node);
+  node.wrench_reference = {};
+  if (!settings_.wrench_feedforward) {
+    node.wrench_reference.force.z() =
+        node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
+    return;
+  }
+  const Eigen::Vector3d& w = point.angular_velocity;
+  Wrench<>& feedforward = node.wrench_reference;
+  feedforward.force = body_.mass * (point.orientation.conjugate() *
+                                    (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
+                      node.external.force;
+  feedforward.torque = body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) -
+                       node.external.torque;
+  if (node.on_ground) {
+    // The wheels give the side force, the ground the vertical one and the roll torque.
+    feedforward.force.y() = 0.0;
+    feedforward.torque.x() = 0.0;
+    feedforward.force.z() = ground_thrust_(feedforward);
+  }
+}
+
+template <int Rotors>
+Wrench<> Nmpc<Rotors>::planned_wrench(double age) const {
+  const double interval = settings_.problem.interval;
+  const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
+  const int k = interval_at(clamped);
+  const Wrench<>& start = k == 0 ? plan_start_.wrench : solver_.state(k).wrench;
+  const Rate& rate = solver_.input(k);
+  const double t = clamped - interval * k;
+  return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
+}
+
+template <int Rotors>
+Wrench<> Nmpc<Rotors>::wrench_at(double time) const {
+  if (!corrected_) return planned_wrench(time - plan_time_);
+  const double t = std::max(time - corrected_time_, 0.0);
+  return within_bounds({corrected_wrench_.force + t * corrected_rate_.head<3>(),
+                        corrected_wrench_.torque + t * corrected_rate_.tail<3>()});
+}
+
+template <int Rotors>
+Wrench<> Nmpc<Rotors>::within_bounds(const Wrench<>& wrench) const {
+  const NmpcBounds& b = settings_.problem.bounds;
+  return {wrench.force.cwiseMax(b.force_min).cwiseMin(b.force_max),
+          wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
+}
+
+template <int Rotors>
+typename Nmpc<Rotors>::Rate Nmpc<Rotors>::rate_within_bounds(const Rate& rate) const {
+  Rate most;
+  most << settings_.problem.bounds.force_rate, settings_.problem.bounds.torque_rate;
+  return rate.cwiseMax(-most).cwiseMin(most);
+}
+
+template <int Rotors>
+Wrench<> Nmpc<Rotors>::safe_wrench() const {
+  Wrench<> wrench;
+  if (contact_.on_ground()) {
+    wrench.force.z() = settings_.ground.down_force;
+  } else {
+    wrench = {-external_.force, -external_.torque};
+    wrench.force.z() += body_.mass * gravity;
+  }
+  return within_bounds(wrench);
+}
+
+template <int Rotors>
+void Nmpc<Rotors>::set_command(double age) {
+  result_.wrench = planned_wrench(age);
+  const Rate rate = rate_within_bounds(solver_.input(interval_at(age)));
+  result_.rate = {rate.head<3>(), rate.tail<3>()};
+  result_.on_ground = contact_.on_ground();
+}
+
+template <int Rotors>
+const NmpcResult& Nmpc<Rotors>::continue_last_plan(double time, NmpcStatus status) {
+  prepared_ = false;
+  if (++failures_ >= settings_.failures_before_reset) cold_ = true;
+  return hand_out_last_plan(time, status);
+}
+
+template <int Rotors>
+const NmpcResult& Nmpc<Rotors>::hand_out_last_plan(double time, NmpcStatus status) {
+  const double age = time - plan_time_;
+  if (has_plan_ && age >= 0.0 && age <= settings_.max_plan_age) {
+    set_command(age);
+    if (corrected_) result_.wrench = wrench_at(time);
+    result_.status = status;
+  } else {
+    has_plan_ = false;
+    cold_ = true;
+    result_.wrench = safe_wrench();
+    result_.rate = {};
+    result_.on_ground = contact_.on_ground();
+    result_.status = NmpcStatus::no_plan;
+  }
+  return result_;
+}
 
 }  // namespace tilt_ropter

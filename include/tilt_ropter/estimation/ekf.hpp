@@ -110,65 +110,13 @@ class Ekf {
   static constexpr std::size_t max_waiting = 32;    ///< poses ahead of the IMU
 
   /// Throws std::invalid_argument for settings out of range.
-  explicit Ekf(const EkfSettings& settings = {})
-      : settings_((validate(settings), settings)),
-        filter_(settings.imu_noise, settings.pose_noise),
-        samples_(max_samples) {
-    reset();
-  }
+  explicit Ekf(const EkfSettings& settings = {});
 
   /// A sample of the IMU taken at `time` [s], on the clock that all times are given in.
-  EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept {
-    if (!std::isfinite(time) || !within(value.angular_velocity, 1e3) ||
-        !within(value.specific_force, 1e5))
-      return EkfStatus::rejected;
-    const Sample sample{time, value};
-    const double pause = time - newest_.time;
-    if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
-    if (has_imu_ && pause < 0.0 && ++behind_ < settings_.max_rejections) return EkfStatus::late;
-    behind_ = 0;
-    if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) {
-      const bool gap = has_imu_;
-      has_imu_ = true;
-      running_ = false;
-      count_ = 0;
-      if (pause < 0.0) waiting_ = 0;
-      from_ = newest_ = sample;
-      return gap ? EkfStatus::stopped : EkfStatus::updated;
-    }
-    if (count_ == max_samples) catch_up(at(0).time);
-    samples_[(first_ + count_++) % max_samples] = sample;
-    if (running_) ahead_ = step(ahead_, newest_, sample);
-    newest_ = sample;
-    catch_up(time - settings_.max_delay);
-    while (waiting_ > 0 && poses_[0].time <= time) {
-      const Timed<MarkerPose<Scalar>> next = poses_[0];
-      std::copy(poses_.begin() + 1, poses_.begin() + static_cast<std::ptrdiff_t>(waiting_),
-                poses_.begin());
-      --waiting_;
-      take(next.time, next.value);
-    }
-    return EkfStatus::updated;
-  }
+  EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept;
 
   /// A pose of the marker frame taken at `time` [s] on the clock of motion capture.
-  EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept {
-    using std::abs;
-    const Scalar length = pose.orientation.norm();
-    if (!std::isfinite(time) || !within(pose.position, 1e6) ||
-        !(abs(length - Scalar(1)) < Scalar(0.1)))
-      return unused(EkfStatus::rejected);
-    const double stamp = time + settings_.clock_offset;
-    const MarkerPose<Scalar> unit{pose.position, pose.orientation.normalized()};
-    if (!has_imu_) return unused(EkfStatus::early);
-    if (stamp <= newest_.time) return take(stamp, unit);
-    if (stamp > newest_.time + settings_.max_delay || waiting_ == max_waiting)
-      return unused(EkfStatus::early);
-    auto place = poses_.begin() + static_cast<std::ptrdiff_t>(waiting_++);
-    for (; place != poses_.begin() && (place - 1)->time > stamp; --place) *place = *(place - 1);
-    *place = {stamp, unit};
-    return EkfStatus::waiting;
-  }
+  EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept;
 
   /// False before the first pose and after a gap of the IMU: state() is then not to be flown on.
   [[nodiscard]] bool running() const noexcept { return running_; }
@@ -191,19 +139,7 @@ class Ekf {
   [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
 
   /// As constructed.
-  void reset() noexcept {
-    has_imu_ = has_pose_ = running_ = false;
-    count_ = waiting_ = 0;
-    rejections_ = behind_ = 0;
-    nis_ = Scalar(0);
-    counts_ = {};
-    from_ = newest_ = {};
-    InertialState<Scalar> x;
-    x.marker_position = settings_.marker_position.template cast<Scalar>();
-    x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
-    filter_.reset(x, Covariance::Zero());
-    ahead_ = x;
-  }
+  void reset() noexcept;
 
  private:
   using Sample = Timed<InertialSample<Scalar>>;
@@ -239,81 +175,21 @@ class Ekf {
   }
 
   /// Brings the filter to `time`, if that is later, past the samples up to then.
-  void catch_up(double time) noexcept {
-    while (count_ > 0 && at(0).time <= time) {
-      advance(at(0));
-      first_ = (first_ + 1) % max_samples;
-      --count_;
-    }
-    if (count_ > 0 && from_.time < time) advance(between(from_, at(0), time));
-  }
+  void catch_up(double time) noexcept;
 
-  void advance(const Sample& to) noexcept {
-    if (running_) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
-    from_ = to;
-  }
+  void advance(const Sample& to) noexcept;
 
   EkfStatus unused(EkfStatus status) noexcept {
     ++counts_.unused;
     return status;
   }
 
-  EkfStatus take(double time, const MarkerPose<Scalar>& pose) noexcept {
-    if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
-    if (time < from_.time) return unused(EkfStatus::late);
-    catch_up(time);
-    has_pose_ = true;
-    pose_time_ = time;
-    EkfStatus status = running_ ? EkfStatus::updated : EkfStatus::started;
-    if (running_) {
-      const auto innovation = filter_.innovation(pose);
-      nis_ = innovation.distance;
-      if (!(nis_ <= Scalar(settings_.gate)) || !filter_.update(innovation)) {
-        if (++rejections_ < settings_.max_rejections) {
-          ++counts_.gated;
-          return EkfStatus::gated;
-        }
-        status = EkfStatus::restarted;
-      }
-    } else if (counts_.used > 0) {
-      status = EkfStatus::restarted;
-    }
-    if (status != EkfStatus::updated) start(pose);
-    if (status == EkfStatus::restarted) ++counts_.restarts;
-    ++counts_.used;
-    rejections_ = 0;
-    running_ = true;
-    ahead_ = filter_.state();
-    Sample from = from_;
-    for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
-    return status;
-  }
+  EkfStatus take(double time, const MarkerPose<Scalar>& pose) noexcept;
 
   /// Stands the vehicle where the pose has it, with what is known of the marker frame and the
   /// biases' last values. An update from far wider deviations gives the covariance what a pose and
   /// an uncertain marker frame have in common.
-  void start(const MarkerPose<Scalar>& pose) noexcept {
-    using I = InertialIndex;
-    InertialState<Scalar> x = filter_.state();
-    x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
-    x.position = pose.position - x.orientation * x.marker_position;
-    x.velocity.setZero();
-    Covariance p = Covariance::Zero();
-    if (counts_.used > 0) {
-      p.template bottomRightCorner<6, 6>() =
-          filter_.covariance().template bottomRightCorner<6, 6>();
-    } else {
-      fill(p, I::marker_orientation, settings_.marker_orientation_deviation);
-      fill(p, I::marker_position, settings_.marker_position_deviation);
-    }
-    fill(p, I::position, 1.0);
-    fill(p, I::orientation, 1.0);
-    fill(p, I::velocity, settings_.velocity_deviation);
-    fill(p, I::gyro_bias, settings_.gyro_bias_deviation);
-    fill(p, I::accelerometer_bias, settings_.accelerometer_bias_deviation);
-    filter_.reset(x, p);
-    filter_.update(filter_.innovation(pose));
-  }
+  void start(const MarkerPose<Scalar>& pose) noexcept;
 
   static void fill(Covariance& p, int start, double deviation) noexcept {
     p.diagonal().template segment<3>(start).setConstant(Scalar(deviation * deviation));
@@ -334,5 +210,152 @@ class Ekf {
   EkfCounts counts_;
   bool has_imu_ = false, has_pose_ = false, running_ = false;
 };
+
+template <typename Scalar>
+Ekf<Scalar>::Ekf(const EkfSettings& settings)
+    : settings_((validate(settings), settings)),
+      filter_(settings.imu_noise, settings.pose_noise),
+      samples_(max_samples) {
+  reset();
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) noexcept {
+  if (!std::isfinite(time) || !within(value.angular_velocity, 1e3) ||
+      !within(value.specific_force, 1e5))
+    return EkfStatus::rejected;
+  const Sample sample{time, value};
+  const double pause = time - newest_.time;
+  if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
+  if (has_imu_ && pause < 0.0 && ++behind_ < settings_.max_rejections) return EkfStatus::late;
+  behind_ = 0;
+  if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) {
+    const bool gap = has_imu_;
+    has_imu_ = true;
+    running_ = false;
+    count_ = 0;
+    if (pause < 0.0) waiting_ = 0;
+    from_ = newest_ = sample;
+    return gap ? EkfStatus::stopped : EkfStatus::updated;
+  }
+  if (count_ == max_samples) catch_up(at(0).time);
+  samples_[(first_ + count_++) % max_samples] = sample;
+  if (running_) ahead_ = step(ahead_, newest_, sample);
+  newest_ = sample;
+  catch_up(time - settings_.max_delay);
+  while (waiting_ > 0 && poses_[0].time <= time) {
+    const Timed<MarkerPose<Scalar>> next = poses_[0];
+    std::copy(poses_.begin() + 1, poses_.begin() + static_cast<std::ptrdiff_t>(waiting_),
+              poses_.begin());
+    --waiting_;
+    take(next.time, next.value);
+  }
+  return EkfStatus::updated;
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::on_pose(double time, const MarkerPose<Scalar>& pose) noexcept {
+  using std::abs;
+  const Scalar length = pose.orientation.norm();
+  if (!std::isfinite(time) || !within(pose.position, 1e6) ||
+      !(abs(length - Scalar(1)) < Scalar(0.1)))
+    return unused(EkfStatus::rejected);
+  const double stamp = time + settings_.clock_offset;
+  const MarkerPose<Scalar> unit{pose.position, pose.orientation.normalized()};
+  if (!has_imu_) return unused(EkfStatus::early);
+  if (stamp <= newest_.time) return take(stamp, unit);
+  if (stamp > newest_.time + settings_.max_delay || waiting_ == max_waiting)
+    return unused(EkfStatus::early);
+  auto place = poses_.begin() + static_cast<std::ptrdiff_t>(waiting_++);
+  for (; place != poses_.begin() && (place - 1)->time > stamp; --place) *place = *(place - 1);
+  *place = {stamp, unit};
+  return EkfStatus::waiting;
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::reset() noexcept {
+  has_imu_ = has_pose_ = running_ = false;
+  count_ = waiting_ = 0;
+  rejections_ = behind_ = 0;
+  nis_ = Scalar(0);
+  counts_ = {};
+  from_ = newest_ = {};
+  InertialState<Scalar> x;
+  x.marker_position = settings_.marker_position.template cast<Scalar>();
+  x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
+  filter_.reset(x, Covariance::Zero());
+  ahead_ = x;
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::catch_up(double time) noexcept {
+  while (count_ > 0 && at(0).time <= time) {
+    advance(at(0));
+    first_ = (first_ + 1) % max_samples;
+    --count_;
+  }
+  if (count_ > 0 && from_.time < time) advance(between(from_, at(0), time));
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::advance(const Sample& to) noexcept {
+  if (running_) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
+  from_ = to;
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::take(double time, const MarkerPose<Scalar>& pose) noexcept {
+  if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
+  if (time < from_.time) return unused(EkfStatus::late);
+  catch_up(time);
+  has_pose_ = true;
+  pose_time_ = time;
+  EkfStatus status = running_ ? EkfStatus::updated : EkfStatus::started;
+  if (running_) {
+    const auto innovation = filter_.innovation(pose);
+    nis_ = innovation.distance;
+    if (!(nis_ <= Scalar(settings_.gate)) || !filter_.update(innovation)) {
+      if (++rejections_ < settings_.max_rejections) {
+        ++counts_.gated;
+        return EkfStatus::gated;
+      }
+      status = EkfStatus::restarted;
+    }
+  } else if (counts_.used > 0) {
+    status = EkfStatus::restarted;
+  }
+  if (status != EkfStatus::updated) start(pose);
+  if (status == EkfStatus::restarted) ++counts_.restarts;
+  ++counts_.used;
+  rejections_ = 0;
+  running_ = true;
+  ahead_ = filter_.state();
+  Sample from = from_;
+  for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
+  return status;
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::start(const MarkerPose<Scalar>& pose) noexcept {
+  using I = InertialIndex;
+  InertialState<Scalar> x = filter_.state();
+  x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
+  x.position = pose.position - x.orientation * x.marker_position;
+  x.velocity.setZero();
+  Covariance p = Covariance::Zero();
+  if (counts_.used > 0) {
+    p.template bottomRightCorner<6, 6>() = filter_.covariance().template bottomRightCorner<6, 6>();
+  } else {
+    fill(p, I::marker_orientation, settings_.marker_orientation_deviation);
+    fill(p, I::marker_position, settings_.marker_position_deviation);
+  }
+  fill(p, I::position, 1.0);
+  fill(p, I::orientation, 1.0);
+  fill(p, I::velocity, settings_.velocity_deviation);
+  fill(p, I::gyro_bias, settings_.gyro_bias_deviation);
+  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_deviation);
+  filter_.reset(x, p);
+  filter_.update(filter_.innovation(pose));
+}
 
 }  // namespace tilt_ropter

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/math/one_processor.hpp>
+
 #include <Eigen/Core>
 
 /// For every header that asks whether a number is finite: -ffast-math would have it believe so of

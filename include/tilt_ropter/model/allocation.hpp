@@ -99,35 +99,7 @@ class Allocation {
 
   /// Throws std::invalid_argument on parameters that validate() refuses and on a geometry that
   /// cannot give every wrench (rank of A below 6).
-  explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters = {})
-      : limits_(checked(vehicle, parameters)),
-        min_speed_(
-            speed_from_thrust(Scalar(vehicle.rotor.min_thrust), vehicle.rotor.thrust_coefficient)),
-        max_speed_(
-            speed_from_thrust(Scalar(vehicle.rotor.max_thrust), vehicle.rotor.thrust_coefficient)),
-        has_min_thrust_(vehicle.rotor.min_thrust > 0.0),
-        servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
-        rotor_lead_(Scalar(parameters.lag_compensation * vehicle.rotor.time_constant)),
-        max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
-        calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
-        hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))) {
-    const AllocationMatrix<Rotors> allocation(vehicle);
-    matrix_ = allocation.matrix.template cast<Scalar>();
-    pseudoinverse_ = allocation.pseudoinverse.template cast<Scalar>();
-    null_space_.topLeftCorner(components, allocation.null_space.cols()) =
-        allocation.null_space.template cast<Scalar>();
-    double lever = 0.0;
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[i];
-      tilts_[i] = rotor.tilts;
-      // A lost rotor's thrust is none of A's, whatever its coefficient.
-      thrust_coefficient_[i] = (rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0) *
-                               vehicle.rotor.thrust_coefficient;
-      lever += rotor.position.norm() + vehicle.rotor.torque_ratio;
-    }
-    max_force_ = Scalar(Rotors * vehicle.rotor.max_thrust);
-    max_torque_ = Scalar(lever * vehicle.rotor.max_thrust);
-  }
+  explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters = {});
 
   /// A of AllocationMatrix, 6 x 2n, and its Moore-Penrose inverse, 2n x 6.
   [[nodiscard]] const Matrix& matrix() const noexcept { return matrix_; }
@@ -157,76 +129,21 @@ class Allocation {
   /// Speeds and angles that give `wanted`, as near as limits allow. `last` is what was commanded
   /// before (at the start: what is measured), from which angles turn the nearest way.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
-      const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept {
-    AllocationResult<Rotors, Scalar> result;
-    const bool usable =
-        is_finite(wanted) && all_finite(last.rotor_speed) && all_finite(last.tilt_angle);
-    if (!usable) {
-      result.command = within_limits(last);
-      result.achieved = wrench(result.command);
-      return result;
-    }
-    Point x;
-    result.status = thrusts_within_limits(wanted, last, x);
-    for (int i = 0; i < Rotors; ++i) {
-      auto thrust = x.template segment<2>(2 * i);
-      const bool tilts = tilts_[static_cast<std::size_t>(i)];
-      const Scalar angle = tilts ? next_angle(thrust, last.tilt_angle(i)) : Scalar(0);
-      const auto unit = Limits::direction(angle);
-      const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
-      const Scalar missed = (thrust - size * unit).norm();
-      if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
-        result.status = AllocationStatus::angle_held;
-      thrust = size * unit;
-      result.command.rotor_speed(i) = bounded_speed(speed_from_thrust(size, thrust_coefficient(i)));
-      result.command.tilt_angle(i) = angle;
-    }
-    const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * x.template head<components>();
-    result.achieved = {achieved.template head<3>(), achieved.template tail<3>()};
-    result.lost = {wanted.force - result.achieved.force, wanted.torque - result.achieved.torque};
-    return result;
-  }
+      const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   /// The same for a wrench that moves at `rate` [N/s, N m/s]: speeds and angles run ahead by the
   /// share lag_compensation of their time constants, within limits and the servo's rate.
   /// `achieved` and `lost` are those of the wrench now, without the lead.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
       const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
-      const ActuatorState<Rotors, Scalar>& last) const noexcept {
-    AllocationResult<Rotors, Scalar> result = allocate(wanted, last);
-    if (result.status == AllocationStatus::rejected) return result;
-    const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
-    for (int i = 0; i < Rotors; ++i) {
-      const Scalar thrust = thrust_from_speed(result.command.rotor_speed(i), thrust_coefficient(i));
-      const Scalar calm = std::min(Scalar(1), thrust / calm_thrust_);
-      const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
-      result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
-    }
-    result.command.rotor_speed += rotor_lead_ * ahead.rotor_acceleration;
-    result.command = within_limits(result.command);
-    return result;
-  }
+      const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   /// Rates of angles and speeds that follow a wrench rate [N/s, N m/s] without limits (paper, Eq.
   /// allocation_inverse). At thrusts T below h the denominators T^2 and T stay at h^2
   /// and h, so everything is finite and falls to zero with T. Inputs that are not finite or
   /// overflow give zero rates.
   [[nodiscard]] ActuatorRates<Rotors, Scalar> rates(
-      const Wrench<Scalar>& wrench, const Wrench<Scalar>& wrench_rate) const noexcept {
-    const auto thrusts = least_thrusts(wrench.force, wrench.torque);
-    const auto slopes = least_thrusts(wrench_rate.force, wrench_rate.torque);
-    ActuatorRates<Rotors, Scalar> rates;
-    for (int i = 0; i < Rotors; ++i) {
-      const Scalar lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
-      const Scalar size = std::max(hold_thrust_, std::hypot(lateral, vertical));
-      rates.tilt_rate(i) = (slopes(2 * i) * vertical - lateral * slopes(2 * i + 1)) / (size * size);
-      const Scalar thrust_rate = (slopes(2 * i) * lateral + slopes(2 * i + 1) * vertical) / size;
-      rates.rotor_acceleration(i) =
-          thrust_rate / (Scalar(2) * std::sqrt(Scalar(thrust_coefficient(i)) * size));
-    }
-    if (!all_finite(rates.tilt_rate) || !all_finite(rates.rotor_acceleration)) return {};
-    return rates;
-  }
+      const Wrench<Scalar>& wrench, const Wrench<Scalar>& wrench_rate) const noexcept;
 
  private:
   using Vector2 = typename Limits::Vector2;
@@ -257,24 +174,10 @@ class Allocation {
   }
 
   /// Tilt angle for a thrust vector, seen from the last one.
-  [[nodiscard]] Scalar next_angle(const Vector2& thrust, Scalar last) const noexcept {
-    last = limits_.bounded_angle(last);
-    const Scalar target = limits_.nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
-    const Scalar weight = thrust.squaredNorm() / (hold_thrust_ * hold_thrust_);
-    return weight < Scalar(1) ? last + weight * (target - last) : target;
-  }
+  [[nodiscard]] Scalar next_angle(const Vector2& thrust, Scalar last) const noexcept;
 
   [[nodiscard]] ActuatorState<Rotors, Scalar> within_limits(
-      const ActuatorState<Rotors, Scalar>& last) const noexcept {
-    ActuatorState<Rotors, Scalar> command;
-    for (int i = 0; i < Rotors; ++i) {
-      const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
-      command.rotor_speed(i) = std::isfinite(speed) ? bounded_speed(speed) : min_speed_;
-      if (tilts_[static_cast<std::size_t>(i)])
-        command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
-    }
-    return command;
-  }
+      const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   Limits limits_;
   Scalar min_speed_, max_speed_;
@@ -289,6 +192,127 @@ class Allocation {
   typename Limits::Directions null_space_ = Limits::Directions::Zero();
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
 };
+
+template <int Rotors, typename Scalar>
+Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
+                                       const AllocationParameters& parameters)
+    : limits_(checked(vehicle, parameters)),
+      min_speed_(
+          speed_from_thrust(Scalar(vehicle.rotor.min_thrust), vehicle.rotor.thrust_coefficient)),
+      max_speed_(
+          speed_from_thrust(Scalar(vehicle.rotor.max_thrust), vehicle.rotor.thrust_coefficient)),
+      has_min_thrust_(vehicle.rotor.min_thrust > 0.0),
+      servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
+      rotor_lead_(Scalar(parameters.lag_compensation * vehicle.rotor.time_constant)),
+      max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
+      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
+      hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))) {
+  const AllocationMatrix<Rotors> allocation(vehicle);
+  matrix_ = allocation.matrix.template cast<Scalar>();
+  pseudoinverse_ = allocation.pseudoinverse.template cast<Scalar>();
+  null_space_.topLeftCorner(components, allocation.null_space.cols()) =
+      allocation.null_space.template cast<Scalar>();
+  double lever = 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorGeometry& rotor = vehicle.rotors[i];
+    tilts_[i] = rotor.tilts;
+    // A lost rotor's thrust is none of A's, whatever its coefficient.
+    thrust_coefficient_[i] =
+        (rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0) * vehicle.rotor.thrust_coefficient;
+    lever += rotor.position.norm() + vehicle.rotor.torque_ratio;
+  }
+  max_force_ = Scalar(Rotors * vehicle.rotor.max_thrust);
+  max_torque_ = Scalar(lever * vehicle.rotor.max_thrust);
+}
+
+template <int Rotors, typename Scalar>
+AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
+    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept {
+  AllocationResult<Rotors, Scalar> result;
+  const bool usable =
+      is_finite(wanted) && all_finite(last.rotor_speed) && all_finite(last.tilt_angle);
+  if (!usable) {
+    result.command = within_limits(last);
+    result.achieved = wrench(result.command);
+    return result;
+  }
+  Point x;
+  result.status = thrusts_within_limits(wanted, last, x);
+  for (int i = 0; i < Rotors; ++i) {
+    auto thrust = x.template segment<2>(2 * i);
+    const bool tilts = tilts_[static_cast<std::size_t>(i)];
+    const Scalar angle = tilts ? next_angle(thrust, last.tilt_angle(i)) : Scalar(0);
+    const auto unit = Limits::direction(angle);
+    const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
+    const Scalar missed = (thrust - size * unit).norm();
+    if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
+      result.status = AllocationStatus::angle_held;
+    thrust = size * unit;
+    result.command.rotor_speed(i) = bounded_speed(speed_from_thrust(size, thrust_coefficient(i)));
+    result.command.tilt_angle(i) = angle;
+  }
+  const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * x.template head<components>();
+  result.achieved = {achieved.template head<3>(), achieved.template tail<3>()};
+  result.lost = {wanted.force - result.achieved.force, wanted.torque - result.achieved.torque};
+  return result;
+}
+
+template <int Rotors, typename Scalar>
+AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
+    const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
+    const ActuatorState<Rotors, Scalar>& last) const noexcept {
+  AllocationResult<Rotors, Scalar> result = allocate(wanted, last);
+  if (result.status == AllocationStatus::rejected) return result;
+  const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
+  for (int i = 0; i < Rotors; ++i) {
+    const Scalar thrust = thrust_from_speed(result.command.rotor_speed(i), thrust_coefficient(i));
+    const Scalar calm = std::min(Scalar(1), thrust / calm_thrust_);
+    const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
+    result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
+  }
+  result.command.rotor_speed += rotor_lead_ * ahead.rotor_acceleration;
+  result.command = within_limits(result.command);
+  return result;
+}
+
+template <int Rotors, typename Scalar>
+ActuatorRates<Rotors, Scalar> Allocation<Rotors, Scalar>::rates(
+    const Wrench<Scalar>& wrench, const Wrench<Scalar>& wrench_rate) const noexcept {
+  const auto thrusts = least_thrusts(wrench.force, wrench.torque);
+  const auto slopes = least_thrusts(wrench_rate.force, wrench_rate.torque);
+  ActuatorRates<Rotors, Scalar> rates;
+  for (int i = 0; i < Rotors; ++i) {
+    const Scalar lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
+    const Scalar size = std::max(hold_thrust_, std::hypot(lateral, vertical));
+    rates.tilt_rate(i) = (slopes(2 * i) * vertical - lateral * slopes(2 * i + 1)) / (size * size);
+    const Scalar thrust_rate = (slopes(2 * i) * lateral + slopes(2 * i + 1) * vertical) / size;
+    rates.rotor_acceleration(i) =
+        thrust_rate / (Scalar(2) * std::sqrt(Scalar(thrust_coefficient(i)) * size));
+  }
+  if (!all_finite(rates.tilt_rate) || !all_finite(rates.rotor_acceleration)) return {};
+  return rates;
+}
+
+template <int Rotors, typename Scalar>
+Scalar Allocation<Rotors, Scalar>::next_angle(const Vector2& thrust, Scalar last) const noexcept {
+  last = limits_.bounded_angle(last);
+  const Scalar target = limits_.nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
+  const Scalar weight = thrust.squaredNorm() / (hold_thrust_ * hold_thrust_);
+  return weight < Scalar(1) ? last + weight * (target - last) : target;
+}
+
+template <int Rotors, typename Scalar>
+ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
+    const ActuatorState<Rotors, Scalar>& last) const noexcept {
+  ActuatorState<Rotors, Scalar> command;
+  for (int i = 0; i < Rotors; ++i) {
+    const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
+    command.rotor_speed(i) = std::isfinite(speed) ? bounded_speed(speed) : min_speed_;
+    if (tilts_[static_cast<std::size_t>(i)])
+      command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
+  }
+  return command;
+}
 
 /// Writes the thrusts to command to `x`, by the ladder of the class comment.
 template <int Rotors, typename Scalar>

@@ -21,6 +21,11 @@
 #include <utility>
 #include <vector>
 
+#if defined(__GNUC__) && !defined(__OPTIMIZE__) && !defined(TILT_ROPTER_NOT_OPTIMISED)
+#pragma message("tilt_ropter: without optimisation the solver takes hundreds of times as long. \
+Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_ROPTER_NOT_OPTIMISED.")
+#endif
+
 /// Sequential quadratic programming on a multiple-shooting problem (Bock & Plitt 1984) with a
 /// Gauss-Newton Hessian: linearise, solve the quadratic program by Riccati passes and NLopt, step.
 /// One such iteration is the real-time iteration (Diehl, Bock & Schlöder 2005), split in prepare(),

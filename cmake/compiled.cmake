@@ -1,0 +1,24 @@
+# tilt_ropter::compiled, what <tilt_ropter/compiled.hpp> declares: built where a program links to it,
+# with the flags of the project that does, so that both are compiled for one processor. Read by this
+# project and, installed, by find_package(tilt_ropter).
+if(TARGET tilt_ropter_compiled)
+  return()
+endif()
+set(sources)
+foreach(rotors IN ITEMS 4 6 8)
+  set(more "")
+  if(rotors EQUAL 4)
+    set(more "template class tilt_ropter::Ekf<double>;")
+  endif()
+  set(source "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter_compiled/rotors_${rotors}.cpp")
+  file(GENERATE OUTPUT "${source}" CONTENT
+"#include <tilt_ropter/compiled.hpp>
+TILT_ROPTER_INSTANCES(, ${rotors})
+${more}
+")
+  list(APPEND sources "${source}")
+endforeach()
+add_library(tilt_ropter_compiled STATIC EXCLUDE_FROM_ALL ${sources})
+add_library(tilt_ropter::compiled ALIAS tilt_ropter_compiled)
+target_link_libraries(tilt_ropter_compiled PUBLIC tilt_ropter::tilt_ropter)
+set_target_properties(tilt_ropter_compiled PROPERTIES POSITION_INDEPENDENT_CODE ON)
