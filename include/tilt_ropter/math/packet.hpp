@@ -164,11 +164,6 @@ constexpr int padded(int size) {
 /// written for another width would be read and compiled once more.
 inline constexpr int packet_width = padding;
 
-template <typename Body>
-[[gnu::flatten]] inline auto with_native_instructions(const Body& body) {
-  return body(std::integral_constant<int, packet_width>{});
-}
-
 /// Returns body(width), compiled for the best instructions there are here, with the width of their
 /// packets. All that `body` calls has to be inlined: what is not is compiled as the program is.
 /// With TILT_ROPTER_NO_DISPATCH defined there is no choice, and results are the same to the bit on
@@ -179,15 +174,20 @@ template <typename Body>
 [[gnu::target("avx2,fma"), gnu::flatten]] inline auto with_avx2(const Body& body) {
   return body(std::integral_constant<int, packet_width>{});
 }
+/// For processors from before 2013: to compile it for size saves a tenth of a program's compiling.
+template <typename Body>
+[[gnu::cold, gnu::flatten]] inline auto without_avx2(const Body& body) {
+  return body(std::integral_constant<int, packet_width>{});
+}
 template <typename Body>
 inline auto vectorised(const Body& body) {
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return with_avx2(body);
-  return with_native_instructions(body);
+  return without_avx2(body);
 }
 #else
 template <typename Body>
-inline auto vectorised(const Body& body) {
-  return with_native_instructions(body);
+[[gnu::flatten]] inline auto vectorised(const Body& body) {
+  return body(std::integral_constant<int, packet_width>{});
 }
 #endif
 

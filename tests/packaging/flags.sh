@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# flags.sh SOURCE_DIR
+# What users compile with: a stranger's project finds the installed library, and its program, which
+# has the whole loop on board, is built by both compilers with each of these flags and flies, once
+# header-only and once with the compiled instances.
+set -euo pipefail
+
+source=$1
+away=$(mktemp -d)
+trap 'rm -rf "$away"' EXIT
+cmake -S "$source" -B "$away/build" -DTILT_ROPTER_BUILD_EXAMPLES=OFF > "$away/log"
+cmake --install "$away/build" --prefix "$away/prefix" > "$away/log"
+
+build() {  # compiler, flags
+  echo "== $1 $2"
+  rm -rf "$away/program"
+  cmake -S "$source/tests/packaging/flags" -B "$away/program" -DCMAKE_PREFIX_PATH="$away/prefix" \
+    -DCMAKE_CXX_COMPILER="$1" -DCMAKE_CXX_FLAGS="$2" -DCMAKE_BUILD_TYPE=None \
+    -DPROGRAM="$source/examples/own_loop.cpp" > "$away/log"
+  cmake --build "$away/program" --parallel "$(nproc)" > "$away/log" 2>&1 || { cat "$away/log"; exit 1; }
+}
+
+warnings="-Wall -Wextra -Wconversion -Werror"
+# GCC 12 warns of its own AVX-512 intrinsics; the README has this cure.
+native="-march=native -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
+for compiler in g++ clang++; do
+  command -v $compiler > "$away/log" || { echo "$compiler: not installed, left out" && continue; }
+  build $compiler "-O0 $warnings"  # too slow to fly
+  for flags in "-O2 $warnings $native" "-O2 -g $warnings" "-O2 -std=c++20 $warnings" \
+    "-O2 -fno-exceptions -fno-rtti $warnings"; do
+    build $compiler "$flags"
+    for program in header_only with_compiled; do
+      "$away/program/$program" | tail -1
+    done
+  done
+done
