@@ -21,10 +21,12 @@ build() {  # compiler, flags
 }
 
 warnings="-Wall -Wextra -Wconversion -Werror"
-# GCC 12 warns of its own AVX-512 intrinsics; the README has this cure.
-native="-march=native -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
 for compiler in g++ clang++; do
   command -v $compiler > "$away/log" || { echo "$compiler: not installed, left out" && continue; }
+  native=-march=native
+  if [[ $compiler == g++ ]]; then  # warns of its own AVX-512 intrinsics; the README has this cure
+    native+=" -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
+  fi
   build $compiler "-O0 $warnings"  # too slow to fly
   for flags in "-O2 $warnings $native" "-O2 -g $warnings" "-O2 -std=c++20 $warnings" \
     "-O2 -fno-exceptions -fno-rtti $warnings"; do
