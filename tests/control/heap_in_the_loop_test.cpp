@@ -17,6 +17,7 @@
 #include "support/full_run.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
+#include "support/simulated_time.hpp"
 #include "support/states.hpp"
 #include "support/vehicles.hpp"
 
@@ -361,7 +362,7 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
   const PowerModel power(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
-  NmpcSettings settings;
+  NmpcSettings settings = test_support::in_simulated_time();
   settings.problem.bounds.force_rate << 3.0, 3.0, 10.0;  // rows become active on the way
   Nmpc nmpc(vehicle, settings);
   Plant<4> plant(vehicle);
