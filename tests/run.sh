@@ -4,7 +4,7 @@ set -euo pipefail
 usage() {
   cat <<'HELP'
 usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
-                    --variants | --docs]
+                    --variants | --aarch64 | --docs]
 
 Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
 errors into build-tests/ and runs every test. The last lines are the summary. Built by clang, which
@@ -31,6 +31,9 @@ benchmarks, is built by GCC.
   --variants   the library's tests, compiled in other ways into build-variants/: for this processor,
                with -ffast-math, with clang's libc++, not optimised. One and a half hours, five
                minutes for each but the last
+  --aarch64    the library's tests, compiled by GCC for aarch64 into build-aarch64/ and run under
+               qemu-user; fails also where the hybrid mission's figures differ from this processor's
+               by more than 1e-9, relative. One and a half hours
   --docs       instead of the tests, the reference as HTML in build-docs/html/, by Doxygen from the
                headers' comments; fails where a comment names what is not there. Seconds
   --help       this text
@@ -49,7 +52,9 @@ fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
     --full) full=1 ;;
-    --benchmark | --sanitize | --coverage | --tidy | --variants | --docs) instead=${1#--} ;;
+    --benchmark | --sanitize | --coverage | --tidy | --variants | --aarch64 | --docs)
+      instead=${1#--}
+      ;;
     --fuzz)
       instead=fuzz
       fuzz_seconds=${2-}
@@ -179,6 +184,40 @@ if [[ $instead == variants ]]; then
   variant libcxx "-O1 -stdlib=libc++" -DTILT_ROPTER_GTEST_SOURCE=/usr/src/googletest
   variant plain -O0  # by far the longest
   [[ ! $failed ]] || { echo "tests failed in:$failed" && exit 1; }
+  exit 0
+fi
+
+if [[ $instead == aarch64 ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" g++-aarch64-linux-gnu qemu-user libcli11-dev \
+    nlohmann-json3-dev
+  sysroot=$PWD/build-aarch64/sysroot
+  bash cmake/unpack_foreign.sh arm64 "$sysroot" libnlopt-dev libnlopt0 libgtest-dev
+  for_aarch64=(-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake "-DCMAKE_PREFIX_PATH=$sysroot/usr")
+  build_mission() {  # directory, CMake options
+    configure "$1" -DTILT_ROPTER_BUILD_TESTS=OFF -DTILT_ROPTER_BUILD_EXAMPLES=ON "${@:2}"
+    echo "== Building hybrid_mission into $1/"
+    cmake --build "$1" --parallel "$(nproc)" --target hybrid_mission
+  }
+  fly_mission() {  # directory, command that runs a program
+    mkdir -p "$1/results"
+    "${@:2}" "$1/examples/hybrid_mission" --no-pictures --output "$1/results" \
+      > "$1/results/figures.txt"
+  }
+  build_mission build-aarch64/native -DCMAKE_CXX_COMPILER=g++
+  build_mission build-aarch64/mission "${for_aarch64[@]}"
+  echo "== Flying the hybrid mission on both"
+  fly_mission build-aarch64/native
+  fly_mission build-aarch64/mission qemu-aarch64 -L /usr/aarch64-linux-gnu
+  failed=
+  bash tests/compare_missions.sh build-aarch64/{native,mission}/results 1e-9 ||
+    failed+=" the mission's figures"
+
+  build build-aarch64 "${for_aarch64[@]}" -DTILT_ROPTER_BUILD_TESTS=ON \
+    -DTILT_ROPTER_BUILD_EXAMPLES=OFF -DTILT_ROPTER_BUILD_QUICKLY=ON
+  echo "== Running the tests for aarch64, two at a time"
+  ctest --test-dir build-aarch64 --parallel 2 --output-on-failure --timeout 7200 \
+    --exclude-regex "$sources_only" || failed+=" the tests"
+  [[ ! $failed ]] || { echo "failed for aarch64:$failed" && exit 1; }
   exit 0
 fi
 
