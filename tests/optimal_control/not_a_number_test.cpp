@@ -207,13 +207,16 @@ TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
           const SolveReport bad = solver.solve(x);
           EXPECT_NE(bad.status, SolveStatus::converged);
           EXPECT_NE(bad.status, SolveStatus::infeasible);
-          if (bad.status != SolveStatus::rejected) EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
+          if (bad.status != SolveStatus::rejected) {
+            EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
+          }
           EXPECT_TRUE(finite_plan(solver));
           const bool prepared = solver.prepare();
           const SolveStatus iterated = solver.feedback(x).status;
           EXPECT_TRUE(finite_plan(solver));
-          if (static_cast<Output>(output) != Output::cost)
+          if (static_cast<Output>(output) != Output::cost) {
             EXPECT_FALSE(prepared && iterated == SolveStatus::iterated);
+          }
           spoil(false);
           ASSERT_EQ(solver.solve(x).status, SolveStatus::converged);
           EXPECT_NEAR(solver.report().cost, reference.report().cost, 1e-9);
