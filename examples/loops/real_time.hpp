@@ -3,6 +3,7 @@
 #include <malloc.h>
 #include <sched.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include <cerrno>
@@ -27,6 +28,13 @@ inline bool sleep_until(std::int64_t due) {
   t.tv_sec = due / 1000000000;
   t.tv_nsec = due % 1000000000;
   return clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) == 0;
+}
+
+/// How often this program had to wait for a page of memory so far.
+[[nodiscard]] inline std::int64_t page_faults() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return std::int64_t{usage.ru_minflt} + usage.ru_majflt;
 }
 
 /// Asks for a fixed priority (SCHED_FIFO, 1 to 99; 0: does not ask), for memory that stays in RAM,

@@ -71,6 +71,8 @@ struct NmpcResult {
 /// One good tick ends each of these. The safe wrench is hover against the external wrench known
 /// last, or down_force in contact: it keeps level what is level and holds no position, so a caller
 /// without measurements has to take the thrust away before long.
+///
+/// A tick takes at most 64 KB of stack in an optimised program.
 template <int Rotors = 4>
 class Nmpc {
  public:

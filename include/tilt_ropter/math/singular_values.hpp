@@ -23,7 +23,7 @@ struct SingularValues {
   /// Orthonormal rows; those of values of zero are zero.
   Eigen::Matrix<double, Rows, Columns> right;
 
-  /// Of finite numbers whose squares are finite, too. No allocation.
+  /// Of finite numbers whose squares neither overflow nor underflow. No allocation.
   explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
     for (int i = 0; i < Rows; ++i) left(i, i) = 1.0;
     for (int sweep = 0; sweep < max_sweeps; ++sweep) {
