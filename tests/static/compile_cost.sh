@@ -3,9 +3,10 @@
 # the same minute, and its memory (CHECKS 27): header-only, with -g, and with the instances of
 # tilt_ropter::compiled. By -O2, which a Release build of a user may have.
 #
-# usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR
+# usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full]
+# `full` measures -g, too.
 set -euo pipefail
-compiler=$1 include=$2 eigen=$3
+compiler=$1 include=$2 eigen=$3 form=${4-}
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
@@ -36,7 +37,6 @@ read -r seconds megabytes <<< "$(cost nmpc)"
 size=$(stat -c %s "$away/nmpc.o")
 read -r compiled_seconds compiled_megabytes <<< "$(cost compiled)"
 compiled_size=$(stat -c %s "$away/compiled.o")
-read -r debug_seconds debug_megabytes <<< "$(cost nmpc -g)"
 ratio() { awk -v a="$1" -v b="$unit" 'BEGIN { printf "%.1f", a / b }'; }
 times=$(ratio "$seconds") compiled_times=$(ratio "$compiled_seconds")
 echo "Eigen/Dense: $unit s, $unit_megabytes MB"
@@ -45,7 +45,6 @@ echo "Nmpc: $seconds s, $megabytes MB, $((size / 1024)) KB of object, $times tim
 echo "with compiled instances: $compiled_seconds s, $compiled_megabytes MB," \
   "$((compiled_size / 1024)) KB of object, $compiled_times times as long;" \
   "at most $most_compiled_times times"
-echo "with -g: $debug_seconds s, $debug_megabytes MB; at most $most_debug_megabytes MB"
 
 at_most() {  # limit, measured
   awk -v limit="$1" -v measured="$2" 'BEGIN { exit !(measured <= limit) }'
@@ -53,4 +52,8 @@ at_most() {  # limit, measured
 at_most $most_times "$times"
 at_most $most_compiled_times "$compiled_times"
 at_most $most_megabytes "$megabytes"
-at_most $most_debug_megabytes "$debug_megabytes"
+if [[ $form == full ]]; then
+  read -r debug_seconds debug_megabytes <<< "$(cost nmpc -g)"
+  echo "with -g: $debug_seconds s, $debug_megabytes MB; at most $most_debug_megabytes MB"
+  at_most $most_debug_megabytes "$debug_megabytes"
+fi
