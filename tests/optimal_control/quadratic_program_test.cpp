@@ -188,7 +188,9 @@ TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
       ASSERT_TRUE(solver.prepare());
       const SolveReport& report = solver.feedback(x);
       ASSERT_TRUE(has_plan(report.status));
-      if (report.status == SolveStatus::iterated) EXPECT_LE(report.program_residual, 1e-6);
+      if (report.status == SolveStatus::iterated) {
+        EXPECT_LE(report.program_residual, 1e-6);
+      }
       EXPECT_LE(std::abs(solver.input(0)(0)), 1.0 + 1e-12);
       x = mass.step<double>(0, x, solver.input(0));
       if (i == 100) x << -3.0, random.uniform(-1.0, 1.0);
