@@ -96,10 +96,11 @@ void goes_down_the_ladder(const Reference& reference, const Tamper& tamper, Nmpc
   for (const int ticks : {1, 5, 50}) {
     SCOPED_TRACE(ticks);
     const Outcome outcome = fail_for(ticks, reference, tamper, status);
-    if (ticks <= 5)
+    if (ticks <= 5) {
       EXPECT_EQ(outcome.continued, ticks);
-    else
+    } else {
       EXPECT_NEAR(outcome.continued, 20, 1);  // the plan is 0.2 s old but for rounding
+    }
     EXPECT_EQ(outcome.continued + outcome.safe, ticks);
     EXPECT_LT(outcome.worst, ticks <= 5 ? 0.03 : 0.3);
     const std::string what = "after " + std::to_string(ticks) + " failed ticks [m]";

@@ -255,10 +255,11 @@ TEST(DerivativeCheck, NamesTheCallbackNodeRowAndColumnOfEveryMistake) {
     EXPECT_EQ(error.node, mistake.node) << mistake.callback;
     EXPECT_EQ(error.row, mistake.row) << mistake.callback;
     EXPECT_EQ(error.column, mistake.column) << mistake.callback;
-    if (std::isnan(mistake.amount))
+    if (std::isnan(mistake.amount)) {
       EXPECT_TRUE(std::isnan(error.given) && std::isfinite(error.expected));
-    else
+    } else {
       EXPECT_NEAR(error.given - error.expected, mistake.amount, 1e-8) << mistake.callback;
+    }
   }
 }
 
