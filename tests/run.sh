@@ -238,14 +238,15 @@ if [[ $full ]]; then
 fi
 bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}"
 build $directory "${with_tests[@]}" "${options[@]}"
-echo "== Running the tests, two at a time"
 cd $directory
 if [[ ! $full ]]; then
-  exec ctest --parallel 2 --output-on-failure --timeout $timeout
+  echo "== Running the tests, three at a time, as those in real time mostly wait"
+  exec ctest --parallel 3 --output-on-failure --timeout $timeout
 fi
 export TILT_ROPTER_CHECKS=$PWD/checks.tsv
 rm -f "$TILT_ROPTER_CHECKS"
 result=0
+echo "== Running the tests, two at a time"
 ctest --parallel 2 --output-on-failure --timeout $timeout || result=$?
 echo "== What was checked by a number, the worst of each (checks of sources and of bits have none)"
 awk -F '\t' 'BEGIN { f = "%-6s%-64s%-12s%-14s%s\n"; printf f, "check", "", "asked", "measured", ""; fflush() }
