@@ -34,6 +34,11 @@
 #include <vector>
 
 namespace tilt_ropter {
+
+// What does not call NLopt need not be compiled here.
+extern template class Allocation<4>;
+extern template class Allocation<8>;
+
 namespace {
 
 using test_support::heap_use;
