@@ -14,6 +14,9 @@ configure_file(cmake/tilt_ropter.pc.in "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.
 install(FILES "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.pc"
   DESTINATION "${CMAKE_INSTALL_DATADIR}/pkgconfig")
 install(FILES LICENSE DESTINATION "${CMAKE_INSTALL_DOCDIR}")
+# Apart, so that the core can be found where there is no NLopt.
+install(TARGETS tilt_ropter_core EXPORT tilt_ropterCoreTargets)
+install(EXPORT tilt_ropterCoreTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
 install(TARGETS tilt_ropter EXPORT tilt_ropterTargets)
 install(EXPORT tilt_ropterTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
 install(FILES

@@ -6,12 +6,12 @@
 #include "support/run_program.hpp"
 #include "support/vehicle_file.hpp"
 
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/allocation.hpp>
-#include <tilt_ropter/model/control_authority.hpp>
-#include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>

@@ -5,8 +5,8 @@
 #include "hitl/link.hpp"
 #include "hitl/options.hpp"
 
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <CLI/CLI.hpp>

@@ -6,11 +6,11 @@
 #include "hitl/options.hpp"
 #include "support/mission_sensors.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>
@@ -60,8 +60,10 @@ class Onboard {
                                    actuators_.update(m.time, command_).tilt_angle};
     ekf_.on_imu(m.time, sample);
     const InertialState<>& x = ekf_.filter().state();
-    observer_.update(m.time, sample.specific_force - x.accelerometer_bias,
-                     sample.angular_velocity - x.gyro_bias, allocation_.wrench(applied));
+    observer_.update(
+        m.time,
+        {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
+        allocation_.wrench(applied));
   }
 
   /// The wrench for now, if the state is known.

@@ -7,7 +7,7 @@
 #include "support/mission_sensors.hpp"
 #include "support/progress.hpp"
 
-#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>

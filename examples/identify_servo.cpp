@@ -6,9 +6,9 @@
 #include "support/mission_log.hpp"
 #include "support/pictures.hpp"
 
+#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/servo.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
 

@@ -30,8 +30,7 @@ int main(int argc, char** argv) {
     const double time = robot.time();
     const ActuatorState<4> applied{robot.actuators().rotor_speed,  // measured
                                    actuators.update(time, command).tilt_angle};
-    observer.update(time, robot.specific_force(), robot.body().angular_velocity,
-                    allocation.wrench(applied));
+    observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
     if (nmpc.prepare(time, reference, observer.external()))        // before the state is measured
       observer.set_external(nmpc.contact().air_wrench());          // the ground has let go
     const NmpcResult& result = nmpc.feedback(time, robot.body());  // after

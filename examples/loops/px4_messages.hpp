@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/model/actuator_outputs.hpp>
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/model/ned.hpp>
 #include <tilt_ropter/model/state.hpp>
 

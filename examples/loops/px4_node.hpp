@@ -4,11 +4,11 @@
 #include "px4_messages.hpp"
 #include "vehicle_parameter.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/actuator_outputs.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/ned.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -91,8 +91,9 @@ class Px4Node : public rclcpp::Node {
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
     if (pilot_ == Pilot::somebody_else) return;  // who knows what the actuators do
     const double time = seconds(m.timestamp);
-    observer_.update(time, tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2)),
-                     tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
+    observer_.update(time,
+                     {tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
+                      tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2))},
                      allocation_.wrench(actuators_.update(time, command_)));
   }
 

@@ -6,10 +6,10 @@
 #include "latencies.hpp"
 #include "real_time.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -83,8 +83,7 @@ void run(const Options& options) {
     const double time = robot.time();
     const ActuatorState<4> applied{robot.actuators().rotor_speed,
                                    actuators.update(time, command).tilt_angle};
-    observer.update(time, robot.specific_force(), robot.body().angular_velocity,
-                    allocation.wrench(applied));
+    observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
     if (nmpc.prepare(time, reference, observer.external()))
       observer.set_external(nmpc.contact().air_wrench());
     const NmpcResult& result = nmpc.feedback(time, robot.body());

@@ -32,8 +32,9 @@ void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sampl
   applied_ = {rotor_speeds_, actuators_.update(time, command_).tilt_angle};
   ekf_.on_imu(time, sample);
   const InertialState<>& x = ekf_.filter().state();
-  observer_.update(time, sample.specific_force - x.accelerometer_bias,
-                   sample.angular_velocity - x.gyro_bias, allocation_.wrench(applied_));
+  observer_.update(
+      time, {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
+      allocation_.wrench(applied_));
 }
 
 template <int Rotors>

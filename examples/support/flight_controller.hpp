@@ -1,8 +1,8 @@
 #pragma once
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>

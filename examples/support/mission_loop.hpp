@@ -7,8 +7,8 @@
 #include "progress.hpp"
 #include "vehicle_file.hpp"
 
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
-#include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>

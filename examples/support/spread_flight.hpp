@@ -3,7 +3,7 @@
 #include "flight_controller.hpp"
 #include "vehicle_spread.hpp"
 
-#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>

@@ -3,10 +3,10 @@
 #include "program_audit.hpp"
 #include "vehicle_spread.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>
@@ -204,8 +204,7 @@ template <int Rotors>
     const double time = static_cast<double>(i) * settings.period;
     const ActuatorState<Rotors> applied{plant.actuators().rotor_speed,
                                         actuators.update(time, command).tilt_angle};
-    observer.update(time, plant.specific_force(), plant.body().angular_velocity,
-                    allocation.wrench(applied));
+    observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     if (i == before) observer.set_external({});
     const double began = thread_microseconds();
     const bool lifted = nmpc.prepare(

@@ -1,7 +1,7 @@
 #include "vehicle_file.hpp"
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/allocation_matrix.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

@@ -1,8 +1,8 @@
 #pragma once
 
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 
 /// Instead of the headers that it includes, where the program links to tilt_ropter::compiled: says
 /// which instances are in that library, so that whoever includes this does not compile them. The
@@ -11,7 +11,7 @@
 /// What is the same for any number of rotors is in it, too: Ekf in double precision.
 
 /// What there is for a number of rotors; `prefix` is `extern` for a declaration.
-#define TILT_ROPTER_INSTANCES(prefix, rotors)  \
+#define TILT_ROPTER_INSTANCES(prefix, rotors)      \
   prefix template class tilt_ropter::Nmpc<rotors>; \
   prefix template class tilt_ropter::Allocation<rotors>;
 

@@ -2,8 +2,19 @@
 
 /// The whole library; without NLopt, all but what solves with it. A component compiles faster; each
 /// header stands alone.
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/power.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/actuation/servo.hpp>
+#include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
@@ -19,19 +30,11 @@
 #include <tilt_ropter/math/singular_values.hpp>
 #include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/actuator_outputs.hpp>
-#include <tilt_ropter/model/allocation.hpp>
-#include <tilt_ropter/model/allocation_matrix.hpp>
-#include <tilt_ropter/model/control_authority.hpp>
 #include <tilt_ropter/model/frames.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/ned.hpp>
-#include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
-#include <tilt_ropter/model/rotor.hpp>
-#include <tilt_ropter/model/servo.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 #include <tilt_ropter/optimal_control/active_set.hpp>
@@ -45,6 +48,9 @@
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
+#include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
+#include <tilt_ropter/optimal_control/step_search.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
@@ -60,13 +66,9 @@
 
 #if __has_include(<nlopt.h>)
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
-#include <tilt_ropter/optimal_control/step_search.hpp>
 #endif

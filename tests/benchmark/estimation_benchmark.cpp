@@ -29,7 +29,7 @@ void update(benchmark::State& state, WrenchObserver<>& observer) {
   for (auto _ : state) {
     time += 1e-3;
     angular_velocity.x() = -angular_velocity.x();
-    benchmark::DoNotOptimize(observer.update(time, specific_force, angular_velocity, applied));
+    benchmark::DoNotOptimize(observer.update(time, {angular_velocity, specific_force}, applied));
     benchmark::DoNotOptimize(observer.external());
   }
 }

@@ -2,9 +2,9 @@
 
 #include "dense_riccati.hpp"
 
-#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
-#include <tilt_ropter/model/servo.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include "support/benchmark_problem.hpp"

@@ -1,5 +1,5 @@
+#include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/control_authority.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 

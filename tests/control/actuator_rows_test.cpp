@@ -1,5 +1,5 @@
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/actuator_rows.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"

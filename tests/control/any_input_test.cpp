@@ -7,9 +7,9 @@
 #include "support/hovering.hpp"
 #include "support/random.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

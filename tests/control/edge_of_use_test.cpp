@@ -5,10 +5,10 @@
 #include "support/random.hpp"
 #include "support/simulated_time.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -69,7 +69,7 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   for (long i = 0; i < ticks; ++i) {
     const double time = plant.time();
     observer.update(
-        time, plant.specific_force(), plant.body().angular_velocity,
+        time, plant.inertial_sample(),
         allocation.wrench(ActuatorState<4>{plant.actuators().rotor_speed,
                                            actuators.update(time, command).tilt_angle}));
     if (i % control == 0) {

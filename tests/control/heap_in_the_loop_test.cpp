@@ -3,11 +3,11 @@
 
 #include "support/allocation_counter.hpp"  // before all that calls NLopt
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
-#include <tilt_ropter/model/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
@@ -429,9 +429,7 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
       if (fault == 3) m->specific_force.y() = nan;
       const Wrench<> wrench =
           watch("Allocation::wrench", [&] { return allocation.wrench(applied); });
-      (void)watch("WrenchObserver", [&] {
-        return observer.update(time, m->specific_force, m->angular_velocity, wrench);
-      });
+      (void)watch("WrenchObserver", [&] { return observer.update(time, *m, wrench); });
     }
     nlopt([&] {
       if (watch("Nmpc::prepare",
@@ -478,8 +476,9 @@ TEST_F(HeapInTheLoop, AnObserverThatIsCalibratedAndLimited) {
     Eigen::Vector3d a = random.vector(0.1) + 2.0 * push * Eigen::Vector3d::UnitX();
     if (i % 70 == 0) a.y() = nan;
     trusted.insert(watch("trust", [&] { return observer.trust(time); }));
-    reached.insert(
-        watch("update", [&] { return observer.update(time, a, Eigen::Vector3d::Zero(), {}); }));
+    reached.insert(watch("update", [&] {
+      return observer.update(time, {Eigen::Vector3d::Zero(), a}, {});
+    }));
     if (i % 150 == 20) watch("begin_calibration", [&] { observer.begin_calibration(); });
     if (i % 150 == (i < 600 ? 149 : 50))
       calibrated.insert(watch("end_calibration", [&] { return observer.end_calibration(); }));

@@ -1,5 +1,5 @@
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include "support/hovering.hpp"

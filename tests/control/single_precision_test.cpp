@@ -3,12 +3,12 @@
 
 #include "support/simulated_time.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/finite.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -62,8 +62,10 @@ class OnBoard {
                                         m.specific_force.cast<Scalar>()};
     ekf_.on_imu(m.time, sample);
     const InertialState<Scalar>& x = ekf_.filter().state();
-    observer_.update(m.time, sample.specific_force - x.accelerometer_bias,
-                     sample.angular_velocity - x.gyro_bias, applied_);
+    observer_.update(
+        m.time,
+        {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
+        applied_);
   }
 
   void on_pose(const PoseSensor::Measurement& m) {

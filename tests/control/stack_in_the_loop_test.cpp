@@ -4,11 +4,11 @@
 #include "support/sanitizer.hpp"
 #include "support/simulated_time.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 
 #include <gtest/gtest.h>
 #include <pthread.h>
@@ -92,7 +92,7 @@ TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
     for (int i = 0; i < 100; ++i) {
       ekf.on_imu(0.005 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, 9.81)});
       if (i % 10 == 5) ekf.on_pose(0.005 * i, {});
-      observer.update(0.005 * i, Eigen::Vector3d(0.0, 0.0, 9.81), Eigen::Vector3d::Zero(), {});
+      observer.update(0.005 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, 9.81)}, {});
       (void)actuators.update(0.005 * i, {});
     }
   });

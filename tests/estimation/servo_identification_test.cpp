@@ -1,6 +1,6 @@
+#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/servo.hpp>
 
 #include <gtest/gtest.h>
 

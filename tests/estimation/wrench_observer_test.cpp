@@ -4,8 +4,8 @@
 #include "support/check_table.hpp"
 #include "support/random.hpp"
 
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -54,7 +54,7 @@ TEST(WrenchObserver, StepResponseIsTheClosedFormForAnyStep) {
       for (int i = 0; i <= 40; ++i) {
         const double t = dt * i;
         const Eigen::Vector3d w = body().inertia.inverse() * about * t;
-        observer.update(t, force / body().mass, w, {});
+        observer.update(t, {w, force / body().mass}, {});
         for (int j = 0; j < 3; ++j)
           EXPECT_NEAR(observer.external().force(j),
                       force(j) * (1.0 - std::exp(-settings.force_bandwidth(j) * t)), 1e-12);
@@ -70,10 +70,10 @@ TEST(WrenchObserver, DoesNotDependOnHowTimeIsDivided) {
   settings.max_gap = 1.0;
   WrenchObserver<> coarse(body(), settings), fine(body(), settings);
   const Eigen::Vector3d a(1.0, 2.0, 9.0), w = Eigen::Vector3d::Zero();
-  coarse.update(0.0, a, w, {});
-  fine.update(0.0, a, w, {});
-  for (int i = 1; i <= 7; ++i) fine.update(0.1 * i, a, w, {});
-  coarse.update(0.7, a, w, {});
+  coarse.update(0.0, {w, a}, {});
+  fine.update(0.0, {w, a}, {});
+  for (int i = 1; i <= 7; ++i) fine.update(0.1 * i, {w, a}, {});
+  coarse.update(0.7, {w, a}, {});
   EXPECT_LT((coarse.external().force - fine.external().force).norm(), 1e-12);
 }
 
@@ -88,7 +88,7 @@ TEST(WrenchObserver, FindsTheExternalWrenchOfATumblingBody) {
   Wrench<> applied;
   for (int i = 0; i <= 5000; ++i) {
     const double t = dt * i;
-    observer.update(t, (applied.force + truth.force) / body().mass, x.body.angular_velocity,
+    observer.update(t, {x.body.angular_velocity, (applied.force + truth.force) / body().mass},
                     applied);
     applied = {random.vector(2.0), -0.02 * x.body.angular_velocity};
     x.wrench = applied;
@@ -109,7 +109,7 @@ TEST(WrenchObserver, GyroscopicTorqueIsOfSecondOrderInTheStep) {
     State<> x;
     x.body.angular_velocity << 3.0, -4.0, 5.0;
     for (int i = 0; i <= 100; ++i) {
-      observer.update(dt * i, Vector3d::Zero(), x.body.angular_velocity, {});
+      observer.update(dt * i, {x.body.angular_velocity, Vector3d::Zero()}, {});
       worst[fine] = std::max(worst[fine], observer.external().torque.norm());
       x = plant.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, dt);
     }
@@ -121,29 +121,29 @@ TEST(WrenchObserver, GyroscopicTorqueIsOfSecondOrderInTheStep) {
 TEST(WrenchObserver, AnInitialRateIsNotATorque) {
   WrenchObserver<> observer(body());
   const Eigen::Vector3d w(0.0, 0.0, 3.0);
-  EXPECT_EQ(observer.update(0.0, Eigen::Vector3d::Zero(), w, {}), ObserverStatus::started);
-  EXPECT_EQ(observer.update(0.1, Eigen::Vector3d::Zero(), w, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(0.0, {w, Eigen::Vector3d::Zero()}, {}), ObserverStatus::started);
+  EXPECT_EQ(observer.update(0.1, {w, Eigen::Vector3d::Zero()}, {}), ObserverStatus::updated);
   EXPECT_LT(observer.external().torque.norm(), 1e-15);
 }
 
 TEST(WrenchObserver, BadSamplesAreRejectedAndChangeNothing) {
   WrenchObserver<> observer(body());
   const Eigen::Vector3d a(1.0, 0.0, 9.0), w(0.1, 0.0, 0.0);
-  observer.update(0.0, a, w, {});
-  observer.update(0.1, a, w, {});
+  observer.update(0.0, {w, a}, {});
+  observer.update(0.1, {w, a}, {});
   const Wrench<> before = observer.external();
   const Eigen::Vector3d bad(0.0, nan, 0.0), huge = Eigen::Vector3d::Constant(1e300);
-  EXPECT_EQ(observer.update(nan, a, w, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(infinity, a, w, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.1, a, w, {}), ObserverStatus::rejected);  // time stands
-  EXPECT_EQ(observer.update(0.05, a, w, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, bad, w, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, a, bad, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, a, huge, {}), ObserverStatus::rejected);  // overflows
-  EXPECT_EQ(observer.update(0.2, a, w, {bad, w}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(nan, {w, a}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(infinity, {w, a}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.1, {w, a}, {}), ObserverStatus::rejected);  // time stands
+  EXPECT_EQ(observer.update(0.05, {w, a}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {w, bad}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {bad, a}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {huge, a}, {}), ObserverStatus::rejected);  // overflows
+  EXPECT_EQ(observer.update(0.2, {w, a}, {bad, w}), ObserverStatus::rejected);
   EXPECT_EQ(observer.external().force, before.force);
   EXPECT_EQ(observer.external().torque, before.torque);
-  EXPECT_EQ(observer.update(0.2, a, w, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(0.2, {w, a}, {}), ObserverStatus::updated);
 }
 
 TEST(WrenchObserver, EstimateCanBeReplaced) {
@@ -163,7 +163,7 @@ class Feed {
     time_ += dt;
     // About x alone there is no gyroscopic torque.
     rate_.x() += wrench.torque.x() / body().inertia(0, 0) * dt;
-    return observer_.update(time_, wrench.force / body().mass, rate_, {});
+    return observer_.update(time_, {rate_, wrench.force / body().mass}, {});
   }
   void operator()(const Wrench<>& wrench, int samples) {
     for (int i = 0; i < samples; ++i) (*this)(wrench);
@@ -207,13 +207,13 @@ TEST(WrenchObserver, NothingIsConcludedOverAGap) {
 TEST(WrenchObserver, AClockThatJumpsBackDoesNotLockIt) {
   WrenchObserver<> observer(body());
   const Vector3d a(1.0, 0.0, 0.0), w = Vector3d::Zero();
-  observer.update(100.0, a, w, {});
-  observer.update(100.01, a, w, {});
+  observer.update(100.0, {w, a}, {});
+  observer.update(100.01, {w, a}, {});
   const Wrench<> before = observer.external();
-  EXPECT_EQ(observer.update(99.95, a, w, {}), ObserverStatus::rejected);  // late
-  EXPECT_EQ(observer.update(5.0, a, w, {}), ObserverStatus::gap);
+  EXPECT_EQ(observer.update(99.95, {w, a}, {}), ObserverStatus::rejected);  // late
+  EXPECT_EQ(observer.update(5.0, {w, a}, {}), ObserverStatus::gap);
   EXPECT_EQ(distance(observer.external(), before), 0.0);
-  EXPECT_EQ(observer.update(5.01, a, w, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(5.01, {w, a}, {}), ObserverStatus::updated);
 }
 
 TEST(WrenchObserver, SaysWhetherItCanBeTrusted) {
@@ -237,7 +237,7 @@ TEST(WrenchObserver, SaysWhetherItCanBeTrusted) {
   EXPECT_EQ(observer.trust(feed.time() + 0.11), WrenchTrust::stale);
   EXPECT_EQ(observer.trust(feed.time() - 0.11), WrenchTrust::stale);
   EXPECT_EQ(observer.trust(nan), WrenchTrust::stale);
-  EXPECT_EQ(observer.update(feed.time() + 0.2, Vector3d(nan, 0, 0), Vector3d::Zero(), {}),
+  EXPECT_EQ(observer.update(feed.time() + 0.2, {Vector3d::Zero(), Vector3d(nan, 0, 0)}, {}),
             ObserverStatus::rejected);
   EXPECT_EQ(observer.trust(feed.time() + 0.2), WrenchTrust::stale);
 
@@ -294,8 +294,8 @@ TEST(WrenchObserver, DeadBandAndLimitsShapeTheOutputWithoutJumps) {
     const double t = 0.01 * i;
     const Vector3d a = 4.0 * std::sin(0.5 * t) * Vector3d::Ones();
     const Vector3d w = 5.0 * std::sin(0.3 * t) * Vector3d::Ones();
-    observer.update(t, a, w, {});
-    plain.update(t, a, w, {});
+    observer.update(t, {w, a}, {});
+    plain.update(t, {w, a}, {});
     // What is not seen goes on inside.
     ASSERT_EQ(distance(observer.filtered(), plain.external()), 0.0);
     const Wrench<>& f = observer.filtered();
@@ -342,7 +342,7 @@ TEST(WrenchObserver, CalibrationOnTheGroundFindsTheAccelerometersBias) {
     for (double time = from; time < to; time += 1e-3) {
       // None where one stretch ends and the next begins within rounding.
       if (const auto m = imu.sample(time, Vector3d::Zero(), ground.force / body().mass))
-        observer.update(time, m->specific_force, m->angular_velocity, {});
+        observer.update(time, *m, {});
     }
   };
   stand(0.0, 1.0);
@@ -517,9 +517,7 @@ StepResponse step_response(double dt, const WrenchObserverSettings& settings,
     const ActuatorState<4> applied{
         rotor_sensor.sample(time, plant.actuators().rotor_speed)->rotor_speed,
         actuators.update(time, command).tilt_angle};
-    EXPECT_NE(
-        observer.update(time, m->specific_force, m->angular_velocity, allocation.wrench(applied)),
-        ObserverStatus::rejected);
+    EXPECT_NE(observer.update(time, *m, allocation.wrench(applied)), ObserverStatus::rejected);
     const Wrench<>& external = observer.external();
     response.largest = std::max({response.largest, external.force.cwiseAbs().maxCoeff(),
                                  external.torque.cwiseAbs().maxCoeff()});
@@ -623,7 +621,7 @@ TEST(WrenchObserver, AnyNumbersAreSurvived) {
     const Vector3d a = vector(), w = vector();
     const Wrench<> applied = wrench();
     const Wrench<> before = observer.filtered(), shown = observer.external();
-    const ObserverStatus status = observer.update(time, a, w, applied);
+    const ObserverStatus status = observer.update(time, {w, a}, applied);
     ++statuses[static_cast<std::size_t>(status)];
     if (status != ObserverStatus::updated) {
       ASSERT_EQ(distance(observer.filtered(), before), 0.0);
@@ -645,11 +643,11 @@ TEST(WrenchObserver, AnyNumbersAreSurvived) {
     // The next good samples do what they should.
     observer.set_offset({});
     good_time += 0.01;
-    ASSERT_NE(observer.update(good_time, none, none, {}), ObserverStatus::rejected);
+    ASSERT_NE(observer.update(good_time, {none, none}, {}), ObserverStatus::rejected);
     observer.set_external({});
     for (int k = 0; k < 3; ++k) {
       good_time += 0.01;
-      ASSERT_EQ(observer.update(good_time, Vector3d::UnitX(), none, {}), ObserverStatus::updated);
+      ASSERT_EQ(observer.update(good_time, {none, Vector3d::UnitX()}, {}), ObserverStatus::updated);
     }
     ASSERT_NEAR(observer.external().force.x(), body().mass * -std::expm1(-0.15), 1e-9);
     ASSERT_EQ(observer.external().torque.norm(), 0.0);
@@ -664,21 +662,21 @@ TEST(WrenchObserver, AnyNumbersAreSurvived) {
 TEST(WrenchObserver, FiniteNumbersThatNoSensorMeansAreNotKept) {
   WrenchObserver<> observer(body());
   const Vector3d none = Vector3d::Zero(), huge(0.0, 1e100, 0.0);
-  EXPECT_EQ(observer.update(0.0, none, huge, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.0, none, none, {}), ObserverStatus::started);
-  EXPECT_EQ(observer.update(0.01, huge, none, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, none, none, {huge, none}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, none, none, {none, huge}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.0, {huge, none}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.0, {none, none}, {}), ObserverStatus::started);
+  EXPECT_EQ(observer.update(0.01, {none, huge}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {huge, none}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {none, huge}), ObserverStatus::rejected);
   // A time step of next to nothing.
-  EXPECT_EQ(observer.update(1e-300, none, Vector3d::Ones(), {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, none, none, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(1e-300, {Vector3d::Ones(), none}, {}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {}), ObserverStatus::updated);
   EXPECT_EQ(distance(observer.external(), {}), 0.0);
 }
 
 TEST(WrenchObserver, WorksInSinglePrecision) {
   WrenchObserver<float> observer(body());
   const Eigen::Vector3f a(1.0f, 0.0f, 0.0f), w = Eigen::Vector3f::Zero();
-  for (int i = 0; i <= 100; ++i) observer.update(0.05 * i, a, w, {});
+  for (int i = 0; i <= 100; ++i) observer.update(0.05 * i, {w, a}, {});
   EXPECT_NEAR(static_cast<double>(observer.external().force.x()), 1.5, 1e-5);
   // After three hours at 1 kHz too, and with all that shapes and calibrates.
   WrenchObserverSettings settings;
@@ -688,7 +686,7 @@ TEST(WrenchObserver, WorksInSinglePrecision) {
   shaped.begin_calibration();
   const auto run = [&shaped, &a](double from, const Wrench<float>& applied) {
     for (int i = 0; i <= 2000; ++i)
-      shaped.update(from + 1e-3 * i, a, Eigen::Vector3f::Zero(), applied);
+      shaped.update(from + 1e-3 * i, {Eigen::Vector3f::Zero(), a}, applied);
   };
   run(1e4, {});
   EXPECT_EQ(shaped.end_calibration(), CalibrationStatus::calibrated);
@@ -712,8 +710,8 @@ TEST(WrenchObserver, WorksWithDerivatives) {
     WrenchObserver<Dual> observer(body(), settings);
     const Vector3<Dual> a = Vector3d(5.0, -5.0, 9.0).cast<Dual>() + step;
     const Vector3<Dual> w = Vector3d::Zero().cast<Dual>();
-    observer.update(0.0, a, w, {});
-    observer.update(0.01, a, w, {});
+    observer.update(0.0, {w, a}, {});
+    observer.update(0.01, {w, a}, {});
     return observer.external().force;
   });
   EXPECT_LT((by_force - passed * body().mass * Eigen::Matrix3d::Identity()).norm(), 1e-12);
@@ -721,8 +719,8 @@ TEST(WrenchObserver, WorksWithDerivatives) {
   const Eigen::Matrix3d by_rate = test_support::jacobian_at_zero<3, 3>([&](const auto& step) {
     WrenchObserver<Dual> observer(body(), settings);
     const Vector3<Dual> zero = Vector3d::Zero().cast<Dual>();
-    observer.update(0.0, zero, zero, {});
-    observer.update(0.01, zero, Vector3<Dual>(Vector3d(0, 0, 0.1).cast<Dual>() + step), {});
+    observer.update(0.0, {zero, zero}, {});
+    observer.update(0.01, {Vector3<Dual>(Vector3d(0, 0, 0.1).cast<Dual>() + step), zero}, {});
     return observer.external().torque;
   });
   EXPECT_NEAR(by_rate(0, 0), passed * body().inertia(0, 0) / 0.01, 1e-3);

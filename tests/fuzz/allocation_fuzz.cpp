@@ -1,6 +1,6 @@
 // Allocation from any wrench and any last command.
 
-#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 
 #include "fuzz/input.hpp"
 

@@ -1,8 +1,8 @@
 // Parameters of a vehicle: refused, or good for allocation, power, servos and rotors.
 
-#include <tilt_ropter/model/allocation.hpp>
-#include <tilt_ropter/model/power.hpp>
-#include <tilt_ropter/model/servo.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/power.hpp>
+#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include "fuzz/input.hpp"

@@ -44,7 +44,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         const Eigen::Vector3d force = input.vector(20.0), rate = input.vector(5.0);
         const Wrench<> applied = input.wrench(20.0, 2.0);
         const Wrench<> before = observer->filtered();
-        const ObserverStatus status = observer->update(time, force, rate, applied);
+        const ObserverStatus status = observer->update(time, {rate, force}, applied);
         fuzz::expect(
             status == ObserverStatus::updated || (observer->filtered().force == before.force &&
                                                   observer->filtered().torque == before.torque),

@@ -7,7 +7,7 @@ way=$1
 source=$2
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
-cp -r "$source/tests/packaging/consumer" "$away/consumer"
+cp -r "$source"/tests/packaging/{consumer,core} "$away"
 cd "$away/consumer"
 
 case $way in
@@ -22,7 +22,10 @@ case $way in
     test -n "$(find "$away/moved" -name LICENSE)"
     cmake -S . -B build -DCMAKE_PREFIX_PATH="$away/moved"
     cmake --build build
-    build/consumer ;;
+    build/consumer
+    cmake -S ../core -B build_core -DCMAKE_PREFIX_PATH="$away/moved"
+    cmake --build build_core
+    build_core/core ;;
   packed)  # as .deb and as sources; the one used by pkg-config, too
     cmake -S "$source" -B "$away/build" -DCMAKE_INSTALL_PREFIX=/usr -DTILT_ROPTER_BUILD_EXAMPLES=OFF
     (cd "$away/build" && cpack -G DEB && cpack --config CPackSourceConfig.cmake)

@@ -1,7 +1,7 @@
 // The plant and the controller's model, written apart, are of the same vehicle.
 
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 

@@ -17,11 +17,12 @@ violations=$(
     BEGIN {
       may["math"] = "math"
       may["model"] = "math model"
+      may["actuation"] = "math model actuation"
       may["estimation"] = "math model estimation"
       may["planning"] = "math planning"
       may["optimal_control"] = "math optimal_control"
-      may["control"] = "math model planning optimal_control control"
-      may["simulation"] = "math model planning simulation"
+      may["control"] = "math model actuation planning optimal_control control"
+      may["simulation"] = "math model actuation planning simulation"
     }
     {
       split($1, header, "/")

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # without_nlopt.sh INCLUDE_DIR COMPILER EIGEN_DIR
-# Which headers lead to NLopt: the solver's and the controller's, no other; and the umbrella header
+# Which headers lead to NLopt: those that solve, no other; and the umbrella header
 # compiles where the preprocessor finds no nlopt.h.
 set -euo pipefail
 
@@ -12,15 +12,11 @@ needing=$(for header in $(find tilt_ropter -mindepth 2 -name '*.hpp' | LC_ALL=C 
 done)
 diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/nmpc.hpp
-tilt_ropter/control/nmpc_settings.hpp
-tilt_ropter/control/reference_check.hpp
 tilt_ropter/optimal_control/dual_method.hpp
 tilt_ropter/optimal_control/full_space.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp
 tilt_ropter/optimal_control/multipliers.hpp
 tilt_ropter/optimal_control/quadratic_program.hpp
-tilt_ropter/optimal_control/solve_report.hpp
-tilt_ropter/optimal_control/step_search.hpp
 HEADERS
 "${compile[@]}" -w -fsyntax-only - << 'PROGRAM'
 #undef __has_include

@@ -1,10 +1,10 @@
 #pragma once
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/actuator_model.hpp>
-#include <tilt_ropter/model/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
@@ -92,8 +92,7 @@ class ControlLoop {
     const double time = plant_.time();
     const ActuatorState<4> applied{plant_.actuators().rotor_speed,
                                    actuators_.update(time, command_).tilt_angle};
-    observer_.update(time, plant_.specific_force(), plant_.body().angular_velocity,
-                     allocation_.wrench(applied));
+    observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
     Wrench<> external = observer_.external();
     std::optional<BodyState<>> measured = state_sensor_.sample(time, plant_.body())->body;
     tamper(external, measured);

@@ -25,7 +25,7 @@ inline void instantiate(const tilt_ropter::Mission& mission) {
     observer.set_external(nmpc.contact().air_wrench());
   const NmpcResult& result = nmpc.feedback(0.0, plant.body());
   const auto command = allocation.allocate(result.wrench, result.rate, {}).command;
-  observer.update(0.0, plant.specific_force(), plant.body().angular_velocity,
+  observer.update(0.0, plant.inertial_sample(),
                   allocation.wrench(ActuatorState<4>{command.rotor_speed,
                                                      actuators.update(0.0, command).tilt_angle}));
   plant.step(command, {}, 0.01);

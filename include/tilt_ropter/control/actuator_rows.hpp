@@ -1,7 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/allocation_matrix.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>

@@ -1,8 +1,8 @@
 #pragma once
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/allocation_matrix.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -104,12 +105,13 @@ class WrenchObserver {
         3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
   }
 
-  /// Takes one sample at `time` [s]: `specific_force` q^-1 (dv/dt - g) [m/s^2] and
-  /// `angular_velocity` [rad/s] in the body frame at the CoM, and the wrench `applied` by the
-  /// actuators since the last sample (from measured rotor speeds and modelled tilt angles).
-  ObserverStatus update(double time, const Vector3<Scalar>& specific_force,
-                        const Vector3<Scalar>& angular_velocity,
+  /// Takes one sample at `time` [s], of an IMU at the CoM or taken there, less the biases, and the
+  /// wrench `applied` by the actuators since the last sample (from measured rotor speeds and
+  /// modelled tilt angles; body frame).
+  ObserverStatus update(double time, const InertialSample<Scalar>& sample,
                         const Wrench<Scalar>& applied) noexcept {
+    const Vector3<Scalar>&specific_force = sample.specific_force,
+          &angular_velocity = sample.angular_velocity;
     if (!std::isfinite(time) || !within(specific_force, 1e6) || !within(angular_velocity, 1e6) ||
         !within(applied, 1e6))
       return ObserverStatus::rejected;

@@ -6,6 +6,7 @@
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/step_search.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
@@ -22,7 +23,8 @@
 #include <vector>
 
 #if defined(__GNUC__) && !defined(__OPTIMIZE__) && !defined(TILT_ROPTER_NOT_OPTIMISED)
-#pragma message("tilt_ropter: without optimisation the solver takes hundreds of times as long. \
+#pragma message( \
+    "tilt_ropter: without optimisation the solver takes hundreds of times as long. \
 Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_ROPTER_NOT_OPTIMISED.")
 #endif
 

@@ -1,15 +1,14 @@
 #pragma once
 
 #include <tilt_ropter/math/packet.hpp>
-#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 
 #include <Eigen/Core>
 
 #include <nlopt.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstddef>
 #include <memory>
@@ -25,28 +24,6 @@
 /// The upper bound rho on a multiplier is the exact L1 penalty on its row, so a solution exists for
 /// every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
 namespace tilt_ropter {
-
-/// NLopt's algorithms that can solve the dual; all reach the same point.
-enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
-
-/// The clock of all time limits.
-using SolverClock = std::chrono::steady_clock;
-
-/// How the dual of the rows is solved, and how well.
-struct DualSettings {
-  DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
-  int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
-  double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
-  double row_tolerance = 1e-9;  ///< violation that makes a constraint join the working set
-  int max_rounds = 20;          ///< of adding constraints
-};
-
-inline void validate(const DualSettings& s) {
-  require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
-  require_positive("DualSettings.tolerance", s.tolerance);
-  require_positive("DualSettings.row_tolerance", s.row_tolerance);
-  require(s.max_rounds > 0, "DualSettings.max_rounds", s.max_rounds, "> 0");
-}
 
 /// Minimiser of the dual above, with room for `capacity` rows. With a `Capacity` known to the
 /// compiler (of up to 128, Eigen's limit) the matrices are part of the object. From cold NLopt

@@ -1,14 +1,13 @@
 #pragma once
 
 #include <tilt_ropter/math/entries.hpp>
-#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/active_set.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -19,38 +18,12 @@
 /// Solves the quadratic program of one SQP step, by whichever method suits it.
 namespace tilt_ropter {
 
-/// How a quadratic program is solved.
-enum class ProgramMethod {
-  automatic,       ///< by the dual where few constraints hold, else by Riccati passes
-  dual,            ///< by NLopt: DualMethod
-  interior_point,  ///< by InteriorPoint as soon as a constraint is violated
-};
-
 /// How a solve of a quadratic program ended.
 enum class ProgramStatus {
   solved,       ///< the residual is below the tolerance
   interrupted,  ///< by the deadline or a limit: the step is the best one so far
   failed,       ///< no factorisation or a number that is not finite; there is no step
 };
-
-/// Limits and tolerances of one SQP step.
-struct QuadraticProgramSettings {
-  ProgramMethod method = ProgramMethod::automatic;
-  /// Residual of a solved program (see ProgramResidual), relative.
-  double tolerance = 1e-6;
-  /// Constraints up to which the method `automatic` leaves them to NLopt.
-  int max_dual_rows = 16;
-  int max_passes = 100;  ///< Riccati passes in one solve, besides that of prepare()
-  DualSettings dual;
-};
-
-inline void validate(const QuadraticProgramSettings& s) {
-  require_positive("QuadraticProgramSettings.tolerance", s.tolerance);
-  require(s.max_dual_rows >= 0 && s.max_dual_rows <= 1000, "QuadraticProgramSettings.max_dual_rows",
-          s.max_dual_rows, "in [0, 1000]");
-  require(s.max_passes >= 1, "QuadraticProgramSettings.max_passes", s.max_passes, ">= 1");
-  validate(s.dual);
-}
 
 /// prepare() does what needs no measurement, solve() the rest. Allocates in its constructor; later
 /// only NLopt does.

@@ -1,12 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
-
-#include <cmath>
-#include <limits>
-
-/// What the solver can be told, and what it tells.
+/// What the solver tells.
 namespace tilt_ropter {
 
 /// How a solve or a real-time iteration ended. `converged` and `iterated` imply a solved quadratic
@@ -26,35 +20,6 @@ enum class SolveStatus {
 /// within their hard bounds.
 [[nodiscard]] constexpr bool has_plan(SolveStatus status) {
   return status != SolveStatus::failed && status != SolveStatus::rejected;
-}
-
-/// Limits and tolerances; the defaults serve problems whose cost is of order 1 to 10^4.
-struct SolverSettings {
-  int max_iterations = 200;  ///< of solve()
-  double max_time = 1.0;     ///< of solve() [s]
-  /// Of feedback(); an iteration that would end later is not begun. Finite: at most 1000 [s].
-  double max_feedback_time = std::numeric_limits<double>::infinity();
-  double tolerance = 1e-6;      ///< on the KKT residual, for solve()
-  double min_step = 1e-4;       ///< shortest step that solve()'s line search tries
-  int memory = 16;              ///< moves that solve() learns longer or shorter steps from; 0: none
-  double max_multiplier = 1e6;  ///< bound on an equality's multiplier
-  bool update_multipliers = true;  ///< of equalities, in solve(): conditions met exactly, not only
-                                   ///< by weight; feedback() never does, as noise would pile up
-  QuadraticProgramSettings program;
-};
-
-inline void validate(const SolverSettings& s) {
-  require(s.max_iterations > 0, "SolverSettings.max_iterations", s.max_iterations, "> 0");
-  require_positive("SolverSettings.max_time [s]", s.max_time);
-  require(s.max_feedback_time > 0.0 &&
-              (s.max_feedback_time <= 1000.0 || std::isinf(s.max_feedback_time)),
-          "SolverSettings.max_feedback_time [s]", s.max_feedback_time, "in (0, 1000], or infinite");
-  require_positive("SolverSettings.tolerance", s.tolerance);
-  require(s.min_step > 0.0 && s.min_step <= 1.0, "SolverSettings.min_step", s.min_step,
-          "in (0, 1]");
-  require(s.memory >= 0 && s.memory <= 100, "SolverSettings.memory", s.memory, "in [0, 100]");
-  require_non_negative("SolverSettings.max_multiplier", s.max_multiplier);
-  validate(s.program);
 }
 
 /// What a solve reports. The KKT residual, violation, defect and cost are those of the iterate that

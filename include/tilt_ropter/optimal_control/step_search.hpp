@@ -6,6 +6,7 @@
 #include <tilt_ropter/optimal_control/merit.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <Eigen/Core>

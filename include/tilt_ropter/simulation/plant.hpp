@@ -174,6 +174,10 @@ class Plant {
   [[nodiscard]] const Wrench<>& actuator_wrench() const noexcept { return loads_.actuators; }
   [[nodiscard]] const Wrench<>& contact_wrench() const noexcept { return loads_.contact; }
   [[nodiscard]] const Wrench<>& external_wrench() const noexcept { return loads_.external; }
+  /// What an ideal IMU at the CoM reports.
+  [[nodiscard]] InertialSample<> inertial_sample() const noexcept {
+    return {state_.body.angular_velocity, loads_.specific_force};
+  }
   [[nodiscard]] const Eigen::Vector3d& specific_force() const noexcept {
     return loads_.specific_force;
   }

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/delay_queue.hpp>
@@ -101,10 +102,8 @@ inline void validate(const ImuSensorParameters& p) {
 class ImuSensor {
  public:
   /// What the sensor says.
-  struct Measurement {
-    double time = 0.0;                                           ///< when it was taken [s]
-    Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< body frame [rad/s]
-    Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();    ///< body frame [m/s^2]
+  struct Measurement : InertialSample<> {
+    double time = 0.0;  ///< when it was taken [s]
   };
 
   /// Throws std::invalid_argument.
@@ -161,10 +160,8 @@ inline void validate(const PoseSensorParameters& p) {
 class PoseSensor {
  public:
   /// What the sensor says.
-  struct Measurement {
-    double time = 0.0;                                                ///< when it was taken [s]
-    Eigen::Vector3d position = Eigen::Vector3d::Zero();               ///< world frame [m]
-    Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();  ///< body -> world, unit
+  struct Measurement : MarkerPose<> {
+    double time = 0.0;  ///< when it was taken [s]
   };
 
   /// Throws std::invalid_argument.

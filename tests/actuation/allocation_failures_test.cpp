@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/allocation.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>

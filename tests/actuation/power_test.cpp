@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/power.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/actuator_model.hpp>
+#include <tilt_ropter/actuation/actuator_model.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/servo.hpp>
+#include <tilt_ropter/actuation/servo.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/rotor.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/actuator_outputs.hpp>
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/full_run.hpp"

@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/rotor.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
 
 #include <gtest/gtest.h>
 

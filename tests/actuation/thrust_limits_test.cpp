@@ -1,5 +1,5 @@
-#include <tilt_ropter/model/allocation_matrix.hpp>
-#include <tilt_ropter/model/thrust_limits.hpp>
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/thrust_limits.hpp>
 
 #include <gtest/gtest.h>
 

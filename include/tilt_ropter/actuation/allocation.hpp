@@ -1,10 +1,10 @@
 #pragma once
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/allocation_matrix.hpp>
-#include <tilt_ropter/model/rotor.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/model/thrust_limits.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>

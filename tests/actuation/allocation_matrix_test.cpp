@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/model/frames.hpp>
 
 #include <gtest/gtest.h>

@@ -1,0 +1,19 @@
+// Allocates, estimates and keeps settings, without a solver.
+
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+
+int main() {
+  using namespace tilt_ropter;
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const NmpcSettings settings = nmpc_settings(vehicle);
+  validate(settings);
+  const Allocation allocation(vehicle);
+  WrenchObserver<> observer(vehicle.body);
+  Wrench<> weight;
+  weight.force.z() = vehicle.body.mass * gravity;
+  const ActuatorState<4> command = allocation.allocate(weight, {}).command;
+  observer.update(0.0, {}, allocation.wrench(command));
+  return command.rotor_speed.minCoeff() > 0.0 ? 0 : 1;
+}
