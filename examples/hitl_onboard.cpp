@@ -9,6 +9,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -39,6 +40,7 @@ class Onboard {
         actuators_(vehicle_),
         ekf_(examples::MissionSensors<>::estimation()),
         observer_(vehicle_.body),
+        contact_(vehicle_),
         nmpc_(vehicle_, file.settings()),
         mission_(examples::mission_of(file)) {}
 
@@ -69,8 +71,8 @@ class Onboard {
   /// The wrench for now, if the state is known.
   std::optional<hitl::Message> control(double time) {
     if (!ekf_.running()) return std::nullopt;
-    if (nmpc_.prepare(time, mission_, observer_.external()))
-      observer_.set_external(nmpc_.contact().air_wrench());
+    contact_.update(time, ekf_.state(), observer_);
+    (void)nmpc_.prepare(time, mission_, contact_.estimate());
     const NmpcResult& result = nmpc_.feedback(time, ekf_.state());
     if (!has_plan(result.status)) ++failures_;
     hitl::Message m;
@@ -89,6 +91,7 @@ class Onboard {
   ActuatorModel<4> actuators_;
   Ekf<> ekf_;
   WrenchObserver<> observer_;
+  ContactEstimator contact_;
   Nmpc<4> nmpc_;
   Mission mission_;
   ActuatorState<4> command_;

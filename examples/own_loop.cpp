@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
   ActuatorModel<4> actuators(vehicle);               // where the servos are, without encoders
   WrenchObserver<> observer(vehicle.body);           // external force and torque
+  ContactEstimator contact(vehicle);                 // what of it is the ground's
   Nmpc nmpc(vehicle);                                // the controller
   const auto reference = [](double) {                // any callable: time -> ReferencePoint
     ReferencePoint point;
@@ -31,8 +32,8 @@ int main(int argc, char** argv) {
     const ActuatorState<4> applied{robot.actuators().rotor_speed,  // measured
                                    actuators.update(time, command).tilt_angle};
     observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
-    if (nmpc.prepare(time, reference, observer.external()))        // before the state is measured
-      observer.set_external(nmpc.contact().air_wrench());          // the ground has let go
+    contact.update(time, robot.body(), observer);
+    (void)nmpc.prepare(time, reference, contact.estimate());       // before the state is measured
     const NmpcResult& result = nmpc.feedback(time, robot.body());  // after
     command = allocation.allocate(result.wrench, result.rate, command).command;
     actuators.update(time, command);  // acts from now on

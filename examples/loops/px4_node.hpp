@@ -8,6 +8,7 @@
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/ned.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -57,6 +58,7 @@ class Px4Node : public rclcpp::Node {
         allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
+        contact_(vehicle_),
         nmpc_(vehicle_, file_.settings()),
         reference_(*this),
         origin_height_(declare_parameter("origin_height", vehicle_.wheels.radius)),
@@ -127,8 +129,8 @@ class Px4Node : public rclcpp::Node {
     mode_publisher_->publish(mode);  // PX4 wants to hear this for a while before it lets us
     if (pilot_ != Pilot::this_node) return;
 
-    if (nmpc_.prepare(time, reference_, observer_.external()))
-      observer_.set_external(nmpc_.contact().air_wrench());
+    contact_.update(time, *body_, observer_);
+    (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
     command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
@@ -146,6 +148,7 @@ class Px4Node : public rclcpp::Node {
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
   tilt_ropter::WrenchObserver<> observer_;
+  tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
   HoverPoint reference_;
   double origin_height_, max_silence_;

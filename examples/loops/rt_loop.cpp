@@ -9,6 +9,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -55,6 +56,7 @@ void run(const Options& options) {
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
+  ContactEstimator contact(vehicle);
   Nmpc<4> nmpc(vehicle, file.settings());
   Plant<4> robot(vehicle);  // your robot goes here
   const auto reference = [](double) {
@@ -84,8 +86,8 @@ void run(const Options& options) {
     const ActuatorState<4> applied{robot.actuators().rotor_speed,
                                    actuators.update(time, command).tilt_angle};
     observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
-    if (nmpc.prepare(time, reference, observer.external()))
-      observer.set_external(nmpc.contact().air_wrench());
+    contact.update(time, robot.body(), observer);
+    (void)nmpc.prepare(time, reference, contact.estimate());
     const NmpcResult& result = nmpc.feedback(time, robot.body());
     command = allocation.allocate(result.wrench, result.rate, command).command;
     actuators.update(time, command);  // acts from now on

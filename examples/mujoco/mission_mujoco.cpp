@@ -33,6 +33,7 @@ struct Options {
   examples::MissionOptions mission;
   examples::MujocoParameters mujoco;
   double slope_deg = 0.0, slope_direction_deg = 0.0;
+  double tyre_scrub = 1.0;  // [mm]
   double wind = 0.0;
   int slow_servo = 0;
   double slow_factor = 2.0;
@@ -102,6 +103,7 @@ class Wind {
 
 void fly(Options& options) {
   options.mujoco.slope = options.slope_deg * pi / 180.0;
+  options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
   const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
   const auto vehicles = examples::vehicles(options.mission, examples::wheeled_quadrotor(file));
@@ -121,7 +123,8 @@ void fly(Options& options) {
       [&](const Mission& mission) {
         upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
         film.on_step(mission);
-      });
+      },
+      options.mujoco.ground_height);
   film.finish();
   std::cout << "lean_max_deg: " << std::setprecision(2) << std::acos(upright) * 180.0 / pi << '\n'
             << "tipped_over: " << (upright < 0.5) << '\n';
@@ -140,6 +143,18 @@ int main(int argc, char** argv) {
   app.add_option("--slope-direction", options.slope_direction_deg,
                  "azimuth in which the ground rises, 0 is along x [deg]")
       ->check(CLI::Range(-360.0, 360.0))
+      ->capture_default_str();
+  app.add_option("--ground-height", options.mujoco.ground_height,
+                 "of the ground, which the controller's mission takes for zero [m]")
+      ->check(CLI::Range(-2.0, 2.0))
+      ->capture_default_str();
+  app.add_option("--tyre-scrub", options.tyre_scrub,
+                 "torque that resists a wheel's turning on the spot / normal force [mm]")
+      ->check(CLI::Range(0.0, 20.0))
+      ->capture_default_str();
+  app.add_option("--com-x", options.mujoco.com_x,
+                 "of the true CoM, ahead of where the controller takes it to be [m]")
+      ->check(CLI::Range(-0.05, 0.05))
       ->capture_default_str();
   app.add_option("--friction", options.mujoco.contact.friction, "of wheels and ground")
       ->check(CLI::Range(0.01, 2.0))

@@ -39,6 +39,7 @@ struct MujocoParameters {
   /// Friction, rolling resistance, bearing friction and wheel inertia are taken from our own plant.
   tilt_ropter::WheelContactParameters contact;
 
+  double ground_height = 0.0;    ///< where x = y = 0 [m]
   double slope = 0.0;            ///< of the ground about the axis below [rad]
   double slope_direction = 0.0;  ///< in which it rises: azimuth from x [rad]
   double step_height = 0.0;      ///< of a plank across the ground eight, 0: none [m]
@@ -46,6 +47,7 @@ struct MujocoParameters {
   double step_width = 0.3;       ///< [m]
   double payload = 0.0;          ///< below the body, which the controller does not know of [kg]
   Eigen::Vector3d payload_position{0.0, 0.0, -0.05};  ///< [m]
+  double com_x = 0.0;  ///< of the true CoM ahead of the body frame's origin [m]
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed.
@@ -69,6 +71,8 @@ inline void validate(const MujocoParameters& p) {
   require(p.contact_impedance > 0.0 && p.contact_impedance < 1.0,
           "MujocoParameters.contact_impedance", p.contact_impedance, "between 0 and 1");
   validate(p.contact);
+  require_finite("MujocoParameters.ground_height [m]", p.ground_height);
+  require_finite("MujocoParameters.com_x [m]", p.com_x);
   require(std::abs(p.slope) <= 0.5, "MujocoParameters.slope [rad]", p.slope, "-0.5 to 0.5");
   require_finite("MujocoParameters.slope_direction [rad]", p.slope_direction);
   require_non_negative("MujocoParameters.step_height [m]", p.step_height);
@@ -220,16 +224,19 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   <light directional="true" pos="-2 -3 6" dir="0.3 0.45 -1" diffuse="0.62 0.60 0.57"
     specular="0.2 0.2 0.2" castshadow="true"/>
   <geom name="ground" class="ground" type="plane" size="30 30 0.5" material="floor" quat=)"
-      << quoted(numbers(ground_orientation(p))) << "/>\n";
+      << quoted(numbers(ground_orientation(p)))
+      << " pos=" << quoted(numbers(0.0, 0.0, p.ground_height)) << "/>\n";
   if (p.step_height > 0.0)
     xml << R"(  <geom name="step" class="ground" type="box" material="plank" size=)"
         << quoted(numbers(0.5 * p.step_width, 1.2, p.step_height))
-        << " pos=" << quoted(numbers(p.step_position, 0.0, 0.0)) << "/>\n";
+        << " pos=" << quoted(numbers(p.step_position, 0.0, p.ground_height)) << "/>\n";
 
   xml << R"(  <body name="base">
     <freejoint name="root"/>
     <inertial mass=)"
-      << quoted(numbers(base.mass)) << " pos=" << quoted(numbers(base.com))
+      << quoted(numbers(base.mass)) << " pos="
+      << quoted(numbers(base.com.x() + p.com_x * vehicle.body.mass / base.mass, base.com.y(),
+                        base.com.z()))
       << " fullinertia=" << quoted(numbers(j(0, 0), j(1, 1), j(2, 2), j(0, 1), j(0, 2), j(1, 2)))
       << R"(/>
     <site name="imu"/>

@@ -60,6 +60,7 @@ class MujocoPlant {
     tilt_ropter::BodyState<> standing;
     standing.orientation = ground;
     standing.position = ground * Eigen::Vector3d(0.0, 0.0, vehicle.wheels.radius);
+    standing.position.z() += parameters.ground_height;
     reset(standing, {});
   }
 
@@ -126,6 +127,10 @@ class MujocoPlant {
   /// Of the ground and the disturbance on the body, at the body frame's origin, in the body frame,
   /// but for what the ground turns the wheels with; bearings and wheel momentum are left out.
   [[nodiscard]] const tilt_ropter::Wrench<>& external_wrench() const { return external_; }
+  /// What an ideal IMU in the body frame's origin reports.
+  [[nodiscard]] tilt_ropter::InertialSample<> inertial_sample() const {
+    return {body_.angular_velocity, specific_force_};
+  }
   /// What an accelerometer in the body frame's origin measures, free of errors [m/s^2].
   [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
   /// Normal force of the ground on the right and the left wheel [N].

@@ -12,6 +12,7 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body),
+      contact_(vehicle),
       nmpc_(vehicle, settings) {}
 
 template <int Rotors>
@@ -44,8 +45,8 @@ void FlightController<Rotors>::on_pose(double time, const MarkerPose<>& pose) {
 
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
-  if (nmpc_.prepare(time, reference, observer_.external()))
-    observer_.set_external(nmpc_.contact().air_wrench());
+  if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
+  (void)nmpc_.prepare(time, reference, contact_.estimate());  // control() says what became of it
 }
 
 template <int Rotors>

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/compiled.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -13,7 +14,7 @@
 
 /// The loop on board, composed from the library's pieces as the paper's control diagram has them:
 /// IMU and motion capture -> EKF -> state; servo model and rotor speeds -> applied wrench ->
-/// observer -> external wrench; both -> NMPC -> allocation.
+/// observer -> external wrench; both -> contact estimate -> NMPC -> allocation.
 namespace examples {
 
 /// Where to be at a time. One that holds its mission by reference costs no allocation.
@@ -59,6 +60,7 @@ class FlightController {
   [[nodiscard]] double planned_tilt_rate() const;
   [[nodiscard]] const tilt_ropter::Wrench<>& external() const { return observer_.external(); }
   [[nodiscard]] const tilt_ropter::Ekf<>& ekf() const { return ekf_; }
+  [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
   [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return nmpc_; }
 
  private:
@@ -66,6 +68,7 @@ class FlightController {
   tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::Ekf<> ekf_;
   tilt_ropter::WrenchObserver<> observer_;
+  tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<Rotors> nmpc_;
   tilt_ropter::NmpcResult result_;
   tilt_ropter::ActuatorState<Rotors> command_, applied_;

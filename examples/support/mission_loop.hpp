@@ -29,7 +29,8 @@ namespace examples {
 struct MissionOptions {
   std::string output = "results";
   std::int64_t seed = 1;
-  double mass_error = 0.03, inertia_error = 0.10;
+  double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
+  double height_offset = 0.0, height_drift = 0.0;  // of motion capture [m]
   std::string vehicle_path;
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
   bool no_actuator_rows = false;
@@ -51,6 +52,17 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
       ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_option("--thrust-error", options.thrust_error, "true thrust / believed thrust - 1")
+      ->check(CLI::Range(-0.5, 1.0))
+      ->capture_default_str();
+  app.add_option("--height-offset", options.height_offset,
+                 "by which motion capture is too high, from the start [m]")
+      ->check(CLI::Range(-2.0, 2.0))
+      ->capture_default_str();
+  app.add_option("--height-drift", options.height_drift,
+                 "by which it gets too high, evenly over the mission [m]")
+      ->check(CLI::Range(-2.0, 2.0))
       ->capture_default_str();
   app.add_option("--servo-speed", options.servo_speed,
                  "of the servos, true and believed, instead of the vehicle's [rad/s]")
@@ -80,6 +92,9 @@ template <int Rotors>
   tilt_ropter::Vehicle<Rotors> truth = believed;
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
+  for (double* thrust :
+       {&truth.rotor.thrust_coefficient, &truth.rotor.min_thrust, &truth.rotor.max_thrust})
+    *thrust *= 1.0 + options.thrust_error;
   if (options.servo_time_constant > 0.0) believed.servo.time_constant = options.servo_time_constant;
   return {truth, believed};
 }
@@ -137,12 +152,14 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 /// Flies the hybrid mission on `plant`, prints its figures and leaves hybrid_mission.csv and
 /// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
 /// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
-/// after every step. A vehicle without wheels begins in hover. Throws std::runtime_error if the
+/// after every step. `ground_height` [m] is that of the ground, which the mission takes for zero.
+/// Figures are relative to what motion capture says; on the ground they are horizontal where the
+/// height is off. A vehicle without wheels begins in hover. Throws std::runtime_error if the
 /// plant refuses a step.
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
 void fly_mission(const MissionOptions& options, const VehicleFile& file,
                  const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
-                 OnStep&& on_step) {
+                 OnStep&& on_step, double ground_height = 0.0) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -151,6 +168,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   const Reference reference = [&mission](double time) { return mission(time); };
   NmpcSettings settings = examples::in_simulated_time(file.settings());
   settings.actuator_rows = !options.no_actuator_rows;
+  settings.ground.planned_height = 0.0;
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
@@ -176,12 +194,18 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   // Apart, because the same seed gives the same log bit for bit, and not the same wall times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   MissionFigures figures(HybridMissionParameters{}.flight_height, options.vehicle_path.empty());
+  const auto height_error_at = [&](double time) {
+    return options.height_offset + options.height_drift * time / mission.duration();
+  };
+  const bool height_is_off =
+      options.height_offset != 0.0 || options.height_drift != 0.0 || ground_height != 0.0;
   Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
-    sensors.sense(plant, controller);
+    const double height_error = height_error_at(time);
+    sensors.sense(plant, controller, height_error);
     if (i % steps_per_tick == 0 && controller.started()) {  // from the first pose on
       controller.prepare(time, reference);
       command = controller.control(time);
@@ -197,14 +221,18 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
     }
     if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
     if (!plant.step(command, disturbance(), step)) throw std::runtime_error("the plant broke");
-    figures.on_plant(mission.phase(plant.time()), plant.body().position,
-                     mission(plant.time()).position, plant.body().velocity.z(),
+    const MissionPhase phase = mission.phase(plant.time());
+    const Eigen::Vector3d wanted = mission(plant.time()).position;
+    Eigen::Vector3d seen = plant.body().position;
+    seen.z() += height_error_at(plant.time());
+    if (height_is_off && phase == MissionPhase::ground) seen.z() = wanted.z();
+    figures.on_plant(phase, seen, wanted, plant.body().velocity.z(),
                      power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
     on_step(mission);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   progress.finish();
-  figures.print(std::cout, controller.nmpc().contact().mode_changes());
+  figures.print(std::cout, controller.contact().mode_changes());
   std::cout << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
             << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
 }

@@ -40,16 +40,17 @@ struct MissionSensors {
     return settings;
   }
 
-  /// What they say of `plant` now, to `controller`.
+  /// What they say of `plant` now, to `controller`; motion capture is `height_error` [m] too high.
   template <typename Plant, typename Controller>
-  void sense(const Plant& plant, Controller& controller) {
+  void sense(const Plant& plant, Controller& controller, double height_error = 0.0) {
     const double time = plant.time();
     if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
     if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
-      controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
-    if (const auto m = poses.sample(time, plant.body()))
-      controller.on_pose(m->time, {m->position, m->orientation});
+      controller.on_imu(m->time, *m);
+    tilt_ropter::BodyState<> seen = plant.body();
+    seen.position.z() += height_error;
+    if (const auto m = poses.sample(time, seen)) controller.on_pose(m->time, *m);
   }
 
   tilt_ropter::ImuSensor imu;

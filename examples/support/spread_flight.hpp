@@ -205,7 +205,7 @@ template <typename OnTick>
   record.ground_rmse = std::sqrt(mean(ground_squares, ground_count));
   record.flight_power = mean(air_power, air_count);
   record.ground_power = mean(ground_power, ground_count);
-  record.mode_changes = controller.nmpc().contact().mode_changes();
+  record.mode_changes = controller.contact().mode_changes();
   return record;
 }
 

@@ -205,17 +205,16 @@ template <int Rotors>
     const ActuatorState<Rotors> applied{plant.actuators().rotor_speed,
                                         actuators.update(time, command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
-    if (i == before) observer.set_external({});
+    if (i == before) observer.reset();  // it has been put elsewhere
     const double began = thread_microseconds();
-    const bool lifted = nmpc.prepare(
-        time, [&](double) { return reference; }, observer.external());
+    (void)nmpc.prepare(
+        time, [&](double) { return reference; }, in_the_air(observer.external()));
     const double prepared = thread_microseconds();
     audit.before(nmpc.solver());
     const double measured = thread_microseconds();
     const NmpcResult& result = nmpc.feedback(time, plant.body());
     (i < before ? record.hover_us : record.tick_us)
         .push_back(thread_microseconds() - measured + prepared - began);
-    if (lifted) observer.set_external(nmpc.contact().air_wrench());
     if (result.status == NmpcStatus::solved) {
       const double residual = audit.after(nmpc.solver());
       record.worst_solved = std::max(record.worst_solved, residual);

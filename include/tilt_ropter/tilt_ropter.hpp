@@ -17,6 +17,7 @@
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/estimation/clock_calibration.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
@@ -30,6 +31,7 @@
 #include <tilt_ropter/math/singular_values.hpp>
 #include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/ned.hpp>

@@ -98,7 +98,8 @@ class ClosedLoop {
   /// One real-time iteration and what follows it in the plant; wall time of the former [us].
   double iterate() {
     return tick([this] {
-      sound_ = solver_.prepare() && solver_.feedback(x_).status == Status::iterated && sound_;
+      sound_ = solver_.prepare() == PrepareStatus::prepared &&
+               solver_.feedback(x_).status == Status::iterated && sound_;
     });
   }
 

@@ -10,6 +10,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -110,7 +111,7 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
     const BodyState<> state = any(hovering(), share);
     const Wrench<> external = any(Wrench<>{}, share);
     const auto begin = std::chrono::steady_clock::now();
-    nmpc.prepare(now, reference, external);
+    (void)nmpc.prepare(now, reference, in_the_air(external));
     const NmpcResult result = nmpc.feedback(any(time, share), state);
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
     longest = std::max(longest, took.count());
@@ -127,7 +128,7 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
     x.body = hovering();
     double worst = 0.0;
     for (int k = 0; k < 300; ++k) {
-      nmpc.prepare(time, hover, {});
+      (void)nmpc.prepare(time, hover, {});
       const NmpcResult& back = nmpc.feedback(time, x.body);
       x.wrench = back.wrench;
       Eigen::Matrix<double, 6, 1> rate;
@@ -147,33 +148,44 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
   RecordProperty("longest_tick_ms", std::to_string(1e3 * longest));
 }
 
-TEST(AnyInput, ToGroundContactIsSurvived) {
+TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
   const int calls = test_support::quick_or_full(100000, 1000000);
   AnyNumber any(3);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  GroundContact contact(vehicle.body, vehicle.wheels);
+  ContactEstimator contact(vehicle);
+  const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
+  Wrench<> weight;
+  weight.force.z() = vehicle.body.mass * gravity;
   int rejected = 0;
+  double now = 0.0;
   for (int i = 0; i < calls; ++i) {
     const double share = share_of(i);
     const BodyState<> state = any(hovering(), share);
-    const Wrench<> external = any(Wrench<>{}, share), before = contact.air_wrench();
-    const bool was_on_ground = contact.on_ground();
-    const bool lifted_off = contact.update(state, external);
-    ASSERT_EQ(lifted_off, was_on_ground && !contact.on_ground());
+    const Wrench<> external = any(Wrench<>{}, share);
+    const ContactEstimate before = contact.estimate();
+    now += 0.01;
+    const ContactEstimate& after = contact.update(any(now, share), state, external, k, k);
+    ASSERT_TRUE(is_finite(after));
     if (!is_finite(state) || !is_finite(external)) {
       ++rejected;
-      ASSERT_EQ(contact.on_ground(), was_on_ground);
-      ASSERT_EQ(contact.air_wrench().force, before.force);
+      ASSERT_EQ(after.on_ground, before.on_ground);
+      ASSERT_EQ(after.ground.height, before.ground.height);
+      ASSERT_EQ(after.disturbance.force, before.disturbance.force);
     }
-    ASSERT_TRUE(is_finite(contact.air_wrench()));
-    if (i % 100 != 0) continue;
+    if (i % 1000 != 0) continue;
     // Good numbers again, in the air and on the wheels.
+    now += 10.0;  // or the clock has been set
     BodyState<> good = hovering();
-    contact.update(good, {});
-    ASSERT_FALSE(contact.on_ground());
+    const auto feed = [&](const Wrench<>& shown) {
+      for (int j = 0; j < 300; ++j) contact.update(now += 0.01, good, shown, k, k);
+    };
+    good.position.z() = 50.0;  // where no number was
+    feed({});
+    ASSERT_FALSE(contact.estimate().on_ground);
     good.position.z() = vehicle.wheels.radius;
-    contact.update(good, {});
-    ASSERT_TRUE(contact.on_ground());
+    feed(weight);
+    ASSERT_TRUE(contact.estimate().on_ground);
+    ASSERT_NEAR(contact.estimate().ground.height, 0.0, 1e-6);
   }
   EXPECT_GT(rejected, calls / 10);
 }

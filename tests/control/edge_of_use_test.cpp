@@ -73,7 +73,7 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
         allocation.wrench(ActuatorState<4>{plant.actuators().rotor_speed,
                                            actuators.update(time, command).tilt_angle}));
     if (i % control == 0) {
-      nmpc.prepare(time, hover, observer.external());
+      (void)nmpc.prepare(time, hover, in_the_air(observer.external()));
       const NmpcResult& result = nmpc.feedback(time, plant.body());
       failures += !has_plan(result.status);
       command = allocation.allocate(result.wrench, result.rate, command).command;

@@ -10,218 +10,147 @@
 namespace tilt_ropter {
 namespace {
 
-const Wrench<> lift{Eigen::Vector3d(0.3, -0.2, 14.0), Eigen::Vector3d(0.1, 0.2, 0.3)};
 const WheelParameters wheels{0.11, 0.2};
-const Wrench<> breeze{Eigen::Vector3d(0.1, 0.2, -0.3), Eigen::Vector3d(0.01, 0.02, 0.03)};
-
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
+constexpr double infinity = std::numeric_limits<double>::infinity();
 
-GroundContact contact_with(const GroundContactSettings& settings = {}) {
+AxleContact axle_with(const GroundContactSettings& settings = {}) {
   return {body, wheels, settings};
 }
 
-bool update(GroundContact& contact, double height, const Wrench<>& external,
-            const Eigen::Quaterniond& orientation = Eigen::Quaterniond::Identity()) {
-  BodyState<> state;
-  state.position.z() = height;
-  state.orientation = orientation;
-  return contact.update(state, external);
-}
-
-// A wrench of a vertical force alone.
-Wrench<> upward(double force) {
-  return {Eigen::Vector3d(0.0, 0.0, force), Eigen::Vector3d::Zero()};
-}
-
-// The node of a reference at `height`.
-WheeledFlightNode node_at(const GroundContact& contact, double height,
-                          double side_acceleration = 0.0) {
+ReferencePoint at_height(double height, double rising = 0.0) {
   ReferencePoint point;
   point.position.z() = height;
-  point.acceleration.y() = side_acceleration;
+  point.velocity.z() = rising;
+  return point;
+}
+
+ContactEstimate standing_at(double ground) {
+  ContactEstimate contact;
+  contact.on_ground = contact.ground_known = true;
+  contact.ground.height = ground;
+  contact.disturbance.force << 0.1, 0.2, -0.3;
+  contact.rolling = {Eigen::Vector3d(0.3, -0.2, 0.0), Eigen::Vector3d(0.0, 0.2, 0.3)};
+  return contact;
+}
+
+BodyState<> measured_at(double height) {
+  BodyState<> state;
+  state.position.z() = height;
+  return state;
+}
+
+WheeledFlightNode node_of(const ContactEstimate& contact, const ReferencePoint& point,
+                          double height = 0.11, double ahead = 0.0,
+                          const GroundContactSettings& settings = {}) {
   WheeledFlightNode node;
-  contact.apply(point, point, node);
+  axle_with(settings).apply(contact, measured_at(height), ahead, point, node);
   return node;
 }
 
-TEST(GroundContact, ModeHasHysteresis) {
-  GroundContact contact = contact_with();  // radius 0.11, enter 0.005, leave 0.03
-  update(contact, 0.11, {});
-  EXPECT_TRUE(contact.on_ground());
-  update(contact, 0.135, {});  // between the thresholds: as before
-  EXPECT_TRUE(contact.on_ground());
-  update(contact, 0.145, {});
-  EXPECT_FALSE(contact.on_ground());
-  update(contact, 0.125, {});
-  EXPECT_FALSE(contact.on_ground());
-  update(contact, 0.114, {});
-  EXPECT_TRUE(contact.on_ground());
-  EXPECT_EQ(contact.mode_changes(), 2);
+TEST(AxleContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
+  const AxleContact axle = axle_with();
+  for (const double ground : {-0.5, 0.0, 0.5}) {
+    const ContactEstimate contact = standing_at(ground);
+    for (const double above : {-5.0, -0.05, 0.0, 0.01})
+      EXPECT_TRUE(axle.is_ground_reference(contact, at_height(ground + 0.11 + above))) << above;
+    EXPECT_FALSE(axle.is_ground_reference(contact, at_height(ground + 0.11 + 0.02)));
+    // One that takes off is not held back for the tolerance.
+    EXPECT_FALSE(axle.is_ground_reference(contact, at_height(ground + 0.112, 0.1)));
+    EXPECT_TRUE(axle.is_ground_reference(contact, at_height(ground + 0.112, -0.1)));
+  }
+  EXPECT_FALSE(axle.is_ground_reference(in_the_air({}), at_height(-100.0)));
 }
 
-TEST(GroundContact, NoiseAtTheThresholdChangesTheModeOnce) {
-  GroundContact contact = contact_with();
-  update(contact, 1.0, {});
-  for (int i = 0; i < 1000; ++i) update(contact, 0.13 - 2e-5 * i + 0.004 * std::sin(37.0 * i), {});
-  EXPECT_TRUE(contact.on_ground());
-  EXPECT_EQ(contact.mode_changes(), 1);
+TEST(AxleContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
+  ContactEstimate contact = standing_at(0.0);
+  contact.ground.slope << 0.1, 0.0;
+  ReferencePoint point = at_height(0.11);
+  point.position.x() = 2.0;  // 20 cm below the ground
+  EXPECT_TRUE(axle_with().is_ground_reference(contact, point));
+  point.velocity.x() = 1.0;
+  const WheeledFlightNode node = node_of(contact, point);
+  EXPECT_DOUBLE_EQ(node.reference.position.z(), 0.31);
+  EXPECT_DOUBLE_EQ(node.reference.velocity.z(), 0.1);
+  point.position.x() = -2.0;
+  EXPECT_FALSE(axle_with().is_ground_reference(contact, point));
 }
 
-TEST(GroundContact, ForcesOfTheGroundStayOnTheGround) {
-  GroundContact contact = contact_with();
-  update(contact, 1.0, breeze);
-  update(contact, 0.11, lift);
-  EXPECT_EQ(contact.air_wrench().force, breeze.force);
-  const WheeledFlightNode air = node_at(contact, 0.5), ground = node_at(contact, 0.11);
-  EXPECT_FALSE(air.on_ground);
-  EXPECT_EQ(air.external.force, breeze.force);
-  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+TEST(AxleContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
+  GroundContactSettings settings;
+  settings.planned_height = 0.0;
+  const ContactEstimate contact = standing_at(-0.5);
+  EXPECT_TRUE(axle_with(settings).is_ground_reference(contact, at_height(0.11)));
+  EXPECT_FALSE(axle_with().is_ground_reference(contact, at_height(0.11)));
+  EXPECT_DOUBLE_EQ(node_of(contact, at_height(0.11), -0.39, 0.0, settings).reference.position.z(),
+                   -0.39);
+}
+
+TEST(AxleContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
+  const ContactEstimate contact = standing_at(0.0);
+  ReferencePoint curve = at_height(0.11);
+  curve.acceleration.y() = 1.5;
+  const WheeledFlightNode ground = node_of(contact, curve), air = node_of(contact, at_height(0.5));
   EXPECT_TRUE(ground.on_ground);
-  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 0.0, 0.0));
-  EXPECT_EQ(ground.external.torque, Eigen::Vector3d(0.0, 0.2, 0.3));
   EXPECT_EQ(ground.freedom.linear, Eigen::Vector3d(1, 1, 0));
   EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
+  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 3.0, 0.0));  // the wheels give the side's
+  EXPECT_EQ(ground.external.torque, contact.rolling.torque);
+  EXPECT_FALSE(air.on_ground);
+  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+  EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
-TEST(GroundContact, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
-  GroundContact contact = contact_with();
-  const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
-  update(contact, 0.11, {pitched.conjugate() * Eigen::Vector3d(0.3, -0.2, 14.0), {0, 0, 0}},
-         pitched);
-  const WheeledFlightNode node = node_at(contact, 0.11);
-  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0.3, 0.0, 0.0)).norm(), 1e-12);
-}
-
-TEST(GroundContact, TheWheelsGiveTheSideForceOfACurveWhateverIsEstimated) {
-  GroundContact contact = contact_with();
-  update(contact, 0.11, lift);
-  EXPECT_DOUBLE_EQ(node_at(contact, 0.11, 1.5).external.force.y(), 3.0);
-}
-
-TEST(GroundContact, CloseToTheGroundTheAirsWrenchIsFollowedButNotRemembered) {
-  GroundContact contact = contact_with();
-  update(contact, 0.5, breeze);
-  const Wrench<> gust = upward(3.0);
-  update(contact, 0.13, gust);  // in the air still, but the wheels may touch already
-  EXPECT_FALSE(contact.on_ground());
-  EXPECT_EQ(node_at(contact, 0.5).external.force, gust.force);  // or it would not come down
-  EXPECT_EQ(contact.air_wrench().force, breeze.force);
-  update(contact, 0.11, gust);
-  EXPECT_EQ(node_at(contact, 0.5).external.force, breeze.force);
-}
-
-TEST(GroundContact, LeavingTheGroundIsToldOnceAndKeepsTheAirsWrench) {
-  GroundContact contact = contact_with();
-  EXPECT_FALSE(update(contact, 0.5, breeze));
-  EXPECT_FALSE(update(contact, 0.11, lift));
-  EXPECT_TRUE(update(contact, 0.2, breeze));
-  EXPECT_EQ(contact.air_wrench().force, breeze.force);
-  EXPECT_EQ(node_at(contact, 0.5).external.force, breeze.force);
-  EXPECT_FALSE(update(contact, 0.3, breeze));
-}
-
-TEST(GroundContact, GroundThatCarriesTheVehicleIsNotLeftHoweverHighItIs) {
-  GroundContact contact = contact_with();  // 2 kg: 7.85 N are more than air can give
-  update(contact, 0.11, lift);
-  EXPECT_FALSE(update(contact, 0.31, lift));  // up a slope
-  EXPECT_TRUE(contact.on_ground());
-  EXPECT_TRUE(node_at(contact, 0.11).on_ground);
-  EXPECT_TRUE(update(contact, 0.31, upward(7.8)));
-  EXPECT_FALSE(contact.on_ground());
-}
-
-TEST(GroundContact, GroundThatCarriesTheVehicleIsReachedBelowLeaveHeight) {
-  GroundContact contact = contact_with();
-  update(contact, 1.0, {});
-  update(contact, 0.145, lift);  // pulled up by something else
-  EXPECT_FALSE(contact.on_ground());
-  contact = contact_with();
-  update(contact, 1.0, {});
-  update(contact, 0.135, upward(7.8));
-  EXPECT_FALSE(contact.on_ground());
-  update(contact, 0.135, upward(7.9));  // landed on a board
-  EXPECT_TRUE(contact.on_ground());
-}
-
-TEST(GroundContact, ThrustHoldsBackWhereTheReferenceIsDownAndTheWheelsAreNot) {
-  GroundContact contact = contact_with();
-  const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY()));
-  update(contact, 0.2, {}, pitched);
-  const WheeledFlightNode node = node_at(contact, 0.11);
-  EXPECT_LT((pitched * node.external.force - Eigen::Vector3d(0, 0, 0.07 * 2.0 * gravity)).norm(),
-            1e-12);
-  EXPECT_EQ(node_at(contact, 0.12).external.force, Eigen::Vector3d::Zero());  // on the way down
-  update(contact, 0.112, {});
-  EXPECT_EQ(node_at(contact, 0.11).external.force, Eigen::Vector3d::Zero());
-}
-
-TEST(GroundContact, WhatTheAirCarriesAnywayIsNotTheGrounds) {
-  GroundContact contact = contact_with();
-  // Thrust stronger than known looks like a lift, here along a body that is pitched half over.
-  const Eigen::Quaterniond pitched(Eigen::AngleAxisd(0.6, Eigen::Vector3d::UnitY()));
-  const auto along = [&](double force) {
-    return Wrench<>{pitched.conjugate() * Eigen::Vector3d(0.0, 0.0, force),
-                    Eigen::Vector3d::Zero()};
-  };
-  update(contact, 1.0, along(4.0), pitched);
-  update(contact, 0.135, along(11.8), pitched);
-  EXPECT_FALSE(contact.on_ground());
-  update(contact, 0.135, along(11.9), pitched);
-  EXPECT_TRUE(contact.on_ground());
-}
-
-TEST(GroundContact, AnEstimateGoneWrongInTheAirNeitherHidesNorFeignsTheGround) {
-  for (const double wrong : {-1e9, 1e9}) {
-    GroundContact contact = contact_with();
-    update(contact, 1.0, upward(wrong));
-    update(contact, 0.11, lift);
-    EXPECT_TRUE(contact.on_ground());
-    update(contact, 1.0, {});
-    EXPECT_FALSE(contact.on_ground()) << wrong;
-    contact = contact_with();
-    update(contact, 1.0, upward(wrong));
-    update(contact, 0.13, upward(16.0));
-    EXPECT_TRUE(contact.on_ground()) << wrong;
+TEST(AxleContact, GroundThatIsNotMetIsLookedForSlowly) {
+  ContactEstimate contact;  // ground at height zero, taken for granted, and the vehicle in the air
+  const double speed = GroundContactSettings{}.settling_speed;
+  // At the height where it should stand, and below: on down.
+  for (const double height : {0.11, 0.0}) {
+    const WheeledFlightNode node = node_of(contact, at_height(0.11), height, 0.5);
+    EXPECT_FALSE(node.on_ground);
+    EXPECT_DOUBLE_EQ(node.reference.position.z(), height - 0.5 * speed);
+    EXPECT_DOUBLE_EQ(node.reference.velocity.z(), -speed);
   }
+  // From above: fast at first, and never more slowly than settling_speed.
+  double last = 1.11;
+  for (double ahead = 0.1; ahead <= 2.0; ahead += 0.1) {
+    const WheeledFlightNode node = node_of(contact, at_height(0.0), 1.11, ahead);
+    EXPECT_LT(node.reference.position.z(), last - 0.099 * speed);
+    last = node.reference.position.z();
+  }
+  EXPECT_LT(last, 0.11);
+  EXPECT_EQ(node_of(contact, at_height(0.5), 1.0).reference.position.z(), 0.5);
 }
 
-TEST(GroundContact, NonFiniteMeasurementsChangeNothing) {
-  GroundContact contact = contact_with();
-  update(contact, 0.11, breeze);
+TEST(AxleContact, SettingsOutOfRangeAreRefused) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_FALSE(update(contact, nan, breeze));
-  EXPECT_FALSE(update(contact, 5.0, {Eigen::Vector3d::Constant(nan), Eigen::Vector3d::Zero()}));
-  EXPECT_TRUE(contact.on_ground());
-  EXPECT_EQ(contact.mode_changes(), 0);
-}
-
-TEST(GroundContact, AReferenceIsOneOnTheGroundWithinItsTolerance) {
-  GroundContactSettings settings;
-  settings.reference_tolerance = 2e-3;
-  GroundContact contact = contact_with(settings);
-  update(contact, 0.11, {});
-  EXPECT_TRUE(node_at(contact, 0.1119).on_ground);
-  EXPECT_TRUE(node_at(contact, 0.1081).on_ground);
-  EXPECT_FALSE(node_at(contact, 0.1121).on_ground);
-  EXPECT_FALSE(node_at(contact_with(), 0.11).on_ground);  // nothing measured yet
-}
-
-TEST(GroundContact, SettingsOutOfRangeAreRefused) {
-  GroundContactSettings s;
-  s.leave_height = s.enter_height;
-  EXPECT_THROW(contact_with(s), std::invalid_argument);
-  EXPECT_THROW((GroundContact{body, WheelParameters{0.0, 0.2}}), std::invalid_argument);
-  EXPECT_THROW((GroundContact{RigidBodyParameters{-1.0, body.inertia}, wheels}),
+  const auto refused = [](void (*spoil)(GroundContactSettings&)) {
+    GroundContactSettings s;
+    spoil(s);
+    EXPECT_THROW(axle_with(s), std::invalid_argument);
+  };
+  refused([](GroundContactSettings& s) { s.reference_tolerance = 0.0; });
+  refused([](GroundContactSettings& s) { s.planned_height = infinity; });
+  refused([](GroundContactSettings& s) { s.settling_speed = 0.0; });
+  refused([](GroundContactSettings& s) { s.down_force = std::nan(""); });
+  refused([](GroundContactSettings& s) { s.rotor_thrust = -0.1; });
+  EXPECT_THROW((AxleContact{body, WheelParameters{0.0, 0.2}}), std::invalid_argument);
+  EXPECT_THROW((AxleContact{RigidBodyParameters{nan, body.inertia}, wheels}),
                std::invalid_argument);
-  s = {};
-  s.carried_share = 0.0;
-  EXPECT_THROW(contact_with(s), std::invalid_argument);
-  s = {};
-  s.settling_share = -0.1;
-  EXPECT_THROW(contact_with(s), std::invalid_argument);
-  s = {};
-  s.down_force = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(contact_with(s), std::invalid_argument);
+}
+
+TEST(ReferenceWrench, IsWhatTheControllerAndTheCheckOfReferencesAskFor) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const ReferenceWrench<4> wrench(vehicle, {});
+  ReferencePoint point;
+  point.acceleration << 1.0, 2.0, 0.0;
+  const Wrench<> wind{Eigen::Vector3d(0.5, 0.0, 0.0), Eigen::Vector3d(0.0, 0.05, 0.0)};
+  const Wrench<> air = wrench(point, wind, false), ground = wrench(point, wind, true);
+  EXPECT_LT((air.force - Eigen::Vector3d(1.0, 3.0, 1.5 * gravity)).norm(), 1e-12);
+  EXPECT_EQ(air.torque, Eigen::Vector3d(0.0, -0.05, 0.0));
+  EXPECT_EQ(ground.force.y(), 0.0);
+  EXPECT_EQ(ground.force.z(), GroundThrust<4>(vehicle, {})(ground));
+  EXPECT_GT(ground.force.z(), 0.75);  // for the torque
 }
 
 // What a wrench with this vertical force takes or leaves each rotor, upward [N].
@@ -249,7 +178,8 @@ TEST(GroundThrust, LeavesEveryRotorPushingUpwardUnderTorques) {
     const double force = thrust(wrench);
     const Eigen::Vector4d before = vertical_thrusts(wrench, 0.0);
     const double taken = -before.minCoeff();
-    EXPECT_NEAR(vertical_thrusts(wrench, force).minCoeff(), std::min(2.0 * taken, 0.25), 1e-9)
+    EXPECT_NEAR(vertical_thrusts(wrench, force).minCoeff(),
+                std::min(2.0 * taken, GroundContactSettings{}.rotor_thrust), 1e-9)
         << torque;
   }
 }

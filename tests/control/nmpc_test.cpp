@@ -34,7 +34,7 @@ class IdealLoop {
   template <typename Reference>
   const NmpcResult& tick(const Reference& reference, const Wrench<>& estimate = {},
                          bool blind = false) {
-    nmpc.prepare(time, reference, estimate);
+    (void)nmpc.prepare(time, reference, in_the_air(estimate));
     BodyState<> measured = state.body;
     if (blind) measured.velocity.x() = std::numeric_limits<double>::quiet_NaN();
     const NmpcResult& result = nmpc.feedback(time, measured);
@@ -52,6 +52,12 @@ class IdealLoop {
   Wrench<> unknown;
   double time = 0.0;
 };
+
+ContactEstimate standing_on_the_ground() {
+  ContactEstimate contact;
+  contact.on_ground = contact.ground_known = true;
+  return contact;
+}
 
 NmpcSettings settings_with(TerminalCost terminal, int intervals) {
   NmpcSettings settings;
@@ -195,7 +201,7 @@ TEST(Nmpc, ABadReferenceOrEstimateFailsWithAFiniteCommandAndRecovers) {
 
 TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
   Nmpc nmpc(vehicle, in_simulated_time());
-  nmpc.prepare(0.0, hover, {});
+  (void)nmpc.prepare(0.0, hover, {});
   BodyState<> bad = hovering();
   bad.orientation.coeffs().setZero();
   const NmpcResult& result = nmpc.feedback(0.0, bad);
@@ -217,9 +223,7 @@ TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   Wrench<> wrench;
   for (int i = 0; i < 600; ++i) {
     const double time = 0.01 * i;
-    Wrench<> normal;
-    normal.force.z() = std::max(0.0, body.mass * gravity - wrench.force.z());
-    nmpc.prepare(time, rest, normal);
+    (void)nmpc.prepare(time, rest, standing_on_the_ground());
     const NmpcResult& result = nmpc.feedback(time, standing);
     ASSERT_EQ(result.status, NmpcStatus::solved);
     EXPECT_TRUE(result.on_ground);
@@ -237,7 +241,7 @@ TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
   Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> bad = hovering();
   bad.position.x() = std::nan("");
-  nmpc.prepare(0.0, hover, {});
+  (void)nmpc.prepare(0.0, hover, {});
   const NmpcResult cut = nmpc.feedback(0.0, bad);
   EXPECT_EQ(cut.status, NmpcStatus::no_plan);
   EXPECT_DOUBLE_EQ(cut.wrench.force.z(), 10.0);
@@ -277,7 +281,7 @@ double turned(bool between_ticks) {
     const double time = 1e-3 * i;
     const NmpcResult* result = nullptr;
     if (i % 100 == 0) {
-      nmpc.prepare(time, hover, {});
+      (void)nmpc.prepare(time, hover, {});
       result = &nmpc.feedback(time, state.body);
       EXPECT_TRUE(has_plan(result->status));
     } else if (between_ticks) {
@@ -311,7 +315,7 @@ TEST(Nmpc, BetweenTicksOnThePlanTheCommandIsThePlans) {
     for (int i = 0; i < 10; ++i) l->tick(hover);
   }
   // Half a period later, exactly where the plan leads.
-  loop.nmpc.prepare(loop.time, hover, {});
+  (void)loop.nmpc.prepare(loop.time, hover, {});
   const NmpcResult first = loop.nmpc.feedback(loop.time, loop.state.body);
   State<> x = loop.state;
   x.wrench = first.wrench;
@@ -367,7 +371,7 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
   const int ticks = 800;
   for (int i = 0; i < ticks; ++i) {
     const double time = plant.time();
-    nmpc.prepare(time, circle, {});
+    (void)nmpc.prepare(time, circle, {});
     const NmpcResult& r = nmpc.feedback(time, plant.body());
     if (!has_plan(r.status)) ++result.failures;
     const double speed = slow.servo.max_rate;
@@ -435,7 +439,7 @@ TEST(Nmpc, WithoutThrustOnTheGroundTheCommandStaysFiniteAndWithinBounds) {
   double least = 1.0;
   for (int i = 0; i < 500; ++i) {
     const double time = 0.01 * i;
-    nmpc.prepare(time, drive, {Eigen::Vector3d(0.0, 0.0, 14.0), Eigen::Vector3d::Zero()});
+    (void)nmpc.prepare(time, drive, standing_on_the_ground());
     standing.position.x() = drive(time).position.x();
     standing.velocity = drive(time).velocity;
     const NmpcResult& result = nmpc.feedback(time, standing);
@@ -490,6 +494,7 @@ TEST(Nmpc, OnTheGroundTheRollRateOfAPitchedVehicleInACurveIsNotCarriedOn) {
     point.position.z() = vehicle.wheels.radius;
     return point;
   };
+  const double ground = vehicle.wheels.radius;
   const auto torque = [&](double height, double roll_rate) {
     Nmpc<4> nmpc(vehicle, in_simulated_time());
     BodyState<> state;
@@ -498,12 +503,13 @@ TEST(Nmpc, OnTheGroundTheRollRateOfAPitchedVehicleInACurveIsNotCarriedOn) {
     state.angular_velocity << roll_rate, 0.0, 1.0;
     Eigen::Vector3d result;
     for (int i = 0; i < 3; ++i) {
-      nmpc.prepare(0.01 * i, parked, {});
+      (void)nmpc.prepare(0.01 * i, parked,
+                         height > ground ? ContactEstimate{} : standing_on_the_ground());
       result = nmpc.feedback(0.01 * i, state).wrench.torque;
     }
     return result;
   };
-  const double ground = vehicle.wheels.radius, air = ground + 0.5;
+  const double air = ground + 0.5;
   EXPECT_EQ(torque(ground, 0.1), torque(ground, 0.0));
   EXPECT_NE(torque(air, 0.1), torque(air, 0.0));
 }

@@ -6,6 +6,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/finite.hpp>
@@ -54,6 +55,7 @@ class OnBoard {
         actuators_(vehicle),
         body_(vehicle.body),
         observer_(vehicle.body),
+        contact_(vehicle),
         nmpc_(vehicle, test_support::in_simulated_time()) {}
 
   void on_imu(const ImuSensor::Measurement& m) {
@@ -78,8 +80,10 @@ class OnBoard {
     actuators_.update(time, acting_);
     if (!ekf_.running()) return cast<double>(acting_);
     const double then = time + period;
-    if (nmpc_.prepare(then, mission, cast<double>(observer_.external())))
-      observer_.set_external(cast<Scalar>(nmpc_.contact().air_wrench()));
+    const WrenchObserverSettings& filter = observer_.settings();
+    (void)nmpc_.prepare(then, mission,
+                        contact_.update(time, state(), external(), filter.force_bandwidth,
+                                        filter.torque_bandwidth));
     Eigen::Matrix<Scalar, 6, 1> rate;
     rate << rate_.force, rate_.torque;
     const State<Scalar> predicted =
@@ -96,7 +100,7 @@ class OnBoard {
 
   [[nodiscard]] BodyState<> state() const { return cast<double>(ekf_.state()); }
   [[nodiscard]] Wrench<> external() const { return cast<double>(observer_.external()); }
-  [[nodiscard]] int mode_changes() const { return nmpc_.contact().mode_changes(); }
+  [[nodiscard]] int mode_changes() const { return contact_.mode_changes(); }
 
  private:
   Allocation<4, Scalar> allocation_;
@@ -104,6 +108,7 @@ class OnBoard {
   RigidBody<Scalar> body_;
   Ekf<Scalar> ekf_;
   WrenchObserver<Scalar> observer_;
+  ContactEstimator contact_;
   Nmpc<4> nmpc_;
   ActuatorState<4, Scalar> acting_, next_;
   Wrench<Scalar> applied_, rate_;

@@ -77,7 +77,10 @@ TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
       state.position << 0.3 * tick, 0.0, tick < 10 ? 1.0 : 0.05;
       controller = std::max(controller, most([&] {
                               const double time = 0.01 * tick;
-                              nmpc.prepare(time, [](double) { return ReferencePoint(); }, {});
+                              ContactEstimate contact;
+                              contact.on_ground = tick >= 10;
+                              (void)nmpc.prepare(
+                                  time, [](double) { return ReferencePoint(); }, contact);
                               (void)nmpc.feedback(time, state);
                               (void)nmpc.between_ticks(time + 0.001, state);
                             }));

@@ -74,7 +74,7 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
     test_support::check_at_most(0, "long run: memory grown since the second mission [kB]", grown,
                                 256.0);
   test_support::check_at_most(0, "long run: ticks without a solution", failures, 0.0);
-  EXPECT_EQ(controller.nmpc().contact().mode_changes(), 4 * laps);
+  EXPECT_EQ(controller.contact().mode_changes(), 4 * laps);
   EXPECT_LT(rmse.back(), 0.02);
 }
 

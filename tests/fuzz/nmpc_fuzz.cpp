@@ -50,7 +50,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
       point.angular_velocity = input.vector(2.0);
       point.angular_acceleration = input.vector(2.0);
     }
-    const Wrench<> external = input.coin() ? input.wrench(3.0, 0.3) : Wrench<>{};
+    ContactEstimate contact;
+    contact.on_ground = input.coin();
+    contact.ground.height = input.number(1.0);
+    contact.ground.slope = input.vector(1.0).head<2>();
+    if (input.coin()) contact.disturbance = input.wrench(3.0, 0.3);
+    if (input.coin()) contact.rolling = input.wrench(3.0, 0.3);
     BodyState<> measured;
     measured.position = input.vector(2.0);
     measured.velocity = input.vector(2.0);
@@ -59,7 +64,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     const double stamp = input.integer(0, 15) == 0 ? input.number(1.0) : time;
     if (input.integer(0, 15) != 0)
       (void)nmpc.prepare(
-          stamp, [&](double) { return point; }, external);
+          stamp, [&](double) { return point; }, contact);
     const NmpcResult& result = nmpc.feedback(stamp, measured);
     expect_within_bounds(result, nmpc.settings().problem.bounds);
     fuzz::expect(!has_plan(result.status) || (std::isfinite(stamp) && is_finite(measured)),
@@ -72,7 +77,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   for (int tick = 0; tick < 5; ++tick) {
     time += 0.01;
     (void)nmpc.prepare(
-        time, [](double) { return hover(); }, Wrench<>{});
+        time, [](double) { return hover(); }, in_the_air({}));
     const NmpcResult& result = nmpc.feedback(time, level);
     expect_within_bounds(result, nmpc.settings().problem.bounds);
     status = result.status;

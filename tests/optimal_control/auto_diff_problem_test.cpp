@@ -490,7 +490,7 @@ TEST(AutoDiffProblem, TheLoopDoesNotAllocate) {
   for (int i = 0; i < 20; ++i) {
     const HeapUse before = heap_use(HeapUser::other);
     solver.shift(1.0);
-    const bool prepared = solver.prepare();
+    const bool prepared = solver.prepare() == PrepareStatus::prepared;
     solver.feedback(hanging);
     const HeapUse use = heap_use(HeapUser::other) - before;
     EXPECT_TRUE(prepared);

@@ -114,7 +114,7 @@ Work iterate(int horizon, bool flips) {
   for (int i = 0; i < count; ++i) {
     solver.problem().target = flips ? (i % 2 == 0 ? 1.0 : -1.0) : 1.0 + 1e-7 * (i % 2);
     const double start = thread_seconds();
-    EXPECT_TRUE(solver.prepare());
+    EXPECT_EQ(solver.prepare(), PrepareStatus::prepared);
     const SolveReport& report = solver.feedback(rest);
     seconds.push_back(thread_seconds() - start);
     EXPECT_EQ(report.status, SolveStatus::iterated) << report.program_residual;

@@ -85,7 +85,7 @@ TEST(MultipleShooting, RealTimeIterationTracksAirLikeTheReferenceSolvers) {
   double squares = 0.0;
   for (int i = 0; i < 500; ++i) {
     set_air_reference(solver.problem(), 0.02 * i);
-    ASSERT_TRUE(solver.prepare());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     ASSERT_EQ(solver.feedback(x).status, SolveStatus::iterated);
     x = air_plant(x, solver.input(0));
     squares += (x.body.position - air_position(0.02 * (i + 1))).squaredNorm();
@@ -177,7 +177,7 @@ TEST(MultipleShooting, NonFiniteStartIsRejectedAndChangesNothing) {
     State<> x = step_start();
     x.body.velocity.y() = bad;
     EXPECT_EQ(solver.solve(x).status, SolveStatus::rejected);
-    ASSERT_TRUE(solver.prepare());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     EXPECT_EQ(solver.feedback(x).status, SolveStatus::rejected);
     EXPECT_EQ(solver.input(0), plan);
   }
@@ -189,7 +189,7 @@ TEST(MultipleShooting, NonFiniteProblemFailsAndKeepsThePlan) {
   ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
   const auto plan = solver.input(0);
   solver.problem().node(5).reference.position.x() = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_FALSE(solver.prepare());
+  EXPECT_EQ(solver.prepare(), PrepareStatus::failed);
   EXPECT_EQ(solver.feedback(step_start()).status, SolveStatus::failed);
   EXPECT_EQ(solver.input(0), plan);
 }
@@ -299,7 +299,7 @@ TEST(MultipleShooting, FeedbackWorksWithDampingAndResetClearsIt) {
   solver.reset(x0);
   EXPECT_EQ(solver.report().damping, 0.0);
   for (int i = 0; i < 20; ++i) {
-    ASSERT_TRUE(solver.prepare());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     EXPECT_GT(solver.report().damping, 0.0);
     EXPECT_EQ(solver.feedback(x0).status, SolveStatus::iterated);
     ASSERT_TRUE(plan_is_finite(solver));

@@ -211,7 +211,7 @@ TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
             EXPECT_FALSE(bad.kkt < 1.0) << bad.kkt;
           }
           EXPECT_TRUE(finite_plan(solver));
-          const bool prepared = solver.prepare();
+          const bool prepared = solver.prepare() == PrepareStatus::prepared;
           const SolveStatus iterated = solver.feedback(x).status;
           EXPECT_TRUE(finite_plan(solver));
           if (static_cast<Output>(output) != Output::cost) {
@@ -232,10 +232,10 @@ TEST(NotANumber, GoodAgainByTheNextIteration) {
   solver.problem().output = Output::lx;
   solver.problem().node = 10;
   solver.problem().number = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_FALSE(solver.prepare());
+  EXPECT_EQ(solver.prepare(), PrepareStatus::failed);
   EXPECT_EQ(solver.feedback(x).status, SolveStatus::failed);
   solver.problem().output = Output::none;
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   EXPECT_EQ(solver.feedback(x).status, SolveStatus::iterated);
   EXPECT_TRUE(finite_plan(solver));
 }

@@ -166,7 +166,7 @@ TEST(QuadraticProgram, GainsAndFeedForwardAreThoseOfTheOptimum) {
   ASSERT_EQ(solver.report().status, SolveStatus::converged);
   const auto gain = solver.gain(0);
   const double before = solver.input(0)(0);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   const Eigen::Vector2d moved(0.03, -0.02);
   ASSERT_EQ(solver.feedback(moved).status, SolveStatus::iterated);
   EXPECT_NEAR(solver.input(0)(0), before + (gain * moved)(0), 1e-9);
@@ -185,7 +185,7 @@ TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
     Eigen::Vector2d x = rest;
     solver.reset(x);
     for (int i = 0; i < 500; ++i) {
-      ASSERT_TRUE(solver.prepare());
+      ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
       const SolveReport& report = solver.feedback(x);
       ASSERT_TRUE(has_plan(report.status));
       if (report.status == SolveStatus::iterated) {
@@ -208,30 +208,30 @@ TEST(QuadraticProgram, ASolveThatIsCutOffGoesOnWhereItWas) {
   int calls = 0;
   SolveStatus status = SolveStatus::time_limit;
   for (; status != SolveStatus::iterated && calls < 100; ++calls) {
-    ASSERT_TRUE(solver.prepare());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     status = solver.feedback(rest, SolverClock::now() + std::chrono::microseconds(150)).status;
     ASSERT_TRUE(status == SolveStatus::iterated || status == SolveStatus::time_limit);
     EXPECT_LE(std::abs(solver.input(0)(0)), 1.0 + 1e-12);
   }
   EXPECT_LT(calls, 100);
   for (int i = 0; i < 5; ++i) {
-    ASSERT_TRUE(solver.prepare());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     status = solver.feedback(rest).status;
   }
   EXPECT_EQ(status, SolveStatus::iterated);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   EXPECT_LT(solver.report().kkt, 1e-6);
 }
 
 TEST(QuadraticProgram, AGuessOrAResetAfterPreparationNeedsAnotherOne) {
   Solver solver = solved(Mass{});
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   solver.reset(rest);
   EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   solver.set_guess(3, rest, Eigen::Matrix<double, 1, 1>(0.1));
   EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   solver.shift(0.3);
   EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
 }

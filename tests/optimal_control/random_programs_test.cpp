@@ -40,7 +40,7 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   settings.program.method = method;
   MultipleShooting<Problem> solver(problem, settings);
   solver.reset(problem.start());
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   examples::ProgramAudit<Problem> audit;
   audit.before(solver);
   const SolveReport report = solver.feedback(problem.start());

@@ -83,9 +83,9 @@ TEST(SolverRecovery, AHessianThatIsNotANumberLeavesNoDamping) {
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   solver.problem().forgets = true;
-  EXPECT_FALSE(solver.prepare());
+  EXPECT_EQ(solver.prepare(), PrepareStatus::failed);
   solver.problem().forgets = false;
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   EXPECT_LT(solver.report().damping, 1.0);
 }
 

@@ -187,7 +187,7 @@ void solve_air(Solver& solver) {
 TEST(ShiftOfASolver, NothingHappensUnlessTimePasses) {
   Solver solver(air_problem(), patient());
   solve_air(solver);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   const Plan before(solver);
   for (const double intervals : {0.0, -1.0, -infinity, nan}) {
     solver.shift(intervals);
@@ -203,7 +203,7 @@ TEST(ShiftOfASolver, MovesThePlanAndTheMultipliersToTheNearestNodes) {
   const int n = solver.horizon();
   Trajectory<Flight> shifted = before.trajectory;
   shifted.shift(solver.problem(), 2.4);
-  ASSERT_TRUE(solver.prepare());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   solver.shift(2.4);
   const Plan after(solver);
   double largest = 0.0;
@@ -231,7 +231,7 @@ TEST(ShiftOfASolver, MakesThePlanFitAReferenceThatMoves) {
     for (int i = 0; i < 50; ++i) {
       set_air_reference(solver.problem(), tick * i);
       if (shifts && i > 0) solver.shift(tick / solver.problem().settings().interval);
-      EXPECT_TRUE(solver.prepare());
+      EXPECT_EQ(solver.prepare(), PrepareStatus::prepared);
       sum.kkt += solver.report().kkt;
       EXPECT_EQ(solver.solve(x).status, SolveStatus::converged);
       sum.iterations += solver.report().iterations;

@@ -3,6 +3,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -39,6 +40,7 @@ class ControlLoop {
         allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
+        contact_(vehicle_),
         nmpc_(vehicle_, in_simulated_time(settings)) {}
 
   /// Hovers with `clearance` [m] under the wheels, at `velocity` [m/s].
@@ -71,7 +73,8 @@ class ControlLoop {
     actuators_.reset(now, time);
     allocation_ = tilt_ropter::Allocation<4>(believed);
     nmpc_ = tilt_ropter::Nmpc<4>(believed, nmpc_.settings());
-    observer_.set_external({});
+    observer_.reset();
+    contact_ = tilt_ropter::ContactEstimator(believed);
   }
 
   /// Flies for `duration` [s]; every solve must succeed.
@@ -93,11 +96,10 @@ class ControlLoop {
     const ActuatorState<4> applied{plant_.actuators().rotor_speed,
                                    actuators_.update(time, command_).tilt_angle};
     observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
-    Wrench<> external = observer_.external();
     std::optional<BodyState<>> measured = state_sensor_.sample(time, plant_.body())->body;
-    tamper(external, measured);
-    if (nmpc_.prepare(time, reference, external))
-      observer_.set_external(nmpc_.contact().air_wrench());
+    ContactEstimate contact = contact_.update(time, *measured, observer_);
+    tamper(contact.disturbance, measured);
+    (void)nmpc_.prepare(time, reference, contact);
     const NmpcResult& result = measured ? nmpc_.feedback(time, *measured) : nmpc_.hold(time);
     command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
     actuators_.update(time, command_);
@@ -117,6 +119,7 @@ class ControlLoop {
 
   [[nodiscard]] const PlantType& plant() const { return plant_; }
   [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
+  [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
   [[nodiscard]] double weight() const { return vehicle_.body.mass * tilt_ropter::gravity; }
   [[nodiscard]] double peak_force() const { return peak_force_; }  ///< of the ground [N]
@@ -132,6 +135,7 @@ class ControlLoop {
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
   tilt_ropter::WrenchObserver<> observer_;
+  tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
   tilt_ropter::ActuatorState<4> command_;
   double peak_force_ = 0.0, highest_ = -1.0;

@@ -47,8 +47,8 @@ void land_and_take_off(const std::string& plant, int few) {
     loop.run(3.0, rest);
     if (testing::Test::HasFatalFailure()) return;
     EXPECT_TRUE(loop.touched());
-    EXPECT_TRUE(loop.nmpc().contact().on_ground());
-    EXPECT_EQ(loop.nmpc().contact().mode_changes(), 1);
+    EXPECT_TRUE(loop.contact().estimate().on_ground);
+    EXPECT_EQ(loop.contact().mode_changes(), 1);
     worst_bounce = std::max(worst_bounce, loop.highest());
     worst_force = std::max(worst_force, loop.peak_force() / loop.weight());
 
@@ -65,8 +65,8 @@ void land_and_take_off(const std::string& plant, int few) {
     };
     loop.run(4.0, up);
     if (testing::Test::HasFatalFailure()) return;
-    EXPECT_FALSE(loop.nmpc().contact().on_ground());
-    EXPECT_EQ(loop.nmpc().contact().mode_changes(), 2);
+    EXPECT_FALSE(loop.contact().estimate().on_ground);
+    EXPECT_EQ(loop.contact().mode_changes(), 2);
     EXPECT_LT(loop.peak_force(), 4.0 * loop.weight());
     EXPECT_LT((loop.plant().body().position - up(begin + 4.0).position).norm(), 0.05);
   }

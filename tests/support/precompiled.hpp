@@ -21,8 +21,8 @@ inline void instantiate(const tilt_ropter::Mission& mission) {
   Ekf<> ekf;
   ekf.on_imu(0.0, {});
   ekf.on_pose(0.0, {});
-  if (nmpc.prepare(0.0, mission, observer.external()))
-    observer.set_external(nmpc.contact().air_wrench());
+  ContactEstimator contact(vehicle);
+  (void)nmpc.prepare(0.0, mission, contact.update(0.0, plant.body(), observer));
   const NmpcResult& result = nmpc.feedback(0.0, plant.body());
   const auto command = allocation.allocate(result.wrench, result.rate, {}).command;
   observer.update(0.0, plant.inertial_sample(),

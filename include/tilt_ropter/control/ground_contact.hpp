@@ -3,6 +3,7 @@
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -11,37 +12,36 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
-/// Contact of the wheels with flat ground as the controller sees it: the paper's indicator delta
-/// (paper, Sec. Problem Formulation) with tolerance and hysteresis, and what a node on the ground
-/// is told about the forces there.
+/// What contact of the wheels with the ground means to the controller: which references are on the
+/// ground, what a node there is held by and told (paper, Sec. Problem Formulation), and the thrust
+/// kept there. Where the ground is, and whether the vehicle stands on it, is a ContactEstimate.
 namespace tilt_ropter {
 
-/// When the vehicle counts as on the ground, and what thrust it keeps there.
+/// Which references are on the ground, how it is reached, and what thrust is kept there.
 struct GroundContactSettings {
-  double enter_height = 0.005;  ///< lower than this above the radius: on the ground [m]
-  double leave_height = 0.030;  ///< higher, and not carried: in the air [m]
-  /// Share of the weight that only the ground can carry: with more than that on it the vehicle has
-  /// not left the ground, however high the ground is, and below leave_height it has reached it.
-  double carried_share = 0.4;
-  /// Share of the weight that thrust holds back while the reference is on the ground and the wheels
-  /// are not yet, so that no gust or error of the estimate leaves the vehicle hanging over it.
-  double settling_share = 0.07;
-  double reference_tolerance = 1e-3;  ///< a reference this close to the radius is a ground one [m]
-  double down_force =
-      0.75;  ///< vertical thrust asked for on the ground; keeps tilt angles defined [N]
+  /// A reference that does not rise and is lower than this above the height at which the CoM stands
+  /// is on the ground; one that rises, lower than a millimetre [m].
+  double reference_tolerance = 0.015;
+  /// Height of the ground that references were planned for: what is on the ground there counts as
+  /// such where the ground turns out to be lower, too. -infinity: the ground's estimate alone [m].
+  double planned_height = -std::numeric_limits<double>::infinity();
+  /// With which the vehicle comes down where the reference is on the ground and no ground is met
+  /// [m/s].
+  double settling_speed = 0.10;
+  /// Vertical thrust asked for on the ground; keeps tilt angles defined [N].
+  double down_force = 0.75;
   /// Vertical thrust that a rotor keeps on the ground where torques take from it, see GroundThrust
   /// [N].
-  double rotor_thrust = 0.25;
+  double rotor_thrust = 0.12;
 };
 
 inline void validate(const GroundContactSettings& s) {
-  require_positive("GroundContactSettings.enter_height [m]", s.enter_height);
-  require(std::isfinite(s.leave_height) && s.leave_height > s.enter_height,
-          "GroundContactSettings.leave_height [m]", s.leave_height, "finite and > enter_height");
-  require_positive("GroundContactSettings.carried_share", s.carried_share);
-  require_non_negative("GroundContactSettings.settling_share", s.settling_share);
   require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
+  require(s.planned_height < std::numeric_limits<double>::infinity(),
+          "GroundContactSettings.planned_height [m]", s.planned_height, "finite, or -infinity");
+  require_in("GroundContactSettings.settling_speed [m/s]", s.settling_speed, 0.01, 10.0);
   require_finite("GroundContactSettings.down_force [N]", s.down_force);
   require_non_negative("GroundContactSettings.rotor_thrust [N]", s.rotor_thrust);
 }
@@ -83,95 +83,108 @@ class GroundThrust {
   double most_;
 };
 
-/// Mode of contact and the external wrench that belongs to each mode. The normal force estimated on
-/// the ground must not be carried into nodes whose reference is in the air (it would look like lift
-/// at take-off), so the wrench last seen well above it is kept for them until the ground has let
-/// go.
-class GroundContact {
+/// What two wheels on one axle hold: the vertical, the roll, and the way along the axle.
+class AxleContact {
  public:
-  /// The wheels' radius is the height of the CoM on the ground. Throws std::invalid_argument for
-  /// parameters or settings out of range.
-  GroundContact(const RigidBodyParameters& body, const WheelParameters& wheels,
-                const GroundContactSettings& settings = {})
+  /// Throws std::invalid_argument for parameters or settings out of range.
+  AxleContact(const RigidBodyParameters& body, const WheelParameters& wheels,
+              const GroundContactSettings& settings = {})
       : settings_(settings), mass_(body.mass), wheel_radius_(wheels.radius) {
     validate(body);
     validate(wheels);
     validate(settings);
   }
 
-  /// Takes the measured state (position of the CoM and orientation count) and the estimated
-  /// external wrench (body frame).
-  /// True if the vehicle has just left the ground: the estimate still holds the ground's force then
-  /// and is better replaced by air_wrench(). Numbers that are not finite change nothing.
-  bool update(const BodyState<>& body, const Wrench<>& external) noexcept {
-    if (!is_finite(body) || !is_finite(external)) return false;
-    orientation_ = body.orientation;
-    const double clearance = body.position.z() - wheel_radius_;
-    const double lift = (orientation_ * external.force).z(),
-                 enough = settings_.carried_share * mass_ * gravity;
-    // Lift that there was in the air already is not the ground's; no more than there could be, or
-    // an estimate gone wrong would hide or feign the ground for good.
-    const bool was_on_ground = on_ground_,
-               carried = lift - std::clamp(air_lift_, 0.0, enough) > enough;
-    on_ground_ = on_ground_
-                     ? clearance < settings_.leave_height || carried
-                     : clearance < (carried ? settings_.leave_height : settings_.enter_height);
-    if (on_ground_ != was_on_ground && started_) ++mode_changes_;
-    const bool lifted_off = was_on_ground && !on_ground_;
-    started_ = true;
-    external_ = lifted_off ? air_wrench_ : external;
-    if (!on_ground_ && clearance > settings_.leave_height && !lifted_off) {
-      air_wrench_ = external;
-      air_lift_ = lift;
-    }
-    return lifted_off;
+  /// True if a vehicle at `point` is meant to be on the ground of `contact`.
+  [[nodiscard]] bool is_ground_reference(const ContactEstimate& contact,
+                                         const ReferencePoint& point) const noexcept {
+    const double above = point.position.z() - wheel_radius_ - expected(contact, point.position);
+    const double rising = point.velocity.z() - contact.ground.slope.dot(point.velocity.head<2>());
+    return above < (rising > 1e-3 ? 1e-3 : settings_.reference_tolerance);
   }
 
-  [[nodiscard]] bool on_ground() const { return on_ground_; }
-  /// Changes of mode after the first update.
-  [[nodiscard]] int mode_changes() const { return mode_changes_; }
-
-  /// External wrench last seen higher than leave_height in the air, body frame.
-  [[nodiscard]] const Wrench<>& air_wrench() const { return air_wrench_; }
-
-  /// Fills delta, freedom and external wrench of a node whose reference is `point`; `now` is that
-  /// of this moment.
-  void apply(const ReferencePoint& now, const ReferencePoint& point,
-             WheeledFlightNode& node) const {
-    node.on_ground = on_ground_ && is_ground_reference(point.position.z());
+  /// Fills all of a node but its reference wrench. Its reference is `point`, `ahead` [s] of the
+  /// `measured` state.
+  void apply(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
+             const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
+    const bool meant = is_ground_reference(contact, point);
+    node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
+    node.on_ground = contact.on_ground && meant;
     node.freedom = {};
-    node.external = on_ground_ ? air_wrench_ : external_;
-    if (!on_ground_ && is_ground_reference(now.position.z()))
-      node.external.force += orientation_.conjugate() *
-                             Eigen::Vector3d(0.0, 0.0, settings_.settling_share * mass_ * gravity);
+    node.external = contact.disturbance;
+    if (meant && !contact.on_ground) settle(contact, measured, ahead, node);
     if (!node.on_ground) return;
+    // Along the ground that there is, whatever the reference takes it for.
+    node.ground = contact.ground;
+    node.reference.position.z() = contact.ground.height_at(point.position) + wheel_radius_;
+    node.reference.velocity.z() = contact.ground.slope.dot(point.velocity.head<2>());
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
-    // thrust up. So the vertical and the roll are held, and their share of the estimate is left
-    // out. Along the axle it is the same: any side force and the wheels' own add up to what the
-    // curve needs, so the wheels are told to give all of it.
+    // thrust up. So the vertical and the roll are held. Along the axle it is the same: any side
+    // force and the wheels' own add up to what the curve needs, so the wheels are told to give all
+    // of it.
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
-    Eigen::Vector3d horizontal = orientation_ * external_.force;
-    horizontal.z() = 0.0;
-    node.external.force = orientation_.conjugate() * horizontal;
+    node.external = contact.rolling;
     node.external.force.y() = mass_ * (point.orientation.conjugate() * point.acceleration).y();
-    node.external.torque = external_.torque;
-    node.external.torque.x() = 0.0;
   }
 
-  /// True if a reference at `height` [m] is one on the ground.
-  [[nodiscard]] bool is_ground_reference(double height) const {
-    return std::abs(height - wheel_radius_) < settings_.reference_tolerance;
+  /// Takes from a wrench what the ground gives: the side force and the roll torque.
+  static void release(Wrench<>& wrench) noexcept { wrench.force.y() = wrench.torque.x() = 0.0; }
+
+ private:
+  // Height of the ground that the reference goes by, under `position`.
+  [[nodiscard]] double expected(const ContactEstimate& contact,
+                                const Eigen::Vector3d& position) const noexcept {
+    return std::max(settings_.planned_height, contact.ground.height_at(position));
+  }
+
+  // Down to where the ground should be, ever slower, and on with settling_speed until it is met:
+  // it may be lower, and a vehicle that waits above it would hover there.
+  void settle(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
+              WheeledFlightNode& node) const noexcept {
+    constexpr double time_constant = 1.0;  // [s]
+    const double ground = contact.ground_known ? contact.ground.height_at(measured.position)
+                                               : expected(contact, measured.position);
+    const double standing = ground + wheel_radius_, off = measured.position.z() - standing,
+                 left = std::max(off, 0.0) * std::exp(-ahead / time_constant);
+    node.reference.position.z() =
+        standing + std::min(off, 0.0) + left - settings_.settling_speed * ahead;
+    node.reference.velocity.z() = -settings_.settling_speed - left / time_constant;
+  }
+
+  GroundContactSettings settings_;
+  double mass_, wheel_radius_;
+};
+
+/// The wrench that a reference needs, by inverse dynamics.
+template <int Rotors>
+class ReferenceWrench {
+ public:
+  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
+  ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : body_(vehicle.body), ground_thrust_(vehicle, settings) {}
+
+  /// Against `external` (body frame); on the ground the wheels give the side force, the ground the
+  /// vertical one and the roll torque.
+  [[nodiscard]] Wrench<> operator()(const ReferencePoint& point, const Wrench<>& external,
+                                    bool on_ground) const noexcept {
+    const Eigen::Vector3d& w = point.angular_velocity;
+    Wrench<> wrench;
+    wrench.force = body_.mass * (point.orientation.conjugate() *
+                                 (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
+                   external.force;
+    wrench.torque =
+        body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
+    if (on_ground) {
+      AxleContact::release(wrench);
+      wrench.force.z() = ground_thrust_(wrench);
+    }
+    return wrench;
   }
 
  private:
-  GroundContactSettings settings_;
-  double mass_, wheel_radius_;
-  bool on_ground_ = false, started_ = false;
-  int mode_changes_ = 0;
-  Eigen::Quaterniond orientation_ = Eigen::Quaterniond::Identity();
-  Wrench<> external_, air_wrench_;
-  double air_lift_ = 0.0;  // of air_wrench_, upward in the world when it was seen [N]
+  RigidBodyParameters body_;
+  GroundThrust<Rotors> ground_thrust_;
 };
 
 }  // namespace tilt_ropter

@@ -4,6 +4,7 @@
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
@@ -51,9 +52,9 @@ struct NmpcResult {
 /// prepare(), then measure, then feedback(), at any rate. Whatever comes in, what goes out is
 /// finite and within the bounds. What goes out when something is wrong, from the mildest on:
 ///
-/// - The external wrench is not finite, or is more than ten times the weight, or that at a metre (a
-///   lost observer): the last one that was stands in for it, for as long as it takes. Status
-///   solved.
+/// - The contact estimate is not finite, or a wrench of it is more than ten times the weight, or
+///   that at a metre (a lost observer): the last one that was stands in for it, for as long as it
+///   takes. Status solved.
 /// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
 ///   sees: hold()): the last plan goes on. Status bad_state.
 /// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes:
@@ -87,21 +88,21 @@ class Nmpc {
   /// With the settings that fly this vehicle without tuning.
   explicit Nmpc(const Vehicle<Rotors>& vehicle);
 
-  /// Everything that can be done before the measurement of time `time` [s] comes: contact mode,
-  /// reference, linearisation, factorisation. `reference` is any callable that returns a
-  /// ReferencePoint for a time and does not throw; `external` is the estimated external wrench
-  /// (body frame). With a time that is not finite nothing is prepared, and feedback() fails. True
-  /// if the vehicle has just left the ground: see GroundContact::update.
+  /// Everything that can be done before the measurement of time `time` [s] comes: reference,
+  /// linearisation, factorisation. `reference` is any callable that returns a ReferencePoint for a
+  /// time and does not throw; `contact` is ContactEstimator's or the caller's own. With a time that
+  /// is not finite nothing is prepared (rejected), and feedback() fails.
   template <typename Reference>
-  bool prepare(double time, const Reference& reference, const Wrench<>& external) noexcept {
+  [[nodiscard]] PrepareStatus prepare(double time, const Reference& reference,
+                                      const ContactEstimate& contact) noexcept {
     const auto start = SolverClock::now();
-    const bool lifted_off = begin_to_prepare(time, external);
-    if (!std::isfinite(time)) return false;
+    begin_to_prepare(time, contact);
+    if (!std::isfinite(time)) return PrepareStatus::rejected;
     for (std::size_t k = 0; k < points_.size(); ++k)
       points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
-    finish_preparing(time);
+    const PrepareStatus status = finish_preparing(time);
     prepare_time_ = SolverClock::now() - start;
-    return lifted_off;
+    return status;
   }
 
   /// The wrench to command from the body state measured at `time` [s]. Needs a prepare() before.
@@ -120,7 +121,8 @@ class Nmpc {
   [[nodiscard]] const NmpcResult& hold(double time) noexcept;
 
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
-  [[nodiscard]] const GroundContact& contact() const { return contact_; }
+  /// What the plan goes by: that of prepare(), or an earlier one where that was not plausible.
+  [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
   [[nodiscard]] const MultipleShooting<Problem>& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
 
@@ -134,10 +136,10 @@ class Nmpc {
   }
 
   // What prepare() does before it looks at the reference, and after.
-  bool begin_to_prepare(double time, const Wrench<>& external);
-  void finish_preparing(double time);
+  void begin_to_prepare(double time, const ContactEstimate& contact);
+  PrepareStatus finish_preparing(double time);
 
-  [[nodiscard]] bool is_plausible(const Wrench<>& external) const;
+  [[nodiscard]] bool is_plausible(const ContactEstimate& contact) const;
 
   // When this tick has to be over, prepare() counted.
   [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const;
@@ -160,7 +162,7 @@ class Nmpc {
 
   void set_nodes();
 
-  void set_node(const ReferencePoint& point, WheeledFlightNode& node) const;
+  void set_node(double ahead, const ReferencePoint& point, WheeledFlightNode& node) const;
 
   [[nodiscard]] int interval_at(double age) const {
     return std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
@@ -186,12 +188,12 @@ class Nmpc {
 
   NmpcSettings settings_;
   RigidBodyParameters body_;
-  GroundContact contact_;
-  GroundThrust<Rotors> ground_thrust_;
+  AxleContact axle_;
+  ReferenceWrench<Rotors> reference_wrench_;
   MultipleShooting<Problem> solver_;
   std::vector<ReferencePoint> points_;
-  BodyState<> body_state_;  // the last good measurement
-  Wrench<> external_;       // the last good estimate
+  BodyState<> body_state_;   // the last good measurement
+  ContactEstimate contact_;  // the last good one
   NmpcResult result_;
   double plan_time_ = 0.0;
   State<> plan_start_;  // at plan_time_
@@ -211,8 +213,8 @@ template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
     : settings_(checked(settings)),
       body_(vehicle.body),
-      contact_(vehicle.body, vehicle.wheels, settings.ground),
-      ground_thrust_(vehicle, settings.ground),
+      axle_(vehicle.body, vehicle.wheels, settings.ground),
+      reference_wrench_(vehicle, settings.ground),
       solver_(
           Problem(vehicle.body, vehicle.wheels, settings.problem,
                   settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
@@ -233,10 +235,7 @@ const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyState<>& measure
   if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
   const auto deadline = deadline_from(SolverClock::now());
   forget_old_plan(time);
-  if (cold_) {
-    contact_.update(body_state_, external_);
-    set_nodes();
-  }
+  if (cold_) set_nodes();  // with this measurement, not the last
   State<> x;
   x.body = body_state_;
   // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
@@ -304,19 +303,18 @@ const NmpcResult& Nmpc<Rotors>::hold(double time) noexcept {
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::begin_to_prepare(double time, const Wrench<>& external) {
+void Nmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact) {
   prepared_ = false;
-  if (!std::isfinite(time)) return false;
+  if (!std::isfinite(time)) return;
   forget_old_plan(time);
-  if (is_plausible(external)) external_ = external;
-  return !cold_ && contact_.update(body_state_, external_);
+  if (is_plausible(contact)) contact_ = contact;
 }
 
 template <int Rotors>
-void Nmpc<Rotors>::finish_preparing(double time) {
+PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
   set_nodes();
   prepared_ = true;
-  if (cold_) return;
+  if (cold_) return PrepareStatus::prepared;  // feedback() does the rest, from where it measures
   // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
   // exact, and what is commanded keeps to them.
   if (!solver_.goes_on()) {
@@ -324,13 +322,16 @@ void Nmpc<Rotors>::finish_preparing(double time) {
     first.wrench = wrench_at(time);
     solver_.set_guess(0, first, solver_.input(0));
   }
-  (void)solver_.prepare();
+  return solver_.prepare();
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::is_plausible(const Wrench<>& external) const {
-  const double most = 10.0 * body_.mass * gravity;  // not a comparison that NaN passes
-  return external.force.norm() <= most && external.torque.norm() <= most;
+bool Nmpc<Rotors>::is_plausible(const ContactEstimate& contact) const {
+  const double most = 10.0 * body_.mass * gravity;
+  const auto is_small = [most](const Wrench<>& w) {  // not a comparison that NaN passes
+    return w.force.norm() <= most && w.torque.norm() <= most;
+  };
+  return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling);
 }
 
 template <int Rotors>
@@ -395,31 +396,20 @@ bool Nmpc<Rotors>::plan_is_credible() const {
 template <int Rotors>
 void Nmpc<Rotors>::set_nodes() {
   for (std::size_t k = 0; k < points_.size(); ++k)
-    set_node(points_[k], solver_.problem().node(static_cast<int>(k)));
+    set_node(settings_.problem.interval * static_cast<double>(k), points_[k],
+             solver_.problem().node(static_cast<int>(k)));
 }
 
 template <int Rotors>
-void Nmpc<Rotors>::set_node(const ReferencePoint& point, WheeledFlightNode& node) const {
-  node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
-  contact_.apply(points_.front(), point, node);
-  node.wrench_reference = {};
-  if (!settings_.wrench_feedforward) {
+void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
+                            WheeledFlightNode& node) const {
+  axle_.apply(contact_, body_state_, ahead, point, node);
+  if (settings_.wrench_feedforward) {
+    node.wrench_reference = reference_wrench_(point, node.external, node.on_ground);
+  } else {
+    node.wrench_reference = {};
     node.wrench_reference.force.z() =
         node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
-    return;
-  }
-  const Eigen::Vector3d& w = point.angular_velocity;
-  Wrench<>& feedforward = node.wrench_reference;
-  feedforward.force = body_.mass * (point.orientation.conjugate() *
-                                    (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
-                      node.external.force;
-  feedforward.torque = body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) -
-                       node.external.torque;
-  if (node.on_ground) {
-    // The wheels give the side force, the ground the vertical one and the roll torque.
-    feedforward.force.y() = 0.0;
-    feedforward.torque.x() = 0.0;
-    feedforward.force.z() = ground_thrust_(feedforward);
   }
 }
 
@@ -459,10 +449,10 @@ typename Nmpc<Rotors>::Rate Nmpc<Rotors>::rate_within_bounds(const Rate& rate) c
 template <int Rotors>
 Wrench<> Nmpc<Rotors>::safe_wrench() const {
   Wrench<> wrench;
-  if (contact_.on_ground()) {
+  if (contact_.on_ground) {
     wrench.force.z() = settings_.ground.down_force;
   } else {
-    wrench = {-external_.force, -external_.torque};
+    wrench = {-contact_.disturbance.force, -contact_.disturbance.torque};
     wrench.force.z() += body_.mass * gravity;
   }
   return within_bounds(wrench);
@@ -473,7 +463,7 @@ void Nmpc<Rotors>::set_command(double age) {
   result_.wrench = planned_wrench(age);
   const Rate rate = rate_within_bounds(solver_.input(interval_at(age)));
   result_.rate = {rate.head<3>(), rate.tail<3>()};
-  result_.on_ground = contact_.on_ground();
+  result_.on_ground = contact_.on_ground;
 }
 
 template <int Rotors>
@@ -495,7 +485,7 @@ const NmpcResult& Nmpc<Rotors>::hand_out_last_plan(double time, NmpcStatus statu
     cold_ = true;
     result_.wrench = safe_wrench();
     result_.rate = {};
-    result_.on_ground = contact_.on_ground();
+    result_.on_ground = contact_.on_ground;
     result_.status = NmpcStatus::no_plan;
   }
   return result_;

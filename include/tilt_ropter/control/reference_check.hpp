@@ -45,8 +45,9 @@ template <typename Reference, int Rotors>
           "finite and > start");
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
-  const RigidBodyParameters& body = vehicle.body;
-  const GroundContact contact(vehicle.body, vehicle.wheels, settings.ground);
+  const AxleContact axle(vehicle.body, vehicle.wheels, settings.ground);
+  const ReferenceWrench<Rotors> reference_wrench(vehicle, settings.ground);
+  const ContactEstimate contact;  // flat ground at height zero
   const NmpcBounds& bounds = settings.problem.bounds;
   static constexpr std::array<const char*, 5> names = {"force", "torque", "angular_velocity",
                                                        "force_rate", "torque_rate"};
@@ -71,16 +72,11 @@ template <typename Reference, int Rotors>
   for (long i = 0; i <= samples; ++i) {
     const double time = start + step * static_cast<double>(i);
     const ReferencePoint point = reference(time);
-    const bool on_ground = contact.is_ground_reference(point.position.z());
+    const bool on_ground = axle.is_ground_reference(contact, point);
     const Eigen::Vector3d& w = point.angular_velocity;
+    const Wrench<> needed = reference_wrench(point, {}, on_ground);
     Vector6 wrench;
-    wrench << body.mass * (point.orientation.conjugate() *
-                           (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))),
-        body.inertia * point.angular_acceleration + w.cross(body.inertia * w);
-    if (on_ground) {
-      wrench(1) = wrench(3) = 0.0;
-      wrench(2) = settings.ground.down_force;
-    }
+    wrench << needed.force, needed.torque;
     compare(0, time, wrench.head<3>(), bounds.force_min, bounds.force_max);
     compare(1, time, wrench.tail<3>(), bounds.torque_min, bounds.torque_max);
     compare(2, time, w, -bounds.angular_velocity, bounds.angular_velocity);

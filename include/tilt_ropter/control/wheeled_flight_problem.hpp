@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -150,6 +151,7 @@ struct WheeledFlightNode {
   Wrench<> external;          ///< F_e, M_e during the interval that starts here (body frame)
   Freedom<> freedom;          ///< what the ground leaves free during that interval
   bool on_ground = false;     ///< the paper's delta: non-holonomic conditions apply here
+  GroundPlane ground;         ///< under the wheels
 };
 
 /// A problem as MultipleShooting takes it: 18 tangent coordinates (dF, dM, dp, dv, dtheta, dw), 6
@@ -365,11 +367,13 @@ class WheeledFlightProblem {
   }
   [[nodiscard]] const Rows& penalty(int) const { return penalty_; }
 
-  /// v_By, w_x and p_z - r (paper, Eq. mpc_subject), where the node is on the ground.
-  [[nodiscard]] Equalities equality_values(int, const State& x) const {
-    return {body_velocity(x).y, x.body.angular_velocity.x(), x.body.position.z() - wheel_radius_};
+  /// v_By, w_x and p_z - r above the ground (paper, Eq. mpc_subject), where the node is on the
+  /// ground.
+  [[nodiscard]] Equalities equality_values(int k, const State& x) const {
+    return {body_velocity(x).y, x.body.angular_velocity.x(),
+            x.body.position.z() - wheel_radius_ - node(k).ground.height_at(x.body.position)};
   }
-  void equality_derivatives(int, const State& x, EqualitiesX& H) const {
+  void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
     const Square to_world = detail::square(x.body.orientation.toRotationMatrix());
     const Triple velocity = body_velocity(x);
     std::fill_n(H.data(), H.size(), 0.0);
@@ -379,6 +383,8 @@ class WheeledFlightProblem {
     H(0, 12) = velocity.z;
     H(0, 14) = -velocity.x;
     H(1, 15) = 1.0;
+    H(2, 6) = -node(k).ground.slope.x();
+    H(2, 7) = -node(k).ground.slope.y();
     H(2, 8) = 1.0;
   }
   [[nodiscard]] Equalities equality_weights(int k) const {

@@ -149,6 +149,8 @@ class WrenchObserver {
   /// The filter's state: external() without dead band and limits.
   [[nodiscard]] const Wrench<Scalar>& filtered() const noexcept { return filtered_; }
 
+  [[nodiscard]] const WrenchObserverSettings& settings() const noexcept { return settings_; }
+
   /// Whether external() can be relied on at `now` [s], the clock of update().
   [[nodiscard]] WrenchTrust trust(double now) const noexcept {
     if (!started_) return WrenchTrust::not_started;

@@ -139,13 +139,14 @@ class MultipleShooting {
   /// False if it was cut off so early that the plan is still the one before it.
   [[nodiscard]] bool has_step() const { return program_.has_step(); }
 
-  /// Linearises and factorises: all that needs no measurement. False if the problem returned a
+  /// Linearises and factorises: all that needs no measurement. Fails if the problem returned a
   /// number that is not finite, or no damping makes the Hessians positive definite.
-  [[nodiscard]] bool prepare() noexcept {
+  [[nodiscard]] PrepareStatus prepare() noexcept {
     const auto start = Clock::now();
     if (program_.goes_on()) {
       report_.linearise_us = report_.factorise_us = report_.rows_us = report_.prepare_us = 0.0;
-      return prepared_ = true;
+      prepared_ = true;
+      return PrepareStatus::prepared;
     }
     prepared_ = linearise();
     report_.linearise_us = since(start);
@@ -154,7 +155,7 @@ class MultipleShooting {
     report_.rows_us = std::chrono::duration<double, std::micro>(program_.rows_time()).count();
     report_.factorise_us = since(linearised) - report_.rows_us;
     report_.prepare_us = since(start);
-    return prepared_;
+    return prepared_ ? PrepareStatus::prepared : PrepareStatus::failed;
   }
 
   /// The step from the measured initial state; needs a prepare() before. Afterwards state(k) and
@@ -231,7 +232,7 @@ class MultipleShooting {
     search_.begin(!updates_multipliers_);
     progress_ = {};
     for (;; ++iteration) {
-      const bool prepared = prepare();
+      const bool prepared = prepare() == PrepareStatus::prepared;
       prepare_us += report_.prepare_us;
       if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
       const bool converged = prepared && report_.kkt <= settings_.tolerance;

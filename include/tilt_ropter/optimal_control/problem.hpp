@@ -108,9 +108,9 @@
 ///   // In a loop, every 0.05 s: the plan moves on, what needs no measurement is done before it
 ///   // comes, the little rest after it; solver.input(0) is the torque to apply.
 ///   solver.shift(1.0);
-///   const bool prepared = solver.prepare();
+///   const auto prepared = solver.prepare();
 ///   solver.feedback({3.13, -0.2});
-///   return solved && prepared ? 0 : 1;
+///   return solved && prepared == tilt_ropter::PrepareStatus::prepared ? 0 : 1;
 /// }
 /// ```
 // clang-format on

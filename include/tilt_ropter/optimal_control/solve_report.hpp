@@ -16,6 +16,13 @@ enum class SolveStatus {
   rejected,         ///< the initial state is not finite; nothing was changed
 };
 
+/// What became of the part of a solve that needs no measurement.
+enum class PrepareStatus {
+  prepared,
+  failed,    ///< a number was not finite, or no factorisation: feedback() will fail
+  rejected,  ///< the time is not finite; nothing was changed
+};
+
 /// True if there is a new iterate that can be used: all inputs are finite, and those of node 0
 /// within their hard bounds.
 [[nodiscard]] constexpr bool has_plan(SolveStatus status) {

@@ -1,0 +1,282 @@
+#pragma once
+
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/contact.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+/// Are the wheels on the ground, where is it, and which part of the external wrench is its?
+namespace tilt_ropter {
+
+/// When the vehicle counts as on the ground. A load is the lift that the air does not give.
+struct ContactEstimatorSettings {
+  /// Share of the weight as load by which ground is met closer than leave_height to where it should
+  /// be.
+  double near_load = 0.10;
+  /// The same anywhere else: more than what gusts do.
+  double far_load = 0.30;
+  /// Share of the weight as load that nothing but the ground gives, not even a vehicle much lighter
+  /// than believed.
+  double carried_load = 0.40;
+  double leave_height = 0.030;  ///< above the ground and not carried: in the air [m]
+  double load_time = 0.02;      ///< over which the load is averaged [s]
+  double air_time = 0.5;        ///< over which what acts in the air is averaged, to be kept [s]
+  double ground_time = 0.1;     ///< over which the ground's height is averaged [s]
+  double slope_time = 0.4;      ///< over which the ground's slope is averaged [s]
+  double max_slope = 0.5;       ///< of the ground, steeper is not believed
+  /// Where the ground is taken to be until the vehicle has stood on it or flown below it; height
+  /// -infinity: nothing is assumed.
+  GroundPlane assumed_ground;
+};
+
+inline void validate(const ContactEstimatorSettings& s) {
+  require_positive("ContactEstimatorSettings.near_load", s.near_load);
+  require(std::isfinite(s.far_load) && s.far_load >= s.near_load,
+          "ContactEstimatorSettings.far_load", s.far_load, "finite and >= near_load");
+  require_positive("ContactEstimatorSettings.carried_load", s.carried_load);
+  require_positive("ContactEstimatorSettings.leave_height [m]", s.leave_height);
+  require_positive("ContactEstimatorSettings.load_time [s]", s.load_time);
+  require_positive("ContactEstimatorSettings.air_time [s]", s.air_time);
+  require_positive("ContactEstimatorSettings.ground_time [s]", s.ground_time);
+  require_positive("ContactEstimatorSettings.slope_time [s]", s.slope_time);
+  require_positive("ContactEstimatorSettings.max_slope", s.max_slope);
+  require(s.assumed_ground.height < std::numeric_limits<double>::infinity(),
+          "ContactEstimatorSettings.assumed_ground.height [m]", s.assumed_ground.height,
+          "finite, or -infinity");
+}
+
+/// Load first, height second: a vehicle that is carried is on the ground, wherever the ground is,
+/// and one that is not is in the air as soon as it has left the place where it was carried.
+///
+/// The ground is a plane through the wheels' lowest points: its height follows them while they
+/// carry, its slope follows the axle, which lies in it, and the way that the vehicle rolls.
+///
+/// In the air the external wrench is a disturbance, all of it. On the ground the vertical force and
+/// the roll torque are mostly the ground's, so the disturbance is what was last seen in the air, in
+/// two parts corrected by what the ground cannot do: it only pushes, so lift that is missing on it
+/// is missing in the air as well (a heavy vehicle, weak rotors), and freely turning wheels give no
+/// pitch torque (a shifted CoM).
+///
+/// The observer is a filter and shows for a while what the ground did after it has let go. That
+/// part is known and taken out. Nothing allocates; only the constructor throws.
+class ContactEstimator {
+ public:
+  /// Throws std::invalid_argument for parameters or settings out of range.
+  ContactEstimator(const RigidBodyParameters& body, const WheelParameters& wheels,
+                   const ContactEstimatorSettings& settings = {})
+      : settings_(settings), weight_(body.mass * gravity), wheel_radius_(wheels.radius) {
+    validate(body);
+    validate(wheels);
+    validate(settings);
+    estimate_.ground = settings.assumed_ground;
+  }
+  template <int Rotors>
+  explicit ContactEstimator(const Vehicle<Rotors>& vehicle,
+                            const ContactEstimatorSettings& settings = {})
+      : ContactEstimator(vehicle.body, vehicle.wheels, settings) {}
+
+  /// Takes the state of the body (of the CoM) and the observer, which has had its sample, at `time`
+  /// [s]; once a tick or more often. Numbers that are not finite or beyond 1e6, or wrenches beyond
+  /// ten times the weight (that at a metre), change nothing, nor does a time that is not after the
+  /// last, unless by a second or more: the clock has been set.
+  const ContactEstimate& update(double time, const BodyState<>& body,
+                                const WrenchObserver<>& observer) noexcept {
+    return update(time, body, observer.external(), observer.settings().force_bandwidth,
+                  observer.settings().torque_bandwidth);
+  }
+
+  /// The same with an external wrench (body frame, at the CoM) from elsewhere, filtered to first
+  /// order with these bandwidths [1/s]; infinite for one that is not filtered.
+  const ContactEstimate& update(double time, const BodyState<>& measured, const Wrench<>& external,
+                                const Eigen::Vector3d& force_bandwidth,
+                                const Eigen::Vector3d& torque_bandwidth) noexcept {
+    if (!std::isfinite(time) || !is_credible(measured, external)) return estimate_;
+    BodyState<> body = measured;
+    body.orientation.normalize();
+    double dt = started_ ? time - time_ : 0.0;
+    if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
+    dt = std::max(dt, 0.0);
+    const Eigen::Quaterniond to_body = body.orientation.conjugate();
+    const auto lift_of = [&](const Wrench<>& w) { return (body.orientation * w.force).z(); };
+    const auto set_lift = [&](double newtons) {
+      air_.force += to_body * Eigen::Vector3d(0.0, 0.0, possible(newtons) - lift_of(air_));
+    };
+    const auto share = [dt](double time_constant) { return -std::expm1(-dt / time_constant); };
+
+    // What the observer's filter has passed since the last call, without its lag.
+    const Wrench<> now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
+    const double lift =
+        started_ ? lift_ + share(settings_.load_time) * (lift_of(now) - lift_) : lift_of(external);
+    const GroundPlane& ground = estimate_.ground;
+    const double clearance = body.position.z() - wheel_radius_ - ground.height_at(body.position),
+                 rising = body.velocity.z() - ground.slope.dot(body.velocity.head<2>());
+
+    const bool was_on_ground = estimate_.on_ground;
+    double load = lift - lift_of(air_);
+    if (!was_on_ground) {
+      fade(left_over_, force_bandwidth, torque_bandwidth, dt);
+      estimate_.disturbance = {external.force - left_over_.force,
+                               external.torque - left_over_.torque};
+      load = lift - air_lift_;
+      const bool near = std::abs(clearance) < settings_.leave_height;
+      const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
+      if (!started_ && near && body.velocity.norm() < 0.1) {
+        estimate_.on_ground = true;  // it stands where the ground is taken to be
+      } else if (load > enough && rising < 0.1) {
+        estimate_.on_ground = true;
+        if (!near) forget_slope();
+      } else if (load < 0.5 * enough) {
+        keep(estimate_.disturbance, share(settings_.air_time));
+        air_lift_ += share(settings_.air_time) * (lift_of(estimate_.disturbance) - air_lift_);
+        air_lift_ = possible(air_lift_);
+      }
+      if (estimate_.on_ground) {
+        set_lift(air_lift_);
+        load = lift - air_lift_;
+        place_ground(body, 1.0);
+        estimate_.ground_known = true;
+      } else if (!estimate_.ground_known && clearance < -settings_.leave_height) {
+        estimate_.ground.height = -std::numeric_limits<double>::infinity();  // it was not there
+      }
+    } else {
+      // The ground only pushes, and wheels that turn freely do not pitch.
+      if (load < 0.0) {
+        set_lift(lift);
+        load = 0.0;
+      }
+      air_.torque.y() = external.torque.y();
+      const bool carried = load > settings_.carried_load * weight_;
+      if (carried) {
+        place_ground(body, share(settings_.ground_time));
+        learn_slope(body, share(settings_.slope_time));
+      } else if (!carried && std::abs(clearance) > settings_.leave_height) {
+        estimate_.on_ground = false;
+        // No ground any more: the lift that there is is all the air's.
+        air_lift_ = possible(lift);
+        set_lift(air_lift_);
+        left_over_ = {external.force - air_.force, external.torque - air_.torque};
+      }
+    }
+    if (estimate_.on_ground != was_on_ground && started_ && time > start_ + 0.1) ++mode_changes_;
+    if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
+    split(external, body.orientation);
+    if (!started_) start_ = time;
+    started_ = true;
+    time_ = time;
+    lift_ = lift;
+    last_ = external;
+    return estimate_;
+  }
+
+  [[nodiscard]] const ContactEstimate& estimate() const noexcept { return estimate_; }
+  /// Changes of mode later than a tenth of a second after the first update: by then the observer
+  /// knows the load.
+  [[nodiscard]] int mode_changes() const noexcept { return mode_changes_; }
+  [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
+
+ private:
+  // Lift of the air, of a vehicle heavier or lighter than believed, of rotors weaker or stronger.
+  // Less is missing than what counts as carried: no error hides that the vehicle has left.
+  [[nodiscard]] double possible(double lift) const noexcept {
+    return std::clamp(lift, -0.9 * settings_.carried_load * weight_, 0.5 * weight_);
+  }
+
+  [[nodiscard]] bool is_credible(const BodyState<>& body, const Wrench<>& external) const noexcept {
+    constexpr double most = 1e6;  // in comparisons that NaN does not pass
+    const double largest = 10.0 * weight_;
+    return is_finite(body) && body.orientation.norm() <= most && body.position.norm() <= most &&
+           body.velocity.norm() <= most && external.force.norm() <= largest &&
+           external.torque.norm() <= largest;
+  }
+
+  static Eigen::Vector3d kept(const Eigen::Vector3d& bandwidth, double dt) noexcept {
+    return bandwidth.unaryExpr([dt](double k) { return std::exp(-k * dt); });
+  }
+
+  // The mean input of the first-order filters between the last output and this one.
+  [[nodiscard]] Wrench<> unfiltered(const Wrench<>& external,
+                                    const Eigen::Vector3d& force_bandwidth,
+                                    const Eigen::Vector3d& torque_bandwidth,
+                                    double dt) const noexcept {
+    if (!(dt > 0.0) || dt > 0.5) return external;
+    const auto undone = [dt](const Eigen::Vector3d& now, const Eigen::Vector3d& before,
+                             const Eigen::Vector3d& bandwidth) {
+      const Eigen::Array3d e = kept(bandwidth, dt).array();
+      return Eigen::Vector3d((now.array() - e * before.array()) / (1.0 - e).max(1e-3));
+    };
+    return {undone(external.force, last_.force, force_bandwidth),
+            undone(external.torque, last_.torque, torque_bandwidth)};
+  }
+
+  static void fade(Wrench<>& w, const Eigen::Vector3d& force_bandwidth,
+                   const Eigen::Vector3d& torque_bandwidth, double dt) noexcept {
+    w.force = w.force.cwiseProduct(kept(force_bandwidth, dt));
+    w.torque = w.torque.cwiseProduct(kept(torque_bandwidth, dt));
+  }
+
+  void keep(const Wrench<>& disturbance, double share) noexcept {
+    air_.force += share * (disturbance.force - air_.force);
+    air_.torque += share * (disturbance.torque - air_.torque);
+  }
+
+  void place_ground(const BodyState<>& body, double share) noexcept {
+    GroundPlane& ground = estimate_.ground;
+    constexpr double largest_step = 0.05;  // [m], of the height that is averaged
+    if (!std::isfinite(ground.height)) ground.height = 0.0;
+    const double off = body.position.z() - wheel_radius_ - ground.height_at(body.position);
+    ground.height += share == 1.0 ? off : share * std::clamp(off, -largest_step, largest_step);
+  }
+
+  void forget_slope() noexcept { estimate_.ground.slope.setZero(); }
+
+  // Turns the plane about the point under the vehicle.
+  void learn_slope(const BodyState<>& body, double share) noexcept {
+    GroundPlane& ground = estimate_.ground;
+    Eigen::Vector2d slope = ground.slope;
+    const auto learn = [&](const Eigen::Vector3d& line) {  // that lies in the plane
+      const Eigen::Vector2d level = line.head<2>();
+      slope += share * level * (line.z() - slope.dot(level)) / level.squaredNorm();
+    };
+    learn(body.orientation * Eigen::Vector3d::UnitY());
+    if (body.velocity.head<2>().norm() > 0.3) learn(body.velocity);
+    if (!(slope.norm() < settings_.max_slope)) return;
+    ground.height += (ground.slope - slope).dot(body.position.head<2>());
+    ground.slope = slope;
+  }
+
+  void split(const Wrench<>& external, const Eigen::Quaterniond& orientation) noexcept {
+    if (!estimate_.on_ground) {
+      estimate_.rolling = estimate_.ground_reaction = {};
+      return;
+    }
+    Eigen::Vector3d along = orientation * external.force;
+    along.z() = 0.0;
+    estimate_.rolling = {orientation.conjugate() * along, external.torque};
+    estimate_.rolling.torque.x() = 0.0;
+    const Eigen::Vector3d air = orientation * air_.force, all = orientation * external.force;
+    estimate_.ground_reaction.force =
+        orientation.conjugate() * Eigen::Vector3d(0.0, 0.0, all.z() - air.z());
+    estimate_.ground_reaction.torque = {external.torque.x() - air_.torque.x(), 0.0, 0.0};
+  }
+
+  ContactEstimatorSettings settings_;
+  double weight_, wheel_radius_;
+  ContactEstimate estimate_;
+  Wrench<> air_;        // what acts in the air, averaged; kept on the ground
+  Wrench<> left_over_;  // of the ground, in the observer's output
+  Wrench<> last_;       // of the observer
+  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, start_ = 0.0;
+  int mode_changes_ = 0;
+  bool started_ = false;
+};
+
+}  // namespace tilt_ropter

@@ -1,0 +1,242 @@
+#include <tilt_ropter/estimation/contact_estimator.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+namespace tilt_ropter {
+namespace {
+
+const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
+const WheelParameters wheels{0.11, 0.2};
+constexpr double weight = 2.0 * gravity, infinity = std::numeric_limits<double>::infinity();
+const Wrench<> breeze{Eigen::Vector3d(0.4, 0.2, 0.0), Eigen::Vector3d(0.01, 0.02, 0.03)};
+
+// Feeds true wrenches, as an observer with bandwidth K shows them, at 100 Hz.
+class Feed {
+ public:
+  explicit Feed(const ContactEstimatorSettings& settings = {}) : contact(body, wheels, settings) {}
+
+  const ContactEstimate& operator()(double height, const Wrench<>& truth, double duration = 0.01) {
+    state.position.z() = height;
+    return stay(truth, duration);
+  }
+  const ContactEstimate& stay(const Wrench<>& truth, double duration = 0.01) {
+    for (double t = 0.0; t < duration - 1e-9; t += 0.01) {
+      time += 0.01;
+      state.position += 0.01 * state.velocity;
+      const double passed = -std::expm1(-0.01 * bandwidth);
+      shown.force += passed * (truth.force - shown.force);
+      shown.torque += passed * (truth.torque - shown.torque);
+      contact.update(time, state, shown, Eigen::Vector3d::Constant(bandwidth),
+                     Eigen::Vector3d::Constant(bandwidth));
+    }
+    return contact.estimate();
+  }
+
+  ContactEstimator contact;
+  BodyState<> state;
+  Wrench<> shown;
+  double time = 0.0, bandwidth = 5.0;
+};
+
+Wrench<> with_lift(double lift, Wrench<> wrench = {}) {
+  wrench.force.z() += lift;
+  return wrench;
+}
+
+// In the air at a height, with nothing but `air` acting.
+Feed flying(double height, const Wrench<>& air = {}) {
+  Feed feed;
+  feed(height, air, 5.0);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  return feed;
+}
+
+TEST(ContactEstimator, ALoadIsGroundWhereverItIs) {
+  for (const double ground : {-0.5, 0.0, 0.3, 7.0}) {
+    Feed feed = flying(ground + 0.2);
+    feed(ground + 0.11, with_lift(0.9 * weight), 0.1);
+    const ContactEstimate& e = feed.contact.estimate();
+    EXPECT_TRUE(e.on_ground) << ground;
+    EXPECT_TRUE(e.ground_known);
+    EXPECT_NEAR(e.ground.height, ground, 1e-9);
+    EXPECT_EQ(feed.contact.mode_changes(), 1);
+  }
+}
+
+TEST(ContactEstimator, HeightAloneIsNoGround) {
+  Feed feed = flying(0.3);
+  feed(0.11, {}, 1.0);  // where the ground should be, and nothing carries
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  feed(0.05, {}, 1.0);  // it is not there
+  EXPECT_EQ(feed.contact.estimate().ground.height, -infinity);
+  feed(-0.4, with_lift(0.5 * weight), 0.2);
+  EXPECT_TRUE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed.contact.estimate().ground.height, -0.51, 1e-9);
+}
+
+TEST(ContactEstimator, AtTheStartItStandsWhereTheGroundIsTakenToBe) {
+  Feed feed;
+  EXPECT_TRUE(feed(0.11, {}).on_ground);
+  EXPECT_EQ(feed.contact.mode_changes(), 0);
+  Feed moving;
+  moving.state.velocity.x() = 1.0;
+  EXPECT_FALSE(moving(0.11, {}).on_ground);
+  ContactEstimatorSettings nothing;
+  nothing.assumed_ground.height = -infinity;
+  Feed nowhere(nothing);
+  EXPECT_FALSE(nowhere(0.11, {}).on_ground);
+}
+
+TEST(ContactEstimator, GustsAreNoGround) {
+  Feed feed = flying(1.0);
+  feed(1.0, with_lift(0.25 * weight), 0.5);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  feed.state.velocity.z() = 0.5;  // a strong one lifts
+  feed.stay(with_lift(0.6 * weight), 0.5);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  EXPECT_EQ(feed.contact.mode_changes(), 0);
+}
+
+TEST(ContactEstimator, NearTheGroundASmallerLoadIsEnough) {
+  Feed feed = flying(1.0);
+  feed(0.13, {}, 1.0);
+  feed(0.13, with_lift(0.15 * weight), 0.3);
+  EXPECT_TRUE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed.contact.estimate().ground.height, 0.02, 1e-9);
+}
+
+TEST(ContactEstimator, SplitsTheWrenchIntoTheGroundsAndTheRest) {
+  Feed feed = flying(0.3, breeze);
+  const Wrench<> on_it{Eigen::Vector3d(-0.3, 0.1, weight), Eigen::Vector3d(0.2, 0.05, -0.1)};
+  feed(0.11, on_it, 5.0);
+  const ContactEstimate& e = feed.contact.estimate();
+  EXPECT_LT((e.rolling.force - Eigen::Vector3d(-0.3, 0.1, 0.0)).norm(), 1e-6);
+  EXPECT_LT((e.rolling.torque - Eigen::Vector3d(0.0, 0.05, -0.1)).norm(), 1e-6);
+  EXPECT_NEAR(e.ground_reaction.force.z(), weight, 1e-6);
+  EXPECT_NEAR(e.ground_reaction.torque.x(), 0.2 - 0.01, 1e-3);
+  // What the air did stays known, but for the pitch torque, which the ground cannot give.
+  EXPECT_NEAR(e.disturbance.force.x(), 0.4, 1e-3);
+  EXPECT_NEAR(e.disturbance.torque.x(), 0.01, 1e-3);
+  EXPECT_NEAR(e.disturbance.torque.y(), 0.05, 1e-6);
+  EXPECT_NEAR(e.disturbance.force.z(), 0.0, 1e-9);
+}
+
+TEST(ContactEstimator, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
+  Feed feed = flying(0.3);
+  feed.state.orientation = Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY());
+  const Eigen::Matrix3d to_body = feed.state.orientation.conjugate().toRotationMatrix();
+  feed(0.11, {to_body * Eigen::Vector3d(0.3, 0.0, weight), Eigen::Vector3d::Zero()}, 5.0);
+  const ContactEstimate& e = feed.contact.estimate();
+  EXPECT_LT((e.rolling.force - to_body * Eigen::Vector3d(0.3, 0.0, 0.0)).norm(), 1e-6);
+}
+
+TEST(ContactEstimator, LiftThatIsMissingOnTheGroundIsMissingInTheAir) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);
+  // Thrust rises to 15 % more than the weight believed, and the vehicle still stands.
+  for (double thrust = 0.0; thrust < 1.15; thrust += 0.02)
+    feed(0.11, with_lift((1.0 - thrust) * weight));
+  feed(0.11, with_lift(-0.15 * weight), 0.2);
+  EXPECT_TRUE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed.contact.estimate().disturbance.force.z(), -0.15 * weight, 0.01 * weight);
+}
+
+TEST(ContactEstimator, AfterTakeOffWhatTheGroundDidIsGoneAtOnce) {
+  Feed feed;
+  feed(0.11, with_lift(weight, breeze), 1.0);
+  const double air_lift = -0.1 * weight;
+  for (int i = 0; i < 20; ++i)  // within 0.2 s, faster than the observer
+    feed(0.11, with_lift(weight + (air_lift - weight) * i / 20.0, breeze));
+  feed.state.velocity.z() = 0.3;
+  feed.stay(with_lift(air_lift, breeze), 0.12);
+  const ContactEstimate& e = feed.contact.estimate();
+  ASSERT_FALSE(e.on_ground);
+  EXPECT_GT(feed.shown.force.z(), 0.1 * weight);  // what the observer shows
+  EXPECT_NEAR(e.disturbance.force.z(), air_lift, 0.02 * weight);
+  feed.stay(with_lift(air_lift, breeze), 2.0);
+  EXPECT_NEAR(e.disturbance.force.z(), air_lift, 1e-3 * weight);
+  EXPECT_NEAR(e.disturbance.force.x(), breeze.force.x(), 1e-3);
+  EXPECT_EQ(feed.contact.mode_changes(), 1);
+}
+
+TEST(ContactEstimator, AVehicleMuchLighterThanBelievedLeavesTheGround) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);
+  feed(0.11, with_lift(0.25 * weight), 0.5);
+  feed.state.velocity.z() = 0.3;  // on the thrust that carries it, an apparent lift of a quarter
+  feed.stay(with_lift(0.25 * weight), 0.2);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed.contact.estimate().disturbance.force.z(), 0.25 * weight, 0.02 * weight);
+}
+
+TEST(ContactEstimator, FollowsAnEstimateOfTheHeightThatJumpsOrDrifts) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);
+  feed(0.21, with_lift(weight), 1.0);
+  EXPECT_TRUE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed.contact.estimate().ground.height, 0.10, 1e-4);
+  for (int i = 0; i < 1000; ++i) feed(0.21 - 1e-4 * i, with_lift(weight));
+  EXPECT_NEAR(feed.contact.estimate().ground.height, 0.0, 2e-3);
+  EXPECT_EQ(feed.contact.mode_changes(), 0);
+}
+
+TEST(ContactEstimator, LearnsTheSlopeFromTheAxleAndFromTheWay) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);
+  feed.state.orientation = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitX());
+  feed.state.velocity << 1.0, 0.0, -0.15;
+  feed.stay(with_lift(weight), 3.0);
+  const GroundPlane& ground = feed.contact.estimate().ground;
+  EXPECT_NEAR(ground.slope.x(), -0.15, 1e-3);
+  EXPECT_NEAR(ground.slope.y(), std::tan(0.1), 1e-3);
+  EXPECT_NEAR(ground.height_at(feed.state.position) + 0.11, feed.state.position.z(), 1e-3);
+  EXPECT_EQ(feed.contact.mode_changes(), 0);
+}
+
+TEST(ContactEstimator, WhatIsNotFiniteOrOutOfOrderChangesNothing) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 0.5);
+  const ContactEstimate before = feed.contact.estimate();
+  const double nan = std::nan("");
+  const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
+  BodyState<> lost = feed.state;
+  lost.position.z() = nan;
+  feed.contact.update(feed.time + 0.01, lost, feed.shown, k, k);
+  feed.contact.update(feed.time + 0.01, feed.state, {k * nan, k}, k, k);
+  feed.contact.update(nan, feed.state, feed.shown, k, k);
+  lost.position.z() = 3.0;
+  feed.contact.update(feed.time, lost, feed.shown, k, k);
+  feed.contact.update(feed.time - 1.0, lost, feed.shown, k, k);
+  const ContactEstimate& after = feed.contact.estimate();
+  EXPECT_EQ(after.on_ground, before.on_ground);
+  EXPECT_EQ(after.ground.height, before.ground.height);
+  EXPECT_EQ(after.disturbance.force, before.disturbance.force);
+  EXPECT_TRUE(is_finite(after));
+}
+
+TEST(ContactEstimator, SettingsOutOfRangeAreRefused) {
+  const auto refused = [](void (*spoil)(ContactEstimatorSettings&)) {
+    ContactEstimatorSettings s;
+    spoil(s);
+    EXPECT_THROW(ContactEstimator(body, wheels, s), std::invalid_argument);
+  };
+  refused([](ContactEstimatorSettings& s) { s.near_load = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.far_load = 0.01; });
+  refused([](ContactEstimatorSettings& s) { s.carried_load = -1.0; });
+  refused([](ContactEstimatorSettings& s) { s.leave_height = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.load_time = std::nan(""); });
+  refused([](ContactEstimatorSettings& s) { s.air_time = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.ground_time = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.slope_time = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.max_slope = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.assumed_ground.height = infinity; });
+  EXPECT_THROW(ContactEstimator(body, WheelParameters{0.0, 0.2}), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
