@@ -32,6 +32,8 @@ template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sample) {
   applied_ = {rotor_speeds_, actuators_.update(time, command_).tilt_angle};
   ekf_.on_imu(time, sample);
+  rate_sum_ += sample.angular_velocity;
+  ++rates_;
   const InertialState<>& x = ekf_.filter().state();
   observer_.update(
       time, {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
@@ -53,7 +55,11 @@ template <int Rotors>
 const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
   if (!started_) return command_;
-  result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.state()) : nmpc_.hold(time);
+  BodyState<> state = ekf_.state();
+  if (rates_ > 0) state.angular_velocity = rate_sum_ / rates_ - ekf_.filter().state().gyro_bias;
+  rate_sum_.setZero();
+  rates_ = 0;
+  result_ = ekf_.running() ? nmpc_.feedback(time, state) : nmpc_.hold(time);
   command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
   actuators_.update(time, command_);  // acts from now on
   return command_;

@@ -73,6 +73,9 @@ class FlightController {
   tilt_ropter::NmpcResult result_;
   tilt_ropter::ActuatorState<Rotors> command_, applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
+  // Since the last tick: a single sample of a gyroscope that vibrates with the rotors is aliased.
+  Eigen::Vector3d rate_sum_ = Eigen::Vector3d::Zero();
+  int rates_ = 0;
   bool started_ = false;
 };
 

@@ -168,7 +168,6 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   const Reference reference = [&mission](double time) { return mission(time); };
   NmpcSettings settings = examples::in_simulated_time(file.settings());
   settings.actuator_rows = !options.no_actuator_rows;
-  settings.ground.planned_height = 0.0;
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))

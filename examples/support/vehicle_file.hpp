@@ -53,6 +53,7 @@ struct VehicleFile {
     auto s = std::visit(
         [this](const auto& v) { return tilt_ropter::nmpc_settings(v, allowed_errors); }, vehicle);
     s.problem.bounds = limits;
+    s.ground.planned_height = 0.0;  // as the missions have it
     return s;
   }
 };

@@ -53,13 +53,19 @@ TEST(AxleContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
   for (const double ground : {-0.5, 0.0, 0.5}) {
     const ContactEstimate contact = standing_at(ground);
     for (const double above : {-5.0, -0.05, 0.0, 0.01})
-      EXPECT_TRUE(axle.is_ground_reference(contact, at_height(ground + 0.11 + above))) << above;
-    EXPECT_FALSE(axle.is_ground_reference(contact, at_height(ground + 0.11 + 0.02)));
-    // One that takes off is not held back for the tolerance.
-    EXPECT_FALSE(axle.is_ground_reference(contact, at_height(ground + 0.112, 0.1)));
-    EXPECT_TRUE(axle.is_ground_reference(contact, at_height(ground + 0.112, -0.1)));
+      EXPECT_TRUE(axle.is_ground_reference(contact, Eigen::Vector3d::Zero(),
+                                           at_height(ground + 0.11 + above)))
+          << above;
+    EXPECT_FALSE(axle.is_ground_reference(contact, Eigen::Vector3d::Zero(),
+                                          at_height(ground + 0.11 + 0.04)));
+    // One that takes off or lands is followed for all of its way.
+    EXPECT_FALSE(
+        axle.is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(ground + 0.112, 0.1)));
+    EXPECT_TRUE(axle.is_ground_reference(contact, Eigen::Vector3d::Zero(),
+                                         at_height(ground + 0.112, -0.01)));
   }
-  EXPECT_FALSE(axle.is_ground_reference(in_the_air({}), at_height(-100.0)));
+  EXPECT_FALSE(
+      axle.is_ground_reference(in_the_air({}), Eigen::Vector3d::Zero(), at_height(-100.0)));
 }
 
 TEST(AxleContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
@@ -67,21 +73,25 @@ TEST(AxleContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
   contact.ground.slope << 0.1, 0.0;
   ReferencePoint point = at_height(0.11);
   point.position.x() = 2.0;  // 20 cm below the ground
-  EXPECT_TRUE(axle_with().is_ground_reference(contact, point));
+  EXPECT_TRUE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
   point.velocity.x() = 1.0;
   const WheeledFlightNode node = node_of(contact, point);
   EXPECT_DOUBLE_EQ(node.reference.position.z(), 0.31);
   EXPECT_DOUBLE_EQ(node.reference.velocity.z(), 0.1);
+  // Where it falls away, the ground under the vehicle counts.
   point.position.x() = -2.0;
-  EXPECT_FALSE(axle_with().is_ground_reference(contact, point));
+  EXPECT_TRUE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
+  point.position.z() += 0.05;
+  EXPECT_FALSE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
 }
 
 TEST(AxleContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
   GroundContactSettings settings;
   settings.planned_height = 0.0;
   const ContactEstimate contact = standing_at(-0.5);
-  EXPECT_TRUE(axle_with(settings).is_ground_reference(contact, at_height(0.11)));
-  EXPECT_FALSE(axle_with().is_ground_reference(contact, at_height(0.11)));
+  EXPECT_TRUE(
+      axle_with(settings).is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(0.11)));
+  EXPECT_FALSE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(0.11)));
   EXPECT_DOUBLE_EQ(node_of(contact, at_height(0.11), -0.39, 0.0, settings).reference.position.z(),
                    -0.39);
 }

@@ -21,9 +21,9 @@ namespace tilt_ropter {
 
 /// Which references are on the ground, how it is reached, and what thrust is kept there.
 struct GroundContactSettings {
-  /// A reference that does not rise and is lower than this above the height at which the CoM stands
-  /// is on the ground; one that rises, lower than a millimetre [m].
-  double reference_tolerance = 0.015;
+  /// A reference that neither takes off nor lands is on the ground if it is lower than this above
+  /// the height at which the CoM stands; one that does, if it is lower than a millimetre [m].
+  double reference_tolerance = 0.03;
   /// Height of the ground that references were planned for: what is on the ground there counts as
   /// such where the ground turns out to be lower, too. -infinity: the ground's estimate alone [m].
   double planned_height = -std::numeric_limits<double>::infinity();
@@ -95,19 +95,24 @@ class AxleContact {
     validate(settings);
   }
 
-  /// True if a vehicle at `point` is meant to be on the ground of `contact`.
+  /// True if `point` means the ground of `contact` to a vehicle at `position` (world frame): the
+  /// ground there or, where it falls away from a level reference, under the vehicle.
   [[nodiscard]] bool is_ground_reference(const ContactEstimate& contact,
+                                         const Eigen::Vector3d& position,
                                          const ReferencePoint& point) const noexcept {
-    const double above = point.position.z() - wheel_radius_ - expected(contact, point.position);
-    const double rising = point.velocity.z() - contact.ground.slope.dot(point.velocity.head<2>());
-    return above < (rising > 1e-3 ? 1e-3 : settings_.reference_tolerance);
+    const double above = point.position.z() - wheel_radius_ -
+                         std::max(expected(contact, point.position), expected(contact, position));
+    const double rising =
+        point.velocity.z() - std::max(0.0, contact.ground.slope.dot(point.velocity.head<2>()));
+    const bool rests = rising < 2e-3 && rising > -0.05;
+    return above < (rests ? settings_.reference_tolerance : 1e-3);
   }
 
   /// Fills all of a node but its reference wrench. Its reference is `point`, `ahead` [s] of the
   /// `measured` state.
   void apply(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
              const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
-    const bool meant = is_ground_reference(contact, point);
+    const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     node.on_ground = contact.on_ground && meant;
     node.freedom = {};

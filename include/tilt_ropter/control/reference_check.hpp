@@ -72,7 +72,7 @@ template <typename Reference, int Rotors>
   for (long i = 0; i <= samples; ++i) {
     const double time = start + step * static_cast<double>(i);
     const ReferencePoint point = reference(time);
-    const bool on_ground = axle.is_ground_reference(contact, point);
+    const bool on_ground = axle.is_ground_reference(contact, point.position, point);
     const Eigen::Vector3d& w = point.angular_velocity;
     const Wrench<> needed = reference_wrench(point, {}, on_ground);
     Vector6 wrench;

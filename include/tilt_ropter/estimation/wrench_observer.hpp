@@ -18,8 +18,8 @@ namespace tilt_ropter {
 
 /// Vectors are by body axis. Dead band and limit shape what external() returns, not the filter.
 struct WrenchObserverSettings {
-  Eigen::Vector3d force_bandwidth{5.0, 5.0, 5.0};              ///< K_f [1/s]
-  Eigen::Vector3d torque_bandwidth{5.0, 5.0, 5.0};             ///< K_m [1/s]
+  Eigen::Vector3d force_bandwidth{15.0, 15.0, 15.0};           ///< K_f [1/s]
+  Eigen::Vector3d torque_bandwidth{15.0, 15.0, 15.0};          ///< K_m [1/s]
   Eigen::Vector3d force_dead_band = Eigen::Vector3d::Zero();   ///< taken off the size [N]
   Eigen::Vector3d torque_dead_band = Eigen::Vector3d::Zero();  ///< taken off the size [N m]
   Eigen::Vector3d force_limit = Eigen::Vector3d::Constant(
