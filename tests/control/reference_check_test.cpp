@@ -64,6 +64,31 @@ TEST(CheckReference, SaysWhichBoundWhenAndByHowMuch) {
   EXPECT_NEAR(violations[0].allowed, 1.0, 1e-12);
 }
 
+TEST(CheckReference, SeesStepsThatNoVehicleFollows) {
+  const auto jump = [](double t) {
+    ReferencePoint point;
+    point.position << (t < 1.0 ? 0.0 : 8.0), 0.0, 1.5;
+    return point;
+  };
+  const auto spin = [](double t) {
+    ReferencePoint point;
+    point.position.z() = 1.5;
+    point.orientation = quaternion_from_yaw(t < 1.0 ? 0.0 : pi);
+    return point;
+  };
+  const auto jumps = check_reference(jump, 0.0, 2.0, vehicle),
+             spins = check_reference(spin, 0.0, 2.0, vehicle);
+  ASSERT_EQ(jumps.size(), 1u);
+  EXPECT_STREQ(jumps[0].bound, "position");
+  EXPECT_EQ(jumps[0].axis, 0);
+  EXPECT_NEAR(jumps[0].time, 1.0, 0.011);
+  EXPECT_NEAR(jumps[0].required, 8.0, 1e-12);
+  ASSERT_EQ(spins.size(), 1u);
+  EXPECT_STREQ(spins[0].bound, "orientation");
+  EXPECT_EQ(spins[0].axis, 2);
+  EXPECT_NEAR(std::abs(spins[0].required), pi, 1e-9);
+}
+
 TEST(CheckReference, SeesRates) {
   NmpcSettings settings;
   settings.problem.bounds.force_rate.x() = 1.2;  // needed: 1.5 N/s cos(t)

@@ -24,7 +24,7 @@ enum class AllocationStatus {
   null_space_used,  ///< the wanted wrench, by other thrusts that are within limits
   angle_held,       ///< but for rotors of almost no thrust; lost is at most 2 h for each
   limited,          ///< out of reach; force or torque were scaled
-  rejected          ///< an input is not finite: the command repeats the last one, lost is zero
+  rejected          ///< the wrench is not finite: the command repeats the last one, lost is zero
 };
 
 /// What Allocation does beyond the inverse of the matrix.
@@ -227,15 +227,17 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
 
 template <int Rotors, typename Scalar>
 AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
-    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept {
+    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& told) const noexcept {
   AllocationResult<Rotors, Scalar> result;
-  const bool usable =
-      is_finite(wanted) && all_finite(last.rotor_speed) && all_finite(last.tilt_angle);
-  if (!usable) {
-    result.command = within_limits(last);
+  if (!is_finite(wanted)) {
+    result.command = within_limits(told);
     result.achieved = wrench(result.command);
     return result;
   }
+  // Speeds play no part; an angle that is not known is one like any other.
+  ActuatorState<Rotors, Scalar> last = told;
+  for (int i = 0; i < Rotors; ++i)
+    if (!std::isfinite(last.tilt_angle(i))) last.tilt_angle(i) = Scalar(0);
   Point x;
   result.status = thrusts_within_limits(wanted, last, x);
   for (int i = 0; i < Rotors; ++i) {

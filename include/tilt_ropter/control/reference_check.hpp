@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -19,17 +20,20 @@ namespace tilt_ropter {
 
 /// The worst violation of one bound on one axis.
 struct BoundViolation {
-  const char* bound;  ///< "force", "torque", "angular_velocity", "force_rate", "torque_rate"
-  int axis;           ///< 0, 1, 2: body x, y, z
-  double time;        ///< when [s]
-  double required;    ///< what the reference asks for, in the bound's unit
-  double allowed;     ///< the bound that it passes
+  /// "force", "torque", "angular_velocity", "force_rate", "torque_rate"; "position" [m] and
+  /// "orientation" [rad]: a step, which is not what velocity and angular velocity say.
+  const char* bound;
+  int axis;         ///< 0, 1, 2: body x, y, z
+  double time;      ///< when [s]
+  double required;  ///< what the reference asks for, in the bound's unit
+  double allowed;   ///< the bound that it passes
 };
 
 /// Compares the wrench, wrench rate and body rate that follow from a reference by inverse dynamics
 /// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground the
 /// wheels carry weight, side force and roll torque, and the bounds are asked for the rest. Where
-/// the reference leaves the ground or lands, the change of force must fit into the horizon. Returns
+/// the reference leaves the ground or lands, the change of force must fit into the horizon. A step
+/// of position or attitude of more than 2 cm or 0.02 rad is none that a vehicle can follow. Returns
 /// an empty list if all fits. Allocates; throws std::invalid_argument for a vehicle, settings or
 /// times out of range.
 template <typename Reference, int Rotors>
@@ -49,10 +53,12 @@ template <typename Reference, int Rotors>
   const ReferenceWrench<Rotors> reference_wrench(vehicle, settings.ground);
   const ContactEstimate contact;  // flat ground at height zero
   const NmpcBounds& bounds = settings.problem.bounds;
-  static constexpr std::array<const char*, 5> names = {"force", "torque", "angular_velocity",
-                                                       "force_rate", "torque_rate"};
-  std::array<BoundViolation, 15> worst{};
-  std::array<double, 15> excess{};
+  static constexpr std::array<const char*, 7> names = {
+      "force",       "torque",   "angular_velocity", "force_rate",
+      "torque_rate", "position", "orientation"};
+  const Eigen::Vector3d largest_step = Eigen::Vector3d::Constant(0.02);  // [m], [rad]
+  std::array<BoundViolation, 3 * names.size()> worst{};
+  std::array<double, 3 * names.size()> excess{};
   const auto compare = [&](std::size_t bound, double time, const Eigen::Vector3d& required,
                            const Eigen::Vector3d& lower, const Eigen::Vector3d& upper) {
     for (int axis = 0; axis < 3; ++axis) {
@@ -67,6 +73,7 @@ template <typename Reference, int Rotors>
 
   const double horizon = settings.problem.intervals * settings.problem.interval;
   Vector6 last = Vector6::Zero();
+  ReferencePoint last_point;
   bool last_on_ground = false;
   const long samples = std::lround(std::ceil((end - start) / step));
   for (long i = 0; i <= samples; ++i) {
@@ -84,8 +91,16 @@ template <typename Reference, int Rotors>
       const Vector6 rate = (wrench - last) / (on_ground == last_on_ground ? step : horizon);
       compare(3, time, rate.head<3>(), -bounds.force_rate, bounds.force_rate);
       compare(4, time, rate.tail<3>(), -bounds.torque_rate, bounds.torque_rate);
+      const Eigen::Vector3d moved = point.position - last_point.position -
+                                    0.5 * step * (point.velocity + last_point.velocity),
+                            turned = quaternion_log(Eigen::Quaterniond(
+                                         last_point.orientation.conjugate() * point.orientation)) -
+                                     0.5 * step * (w + last_point.angular_velocity);
+      compare(5, time, moved, -largest_step, largest_step);
+      compare(6, time, turned, -largest_step, largest_step);
     }
     last = wrench;
+    last_point = point;
     last_on_ground = on_ground;
   }
 
