@@ -164,7 +164,8 @@ TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
     const Wrench<> external = any(Wrench<>{}, share);
     const ContactEstimate before = contact.estimate();
     now += 0.01;
-    const ContactEstimate& after = contact.update(any(now, share), state, external, k, k);
+    const ContactEstimate& after =
+        contact.update(any(now, share), state, external, k, k, external.force);
     ASSERT_TRUE(is_finite(after));
     if (!is_finite(state) || !is_finite(external)) {
       ++rejected;
@@ -177,7 +178,7 @@ TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
     now += 10.0;  // or the clock has been set
     BodyState<> good = hovering();
     const auto feed = [&](const Wrench<>& shown) {
-      for (int j = 0; j < 300; ++j) contact.update(now += 0.01, good, shown, k, k);
+      for (int j = 0; j < 300; ++j) contact.update(now += 0.01, good, shown, k, k, shown.force);
     };
     good.position.z() = 50.0;  // where no number was
     feed({});

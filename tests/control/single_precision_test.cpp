@@ -81,9 +81,10 @@ class OnBoard {
     if (!ekf_.running()) return cast<double>(acting_);
     const double then = time + period;
     const WrenchObserverSettings& filter = observer_.settings();
-    (void)nmpc_.prepare(then, mission,
-                        contact_.update(time, state(), external(), filter.force_bandwidth,
-                                        filter.torque_bandwidth));
+    (void)nmpc_.prepare(
+        then, mission,
+        contact_.update(time, state(), external(), filter.force_bandwidth, filter.torque_bandwidth,
+                        observer_.unfiltered_force().template cast<double>()));
     Eigen::Matrix<Scalar, 6, 1> rate;
     rate << rate_.force, rate_.torque;
     const State<Scalar> predicted =

@@ -32,7 +32,7 @@ class Feed {
       shown.force += passed * (truth.force - shown.force);
       shown.torque += passed * (truth.torque - shown.torque);
       contact.update(time, state, shown, Eigen::Vector3d::Constant(bandwidth),
-                     Eigen::Vector3d::Constant(bandwidth));
+                     Eigen::Vector3d::Constant(bandwidth), truth.force);
     }
     return contact.estimate();
   }
@@ -206,12 +206,12 @@ TEST(ContactEstimator, WhatIsNotFiniteOrOutOfOrderChangesNothing) {
   const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
   BodyState<> lost = feed.state;
   lost.position.z() = nan;
-  feed.contact.update(feed.time + 0.01, lost, feed.shown, k, k);
-  feed.contact.update(feed.time + 0.01, feed.state, {k * nan, k}, k, k);
-  feed.contact.update(nan, feed.state, feed.shown, k, k);
+  feed.contact.update(feed.time + 0.01, lost, feed.shown, k, k, feed.shown.force);
+  feed.contact.update(feed.time + 0.01, feed.state, {k * nan, k}, k, k, k);
+  feed.contact.update(nan, feed.state, feed.shown, k, k, feed.shown.force);
   lost.position.z() = 3.0;
-  feed.contact.update(feed.time, lost, feed.shown, k, k);
-  feed.contact.update(feed.time - 1.0, lost, feed.shown, k, k);
+  feed.contact.update(feed.time, lost, feed.shown, k, k, feed.shown.force);
+  feed.contact.update(feed.time - 1.0, lost, feed.shown, k, k, feed.shown.force);
   const ContactEstimate& after = feed.contact.estimate();
   EXPECT_EQ(after.on_ground, before.on_ground);
   EXPECT_EQ(after.ground.height, before.ground.height);

@@ -91,15 +91,19 @@ class ContactEstimator {
   const ContactEstimate& update(double time, const BodyState<>& body,
                                 const WrenchObserver<>& observer) noexcept {
     return update(time, body, observer.external(), observer.settings().force_bandwidth,
-                  observer.settings().torque_bandwidth);
+                  observer.settings().torque_bandwidth, observer.unfiltered_force());
   }
 
   /// The same with an external wrench (body frame, at the CoM) from elsewhere, filtered to first
-  /// order with these bandwidths [1/s]; infinite for one that is not filtered.
+  /// order with these bandwidths [1/s]; infinite for one that is not filtered. `first` is the force
+  /// without the filter's lag, asked for at the first update only: of a filter that has just begun
+  /// its output says nothing.
   const ContactEstimate& update(double time, const BodyState<>& measured, const Wrench<>& external,
                                 const Eigen::Vector3d& force_bandwidth,
-                                const Eigen::Vector3d& torque_bandwidth) noexcept {
-    if (!std::isfinite(time) || !is_credible(measured, external)) return estimate_;
+                                const Eigen::Vector3d& torque_bandwidth,
+                                const Eigen::Vector3d& first) noexcept {
+    if (!std::isfinite(time) || !is_credible(measured, external) || !all_finite(first))
+      return estimate_;
     BodyState<> body = measured;
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
@@ -114,8 +118,8 @@ class ContactEstimator {
 
     // What the observer's filter has passed since the last call, without its lag.
     const Wrench<> now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
-    const double lift =
-        started_ ? lift_ + share(settings_.load_time) * (lift_of(now) - lift_) : lift_of(external);
+    const double lift = started_ ? lift_ + share(settings_.load_time) * (lift_of(now) - lift_)
+                                 : lift_of({first, Eigen::Vector3d::Zero()});
     const GroundPlane& ground = estimate_.ground;
     const double clearance = body.position.z() - wheel_radius_ - ground.height_at(body.position),
                  rising = body.velocity.z() - ground.slope.dot(body.velocity.head<2>());
@@ -166,10 +170,9 @@ class ContactEstimator {
         left_over_ = {external.force - air_.force, external.torque - air_.torque};
       }
     }
-    if (estimate_.on_ground != was_on_ground && started_ && time > start_ + 0.1) ++mode_changes_;
+    if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
     if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
     split(external, body.orientation);
-    if (!started_) start_ = time;
     started_ = true;
     time_ = time;
     lift_ = lift;
@@ -178,8 +181,7 @@ class ContactEstimator {
   }
 
   [[nodiscard]] const ContactEstimate& estimate() const noexcept { return estimate_; }
-  /// Changes of mode later than a tenth of a second after the first update: by then the observer
-  /// knows the load.
+  /// Changes of mode after the first update.
   [[nodiscard]] int mode_changes() const noexcept { return mode_changes_; }
   [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
 
@@ -274,7 +276,7 @@ class ContactEstimator {
   Wrench<> air_;        // what acts in the air, averaged; kept on the ground
   Wrench<> left_over_;  // of the ground, in the observer's output
   Wrench<> last_;       // of the observer
-  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, start_ = 0.0;
+  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0;
   int mode_changes_ = 0;
   bool started_ = false;
 };

@@ -121,6 +121,7 @@ class WrenchObserver {
       started_ = true;
       time_ = settling_since_ = time;
       angular_velocity_ = angular_velocity;
+      unfiltered_force_ = mass_ * specific_force - applied.force;
       return status;
     }
     if (!(dt > 0.0)) return ObserverStatus::rejected;
@@ -133,6 +134,7 @@ class WrenchObserver {
     if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was next to nothing
     time_ = time;
     angular_velocity_ = angular_velocity;
+    unfiltered_force_ = residual.force;
     filtered_.force += gain(settings_.force_bandwidth, dt)
                            .cwiseProduct(residual.force - offset_.force - filtered_.force);
     filtered_.torque += gain(settings_.torque_bandwidth, dt)
@@ -148,6 +150,11 @@ class WrenchObserver {
 
   /// The filter's state: external() without dead band and limits.
   [[nodiscard]] const Wrench<Scalar>& filtered() const noexcept { return filtered_; }
+
+  /// What the last sample says of the force, noise and all, body frame [N]; known from the first.
+  [[nodiscard]] const Vector3<Scalar>& unfiltered_force() const noexcept {
+    return unfiltered_force_;
+  }
 
   [[nodiscard]] const WrenchObserverSettings& settings() const noexcept { return settings_; }
 
@@ -274,6 +281,7 @@ class WrenchObserver {
   Matrix3<Scalar> inertia_;
   Wrench<Scalar> filtered_, external_, offset_;
   Vector3<Scalar> angular_velocity_ = Vector3<Scalar>::Zero();
+  Vector3<Scalar> unfiltered_force_ = Vector3<Scalar>::Zero();
   double time_ = 0.0, settling_since_ = 0.0, settling_time_;
   bool started_ = false, limited_ = false, calibrating_ = false;
   BlockAverage average_;

@@ -1,0 +1,127 @@
+// Where the world's origin is changes no flight: nothing happens near height zero but where the
+// ground is.
+
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include "support/check_table.hpp"
+#include "support/simulated_time.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+struct Flight {
+  std::vector<Eigen::Vector3d> positions;
+  double rmse = 0.0;
+  int mode_changes = 0;
+  bool on_ground = false;
+};
+
+// Flies `reference` in the plant's world, in which the ground is at height zero, for `duration` [s]
+// on board of a vehicle whose own world has its origin `up` [m] higher.
+template <typename Reference>
+Flight fly(const Reference& reference, double up, double duration, bool from_hover) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  Plant<4> plant(vehicle);
+  const Allocation allocation(vehicle);
+  ActuatorModel<4> actuators(vehicle);
+  WrenchObserver<> observer(vehicle.body);
+  ContactEstimator contact(vehicle);
+  Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
+  ActuatorState<4> command;
+  if (from_hover) {
+    Wrench<> weight;
+    weight.force.z() = vehicle.body.mass * gravity;
+    command = allocation.allocate(weight, {}).command;
+    BodyState<> hovering;
+    hovering.position = reference(0.0).position;
+    plant.reset(hovering, command);
+    actuators.reset(command, 0.0);
+  }
+  const auto on_board = [&](double time) {
+    ReferencePoint point = reference(time);
+    point.position.z() -= up;
+    return point;
+  };
+  const Wrench<> wind{Eigen::Vector3d(0.3, -0.2, 0.1), Eigen::Vector3d::Zero()};
+  Flight flight;
+  double squares = 0.0;
+  const long ticks = std::lround(duration / 0.01);
+  for (long i = 0; i < ticks; ++i) {
+    const double time = plant.time();
+    const ActuatorState<4> applied{plant.actuators().rotor_speed,
+                                   actuators.update(time, command).tilt_angle};
+    observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
+    BodyState<> measured = plant.body();
+    measured.position.z() -= up;
+    contact.update(time, measured, observer);
+    EXPECT_EQ(nmpc.prepare(time, on_board, contact.estimate()), PrepareStatus::prepared);
+    const NmpcResult& result = nmpc.feedback(time, measured);
+    command = allocation.allocate(result.wrench, result.rate, command).command;
+    actuators.update(time, command);
+    for (int j = 0; j < 10; ++j) EXPECT_TRUE(plant.step(command, wind, 1e-3));
+    flight.positions.push_back(plant.body().position);
+    squares += (plant.body().position - reference(plant.time()).position).squaredNorm();
+  }
+  flight.rmse = std::sqrt(squares / static_cast<double>(ticks));
+  flight.mode_changes = contact.mode_changes();
+  flight.on_ground = contact.estimate().on_ground;
+  return flight;
+}
+
+ReferencePoint sway(double time) {
+  ReferencePoint point;
+  const double w = 1.0, a = 0.4;
+  point.position << a * std::sin(w * time), 0.0, 1.5 + a * (1.0 - std::cos(w * time));
+  point.velocity << a * w * std::cos(w * time), 0.0, a * w * std::sin(w * time);
+  point.acceleration << -a * w * w * std::sin(w * time), 0.0, a * w * w * std::cos(w * time);
+  return point;
+}
+
+double largest_difference(const Flight& a, const Flight& b) {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < a.positions.size(); ++i)
+    largest = std::max(largest, (a.positions[i] - b.positions[i]).norm());
+  return largest;
+}
+
+TEST(Origin, AFlightInTheAirDoesNotDependOnIt) {
+  const Flight here = fly(sway, 0.0, 10.0, true);
+  EXPECT_EQ(here.mode_changes, 0);
+  for (const double up : {1.5, 2.0, 3.0, -40.0}) {
+    const Flight there = fly(sway, up, 10.0, true);
+    EXPECT_EQ(there.mode_changes, 0) << up;
+    test_support::check_at_most(24, "RMSE with another origin, differs by [m]",
+                                std::abs(there.rmse - here.rmse), 1e-4);
+    EXPECT_LT(largest_difference(here, there), 1e-3) << up;
+  }
+}
+
+TEST(Origin, AMissionDoesNotDependOnIt) {
+  const Mission mission = hybrid_mission();
+  const auto reference = [&](double time) { return mission(time); };
+  const Flight here = fly(reference, 0.0, mission.duration(), false);
+  EXPECT_EQ(here.mode_changes, 4);
+  EXPECT_TRUE(here.on_ground);
+  for (const double up : {1.5, 3.0}) {
+    const Flight there = fly(reference, up, mission.duration(), false);
+    EXPECT_EQ(there.mode_changes, 4) << up;
+    EXPECT_TRUE(there.on_ground);
+    test_support::check_at_most(24, "RMSE with another origin, differs by [m]",
+                                std::abs(there.rmse - here.rmse), 1e-4);
+  }
+}
+
+}  // namespace
+}  // namespace tilt_ropter
