@@ -124,7 +124,7 @@ void fly(Options& options) {
         upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
         film.on_step(mission);
       },
-      options.mujoco.ground_height);
+      options.mujoco.ground_height != 0.0 || options.mujoco.slope != 0.0);
   film.finish();
   std::cout << "lean_max_deg: " << std::setprecision(2) << std::acos(upright) * 180.0 / pi << '\n'
             << "tipped_over: " << (upright < 0.5) << '\n';

@@ -152,14 +152,14 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 /// Flies the hybrid mission on `plant`, prints its figures and leaves hybrid_mission.csv and
 /// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
 /// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
-/// after every step. `ground_height` [m] is that of the ground, which the mission takes for zero.
+/// after every step. `ground_is_off`: it is not where the mission takes it to be.
 /// Figures are relative to what motion capture says; on the ground they are horizontal where the
 /// height is off. A vehicle without wheels begins in hover. Throws std::runtime_error if the
 /// plant refuses a step.
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
 void fly_mission(const MissionOptions& options, const VehicleFile& file,
                  const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
-                 OnStep&& on_step, double ground_height = 0.0) {
+                 OnStep&& on_step, bool ground_is_off = false) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -197,7 +197,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
     return options.height_offset + options.height_drift * time / mission.duration();
   };
   const bool height_is_off =
-      options.height_offset != 0.0 || options.height_drift != 0.0 || ground_height != 0.0;
+      options.height_offset != 0.0 || options.height_drift != 0.0 || ground_is_off;
   Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);

@@ -130,6 +130,11 @@ class AxleContact {
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
     node.external = contact.rolling;
+    // Downhill is the same way all along the horizon, wherever the vehicle turns.
+    const Eigen::Vector2d downhill =
+        -(mass_ * gravity - settings_.down_force) * contact.ground.slope;
+    node.external.force +=
+        point.orientation.conjugate() * Eigen::Vector3d(downhill.x(), downhill.y(), 0.0);
     node.external.force.y() = mass_ * (point.orientation.conjugate() * point.acceleration).y();
   }
 

@@ -260,13 +260,15 @@ class ContactEstimator {
       estimate_.rolling = estimate_.ground_reaction = {};
       return;
     }
-    Eigen::Vector3d along = orientation * external.force;
+    const Eigen::Vector3d air = orientation * air_.force, all = orientation * external.force;
+    const double normal = all.z() - air.z();
+    const Eigen::Vector2d& slope = estimate_.ground.slope;
+    const Eigen::Vector3d reaction = normal * Eigen::Vector3d(-slope.x(), -slope.y(), 1.0);
+    Eigen::Vector3d along = all - reaction;
     along.z() = 0.0;
     estimate_.rolling = {orientation.conjugate() * along, external.torque};
     estimate_.rolling.torque.x() = 0.0;
-    const Eigen::Vector3d air = orientation * air_.force, all = orientation * external.force;
-    estimate_.ground_reaction.force =
-        orientation.conjugate() * Eigen::Vector3d(0.0, 0.0, all.z() - air.z());
+    estimate_.ground_reaction.force = orientation.conjugate() * reaction;
     estimate_.ground_reaction.torque = {external.torque.x() - air_.torque.x(), 0.0, 0.0};
   }
 

@@ -32,7 +32,8 @@ struct ContactEstimate {
   /// On the ground: what acts along it and turns the vehicle on it, such as wind, rolling and
   /// turning resistance.
   Wrench<> rolling;
-  Wrench<> ground_reaction;  ///< the ground's vertical force and roll torque; zero in the air
+  Wrench<>
+      ground_reaction;  ///< the ground's force along its normal, its roll torque; zero in the air
 };
 
 /// Of a vehicle that is nowhere near the ground.
