@@ -129,7 +129,7 @@ class Px4Node : public rclcpp::Node {
     mode_publisher_->publish(mode);  // PX4 wants to hear this for a while before it lets us
     if (pilot_ != Pilot::this_node) return;
 
-    contact_.update(time, *body_, observer_);
+    if (silence <= max_silence_) contact_.update(time, *body_, observer_);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);

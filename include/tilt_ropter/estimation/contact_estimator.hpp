@@ -12,7 +12,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <optional>
 
 /// Are the wheels on the ground, where is it, and which part of the external wrench is its?
 namespace tilt_ropter {
@@ -109,66 +108,22 @@ class ContactEstimator {
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
     dt = std::max(dt, 0.0);
-    const Eigen::Quaterniond to_body = body.orientation.conjugate();
-    const auto lift_of = [&](const Wrench<>& w) { return (body.orientation * w.force).z(); };
-    const auto set_lift = [&](double newtons) {
-      air_.force += to_body * Eigen::Vector3d(0.0, 0.0, possible(newtons) - lift_of(air_));
-    };
-    const auto share = [dt](double time_constant) { return -std::expm1(-dt / time_constant); };
-
     // What the observer's filter has passed since the last call, without its lag.
     const Wrench<> now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
-    const double lift = started_ ? lift_ + share(settings_.load_time) * (lift_of(now) - lift_)
-                                 : lift_of({first, Eigen::Vector3d::Zero()});
-    const GroundPlane& ground = estimate_.ground;
-    const double clearance = body.position.z() - wheel_radius_ - ground.height_at(body.position),
-                 rising = body.velocity.z() - ground.slope.dot(body.velocity.head<2>());
+    const double lift = started_
+                            ? lift_ + share(dt, settings_.load_time) * (lift_of(now, body) - lift_)
+                            : lift_of({first, Eigen::Vector3d::Zero()}, body);
+    const double clearance =
+        body.position.z() - wheel_radius_ - estimate_.ground.height_at(body.position);
 
     const bool was_on_ground = estimate_.on_ground;
-    double load = lift - lift_of(air_);
-    if (!was_on_ground) {
+    if (was_on_ground) {
+      stay(body, external, lift, clearance, dt);
+    } else {
       fade(left_over_, force_bandwidth, torque_bandwidth, dt);
       estimate_.disturbance = {external.force - left_over_.force,
                                external.torque - left_over_.torque};
-      load = lift - air_lift_;
-      const bool near = std::abs(clearance) < settings_.leave_height;
-      const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
-      if (!started_ && near && body.velocity.norm() < 0.1) {
-        estimate_.on_ground = true;  // it stands where the ground is taken to be
-      } else if (load > enough && rising < 0.1) {
-        estimate_.on_ground = true;
-        if (!near) forget_slope();
-      } else if (load < 0.5 * enough) {
-        keep(estimate_.disturbance, share(settings_.air_time));
-        air_lift_ += share(settings_.air_time) * (lift_of(estimate_.disturbance) - air_lift_);
-        air_lift_ = possible(air_lift_);
-      }
-      if (estimate_.on_ground) {
-        set_lift(air_lift_);
-        load = lift - air_lift_;
-        place_ground(body, 1.0);
-        estimate_.ground_known = true;
-      } else if (!estimate_.ground_known && clearance < -settings_.leave_height) {
-        estimate_.ground.height = -std::numeric_limits<double>::infinity();  // it was not there
-      }
-    } else {
-      // The ground only pushes, and wheels that turn freely do not pitch.
-      if (load < 0.0) {
-        set_lift(lift);
-        load = 0.0;
-      }
-      air_.torque.y() = external.torque.y();
-      const bool carried = load > settings_.carried_load * weight_;
-      if (carried) {
-        place_ground(body, share(settings_.ground_time));
-        learn_slope(body, share(settings_.slope_time));
-      } else if (!carried && std::abs(clearance) > settings_.leave_height) {
-        estimate_.on_ground = false;
-        // No ground any more: the lift that there is is all the air's.
-        air_lift_ = possible(lift);
-        set_lift(air_lift_);
-        left_over_ = {external.force - air_.force, external.torque - air_.torque};
-      }
+      fly(body, lift, clearance, dt);
     }
     if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
     if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
@@ -186,6 +141,62 @@ class ContactEstimator {
   [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
 
  private:
+  // In the air, until a load says otherwise. `clearance` is that of the wheels over the ground.
+  void fly(const BodyState<>& body, double lift, double clearance, double dt) noexcept {
+    const GroundPlane& ground = estimate_.ground;
+    const double load = lift - air_lift_,
+                 rising = body.velocity.z() - ground.slope.dot(body.velocity.head<2>());
+    const bool near = std::abs(clearance) < settings_.leave_height;
+    const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
+    const bool stands = !started_ && near && body.velocity.norm() < 0.1;
+    if (stands || (load > enough && rising < 0.1)) {
+      estimate_.on_ground = estimate_.ground_known = true;
+      if (!near) estimate_.ground.slope.setZero();
+      set_air_lift(air_lift_, body);
+      place_ground(body, 1.0);
+      return;
+    }
+    if (load < 0.5 * enough) {
+      const double part = share(dt, settings_.air_time);
+      air_.force += part * (estimate_.disturbance.force - air_.force);
+      air_.torque += part * (estimate_.disturbance.torque - air_.torque);
+      air_lift_ = possible(air_lift_ + part * (lift_of(estimate_.disturbance, body) - air_lift_));
+    }
+    if (!estimate_.ground_known && clearance < -settings_.leave_height)
+      estimate_.ground.height = -std::numeric_limits<double>::infinity();  // it was not there
+  }
+
+  // On the ground, until the vehicle is neither carried nor where it was.
+  void stay(const BodyState<>& body, const Wrench<>& external, double lift, double clearance,
+            double dt) noexcept {
+    // The ground only pushes, and wheels that turn freely do not pitch.
+    if (lift < lift_of(air_, body)) set_air_lift(lift, body);
+    air_.torque.y() = external.torque.y();
+    if (lift - lift_of(air_, body) > settings_.carried_load * weight_) {
+      place_ground(body, share(dt, settings_.ground_time));
+      learn_slope(body, share(dt, settings_.slope_time));
+    } else if (std::abs(clearance) > settings_.leave_height) {
+      // No ground any more: the lift that there is is all the air's.
+      estimate_.on_ground = false;
+      air_lift_ = possible(lift);
+      set_air_lift(air_lift_, body);
+      left_over_ = {external.force - air_.force, external.torque - air_.torque};
+    }
+  }
+
+  static double share(double dt, double time_constant) noexcept {
+    return -std::expm1(-dt / time_constant);
+  }
+
+  static double lift_of(const Wrench<>& wrench, const BodyState<>& body) noexcept {
+    return (body.orientation * wrench.force).z();
+  }
+
+  void set_air_lift(double lift, const BodyState<>& body) noexcept {
+    air_.force += body.orientation.conjugate() *
+                  Eigen::Vector3d(0.0, 0.0, possible(lift) - lift_of(air_, body));
+  }
+
   // Lift of the air, of a vehicle heavier or lighter than believed, of rotors weaker or stronger.
   // Less is missing than what counts as carried: no error hides that the vehicle has left.
   [[nodiscard]] double possible(double lift) const noexcept {
@@ -225,11 +236,6 @@ class ContactEstimator {
     w.torque = w.torque.cwiseProduct(kept(torque_bandwidth, dt));
   }
 
-  void keep(const Wrench<>& disturbance, double share) noexcept {
-    air_.force += share * (disturbance.force - air_.force);
-    air_.torque += share * (disturbance.torque - air_.torque);
-  }
-
   void place_ground(const BodyState<>& body, double share) noexcept {
     GroundPlane& ground = estimate_.ground;
     constexpr double largest_step = 0.05;  // [m], of the height that is averaged
@@ -237,8 +243,6 @@ class ContactEstimator {
     const double off = body.position.z() - wheel_radius_ - ground.height_at(body.position);
     ground.height += share == 1.0 ? off : share * std::clamp(off, -largest_step, largest_step);
   }
-
-  void forget_slope() noexcept { estimate_.ground.slope.setZero(); }
 
   // Turns the plane about the point under the vehicle.
   void learn_slope(const BodyState<>& body, double share) noexcept {

@@ -32,8 +32,8 @@ struct ContactEstimate {
   /// On the ground: what acts along it and turns the vehicle on it, such as wind, rolling and
   /// turning resistance.
   Wrench<> rolling;
-  Wrench<>
-      ground_reaction;  ///< the ground's force along its normal, its roll torque; zero in the air
+  /// On the ground: its force along its normal and its roll torque; in the air zero.
+  Wrench<> ground_reaction;
 };
 
 /// Of a vehicle that is nowhere near the ground.
