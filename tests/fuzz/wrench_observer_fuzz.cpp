@@ -26,7 +26,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     time += 0.01;
     switch (input.integer(0, 9)) {
       case 0:
-        observer->set_external(input.wrench(10.0, 1.0));
+        observer->reset();
         break;
       case 1:
         observer->set_offset(input.wrench(10.0, 1.0));

@@ -166,19 +166,6 @@ class WrenchObserver {
     return limited_ ? WrenchTrust::limited : WrenchTrust::trusted;
   }
 
-  /// Replaces the estimate, for instance when contact with the ground ends at once: external() is
-  /// this wrench then, as far as the limits allow. Ignored if not finite or beyond 1e6.
-  void set_external(const Wrench<Scalar>& external) noexcept {
-    if (!within(external, 1e6)) return;
-    const auto widened = [](const Vector3<Scalar>& wanted, const Eigen::Vector3d& dead_band) {
-      return Vector3<Scalar>(wanted + wanted.cwiseSign().cwiseProduct(dead_band.cast<Scalar>()));
-    };
-    filtered_ = {widened(external.force, settings_.force_dead_band),
-                 widened(external.torque, settings_.torque_dead_band)};
-    settling_since_ = time_;
-    shape();
-  }
-
   /// Averages the raw residual from the next sample on; begins anew if it was doing so.
   void begin_calibration() noexcept {
     average_ = {};
