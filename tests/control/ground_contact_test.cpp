@@ -111,6 +111,17 @@ TEST(AxleContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
   EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
+TEST(AxleContact, ASlopePullsDownhillWhereverANodeHeads) {
+  ContactEstimate contact = standing_at(0.0);
+  contact.ground.slope << 0.1, 0.0;
+  const double pull = 0.1 * (2.0 * gravity - GroundContactSettings{}.down_force);
+  for (const double yaw : {0.0, 0.5, pi}) {
+    ReferencePoint point = at_height(0.11);
+    point.orientation = quaternion_from_yaw(yaw);
+    EXPECT_NEAR(node_of(contact, point).external.force.x(), 0.3 - std::cos(yaw) * pull, 1e-12);
+  }
+}
+
 TEST(AxleContact, GroundThatIsNotMetIsLookedForSlowly) {
   ContactEstimate contact;  // ground at height zero, taken for granted, and the vehicle in the air
   const double speed = GroundContactSettings{}.settling_speed;

@@ -123,5 +123,49 @@ TEST(Origin, AMissionDoesNotDependOnIt) {
   }
 }
 
+// From a roof down to the street: the reference goes below the ground that was left, and is
+// followed there. The plant's ground is the street; the roof is told by an estimator that has stood
+// on it.
+TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Eigen::Vector3d k = Eigen::Vector3d::Constant(15.0);
+  Plant<4> plant(vehicle);
+  const Allocation allocation(vehicle);
+  ActuatorModel<4> actuators(vehicle);
+  ContactEstimator contact(vehicle);
+  Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
+  Wrench<> weight;
+  weight.force.z() = vehicle.body.mass * gravity;
+  BodyState<> x;
+  x.position.z() = 3.0 + vehicle.wheels.radius;
+  double time = -2.0;
+  for (; time < -1.0; time += 0.01) contact.update(time, x, weight, k, k, weight.force);
+  ASSERT_TRUE(contact.estimate().on_ground);
+  for (; time < -0.5; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
+  x.position.z() = 3.5;
+  for (; time < 0.0; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
+  ASSERT_FALSE(contact.estimate().on_ground);
+
+  ActuatorState<4> command = allocation.allocate(weight, {}).command;
+  plant.reset(x, command);
+  actuators.reset(command, 0.0);
+  const auto street = [](double now) {  // down by 2.5 m in 5 s, there to stay
+    ReferencePoint point;
+    point.position.z() = 3.5 - 0.5 * std::min(now, 5.0);
+    point.velocity.z() = now < 5.0 ? -0.5 : 0.0;
+    return point;
+  };
+  for (int i = 0; i < 1500; ++i) {
+    contact.update(plant.time() + 0.01, plant.body(), {}, k, k, Eigen::Vector3d::Zero());
+    EXPECT_EQ(nmpc.prepare(plant.time(), street, contact.estimate()), PrepareStatus::prepared);
+    const NmpcResult& result = nmpc.feedback(plant.time(), plant.body());
+    command = allocation.allocate(result.wrench, result.rate, command).command;
+    ASSERT_TRUE(plant.step(command, {}, 0.01));
+  }
+  EXPECT_NEAR(plant.body().position.z(), 1.0, 0.01);
+  EXPECT_LT(plant.body().velocity.norm(), 0.01);
+  EXPECT_EQ(plant.normal_forces().sum(), 0.0);
+}
+
 }  // namespace
 }  // namespace tilt_ropter

@@ -185,6 +185,23 @@ TEST(ContactEstimator, FollowsAnEstimateOfTheHeightThatJumpsOrDrifts) {
   EXPECT_EQ(feed.contact.mode_changes(), 0);
 }
 
+TEST(ContactEstimator, GroundThatWasTakenOffFromIsForgottenFarBelowIt) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);  // a roof
+  feed(0.11, {}, 1.0);
+  feed(2.0, {}, 2.0);
+  EXPECT_TRUE(feed.contact.estimate().ground_known);
+  feed(-0.05, {}, 1.0);  // a little lower than it seemed, and not yet met
+  EXPECT_TRUE(feed.contact.estimate().ground_known);
+  EXPECT_NEAR(feed.contact.estimate().ground.height, 0.0, 1e-6);
+  feed(-0.3, {}, 0.1);
+  EXPECT_FALSE(feed.contact.estimate().ground_known);
+  EXPECT_EQ(feed.contact.estimate().ground.height, -infinity);
+  feed(-5.0, with_lift(weight), 0.2);
+  EXPECT_NEAR(feed.contact.estimate().ground.height, -5.11, 1e-9);
+  EXPECT_EQ(feed.contact.mode_changes(), 2);
+}
+
 TEST(ContactEstimator, LearnsTheSlopeFromTheAxleAndFromTheWay) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
@@ -196,6 +213,18 @@ TEST(ContactEstimator, LearnsTheSlopeFromTheAxleAndFromTheWay) {
   EXPECT_NEAR(ground.slope.y(), std::tan(0.1), 1e-3);
   EXPECT_NEAR(ground.height_at(feed.state.position) + 0.11, feed.state.position.z(), 1e-3);
   EXPECT_EQ(feed.contact.mode_changes(), 0);
+}
+
+// A slope pushes downhill, which is the ground's doing; what is left is what resists the wheels.
+TEST(ContactEstimator, TheSlopesPullIsTheGrounds) {
+  Feed feed;
+  feed(0.11, with_lift(weight), 1.0);
+  feed.state.velocity << 1.0, 0.0, 0.1;
+  const Wrench<> pushed{Eigen::Vector3d(-0.1 * weight - 0.3, 0.0, weight), Eigen::Vector3d::Zero()};
+  feed.stay(pushed, 5.0);
+  const ContactEstimate& e = feed.contact.estimate();
+  EXPECT_LT((e.ground_reaction.force - Eigen::Vector3d(-0.1 * weight, 0.0, weight)).norm(), 1e-3);
+  EXPECT_LT((e.rolling.force - Eigen::Vector3d(-0.3, 0.0, 0.0)).norm(), 1e-3);
 }
 
 TEST(ContactEstimator, WhatIsNotFiniteOrOutOfOrderChangesNothing) {
@@ -229,6 +258,7 @@ TEST(ContactEstimator, SettingsOutOfRangeAreRefused) {
   refused([](ContactEstimatorSettings& s) { s.far_load = 0.01; });
   refused([](ContactEstimatorSettings& s) { s.carried_load = -1.0; });
   refused([](ContactEstimatorSettings& s) { s.leave_height = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.search_depth = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.load_time = std::nan(""); });
   refused([](ContactEstimatorSettings& s) { s.air_time = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.ground_time = 0.0; });

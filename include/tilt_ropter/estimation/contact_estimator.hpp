@@ -27,11 +27,14 @@ struct ContactEstimatorSettings {
   /// than believed.
   double carried_load = 0.40;
   double leave_height = 0.030;  ///< above the ground and not carried: in the air [m]
-  double load_time = 0.02;      ///< over which the load is averaged [s]
-  double air_time = 0.5;        ///< over which what acts in the air is averaged, to be kept [s]
-  double ground_time = 0.1;     ///< over which the ground's height is averaged [s]
-  double slope_time = 0.4;      ///< over which the ground's slope is averaged [s]
-  double max_slope = 0.5;       ///< of the ground, steeper is not believed
+  /// In the air so far below where the wheels last stood, as after a table's edge, the ground is
+  /// forgotten; until then it may only be lower than it was thought to be [m].
+  double search_depth = 0.25;
+  double load_time = 0.02;   ///< over which the load is averaged [s]
+  double air_time = 0.5;     ///< over which what acts in the air is averaged, to be kept [s]
+  double ground_time = 0.1;  ///< over which the ground's height is averaged [s]
+  double slope_time = 0.4;   ///< over which the ground's slope is averaged [s]
+  double max_slope = 0.5;    ///< of the ground, steeper is not believed
   /// Where the ground is taken to be until the vehicle has stood on it or flown below it; height
   /// -infinity: nothing is assumed.
   GroundPlane assumed_ground;
@@ -43,6 +46,7 @@ inline void validate(const ContactEstimatorSettings& s) {
           "ContactEstimatorSettings.far_load", s.far_load, "finite and >= near_load");
   require_positive("ContactEstimatorSettings.carried_load", s.carried_load);
   require_positive("ContactEstimatorSettings.leave_height [m]", s.leave_height);
+  require_positive("ContactEstimatorSettings.search_depth [m]", s.search_depth);
   require_positive("ContactEstimatorSettings.load_time [s]", s.load_time);
   require_positive("ContactEstimatorSettings.air_time [s]", s.air_time);
   require_positive("ContactEstimatorSettings.ground_time [s]", s.ground_time);
@@ -162,8 +166,11 @@ class ContactEstimator {
       air_.torque += part * (estimate_.disturbance.torque - air_.torque);
       air_lift_ = possible(air_lift_ + part * (lift_of(estimate_.disturbance, body) - air_lift_));
     }
-    if (!estimate_.ground_known && clearance < -settings_.leave_height)
-      estimate_.ground.height = -std::numeric_limits<double>::infinity();  // it was not there
+    const double depth = estimate_.ground_known ? settings_.search_depth : settings_.leave_height;
+    if (clearance < -depth) {  // it is not there
+      estimate_.ground = {-std::numeric_limits<double>::infinity(), Eigen::Vector2d::Zero()};
+      estimate_.ground_known = false;
+    }
   }
 
   // On the ground, until the vehicle is neither carried nor where it was.
