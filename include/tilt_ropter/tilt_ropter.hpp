@@ -13,9 +13,12 @@
 #include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/ground_contact_settings.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>

@@ -1,4 +1,5 @@
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
 
 #include <gtest/gtest.h>
 

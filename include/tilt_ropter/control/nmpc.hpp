@@ -3,6 +3,7 @@
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>

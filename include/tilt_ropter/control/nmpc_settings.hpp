@@ -1,8 +1,8 @@
 #pragma once
 
 #include <tilt_ropter/control/actuator_rows.hpp>
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/ground_contact_settings.hpp>
+#include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

@@ -1,0 +1,84 @@
+#pragma once
+
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+
+/// The wrench that a reference needs, in the air and on the ground.
+namespace tilt_ropter {
+
+/// The vertical thrust to ask for on the ground: down_force, and more where a torque takes thrust
+/// from a rotor, so that each keeps pushing upward. A CoM off the axle pitches the vehicle all the
+/// time, and with little thrust to share the front rotor or the rear one would have to push
+/// downward, at the end of its servo's range: from one end to the other is a whole turn, on the way
+/// of which it pushes anywhere, and the vehicle tips.
+///
+/// A rotor from which the torque takes t keeps min(2 t, rotor_thrust) at least, unless that takes
+/// more than half the weight off the wheels.
+template <int Rotors>
+class GroundThrust {
+ public:
+  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
+  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
+    const auto inverse = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
+    for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
+  }
+
+  /// The force [N] for a wrench (body frame) whose own vertical force is left out of account.
+  [[nodiscard]] double operator()(const Wrench<>& wrench) const noexcept {
+    Eigen::Matrix<double, 6, 1> level;
+    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
+    double force = settings_.down_force;
+    for (int i = 0; i < Rotors; ++i) {
+      const double share = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
+      if (share > 1e-6)
+        force = std::max(force, (taken + std::min(2.0 * taken, settings_.rotor_thrust)) / share);
+    }
+    return std::max(settings_.down_force, std::min(force, most_));
+  }
+
+ private:
+  GroundContactSettings settings_;
+  Eigen::Matrix<double, Rotors, 6> vertical_;
+  double most_;
+};
+
+/// The wrench that a reference needs, by inverse dynamics.
+template <int Rotors>
+class ReferenceWrench {
+ public:
+  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
+  ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : body_(vehicle.body), ground_thrust_(vehicle, settings) {}
+
+  /// Against `external` (body frame); on the ground the wheels give the side force, the ground the
+  /// vertical one and the roll torque.
+  [[nodiscard]] Wrench<> operator()(const ReferencePoint& point, const Wrench<>& external,
+                                    bool on_ground) const noexcept {
+    const Eigen::Vector3d& w = point.angular_velocity;
+    Wrench<> wrench;
+    wrench.force = body_.mass * (point.orientation.conjugate() *
+                                 (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
+                   external.force;
+    wrench.torque =
+        body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
+    if (on_ground) {
+      AxleContact::release(wrench);
+      wrench.force.z() = ground_thrust_(wrench);
+    }
+    return wrench;
+  }
+
+ private:
+  RigidBodyParameters body_;
+  GroundThrust<Rotors> ground_thrust_;
+};
+
+}  // namespace tilt_ropter
