@@ -153,7 +153,7 @@ void compare(const NmpcBounds& limits, const ControlAuthority& authority, double
 template <int Rotors>
 void check_mission(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
                    Findings& findings) {
-  const Mission mission = mission_of(file);
+  const Mission mission = hybrid_mission(vehicle);
   const NmpcSettings settings = file.settings();
   for (const BoundViolation& v :
        check_reference(mission, mission.start_time(), mission.end_time(), vehicle, settings))
@@ -208,13 +208,13 @@ void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& v
   Wrench<> pressed;
   pressed.force.z() = file.settings().ground.down_force;
   const double driving = power.power(allocation.allocate(pressed, {}).command.rotor_speed);
-  if (file.has_wheels) line("driving_power_w", driving);
+  if (vehicle.wheels) line("driving_power_w", driving);
   if (!(file.battery_wh > 0.0)) {
     std::cout << "hover_min: not known, the file has no battery_wh\n";
     return;
   }
   line("hover_min", 60.0 * usable * file.battery_wh / vehicle.power.hover);
-  if (file.has_wheels) line("driving_min", 60.0 * usable * file.battery_wh / driving);
+  if (vehicle.wheels) line("driving_min", 60.0 * usable * file.battery_wh / driving);
 }
 
 template <int Rotors>

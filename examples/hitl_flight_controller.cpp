@@ -66,8 +66,7 @@ class SafeWrench {
 
 void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
          const std::string& vehicle_path) {
-  const Vehicle<4> vehicle =
-      examples::wheeled_quadrotor(examples::vehicle_or_default(vehicle_path));
+  const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(vehicle_path));
   const Allocation<4> allocation(vehicle);
   hitl::Link link(addresses.flight_controller, {addresses.simulator, addresses.onboard}, line);
   SafeWrench safe(vehicle.body.inertia);

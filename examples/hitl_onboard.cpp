@@ -35,14 +35,14 @@ constexpr double tick = 0.01;  // of the controller [s]
 class Onboard {
  public:
   explicit Onboard(const examples::VehicleFile& file)
-      : vehicle_(examples::wheeled_quadrotor(file)),
+      : vehicle_(examples::quadrotor(file)),
         allocation_(vehicle_),
         actuators_(vehicle_),
         ekf_(examples::MissionSensors<>::estimation()),
         observer_(vehicle_.body),
         contact_(vehicle_),
         nmpc_(vehicle_, file.settings()),
-        mission_(examples::mission_of(file)) {}
+        mission_(hybrid_mission(vehicle_)) {}
 
   /// What the flight controller commands now.
   void on_actuators(const hitl::Message& m) {

@@ -7,6 +7,7 @@
 #include "support/mission_sensors.hpp"
 #include "support/progress.hpp"
 
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -63,13 +64,23 @@ hitl::Message pose(double time, const PoseSensor::Measurement& seen) {
 
 int simulate(const Options& options) {
   const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  Vehicle<4> truth = examples::wheeled_quadrotor(file);
+  Vehicle<4> truth = examples::quadrotor(file);
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
   Plant<4> plant(truth);
+  ActuatorState<4> command;
+  const bool stands = undercarriage(truth).has_value();
   examples::MissionSensors<> sensors(static_cast<std::uint64_t>(options.seed));
   const PowerModel power(truth);
-  const Mission mission = examples::mission_of(file);
+  const Mission mission = hybrid_mission(truth);
+  if (!stands) {  // it hovers by itself until the first command comes
+    Wrench<> weight;
+    weight.force.z() = truth.body.mass * gravity;
+    command = Allocation<4>(truth).allocate(weight, {}).command;
+    BodyState<> start;
+    start.position = mission(0.0).position;
+    plant.reset(start, command);
+  }
   examples::MissionFigures figures(HybridMissionParameters{}.flight_height,
                                    options.vehicle.empty());
   const double end = options.until > 0.0 ? options.until : mission.duration();
@@ -77,7 +88,6 @@ int simulate(const Options& options) {
   hitl::Link link(options.addresses.simulator,
                   {options.addresses.onboard, options.addresses.flight_controller}, options.line);
   hitl::Times round_trip, lateness;
-  ActuatorState<4> command;
   Eigen::Vector4d speeds = Eigen::Vector4d::Zero();
   std::uint64_t answered = 0;  // stamp of the last sample that came back as a command
   double commanded_at = -1e9;
@@ -106,7 +116,7 @@ int simulate(const Options& options) {
     }
     const bool was_silent = silent;
     silent = time - commanded_at > command_timeout;
-    if (silent) command.rotor_speed.setZero();
+    if (silent && (stands || commands > 0)) command.rotor_speed.setZero();
     if (silent && !was_silent) ++silences;
     if (time >= 0.0 && commands == 0) {
       std::cerr << "hitl_simulator: no actuator commands came: are hitl_onboard and "

@@ -15,7 +15,8 @@
 int main(int argc, char** argv) {
   CLI::App app{
       "Flies the hybrid mission: take off, figure eight, land, drive, take off, land.\n"
-      "A vehicle without wheels flies the eight in the air."};
+      "A vehicle on legs does all but drive; one without wheels and legs flies the eight in the "
+      "air."};
   examples::MissionOptions options;
   examples::add_options(app, options);
   std::string write_path;

@@ -81,9 +81,9 @@ class Rows {
 /// Flies vehicles first to first + count - 1, each by itself, and leaves a row of each in `path`.
 void fly_all(const Options& options, const std::string& path) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
-  const tilt_ropter::Vehicle<4> believed = wheeled_quadrotor(file);
+  const tilt_ropter::Vehicle<4> believed = quadrotor(file);
   const tilt_ropter::NmpcSettings settings = in_simulated_time(file.settings());
-  const tilt_ropter::Mission mission = mission_of(file);
+  const tilt_ropter::Mission mission = hybrid_mission(believed);
   Rows rows(path, options.first);
   Progress progress;
   std::mutex mutex;  // of the rows, the progress and the error
@@ -121,12 +121,12 @@ void fly_all(const Options& options, const std::string& path) {
 void replay(const Options& options, std::uint64_t index) {
   RandomStream random(options.seed, index);
   const VehicleFile file = vehicle_or_default(options.vehicle);
-  const tilt_ropter::Vehicle<4> believed = wheeled_quadrotor(file);
+  const tilt_ropter::Vehicle<4> believed = quadrotor(file);
   const VehicleDraw draw = draw_vehicle(random, believed.body.inertia);
   MissionLog log(options.output + "/hybrid_mission.csv", examples::detail::mission_columns(4));
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   const FlightRecord record = fly_spread(
-      draw, random, believed, in_simulated_time(file.settings()), mission_of(file),
+      draw, random, believed, in_simulated_time(file.settings()), hybrid_mission(believed),
       [&](const auto& mission, const auto& plant, const auto& controller, const auto& power) {
         examples::detail::log_row(log, mission, plant, controller,
                                   power.power(plant.actuators().rotor_speed));

@@ -87,7 +87,7 @@ WheeledFlightProblem<> benchmark_problem(examples::InstanceBounds bounds) {
   body.inertia = Eigen::Vector3d(0.0137, 0.0143, 0.0246).asDiagonal();
   WheeledFlightSettings settings;  // the defaults are the benchmark's: N, weights, wide bounds
   if (bounds == examples::InstanceBounds::paper) settings.bounds = paper_bounds();
-  return WheeledFlightProblem<>(body, {}, settings);
+  return WheeledFlightProblem<>(body, settings);
 }
 
 const char* to_string(SolveStatus status) {

@@ -19,7 +19,7 @@ struct Addresses {
 
 inline void add_options(CLI::App& app, Addresses& addresses, BadLine& line, std::string& vehicle) {
   app.add_option("--vehicle", vehicle,
-                 "JSON file of the vehicle, of 4 rotors and with wheels; the same for all three");
+                 "JSON file of the vehicle, of 4 rotors; the same for all three");
   const std::string group = "The line (every program is told the same addresses)";
   const auto add = [&](const char* name, auto& value, const char* text) {
     return app.add_option(name, value, text)->capture_default_str()->group(group);

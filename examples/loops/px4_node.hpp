@@ -53,7 +53,7 @@ class Px4Node : public rclcpp::Node {
   explicit Px4Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
       : Node("tilt_ropter_px4", options),
         file_(vehicle_parameter(*this)),
-        vehicle_(examples::wheeled_quadrotor(file_)),
+        vehicle_(examples::quadrotor(file_)),
         scaling_(vehicle_, {declare_parameter("thrust_model_factor", 0.0), {}}),
         allocation_(vehicle_),
         actuators_(vehicle_),
@@ -61,7 +61,9 @@ class Px4Node : public rclcpp::Node {
         contact_(vehicle_),
         nmpc_(vehicle_, file_.settings()),
         reference_(*this),
-        origin_height_(declare_parameter("origin_height", vehicle_.wheels.radius)),
+        origin_height_(declare_parameter(
+            "origin_height",
+            undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height)),
         max_silence_(declare_parameter("max_silence", 0.1)) {
     using namespace px4_msgs::msg;
     const rclcpp::SensorDataQoS qos;

@@ -42,7 +42,7 @@ class Ros2Node : public rclcpp::Node {
   explicit Ros2Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
       : Node("tilt_ropter", options),
         vehicle_(vehicle_parameter(*this)),
-        controller_(examples::wheeled_quadrotor(vehicle_), vehicle_.settings(), estimation(*this)),
+        controller_(examples::quadrotor(vehicle_), vehicle_.settings(), estimation(*this)),
         reference_(*this),
         max_silence_(declare_parameter("max_silence", 0.1)) {
     const rclcpp::SensorDataQoS qos;

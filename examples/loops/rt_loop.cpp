@@ -52,7 +52,7 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
 
 void run(const Options& options) {
   const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  const Vehicle<4> vehicle = examples::wheeled_quadrotor(file);
+  const Vehicle<4> vehicle = examples::quadrotor(file);
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
@@ -73,6 +73,15 @@ void run(const Options& options) {
   constexpr std::size_t first_ticks = 10;
   std::int64_t skipped = 0, missed = 0, faults = 0;
   ActuatorState<4> command;
+  if (!undercarriage(vehicle)) {  // nothing to stand on: it is in the air from the start
+    Wrench<> weight;
+    weight.force.z() = vehicle.body.mass * gravity;
+    command = allocation.allocate(weight, {}).command;
+    BodyState<> hovering;
+    hovering.position = reference(0.0).position;
+    robot.reset(hovering, command);
+    actuators.reset(command, 0.0);
+  }
   loops::ask_for_real_time(options.priority, options.processor, std::cout);
 
   const std::int64_t start = loops::now_ns() + period;
@@ -132,7 +141,7 @@ int main(int argc, char** argv) {
       "and memlock), it says, and goes on."};
   Options options;
   app.add_option("--vehicle", options.vehicle,
-                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
+                 "JSON file of the vehicle, of 4 rotors; the Tilt-Ropter without");
   app.add_option("--rate", options.rate, "of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
       ->capture_default_str();

@@ -72,7 +72,7 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   }
   r.tilt_error_mrad = 1e3 * (0.5 - plant.actuators().tilt_angle(2));
 
-  plant.reset(at_height(vehicle.wheels.radius + 0.05), {});
+  plant.reset(at_height(vehicle.wheels->radius + 0.05), {});
   double lowest = plant.body().position.z();
   bool rebounds = false;
   for (int i = 0; i < 3000; ++i) {
@@ -83,10 +83,10 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
     rebounds = rebounds || (height > lowest && plant.body().velocity.z() > 0.0);
     if (rebounds) r.drop_rebound_mm = std::max(r.drop_rebound_mm, 1e3 * (height - 0.11));
   }
-  r.standing_mm = 1e3 * (plant.body().position.z() - vehicle.wheels.radius);
+  r.standing_mm = 1e3 * (plant.body().position.z() - vehicle.wheels->radius);
 
   const auto start = [&plant, &vehicle] {
-    plant.reset(at_height(vehicle.wheels.radius), {});
+    plant.reset(at_height(vehicle.wheels->radius), {});
     for (int i = 0; i < 1000; ++i) go(plant, {});
   };
   start();
@@ -115,7 +115,8 @@ int main(int argc, char** argv) {
   app.add_option("--vehicle", path,
                  "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
   return examples::run_program(app, "compare_plants", argc, argv, [&path] {
-    const Vehicle<4> vehicle = examples::wheeled_quadrotor(examples::vehicle_or_default(path));
+    const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(path));
+    if (!vehicle.wheels) throw std::runtime_error("the vehicle has no wheels: it must roll here");
     Plant<4> ours(vehicle);
     examples::MujocoPlant other(vehicle);
     const Results a = measure(ours, vehicle), b = measure(other, vehicle);

@@ -14,7 +14,7 @@
 #include <string>
 
 /// The Tilt-Ropter as an MJCF model, written from a Vehicle's parameters: base on a free joint,
-/// four arms on hinges with rotors and servos, two wheels on free hinges, and the ground.
+/// four arms on hinges with rotors and servos, wheels on free hinges or legs, and the ground.
 namespace examples {
 
 /// What MuJoCo needs to know beyond the Vehicle. With all the vehicle's mass where it belongs, the
@@ -88,6 +88,12 @@ inline void validate(const MujocoParameters& p) {
   return Eigen::Quaterniond(Eigen::AngleAxisd(p.slope, level));
 }
 
+/// How many wheels it has.
+[[nodiscard]] inline std::size_t wheel_count(const tilt_ropter::Vehicle<4>& vehicle) {
+  if (!vehicle.wheels) return 0;
+  return vehicle.wheels->wheel_base > 0.0 ? 4 : 2;
+}
+
 /// What is left for the base when arms and wheels are taken from the vehicle.
 struct BaseInertia {
   double mass = 0.0;                                  ///< [kg]
@@ -149,7 +155,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
     take(p.arm_mass, rotor * Eigen::Vector3d(0.0, 0.0, p.arm_height),
          rotor.linear() * p.arm_inertia.asDiagonal() * rotor.linear().transpose());
   }
-  for (std::size_t i = 0; i < 2; ++i) {
+  for (std::size_t i = 0; i < wheel_count(vehicle); ++i) {
     const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
     Eigen::Vector3d own = detail::wheel_inertia(p);
     own.x() = 0.0;  // the vehicle's inertia is without the wheels' about their axle
@@ -163,10 +169,11 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   return base;
 }
 
-/// The model. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`, `wheel2`; actuators
-/// `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the CoM at zero tilt; geoms `tyre1`,
-/// `tyre2`, `ground`. Thrust and reaction torque act at the rotor's site, which tilts with its arm.
-/// A servo is a speed loop. Geoms without a name are what is seen, and weigh nothing.
+/// The model. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`.. as wheel_in_body
+/// counts them; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the CoM at zero
+/// tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction torque act at
+/// the rotor's site, which tilts with its arm. A servo is a speed loop. Geoms without a name are
+/// what is seen, and weigh nothing.
 [[nodiscard]] inline std::string mujoco_model(const tilt_ropter::Vehicle<4>& vehicle,
                                               const MujocoParameters& p = {}) {
   using detail::numbers;
@@ -174,7 +181,8 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   validate(p);
   const BaseInertia base = base_inertia(vehicle, p);
   const Eigen::Matrix3d& j = base.inertia;
-  const double radius = vehicle.wheels.radius;
+  constexpr double foot_radius = 0.01;
+  const double radius = vehicle.wheels ? vehicle.wheels->radius : foot_radius;
   const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
   std::ostringstream xml;
   xml << R"(<mujoco model="tilt_ropter">
@@ -271,13 +279,14 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
 )";
   }
   const Eigen::Vector3d wheel_inertia = detail::wheel_inertia(p);
-  for (std::size_t i = 0; i < 2; ++i) {
+  for (std::size_t i = 0; i < wheel_count(vehicle); ++i) {
     const std::string n = std::to_string(i + 1);
     const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
-    const double arm = rotor_in_body(vehicle, i).translation().norm();
+    const double arm = rotor_in_body(vehicle, i % 2).translation().norm();
     xml << "    <geom type=\"capsule\" size=\"0.004\" material=\"metal\" fromto="
-        << quoted(numbers(0, wheel.translation().y() * arm / vehicle.wheels.half_track, 0, 0,
-                          wheel.translation().y(), 0))
+        << quoted(numbers(wheel.translation().x(),
+                          wheel.translation().y() * arm / vehicle.wheels->half_track, 0,
+                          wheel.translation().x(), wheel.translation().y(), 0))
         << "/>\n    <body name=\"wheel" << n << '"' << detail::placed(wheel) << R"(>
       <joint name="wheel)"
         << n << R"(" type="hinge" axis="1 0 0" damping=)"
@@ -285,7 +294,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
       <inertial mass=)"
         << quoted(numbers(p.wheel_mass)) << R"( pos="0 0 0" diaginertia=)"
         << quoted(numbers(wheel_inertia)) << R"(/>
-      <geom name="tyre)"
+      <geom name="contact)"
         << n << R"(" class="touches" type="ellipsoid" group="4" size=)"
         << quoted(numbers(p.wheel_half_width, radius, radius)) << R"(/>
       <geom type="cylinder" size="0.012 0.01" quat="0.70710678118654757 0 0.70710678118654757 0"
@@ -305,6 +314,19 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
           << (k == 0 ? "shell" : "metal") << R"(" fromto="0 0 0 )" << on_rim(tau * k / spokes)
           << "\"/>\n";
     xml << "    </body>\n";
+  }
+  if (vehicle.legs) {
+    const tilt_ropter::LegParameters& legs = *vehicle.legs;
+    for (int i = 0; i < 4; ++i) {
+      const std::string foot =
+          numbers(i < 2 ? legs.half_length : -legs.half_length,
+                  i % 2 == 0 ? -legs.half_width : legs.half_width, -legs.height + foot_radius);
+      xml << "    <geom name=\"contact" << i + 1 << R"(" class="touches" type="sphere" size=)"
+          << quoted(numbers(foot_radius)) << " pos=" << quoted(foot)
+          << " material=\"tyre\"/>\n    <geom type=\"capsule\" size=\"0.004\" material=\"metal\" "
+             "fromto="
+          << quoted("0 0 0 " + foot) << "/>\n";
+    }
   }
   if (p.payload > 0.0) {
     const double half = 0.02;

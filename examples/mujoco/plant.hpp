@@ -16,9 +16,13 @@
 #include <cmath>
 #include <cstddef>
 #include <cstring>
+#include <deque>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <utility>
+#include <vector>
 
 namespace examples {
 
@@ -28,14 +32,12 @@ namespace examples {
 /// the thrust, the arm's weight and its inertia turn against it.
 class MujocoPlant {
  public:
-  /// Starts at time zero, standing on its wheels with stopped rotors. Throws std::invalid_argument
-  /// for parameters that are not valid (a servo's dead time is not simulated), std::runtime_error
-  /// if MuJoCo does not take the model.
+  /// Starts at time zero, standing with stopped rotors; without wheels or legs in the ground's
+  /// height. Throws std::invalid_argument for parameters that are not valid, std::runtime_error if
+  /// MuJoCo does not take the model.
   explicit MujocoPlant(const tilt_ropter::Vehicle<4>& vehicle,
                        const MujocoParameters& parameters = {})
       : vehicle_(vehicle), model_(load(mujoco_model(vehicle, parameters))) {
-    tilt_ropter::require(vehicle.servo.dead_time == 0.0, "MujocoPlant: servo.dead_time [s]",
-                         vehicle.servo.dead_time, "zero");
     servos_.fill(vehicle.servo);
     data_.reset(mj_makeData(model_.get()));
     if (!data_) throw std::runtime_error("MuJoCo: no memory for its data");
@@ -49,17 +51,17 @@ class MujocoPlant {
       thrust_[i] = id(mjOBJ_ACTUATOR, "thrust" + n);
       servo_[i] = id(mjOBJ_ACTUATOR, "servo" + n);
     }
-    for (std::size_t i = 0; i < 2; ++i) {
-      const std::string n = std::to_string(i + 1);
-      wheel_dof_[i] = dof(joint("wheel" + n));
-      tyre_[i] = id(mjOBJ_GEOM, "tyre" + n);
-    }
+    for (std::size_t i = 0; i < wheel_count(vehicle); ++i)
+      wheel_dof_.push_back(dof(joint("wheel" + std::to_string(i + 1))));
+    for (int i = 1; id(mjOBJ_GEOM, "contact" + std::to_string(i)) >= 0; ++i)
+      contact_.push_back(id(mjOBJ_GEOM, "contact" + std::to_string(i)));
     accelerometer_ = model_->sensor_adr[id(mjOBJ_SENSOR, "imu")];
 
     const Eigen::Quaterniond ground = ground_orientation(parameters);
     tilt_ropter::BodyState<> standing;
     standing.orientation = ground;
-    standing.position = ground * Eigen::Vector3d(0.0, 0.0, vehicle.wheels.radius);
+    const auto stands = tilt_ropter::undercarriage(vehicle);
+    standing.position = ground * Eigen::Vector3d(0.0, 0.0, stands ? stands->height : 0.0);
     standing.position.z() += parameters.ground_height;
     reset(standing, {});
   }
@@ -76,7 +78,8 @@ class MujocoPlant {
     for (std::size_t i = 0; i < 4; ++i)
       data_->qpos[tilt_angle_[i]] = actuators.tilt_angle(static_cast<Eigen::Index>(i));
     disturbance_ = {};
-    apply(actuators);
+    tilt_commands_ = {{-std::numeric_limits<double>::infinity(), actuators.tilt_angle}};
+    apply();
     observe();
   }
 
@@ -104,15 +107,17 @@ class MujocoPlant {
     };
     const Eigen::Vector4d speed = command.rotor_speed.cwiseMax(speed_of(vehicle_.rotor.min_thrust))
                                       .cwiseMin(speed_of(vehicle_.rotor.max_thrust));
+    tilt_commands_.emplace_back(data_->time, command.tilt_angle);
     for (int i = 0; i < steps; ++i) {
       const Eigen::Vector4d change = passed * (speed - actuators_.rotor_speed);
       actuators_.rotor_speed += 0.5 * change;  // that of the step's middle, but for its square
-      apply(command);
+      apply();
       mj_step(model_.get(), data_.get());
       actuators_.rotor_speed += 0.5 * change;
     }
     data_->time = end;
-    apply(command);
+    forget_old_commands();
+    apply();
     observe();
     // On a state that is not sound MuJoCo starts anew and counts a warning.
     return data_->warning[mjWARN_BADQPOS].number + data_->warning[mjWARN_BADQVEL].number +
@@ -133,11 +138,12 @@ class MujocoPlant {
   }
   /// What an accelerometer in the body frame's origin measures, free of errors [m/s^2].
   [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
-  /// Normal force of the ground on the right and the left wheel [N].
-  [[nodiscard]] const Eigen::Vector2d& normal_forces() const { return normal_forces_; }
-  /// Of the right and the left wheel relative to the body [rad/s].
+  /// Normal force of the ground on each wheel or foot, as Plant counts them [N].
+  [[nodiscard]] const Eigen::Vector4d& normal_forces() const { return normal_forces_; }
+  /// Of the right and the left wheel relative to the body [rad/s]. Throws std::out_of_range for a
+  /// vehicle without wheels.
   [[nodiscard]] Eigen::Vector2d wheel_speeds() const {
-    return {data_->qvel[wheel_dof_[0]], data_->qvel[wheel_dof_[1]]};
+    return {data_->qvel[wheel_dof_.at(0)], data_->qvel[wheel_dof_.at(1)]};
   }
 
   [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
@@ -174,15 +180,33 @@ class MujocoPlant {
   }
   [[nodiscard]] int joint(const std::string& name) const { return id(mjOBJ_JOINT, name); }
 
+  /// What the servo of one arm has heard of, its dead time ago.
+  [[nodiscard]] double heard(std::size_t arm) const {
+    const double time = data_->time - servos_[arm].dead_time + 1e-9;
+    auto command = tilt_commands_.rbegin();
+    while (command->first > time) ++command;  // the first one is older than all
+    return command->second(static_cast<Eigen::Index>(arm));
+  }
+
+  /// Commands that a later one has replaced for every servo.
+  void forget_old_commands() {
+    double longest = 0.0;
+    for (const tilt_ropter::ServoParameters& servo : servos_)
+      longest = std::max(longest, servo.dead_time);
+    while (tilt_commands_.size() > 1 && tilt_commands_[1].first <= data_->time - longest)
+      tilt_commands_.pop_front();
+    tilt_commands_.front().first = -std::numeric_limits<double>::infinity();
+  }
+
   /// Hands rotor thrusts, servo speeds and disturbance to MuJoCo.
-  void apply(const tilt_ropter::ActuatorState<4>& command) {
+  void apply() {
     for (std::size_t i = 0; i < 4; ++i) {
       const auto k = static_cast<Eigen::Index>(i);
       const tilt_ropter::ServoParameters& servo = servos_[i];
       const double speed = actuators_.rotor_speed(k);
       data_->ctrl[thrust_[i]] =
           vehicle_.rotors[i].effectiveness * vehicle_.rotor.thrust_coefficient * speed * speed;
-      const double target = std::clamp(command.tilt_angle(k), servo.min_angle, servo.max_angle);
+      const double target = std::clamp(heard(i), servo.min_angle, servo.max_angle);
       data_->ctrl[servo_[i]] =
           std::clamp((target - data_->qpos[tilt_angle_[i]]) / servo.time_constant, -servo.max_rate,
                      servo.max_rate);
@@ -213,8 +237,8 @@ class MujocoPlant {
     for (int i = 0; i < data_->ncon; ++i) {
       std::array<mjtNum, 6> force{};
       mj_contactForce(model_.get(), data_.get(), i, force.data());
-      for (std::size_t w = 0; w < 2; ++w)
-        if (data_->contact[i].geom1 == tyre_[w] || data_->contact[i].geom2 == tyre_[w])
+      for (std::size_t w = 0; w < contact_.size(); ++w)
+        if (data_->contact[i].geom1 == contact_[w] || data_->contact[i].geom2 == contact_[w])
           normal_forces_(static_cast<Eigen::Index>(w)) += force[0];
     }
   }
@@ -225,13 +249,14 @@ class MujocoPlant {
   std::unique_ptr<mjData, Delete> data_;
   int base_ = 0, root_ = 0, accelerometer_ = 0;
   std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< where MuJoCo keeps them
-  std::array<int, 2> wheel_dof_{}, tyre_{};
+  std::vector<int> wheel_dof_, contact_;
   double longest_step_ = model_->opt.timestep;
   tilt_ropter::Wrench<> disturbance_, external_;
   tilt_ropter::BodyState<> body_;
   tilt_ropter::ActuatorState<4> actuators_;
+  std::deque<std::pair<double, Eigen::Vector4d>> tilt_commands_;  ///< time given [s], angles [rad]
   Eigen::Vector3d specific_force_ = Eigen::Vector3d::Zero();
-  Eigen::Vector2d normal_forces_ = Eigen::Vector2d::Zero();
+  Eigen::Vector4d normal_forces_ = Eigen::Vector4d::Zero();
 };
 
 }  // namespace examples

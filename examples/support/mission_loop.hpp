@@ -154,8 +154,8 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 /// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
 /// after every step. `ground_is_off`: it is not where the mission takes it to be.
 /// Figures are relative to what motion capture says; on the ground they are horizontal where the
-/// height is off. A vehicle without wheels begins in hover. Throws std::runtime_error if the
-/// plant refuses a step.
+/// height is off. A vehicle without wheels or legs begins in hover. Throws std::runtime_error if
+/// the plant refuses a step.
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
 void fly_mission(const MissionOptions& options, const VehicleFile& file,
                  const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
@@ -164,7 +164,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   constexpr double step = 1e-3;       // of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
 
-  const Mission mission = mission_of(file);
+  const Mission mission = hybrid_mission(vehicles.believed);
   const Reference reference = [&mission](double time) { return mission(time); };
   NmpcSettings settings = examples::in_simulated_time(file.settings());
   settings.actuator_rows = !options.no_actuator_rows;
@@ -180,7 +180,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   const PowerModel power(vehicles.truth.power,
                          controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;
-  if (!file.has_wheels) {
+  if (!undercarriage(vehicles.believed)) {
     command = controller.lift(vehicles.believed.body.mass * gravity);
     controller.start_with(command);
     BodyState<> start;

@@ -14,6 +14,7 @@
 #include <cmath>
 #include <cstdint>
 #include <deque>
+#include <optional>
 #include <utility>
 
 /// The hybrid mission flown by one vehicle of a Monte Carlo run and what came of it.
@@ -94,9 +95,7 @@ template <typename OnTick>
   parameters.contact.friction = draw.friction;
   parameters.contact.axle_position = -draw.com_offset;
   Plant<4> plant(truth, parameters);
-  PlantState<4> standing = plant.state();
-  standing.body.position.head<2>() += draw.com_offset.head<2>();
-  plant.reset(standing);
+  const std::optional<Undercarriage> stands = undercarriage(believed);
 
   ImuSensorParameters imu_parameters;
   imu_parameters.rate = 1000.0;
@@ -120,6 +119,15 @@ template <typename OnTick>
   Wind wind(draw, random.bits());
   FlightController<4> controller(believed, settings, estimation);
   const PowerModel power(truth);
+  ActuatorState<4> acting;
+  PlantState<4> start = plant.state();
+  if (!stands) {
+    start.actuators = acting = controller.lift(truth.body.mass * gravity);
+    start.body.position = mission(0.0).position;
+    controller.start_with(acting);
+  }
+  start.body.position.head<2>() += draw.com_offset.head<2>();
+  plant.reset(start);
 
   const Eigen::Vector3d centre = -draw.com_offset;  // of the believed vehicle, from the CoM
   const auto body_at_centre = [&] {
@@ -130,12 +138,11 @@ template <typename OnTick>
   };
   FlightRecord record;
   std::deque<std::pair<double, ActuatorState<4>>> under_way;
-  ActuatorState<4> acting;
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   double squares = 0.0, air_squares = 0.0, ground_squares = 0.0;
   double air_power = 0.0, ground_power = 0.0;
   long count = 0, air_count = 0, ground_count = 0;
-  bool was_touching = true;
+  bool was_touching = stands.has_value();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps && record.verdict == Verdict::ok; ++i) {
     const double time = plant.time();
@@ -195,7 +202,7 @@ template <typename OnTick>
     else if (plant.body().orientation.toRotationMatrix()(2, 2) < 0.5)
       record.verdict = Verdict::tipped;
     else if ((should_fly && touching) ||
-             (i + 1 == steps && body_at_centre().position.z() > believed.wheels.radius + 0.05))
+             (stands && i + 1 == steps && body_at_centre().position.z() > stands->height + 0.05))
       record.verdict = Verdict::grounded;
   }
   record.time = plant.time();

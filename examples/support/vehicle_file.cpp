@@ -236,8 +236,20 @@ WheelParameters read_wheels(const Json& object) {
   WheelParameters wheels;
   wheels.radius = fields.number("radius_m", {0.005, 1.0, "m"});
   wheels.half_track = fields.number("half_track_m", {0.01, 5.0, "m"});
+  if (fields.find("wheel_base_m") != nullptr)
+    wheels.wheel_base = fields.number("wheel_base_m", {0.0, 5.0, "m"});
   fields.refuse_unknown();
   return wheels;
+}
+
+LegParameters read_legs(const Json& object) {
+  Fields fields(object, "legs");
+  LegParameters legs;
+  legs.height = fields.number("height_m", {0.01, 5.0, "m"});
+  legs.half_length = fields.number("half_length_m", {0.01, 5.0, "m"});
+  legs.half_width = fields.number("half_width_m", {0.01, 5.0, "m"});
+  fields.refuse_unknown();
+  return legs;
 }
 
 PowerParameters read_power(const Json& object) {
@@ -324,9 +336,13 @@ VehicleFile read(const Json& root) {
   common.body = read_body(fields.get("body", object));
   common.rotor = read_rotor_parameters(fields.get("rotor", object));
   common.servo = read_servo(fields.get("servo", object));
-  const Json& wheels = fields.get("wheels", "an object, or null for a vehicle without");
-  file.has_wheels = !wheels.is_null();
-  if (file.has_wheels) common.wheels = read_wheels(wheels);
+  const auto there = [&fields](const char* key) -> const Json* {  // null is as good as nothing
+    const Json* value = fields.find(key);
+    return value == nullptr || value->is_null() ? nullptr : value;
+  };
+  if (const Json* wheels = there("wheels")) common.wheels = read_wheels(*wheels);
+  if (const Json* legs = there("legs")) common.legs = read_legs(*legs);
+  if (common.wheels && common.legs) refuse("legs", "an object", "absent for a vehicle with wheels");
   common.power = read_power(fields.get("power", object));
   if (fields.find("battery_wh") != nullptr)
     file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
@@ -339,6 +355,7 @@ VehicleFile read(const Json& root) {
     vehicle.rotor = common.rotor;
     vehicle.servo = common.servo;
     vehicle.wheels = common.wheels;
+    vehicle.legs = common.legs;
     vehicle.power = common.power;
     file.vehicle = with_rotors(list, vehicle);
   };
@@ -447,9 +464,14 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
                    {"max_angle_deg", rounded(v.servo.max_angle / degree)},
                    {"dead_time_s", v.servo.dead_time}};
   for (const RotorGeometry& rotor : v.rotors) root["rotors"].push_back(json_of(rotor));
-  root["wheels"] = nullptr;
-  if (file.has_wheels)
-    root["wheels"] = {{"radius_m", v.wheels.radius}, {"half_track_m", v.wheels.half_track}};
+  if (v.wheels) {
+    root["wheels"] = {{"radius_m", v.wheels->radius}, {"half_track_m", v.wheels->half_track}};
+    if (v.wheels->wheel_base > 0.0) root["wheels"]["wheel_base_m"] = v.wheels->wheel_base;
+  }
+  if (v.legs)
+    root["legs"] = {{"height_m", v.legs->height},
+                    {"half_length_m", v.legs->half_length},
+                    {"half_width_m", v.legs->half_width}};
   root["power"] = {{"electronics_w", v.power.electronics}, {"hover_w", v.power.hover}};
   if (file.battery_wh > 0.0) root["battery_wh"] = file.battery_wh;
   for_allowed_errors(file.allowed_errors,
@@ -512,19 +534,11 @@ void write_vehicle(const VehicleFile& file, const std::string& path) {
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 
-Mission mission_of(const VehicleFile& file) {
-  HybridMissionParameters job;
-  if (!file.has_wheels) return aerial_mission(job);
-  std::visit([&job](const auto& v) { job.wheel_radius = v.wheels.radius; }, file.vehicle);
-  return hybrid_mission(job);
-}
-
-Vehicle<4> wheeled_quadrotor(const VehicleFile& file) {
+Vehicle<4> quadrotor(const VehicleFile& file) {
   const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
-  if (vehicle == nullptr || !file.has_wheels)
+  if (vehicle == nullptr)
     throw VehicleFileError(file.name +
-                           ": this program takes a vehicle of 4 rotors with wheels; "
-                           "hybrid_mission takes any");
+                           ": this program takes a vehicle of 4 rotors; hybrid_mission takes any");
   return *vehicle;
 }
 

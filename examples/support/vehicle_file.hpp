@@ -2,10 +2,10 @@
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/mission.hpp>
 
 #include <iosfwd>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <variant>
@@ -26,10 +26,14 @@
 ///                     "thrust_axis": [0, 0, 1],                  of the thrust at zero tilt
 ///                     "arm_axis": [1, 0, 0],                     that the servo turns it about
 ///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 of them
-///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2 },     or null: it flies only
 ///       "power": { "electronics_w": 20, "hover_w": 653.64 },
 ///
-///       "battery_wh": 100,                                       optional from here on
+///                                                                optional from here on
+///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2,       without wheels and legs it
+///                   "wheel_base_m": 0 },                         stays in the air
+///       "legs": { "height_m": 0.12, "half_length_m": 0.15,       instead of wheels
+///                 "half_width_m": 0.15 },
+///       "battery_wh": 100,
 ///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  any of AllowedErrors
 ///       "limits": { "force_max_n": [6, 6, 30] } }                any of NmpcBounds
 ///
@@ -43,10 +47,14 @@ using AnyVehicle =
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
   AnyVehicle vehicle = tilt_ropter::tilt_ropter_vehicle();
-  bool has_wheels = true;   ///< without, vehicle.wheels means nothing
   double battery_wh = 0.0;  ///< 0: not known
   tilt_ropter::AllowedErrors allowed_errors;
   tilt_ropter::NmpcBounds limits;
+
+  /// What the vehicle stands on.
+  [[nodiscard]] std::optional<tilt_ropter::Undercarriage> undercarriage() const {
+    return std::visit([](const auto& v) { return tilt_ropter::undercarriage(v); }, vehicle);
+  }
 
   /// The controller's settings for this vehicle.
   [[nodiscard]] tilt_ropter::NmpcSettings settings() const {
@@ -86,10 +94,7 @@ void write_vehicle(const VehicleFile& file, const std::string& path);
   return path.empty() ? VehicleFile{} : read_vehicle(path);
 }
 
-/// What the vehicle can do of the paper's job: with wheels all of it, else the eight in the air.
-[[nodiscard]] tilt_ropter::Mission mission_of(const VehicleFile& file);
-
-/// For programs that fly a vehicle of four rotors and drive it. Throws VehicleFileError on others.
-[[nodiscard]] tilt_ropter::Vehicle<4> wheeled_quadrotor(const VehicleFile& file);
+/// For programs that take four rotors. Throws VehicleFileError on others.
+[[nodiscard]] tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file);
 
 }  // namespace examples

@@ -30,7 +30,7 @@ inline Scenario air(int intervals = 20,
   tilt_ropter::WheeledFlightSettings settings;
   settings.intervals = intervals;
   settings.bounds = bounds;
-  return {WheeledFlightProblem<>(test_support::benchmark_body(), {}, settings),
+  return {WheeledFlightProblem<>(test_support::benchmark_body(), settings),
           test_support::set_air_reference,
           test_support::air_start(),
           {Eigen::Vector3d(0.15, -0.10, 0.20), Eigen::Vector3d::Zero()}};
@@ -61,6 +61,7 @@ inline void set_reference(WheeledFlightProblem<>& problem, double time) {
     node.wrench_reference.force << 0.0, 0.0, 0.2 * weight;
     node.external.force << 0.0, 0.0, 0.8 * weight;
     node.on_ground = true;
+    node.com_plane.height = wheel_radius;
   }
 }
 
@@ -71,12 +72,10 @@ inline Scenario ground() {
   settings.bounds = tilt_ropter::paper_bounds();
   settings.bounds.force_min.head<2>().setConstant(-3.0);
   settings.bounds.force_max.head<2>().setConstant(3.0);
-  tilt_ropter::WheelParameters wheels;
-  wheels.radius = ground_data::wheel_radius;
   State<> start;
   start.wrench.force << 0.0, 0.0, 0.2 * ground_data::weight;
   start.body = ground_data::reference(0.0);
-  return {WheeledFlightProblem<>(test_support::benchmark_body(), wheels, settings),
+  return {WheeledFlightProblem<>(test_support::benchmark_body(), settings),
           ground_data::set_reference,
           start,
           {Eigen::Vector3d(0.0, 0.0, 0.8 * ground_data::weight), Eigen::Vector3d(0.0, 0.0, 0.01)}};

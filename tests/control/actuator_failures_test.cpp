@@ -58,7 +58,7 @@ void expect_within_limits(const NmpcResult& result, const NmpcBounds& bounds,
 /// the failure's being known and left over the last 0.3 m.
 Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
   test_support::ControlLoop<Plant<4>> loop(seed);
-  const double radius = flight.failed.wheels.radius;
+  const double radius = flight.failed.wheels->radius;
   loop.start(flight.height - radius, Eigen::Vector3d::Zero(), 0.0);
   Transition down = landing({{0.0, 0.0, flight.height}, 0.0}, radius);
   down.set_start_time(4.0);

@@ -183,7 +183,7 @@ TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
     good.position.z() = 50.0;  // where no number was
     feed({});
     ASSERT_FALSE(contact.estimate().on_ground);
-    good.position.z() = vehicle.wheels.radius;
+    good.position.z() = vehicle.wheels->radius;
     feed(weight);
     ASSERT_TRUE(contact.estimate().on_ground);
     ASSERT_NEAR(contact.estimate().ground.height, 0.0, 1e-6);
@@ -216,7 +216,7 @@ TEST(AnyInput, ToTheActuatorModelIsSurvived) {
 TEST(AnyInput, TimesToAMissionGiveFinitePoints) {
   const int calls = test_support::quick_or_full(100000, 1000000);
   AnyNumber any(5);
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   for (int i = 0; i < calls; ++i) {
     const ReferencePoint point = mission(any(1e-5 * (i % 100000) * mission.duration(), 0.5));
     ASSERT_TRUE(all_finite(point.position) && all_finite(point.velocity) &&

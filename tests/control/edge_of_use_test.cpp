@@ -37,8 +37,8 @@ Vehicle<4> scaled_vehicle(double mass) {
   v.rotor.thrust_coefficient *= by_mass;
   v.rotor.max_thrust *= by_mass;
   v.rotor.torque_ratio *= scale;
-  v.wheels.radius *= scale;
-  v.wheels.half_track *= scale;
+  v.wheels->radius *= scale;
+  v.wheels->half_track *= scale;
   return v;
 }
 

@@ -6,16 +6,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 
 namespace tilt_ropter {
 namespace {
 
-const WheelParameters wheels{0.11, 0.2};
+const Undercarriage wheels{0.11, true, true, true};
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-AxleContact axle_with(const GroundContactSettings& settings = {}) {
+GroundContact axle_with(const GroundContactSettings& settings = {}) {
   return {body, wheels, settings};
 }
 
@@ -49,8 +50,8 @@ WheeledFlightNode node_of(const ContactEstimate& contact, const ReferencePoint& 
   return node;
 }
 
-TEST(AxleContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
-  const AxleContact axle = axle_with();
+TEST(GroundContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
+  const GroundContact axle = axle_with();
   for (const double ground : {-0.5, 0.0, 0.5}) {
     const ContactEstimate contact = standing_at(ground);
     for (const double above : {-5.0, -0.05, 0.0, 0.01})
@@ -69,7 +70,7 @@ TEST(AxleContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
       axle.is_ground_reference(in_the_air({}), Eigen::Vector3d::Zero(), at_height(-100.0)));
 }
 
-TEST(AxleContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
+TEST(GroundContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
   ContactEstimate contact = standing_at(0.0);
   contact.ground.slope << 0.1, 0.0;
   ReferencePoint point = at_height(0.11);
@@ -86,7 +87,7 @@ TEST(AxleContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
   EXPECT_FALSE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
 }
 
-TEST(AxleContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
+TEST(GroundContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
   GroundContactSettings settings;
   settings.planned_height = 0.0;
   const ContactEstimate contact = standing_at(-0.5);
@@ -97,7 +98,7 @@ TEST(AxleContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
                    -0.39);
 }
 
-TEST(AxleContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
+TEST(GroundContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
   const ContactEstimate contact = standing_at(0.0);
   ReferencePoint curve = at_height(0.11);
   curve.acceleration.y() = 1.5;
@@ -112,7 +113,51 @@ TEST(AxleContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
   EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
-TEST(AxleContact, ASlopePullsDownhillWhereverANodeHeads) {
+TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
+  const ContactEstimate contact = standing_at(0.0);
+  const auto node_on = [&](const std::optional<Undercarriage>& undercarriage) {
+    WheeledFlightNode node;
+    GroundContact(body, undercarriage)
+        .apply(contact, measured_at(0.11), 0.0, at_height(0.11), node);
+    return node;
+  };
+  const auto released_on = [&](const std::optional<Undercarriage>& undercarriage) {
+    Wrench<> wrench{Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d(4.0, 5.0, 6.0)};
+    GroundContact(body, undercarriage).release(wrench);
+    return wrench;
+  };
+  const auto stopped_on = [&](const std::optional<Undercarriage>& undercarriage) {
+    BodyState<> state = measured_at(0.11);
+    state.velocity.setConstant(0.1);
+    state.angular_velocity.setConstant(0.2);
+    GroundContact(body, undercarriage).stop_held(state);
+    return state;
+  };
+  const Undercarriage four_wheels{0.11, true, false, false}, legs{0.11, false, false, false};
+  EXPECT_EQ(node_on(four_wheels).freedom.linear, Eigen::Vector3d(1, 1, 0));
+  EXPECT_EQ(node_on(four_wheels).freedom.angular, Eigen::Vector3d::Zero());
+  EXPECT_EQ(node_on(legs).freedom.linear, Eigen::Vector3d::Zero());
+  EXPECT_EQ(node_on(legs).freedom.angular, Eigen::Vector3d::Zero());
+  EXPECT_EQ(released_on(wheels).force, Eigen::Vector3d(1, 0, 3));
+  EXPECT_EQ(released_on(wheels).torque, Eigen::Vector3d(0, 5, 6));
+  EXPECT_EQ(released_on(four_wheels).torque, Eigen::Vector3d::Zero());
+  EXPECT_EQ(released_on(legs).force, Eigen::Vector3d(0, 0, 3));
+  EXPECT_EQ(released_on(legs).torque, Eigen::Vector3d::Zero());
+  EXPECT_EQ(stopped_on(wheels).angular_velocity, Eigen::Vector3d(0, 0.2, 0.2));
+  EXPECT_EQ(stopped_on(four_wheels).angular_velocity, Eigen::Vector3d::Zero());
+  EXPECT_EQ(stopped_on(four_wheels).velocity, Eigen::Vector3d::Constant(0.1));
+  EXPECT_EQ(stopped_on(legs).velocity, Eigen::Vector3d::Zero());
+
+  // Nothing to stand on, no ground.
+  const WheeledFlightNode air = node_on(std::nullopt);
+  EXPECT_FALSE(air.on_ground);
+  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+  EXPECT_EQ(air.external.force, contact.disturbance.force);
+  EXPECT_EQ(released_on(std::nullopt).force, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(stopped_on(std::nullopt).angular_velocity, Eigen::Vector3d::Constant(0.2));
+}
+
+TEST(GroundContact, ASlopePullsDownhillWhereverANodeHeads) {
   ContactEstimate contact = standing_at(0.0);
   contact.ground.slope << 0.1, 0.0;
   const double pull = 0.1 * (2.0 * gravity - GroundContactSettings{}.down_force);
@@ -123,7 +168,7 @@ TEST(AxleContact, ASlopePullsDownhillWhereverANodeHeads) {
   }
 }
 
-TEST(AxleContact, GroundThatIsNotMetIsLookedForSlowly) {
+TEST(GroundContact, GroundThatIsNotMetIsLookedForSlowly) {
   ContactEstimate contact;  // ground at height zero, taken for granted, and the vehicle in the air
   const double speed = GroundContactSettings{}.settling_speed;
   // At the height where it should stand, and below: on down.
@@ -144,7 +189,7 @@ TEST(AxleContact, GroundThatIsNotMetIsLookedForSlowly) {
   EXPECT_EQ(node_of(contact, at_height(0.5), 1.0).reference.position.z(), 0.5);
 }
 
-TEST(AxleContact, SettingsOutOfRangeAreRefused) {
+TEST(GroundContact, SettingsOutOfRangeAreRefused) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](void (*spoil)(GroundContactSettings&)) {
     GroundContactSettings s;
@@ -156,8 +201,8 @@ TEST(AxleContact, SettingsOutOfRangeAreRefused) {
   refused([](GroundContactSettings& s) { s.settling_speed = 0.0; });
   refused([](GroundContactSettings& s) { s.down_force = std::nan(""); });
   refused([](GroundContactSettings& s) { s.rotor_thrust = -0.1; });
-  EXPECT_THROW((AxleContact{body, WheelParameters{0.0, 0.2}}), std::invalid_argument);
-  EXPECT_THROW((AxleContact{RigidBodyParameters{nan, body.inertia}, wheels}),
+  EXPECT_THROW((GroundContact{body, Undercarriage{0.0, true, true, true}}), std::invalid_argument);
+  EXPECT_THROW((GroundContact{RigidBodyParameters{nan, body.inertia}, wheels}),
                std::invalid_argument);
 }
 

@@ -299,7 +299,7 @@ TEST_F(HeapInTheLoop, AlmostAsManyActiveRowsAsThereIsRoomFor) {
     settings.bounds.force_rate.setConstant(0.5);
     settings.bounds.torque_rate.setConstant(0.05);
     MultipleShooting<WheeledFlightProblem<>> solver(
-        WheeledFlightProblem(test_support::benchmark_body(), {}, settings));
+        WheeledFlightProblem(test_support::benchmark_body(), settings));
     for (int k = 0; k <= solver.horizon(); ++k)
       solver.problem().node(k).wrench_reference.force = test_support::benchmark_hover_force();
     Random random(82);
@@ -380,7 +380,7 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
   ImuSensor imu({}, 3);
   RotorSpeedSensor<4> rotor_sensor({}, 4);
 
-  const double radius = vehicle.wheels.radius;
+  const double radius = vehicle.wheels->radius;
   FigureEightParameters eight;
   eight.center.z() = radius;
   eight.amplitude << 0.4, 0.15, 0.0;

@@ -83,8 +83,7 @@ TEST(Nmpc, WithTheCostToGoAtItsEndAShortHorizonPlansAsAnEndlessOne) {
   const auto first_input = [&](TerminalCost terminal, int intervals, int coordinate) {
     Vehicle<4> slim = vehicle;
     slim.body.inertia.diagonal() << 0.010, 0.018, 0.025;
-    Solver solver(WheeledFlightProblem<4>(slim.body, slim.wheels,
-                                          settings_with(terminal, intervals).problem));
+    Solver solver(WheeledFlightProblem<4>(slim.body, settings_with(terminal, intervals).problem));
     State<> x;
     x.body = hovering();
     x.body.orientation = quaternion_from_yaw(yaw);
@@ -214,7 +213,7 @@ TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   NmpcSettings settings;
   Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> standing;
-  standing.position.z() = vehicle.wheels.radius;
+  standing.position.z() = vehicle.wheels->radius;
   const auto rest = [&](double) {
     ReferencePoint point;
     point.position = standing.position;
@@ -428,10 +427,10 @@ TEST(Nmpc, WithoutThrustOnTheGroundTheCommandStaysFiniteAndWithinBounds) {
   settings.ground.down_force = 0.0;
   Nmpc nmpc(vehicle, in_simulated_time(settings));
   BodyState<> standing;
-  standing.position.z() = vehicle.wheels.radius;
+  standing.position.z() = vehicle.wheels->radius;
   const auto drive = [&](double t) {
     ReferencePoint point;
-    point.position << 0.1 * std::sin(t), 0.0, vehicle.wheels.radius;
+    point.position << 0.1 * std::sin(t), 0.0, vehicle.wheels->radius;
     point.velocity << 0.1 * std::cos(t), 0.0, 0.0;
     point.acceleration << -0.1 * std::sin(t), 0.0, 0.0;
     return point;
@@ -491,10 +490,10 @@ TEST(Nmpc, SettingsOutOfRangeAreRefusedByName) {
 TEST(Nmpc, OnTheGroundTheRollRateOfAPitchedVehicleInACurveIsNotCarriedOn) {
   const auto parked = [](double) {
     ReferencePoint point;
-    point.position.z() = vehicle.wheels.radius;
+    point.position.z() = vehicle.wheels->radius;
     return point;
   };
-  const double ground = vehicle.wheels.radius;
+  const double ground = vehicle.wheels->radius;
   const auto torque = [&](double height, double roll_rate) {
     Nmpc<4> nmpc(vehicle, in_simulated_time());
     BodyState<> state;

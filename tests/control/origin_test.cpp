@@ -109,7 +109,7 @@ TEST(Origin, AFlightInTheAirDoesNotDependOnIt) {
 }
 
 TEST(Origin, AMissionDoesNotDependOnIt) {
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   const auto reference = [&](double time) { return mission(time); };
   const Flight here = fly(reference, 0.0, mission.duration(), false);
   EXPECT_EQ(here.mode_changes, 4);
@@ -137,7 +137,7 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   Wrench<> weight;
   weight.force.z() = vehicle.body.mass * gravity;
   BodyState<> x;
-  x.position.z() = 3.0 + vehicle.wheels.radius;
+  x.position.z() = 3.0 + vehicle.wheels->radius;
   double time = -2.0;
   for (; time < -1.0; time += 0.01) contact.update(time, x, weight, k, k, weight.force);
   ASSERT_TRUE(contact.estimate().on_ground);

@@ -21,7 +21,7 @@ ReferencePoint swing(double t) {
 }
 
 TEST(CheckReference, HybridMissionFitsTheDefaultBounds) {
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   EXPECT_TRUE(check_reference(mission, mission.start_time(), mission.end_time(), vehicle).empty());
   Vehicle<4> heavy = vehicle;  // whose bounds are larger
   heavy.body.mass *= 3.0;
@@ -31,7 +31,7 @@ TEST(CheckReference, HybridMissionFitsTheDefaultBounds) {
 }
 
 TEST(CheckReference, HybridMissionDoesNotFitThePapersBounds) {
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   const auto violations = check_reference(mission, mission.start_time(), mission.end_time(),
                                           vehicle, paper_nmpc_settings());
   bool side_force = false, spin_up = false;

@@ -144,7 +144,7 @@ Flight fly(double distance) {
   parameters.descent_acceleration = 1.0;
   parameters.origin << distance, -distance;
   parameters.start_time = 1e6;
-  const Mission mission = hybrid_mission(parameters);
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle(), parameters);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Plant<4> plant(vehicle);
   PlantState<4> start = plant.state();

@@ -5,20 +5,23 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 
 namespace tilt_ropter {
 namespace {
 
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
-const WheelParameters wheels{0.11, 0.2};
+const Undercarriage wheels{0.11, true, true, true};
 constexpr double weight = 2.0 * gravity, infinity = std::numeric_limits<double>::infinity();
 const Wrench<> breeze{Eigen::Vector3d(0.4, 0.2, 0.0), Eigen::Vector3d(0.01, 0.02, 0.03)};
 
 // Feeds true wrenches, as an observer with bandwidth K shows them, at 100 Hz.
 class Feed {
  public:
-  explicit Feed(const ContactEstimatorSettings& settings = {}) : contact(body, wheels, settings) {}
+  explicit Feed(const ContactEstimatorSettings& settings = {},
+                const std::optional<Undercarriage>& on = wheels)
+      : contact(body, on, settings) {}
 
   const ContactEstimate& operator()(double height, const Wrench<>& truth, double duration = 0.01) {
     state.position.z() = height;
@@ -66,6 +69,54 @@ TEST(ContactEstimator, ALoadIsGroundWhereverItIs) {
     EXPECT_NEAR(e.ground.height, ground, 1e-9);
     EXPECT_EQ(feed.contact.mode_changes(), 1);
   }
+}
+
+TEST(ContactEstimator, WithNothingToStandOnAllIsADisturbanceEverywhere) {
+  Feed feed({}, std::nullopt);
+  for (const double height : {3.0, 0.11, 0.0, -0.5}) {
+    const Wrench<> load = with_lift(0.5 * weight, breeze);
+    feed(height, load, 2.0);
+    const ContactEstimate& e = feed.contact.estimate();
+    EXPECT_FALSE(e.on_ground || e.ground_known);
+    EXPECT_EQ(e.disturbance.force, feed.shown.force);
+    EXPECT_EQ(e.disturbance.torque, feed.shown.torque);
+    EXPECT_EQ(e.ground.height, -infinity);
+  }
+  EXPECT_EQ(feed.contact.mode_changes(), 0);
+}
+
+// Who does not pitch on the ground learns no pitch torque there, and who does not roll is held in
+// every direction.
+TEST(ContactEstimator, TheReactionIsWhatTheUndercarriageHolds) {
+  const Wrench<> standing{Eigen::Vector3d(0.3, 0.1, 0.9 * weight), Eigen::Vector3d(0.2, 0.4, 0.1)};
+  const auto on = [&standing](const Undercarriage& undercarriage) {
+    Feed feed({}, undercarriage);
+    feed(0.5, {}, 5.0);
+    feed(0.11, standing, 3.0);
+    return feed.contact.estimate();
+  };
+  const ContactEstimate axle = on(wheels), car = on({0.11, true, false, false}),
+                        legs = on({0.11, false, false, false});
+  EXPECT_TRUE(axle.on_ground && car.on_ground && legs.on_ground);
+  EXPECT_NEAR(axle.disturbance.torque.y(), 0.4, 1e-3);
+  EXPECT_NEAR(axle.rolling.torque.y(), 0.4, 1e-3);
+  EXPECT_NEAR(car.disturbance.torque.y(), 0.0, 1e-3);
+  EXPECT_EQ(car.rolling.torque.y(), 0.0);
+  EXPECT_NEAR(car.rolling.force.x(), 0.3, 1e-3);
+  EXPECT_NEAR(car.ground_reaction.torque.y(), 0.4, 1e-3);
+  EXPECT_EQ(legs.rolling.force, Eigen::Vector3d::Zero());
+  EXPECT_NEAR(legs.ground_reaction.force.x(), 0.3, 1e-3);
+  EXPECT_NEAR(legs.ground_reaction.torque.z(), 0.1, 1e-3);
+}
+
+TEST(ContactEstimator, StandingBodiesShowTheSlopeThatTheyStandOn) {
+  const Eigen::Vector2d slope(0.1, -0.05);
+  Feed feed({}, Undercarriage{0.11, false, false, false});
+  feed(0.5, {}, 2.0);
+  feed.state.orientation = Eigen::Quaterniond::FromTwoVectors(
+      Eigen::Vector3d::UnitZ(), Eigen::Vector3d(-slope.x(), -slope.y(), 1.0));
+  feed(0.11, with_lift(0.9 * weight), 5.0);
+  EXPECT_LT((feed.contact.estimate().ground.slope - slope).norm(), 1e-3);
 }
 
 TEST(ContactEstimator, HeightAloneIsNoGround) {
@@ -265,7 +316,7 @@ TEST(ContactEstimator, SettingsOutOfRangeAreRefused) {
   refused([](ContactEstimatorSettings& s) { s.slope_time = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.max_slope = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.assumed_ground.height = infinity; });
-  EXPECT_THROW(ContactEstimator(body, WheelParameters{0.0, 0.2}), std::invalid_argument);
+  EXPECT_THROW(ContactEstimator(body, Undercarriage{0.0, true, true, true}), std::invalid_argument);
 }
 
 }  // namespace

@@ -33,7 +33,7 @@ double resident_memory() {
 
 TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
   constexpr double step = 1e-3;
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   const double lap = mission.duration() + 2.0;  // with a rest between
   const int asked = test_support::quick_or_full(300, 3600);
   const int laps = static_cast<int>(std::ceil(asked / lap));

@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include <fstream>
+#include <functional>
 #include <sstream>
 #include <string>
 #include <variant>
@@ -60,7 +61,7 @@ TEST(VehicleFile, TheTiltRopterIsWrittenAsShippedAndReadAsItIs) {
   const VehicleFile read = examples::read_vehicle(path);
   const auto& vehicle = std::get<tilt_ropter::Vehicle<4>>(read.vehicle);
   const tilt_ropter::Vehicle<4> reference = tilt_ropter::tilt_ropter_vehicle();
-  EXPECT_TRUE(read.has_wheels);
+  EXPECT_EQ(vehicle.wheels->radius, reference.wheels->radius);
   EXPECT_EQ(vehicle.body.mass, reference.body.mass);
   EXPECT_EQ(vehicle.body.inertia, reference.body.inertia);
   EXPECT_EQ(vehicle.servo.max_angle, reference.servo.max_angle);
@@ -131,7 +132,7 @@ std::vector<Wrong> wrong_files() {
       {"\"azimuth_deg\": 90.0,", "", {"rotors[1].azimuth_deg is missing", "360] deg"}},
       {"\"radius_m\": 0.11,", "", {"wheels.radius_m is missing", "[0.005, 1] m"}},
       {"\"electronics_w\": 20.0,", "", {"power.electronics_w is missing", "W"}},
-      {"\"wheels\"", "\"weels\"", {"wheels is missing", "null"}},
+      {"\"wheels\"", "\"weels\"", {"weels"}},
       // Of the wrong type.
       {"\"mass_kg\": 1.5", "\"mass_kg\": \"1.5\"", {"body.mass_kg = \"1.5\"", "a number in [0.01"}},
       {"[0.014, 0.014, 0.025]", "0.014", {"body.inertia_kg_m2 = 0.014", "three"}},
@@ -230,12 +231,94 @@ TEST(VehicleFile, EveryFieldThatIsNotOptionalIsMissed) {
         (void)examples::read_vehicle(in, "file");
         ADD_FAILURE() << "read without " << key;
       } catch (const examples::VehicleFileError& error) {
-        EXPECT_NE(std::string(error.what()).find(key + " is missing: must be "), std::string::npos)
-            << error.what();
+        const std::string says =
+            key == "wheels" ? "unwheels = " : key + " is missing: must be ";  // wheels are optional
+        EXPECT_NE(std::string(error.what()).find(says), std::string::npos) << error.what();
       }
       ++fields;
     }
     EXPECT_GT(fields, 30);
+  }
+}
+
+TEST(VehicleFile, StandsOnWheelsOrLegsOrNothing) {
+  const std::string good = test_support::read_file(shipped("octocopter"));
+  const auto standing = [&good](const std::string& on) {
+    std::istringstream in("{" + on + good.substr(1));
+    return examples::read_vehicle(in, "file").undercarriage();
+  };
+  EXPECT_FALSE(standing(""));
+  EXPECT_FALSE(standing("\"wheels\": null, \"legs\": null,"));
+  const auto car =
+      standing("\"wheels\": {\"radius_m\": 0.1, \"half_track_m\": 0.2, \"wheel_base_m\": 0.3},");
+  ASSERT_TRUE(car);
+  EXPECT_TRUE(car->rolls && !car->pitches);
+  const std::string legs =
+      "\"legs\": {\"height_m\": 0.2, \"half_length_m\": 0.15, \"half_width_m\": 0.1},";
+  const auto bird = standing(legs);
+  ASSERT_TRUE(bird);
+  EXPECT_TRUE(!bird->rolls && !bird->pitches);
+  EXPECT_EQ(bird->height, 0.2);
+  EXPECT_THROW((void)standing(legs + "\"wheels\": {\"radius_m\": 0.1, \"half_track_m\": 0.2},"),
+               examples::VehicleFileError);
+
+  // What is written is what was read.
+  const test_support::Directory directory("vehicle_file");
+  const std::string path = directory.file("legs.json");
+  std::istringstream in("{" + legs + good.substr(1));
+  const VehicleFile file = examples::read_vehicle(in, "file");
+  examples::write_vehicle(file, path);
+  EXPECT_EQ(
+      std::get<tilt_ropter::Vehicle<8>>(examples::read_vehicle(path).vehicle).legs->half_width,
+      0.1);
+}
+
+/// The shipped Tilt-Ropter, changed, in a file of its own.
+std::string changed_vehicle(const test_support::Directory& directory, const char* name,
+                            const std::function<void(tilt_ropter::Vehicle<4>&)>& change) {
+  VehicleFile file;
+  change(std::get<tilt_ropter::Vehicle<4>>(file.vehicle));
+  const std::string path = directory.file(std::string(name) + ".json");
+  examples::write_vehicle(file, path);
+  return path;
+}
+
+// On legs, on nothing, and with servos that hear late.
+TEST(VehicleFile, ProgramsTakeVehiclesWithoutWheelsAndWithDeadTime) {
+  using tilt_ropter::Vehicle;
+  const test_support::Directory directory("vehicle_file");
+  const auto on_legs = [](Vehicle<4>& v) {
+    v.wheels.reset();
+    v.legs = tilt_ropter::LegParameters{};
+  };
+  struct Case {
+    std::string path;
+    int mode_changes;
+  };
+  const std::vector<Case> cases{
+      {changed_vehicle(directory, "legs", on_legs), 2},
+      {changed_vehicle(directory, "nothing", [](Vehicle<4>& v) { v.wheels.reset(); }), 0},
+      {changed_vehicle(directory, "late", [](Vehicle<4>& v) { v.servo.dead_time = 0.02; }), 4}};
+  for (const Case& c : cases) {
+    const std::string with =
+        "--vehicle '" + c.path + "' --no-pictures --output '" + directory.file("out") + "' ";
+    std::vector<std::string> missions{HYBRID_MISSION_PROGRAM};
+#ifdef MISSION_MUJOCO_PROGRAM
+    missions.emplace_back(MISSION_MUJOCO_PROGRAM);
+#endif
+    for (const std::string& program : missions) {
+      const auto flight = test_support::run(program, with);
+      ASSERT_EQ(flight.exit_code, 0) << flight.output;
+      EXPECT_EQ(flight["contact_mode_changes"], c.mode_changes) << program;
+      EXPECT_LT(flight["mission_rmse_m"], 0.01) << program;
+      EXPECT_LT(flight["touchdown_speed_mps"], 0.2) << program;
+    }
+    const auto fleet = test_support::run(MONTE_CARLO_PROGRAM, with + "--count 2");
+    EXPECT_EQ(fleet.exit_code, 0) << fleet.output;
+    EXPECT_EQ(fleet["divergences"], 0) << fleet.output;
+    const auto loop = test_support::run(RT_LOOP_PROGRAM, "--seconds 2 --vehicle '" + c.path + "'");
+    EXPECT_EQ(loop.exit_code, 0) << loop.output;
+    EXPECT_LT(loop["position_error_m"], 0.05) << loop.output;
   }
 }
 
@@ -254,12 +337,12 @@ TEST(VehicleFile, EmptyTruncatedAndAbsentFiles) {
   EXPECT_NE(absent.output.find("cannot read nowhere.json"), std::string::npos) << absent.output;
 }
 
-TEST(VehicleFile, ProgramsForFourRotorsAndWheelsSaySo) {
+TEST(VehicleFile, ProgramsForFourRotorsSaySo) {
   for (const char* program : {MONTE_CARLO_PROGRAM, HITL_SIMULATOR_PROGRAM, HITL_ONBOARD_PROGRAM,
                               HITL_FLIGHT_CONTROLLER_PROGRAM, RT_LOOP_PROGRAM}) {
     const auto told = test_support::run(program, "--vehicle " + shipped("hexacopter"));
     EXPECT_EQ(told.exit_code, 2) << program;
-    EXPECT_NE(told.output.find("4 rotors with wheels"), std::string::npos) << told.output;
+    EXPECT_NE(told.output.find("a vehicle of 4 rotors"), std::string::npos) << told.output;
   }
 }
 

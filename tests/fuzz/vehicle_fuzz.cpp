@@ -19,7 +19,7 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
   input.vary_all(v.body.mass, v.body.inertia, v.rotor.thrust_coefficient, v.rotor.torque_ratio,
                  v.rotor.min_thrust, v.rotor.max_thrust, v.rotor.time_constant,
                  v.servo.time_constant, v.servo.max_rate, v.servo.min_angle, v.servo.max_angle,
-                 v.servo.dead_time, v.wheels.radius, v.wheels.half_track, v.power.electronics,
+                 v.servo.dead_time, v.wheels->radius, v.wheels->half_track, v.power.electronics,
                  v.power.hover);
   for (RotorGeometry& rotor : v.rotors) {
     input.vary_all(rotor.position, rotor.orientation, rotor.tilts, rotor.effectiveness);

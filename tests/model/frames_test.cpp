@@ -46,7 +46,7 @@ TEST(Frames, WheelFramesHaveXAlongTheAxleAndZUp) {
     EXPECT_LT((wheel.linear() * Vector3d::UnitZ() - Vector3d::UnitZ()).norm(), 1e-15);
     // Wheel and rotor of the same number sit on the same arm.
     EXPECT_GT(wheel.translation().dot(vehicle.rotors[i].position), 0.0);
-    EXPECT_NEAR(wheel.translation().norm(), vehicle.wheels.half_track, 1e-15);
+    EXPECT_NEAR(wheel.translation().norm(), vehicle.wheels->half_track, 1e-15);
   }
 }
 

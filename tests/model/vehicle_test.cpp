@@ -19,6 +19,28 @@ struct Rejection {
   std::function<void(Vehicle<4>&)> spoil;
 };
 
+LegParameters& stand_on_legs(Vehicle<4>& v) {
+  v.wheels.reset();
+  return v.legs.emplace();
+}
+
+TEST(Vehicle, UndercarriageIsWhatWheelsAndLegsHold) {
+  Vehicle<4> v = tilt_ropter_vehicle();
+  const auto axle = undercarriage(v);
+  ASSERT_TRUE(axle);
+  EXPECT_EQ(axle->height, v.wheels->radius);
+  EXPECT_TRUE(axle->rolls && axle->pitches);
+  v.wheels->wheel_base = 0.3;
+  EXPECT_TRUE(undercarriage(v)->rolls && !undercarriage(v)->pitches);
+  stand_on_legs(v).height = 0.2;
+  EXPECT_EQ(undercarriage(v)->height, 0.2);
+  EXPECT_FALSE(undercarriage(v)->rolls || undercarriage(v)->pitches);
+  v.legs.reset();
+  EXPECT_FALSE(undercarriage(v));
+  EXPECT_NO_THROW(validate(v));
+  EXPECT_THROW(validate(Undercarriage{0.0, true, true, true}), std::invalid_argument);
+}
+
 TEST(Vehicle, ReferenceVehicleIsValid) {
   EXPECT_NO_THROW(validate(tilt_ropter_vehicle()));
 }
@@ -29,6 +51,8 @@ TEST(Vehicle, DefaultsOfEveryPartAreValid) {
   EXPECT_NO_THROW(validate(RotorParameters{}));
   EXPECT_NO_THROW(validate(ServoParameters{}));
   EXPECT_NO_THROW(validate(WheelParameters{}));
+  EXPECT_NO_THROW(validate(LegParameters{}));
+  EXPECT_NO_THROW(validate(Undercarriage{}));
   EXPECT_NO_THROW(validate(PowerParameters{}));
 }
 
@@ -63,8 +87,8 @@ TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
       {"RigidBodyParameters.mass", "1e+300", [](V& v) { v.body.mass = 1e300; }},
       {"RigidBodyParameters.inertia", "e+298", [](V& v) { v.body.inertia *= 1e300; }},
       {"Vehicle.rotors[1].position", "1e+300", [](V& v) { v.rotors[1].position.z() = 1e300; }},
-      {"WheelParameters.radius", "1e+300", [](V& v) { v.wheels.radius = 1e300; }},
-      {"WheelParameters.half_track", "1e+300", [](V& v) { v.wheels.half_track = 1e300; }},
+      {"WheelParameters.radius", "1e+300", [](V& v) { v.wheels->radius = 1e300; }},
+      {"WheelParameters.half_track", "1e+300", [](V& v) { v.wheels->half_track = 1e300; }},
       {"PowerParameters.electronics", "1e+300", [](V& v) { v.power.electronics = 1e300; }},
       {"PowerParameters.hover", "1e+300", [](V& v) { v.power.hover = 1e300; }},
       {"RotorParameters.torque_ratio", "-0.5", [](V& v) { v.rotor.torque_ratio = -0.5; }},
@@ -77,8 +101,13 @@ TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
       {"ServoParameters.min_angle", "nan", [](V& v) { v.servo.min_angle = nan; }},
       {"ServoParameters.max_angle", "-4", [](V& v) { v.servo.max_angle = -4.0; }},
       {"ServoParameters.dead_time", "-0.1", [](V& v) { v.servo.dead_time = -0.1; }},
-      {"WheelParameters.radius", "0", [](V& v) { v.wheels.radius = 0.0; }},
-      {"WheelParameters.half_track", "-1", [](V& v) { v.wheels.half_track = -1.0; }},
+      {"WheelParameters.radius", "0", [](V& v) { v.wheels->radius = 0.0; }},
+      {"WheelParameters.half_track", "-1", [](V& v) { v.wheels->half_track = -1.0; }},
+      {"WheelParameters.wheel_base", "-1", [](V& v) { v.wheels->wheel_base = -1.0; }},
+      {"Vehicle.legs", "given", [](V& v) { v.legs = LegParameters{}; }},
+      {"LegParameters.height", "0", [](V& v) { stand_on_legs(v).height = 0.0; }},
+      {"LegParameters.half_length", "-2", [](V& v) { stand_on_legs(v).half_length = -2.0; }},
+      {"LegParameters.half_width", "nan", [](V& v) { stand_on_legs(v).half_width = nan; }},
       {"PowerParameters.electronics", "-1", [](V& v) { v.power.electronics = -1.0; }},
       {"PowerParameters.hover", "20", [](V& v) { v.power.hover = 20.0; }},
   };

@@ -27,8 +27,11 @@ Flight landing(const Eigen::Vector3d& ground_weights) {
   WheeledFlightSettings settings;
   settings.intervals = 6;
   settings.weights.ground = ground_weights;
-  Flight problem(test_support::benchmark_body(), {}, settings);
-  for (int k = touch_down; k <= 6; ++k) problem.node(k).on_ground = true;
+  Flight problem(test_support::benchmark_body(), settings);
+  for (int k = touch_down; k <= 6; ++k) {
+    problem.node(k).on_ground = true;
+    problem.node(k).com_plane.height = 0.1;
+  }
   return problem;
 }
 

@@ -493,7 +493,7 @@ TEST(DerivativeCheck, FindsNothingInTheTiltRoptersProblem) {
     WheeledFlightSettings settings;
     settings.intervals = 6;
     settings.terminal_cost = i % 2 == 0 ? TerminalCost::weights : TerminalCost::riccati;
-    Problem problem(vehicle.body, vehicle.wheels, settings, ActuatorRows<4>(vehicle));
+    Problem problem(vehicle.body, settings, ActuatorRows<4>(vehicle));
     std::vector<Problem::State> xs;
     std::vector<Problem::Input> us;
     for (int k = 0; k <= problem.horizon(); ++k) {

@@ -37,7 +37,7 @@ Quadrotor::State thrown_quadrotor() {
 WheeledFlightProblem<> short_flight() {
   WheeledFlightSettings settings;
   settings.intervals = 4;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -145,13 +145,14 @@ TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
   WheeledFlightProblem<> problem = short_flight();
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).on_ground = true;
+    problem.node(k).com_plane.height = 0.1;
     problem.node(k).freedom.linear.z() = 0.0;
     problem.node(k).freedom.angular.x() = 0.0;
   }
   FullSpace<WheeledFlightProblem<>> solver(problem);
   State<> x = displaced_flight();
   x.body = {};
-  x.body.position.z() = WheelParameters{}.radius;
+  x.body.position.z() = 0.1;
   solver.reset(x);
   EXPECT_EQ(solver.solve(x).status, FullSpaceStatus::failed);
 }

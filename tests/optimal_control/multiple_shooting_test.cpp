@@ -152,7 +152,7 @@ TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
   const auto violation_at = [](double row_penalty) {
     WheeledFlightSettings settings;
     settings.penalties = {row_penalty, row_penalty, row_penalty, row_penalty};
-    WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
+    WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
     for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);
     Solver solver(problem, patient());
     solver.reset(step_start());

@@ -88,7 +88,7 @@ WheeledFlightProblem<> short_flight(const NmpcBounds& bounds) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.bounds = bounds;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -111,11 +111,12 @@ WheeledFlightProblem<> short_landing(int touch_down, double ground_weight) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.weights.ground.setConstant(ground_weight);
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     WheeledFlightNode& node = problem.node(k);
     node.wrench_reference.force = test_support::benchmark_hover_force();
     node.on_ground = k >= touch_down;
+    node.com_plane.height = 0.1;
     node.reference.position << 0.05 * k, 0.02, 0.11;
     node.reference.orientation = quaternion_from_yaw(0.4);
   }

@@ -29,7 +29,6 @@ HybridMissionParameters other_parameters() {
   p.origin << 3.0, -4.0;
   p.yaw = 2.5;
   p.direction = -1.2;
-  p.wheel_radius = 0.08;
   p.flight_height = 2.0;
   p.rest_time = 0.5;
   p.hover_time = 1.0;
@@ -49,8 +48,30 @@ HybridMissionParameters other_parameters() {
 }
 
 const Waypoint here{{0.0, 0.0, 1.0}, 0.0};
+const std::optional<Undercarriage> rolling = undercarriage(tilt_ropter_vehicle());
 
 }  // namespace
+
+TEST(HybridMission, DoesWhatTheUndercarriageAllows) {
+  using Phase = MissionPhase;
+  const auto phases = [](const std::optional<Undercarriage>& undercarriage) {
+    std::vector<Phase> all;
+    const Mission mission = hybrid_mission(undercarriage);
+    for (const MissionSegment& segment : mission.segments()) all.push_back(segment.phase);
+    return all;
+  };
+  EXPECT_EQ(phases(std::nullopt), (std::vector<Phase>{Phase::hover, Phase::air, Phase::hover}));
+  EXPECT_EQ(phases(Undercarriage{0.2, false, false, false}),
+            (std::vector<Phase>{Phase::rest, Phase::take_off, Phase::hover, Phase::air,
+                                Phase::hover, Phase::landing, Phase::rest}));
+  EXPECT_EQ(phases(Undercarriage{0.2, true, true, false}), phases(rolling));
+  std::vector<Phase> straight = phases(rolling);
+  straight.insert(std::find(straight.begin(), straight.end(), Phase::ground), Phase::ground);
+  EXPECT_EQ(phases(Undercarriage{0.2, true, false, false}), straight);
+  const Mission on_legs = hybrid_mission(Undercarriage{0.2, false, false, false});
+  EXPECT_NEAR(on_legs(0.0).position.z(), 0.2, 1e-12);
+  EXPECT_NEAR(on_legs(on_legs.end_time()).position.z(), 0.2, 1e-12);
+}
 
 TEST(HybridMission, RunsThroughItsPhasesInOrder) {
   using Phase = MissionPhase;
@@ -59,7 +80,7 @@ TEST(HybridMission, RunsThroughItsPhasesInOrder) {
                                     Phase::rest,  Phase::take_off, Phase::hover, Phase::landing,
                                     Phase::rest};
   for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
-    const Mission mission = hybrid_mission(p);
+    const Mission mission = hybrid_mission(rolling, p);
     std::vector<Phase> phases;
     for (double time = mission.start_time() - 1.0; time < mission.end_time() + 1.0; time += 0.01)
       if (phases.empty() || phases.back() != mission.phase(time))
@@ -69,13 +90,13 @@ TEST(HybridMission, RunsThroughItsPhasesInOrder) {
 }
 
 TEST(HybridMission, LastsAboutAMinute) {
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(rolling);
   EXPECT_GT(mission.duration(), 60.0);
   EXPECT_LT(mission.duration(), 80.0);
 }
 
 TEST(HybridMission, SegmentsFollowEachOtherInTime) {
-  const Mission mission = hybrid_mission(other_parameters());
+  const Mission mission = hybrid_mission(rolling, other_parameters());
   double time = 100.0;
   EXPECT_DOUBLE_EQ(mission.start_time(), time);
   for (const MissionSegment& segment : mission.segments()) {
@@ -92,7 +113,7 @@ TEST(HybridMission, SegmentsFollowEachOtherInTime) {
 TEST(HybridMission, RatesAreDerivativesAndSmoothAcrossEveryJoin) {
   const double h = 1e-4;
   for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
-    const Mission mission = hybrid_mission(p);
+    const Mission mission = hybrid_mission(rolling, p);
     std::vector<double> times;
     for (double time = mission.start_time() - 1.0; time < mission.end_time() + 1.0; time += 0.0173)
       times.push_back(time);
@@ -119,18 +140,18 @@ TEST(HybridMission, RatesAreDerivativesAndSmoothAcrossEveryJoin) {
 
 TEST(HybridMission, KeepsEveryLimitAndHeight) {
   for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
-    const Mission mission = hybrid_mission(p);
+    const Mission mission = hybrid_mission(rolling, p);
     double air_speed = 0.0, ground_speed = 0.0, climb = 0.0, descent = 0.0, ceiling = 0.0;
     for (double time = mission.start_time(); time < mission.end_time(); time += 0.001) {
       const ReferencePoint r = mission(time);
       ASSERT_LE(r.velocity.norm(), p.max_speed);
       ASSERT_LE(r.acceleration.norm(), p.max_acceleration);
       ASSERT_LE(std::abs(r.angular_velocity.z()), p.max_yaw_rate * (1.0 + 1e-9));
-      ASSERT_GE(r.position.z(), p.wheel_radius - 1e-12);
+      ASSERT_GE(r.position.z(), rolling->height - 1e-12);
       ceiling = std::max(ceiling, r.position.z());
       switch (mission.phase(time)) {
         case MissionPhase::rest:
-          ASSERT_NEAR(r.position.z(), p.wheel_radius, 1e-12);
+          ASSERT_NEAR(r.position.z(), rolling->height, 1e-12);
           ASSERT_EQ(r.velocity.norm(), 0.0);
           break;
         case MissionPhase::take_off:
@@ -153,7 +174,7 @@ TEST(HybridMission, KeepsEveryLimitAndHeight) {
           break;
         case MissionPhase::ground:
           ground_speed = std::max(ground_speed, r.velocity.norm());
-          ASSERT_NEAR(r.position.z(), p.wheel_radius, 1e-12);
+          ASSERT_NEAR(r.position.z(), rolling->height, 1e-12);
           ASSERT_LT(std::abs((r.orientation.conjugate() * r.velocity).y()), 1e-9);
           break;
       }
@@ -167,7 +188,7 @@ TEST(HybridMission, KeepsEveryLimitAndHeight) {
 }
 
 TEST(HybridMission, DefaultsFlyAndDriveAtThePapersSpeed) {
-  const Mission mission = hybrid_mission();
+  const Mission mission = hybrid_mission(rolling);
   double speed[2] = {0.0, 0.0}, acceleration[2] = {0.0, 0.0};
   for (double time = 0.0; time < mission.end_time(); time += 0.001) {
     const MissionPhase phase = mission.phase(time);
@@ -187,7 +208,7 @@ TEST(HybridMission, EveryDurationAndPlaceActs) {
   const auto changed = [](const auto& change) {
     HybridMissionParameters p;
     change(p);
-    const Mission a = hybrid_mission(), b = hybrid_mission(p);
+    const Mission a = hybrid_mission(rolling), b = hybrid_mission(rolling, p);
     double most = std::abs(a.end_time() - b.end_time());
     for (double time = 0.0; time < a.end_time(); time += 0.1)
       most = std::max({most, (a(time).position - b(time).position).norm(),
@@ -198,7 +219,6 @@ TEST(HybridMission, EveryDurationAndPlaceActs) {
   EXPECT_GT(changed([](P& p) { p.origin.y() = 1.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.yaw = 1.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.direction = 1.0; }), 0.1);
-  EXPECT_GT(changed([](P& p) { p.wheel_radius = 0.05; }), 0.01);
   EXPECT_GT(changed([](P& p) { p.flight_height = 2.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.rest_time = 2.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.hover_time = 3.0; }), 0.1);
@@ -222,7 +242,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
   const auto refused = [](const std::string& expected, const auto& change) {
     HybridMissionParameters p;
     change(p);
-    const std::string message = message_of([&p] { return hybrid_mission(p); });
+    const std::string message = message_of([&p] { return hybrid_mission(rolling, p); });
     EXPECT_NE(message.find(expected), std::string::npos) << message;
   };
   using P = HybridMissionParameters;
@@ -230,8 +250,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
           [=](P& p) { p.origin.x() = nan; });
   refused(".yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
   refused(".direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
-  refused(".wheel_radius [m] = 0: must be finite and > 0", [](P& p) { p.wheel_radius = 0.0; });
-  refused(".flight_height [m] = 0.1: must be finite and > wheel_radius",
+  refused(".flight_height [m] = 0.1: must be more than Undercarriage.height, 0.11",
           [](P& p) { p.flight_height = 0.1; });
   refused(".rest_time [s] = 0: must be in [0.001, 1e+10]", [](P& p) { p.rest_time = 0.0; });
   refused(".hover_time [s] = -2: must be in [0.001, 1e+10]", [](P& p) { p.hover_time = -2.0; });
@@ -239,7 +258,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
   refused(".climb_acceleration [m/s^2] = 0: must be", [](P& p) { p.climb_acceleration = 0.0; });
   refused(".descent_speed [m/s] = 0: must be", [](P& p) { p.descent_speed = 0.0; });
   refused(".descent_acceleration [m/s^2] = 0: must be", [](P& p) { p.descent_acceleration = 0.0; });
-  refused(".air_amplitude.z [m] = 1.4: must be less than flight_height - wheel_radius",
+  refused(".air_amplitude.z [m] = 1.4: must be less than flight_height - Undercarriage.height",
           [](P& p) { p.air_amplitude.z() = 1.4; });
   refused("FigureEightParameters.amplitude.y [m] = 9", [](P& p) { p.ground_amplitude.y() = 9.0; });
   refused(".laps = 0: must be >= 1", [](P& p) { p.laps = 0; });

@@ -20,6 +20,7 @@ struct Case {
   BodyState<> body;
   WheelState wheel;
   int side = right;
+  bool locked = false;
 };
 
 /// A body near the ground in any attitude, in contact or not.
@@ -37,8 +38,9 @@ Case random_case(Random& random, double tilt) {
 }
 
 WheelForces contact(const WheelContactParameters& p, const Case& c) {
-  return wheel_contact(p, WheelParameters{0.11, 0.2}, c.side, c.body,
-                       c.body.orientation.toRotationMatrix(), c.wheel);
+  const double y = c.side == right ? -0.2 : 0.2;
+  const WheelMount mount{p.axle_position + Eigen::Vector3d(0.0, y, 0.0), 0.11, c.locked};
+  return wheel_contact(p, mount, c.body, c.body.orientation.toRotationMatrix(), c.wheel);
 }
 
 /// Depth of the disc's lowest point, from the spring force alone.

@@ -19,7 +19,7 @@ plant() {  # header, line: the check must name the header
 
 plant "$1" math/rotation.hpp '#include <tilt_ropter/model/state.hpp>'
 plant "$1" model/state.hpp '#  include <tilt_ropter/planning/reference.hpp>'
-plant "$1" planning/reference.hpp '#include <tilt_ropter/model/state.hpp>'
+plant "$1" planning/reference.hpp '#include <tilt_ropter/control/nmpc_settings.hpp>'
 plant "$1" model/frames.hpp '#include <nlopt.h>'
 plant "$1" model/state.hpp '#include "vehicle.hpp"'
 plant "$1" model/state.hpp '#include <boost/version.hpp>'

@@ -30,7 +30,7 @@ inline Eigen::Vector3d benchmark_hover_force() {
 
 /// STEP: hover at (0, 0, 1.5) from a displaced, turned and moving start; wide bounds.
 inline WheeledFlightProblem<> step_problem(const WheeledFlightSettings& settings = {}) {
-  WheeledFlightProblem<> problem(benchmark_body(), {}, settings);
+  WheeledFlightProblem<> problem(benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
     problem.node(k).wrench_reference.force = benchmark_hover_force();
@@ -63,7 +63,7 @@ inline Eigen::Vector3d air_velocity(double t) {
 inline WheeledFlightProblem<> air_problem() {
   WheeledFlightSettings settings;
   settings.bounds = tilt_ropter::paper_bounds();
-  return WheeledFlightProblem<>(benchmark_body(), {}, settings);
+  return WheeledFlightProblem<>(benchmark_body(), settings);
 }
 
 inline void set_air_reference(WheeledFlightProblem<>& problem, double time) {

@@ -46,7 +46,7 @@ class ControlLoop {
   /// Hovers with `clearance` [m] under the wheels, at `velocity` [m/s].
   void start(double clearance, const Eigen::Vector3d& velocity, double yaw) {
     tilt_ropter::BodyState<> body;
-    body.position.z() = vehicle_.wheels.radius + clearance;
+    body.position.z() = vehicle_.wheels->radius + clearance;
     body.velocity = velocity;
     body.orientation = tilt_ropter::quaternion_from_yaw(yaw);
     tilt_ropter::Wrench<> hover;
@@ -108,7 +108,7 @@ class ControlLoop {
       peak_force_ = std::max(peak_force_, plant_.normal_forces().sum());
       touched_ = touched_ || plant_.normal_forces().sum() > 0.0;
       if (touched_)
-        highest_ = std::max(highest_, plant_.body().position.z() - vehicle_.wheels.radius);
+        highest_ = std::max(highest_, plant_.body().position.z() - vehicle_.wheels->radius);
     }
     return result;
   }

@@ -37,7 +37,7 @@ void land_and_take_off(const std::string& plant, int few) {
 
     // Down: the reference rests on the ground, the vehicle is too high and drifts.
     loop.start(error, speed * way, yaw);
-    const double radius = tilt_ropter_vehicle().wheels.radius;
+    const double radius = tilt_ropter_vehicle().wheels->radius;
     const auto rest = [&](double) {
       ReferencePoint point;
       point.position << 0.0, 0.0, radius;

@@ -12,21 +12,23 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
-/// What contact of the wheels with the ground means to the controller: which references are on the
-/// ground, what a node there is held by and told (paper, Sec. Problem Formulation), and the thrust
-/// kept there. Where the ground is, and whether the vehicle stands on it, is a ContactEstimate.
+/// What contact with the ground means to the controller: which references are on the ground, and
+/// what holds and drives a node there (paper, Sec. Problem Formulation). Where the ground is, and
+/// whether the vehicle stands on it, is a ContactEstimate.
 namespace tilt_ropter {
 
-/// What two wheels on one axle hold: the vertical, the roll, and the way along the axle.
-class AxleContact {
+/// Contact of an Undercarriage with the ground, once for the controller and for check_reference.
+/// Without an undercarriage there is no ground: no reference means it and no node is held.
+class GroundContact {
  public:
   /// Throws std::invalid_argument for parameters or settings out of range.
-  AxleContact(const RigidBodyParameters& body, const WheelParameters& wheels,
-              const GroundContactSettings& settings = {})
-      : settings_(settings), mass_(body.mass), wheel_radius_(wheels.radius) {
+  GroundContact(const RigidBodyParameters& body, const std::optional<Undercarriage>& undercarriage,
+                const GroundContactSettings& settings = {})
+      : settings_(settings), mass_(body.mass), undercarriage_(undercarriage) {
     validate(body);
-    validate(wheels);
+    if (undercarriage) validate(*undercarriage);
     validate(settings);
   }
 
@@ -35,7 +37,8 @@ class AxleContact {
   [[nodiscard]] bool is_ground_reference(const ContactEstimate& contact,
                                          const Eigen::Vector3d& position,
                                          const ReferencePoint& point) const noexcept {
-    const double above = point.position.z() - wheel_radius_ -
+    if (!undercarriage_) return false;
+    const double above = point.position.z() - undercarriage_->height -
                          std::max(expected(contact, point.position), expected(contact, position));
     const double rising =
         point.velocity.z() - std::max(0.0, contact.ground.slope.dot(point.velocity.head<2>()));
@@ -55,8 +58,9 @@ class AxleContact {
     if (meant && !contact.on_ground) settle(contact, measured, ahead, node);
     if (!node.on_ground) return;
     // Along the ground that there is, whatever the reference takes it for.
-    node.ground = contact.ground;
-    node.reference.position.z() = contact.ground.height_at(point.position) + wheel_radius_;
+    node.com_plane = contact.ground;
+    node.com_plane.height += undercarriage_->height;
+    node.reference.position.z() = node.com_plane.height_at(point.position);
     node.reference.velocity.z() = contact.ground.slope.dot(point.velocity.head<2>());
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
     // thrust up. So the vertical and the roll are held. Along the axle it is the same: any side
@@ -64,6 +68,9 @@ class AxleContact {
     // of it.
     node.freedom.linear.z() = 0.0;
     node.freedom.angular.x() = 0.0;
+    if (!undercarriage_->pitches) node.freedom.angular.y() = 0.0;
+    if (!undercarriage_->turns) node.freedom.angular.z() = 0.0;
+    if (!undercarriage_->rolls) node.freedom.linear.setZero();
     node.external = contact.rolling;
     // Downhill is the same way all along the horizon, wherever the vehicle turns.
     const Eigen::Vector2d downhill =
@@ -73,8 +80,25 @@ class AxleContact {
     node.external.force.y() = mass_ * (point.orientation.conjugate() * point.acceleration).y();
   }
 
-  /// Takes from a wrench what the ground gives: the side force and the roll torque.
-  static void release(Wrench<>& wrench) noexcept { wrench.force.y() = wrench.torque.x() = 0.0; }
+  /// Sets to zero what of a measured motion the ground does not let go on. With both wheels down
+  /// that is the roll rate: the vehicle has one about body x while it turns with its nose up or
+  /// down, and a model in which the roll went on would rather keep the nose there.
+  void stop_held(BodyState<>& body) const noexcept {
+    if (!undercarriage_) return;
+    body.angular_velocity.x() = 0.0;
+    if (!undercarriage_->pitches) body.angular_velocity.y() = 0.0;
+    if (!undercarriage_->turns) body.angular_velocity.z() = 0.0;
+    if (!undercarriage_->rolls) body.velocity.setZero();
+  }
+
+  /// Takes from a wrench what the ground gives; the vertical force stays.
+  void release(Wrench<>& wrench) const noexcept {
+    if (!undercarriage_) return;
+    wrench.force.y() = wrench.torque.x() = 0.0;
+    if (!undercarriage_->pitches) wrench.torque.y() = 0.0;
+    if (!undercarriage_->turns) wrench.torque.z() = 0.0;
+    if (!undercarriage_->rolls) wrench.force.x() = 0.0;
+  }
 
  private:
   // Height of the ground that the reference goes by, under `position`.
@@ -90,7 +114,7 @@ class AxleContact {
     constexpr double time_constant = 1.0;  // [s]
     const double ground = contact.ground_known ? contact.ground.height_at(measured.position)
                                                : expected(contact, measured.position);
-    const double standing = ground + wheel_radius_, off = measured.position.z() - standing,
+    const double standing = ground + undercarriage_->height, off = measured.position.z() - standing,
                  left = std::max(off, 0.0) * std::exp(-ahead / time_constant);
     node.reference.position.z() =
         standing + std::min(off, 0.0) + left - settings_.settling_speed * ahead;
@@ -98,7 +122,8 @@ class AxleContact {
   }
 
   GroundContactSettings settings_;
-  double mass_, wheel_radius_;
+  double mass_;
+  std::optional<Undercarriage> undercarriage_;
 };
 
 }  // namespace tilt_ropter

@@ -189,7 +189,7 @@ class Nmpc {
 
   NmpcSettings settings_;
   RigidBodyParameters body_;
-  AxleContact axle_;
+  GroundContact ground_;
   ReferenceWrench<Rotors> reference_wrench_;
   MultipleShooting<Problem> solver_;
   std::vector<ReferencePoint> points_;
@@ -214,10 +214,10 @@ template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
     : settings_(checked(settings)),
       body_(vehicle.body),
-      axle_(vehicle.body, vehicle.wheels, settings.ground),
+      ground_(vehicle.body, undercarriage(vehicle), settings.ground),
       reference_wrench_(vehicle, settings.ground),
       solver_(
-          Problem(vehicle.body, vehicle.wheels, settings.problem,
+          Problem(vehicle.body, settings.problem,
                   settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
           settings.solver),
       points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
@@ -239,9 +239,7 @@ const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyState<>& measure
   if (cold_) set_nodes();  // with this measurement, not the last
   State<> x;
   x.body = body_state_;
-  // Both wheels stay down, so the vehicle does not go on rolling about body x at the rate it has
-  // while it turns with its nose up or down. A model that did would rather keep the nose there.
-  if (solver_.problem().node(0).on_ground) x.body.angular_velocity.x() = 0.0;
+  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
   x.wrench = has_plan_ ? wrench_at(time) : safe_wrench();
   if (cold_) start_cold(x);
   prepared_ = false;
@@ -283,7 +281,7 @@ const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyState<>& me
   State<> x;
   x.body = measured;
   x.body.orientation.normalize();
-  if (problem.node(0).on_ground) x.body.angular_velocity.x() = 0.0;  // as in feedback()
+  if (problem.node(0).on_ground) ground_.stop_held(x.body);  // as in feedback()
   x.wrench = wrench_at(time);
   const State<> expected = problem.step_for(
       age - interval * k, k, k == 0 ? plan_start_ : solver_.state(k), solver_.input(k));
@@ -404,7 +402,7 @@ void Nmpc<Rotors>::set_nodes() {
 template <int Rotors>
 void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
                             WheeledFlightNode& node) const {
-  axle_.apply(contact_, body_state_, ahead, point, node);
+  ground_.apply(contact_, body_state_, ahead, point, node);
   if (settings_.wrench_feedforward) {
     node.wrench_reference = reference_wrench_(point, node.external, node.on_ground);
   } else {

@@ -32,7 +32,7 @@ struct BoundViolation {
 
 /// Compares the wrench, wrench rate and body rate that follow from a reference by inverse dynamics
 /// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground the
-/// wheels carry weight, side force and roll torque, and the bounds are asked for the rest. Where
+/// ground gives what the undercarriage holds, and the bounds are asked for the rest. Where
 /// the reference leaves the ground or lands, the change of force must fit into the horizon. A step
 /// of position or attitude of more than 2 cm or 0.02 rad is none that a vehicle can follow. Returns
 /// an empty list if all fits. Allocates; throws std::invalid_argument for a vehicle, settings or
@@ -50,7 +50,7 @@ template <typename Reference, int Rotors>
           "finite and > start");
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
-  const AxleContact axle(vehicle.body, vehicle.wheels, settings.ground);
+  const GroundContact ground(vehicle.body, undercarriage(vehicle), settings.ground);
   const ReferenceWrench<Rotors> reference_wrench(vehicle, settings.ground);
   const ContactEstimate contact;  // flat ground at height zero
   const NmpcBounds& bounds = settings.problem.bounds;
@@ -80,7 +80,7 @@ template <typename Reference, int Rotors>
   for (long i = 0; i <= samples; ++i) {
     const double time = start + step * static_cast<double>(i);
     const ReferencePoint point = reference(time);
-    const bool on_ground = axle.is_ground_reference(contact, point.position, point);
+    const bool on_ground = ground.is_ground_reference(contact, point.position, point);
     const Eigen::Vector3d& w = point.angular_velocity;
     const Wrench<> needed = reference_wrench(point, {}, on_ground);
     Vector6 wrench;

@@ -56,10 +56,11 @@ class ReferenceWrench {
  public:
   /// Throws std::invalid_argument for a geometry that cannot give every wrench.
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
-      : body_(vehicle.body), ground_thrust_(vehicle, settings) {}
+      : body_(vehicle.body),
+        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_thrust_(vehicle, settings) {}
 
-  /// Against `external` (body frame); on the ground the wheels give the side force, the ground the
-  /// vertical one and the roll torque.
+  /// Against `external` (body frame); on the ground without what the ground gives.
   [[nodiscard]] Wrench<> operator()(const ReferencePoint& point, const Wrench<>& external,
                                     bool on_ground) const noexcept {
     const Eigen::Vector3d& w = point.angular_velocity;
@@ -70,7 +71,7 @@ class ReferenceWrench {
     wrench.torque =
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
     if (on_ground) {
-      AxleContact::release(wrench);
+      contact_.release(wrench);
       wrench.force.z() = ground_thrust_(wrench);
     }
     return wrench;
@@ -78,6 +79,7 @@ class ReferenceWrench {
 
  private:
   RigidBodyParameters body_;
+  GroundContact contact_;
   GroundThrust<Rotors> ground_thrust_;
 };
 

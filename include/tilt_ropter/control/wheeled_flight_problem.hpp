@@ -32,7 +32,7 @@ struct WheeledFlightNode {
   Wrench<> external;          ///< F_e, M_e during the interval that starts here (body frame)
   Freedom<> freedom;          ///< what the ground leaves free during that interval
   bool on_ground = false;     ///< the paper's delta: non-holonomic conditions apply here
-  GroundPlane ground;         ///< under the wheels
+  GroundPlane com_plane;      ///< that the CoM keeps to on the ground
 };
 
 /// A problem as MultipleShooting takes it: 18 tangent coordinates (dF, dM, dp, dv, dtheta, dw), 6
@@ -81,15 +81,10 @@ class WheeledFlightProblem {
   /// `actuators` bounds nothing by default. Throws std::invalid_argument for parameters or settings
   /// out of range, with TerminalCost::riccati also for weights by which some error costs nothing
   /// for ever.
-  WheeledFlightProblem(const RigidBodyParameters& body, const WheelParameters& wheels,
-                       const WheeledFlightSettings& settings = {},
-                       const ActuatorRows<Rotors>& actuators = {})
-      : body_(body),
-        lanes_(body),
-        actuators_(actuators),
-        wheel_radius_(wheels.radius),
-        settings_(settings) {
-    validate(wheels);
+  explicit WheeledFlightProblem(const RigidBodyParameters& body,
+                                const WheeledFlightSettings& settings = {},
+                                const ActuatorRows<Rotors>& actuators = {})
+      : body_(body), lanes_(body), actuators_(actuators), settings_(settings) {
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
     set_weights();
@@ -248,11 +243,11 @@ class WheeledFlightProblem {
   }
   [[nodiscard]] const Rows& penalty(int) const { return penalty_; }
 
-  /// v_By, w_x and p_z - r above the ground (paper, Eq. mpc_subject), where the node is on the
+  /// v_By, w_x and the CoM over its plane (paper, Eq. mpc_subject), where the node is on the
   /// ground.
   [[nodiscard]] Equalities equality_values(int k, const State& x) const {
     return {body_velocity(x).y, x.body.angular_velocity.x(),
-            x.body.position.z() - wheel_radius_ - node(k).ground.height_at(x.body.position)};
+            x.body.position.z() - node(k).com_plane.height_at(x.body.position)};
   }
   void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
     const Square to_world = detail::square(x.body.orientation.toRotationMatrix());
@@ -264,8 +259,8 @@ class WheeledFlightProblem {
     H(0, 12) = velocity.z;
     H(0, 14) = -velocity.x;
     H(1, 15) = 1.0;
-    H(2, 6) = -node(k).ground.slope.x();
-    H(2, 7) = -node(k).ground.slope.y();
+    H(2, 6) = -node(k).com_plane.slope.x();
+    H(2, 7) = -node(k).com_plane.slope.y();
     H(2, 8) = 1.0;
   }
   [[nodiscard]] Equalities equality_weights(int k) const {
@@ -422,7 +417,6 @@ class WheeledFlightProblem {
   RigidBody<> body_;
   RigidBody<Lanes> lanes_;
   ActuatorRows<Rotors> actuators_;
-  double wheel_radius_;  // height of the CoM on the ground [m]
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
   Tangent state_weights_, last_state_weights_;

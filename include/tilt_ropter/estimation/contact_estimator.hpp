@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 /// Are the wheels on the ground, where is it, and which part of the external wrench is its?
 namespace tilt_ropter {
@@ -60,32 +61,36 @@ inline void validate(const ContactEstimatorSettings& s) {
 /// Load first, height second: a vehicle that is carried is on the ground, wherever the ground is,
 /// and one that is not is in the air as soon as it has left the place where it was carried.
 ///
-/// The ground is a plane through the wheels' lowest points: its height follows them while they
-/// carry, its slope follows the axle, which lies in it, and the way that the vehicle rolls.
+/// The ground is a plane through the lowest points of wheels or feet. Its height follows them while
+/// they carry. Its slope follows the axle, which lies in it, the way that the vehicle rolls and,
+/// where the undercarriage does not pitch, body x.
 ///
 /// In the air the external wrench is a disturbance, all of it. On the ground the vertical force and
 /// the roll torque are mostly the ground's, so the disturbance is what was last seen in the air, in
 /// two parts corrected by what the ground cannot do: it only pushes, so lift that is missing on it
-/// is missing in the air as well (a heavy vehicle, weak rotors), and freely turning wheels give no
-/// pitch torque (a shifted CoM).
+/// is missing in the air as well (a heavy vehicle, weak rotors), and freely turning wheels on one
+/// axle give no pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the
+/// air, and all of the external wrench is a disturbance.
 ///
 /// The observer is a filter and shows for a while what the ground did after it has let go. That
 /// part is known and taken out. Nothing allocates; only the constructor throws.
 class ContactEstimator {
  public:
   /// Throws std::invalid_argument for parameters or settings out of range.
-  ContactEstimator(const RigidBodyParameters& body, const WheelParameters& wheels,
+  ContactEstimator(const RigidBodyParameters& body,
+                   const std::optional<Undercarriage>& undercarriage,
                    const ContactEstimatorSettings& settings = {})
-      : settings_(settings), weight_(body.mass * gravity), wheel_radius_(wheels.radius) {
+      : settings_(settings), weight_(body.mass * gravity), undercarriage_(undercarriage) {
     validate(body);
-    validate(wheels);
+    if (undercarriage) validate(*undercarriage);
     validate(settings);
-    estimate_.ground = settings.assumed_ground;
+    estimate_ = in_the_air({});
+    if (undercarriage) estimate_.ground = settings.assumed_ground;
   }
   template <int Rotors>
   explicit ContactEstimator(const Vehicle<Rotors>& vehicle,
                             const ContactEstimatorSettings& settings = {})
-      : ContactEstimator(vehicle.body, vehicle.wheels, settings) {}
+      : ContactEstimator(vehicle.body, undercarriage(vehicle), settings) {}
 
   /// Takes the state of the body (of the CoM) and the observer, which has had its sample, at `time`
   /// [s]; once a tick or more often. Numbers that are not finite or beyond 1e6, or wrenches beyond
@@ -111,14 +116,14 @@ class ContactEstimator {
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
+    if (!undercarriage_) return update_in_the_air(time, external);
     dt = std::max(dt, 0.0);
     // What the observer's filter has passed since the last call, without its lag.
     const Wrench<> now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
     const double lift = started_
                             ? lift_ + share(dt, settings_.load_time) * (lift_of(now, body) - lift_)
                             : lift_of({first, Eigen::Vector3d::Zero()}, body);
-    const double clearance =
-        body.position.z() - wheel_radius_ - estimate_.ground.height_at(body.position);
+    const double clearance = clearance_of(body);
 
     const bool was_on_ground = estimate_.on_ground;
     if (was_on_ground) {
@@ -145,7 +150,20 @@ class ContactEstimator {
   [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
 
  private:
-  // In the air, until a load says otherwise. `clearance` is that of the wheels over the ground.
+  // Of a vehicle with nothing to stand on.
+  const ContactEstimate& update_in_the_air(double time, const Wrench<>& external) noexcept {
+    estimate_.disturbance = external;
+    started_ = true;
+    time_ = time;
+    return estimate_;
+  }
+
+  // Of wheels or feet over the ground [m].
+  [[nodiscard]] double clearance_of(const BodyState<>& body) const noexcept {
+    return body.position.z() - undercarriage_->height - estimate_.ground.height_at(body.position);
+  }
+
+  // In the air, until a load says otherwise.
   void fly(const BodyState<>& body, double lift, double clearance, double dt) noexcept {
     const GroundPlane& ground = estimate_.ground;
     const double load = lift - air_lift_,
@@ -178,7 +196,7 @@ class ContactEstimator {
             double dt) noexcept {
     // The ground only pushes, and wheels that turn freely do not pitch.
     if (lift < lift_of(air_, body)) set_air_lift(lift, body);
-    air_.torque.y() = external.torque.y();
+    if (undercarriage_->pitches) air_.torque.y() = external.torque.y();
     if (lift - lift_of(air_, body) > settings_.carried_load * weight_) {
       place_ground(body, share(dt, settings_.ground_time));
       learn_slope(body, share(dt, settings_.slope_time));
@@ -247,7 +265,7 @@ class ContactEstimator {
     GroundPlane& ground = estimate_.ground;
     constexpr double largest_step = 0.05;  // [m], of the height that is averaged
     if (!std::isfinite(ground.height)) ground.height = 0.0;
-    const double off = body.position.z() - wheel_radius_ - ground.height_at(body.position);
+    const double off = clearance_of(body);
     ground.height += share == 1.0 ? off : share * std::clamp(off, -largest_step, largest_step);
   }
 
@@ -260,6 +278,7 @@ class ContactEstimator {
       slope += share * level * (line.z() - slope.dot(level)) / level.squaredNorm();
     };
     learn(body.orientation * Eigen::Vector3d::UnitY());
+    if (!undercarriage_->pitches) learn(body.orientation * Eigen::Vector3d::UnitX());
     if (body.velocity.head<2>().norm() > 0.3) learn(body.velocity);
     if (!(slope.norm() < settings_.max_slope)) return;
     ground.height += (ground.slope - slope).dot(body.position.head<2>());
@@ -277,14 +296,25 @@ class ContactEstimator {
     const Eigen::Vector3d reaction = normal * Eigen::Vector3d(-slope.x(), -slope.y(), 1.0);
     Eigen::Vector3d along = all - reaction;
     along.z() = 0.0;
-    estimate_.rolling = {orientation.conjugate() * along, external.torque};
-    estimate_.rolling.torque.x() = 0.0;
-    estimate_.ground_reaction.force = orientation.conjugate() * reaction;
-    estimate_.ground_reaction.torque = {external.torque.x() - air_.torque.x(), 0.0, 0.0};
+    Wrench<>&held = estimate_.ground_reaction, &free = estimate_.rolling;
+    free = {orientation.conjugate() * along, external.torque};
+    held = {orientation.conjugate() * reaction, Eigen::Vector3d::Zero()};
+    if (!undercarriage_->rolls) {
+      free.force.setZero();
+      held.force = external.force - air_.force;
+    }
+    const auto hold_torque = [&](int axis) {
+      free.torque(axis) = 0.0;
+      held.torque(axis) = external.torque(axis) - air_.torque(axis);
+    };
+    hold_torque(0);
+    if (!undercarriage_->pitches) hold_torque(1);
+    if (!undercarriage_->turns) hold_torque(2);
   }
 
   ContactEstimatorSettings settings_;
-  double weight_, wheel_radius_;
+  double weight_;
+  std::optional<Undercarriage> undercarriage_;
   ContactEstimate estimate_;
   Wrench<> air_;        // what acts in the air, averaged; kept on the ground
   Wrench<> left_over_;  // of the ground, in the observer's output

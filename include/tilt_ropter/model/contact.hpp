@@ -32,7 +32,8 @@ struct ContactEstimate {
   /// On the ground: what acts along it and turns the vehicle on it, such as wind, rolling and
   /// turning resistance.
   Wrench<> rolling;
-  /// On the ground: its force along its normal and its roll torque; in the air zero.
+  /// On the ground: its force along its normal, its roll torque, and what else the Undercarriage
+  /// holds; in the air zero.
   Wrench<> ground_reaction;
 };
 

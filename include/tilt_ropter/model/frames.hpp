@@ -34,14 +34,16 @@ template <int Rotors>
   return pose;
 }
 
-/// Wi in B: origin in the wheel's centre, x along body y (the axle), z up. Wheel 0 is the right one
-/// (arm 1, -y), wheel 1 the left one (arm 2, +y).
+/// Wi in B: origin in the wheel's centre, x along body y (the axle), z up. Even wheels are right
+/// (arm 1, -y), odd ones left (arm 2, +y); of two axles the front one has 0 and 1, the rear one 2
+/// and 3. Throws std::bad_optional_access for a vehicle without wheels.
 template <int Rotors>
 [[nodiscard]] Eigen::Isometry3d wheel_in_body(const Vehicle<Rotors>& vehicle, std::size_t wheel) {
   Eigen::Isometry3d pose;
   pose.linear() << 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0;
-  const double side = wheel == 0 ? -1.0 : 1.0;
-  pose.translation() << 0.0, side * vehicle.wheels.half_track, 0.0;
+  const WheelParameters& wheels = vehicle.wheels.value();
+  const double side = wheel % 2 == 0 ? -1.0 : 1.0, end = wheel < 2 ? 0.5 : -0.5;
+  pose.translation() << end * wheels.wheel_base, side * wheels.half_track, 0.0;
   return pose;
 }
 

@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 #include <string>
 
 /// What the vehicle is: every parameter of it, plain data with units, and the reference vehicle.
@@ -68,10 +69,30 @@ struct ServoParameters {
   double dead_time = 0.0;  ///< from command to first motion [s]
 };
 
-/// Two passive wheels on the body's y axis, through the CoM.
+/// Passive wheels that turn about axes along body y.
 struct WheelParameters {
   double radius = 0.1;      ///< [m]
   double half_track = 0.2;  ///< CoM to wheel centre along body y [m]
+  /// Distance between a front and a rear axle with the CoM in the middle. Zero: one axle through
+  /// the CoM, on which the vehicle pitches freely [m].
+  double wheel_base = 0.0;
+};
+
+/// Four legs with stiff feet, at the corners of a rectangle under the CoM.
+struct LegParameters {
+  double height = 0.12;       ///< of the CoM above the feet [m]
+  double half_length = 0.15;  ///< CoM to foot along body x [m]
+  double half_width = 0.15;   ///< CoM to foot along body y [m]
+};
+
+/// How a vehicle on the ground can still move, whatever it stands on. Filters and controllers know
+/// nothing else of wheels and legs. The ground always holds the CoM's height, the roll about body x
+/// and the way along body y.
+struct Undercarriage {
+  double height = 0.1;  ///< of the CoM above the ground [m]
+  bool rolls = true;    ///< moves along body x
+  bool turns = true;    ///< turns on the spot about body z
+  bool pitches = true;  ///< turns freely about body y
 };
 
 /// Electrical power P = electronics + c sum Omega^3, with c such that hover takes `hover`.
@@ -87,7 +108,8 @@ struct Vehicle {
   std::array<RotorGeometry, static_cast<std::size_t>(Rotors)> rotors;
   RotorParameters rotor;
   ServoParameters servo;
-  WheelParameters wheels;
+  std::optional<WheelParameters> wheels;  ///< none: it has legs or never touches the ground
+  std::optional<LegParameters> legs;      ///< only without wheels
   PowerParameters power;
 };
 
@@ -130,6 +152,17 @@ inline void validate(const ServoParameters& p) {
 inline void validate(const WheelParameters& p) {
   require_in("WheelParameters.radius [m]", p.radius, 1e-6, 1e3);
   require_in("WheelParameters.half_track [m]", p.half_track, 1e-6, 1e3);
+  require_in("WheelParameters.wheel_base [m]", p.wheel_base, 0.0, 1e3);
+}
+
+inline void validate(const LegParameters& p) {
+  require_in("LegParameters.height [m]", p.height, 1e-6, 1e3);
+  require_in("LegParameters.half_length [m]", p.half_length, 1e-6, 1e3);
+  require_in("LegParameters.half_width [m]", p.half_width, 1e-6, 1e3);
+}
+
+inline void validate(const Undercarriage& p) {
+  require_in("Undercarriage.height [m]", p.height, 1e-6, 1e3);
 }
 
 inline void validate(const PowerParameters& p) {
@@ -148,8 +181,22 @@ void validate(const Vehicle<Rotors>& vehicle) {
              "Vehicle.rotors[" + std::to_string(i) + "]");
   validate(vehicle.rotor);
   validate(vehicle.servo);
-  validate(vehicle.wheels);
+  if (vehicle.wheels) validate(*vehicle.wheels);
+  if (vehicle.legs) validate(*vehicle.legs);
+  require(!(vehicle.wheels && vehicle.legs), "Vehicle.legs", "given",
+          "absent for a vehicle with wheels");
   validate(vehicle.power);
+}
+
+/// That of the vehicle's wheels or legs; none without either.
+template <int Rotors>
+[[nodiscard]] std::optional<Undercarriage> undercarriage(const Vehicle<Rotors>& vehicle) noexcept {
+  if (vehicle.wheels) {
+    const bool one_axle = vehicle.wheels->wheel_base == 0.0;
+    return Undercarriage{vehicle.wheels->radius, true, one_axle, one_axle};
+  }
+  if (vehicle.legs) return Undercarriage{vehicle.legs->height, false, false, false};
+  return std::nullopt;
 }
 
 /// The same vehicle with the servo of `rotor` (from 0) stuck at `angle` [rad]: to allocation and
@@ -197,8 +244,7 @@ template <int Rotors>
   v.servo.min_angle = -pi;                                          // estimate
   v.servo.max_angle = pi;                                           // estimate
   v.servo.dead_time = 0.0;                                          // estimate
-  v.wheels.radius = 0.11;                                           // estimate
-  v.wheels.half_track = 0.20;                                       // estimate
+  v.wheels = {0.11, 0.20};                                          // estimate
   v.power.electronics = 20.0;  // estimate; known only to lie between 15 and 40
   v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
   return v;

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/transition.hpp>
@@ -11,6 +12,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <utility>
 #include <variant>
@@ -143,7 +145,6 @@ struct HybridMissionParameters {
   Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start, and crossing of the eights [m]
   double yaw = 0.0;                                  ///< at the start and in the air [rad]
   double direction = 0.0;                        ///< of the eights' long axis, about world z [rad]
-  double wheel_radius = 0.11;                    ///< height of the CoM on the ground (estimate) [m]
   double flight_height = 1.5;                    ///< height of the CoM in hover [m]
   double rest_time = 1.0;                        ///< of each rest on the ground [s]
   double hover_time = 2.0;                       ///< of each hover [s]
@@ -162,24 +163,18 @@ struct HybridMissionParameters {
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed. The shape of the
-/// eights is for FigureEight to check.
+/// eights is for FigureEight to check, and whether they stay off the ground for hybrid_mission().
 inline void validate(const HybridMissionParameters& p) {
   require_finite("HybridMissionParameters.origin [m]", p.origin);
   require_finite("HybridMissionParameters.yaw [rad]", p.yaw);
   require_finite("HybridMissionParameters.direction [rad]", p.direction);
-  require_positive("HybridMissionParameters.wheel_radius [m]", p.wheel_radius);
-  require(std::isfinite(p.flight_height) && p.flight_height > p.wheel_radius,
-          "HybridMissionParameters.flight_height [m]", p.flight_height,
-          "finite and > wheel_radius");
+  require_finite("HybridMissionParameters.flight_height [m]", p.flight_height);
   require_in("HybridMissionParameters.rest_time [s]", p.rest_time, 1e-3, 1e10);
   require_in("HybridMissionParameters.hover_time [s]", p.hover_time, 1e-3, 1e10);
   require_positive("HybridMissionParameters.climb_speed [m/s]", p.climb_speed);
   require_positive("HybridMissionParameters.climb_acceleration [m/s^2]", p.climb_acceleration);
   require_positive("HybridMissionParameters.descent_speed [m/s]", p.descent_speed);
   require_positive("HybridMissionParameters.descent_acceleration [m/s^2]", p.descent_acceleration);
-  require(std::abs(p.air_amplitude.z()) < p.flight_height - p.wheel_radius,
-          "HybridMissionParameters.air_amplitude.z [m]", p.air_amplitude.z(),
-          "less than flight_height - wheel_radius to either side");
   require(p.laps >= 1, "HybridMissionParameters.laps", p.laps, ">= 1");
   require_positive("HybridMissionParameters.max_speed [m/s]", p.max_speed);
   require_positive("HybridMissionParameters.max_acceleration [m/s^2]", p.max_acceleration);
@@ -205,36 +200,60 @@ namespace detail {
 
 }  // namespace detail
 
-/// The part of it for a vehicle without wheels: hover, the eight in the air, hover. Throws
-/// std::invalid_argument on bad parameters.
-[[nodiscard]] inline Mission aerial_mission(const HybridMissionParameters& p = {}) {
+/// All of the paper's job that a vehicle can do, from `undercarriage(vehicle)`:
+/// - rolling: rest, take-off, hover, an eight in the air, a turn into the ground eight's direction,
+///   hover, landing, rest, the eight on the ground with the heading along it, rest, take-off,
+///   hover, landing, rest;
+/// - standing: rest, take-off, hover, the eight in the air, hover, landing, rest;
+/// - without an undercarriage: hover, the eight in the air, hover.
+/// The ground is at height zero. Throws std::invalid_argument on bad parameters.
+[[nodiscard]] inline Mission hybrid_mission(const std::optional<Undercarriage>& undercarriage,
+                                            const HybridMissionParameters& p = {}) {
   validate(p);
   const FigureEightParameters air = detail::air_eight(p);
-  const Hold hover({air.center, p.yaw}, p.hover_time);
-  return Mission({{MissionPhase::hover, hover},
-                  {MissionPhase::air, FigureEight(air)},
-                  {MissionPhase::hover, hover}},
-                 p.start_time);
-}
+  const Waypoint above_start{air.center, p.yaw};
+  const Hold hover_at_start(above_start, p.hover_time);
+  if (!undercarriage)
+    return Mission({{MissionPhase::hover, hover_at_start},
+                    {MissionPhase::air, FigureEight(air)},
+                    {MissionPhase::hover, hover_at_start}},
+                   p.start_time);
 
-/// Rest, take-off, hover, an eight in the air, a turn into the ground eight's direction, hover,
-/// landing, rest, the eight on the ground with the heading along it, rest, take-off, hover,
-/// landing, rest. Throws std::invalid_argument on bad parameters.
-[[nodiscard]] inline Mission hybrid_mission(const HybridMissionParameters& p = {}) {
-  validate(p);
-  const FigureEightParameters air = detail::air_eight(p);
+  validate(*undercarriage);
+  const double standing = undercarriage->height;
+  require(p.flight_height > standing, "HybridMissionParameters.flight_height [m]", p.flight_height,
+          "more than Undercarriage.height, " + std::to_string(standing));
+  require(std::abs(p.air_amplitude.z()) < p.flight_height - standing,
+          "HybridMissionParameters.air_amplitude.z [m]", p.air_amplitude.z(),
+          "less than flight_height - Undercarriage.height to either side");
+  const Waypoint start{{p.origin.x(), p.origin.y(), standing}, p.yaw};
+  const auto up = [&p](const Waypoint& from) {
+    return take_off(from, p.flight_height, p.climb_speed, p.climb_acceleration);
+  };
+  const auto down = [&p, standing](const Waypoint& from) {
+    return landing(from, standing, p.descent_speed, p.descent_acceleration);
+  };
+  const Hold rest_at_start(start, p.rest_time);
+  if (!undercarriage->rolls)
+    return Mission({{MissionPhase::rest, rest_at_start},
+                    {MissionPhase::take_off, up(start)},
+                    {MissionPhase::hover, hover_at_start},
+                    {MissionPhase::air, FigureEight(air)},
+                    {MissionPhase::hover, hover_at_start},
+                    {MissionPhase::landing, down(above_start)},
+                    {MissionPhase::rest, rest_at_start}},
+                   p.start_time);
+
   FigureEightParameters ground = air;
-  ground.center.z() = p.wheel_radius;
+  ground.center.z() = standing;
   ground.amplitude << p.ground_amplitude, 0.0;
   ground.heading = HeadingMode::along_velocity;
   ground.max_yaw_rate = p.max_yaw_rate;
   const FigureEight ground_eight(ground);
 
-  // The places, on the ground and above it, before and after the turn.
-  const Waypoint start{ground.center, p.yaw}, above_start{air.center, p.yaw};
+  // The places, on the ground and above it, after the turn.
   const double ground_yaw = yaw_of(ground_eight(ground_eight.start_time()).orientation);
   const Waypoint turned{ground.center, ground_yaw}, above_turned{air.center, ground_yaw};
-
   TransitionParameters turn;
   turn.from = above_start;
   turn.to = above_turned;
@@ -242,26 +261,35 @@ namespace detail {
   turn.max_yaw_acceleration = p.max_yaw_acceleration;
 
   const Hold rest(turned, p.rest_time), hover(above_turned, p.hover_time);
-  const Transition down =
-      landing(above_turned, p.wheel_radius, p.descent_speed, p.descent_acceleration);
-  const auto up = [&p](const Waypoint& from) {
-    return take_off(from, p.flight_height, p.climb_speed, p.climb_acceleration);
-  };
-  return Mission({{MissionPhase::rest, Hold(start, p.rest_time)},
-                  {MissionPhase::take_off, up(start)},
-                  {MissionPhase::hover, Hold(above_start, p.hover_time)},
-                  {MissionPhase::air, FigureEight(air)},
-                  {MissionPhase::hover, Transition(turn)},
-                  {MissionPhase::hover, hover},
-                  {MissionPhase::landing, down},
-                  {MissionPhase::rest, rest},
-                  {MissionPhase::ground, ground_eight},
-                  {MissionPhase::rest, rest},
-                  {MissionPhase::take_off, up(turned)},
-                  {MissionPhase::hover, hover},
-                  {MissionPhase::landing, down},
-                  {MissionPhase::rest, rest}},
-                 p.start_time);
+  std::vector<MissionSegment> segments = {
+      {MissionPhase::rest, rest_at_start},         {MissionPhase::take_off, up(start)},
+      {MissionPhase::hover, hover_at_start},       {MissionPhase::air, FigureEight(air)},
+      {MissionPhase::hover, Transition(turn)},     {MissionPhase::hover, hover},
+      {MissionPhase::landing, down(above_turned)}, {MissionPhase::rest, rest}};
+  if (undercarriage->turns) {
+    segments.push_back({MissionPhase::ground, ground_eight});
+  } else {
+    TransitionParameters straight;
+    straight.max_speed = p.max_speed;
+    straight.max_acceleration = p.max_acceleration;
+    straight.from = straight.to = turned;
+    straight.to.position.head<2>() +=
+        p.ground_amplitude.x() * Eigen::Vector2d(std::cos(ground_yaw), std::sin(ground_yaw));
+    segments.push_back({MissionPhase::ground, Transition(straight)});
+    std::swap(straight.from, straight.to);
+    segments.push_back({MissionPhase::ground, Transition(straight)});
+  }
+  segments.insert(segments.end(), {{MissionPhase::rest, rest},
+                                   {MissionPhase::take_off, up(turned)},
+                                   {MissionPhase::hover, hover},
+                                   {MissionPhase::landing, down(above_turned)},
+                                   {MissionPhase::rest, rest}});
+  return Mission(std::move(segments), p.start_time);
+}
+template <int Rotors>
+[[nodiscard]] Mission hybrid_mission(const Vehicle<Rotors>& vehicle,
+                                     const HybridMissionParameters& p = {}) {
+  return hybrid_mission(undercarriage(vehicle), p);
 }
 
 }  // namespace tilt_ropter

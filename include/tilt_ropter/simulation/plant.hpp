@@ -16,8 +16,9 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <vector>
 
-/// The vehicle to try a controller on: rigid body, rotors, tilt servos and two wheels on flat
+/// The vehicle to try a controller on: rigid body, rotors, tilt servos, and wheels or legs on flat
 /// ground. It shares parameter and state types with the controller's model but none of its code, so
 /// that each can be tested against the other, and its Vehicle is the true one, which the controller
 /// need not know exactly.
@@ -45,7 +46,7 @@ struct PlantState {
   double time = 0.0;  ///< [s]
   BodyState<> body;
   ActuatorState<Rotors> actuators;
-  std::array<WheelState, 2> wheels;  ///< right (-y), left (+y)
+  std::array<WheelState, 4> wheels;  ///< or feet, as PlantLoads has them
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed.
@@ -74,7 +75,8 @@ struct PlantLoads {
                        ///< and gyroscopic torque of the spinning wheels
   Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();        ///< at the CoM [m/s^2]
   Eigen::Vector3d angular_acceleration = Eigen::Vector3d::Zero();  ///< [rad/s^2]
-  std::array<WheelForces, 2> wheels;                               ///< right (-y), left (+y)
+  /// Right and left (-y, +y) of the front axle or of the only one, of the rear axle. Feet likewise.
+  std::array<WheelForces, 4> wheels;
 };
 
 /// The body obeys the paper's Eqs. rb1-rb4 with `actuators` and `external` of PlantLoads; its
@@ -94,12 +96,14 @@ class Plant {
   static constexpr double max_step = 10.0;    ///< longest that step() accepts [s]
   static constexpr double max_speed = 1.0e4;  ///< of body and wheels [m/s, rad/s]
 
-  /// Starts at time zero, standing on its wheels with stopped rotors. Allocates, and throws
-  /// std::invalid_argument for a vehicle or parameters that are not valid.
+  /// Starts at time zero, standing with stopped rotors; a vehicle without wheels or legs starts at
+  /// height zero and meets no ground. Allocates, and throws std::invalid_argument for a vehicle or
+  /// parameters that are not valid.
   explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {})
       : vehicle_((validate(vehicle), vehicle)),
         parameters_((validate(parameters), parameters)),
         inertia_inverse_(vehicle.body.inertia.inverse()),
+        mounts_(mounts()),
         substep_(stable_substep()),
         tilt_commands_(static_cast<std::size_t>(
                            std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
@@ -161,7 +165,8 @@ class Plant {
       disturbance_ = {};
     }
     loads_ = loads(state_);
-    for (std::size_t i = 0; i < 2; ++i) state_.wheels[i].bristle = loads_.wheels[i].bristle;
+    for (std::size_t i = 0; i < mounts_.size(); ++i)
+      state_.wheels[i].bristle = loads_.wheels[i].bristle;
     return sound;
   }
 
@@ -183,16 +188,18 @@ class Plant {
     return loads_.specific_force;
   }
 
-  /// Normal force of the ground on the right and the left wheel [N].
-  [[nodiscard]] Eigen::Vector2d normal_forces() const noexcept {
-    return {loads_.wheels[0].normal_force, loads_.wheels[1].normal_force};
+  /// Normal force of the ground on each wheel or foot of PlantLoads [N].
+  [[nodiscard]] Eigen::Vector4d normal_forces() const noexcept {
+    return {loads_.wheels[0].normal_force, loads_.wheels[1].normal_force,
+            loads_.wheels[2].normal_force, loads_.wheels[3].normal_force};
   }
 
-  /// Height of the CoM at which the wheels carry the whole upright vehicle [m].
+  /// Height of the CoM at which wheels or legs carry the whole upright vehicle, zero without [m].
   [[nodiscard]] double standing_height() const noexcept {
-    const WheelContactParameters& contact = parameters_.contact;
-    return vehicle_.wheels.radius - contact.axle_position.z() -
-           vehicle_.body.mass * gravity / (2.0 * contact.stiffness);
+    if (mounts_.empty()) return 0.0;
+    return mounts_[0].radius - mounts_[0].centre.z() -
+           vehicle_.body.mass * gravity /
+               (static_cast<double>(mounts_.size()) * parameters_.contact.stiffness);
   }
 
   /// Longest substep that is used [s].
@@ -212,11 +219,36 @@ class Plant {
     return std::sqrt(thrust / vehicle_.rotor.thrust_coefficient);
   }
 
+  [[nodiscard]] std::vector<WheelMount> mounts() const {
+    constexpr double foot_radius = 0.01;
+    double along = 0.0, aside = 0.0, below = 0.0;
+    WheelMount mount;
+    if (vehicle_.wheels) {
+      along = 0.5 * vehicle_.wheels->wheel_base;
+      aside = vehicle_.wheels->half_track;
+      mount.radius = vehicle_.wheels->radius;
+    } else if (vehicle_.legs) {
+      along = vehicle_.legs->half_length;
+      aside = vehicle_.legs->half_width;
+      mount.radius = std::min(foot_radius, vehicle_.legs->height);
+      mount.locked = true;
+      below = vehicle_.legs->height - mount.radius;
+    } else {
+      return {};
+    }
+    std::vector<WheelMount> all(along > 0.0 ? 4 : 2, mount);
+    for (std::size_t i = 0; i < all.size(); ++i)
+      all[i].centre = parameters_.contact.axle_position +
+                      Eigen::Vector3d(i < 2 ? along : -along, i % 2 == 0 ? -aside : aside, -below);
+    return all;
+  }
+
   /// At most max_substep; throws if that cannot be made stable in reasonable time.
   [[nodiscard]] double stable_substep() const {
-    const double fastest =
-        std::max({1.0 / vehicle_.rotor.time_constant, 1.0 / vehicle_.servo.time_constant,
-                  fastest_contact_rate(parameters_.contact, vehicle_.wheels, vehicle_.body)});
+    double fastest =
+        std::max(1.0 / vehicle_.rotor.time_constant, 1.0 / vehicle_.servo.time_constant);
+    for (const WheelMount& mount : mounts_)
+      fastest = std::max(fastest, fastest_contact_rate(parameters_.contact, mount, vehicle_.body));
     require(fastest <= 1e7, "Plant: fastest rate of rotors, servos and contact [1/s]", fastest,
             "at most 1e7");
     return std::min(parameters_.max_substep, 1.0 / fastest);
@@ -258,9 +290,9 @@ class Plant {
     Wrench<>& external = result.external;
     external = disturbance_;
     external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
-    for (std::size_t i = 0; i < 2; ++i) {
-      const WheelForces forces = wheel_contact(parameters_.contact, vehicle_.wheels,
-                                               static_cast<int>(i), x.body, rotation, x.wheels[i]);
+    for (std::size_t i = 0; i < mounts_.size(); ++i) {
+      const WheelForces forces =
+          wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i]);
       const double momentum = parameters_.contact.wheel_inertia * x.wheels[i].spin;
       result.contact.force += forces.ground.force;
       result.contact.torque += forces.ground.torque;
@@ -292,7 +324,7 @@ class Plant {
       const double limit = rotor(i).tilts ? vehicle_.servo.max_rate : 0.0;
       r.actuators.tilt_angle(i) = std::clamp(free, -limit, limit);
     }
-    for (std::size_t i = 0; i < 2; ++i) {
+    for (std::size_t i = 0; i < mounts_.size(); ++i) {
       r.wheels[i].angle = x.wheels[i].spin;
       r.wheels[i].spin = on_x.wheels[i].axle_torque / parameters_.contact.wheel_inertia;
       r.wheels[i].bristle = on_x.wheels[i].slip;
@@ -308,7 +340,7 @@ class Plant {
     x.body.angular_velocity += h * r.body.angular_velocity;
     x.actuators.rotor_speed += h * r.actuators.rotor_speed;
     x.actuators.tilt_angle += h * r.actuators.tilt_angle;
-    for (std::size_t i = 0; i < 2; ++i) {
+    for (std::size_t i = 0; i < x.wheels.size(); ++i) {
       x.wheels[i].angle += h * r.wheels[i].angle;
       x.wheels[i].spin += h * r.wheels[i].spin;
       x.wheels[i].bristle += h * r.wheels[i].bristle;
@@ -318,7 +350,8 @@ class Plant {
   /// One substep of the classical Runge-Kutta method.
   void integrate(double h) noexcept {
     const PlantLoads now = loads(state_);
-    for (std::size_t i = 0; i < 2; ++i) state_.wheels[i].bristle = now.wheels[i].bristle;
+    for (std::size_t i = 0; i < mounts_.size(); ++i)
+      state_.wheels[i].bristle = now.wheels[i].bristle;
     PlantState<Rotors> next = state_, stage;
     Rate r = rate(state_, now);
     advance(next, r, h / 6.0);
@@ -335,6 +368,7 @@ class Plant {
   Vehicle<Rotors> vehicle_;
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
+  std::vector<WheelMount> mounts_;  ///< none, two or four
   double substep_;
   detail::DelayQueue<Eigen::Matrix<double, Rotors, 1>> tilt_commands_;
   ActuatorState<Rotors> command_;  ///< within range; its tilt angles after the dead time

@@ -26,7 +26,14 @@
 /// and along the axle; below the friction circle it holds without creep, at the circle it slides.
 namespace tilt_ropter {
 
-/// The ground and the wheels on it; the same for both wheels.
+/// Where a wheel or a foot sits. A foot is a small wheel that is locked.
+struct WheelMount {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< from the CoM, body frame [m]
+  double radius = 0.1;                               ///< [m]
+  bool locked = false;                               ///< turns with the body
+};
+
+/// The ground and the wheels on it; the same for all wheels.
 struct WheelContactParameters {
   double stiffness = 3000.0;             ///< normal to the ground, one wheel [N/m]
   double dissipation = 4.0;              ///< damping force / (spring force x speed) [s/m]
@@ -37,8 +44,8 @@ struct WheelContactParameters {
   double rolling_regularisation = 0.01;  ///< rim speed below which that torque fades to 0 [m/s]
   double wheel_inertia = 4.0e-4;         ///< of one wheel about the axle [kg m^2]
   double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - body pitch rate) [N m s]
-  Eigen::Vector3d axle_position =
-      Eigen::Vector3d::Zero();  ///< middle of the axle, from the CoM, body frame [m]
+  Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();  ///< of the middle of the axles or of
+                                                            ///< the legs, from the CoM, body [m]
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed.
@@ -58,13 +65,14 @@ inline void validate(const WheelContactParameters& p) {
 /// Upper estimate of the rates [1/s] at which contact, wheel spin and body answer each other, at
 /// three times the vehicle's weight on one wheel: an explicit integration has to be quicker.
 [[nodiscard]] inline double fastest_contact_rate(const WheelContactParameters& p,
-                                                 const WheelParameters& wheels,
+                                                 const WheelMount& mount,
                                                  const RigidBodyParameters& body) {
-  const double lever = std::hypot(wheels.radius, wheels.half_track) + p.axle_position.norm();
+  const double lever =
+      std::hypot(mount.centre.y(), std::hypot(mount.centre.x(), mount.centre.z()) + mount.radius);
   const double load = 3.0 * body.mass * gravity;
   // Rim or contact point velocity per impulse [1/kg].
   const double of_body = 1.0 / body.mass + lever * lever * body.inertia.inverse().norm();
-  const double of_spin = wheels.radius * wheels.radius / p.wheel_inertia;
+  const double of_spin = mount.locked ? 0.0 : mount.radius * mount.radius / p.wheel_inertia;
   return std::max({p.bearing_friction / p.wheel_inertia, p.bristle_damping * (of_spin + of_body),
                    p.rolling_resistance * load * of_spin / p.rolling_regularisation,
                    p.dissipation * load * of_body,
@@ -90,17 +98,15 @@ struct WheelForces {
   Eigen::Vector2d slip = Eigen::Vector2d::Zero();     ///< of the rim, as the bristle [m/s]
 };
 
-/// Forces of wheel 0 (right, -y) or 1 (left, +y) (as wheel_in_body). `rotation` is that of
-/// `body.orientation`, `wheels` is valid. Never throws or allocates; finite for any finite state, a
-/// wheel that lies flat too.
+/// Forces of the wheel at `mount`. `rotation` is that of `body.orientation`. Never throws or
+/// allocates; finite for any finite state, a wheel that lies flat too.
 template <typename Rotation>
-[[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p,
-                                        const WheelParameters& wheels, int wheel,
+[[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p, const WheelMount& mount,
                                         const BodyState<>& body,
                                         const Eigen::MatrixBase<Rotation>& rotation,
                                         const WheelState& state) noexcept {
   WheelForces result;
-  const double relative_spin = state.spin - body.angular_velocity.y();
+  const double relative_spin = mount.locked ? 0.0 : state.spin - body.angular_velocity.y();
   result.bearing_torque = p.bearing_friction * relative_spin;
   result.axle_torque = -result.bearing_torque;
 
@@ -110,11 +116,10 @@ template <typename Rotation>
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
   const Eigen::Vector3d axle = rotation.col(1);
   const double sine = std::hypot(axle.x(), axle.y()), upright = std::max(sine, 1e-3);
-  const Eigen::Vector3d centre =
-      rotation * p.axle_position + (wheel == 0 ? -wheels.half_track : wheels.half_track) * axle;
-  const Eigen::Vector3d spoke = (wheels.radius / upright) * (axle.z() * axle - up);
+  const Eigen::Vector3d centre = rotation * mount.centre;
+  const Eigen::Vector3d spoke = (mount.radius / upright) * (axle.z() * axle - up);
   const double depth =
-      0.5 * wheels.radius * (sine * sine / upright + upright) - body.position.z() - centre.z();
+      0.5 * mount.radius * (sine * sine / upright + upright) - body.position.z() - centre.z();
   if (!(depth > 0.0)) return result;
 
   const Eigen::Vector3d spin_rate = rotation * body.angular_velocity;
@@ -136,13 +141,14 @@ template <typename Rotation>
       cut(-p.bristle_stiffness * result.bristle - p.bristle_damping * result.slip, circle);
 
   const Eigen::Vector3d force = normal * up + friction.x() * rolling + friction.y() * sideways;
-  const double drive = axle.dot(spoke.cross(force));
+  const double drive = mount.locked ? 0.0 : axle.dot(spoke.cross(force));
   result.ground.force = rotation.transpose() * force;
   result.ground.torque =
       rotation.transpose() * ((centre + spoke).cross(force) - drive * axle).eval();
 
-  const double slow = p.rolling_regularisation / wheels.radius;
-  result.axle_torque += drive - p.rolling_resistance * normal * wheels.radius * state.spin /
+  if (mount.locked) return result;
+  const double slow = p.rolling_regularisation / mount.radius;
+  result.axle_torque += drive - p.rolling_resistance * normal * mount.radius * state.spin /
                                     std::hypot(state.spin, slow);
   return result;
 }
