@@ -433,6 +433,11 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
           watch("Allocation::wrench", [&] { return allocation.wrench(applied); });
       (void)watch("WrenchObserver", [&] { return observer.update(time, *m, wrench); });
     }
+    if (i % 25 == 0) {
+      settings.ground.down_force = i % 2 == 0 ? 0.75 : 1.0;
+      settings.problem.weights.position.x() = i % 2 == 0 ? 60.0 : 80.0;
+      watch("Nmpc::set_settings", [&] { nmpc.set_settings(settings); });
+    }
     nlopt([&] {
       watch("ContactEstimator", [&] { contact.update(time, measured, observer); });
       watch("Nmpc::prepare", [&] { return nmpc.prepare(time, reference, contact.estimate()); });

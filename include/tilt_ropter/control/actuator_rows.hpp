@@ -72,9 +72,20 @@ class ActuatorRows {
       if (!(geometry.effectiveness > 0.0)) continue;
       upper_(2 * Rotors + i) = geometry.effectiveness * vehicle.rotor.max_thrust;
       if (!geometry.tilts) continue;
-      max_rate_(i) = settings.tilt_rate_share * vehicle.servo.max_rate;
+      servo_rate_(i) = vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
     }
+    max_rate_ = settings.tilt_rate_share * servo_rate_;
+  }
+
+  /// The same rows with other settings. Allocates nothing; throws std::invalid_argument for
+  /// settings out of range.
+  [[nodiscard]] ActuatorRows with(const ActuatorRowSettings& settings) const {
+    validate(settings);
+    ActuatorRows changed = *this;
+    changed.hold_square_ = settings.hold_thrust * settings.hold_thrust;
+    changed.max_rate_ = settings.tilt_rate_share * servo_rate_;
+    return changed;
   }
 
   /// Upper bounds of the rows, infinite for what is not bounded; there are no lower ones.
@@ -141,7 +152,8 @@ class ActuatorRows {
 
   bool enabled_ = false;
   double scale_ = 0.0, hold_square_ = 0.0;  // [1/N^2], [N^2]
-  Eigen::Matrix<double, Rotors, 1> max_rate_ = Eigen::Matrix<double, Rotors, 1>::Zero();
+  using PerRotor = Eigen::Matrix<double, Rotors, 1>;
+  PerRotor servo_rate_ = PerRotor::Zero(), max_rate_ = PerRotor::Zero();  // [rad/s]
   Values upper_ = Values::Constant(std::numeric_limits<double>::infinity());
   Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor> pseudoinverse_ =
       Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor>::Zero();

@@ -32,6 +32,9 @@ class GroundContact {
     validate(settings);
   }
 
+  /// Takes other settings, which must be valid.
+  void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
+
   /// True if `point` means the ground of `contact` to a vehicle at `position` (world frame): the
   /// ground there or, where it falls away from a level reference, under the vehicle.
   [[nodiscard]] bool is_ground_reference(const ContactEstimate& contact,

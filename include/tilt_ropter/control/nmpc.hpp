@@ -89,6 +89,13 @@ class Nmpc {
   /// With the settings that fly this vehicle without tuning.
   explicit Nmpc(const Vehicle<Rotors>& vehicle);
 
+  /// Takes other settings between two ticks, without a cold start: weights, bounds, prices, what
+  /// is done on the ground, limits on time. Only `solver` and the number and length of intervals
+  /// stay as they were made. The next prepare() goes by them; after one, feedback() fails until
+  /// there is another. Allocates nothing, but with TerminalCost::riccati. Throws
+  /// std::invalid_argument, and changes nothing, for settings out of range.
+  void set_settings(const NmpcSettings& settings);
+
   /// Everything that can be done before the measurement of time `time` [s] comes: reference,
   /// linearisation, factorisation. `reference` is any callable that returns a ReferencePoint for a
   /// time and does not throw; `contact` is ContactEstimator's or the caller's own. With a time that
@@ -189,6 +196,7 @@ class Nmpc {
 
   NmpcSettings settings_;
   RigidBodyParameters body_;
+  Actuators actuators_;
   GroundContact ground_;
   ReferenceWrench<Rotors> reference_wrench_;
   MultipleShooting<Problem> solver_;
@@ -214,18 +222,31 @@ template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
     : settings_(checked(settings)),
       body_(vehicle.body),
+      actuators_(vehicle, settings.actuators),
       ground_(vehicle.body, undercarriage(vehicle), settings.ground),
       reference_wrench_(vehicle, settings.ground),
-      solver_(
-          Problem(vehicle.body, settings.problem,
-                  settings.actuator_rows ? Actuators(vehicle, settings.actuators) : Actuators()),
-          settings.solver),
+      solver_(Problem(vehicle.body, settings.problem,
+                      settings.actuator_rows ? actuators_ : Actuators()),
+              settings.solver),
       points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
   result_.wrench = safe_wrench();
 }
 
 template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle) : Nmpc(vehicle, nmpc_settings(vehicle)) {}
+
+template <int Rotors>
+void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
+  validate(settings);
+  require(settings.solver == settings_.solver, "NmpcSettings.solver", "another",
+          "as at construction");
+  solver_.problem().set_settings(
+      settings.problem, settings.actuator_rows ? actuators_.with(settings.actuators) : Actuators());
+  settings_ = settings;
+  ground_.set_settings(settings.ground);
+  reference_wrench_.set_settings(settings.ground);
+  prepared_ = false;
+}
 
 template <int Rotors>
 const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyState<>& measured) noexcept {

@@ -31,6 +31,9 @@ class GroundThrust {
     for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
   }
 
+  /// Takes other settings, which must be valid.
+  void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
+
   /// The force [N] for a wrench (body frame) whose own vertical force is left out of account.
   [[nodiscard]] double operator()(const Wrench<>& wrench) const noexcept {
     Eigen::Matrix<double, 6, 1> level;
@@ -59,6 +62,12 @@ class ReferenceWrench {
       : body_(vehicle.body),
         contact_(vehicle.body, undercarriage(vehicle), settings),
         ground_thrust_(vehicle, settings) {}
+
+  /// Takes other settings, which must be valid.
+  void set_settings(const GroundContactSettings& settings) noexcept {
+    contact_.set_settings(settings);
+    ground_thrust_.set_settings(settings);
+  }
 
   /// Against `external` (body frame); on the ground without what the ground gives.
   [[nodiscard]] Wrench<> operator()(const ReferencePoint& point, const Wrench<>& external,

@@ -89,7 +89,25 @@ class WheeledFlightProblem {
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
     set_weights();
     set_bounds();
-    if (settings.terminal_cost == TerminalCost::riccati) set_terminal();
+    if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
+  }
+
+  /// Takes other settings and rows for the next MultipleShooting::prepare(). Nodes stay, and so
+  /// must the number of intervals and their length. Allocates nothing, but with
+  /// TerminalCost::riccati: then it takes milliseconds. Throws std::invalid_argument, and changes
+  /// nothing, for settings out of range.
+  void set_settings(const WheeledFlightSettings& settings,
+                    const ActuatorRows<Rotors>& actuators = {}) {
+    validate(settings);
+    require(settings.intervals == settings_.intervals, "WheeledFlightSettings.intervals",
+            settings.intervals, "as at construction");
+    require(settings.interval == settings_.interval, "WheeledFlightSettings.interval [s]",
+            settings.interval, "as at construction");
+    if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
+    settings_ = settings;
+    set_weights();
+    actuators_ = actuators;
+    set_bounds();
   }
 
   [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
@@ -273,16 +291,25 @@ class WheeledFlightProblem {
   using Triple = detail::Triple<double>;
   using Square = detail::Square<double>;
 
+  static Tangent state_weights_of(const NmpcWeights& w) {
+    const Eigen::Vector3d* blocks[] = {&w.force,    &w.torque,      &w.position,
+                                       &w.velocity, &w.orientation, &w.angular_velocity};
+    Tangent all;
+    for (int i = 0; i < 6; ++i) detail::put(detail::triple(*blocks[i]), all, 3 * i, 0);
+    return all;
+  }
+  static Input input_weights_of(const NmpcWeights& w) {
+    Input all;
+    detail::put(detail::triple(w.force_rate), all, 0, 0);
+    detail::put(detail::triple(w.torque_rate), all, 3, 0);
+    return all;
+  }
+
   void set_weights() {
-    const NmpcWeights& w = settings_.weights;
-    const Eigen::Vector3d* of_state[] = {&w.force,    &w.torque,      &w.position,
-                                         &w.velocity, &w.orientation, &w.angular_velocity};
-    const Eigen::Vector3d* of_input[] = {&w.force_rate, &w.torque_rate};
-    for (int i = 0; i < 6; ++i) {
-      detail::put(detail::triple(*of_state[i]), state_weights_, 3 * i, 0);
-      detail::put(w.terminal * detail::triple(*of_state[i]), last_state_weights_, 3 * i, 0);
-    }
-    for (int i = 0; i < 2; ++i) detail::put(detail::triple(*of_input[i]), input_weights_, 3 * i, 0);
+    state_weights_ = state_weights_of(settings_.weights);
+    for (int i = 0; i < states; ++i)
+      last_state_weights_(i) = settings_.weights.terminal * state_weights_(i);
+    input_weights_ = input_weights_of(settings_.weights);
   }
 
   void set_bounds() {
@@ -386,21 +413,23 @@ class WheeledFlightProblem {
   }
 
   // At heading zero the tangent coordinates are the error's, to first order.
-  void set_terminal() {
+  void set_terminal(const NmpcWeights& weights) {
     State hover;
     hover.wrench.force.z() = body_.mass() * gravity;
     StateJacobian A;
     InputJacobian B;
     (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, A, B);
+    const Tangent of_state = state_weights_of(weights);
+    const Input of_input = input_weights_of(weights);
     Model cost;
-    for (int i = 0; i < states; ++i) cost.hessian(i, i) = state_weights_(i);
-    for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = input_weights_(i);
+    for (int i = 0; i < states; ++i) cost.hessian(i, i) = of_state(i);
+    for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = of_input(i);
     const std::optional<StateJacobian> P =
         endless_cost<states, inputs, TransitionPattern>(A, B, cost);
     require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
             "used with weights by which every error that stays costs something, as NmpcWeights."
             "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
-    terminal_.push_back(*P);
+    terminal_.assign(1, *P);
   }
 
   [[nodiscard]] const Tangent& state_weights(int k) const {

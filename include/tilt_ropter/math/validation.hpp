@@ -14,7 +14,7 @@
 #include <type_traits>
 
 /// Checks of parameters at construction. Each throws std::invalid_argument with a sentence that
-/// names the field, its value and what is allowed; none is called in a control loop. Where
+/// names the field, its value and what is allowed; one that passes allocates nothing. Where
 /// exceptions are switched off (-fno-exceptions) the sentence goes to stderr and the program ends
 /// by abort().
 namespace tilt_ropter {
@@ -140,8 +140,9 @@ void require_ordered(std::string_view field, const Eigen::MatrixBase<Lower>& low
   bool ordered = true;
   for (Eigen::Index j = 0; j < lower.cols(); ++j)
     for (Eigen::Index i = 0; i < lower.rows(); ++i) ordered = ordered && lower(i, j) <= upper(i, j);
-  require(ordered, std::string(field) + " lower bound", lower.derived(),
-          "<= the upper bound in every entry");
+  if (!ordered)
+    require(false, std::string(field) + " lower bound", lower.derived(),
+            "<= the upper bound in every entry");
 }
 
 /// An inertia that some rigid body has: symmetric, positive, and no principal moment larger than

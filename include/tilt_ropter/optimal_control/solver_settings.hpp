@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <tuple>
 
 /// What the solver can be told. Needs no NLopt, so settings can be made, checked and stored where
 /// nothing is solved.
@@ -24,6 +25,13 @@ struct DualSettings {
   double row_tolerance = 1e-9;  ///< violation that makes a constraint join the working set
   int max_rounds = 20;          ///< of adding constraints
 };
+
+[[nodiscard]] inline bool operator==(const DualSettings& a, const DualSettings& b) {
+  const auto all = [](const DualSettings& s) {
+    return std::tie(s.algorithm, s.max_evaluations, s.tolerance, s.row_tolerance, s.max_rounds);
+  };
+  return all(a) == all(b);
+}
 
 inline void validate(const DualSettings& s) {
   require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
@@ -50,6 +58,14 @@ struct QuadraticProgramSettings {
   DualSettings dual;
 };
 
+[[nodiscard]] inline bool operator==(const QuadraticProgramSettings& a,
+                                     const QuadraticProgramSettings& b) {
+  const auto all = [](const QuadraticProgramSettings& s) {
+    return std::tie(s.method, s.tolerance, s.max_dual_rows, s.max_passes, s.dual);
+  };
+  return all(a) == all(b);
+}
+
 inline void validate(const QuadraticProgramSettings& s) {
   require_positive("QuadraticProgramSettings.tolerance", s.tolerance);
   require(s.max_dual_rows >= 0 && s.max_dual_rows <= 1000, "QuadraticProgramSettings.max_dual_rows",
@@ -72,6 +88,14 @@ struct SolverSettings {
                                    ///< by weight; feedback() never does, as noise would pile up
   QuadraticProgramSettings program;
 };
+
+[[nodiscard]] inline bool operator==(const SolverSettings& a, const SolverSettings& b) {
+  const auto all = [](const SolverSettings& s) {
+    return std::tie(s.max_iterations, s.max_time, s.max_feedback_time, s.tolerance, s.min_step,
+                    s.memory, s.max_multiplier, s.update_multipliers, s.program);
+  };
+  return all(a) == all(b);
+}
 
 inline void validate(const SolverSettings& s) {
   require(s.max_iterations > 0, "SolverSettings.max_iterations", s.max_iterations, "> 0");
