@@ -131,6 +131,11 @@ std::vector<std::string> columns(bool with_errors) {
   return names;
 }
 
+/// Where each part of error() starts.
+struct ErrorIndex {
+  static constexpr int position = 0, velocity = 3, attitude = 6;
+};
+
 /// Position, velocity and orientation as a tangent vector from `estimate` to `truth`.
 Eigen::Matrix<double, 9, 1> error(const BodyState<>& truth, const BodyState<>& estimate) {
   Eigen::Matrix<double, 9, 1> e;
@@ -180,9 +185,9 @@ Rmse judge(const States& estimate, Truth& truth, double from, double shift) {
     const BodyState<>* t = truth.at(s.time + shift);
     if (t == nullptr) continue;
     const Eigen::Matrix<double, 9, 1> e = error(*t, s.value);
-    r.position += e.head<3>().squaredNorm();
-    r.velocity += e.segment<3>(3).squaredNorm();
-    r.attitude += e.tail<3>().squaredNorm();
+    r.position += e.segment<3>(ErrorIndex::position).squaredNorm();
+    r.velocity += e.segment<3>(ErrorIndex::velocity).squaredNorm();
+    r.attitude += e.segment<3>(ErrorIndex::attitude).squaredNorm();
     ++r.count;
   }
   const auto root = [&r](double& sum) { sum = std::sqrt(sum / static_cast<double>(r.count)); };

@@ -56,6 +56,12 @@ struct InstanceFile {
 
 namespace detail {
 
+/// Where each part of InstanceNumbers starts; `start` is a PackedState.
+struct InstanceIndex {
+  static constexpr int external_force = 0, external_torque = 3, start = 6, reference_position = 25,
+                       reference_velocity = 28, reference_orientation = 31;
+};
+
 using InstanceNumbers = Eigen::Matrix<double, 35, 1>;  // the columns after id and bounds, in order
 
 struct Field {
@@ -179,11 +185,13 @@ inline bool normalise(Eigen::Quaterniond& q) {
       return wrong(fields[i].offset, std::string(instance_columns[i]) + " = " +
                                          detail::quoted(fields[i].text) + " " + problem);
   }
-  instance.external = {n.segment<3>(0), n.segment<3>(3)};
-  instance.start = tilt_ropter::unpack<double>(n.segment<19>(6));
-  instance.reference.position = n.segment<3>(25);
-  instance.reference.velocity = n.segment<3>(28);
-  instance.reference.orientation = Eigen::Quaterniond(n(31), n(32), n(33), n(34));
+  using I = detail::InstanceIndex;
+  instance.external = {n.segment<3>(I::external_force), n.segment<3>(I::external_torque)};
+  instance.start = tilt_ropter::unpack<double>(n.segment<19>(I::start));
+  instance.reference.position = n.segment<3>(I::reference_position);
+  instance.reference.velocity = n.segment<3>(I::reference_velocity);
+  const Eigen::Vector4d q = n.segment<4>(I::reference_orientation);
+  instance.reference.orientation = Eigen::Quaterniond(q(0), q(1), q(2), q(3));
   if (!detail::normalise(instance.start.body.orientation))
     return wrong(fields[20].offset, "q is too near to zero or too large to be normalised");
   if (!detail::normalise(instance.reference.orientation))

@@ -276,9 +276,9 @@ TEST(WheeledFlightProblem, WithRotorsTheActuatorRowsFollowThePapers) {
     EXPECT_EQ(problem.lower(k).head<15>(), paper.lower(k));
     EXPECT_TRUE((problem.lower(k).tail<12>().array() == -infinity).all());
     // The last node has no input, the first one's thrust is measured.
-    EXPECT_TRUE(
-        (problem.upper(k).segment<8>(15).array() == (k == problem.horizon() ? infinity : 0.0))
-            .all());
+    EXPECT_TRUE((problem.upper(k).segment<8>(Problem::Row::actuators).array() ==
+                 (k == problem.horizon() ? infinity : 0.0))
+                    .all());
     EXPECT_TRUE(
         (problem.upper(k).tail<4>().array() == (k == 0 ? infinity : vehicle.rotor.max_thrust))
             .all());

@@ -251,10 +251,10 @@ TEST(ErrorStateFilter, PredictedCovarianceIsThatOfTheLinearisedStep) {
           return difference(propagate(retract(start, dx), cast<Scalar>(sample), Scalar(dt)), end);
         });
     Tangent q = Tangent::Zero();
-    q.segment<3>(3).setConstant(dt * 2e-2 * 2e-2);
-    q.segment<3>(6).setConstant(dt * 2e-3 * 2e-3);
-    q.segment<3>(9).setConstant(dt * 2e-5 * 2e-5);
-    q.segment<3>(12).setConstant(dt * 3e-4 * 3e-4);
+    q.segment<3>(InertialIndex::velocity).setConstant(dt * 2e-2 * 2e-2);
+    q.segment<3>(InertialIndex::orientation).setConstant(dt * 2e-3 * 2e-3);
+    q.segment<3>(InertialIndex::gyro_bias).setConstant(dt * 2e-5 * 2e-5);
+    q.segment<3>(InertialIndex::accelerometer_bias).setConstant(dt * 3e-4 * 3e-4);
     Covariance expected = transition * p * transition.transpose();
     expected.diagonal() += q;
     f.reset(x, p);

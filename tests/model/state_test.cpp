@@ -54,7 +54,9 @@ TEST(State, OrientationErrorIsInTheBodyFrame) {
   x.body.orientation = Eigen::AngleAxisd(1.0, Eigen::Vector3d::UnitZ());
   State<> y = x;
   y.body.orientation = x.body.orientation * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitX());
-  EXPECT_LT((difference(y, x).segment<3>(12) - Eigen::Vector3d(0.3, 0, 0)).norm(), 1e-15);
+  EXPECT_LT(
+      (difference(y, x).segment<3>(TangentIndex::orientation) - Eigen::Vector3d(0.3, 0, 0)).norm(),
+      1e-15);
 }
 
 TEST(State, FinitenessLooksAtEveryNumber) {

@@ -144,8 +144,8 @@ TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
     State<> x;
     x.body = random_body(random);
     StateTangent<> dx = StateTangent<>::Random();
-    dx.segment<3>(12) = random.vector(1.7);
-    if (i % 10 == 0) dx.segment<3>(12) *= 1e-6;
+    dx.segment<3>(TangentIndex::orientation) = random.vector(1.7);
+    if (i % 10 == 0) dx.segment<3>(TangentIndex::orientation) *= 1e-6;
     const State<> end = retract(x, dx);
     const auto pack_body = [](const State<>& y) {
       return State<S>{{lift<S>(y.wrench.force), lift<S>(y.wrench.torque)}, lift<S>(y.body)};

@@ -42,7 +42,11 @@ struct WheeledFlightNode {
 template <int Rotors = 0>
 class WheeledFlightProblem {
  public:
-  static constexpr int states = 18, inputs = 6, rows = 15 + ActuatorRows<Rotors>::rows,
+  /// Where each part of the rows starts.
+  struct Row {
+    static constexpr int force = 0, torque = 3, angular_velocity = 6, rate = 9, actuators = 15;
+  };
+  static constexpr int states = 18, inputs = 6, rows = Row::actuators + ActuatorRows<Rotors>::rows,
                        equalities = 3;
   using State = tilt_ropter::State<>;
   using D = ProblemDimensions<WheeledFlightProblem>;
@@ -126,7 +130,8 @@ class WheeledFlightProblem {
   /// d difference(retract(x, dx + e), retract(x, dx)) / de, for FullSpace.
   [[nodiscard]] StateJacobian retract_derivative(const State&, const Tangent& dx) const {
     StateJacobian derivative = StateJacobian::Identity();
-    derivative.block<3, 3>(12, 12) = right_jacobian(dx.segment<3>(12));
+    derivative.block<3, 3>(I::orientation, I::orientation) =
+        right_jacobian(dx.segment<3>(I::orientation));
     return derivative;
   }
 
@@ -224,9 +229,9 @@ class WheeledFlightProblem {
       model.hessian(i, i) = 2.0 * q(i);
     }
     const Square weighted =
-        detail::transposed(detail::scaled(by_angle, {2.0 * q(12), 2.0 * q(13), 2.0 * q(14)}));
-    detail::put(weighted * detail::triple_at(e, 12), model.gradient, 12, 0);
-    detail::put(weighted * by_angle, model.hessian, 12, 12);
+        detail::transposed(detail::scaled(by_angle, 2.0 * detail::triple_at(q, I::orientation)));
+    detail::put(weighted * detail::triple_at(e, I::orientation), model.gradient, I::orientation, 0);
+    detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
     for (int i = 0; k < horizon() && i < inputs; ++i) {
       model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
       model.hessian(states + i, states + i) = 2.0 * input_weights_(i);
@@ -236,19 +241,19 @@ class WheeledFlightProblem {
   [[nodiscard]] Rows row_values(int, const State& x, const Input& u) const {
     using detail::triple;
     Rows value;
-    detail::put(triple(x.wrench.force), value, 0, 0);
-    detail::put(triple(x.wrench.torque), value, 3, 0);
-    detail::put(triple(x.body.angular_velocity), value, 6, 0);
-    for (int i = 0; i < inputs; ++i) value(9 + i) = u(i);
+    detail::put(triple(x.wrench.force), value, Row::force, 0);
+    detail::put(triple(x.wrench.torque), value, Row::torque, 0);
+    detail::put(triple(x.body.angular_velocity), value, Row::angular_velocity, 0);
+    for (int i = 0; i < inputs; ++i) value(Row::rate + i) = u(i);
     if constexpr (Rotors > 0) {
       const auto of_actuators = actuators_.values(packed(x.wrench), u);
-      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + 15);
+      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Row::actuators);
     }
     return value;
   }
   void row_derivatives(int, const State& x, const Input& u, RowsX& C, RowsU& E) const {
-    for (int i = 0; i < 6; ++i) C(i, i) = E(9 + i, i) = 1.0;
-    for (int i = 0; i < 3; ++i) C(6 + i, 15 + i) = 1.0;
+    for (int i = 0; i < 6; ++i) C(Row::force + i, I::force + i) = E(Row::rate + i, i) = 1.0;
+    for (int i = 0; i < 3; ++i) C(Row::angular_velocity + i, I::angular_velocity + i) = 1.0;
     if constexpr (Rotors > 0)
       actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
                              E.template bottomRows<3 * Rotors>());
@@ -271,15 +276,15 @@ class WheeledFlightProblem {
     const Square to_world = detail::square(x.body.orientation.toRotationMatrix());
     const Triple velocity = body_velocity(x);
     std::fill_n(H.data(), H.size(), 0.0);
-    H(0, 9) = to_world.y.x;
-    H(0, 10) = to_world.y.y;
-    H(0, 11) = to_world.y.z;
-    H(0, 12) = velocity.z;
-    H(0, 14) = -velocity.x;
-    H(1, 15) = 1.0;
-    H(2, 6) = -node(k).com_plane.slope.x();
-    H(2, 7) = -node(k).com_plane.slope.y();
-    H(2, 8) = 1.0;
+    H(0, I::velocity) = to_world.y.x;
+    H(0, I::velocity + 1) = to_world.y.y;
+    H(0, I::velocity + 2) = to_world.y.z;
+    H(0, I::orientation) = velocity.z;
+    H(0, I::orientation + 2) = -velocity.x;
+    H(1, I::angular_velocity) = 1.0;
+    H(2, I::position) = -node(k).com_plane.slope.x();
+    H(2, I::position + 1) = -node(k).com_plane.slope.y();
+    H(2, I::position + 2) = 1.0;
   }
   [[nodiscard]] Equalities equality_weights(int k) const {
     if (!node(k).on_ground) return Equalities::Zero();
@@ -290,7 +295,7 @@ class WheeledFlightProblem {
  private:
   using Triple = detail::Triple<double>;
   using Square = detail::Square<double>;
-
+  using I = TangentIndex;
   static Tangent state_weights_of(const NmpcWeights& w) {
     const Eigen::Vector3d* blocks[] = {&w.force,    &w.torque,      &w.position,
                                        &w.velocity, &w.orientation, &w.angular_velocity};
@@ -300,8 +305,8 @@ class WheeledFlightProblem {
   }
   static Input input_weights_of(const NmpcWeights& w) {
     Input all;
-    detail::put(detail::triple(w.force_rate), all, 0, 0);
-    detail::put(detail::triple(w.torque_rate), all, 3, 0);
+    detail::put(detail::triple(w.force_rate), all, I::force, 0);
+    detail::put(detail::triple(w.torque_rate), all, I::torque, 0);
     return all;
   }
 
@@ -324,22 +329,22 @@ class WheeledFlightProblem {
       detail::put(below, lower_, 3 * i, 0);
     }
     if constexpr (Rotors > 0) {
-      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + 15);
-      std::fill_n(lower_.data() + 15, 3 * Rotors, -infinity);
+      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Row::actuators);
+      std::fill_n(lower_.data() + Row::actuators, 3 * Rotors, -infinity);
     }
     // The measured state is not ours to bound, and the last node has no input.
     first_upper_ = last_upper_ = upper_;
     first_lower_ = last_lower_ = lower_;
-    std::fill_n(first_upper_.data(), 9, infinity);
-    std::fill_n(first_lower_.data(), 9, -infinity);
+    std::fill_n(first_upper_.data(), Row::rate, infinity);
+    std::fill_n(first_lower_.data(), Row::rate, -infinity);
     std::fill_n(first_upper_.data() + rows - Rotors, Rotors, infinity);
-    std::fill_n(last_upper_.data() + 9, 6 + 2 * Rotors, infinity);
-    std::fill_n(last_lower_.data() + 9, 6 + 2 * Rotors, -infinity);
+    std::fill_n(last_upper_.data() + Row::rate, 6 + 2 * Rotors, infinity);
+    std::fill_n(last_lower_.data() + Row::rate, 6 + 2 * Rotors, -infinity);
     const NmpcPenalties& p = settings_.penalties;
-    std::fill_n(penalty_.data(), 6, p.wrench);
-    std::fill_n(penalty_.data() + 6, 3, p.angular_velocity);
-    std::fill_n(penalty_.data() + 9, 6, p.rate);
-    std::fill_n(penalty_.data() + 15, 3 * Rotors, p.actuators);
+    std::fill_n(penalty_.data() + Row::force, 6, p.wrench);
+    std::fill_n(penalty_.data() + Row::angular_velocity, 3, p.angular_velocity);
+    std::fill_n(penalty_.data() + Row::rate, 6, p.rate);
+    std::fill_n(penalty_.data() + Row::actuators, 3 * Rotors, p.actuators);
   }
 
   [[nodiscard]] static Triple body_velocity(const State& x) {
@@ -361,12 +366,13 @@ class WheeledFlightProblem {
     const auto &body = x.body, &reference = n.reference;
     const Eigen::Quaterniond turn = attitude_error(k, x);
     Tangent e;
-    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, 0, 0);
-    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, 3, 0);
-    detail::put(triple(body.position) - triple(reference.position), e, 6, 0);
-    detail::put(triple(body.velocity) - triple(reference.velocity), e, 9, 0);
-    detail::put(2.0 * Triple{turn.x(), turn.y(), turn.z()}, e, 12, 0);
-    detail::put(triple(body.angular_velocity) - triple(reference.angular_velocity), e, 15, 0);
+    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, I::force, 0);
+    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, I::torque, 0);
+    detail::put(triple(body.position) - triple(reference.position), e, I::position, 0);
+    detail::put(triple(body.velocity) - triple(reference.velocity), e, I::velocity, 0);
+    detail::put(2.0 * Triple{turn.x(), turn.y(), turn.z()}, e, I::orientation, 0);
+    detail::put(triple(body.angular_velocity) - triple(reference.angular_velocity), e,
+                I::angular_velocity, 0);
     return e;
   }
 
@@ -386,7 +392,8 @@ class WheeledFlightProblem {
   // Apart, or the code of all other nodes is slower for it.
   [[nodiscard]] [[gnu::noinline]] double riccati_cost(Tangent e) const {
     const Square turn = to_heading();
-    for (const int i : {6, 9, 12}) detail::put(turn * detail::triple_at(e, i), e, i, 0);
+    for (const int i : {I::position, I::velocity, I::orientation})
+      detail::put(turn * detail::triple_at(e, i), e, i, 0);
     double sum = 0.0;
     for (int j = 0; j < states; ++j)
       for (int i = 0; i < states; ++i) sum += e(i) * terminal_.front()(i, j) * e(j);
@@ -438,8 +445,8 @@ class WheeledFlightProblem {
 
   [[nodiscard]] static Input packed(const Wrench<>& wrench) {
     Input w;
-    detail::put(detail::triple(wrench.force), w, 0, 0);
-    detail::put(detail::triple(wrench.torque), w, 3, 0);
+    detail::put(detail::triple(wrench.force), w, I::force, 0);
+    detail::put(detail::triple(wrench.torque), w, I::torque, 0);
     return w;
   }
 

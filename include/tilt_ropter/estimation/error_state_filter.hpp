@@ -145,10 +145,14 @@ class ErrorStateFilter {
     validate(inertial);
     validate(pose);
     const auto square = [](double deviation) { return Scalar(deviation * deviation); };
-    process_noise_.template head<3>().setConstant(square(inertial.accelerometer_density));
-    process_noise_.template segment<3>(3).setConstant(square(inertial.gyro_density));
-    process_noise_.template segment<3>(6).setConstant(square(inertial.gyro_bias_walk));
-    process_noise_.template tail<3>().setConstant(square(inertial.accelerometer_bias_walk));
+    const auto set_noise = [&](int start, double density) {
+      process_noise_.template segment<3>(start - noisy).setConstant(square(density));
+    };
+    using I = InertialIndex;
+    set_noise(I::velocity, inertial.accelerometer_density);
+    set_noise(I::orientation, inertial.gyro_density);
+    set_noise(I::gyro_bias, inertial.gyro_bias_walk);
+    set_noise(I::accelerometer_bias, inertial.accelerometer_bias_walk);
     pose_noise_.template head<3>().setConstant(square(pose.position));
     pose_noise_.template tail<3>().setConstant(square(pose.orientation));
   }
@@ -175,16 +179,16 @@ class ErrorStateFilter {
     // The nine rows of the transition matrix that are not the identity, without those columns, the
     // marker's, that are zero.
     Eigen::Matrix<Scalar, 9, 15> f = Eigen::Matrix<Scalar, 9, 15>::Zero();
-    auto acceleration = f.template block<3, 9>(3, 6);
+    auto acceleration = f.template block<3, 9>(I::velocity, I::orientation);
     acceleration.template leftCols<3>().noalias() = dt * by_middle * half_rotation;
-    acceleration.template middleCols<3>(3).noalias() =
+    acceleration.template middleCols<3>(I::gyro_bias - I::orientation).noalias() =
         (-dt * half) * by_middle * right_jacobian(turn / Scalar(2));
     acceleration.template rightCols<3>() = -dt * rotation;
-    f.template block<3, 9>(0, 6) = half * acceleration;
-    f.template block<3, 3>(0, 3).diagonal().setConstant(dt);
-    f.template block<6, 6>(0, 0).diagonal().setOnes();
-    f.template block<3, 3>(6, 6) = half_rotation * half_rotation;
-    f.template block<3, 3>(6, 9) = -dt * right_jacobian(turn);
+    f.template block<3, 9>(I::position, I::orientation) = half * acceleration;
+    f.template block<3, 3>(I::position, I::velocity).diagonal().setConstant(dt);
+    f.template topLeftCorner<6, 6>().diagonal().setOnes();
+    f.template block<3, 3>(I::orientation, I::orientation) = half_rotation * half_rotation;
+    f.template block<3, 3>(I::orientation, I::gyro_bias) = -dt * right_jacobian(turn);
 
     const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
     const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
@@ -192,7 +196,7 @@ class ErrorStateFilter {
     covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
     covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
     covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
-    covariance_.diagonal().template segment<12>(I::velocity) += dt * process_noise_;
+    covariance_.diagonal().template segment<12>(noisy) += dt * process_noise_;
     state_ = propagate(state_, sample, dt);
   }
 
@@ -270,6 +274,8 @@ class ErrorStateFilter {
     product.template rightCols<3>().noalias() += columns(I::orientation) * h.to_marker.transpose();
     return product;
   }
+
+  static constexpr int noisy = InertialIndex::velocity;  // where what the IMU's noise moves starts
 
   InertialState<Scalar> state_;
   Covariance covariance_ = Covariance::Zero();

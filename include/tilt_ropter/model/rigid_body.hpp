@@ -139,8 +139,8 @@ class RigidBody {
     const Triple w0 = triple(x.body.angular_velocity), none{zero, zero, zero};
     const Triple force0 = triple(x.wrench.force) + triple(external.force),
                  torque0 = triple(x.wrench.torque) + triple(external.torque),
-                 force_rate{rate.coeff(0), rate.coeff(1), rate.coeff(2)},
-                 torque_rate{rate.coeff(3), rate.coeff(4), rate.coeff(5)};
+                 force_rate = detail::triple_at(rate, TangentIndex::force),
+                 torque_rate = detail::triple_at(rate, TangentIndex::torque);
 
     Triple w_rate = none, w_sum = none, v_rate = none, v_sum = none;
     Scalar c_rate = zero, c_sum = one;
@@ -210,18 +210,22 @@ class RigidBody {
     orientation.coeffRef(3) = per_length * real;
     if constexpr (!WithSensitivity) return;
 
+    using I = TangentIndex;
     for (int i = 0; i < 18 * 18; ++i) A->coeffRef(i) = zero;
     for (int i = 0; i < 18 * 6; ++i) B->coeffRef(i) = zero;
     for (int i = 0; i < 18; ++i) A->coeffRef(i, i) = one;
     for (int i = 0; i < 6; ++i) B->coeffRef(i, i) = dt;
-    for (int i = 0; i < 3; ++i) A->coeffRef(6 + i, 9 + i) = dt;
-    detail::put(to_world * position_by_force, *A, 6, 0);
-    detail::put(to_world * velocity_by_force, *A, 9, 0);
-    detail::put(to_world * position_by_rate, *B, 6, 0);
-    detail::put(to_world * velocity_by_rate, *B, 9, 0);
-    detail::put(detail::times_cross(to_world, -one * position_impulse), *A, 6, 12);
-    detail::put(detail::times_cross(to_world, -one * velocity_impulse), *A, 9, 12);
-    detail::put(detail::outer(c * c - dot(v, v), two * v, v, (-two * c) * v), *A, 12, 12);
+    for (int i = 0; i < 3; ++i) A->coeffRef(I::position + i, I::velocity + i) = dt;
+    detail::put(to_world * position_by_force, *A, I::position, I::force);
+    detail::put(to_world * velocity_by_force, *A, I::velocity, I::force);
+    detail::put(to_world * position_by_rate, *B, I::position, I::force);
+    detail::put(to_world * velocity_by_rate, *B, I::velocity, I::force);
+    detail::put(detail::times_cross(to_world, -one * position_impulse), *A, I::position,
+                I::orientation);
+    detail::put(detail::times_cross(to_world, -one * velocity_impulse), *A, I::velocity,
+                I::orientation);
+    detail::put(detail::outer(c * c - dot(v, v), two * v, v, (-two * c) * v), *A, I::orientation,
+                I::orientation);
 
     // One column of the derivatives by M, dM or w: `start` is that of w, `push` and `push_rate`
     // those of the rate of w.
@@ -247,17 +251,18 @@ class RigidBody {
         by_velocity += weight * turned;
         if (i < 3) by_position += position_weight * turned;
       }
-      detail::put(to_world * by_position, jacobian, 6, column);
-      detail::put(to_world * by_velocity, jacobian, 9, column);
-      detail::put((two * per_norm) * (c * dv_sum - cross(v, dv_sum) - dc_sum * v), jacobian, 12,
-                  column);
-      detail::put(dw_sum, jacobian, 15, column);
+      detail::put(to_world * by_position, jacobian, I::position, column);
+      detail::put(to_world * by_velocity, jacobian, I::velocity, column);
+      detail::put((two * per_norm) * (c * dv_sum - cross(v, dv_sum) - dc_sum * v), jacobian,
+                  I::orientation, column);
+      detail::put(dw_sum, jacobian, I::angular_velocity, column);
     };
     const Triple pushes[3] = {inverse_inertia.x, inverse_inertia.y, inverse_inertia.z};
     for (int i = 0; i < 3; ++i) {
-      set_column(none, pushes[i], none, *A, 3 + i);
-      set_column(none, none, pushes[i], *B, 3 + i);
-      set_column({Scalar(i == 0), Scalar(i == 1), Scalar(i == 2)}, none, none, *A, 15 + i);
+      set_column(none, pushes[i], none, *A, I::torque + i);
+      set_column(none, none, pushes[i], *B, I::torque + i);
+      set_column({Scalar(i == 0), Scalar(i == 1), Scalar(i == 2)}, none, none, *A,
+                 I::angular_velocity + i);
     }
   }
 

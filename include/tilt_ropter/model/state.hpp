@@ -48,6 +48,18 @@ struct State {
 template <typename Scalar = double>
 using StateTangent = Eigen::Matrix<Scalar, 18, 1>;
 
+/// Where each part of a StateTangent starts; those of a wrench and of its rate start likewise.
+struct TangentIndex {
+  static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
+                       angular_velocity = 15;
+};
+
+/// Where each part of a PackedState starts.
+struct PackedIndex {
+  static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
+                       angular_velocity = 16;
+};
+
 /// Packed State in the paper's order (F, M, p, v, q, w), q as (w, x, y, z).
 template <typename Scalar = double>
 using PackedState = Eigen::Matrix<Scalar, 19, 1>;
@@ -66,48 +78,54 @@ template <typename Scalar>
 /// Inverse of pack(). The quaternion is taken as it comes, not normalised.
 template <typename Scalar>
 [[nodiscard]] State<Scalar> unpack(const PackedState<Scalar>& packed) {
+  using I = PackedIndex;
   State<Scalar> x;
-  x.wrench.force = packed.template segment<3>(0);
-  x.wrench.torque = packed.template segment<3>(3);
-  x.body.position = packed.template segment<3>(6);
-  x.body.velocity = packed.template segment<3>(9);
-  x.body.orientation = Eigen::Quaternion<Scalar>(packed(12), packed(13), packed(14), packed(15));
-  x.body.angular_velocity = packed.template segment<3>(16);
+  x.wrench.force = packed.template segment<3>(I::force);
+  x.wrench.torque = packed.template segment<3>(I::torque);
+  x.body.position = packed.template segment<3>(I::position);
+  x.body.velocity = packed.template segment<3>(I::velocity);
+  const Eigen::Matrix<Scalar, 4, 1> q = packed.template segment<4>(I::orientation);
+  x.body.orientation = Eigen::Quaternion<Scalar>(q(0), q(1), q(2), q(3));
+  x.body.angular_velocity = packed.template segment<3>(I::angular_velocity);
   return x;
 }
 
 /// x (+) dx: the state reached from x along the tangent vector dx.
 template <typename Scalar>
 [[nodiscard]] State<Scalar> retract(const State<Scalar>& x, const StateTangent<Scalar>& dx) {
+  using I = TangentIndex;
   State<Scalar> y;
   const auto add = [&dx](const Vector3<Scalar>& from, int first, Vector3<Scalar>& to) {
     for (int i = 0; i < 3; ++i) to(i) = from(i) + dx(first + i);
   };
-  add(x.wrench.force, 0, y.wrench.force);
-  add(x.wrench.torque, 3, y.wrench.torque);
-  add(x.body.position, 6, y.body.position);
-  add(x.body.velocity, 9, y.body.velocity);
+  add(x.wrench.force, I::force, y.wrench.force);
+  add(x.wrench.torque, I::torque, y.wrench.torque);
+  add(x.body.position, I::position, y.body.position);
+  add(x.body.velocity, I::velocity, y.body.velocity);
+  constexpr int r = I::orientation;
   y.body.orientation =
-      (x.body.orientation * quaternion_exp(Vector3<Scalar>(dx(12), dx(13), dx(14)))).normalized();
-  add(x.body.angular_velocity, 15, y.body.angular_velocity);
+      (x.body.orientation * quaternion_exp(Vector3<Scalar>(dx(r), dx(r + 1), dx(r + 2))))
+          .normalized();
+  add(x.body.angular_velocity, I::angular_velocity, y.body.angular_velocity);
   return y;
 }
 
 /// y (-) x: the tangent vector at x that reaches y, so retract(x, difference(y, x)) = y.
 template <typename Scalar>
 [[nodiscard]] StateTangent<Scalar> difference(const State<Scalar>& y, const State<Scalar>& x) {
+  using I = TangentIndex;
   StateTangent<Scalar> dx;
   const auto subtract = [&dx](const Vector3<Scalar>& to, const Vector3<Scalar>& from, int first) {
     for (int i = 0; i < 3; ++i) dx(first + i) = to(i) - from(i);
   };
-  subtract(y.wrench.force, x.wrench.force, 0);
-  subtract(y.wrench.torque, x.wrench.torque, 3);
-  subtract(y.body.position, x.body.position, 6);
-  subtract(y.body.velocity, x.body.velocity, 9);
+  subtract(y.wrench.force, x.wrench.force, I::force);
+  subtract(y.wrench.torque, x.wrench.torque, I::torque);
+  subtract(y.body.position, x.body.position, I::position);
+  subtract(y.body.velocity, x.body.velocity, I::velocity);
   const Vector3<Scalar> turn = quaternion_log(
       Eigen::Quaternion<Scalar>(x.body.orientation.conjugate() * y.body.orientation));
-  for (int i = 0; i < 3; ++i) dx(12 + i) = turn(i);
-  subtract(y.body.angular_velocity, x.body.angular_velocity, 15);
+  for (int i = 0; i < 3; ++i) dx(I::orientation + i) = turn(i);
+  subtract(y.body.angular_velocity, x.body.angular_velocity, I::angular_velocity);
   return dx;
 }
 
