@@ -58,6 +58,109 @@ TEST(Rotor, DerivativesAreRightAndFiniteAtZero) {
     EXPECT_EQ(zero.derivatives()(i), 0.0);
 }
 
+// Both signs of the linear coefficient, from next to none to the most that validate() accepts.
+RotorParameters curved(test_support::Random& random) {
+  RotorParameters p = parameters();
+  p.thrust_coefficient = std::pow(10.0, random.uniform(-8.0, -4.0));
+  p.max_thrust = std::pow(10.0, random.uniform(-0.5, 3.0));
+  const double size = std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust) *
+                      std::pow(10.0, random.uniform(-6.0, 0.0));
+  p.linear_thrust_coefficient = random.uniform(0.0, 1.0) < 0.5 ? size : -size;
+  EXPECT_NO_THROW(validate(p));
+  return p;
+}
+
+TEST(ThrustCurve, IsThePolynomialAndItsInverse) {
+  test_support::Random random(4);
+  for (int i = 0; i < 10000; ++i) {
+    const RotorParameters p = curved(random);
+    const double thrust = p.max_thrust * std::pow(10.0, random.uniform(-9.0, 0.0));
+    const double speed = speed_from_thrust(thrust, p);
+    const auto w = static_cast<long double>(speed),
+               c = static_cast<long double>(p.thrust_coefficient),
+               b = static_cast<long double>(p.linear_thrust_coefficient);
+    // What a relative error of the speed of 1e-15 does to the thrust.
+    const auto rounding = static_cast<double>(1e-15L * w * (2.0L * c * w + std::abs(b)));
+    EXPECT_NEAR(static_cast<double>(c * w * w + b * w), thrust, 4.0 * rounding);
+    EXPECT_NEAR(thrust_from_speed(speed, p), thrust, 8.0 * rounding);
+    EXPECT_GT(speed_from_thrust(1.001 * thrust, p), speed);
+  }
+  RotorParameters p = parameters();
+  p.linear_thrust_coefficient = 1e-3;
+  EXPECT_NEAR(speed_from_thrust(2.4F, p), 1000.0F, 1e-3F);  // 1.4 N + 1 N
+  EXPECT_NEAR(thrust_from_speed(1000.0F, p), 2.4F, 1e-6F);
+}
+
+TEST(ThrustCurve, DerivativesAreTheSlope) {
+  using Dual = test_support::Dual<1>;
+  test_support::Random random(5);
+  for (int i = 0; i < 1000; ++i) {
+    const RotorParameters p = curved(random);
+    const double thrust = p.max_thrust * random.uniform(0.01, 1.0);
+    const double speed = speed_from_thrust(thrust, p);
+    const double slope = 2.0 * p.thrust_coefficient * speed + p.linear_thrust_coefficient;
+    EXPECT_NEAR(thrust_slope(thrust, p), slope, 1e-12 * slope);
+    EXPECT_NEAR(thrust_from_speed(Dual(speed, 1, 0), p).derivatives()(0), slope, 1e-12 * slope);
+    EXPECT_NEAR(speed_from_thrust(Dual(thrust, 1, 0), p).derivatives()(0), 1.0 / slope,
+                1e-12 / slope);
+  }
+}
+
+TEST(ThrustCurve, BeginsWhereTheLinearTermLetsIt) {
+  RotorParameters p = parameters();
+  p.linear_thrust_coefficient = -1.4e-4;  // 100 rad/s without thrust
+  for (const double bad : {-1.0, 0.0, nan, infinity})
+    EXPECT_NEAR(speed_from_thrust(bad, p), 100.0, 1e-12);
+  EXPECT_NEAR(speed_from_thrust(1e-12, p), 100.0, 1e-6);  // without a jump
+  EXPECT_EQ(thrust_from_speed(99.0, p), 0.0);
+  EXPECT_NEAR(thrust_from_speed(200.0, p), 0.028, 1e-15);
+  p.linear_thrust_coefficient = 1.4e-4;
+  for (const double bad : {-1.0, 0.0, nan, infinity}) EXPECT_EQ(speed_from_thrust(bad, p), 0.0);
+}
+
+TEST(ThrustCurve, WithoutALinearTermIsThePapersLawToTheBit) {
+  test_support::Random random(6);
+  for (int i = 0; i < 10000; ++i) {
+    const double x = std::pow(10.0, random.uniform(-8.0, 4.0));
+    EXPECT_EQ(thrust_from_speed(x, parameters()), coefficient * x * x);
+    EXPECT_EQ(speed_from_thrust(x, parameters()), std::sqrt(x) / std::sqrt(coefficient));
+    EXPECT_EQ(thrust_slope(x, parameters()), 2.0 * std::sqrt(coefficient * x));
+  }
+}
+
+TEST(Rotor, FollowsItsCurve) {
+  RotorParameters p = parameters();
+  p.linear_thrust_coefficient = 2e-3;
+  Rotor<> rotor(p);
+  rotor.reset(1e9, 0.0);
+  const double top = rotor.max_speed();
+  EXPECT_NEAR(coefficient * top * top + 2e-3 * top, 12.0, 1e-12);
+  EXPECT_NEAR(rotor.thrust(), 12.0, 1e-12);
+  EXPECT_LT(top, Rotor<>(parameters()).max_speed());
+}
+
+TEST(Rotor, TopSpeedFallsWithTheVoltage) {
+  test_support::Random random(7);
+  for (int i = 0; i < 1000; ++i) {
+    const RotorParameters p = curved(random);
+    Rotor<> rotor(p);
+    const double full = rotor.max_speed();
+    rotor.reset(full, 0.0);
+    rotor.set_voltage_ratio(0.8);
+    EXPECT_NEAR(rotor.max_speed(), 0.8 * full, 1e-9 * full);
+    EXPECT_EQ(rotor.speed(), rotor.max_speed());
+    EXPECT_NEAR(max_thrust_at(p, 0.8), thrust_from_speed(0.8 * full, p), 1e-9 * p.max_thrust);
+    for (const double more : {1.0, 1.2}) {
+      rotor.set_voltage_ratio(more);
+      EXPECT_EQ(rotor.max_speed(), full);
+      EXPECT_EQ(max_thrust_at(p, more), p.max_thrust);
+    }
+  }
+  RotorParameters idling = parameters();
+  idling.min_thrust = 10.0;
+  EXPECT_EQ(max_thrust_at(idling, 0.5), 10.0);
+}
+
 TEST(Rotor, StepResponseIsTheExponential) {
   Rotor<> rotor(parameters());
   rotor.reset(500.0, 2.0);

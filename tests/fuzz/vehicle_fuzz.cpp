@@ -21,6 +21,7 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
                  v.servo.time_constant, v.servo.max_rate, v.servo.min_angle, v.servo.max_angle,
                  v.servo.dead_time, v.wheels->radius, v.wheels->half_track, v.power.electronics,
                  v.power.hover);
+  input.vary_all(v.rotor.linear_thrust_coefficient, v.battery.nominal_voltage);
   for (RotorGeometry& rotor : v.rotors) {
     input.vary_all(rotor.position, rotor.orientation, rotor.tilts, rotor.effectiveness);
     if (input.coin()) rotor.orientation = input.orientation().toRotationMatrix();
@@ -40,9 +41,8 @@ void expect_good_allocation(const Vehicle<4>& vehicle, const Allocation<4>& allo
     fuzz::expect(!vehicle.rotors[static_cast<std::size_t>(i)].tilts ||
                      (angle >= vehicle.servo.min_angle && angle <= vehicle.servo.max_angle),
                  "angles are within the servo's range");
-    fuzz::expect(
-        speed * speed * vehicle.rotor.thrust_coefficient <= vehicle.rotor.max_thrust * (1.0 + 1e-9),
-        "thrusts are within limits");
+    fuzz::expect(thrust_from_speed(speed, vehicle.rotor) <= vehicle.rotor.max_thrust * (1.0 + 1e-9),
+                 "thrusts are within limits");
   }
 }
 

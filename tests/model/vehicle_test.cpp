@@ -54,6 +54,28 @@ TEST(Vehicle, DefaultsOfEveryPartAreValid) {
   EXPECT_NO_THROW(validate(LegParameters{}));
   EXPECT_NO_THROW(validate(Undercarriage{}));
   EXPECT_NO_THROW(validate(PowerParameters{}));
+  EXPECT_NO_THROW(validate(BatteryParameters{}));
+}
+
+TEST(Vehicle, ARotorsOwnParametersHoldInsteadOfTheCommonOnes) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.rotors[2].parameters = vehicle.rotor;
+  vehicle.rotors[2].parameters->max_thrust = 20.0;
+  EXPECT_EQ(rotor_parameters(vehicle, 1).max_thrust, 12.0);
+  EXPECT_EQ(rotor_parameters(vehicle, 2).max_thrust, 20.0);
+  EXPECT_EQ(largest_max_thrust(vehicle), 20.0);
+  change_rotor_parameters(vehicle, [](RotorParameters& rotor) { rotor.max_thrust *= 0.5; });
+  EXPECT_EQ(rotor_parameters(vehicle, 1).max_thrust, 6.0);
+  EXPECT_EQ(rotor_parameters(vehicle, 2).max_thrust, 10.0);
+}
+
+TEST(Vehicle, VoltageRatioRefusesWhatNoBatteryHas) {
+  const BatteryParameters battery{20.0};
+  EXPECT_EQ(voltage_ratio(battery, 16.0), 0.8);
+  EXPECT_EQ(voltage_ratio(battery, 22.0), 1.1);
+  for (const double bad : {9.9, 30.1, 0.0, -16.0, nan, std::numeric_limits<double>::infinity()})
+    EXPECT_FALSE(voltage_ratio(battery, bad).has_value()) << bad;
+  EXPECT_FALSE(voltage_ratio(BatteryParameters{}, 16.0).has_value());
 }
 
 TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
@@ -91,6 +113,22 @@ TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
       {"WheelParameters.half_track", "1e+300", [](V& v) { v.wheels->half_track = 1e300; }},
       {"PowerParameters.electronics", "1e+300", [](V& v) { v.power.electronics = 1e300; }},
       {"PowerParameters.hover", "1e+300", [](V& v) { v.power.hover = 1e300; }},
+      {"RotorParameters.linear_thrust_coefficient", "-0.003: must be in [-0.0028982",
+       [](V& v) { v.rotor.linear_thrust_coefficient = -0.003; }},
+      {"RotorParameters.linear_thrust_coefficient", "2000: must be in [-0.0028982",
+       [](V& v) { v.rotor.linear_thrust_coefficient = 2000.0; }},
+      {"RotorParameters.linear_thrust_coefficient", "nan",
+       [](V& v) { v.rotor.linear_thrust_coefficient = nan; }},
+      {"Vehicle.rotors[1].parameters.max_thrust", "-4",
+       [](V& v) {
+         v.rotors[1].parameters = v.rotor;
+         v.rotors[1].parameters->max_thrust = -4.0;
+       }},
+      {"BatteryParameters.nominal_voltage", "-12", [](V& v) { v.battery.nominal_voltage = -12.0; }},
+      {"BatteryParameters.nominal_voltage", "0.01", [](V& v) { v.battery.nominal_voltage = 0.01; }},
+      {"BatteryParameters.nominal_voltage", "nan", [](V& v) { v.battery.nominal_voltage = nan; }},
+      {"BatteryParameters.nominal_voltage", "1e+300: must be in [0.1, 1e5], or zero",
+       [](V& v) { v.battery.nominal_voltage = 1e300; }},
       {"RotorParameters.torque_ratio", "-0.5", [](V& v) { v.rotor.torque_ratio = -0.5; }},
       {"RotorParameters.min_thrust", "-2", [](V& v) { v.rotor.min_thrust = -2.0; }},
       {"RotorParameters.max_thrust", "0", [](V& v) { v.rotor.max_thrust = 0.0; }},

@@ -9,6 +9,7 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
 
 /// All actuators of a vehicle.
 namespace tilt_ropter {
@@ -20,11 +21,16 @@ namespace tilt_ropter {
 template <int Rotors, typename Scalar = double>
 class ActuatorModel {
  public:
-  /// Throws std::invalid_argument on rotor or servo parameters that validate() refuses.
+  /// Throws std::invalid_argument on rotor, servo or battery parameters that validate()
+  /// refuses.
   explicit ActuatorModel(const Vehicle<Rotors>& vehicle) {
-    rotors_.fill(Rotor<Scalar>(vehicle.rotor));
+    validate(vehicle.battery);
+    battery_ = vehicle.battery;
     servos_.fill(Servo<Scalar>(vehicle.servo));
-    for (std::size_t i = 0; i < Rotors; ++i) tilts_[i] = vehicle.rotors[i].tilts;
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
+      tilts_[i] = vehicle.rotors[i].tilts;
+    }
     read();
   }
 
@@ -39,6 +45,16 @@ class ActuatorModel {
     }
     read();
     return state_;
+  }
+
+  /// Takes the measured `voltage` of the battery [V], with which the rotors' top speeds fall.
+  /// Returns whether voltage_ratio() accepts it; if not, the last one holds.
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+    if (!ratio) return false;
+    for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
+    read();
+    return true;
   }
 
   /// Sets speeds and angles, cut to their limits, at `time` [s].
@@ -66,6 +82,7 @@ class ActuatorModel {
   std::array<Rotor<Scalar>, static_cast<std::size_t>(Rotors)> rotors_;
   std::array<Servo<Scalar>, static_cast<std::size_t>(Rotors)> servos_;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
+  BatteryParameters battery_;
   ActuatorState<Rotors, Scalar> state_;
 };
 

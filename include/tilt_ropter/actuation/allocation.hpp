@@ -13,6 +13,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 
 /// Control allocation (paper, Sec. Control Allocation): from a wrench to rotor speeds and tilt
 /// angles and back.
@@ -81,9 +82,10 @@ struct ActuatorRates {
 ///   be less than the largest; a tilting rotor's min_thrust is enforced after the scaling. In any
 ///   case limits hold and `lost` says what was given up.
 ///
-/// A rotor of effectiveness e < 1 turns 1 / sqrt(e) times as fast for the same thrust, and has that
-/// share of the limits; a lost one is told the slowest speed and its angle stays. A stuck servo is
-/// a fixed rotor (with_stuck_servo): the rest is the null space's and the ladder's of above.
+/// A rotor of effectiveness e < 1 turns faster for the same thrust, 1 / sqrt(e) times without a
+/// linear term, and has that share of the limits; a lost one is told the slowest speed and its
+/// angle stays. A stuck servo is a fixed rotor (with_stuck_servo): the rest is the null space's and
+/// the ladder's of above.
 ///
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
 /// rotors, 1 to 9 us when limits are hit.
@@ -114,7 +116,7 @@ class Allocation {
     using std::sin;
     Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
     for (int i = 0; i < Rotors; ++i) {
-      const Value thrust = thrust_from_speed(actuators.rotor_speed(i), thrust_coefficient(i));
+      const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor(i));
       if (!tilts_[static_cast<std::size_t>(i)]) {
         thrusts(2 * i + 1) = thrust;
       } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
@@ -124,6 +126,20 @@ class Allocation {
     }
     const Eigen::Matrix<Value, 6, 1> packed = matrix_.template cast<Value>() * thrusts;
     return {packed.template head<3>(), packed.template tail<3>()};
+  }
+
+  /// Takes the measured `voltage` of the battery [V]: the next commands keep to the top speeds and
+  /// thrusts that max_thrust_at() leaves. Returns whether voltage_ratio() accepts it; if not, the
+  /// last one holds.
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+    if (!ratio) return false;
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      const Scalar max_thrust = Scalar(max_thrust_at(rotors_[i], *ratio));
+      max_speed_[i] = speed_from_thrust(max_thrust, rotors_[i]);
+      if (!lost_[i]) limits_.set_max_thrust(i, max_thrust);
+    }
+    return true;
   }
 
   /// Speeds and angles that give `wanted`, as near as limits allow. `last` is what was commanded
@@ -165,26 +181,34 @@ class Allocation {
                                                        const ActuatorState<Rotors, Scalar>& last,
                                                        Point& x) const noexcept;
 
-  [[nodiscard]] double thrust_coefficient(int i) const noexcept {
-    return thrust_coefficient_[static_cast<std::size_t>(i)];
+  /// Curve and limits of a rotor, times its effectiveness unless it is lost.
+  [[nodiscard]] const RotorParameters& rotor(int i) const noexcept {
+    return rotors_[static_cast<std::size_t>(i)];
   }
 
-  [[nodiscard]] Scalar bounded_speed(Scalar speed) const noexcept {
-    return std::max(min_speed_, std::min(speed, max_speed_));
+  [[nodiscard]] Scalar hold_thrust(int i) const noexcept {
+    return hold_thrust_[static_cast<std::size_t>(i)];
   }
 
-  /// Tilt angle for a thrust vector, seen from the last one.
-  [[nodiscard]] Scalar next_angle(const Vector2& thrust, Scalar last) const noexcept;
+  [[nodiscard]] Scalar bounded_speed(int i, Scalar speed) const noexcept {
+    const auto rotor = static_cast<std::size_t>(i);
+    return std::max(min_speed_[rotor], std::min(speed, max_speed_[rotor]));
+  }
+
+  /// Tilt angle of rotor i for a thrust vector, seen from the last one.
+  [[nodiscard]] Scalar next_angle(int i, const Vector2& thrust, Scalar last) const noexcept;
 
   [[nodiscard]] ActuatorState<Rotors, Scalar> within_limits(
       const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   Limits limits_;
-  Scalar min_speed_, max_speed_;
-  bool has_min_thrust_;
-  std::array<double, static_cast<std::size_t>(Rotors)> thrust_coefficient_{};
-  Scalar servo_lead_, rotor_lead_, max_tilt_rate_, calm_thrust_;
-  Scalar hold_thrust_;
+  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_;
+  std::array<Scalar, static_cast<std::size_t>(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
+  std::array<bool, static_cast<std::size_t>(Rotors)> lost_{};
+  bool has_min_thrust_ = false;
+  BatteryParameters battery_;
+  Scalar servo_lead_, max_tilt_rate_, calm_thrust_;
+  Eigen::Matrix<Scalar, Rotors, 1> rotor_lead_;
   Scalar max_force_{};
   Scalar max_torque_{};
   Matrix matrix_;
@@ -197,16 +221,10 @@ template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
                                        const AllocationParameters& parameters)
     : limits_(checked(vehicle, parameters)),
-      min_speed_(
-          speed_from_thrust(Scalar(vehicle.rotor.min_thrust), vehicle.rotor.thrust_coefficient)),
-      max_speed_(
-          speed_from_thrust(Scalar(vehicle.rotor.max_thrust), vehicle.rotor.thrust_coefficient)),
-      has_min_thrust_(vehicle.rotor.min_thrust > 0.0),
+      battery_(vehicle.battery),
       servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
-      rotor_lead_(Scalar(parameters.lag_compensation * vehicle.rotor.time_constant)),
       max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
-      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
-      hold_thrust_(Scalar(std::max(parameters.hold_thrust, vehicle.rotor.min_thrust))) {
+      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)) {
   const AllocationMatrix<Rotors> allocation(vehicle);
   matrix_ = allocation.matrix.template cast<Scalar>();
   pseudoinverse_ = allocation.pseudoinverse.template cast<Scalar>();
@@ -216,13 +234,25 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
   for (std::size_t i = 0; i < Rotors; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
     tilts_[i] = rotor.tilts;
+    const RotorParameters& whole = rotor_parameters(vehicle, i);
+    min_speed_[i] = speed_from_thrust(Scalar(whole.min_thrust), whole);
+    max_speed_[i] = speed_from_thrust(Scalar(whole.max_thrust), whole);
+    hold_thrust_[i] = Scalar(std::max(parameters.hold_thrust, whole.min_thrust));
+    has_min_thrust_ = has_min_thrust_ || whole.min_thrust > 0.0;
+    rotor_lead_(static_cast<Eigen::Index>(i)) =
+        Scalar(parameters.lag_compensation * whole.time_constant);
+    lost_[i] = !(rotor.effectiveness > 0.0);
     // A lost rotor's thrust is none of A's, whatever its coefficient.
-    thrust_coefficient_[i] =
-        (rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0) * vehicle.rotor.thrust_coefficient;
-    lever += rotor.position.norm() + vehicle.rotor.torque_ratio;
+    const double effectiveness = lost_[i] ? 1.0 : rotor.effectiveness;
+    rotors_[i] = whole;
+    for (double RotorParameters::*field :
+         {&RotorParameters::thrust_coefficient, &RotorParameters::linear_thrust_coefficient,
+          &RotorParameters::min_thrust, &RotorParameters::max_thrust})
+      rotors_[i].*field *= effectiveness;
+    lever += rotor.position.norm() + whole.torque_ratio;
   }
-  max_force_ = Scalar(Rotors * vehicle.rotor.max_thrust);
-  max_torque_ = Scalar(lever * vehicle.rotor.max_thrust);
+  max_force_ = Scalar(Rotors * largest_max_thrust(vehicle));
+  max_torque_ = Scalar(lever * largest_max_thrust(vehicle));
 }
 
 template <int Rotors, typename Scalar>
@@ -243,14 +273,14 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
   for (int i = 0; i < Rotors; ++i) {
     auto thrust = x.template segment<2>(2 * i);
     const bool tilts = tilts_[static_cast<std::size_t>(i)];
-    const Scalar angle = tilts ? next_angle(thrust, last.tilt_angle(i)) : Scalar(0);
+    const Scalar angle = tilts ? next_angle(i, thrust, last.tilt_angle(i)) : Scalar(0);
     const auto unit = Limits::direction(angle);
     const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
     const Scalar missed = (thrust - size * unit).norm();
     if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
       result.status = AllocationStatus::angle_held;
     thrust = size * unit;
-    result.command.rotor_speed(i) = bounded_speed(speed_from_thrust(size, thrust_coefficient(i)));
+    result.command.rotor_speed(i) = bounded_speed(i, speed_from_thrust(size, rotor(i)));
     result.command.tilt_angle(i) = angle;
   }
   const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * x.template head<components>();
@@ -267,12 +297,12 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
   if (result.status == AllocationStatus::rejected) return result;
   const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
   for (int i = 0; i < Rotors; ++i) {
-    const Scalar thrust = thrust_from_speed(result.command.rotor_speed(i), thrust_coefficient(i));
+    const Scalar thrust = thrust_from_speed(result.command.rotor_speed(i), rotor(i));
     const Scalar calm = std::min(Scalar(1), thrust / calm_thrust_);
     const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
     result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
   }
-  result.command.rotor_speed += rotor_lead_ * ahead.rotor_acceleration;
+  result.command.rotor_speed += rotor_lead_.cwiseProduct(ahead.rotor_acceleration);
   result.command = within_limits(result.command);
   return result;
 }
@@ -285,21 +315,21 @@ ActuatorRates<Rotors, Scalar> Allocation<Rotors, Scalar>::rates(
   ActuatorRates<Rotors, Scalar> rates;
   for (int i = 0; i < Rotors; ++i) {
     const Scalar lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
-    const Scalar size = std::max(hold_thrust_, std::hypot(lateral, vertical));
+    const Scalar size = std::max(hold_thrust(i), std::hypot(lateral, vertical));
     rates.tilt_rate(i) = (slopes(2 * i) * vertical - lateral * slopes(2 * i + 1)) / (size * size);
     const Scalar thrust_rate = (slopes(2 * i) * lateral + slopes(2 * i + 1) * vertical) / size;
-    rates.rotor_acceleration(i) =
-        thrust_rate / (Scalar(2) * std::sqrt(Scalar(thrust_coefficient(i)) * size));
+    rates.rotor_acceleration(i) = thrust_rate / thrust_slope(size, rotor(i));
   }
   if (!all_finite(rates.tilt_rate) || !all_finite(rates.rotor_acceleration)) return {};
   return rates;
 }
 
 template <int Rotors, typename Scalar>
-Scalar Allocation<Rotors, Scalar>::next_angle(const Vector2& thrust, Scalar last) const noexcept {
+Scalar Allocation<Rotors, Scalar>::next_angle(int i, const Vector2& thrust,
+                                              Scalar last) const noexcept {
   last = limits_.bounded_angle(last);
   const Scalar target = limits_.nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
-  const Scalar weight = thrust.squaredNorm() / (hold_thrust_ * hold_thrust_);
+  const Scalar weight = thrust.squaredNorm() / (hold_thrust(i) * hold_thrust(i));
   return weight < Scalar(1) ? last + weight * (target - last) : target;
 }
 
@@ -309,7 +339,7 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
   ActuatorState<Rotors, Scalar> command;
   for (int i = 0; i < Rotors; ++i) {
     const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
-    command.rotor_speed(i) = std::isfinite(speed) ? bounded_speed(speed) : min_speed_;
+    command.rotor_speed(i) = bounded_speed(i, std::isfinite(speed) ? speed : Scalar(0));
     if (tilts_[static_cast<std::size_t>(i)])
       command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
   }
@@ -339,7 +369,7 @@ AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
     for (int i = 0; i < Rotors; ++i) {
       const Vector2 thrust = x.template segment<2>(2 * i);
       floors[static_cast<std::size_t>(i)] =
-          Limits::direction(next_angle(thrust, last.tilt_angle(i)));
+          Limits::direction(next_angle(i, thrust, last.tilt_angle(i)));
     }
   }
   const typename Limits::Space plain{null_space_, nullptr, Scalar(0)};

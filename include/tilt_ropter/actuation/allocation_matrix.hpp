@@ -20,9 +20,9 @@ namespace tilt_ropter {
 /// W = A T with W = (F, M) at the CoM in the body frame and T = (T_1l, T_1v, ..., T_nl, T_nv), the
 /// lateral and vertical thrusts T_il = T_i sin(alpha_i), T_iv = T_i cos(alpha_i) (paper, Eq.
 /// allocation). Rotor i pushes along (0, -T_il, T_iv) in its rotor frame; that force f, turned to
-/// the body frame, has the torque r_i x f - spin_i torque_ratio f. Column T_il of a rotor that does
-/// not tilt is zero, so are both columns of a lost one. Of a rotor's effectiveness between 0 and 1
-/// the thrusts T_i know nothing; it counts where they become speeds.
+/// the body frame, has the torque r_i x f - spin_i torque_ratio_i f. Column T_il of a rotor that
+/// does not tilt is zero, so are both columns of a lost one. Of a rotor's effectiveness between 0
+/// and 1 the thrusts T_i know nothing; it counts where they become speeds.
 template <int Rotors>
 struct AllocationMatrix {
   static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
@@ -59,13 +59,14 @@ struct AllocationMatrix {
     Columns columns;
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
-      columns.size = std::max(columns.size, rotor.position.norm() + vehicle.rotor.torque_ratio);
+      const RotorParameters& parameters = rotor_parameters(vehicle, static_cast<std::size_t>(i));
+      columns.size = std::max(columns.size, rotor.position.norm() + parameters.torque_ratio);
       if (!(rotor.effectiveness > 0.0)) continue;
       if (rotor.tilts) {
-        set_column(2 * i, rotor, -1.0, 1, vehicle.rotor);
+        set_column(2 * i, rotor, -1.0, 1, parameters);
         columns.of.push_back(2 * i);
       }
-      set_column(2 * i + 1, rotor, 1.0, 2, vehicle.rotor);
+      set_column(2 * i + 1, rotor, 1.0, 2, parameters);
       columns.of.push_back(2 * i + 1);
     }
     return columns;

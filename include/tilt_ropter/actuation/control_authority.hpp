@@ -66,19 +66,21 @@ template <int Rotors>
   authority.hovers = level.status != AllocationStatus::limited;
   if (!authority.hovers) return authority;
 
-  authority.least_thrust = vehicle.rotor.max_thrust;
+  authority.least_thrust = largest_max_thrust(vehicle);
   double lever = 0.0;
   for (std::size_t i = 0; i < Rotors; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
-    lever = std::max(lever, rotor.position.norm() + vehicle.rotor.torque_ratio);
-    const double thrust = rotor.effectiveness *
-                          thrust_from_speed(level.command.rotor_speed(static_cast<Eigen::Index>(i)),
-                                            vehicle.rotor.thrust_coefficient);
+    const RotorParameters& parameters = rotor_parameters(vehicle, i);
+    lever = std::max(lever, rotor.position.norm() + parameters.torque_ratio);
+    const double thrust =
+        rotor.effectiveness *
+        thrust_from_speed(level.command.rotor_speed(static_cast<Eigen::Index>(i)), parameters);
     if (rotor.effectiveness > 0.0)
       authority.least_thrust = std::min(authority.least_thrust, thrust);
   }
 
-  const double most = 2.0 * Rotors * vehicle.rotor.max_thrust;  // the weight carried, and as much
+  const double most =
+      2.0 * Rotors * largest_max_thrust(vehicle);  // the weight carried, and as much
   for (int axis = 0; axis < 6; ++axis) {
     const double end = axis < 3 ? most : most * lever;
     Wrench<> along;

@@ -6,22 +6,25 @@
 
 #include <Eigen/Core>
 
+#include <cstddef>
+
 /// Electrical power from rotor speeds.
 namespace tilt_ropter {
 
 /// P = electronics + c sum Omega^3, the aerodynamic power of propellers at rest in air, with c such
-/// that hover takes PowerParameters.hover (paper, Sec. Energy Efficiency). Only constructors throw;
+/// that hover takes PowerParameters.hover (paper, Sec. Energy Efficiency). All rotors have the same
+/// c, also those with parameters of their own: where propellers differ much, the shares of the
+/// rotors are rough, and their sum in hover is right. Only constructors throw;
 /// nothing allocates.
 class PowerModel {
  public:
-  /// For a vehicle whose rotors share m g equally in hover. Throws std::invalid_argument on
+  /// For a vehicle whose rotors share m g equally in hover, each at the speed of its own curve.
+  /// Throws std::invalid_argument on
   /// parameters that validate() refuses, and where hover takes so slow a speed that power would
   /// overflow.
   template <int Rotors>
   explicit PowerModel(const Vehicle<Rotors>& vehicle)
-      : PowerModel(vehicle.power,
-                   Eigen::Matrix<double, Rotors, 1>(
-                       Eigen::Matrix<double, Rotors, 1>::Constant(speed_in_hover(vehicle)))) {}
+      : PowerModel(vehicle.power, speeds_in_hover(vehicle)) {}
 
   /// For one whose rotors do not, such as a vehicle whose rotors push against each other: `hover`
   /// are their speeds then [rad/s], a vector of any length. Throws likewise.
@@ -56,11 +59,15 @@ class PowerModel {
 
  private:
   template <int Rotors>
-  static double speed_in_hover(const Vehicle<Rotors>& vehicle) {
+  static Eigen::Matrix<double, Rotors, 1> speeds_in_hover(const Vehicle<Rotors>& vehicle) {
     validate(vehicle.body);
-    validate(vehicle.rotor);
-    return speed_from_thrust(vehicle.body.mass * gravity / Rotors,
-                             vehicle.rotor.thrust_coefficient);
+    Eigen::Matrix<double, Rotors, 1> speeds;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorParameters& rotor = rotor_parameters(vehicle, static_cast<std::size_t>(i));
+      validate(rotor);
+      speeds(i) = speed_from_thrust(vehicle.body.mass * gravity / Rotors, rotor);
+    }
+    return speeds;
   }
 
   double electronics_;

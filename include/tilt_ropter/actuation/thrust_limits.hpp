@@ -54,7 +54,7 @@ class ThrustLimits {
       : min_angle_(Scalar(vehicle.servo.min_angle)),
         max_angle_(Scalar(vehicle.servo.max_angle)),
         tolerance_(Scalar(100) * std::numeric_limits<Scalar>::epsilon() *
-                   Scalar(vehicle.rotor.max_thrust)) {
+                   Scalar(largest_max_thrust(vehicle))) {
     const double middle = 0.5 * (vehicle.servo.min_angle + vehicle.servo.max_angle);
     const double half_width = 0.5 * (vehicle.servo.max_angle - vehicle.servo.min_angle);
     middle_ = direction(Scalar(middle));
@@ -66,10 +66,13 @@ class ThrustLimits {
     for (std::size_t i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[i];
       tilts_[i] = rotor.tilts;
-      min_thrust_[i] = Scalar(rotor.effectiveness * vehicle.rotor.min_thrust);
-      max_thrust_[i] = Scalar(rotor.effectiveness * vehicle.rotor.max_thrust);
+      min_thrust_[i] = Scalar(rotor.effectiveness * rotor_parameters(vehicle, i).min_thrust);
+      max_thrust_[i] = Scalar(rotor.effectiveness * rotor_parameters(vehicle, i).max_thrust);
     }
   }
+
+  /// Another limit [N] of rotor i, as with another voltage, with its effectiveness counted.
+  void set_max_thrust(std::size_t i, Scalar max_thrust) noexcept { max_thrust_[i] = max_thrust; }
 
   /// `thrust` [N] of rotor i, cut to its limits.
   [[nodiscard]] Scalar bounded_thrust(int i, Scalar thrust) const noexcept {

@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -24,6 +25,23 @@ struct RigidBodyParameters {
       Eigen::Matrix3d::Identity();  ///< about the CoM, in the body frame [kg m^2]
 };
 
+/// Motor and propeller. The thrust at speed Omega is
+///
+///     T = thrust_coefficient Omega^2 + linear_thrust_coefficient Omega,
+///
+/// and zero where that is negative. Without the linear term it is the paper's law. Where the thrust
+/// of a real propeller rises faster than the square of the speed, the linear term is negative; the
+/// thrust begins at the speed -linear_thrust_coefficient / thrust_coefficient then. Where it rises
+/// slower, the linear term is positive.
+struct RotorParameters {
+  double thrust_coefficient = 1.0e-6;      ///< of the speed's square [N s^2 / rad^2]
+  double linear_thrust_coefficient = 0.0;  ///< of the speed [N s / rad]
+  double torque_ratio = 0.016;             ///< reaction torque / thrust [m]
+  double min_thrust = 0.0;                 ///< [N]
+  double max_thrust = 10.0;     ///< at the battery's nominal voltage, if that is known [N]
+  double time_constant = 0.03;  ///< of the speed's first-order lag [s]
+};
+
 /// Direction in which a rotor turns, seen from where its thrust points to.
 enum class Spin { counter_clockwise = 1, clockwise = -1 };
 
@@ -38,6 +56,9 @@ struct RotorGeometry {
   /// Share of RotorParameters' thrust that the rotor gives at a speed, and of its limits; 0: it is
   /// lost.
   double effectiveness = 1.0;
+  /// This rotor's own motor and propeller. Without a value the rotor has those of Vehicle::rotor.
+  /// rotor_parameters() says which parameters hold.
+  std::optional<RotorParameters> parameters = std::nullopt;
 };
 
 /// A rotor at the end of an arm of `length` [m] in the body's xy plane at `azimuth` [rad] from x.
@@ -49,15 +70,6 @@ struct RotorGeometry {
   rotor.spin = spin;
   return rotor;
 }
-
-/// Motor and propeller; the same for all rotors of a vehicle.
-struct RotorParameters {
-  double thrust_coefficient = 1.0e-6;  ///< thrust / speed^2 [N s^2 / rad^2]
-  double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
-  double min_thrust = 0.0;             ///< [N]
-  double max_thrust = 10.0;            ///< [N]
-  double time_constant = 0.03;         ///< of the speed's first-order lag [s]
-};
 
 /// Servo that tilts an arm; the same for all arms of a vehicle.
 struct ServoParameters {
@@ -101,17 +113,61 @@ struct PowerParameters {
   double hover = 600.0;       ///< total in hover [W]
 };
 
+/// Source of the rotors' power.
+struct BatteryParameters {
+  /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: not known,
+  /// and the voltage plays no part.
+  double nominal_voltage = 0.0;
+};
+
 /// All that is known of a vehicle with `Rotors` arms, tilting or not.
 template <int Rotors = 4>
 struct Vehicle {
   RigidBodyParameters body;
   std::array<RotorGeometry, static_cast<std::size_t>(Rotors)> rotors;
-  RotorParameters rotor;
+  RotorParameters rotor;  ///< of every rotor without parameters of its own
   ServoParameters servo;
   std::optional<WheelParameters> wheels;  ///< none: it has legs or never touches the ground
   std::optional<LegParameters> legs;      ///< only without wheels
   PowerParameters power;
+  BatteryParameters battery;
 };
+
+/// Motor and propeller of `rotor` (from 0): its own, or those that are common to all.
+template <int Rotors>
+[[nodiscard]] const RotorParameters& rotor_parameters(const Vehicle<Rotors>& vehicle,
+                                                      std::size_t rotor) noexcept {
+  const std::optional<RotorParameters>& own = vehicle.rotors[rotor].parameters;
+  return own ? *own : vehicle.rotor;
+}
+
+/// Calls change(parameters) for the common rotor parameters and for those of each rotor that has
+/// its own, as where every rotor gives less thrust.
+template <int Rotors, typename Change>
+void change_rotor_parameters(Vehicle<Rotors>& vehicle, const Change& change) {
+  change(vehicle.rotor);
+  for (RotorGeometry& rotor : vehicle.rotors)
+    if (rotor.parameters) change(*rotor.parameters);
+}
+
+/// Largest max_thrust of all rotors, with their effectiveness left aside [N].
+template <int Rotors>
+[[nodiscard]] double largest_max_thrust(const Vehicle<Rotors>& vehicle) noexcept {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i)
+    largest = std::max(largest, rotor_parameters(vehicle, i).max_thrust);
+  return largest;
+}
+
+/// Measured voltage [V] over the nominal one. Nothing where the nominal voltage is not known, and
+/// where the measurement is not between half and 1.5 times the nominal voltage, which no battery
+/// in use is: such a measurement is to be ignored.
+[[nodiscard]] inline std::optional<double> voltage_ratio(const BatteryParameters& battery,
+                                                         double voltage) noexcept {
+  if (!(battery.nominal_voltage > 0.0)) return std::nullopt;
+  const double ratio = voltage / battery.nominal_voltage;
+  return ratio >= 0.5 && ratio <= 1.5 ? std::optional<double>(ratio) : std::nullopt;
+}
 
 // The ranges are beyond any vehicle. Without them products of two parameters can overflow.
 inline void validate(const RigidBodyParameters& p) {
@@ -119,6 +175,19 @@ inline void validate(const RigidBodyParameters& p) {
   require_inertia("RigidBodyParameters.inertia", p.inertia);
 }
 
+inline void validate(const RotorParameters& p, const std::string& field = "RotorParameters") {
+  require_in(field + ".thrust_coefficient [N s^2]", p.thrust_coefficient, 1e-11, 1e6);
+  require_in(field + ".torque_ratio [m]", p.torque_ratio, 0.0, 1e3);
+  require_in(field + ".min_thrust [N]", p.min_thrust, 0.0, 1e6);
+  require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, field + ".max_thrust [N]",
+          p.max_thrust, "> min_thrust and <= 1e6");
+  // At the lower end the thrust begins at half of the top speed.
+  require_in(field + ".linear_thrust_coefficient [N s]", p.linear_thrust_coefficient,
+             -std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust), 1e3);
+  require_in(field + ".time_constant [s]", p.time_constant, 1e-6, 1e3);
+}
+
+/// `field` is what the message calls the rotor.
 inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
   require(detail::all_entries(p.position, [](double x) { return std::abs(x) <= 1e3; }),
           field + ".position [m]", p.position, "in [-1000, 1000] in every entry");
@@ -129,15 +198,7 @@ inline void validate(const RotorGeometry& p, const std::string& field = "RotorGe
               std::abs(x.dot(y)) <= 1e-6 && skewness <= 1e-6,
           field + ".orientation", p.orientation, "a rotation matrix");
   require_in(field + ".effectiveness", p.effectiveness, 0.0, 1.0);
-}
-
-inline void validate(const RotorParameters& p) {
-  require_in("RotorParameters.thrust_coefficient [N s^2]", p.thrust_coefficient, 1e-11, 1e6);
-  require_in("RotorParameters.torque_ratio [m]", p.torque_ratio, 0.0, 1e3);
-  require_in("RotorParameters.min_thrust [N]", p.min_thrust, 0.0, 1e6);
-  require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, "RotorParameters.max_thrust [N]",
-          p.max_thrust, "> min_thrust and <= 1e6");
-  require_in("RotorParameters.time_constant [s]", p.time_constant, 1e-6, 1e3);
+  if (p.parameters) validate(*p.parameters, field + ".parameters");
 }
 
 inline void validate(const ServoParameters& p) {
@@ -171,6 +232,13 @@ inline void validate(const PowerParameters& p) {
           "> electronics and <= 1e9");
 }
 
+inline void validate(const BatteryParameters& p) {
+  require(p.nominal_voltage >= 0.0 && p.nominal_voltage <= 1e5 &&
+              !(p.nominal_voltage > 0.0 && p.nominal_voltage < 0.1),
+          "BatteryParameters.nominal_voltage [V]", p.nominal_voltage,
+          "in [0.1, 1e5], or zero where it is not known");
+}
+
 /// Throws std::invalid_argument naming the field, its value and what is allowed. Whether the
 /// geometry can give every wrench is for Allocation to say, which needs its rank.
 template <int Rotors>
@@ -186,6 +254,7 @@ void validate(const Vehicle<Rotors>& vehicle) {
   require(!(vehicle.wheels && vehicle.legs), "Vehicle.legs", "given",
           "absent for a vehicle with wheels");
   validate(vehicle.power);
+  validate(vehicle.battery);
 }
 
 /// That of the vehicle's wheels or legs; none without either.
