@@ -170,6 +170,67 @@ TEST(OutputScaling, ADisarmedMotorStandsStill) {
   EXPECT_GT(command->rotor_speed(1), 0.0);
 }
 
+// The motor's thrust at duty cycle d, as a share of that at full duty cycle and nominal voltage, by
+// the motors' factor m: a motor sees d times the voltage.
+double thrust_share(double duty, double ratio, double m) {
+  const double seen = duty * ratio;
+  return m * seen * seen + (1.0 - m) * seen;
+}
+
+TEST(OutputScaling, RaisesTheOutputsWhereTheVoltageSags) {
+  Random random(94);
+  Vehicle<4> v = vehicle();
+  v.battery.nominal_voltage = 22.2;
+  const double full = std::sqrt(v.rotor.max_thrust / v.rotor.thrust_coefficient);
+  for (int i = 0; i < 1000; ++i) {
+    ActuatorOutputSettings<4> s;
+    const double m = s.thrust_model_factor = random.uniform(0.0, 1.0);
+    const double p = s.autopilot_factor = random.uniform(0.0, 1.0);
+    OutputScaling<4> scaling(v, s);
+    const double ratio = random.uniform(0.6, 1.3);
+    ASSERT_TRUE(scaling.set_voltage(22.2 * ratio));
+    ActuatorState<4> command;
+    for (int k = 0; k < 4; ++k) command.rotor_speed(k) = random.uniform(0.05, 1.0) * full;
+    const auto outputs = scaling.outputs(command);
+    ASSERT_TRUE(outputs.has_value());
+    const auto back = scaling.command(*outputs);
+    ASSERT_TRUE(back.has_value());
+    for (int k = 0; k < 4; ++k) {
+      const double wanted = std::pow(command.rotor_speed(k) / full, 2);
+      // The autopilot looks for the duty cycle by bisection.
+      double duty = 0.0, most = 1.0;
+      for (int step = 0; step < 60; ++step) {
+        const double middle = 0.5 * (duty + most);
+        (p * middle * middle + (1.0 - p) * middle < outputs->motor(k) ? duty : most) = middle;
+      }
+      if (wanted < thrust_share(1.0, ratio, m)) {
+        EXPECT_NEAR(thrust_share(duty, ratio, m), wanted, 1e-12);
+        EXPECT_NEAR(back->rotor_speed(k), command.rotor_speed(k), 1e-8 * full);
+      } else {
+        EXPECT_EQ(outputs->motor(k), 1.0);
+        EXPECT_LT(back->rotor_speed(k), command.rotor_speed(k));
+      }
+    }
+  }
+}
+
+TEST(OutputScaling, VoltagesOutOfRangeAreIgnored) {
+  Vehicle<4> v = vehicle();
+  ActuatorState<4> command;
+  command.rotor_speed.setConstant(1000.0);
+  EXPECT_FALSE(OutputScaling<4>(v, settings()).set_voltage(20.0));  // of a battery not known
+  v.battery.nominal_voltage = 20.0;
+  OutputScaling<4> scaling(v, settings());
+  EXPECT_EQ(scaling.outputs(command)->motor,
+            OutputScaling<4>(vehicle(), settings()).outputs(command)->motor);
+  ASSERT_TRUE(scaling.set_voltage(16.0));
+  const Vector4d sagged = scaling.outputs(command)->motor;
+  for (const double bad : {nan, inf, 0.0, -16.0, 9.9, 30.1})
+    EXPECT_FALSE(scaling.set_voltage(bad)) << bad;
+  EXPECT_EQ(scaling.outputs(command)->motor, sagged);
+  EXPECT_GT(sagged(0), OutputScaling<4>(v, settings()).outputs(command)->motor(0));
+}
+
 TEST(OutputScaling, SettingsOutOfRangeAreRefusedByName) {
   const auto refusal = [](const ActuatorOutputSettings<4>& s) {
     try {
@@ -183,6 +244,9 @@ TEST(OutputScaling, SettingsOutOfRangeAreRefusedByName) {
     ActuatorOutputSettings<4> s;
     s.thrust_model_factor = bad;
     EXPECT_NE(refusal(s).find("ActuatorOutputSettings.thrust_model_factor"), std::string::npos);
+    s = {};
+    s.autopilot_factor = bad;
+    EXPECT_NE(refusal(s).find("ActuatorOutputSettings.autopilot_factor"), std::string::npos);
   }
   for (const double bad : {-1.01, 1.01, nan, inf}) {
     ActuatorOutputSettings<4> s;
