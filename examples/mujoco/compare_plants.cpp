@@ -4,6 +4,7 @@
 #include "../support/vehicle_file.hpp"
 #include "plant.hpp"
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
@@ -51,7 +52,9 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   const double weight = vehicle.body.mass * gravity;
   const double by_mass = vehicle.body.mass / tilt_ropter_vehicle().body.mass;
   ActuatorState<4> hover;
-  hover.rotor_speed.setConstant(std::sqrt(0.25 * weight / vehicle.rotor.thrust_coefficient));
+  for (std::size_t i = 0; i < 4; ++i)
+    hover.rotor_speed(static_cast<Eigen::Index>(i)) =
+        speed_from_thrust(0.25 * weight, rotor_parameters(vehicle, i));
 
   plant.reset(at_height(2.0), hover);
   for (int i = 0; i < 1000; ++i) go(plant, hover);

@@ -205,8 +205,7 @@ class Film {
       const Eigen::Map<const Eigen::Vector3d> at(plant_.data().site_xpos + 3 * site);
       const mjtNum* axes = plant_.data().site_xmat + 9 * site;
       const Eigen::Vector3d up(axes[2], axes[5], axes[8]);
-      const double force = plant_.vehicle().rotor.thrust_coefficient *
-                           std::pow(plant_.actuators().rotor_speed(i), 2);
+      const double force = plant_.thrust(static_cast<std::size_t>(i));
       if (force > 0.02)
         connect(mjGEOM_ARROW, 0.011, at + 0.04 * up, at + (0.05 + 0.055 * force) * up, thrust);
     }

@@ -341,7 +341,8 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   xml << "  </body>\n</worldbody>\n<actuator>\n";
   for (std::size_t i = 0; i < 4; ++i)
     xml << "  <motor name=\"thrust" << i + 1 << "\" site=\"rotor" << i + 1 << "\" gear=\"0 0 1 0 0 "
-        << numbers(-static_cast<int>(vehicle.rotors[i].spin) * vehicle.rotor.torque_ratio)
+        << numbers(-static_cast<int>(vehicle.rotors[i].spin) *
+                   rotor_parameters(vehicle, i).torque_ratio)
         << "\"/>\n";
   for (std::size_t i = 0; i < 4; ++i)
     xml << "  <velocity name=\"servo" << i + 1 << "\" joint=\"tilt" << i + 1

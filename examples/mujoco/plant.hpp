@@ -2,6 +2,7 @@
 
 #include "model.hpp"
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -19,6 +20,7 @@
 #include <deque>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -101,15 +103,18 @@ class MujocoPlant {
     const double end = data_->time + dt;
     const int steps = std::max(1, static_cast<int>(std::ceil(dt / longest_step_ - 1e-6)));
     model_->opt.timestep = dt / steps;
-    const double passed = -std::expm1(-dt / steps / vehicle_.rotor.time_constant);
-    const auto speed_of = [this](double thrust) {
-      return std::sqrt(thrust / vehicle_.rotor.thrust_coefficient);
-    };
-    const Eigen::Vector4d speed = command.rotor_speed.cwiseMax(speed_of(vehicle_.rotor.min_thrust))
-                                      .cwiseMin(speed_of(vehicle_.rotor.max_thrust));
     tilt_commands_.emplace_back(data_->time, command.tilt_angle);
+    Eigen::Vector4d passed, speed;
+    for (std::size_t i = 0; i < 4; ++i) {
+      const auto k = static_cast<Eigen::Index>(i);
+      const tilt_ropter::RotorParameters& rotor = tilt_ropter::rotor_parameters(vehicle_, i);
+      passed(k) = -std::expm1(-dt / steps / rotor.time_constant);
+      const double least = tilt_ropter::speed_from_thrust(rotor.min_thrust, rotor),
+                   most = tilt_ropter::speed_from_thrust(rotor.max_thrust, rotor);
+      speed(k) = std::min(std::max(command.rotor_speed(k), least), top_speed_share_ * most);
+    }
     for (int i = 0; i < steps; ++i) {
-      const Eigen::Vector4d change = passed * (speed - actuators_.rotor_speed);
+      const Eigen::Vector4d change = passed.cwiseProduct(speed - actuators_.rotor_speed);
       actuators_.rotor_speed += 0.5 * change;  // that of the step's middle, but for its square
       apply();
       mj_step(model_.get(), data_.get());
@@ -123,6 +128,20 @@ class MujocoPlant {
     return data_->warning[mjWARN_BADQPOS].number + data_->warning[mjWARN_BADQVEL].number +
                data_->warning[mjWARN_BADQACC].number ==
            0;
+  }
+
+  /// As tilt_ropter::Plant::set_voltage().
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = tilt_ropter::voltage_ratio(vehicle_.battery, voltage);
+    if (ratio) top_speed_share_ = std::min(*ratio, 1.0);
+    return ratio.has_value();
+  }
+
+  /// Of `rotor` (from 0) now [N].
+  [[nodiscard]] double thrust(std::size_t rotor) const {
+    return vehicle_.rotors[rotor].effectiveness *
+           tilt_ropter::thrust_from_speed(actuators_.rotor_speed(static_cast<Eigen::Index>(rotor)),
+                                          tilt_ropter::rotor_parameters(vehicle_, rotor));
   }
 
   [[nodiscard]] double time() const { return data_->time; }
@@ -203,9 +222,7 @@ class MujocoPlant {
     for (std::size_t i = 0; i < 4; ++i) {
       const auto k = static_cast<Eigen::Index>(i);
       const tilt_ropter::ServoParameters& servo = servos_[i];
-      const double speed = actuators_.rotor_speed(k);
-      data_->ctrl[thrust_[i]] =
-          vehicle_.rotors[i].effectiveness * vehicle_.rotor.thrust_coefficient * speed * speed;
+      data_->ctrl[thrust_[i]] = thrust(i);
       const double target = std::clamp(heard(i), servo.min_angle, servo.max_angle);
       data_->ctrl[servo_[i]] =
           std::clamp((target - data_->qpos[tilt_angle_[i]]) / servo.time_constant, -servo.max_rate,
@@ -251,6 +268,7 @@ class MujocoPlant {
   std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< where MuJoCo keeps them
   std::vector<int> wheel_dof_, contact_;
   double longest_step_ = model_->opt.timestep;
+  double top_speed_share_ = 1.0;  ///< that the voltage leaves of the rotors' top speeds
   tilt_ropter::Wrench<> disturbance_, external_;
   tilt_ropter::BodyState<> body_;
   tilt_ropter::ActuatorState<4> actuators_;

@@ -16,6 +16,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <optional>
 #include <vector>
 
 /// The vehicle to try a controller on: rigid body, rotors, tilt servos, and wheels or legs on flat
@@ -81,10 +82,11 @@ struct PlantLoads {
 
 /// The body obeys the paper's Eqs. rb1-rb4 with `actuators` and `external` of PlantLoads; its
 /// inertia is that of everything, the wheels' about their axle excepted. Rotor i pushes with
-/// its effectiveness times c_t Omega^2 along its axis at its position, tilted by its angle, and
-/// turns the body against its spin by torque_ratio times that; rotor inertia is neglected, as in
-/// the paper. Rotor speeds and tilt angles follow their commands by first-order lags, the servos
-/// within their rate and after their dead time; commands out of range are cut to it.
+/// its effectiveness times the thrust of its RotorParameters' curve along its axis at its position,
+/// tilted by its angle, and turns the body against its spin by torque_ratio times that; rotor
+/// inertia is neglected, as in the paper. Rotor speeds and tilt angles follow their commands by
+/// first-order lags, the servos within their rate and after their dead time; commands out of range
+/// are cut to it.
 ///
 /// A step is divided into equal substeps of a fourth-order Runge-Kutta method. They are no longer
 /// than max_substep or the inverse of the fastest rate of the parameters, so that stiff wheels and
@@ -104,6 +106,8 @@ class Plant {
         parameters_((validate(parameters), parameters)),
         inertia_inverse_(vehicle.body.inertia.inverse()),
         mounts_(mounts()),
+        min_rotor_speed_(rotor_speeds([](const RotorParameters& p) { return p.min_thrust; })),
+        max_rotor_speed_(rotor_speeds([](const RotorParameters& p) { return p.max_thrust; })),
         substep_(stable_substep()),
         tilt_commands_(static_cast<std::size_t>(
                            std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
@@ -146,8 +150,8 @@ class Plant {
       return false;
     const PlantState<Rotors> before = state_;
     disturbance_ = disturbance;
-    command_.rotor_speed = command.rotor_speed.cwiseMax(rotor_speed_of(vehicle_.rotor.min_thrust))
-                               .cwiseMin(rotor_speed_of(vehicle_.rotor.max_thrust));
+    command_.rotor_speed = command.rotor_speed.cwiseMax(min_rotor_speed_)
+                               .cwiseMin(top_speed_share_ * max_rotor_speed_);
     tilt_commands_.push(
         before.time + vehicle_.servo.dead_time,
         command.tilt_angle.cwiseMax(vehicle_.servo.min_angle).cwiseMin(vehicle_.servo.max_angle));
@@ -168,6 +172,15 @@ class Plant {
     for (std::size_t i = 0; i < mounts_.size(); ++i)
       state_.wheels[i].bristle = loads_.wheels[i].bristle;
     return sound;
+  }
+
+  /// The battery has `voltage` [V] from the next step on, also after a reset: commands are cut to
+  /// top speeds that fall with it in proportion, and do not rise above the nominal voltage. Returns
+  /// whether voltage_ratio() accepts it; if not, nothing changes.
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
+    if (ratio) top_speed_share_ = std::min(*ratio, 1.0);
+    return ratio.has_value();
   }
 
   [[nodiscard]] const PlantState<Rotors>& state() const noexcept { return state_; }
@@ -215,8 +228,22 @@ class Plant {
     return vehicle_.rotors[static_cast<std::size_t>(i)];
   }
 
-  [[nodiscard]] double rotor_speed_of(double thrust) const noexcept {
-    return std::sqrt(thrust / vehicle_.rotor.thrust_coefficient);
+  using RotorVector = Eigen::Matrix<double, Rotors, 1>;
+
+  [[nodiscard]] const RotorParameters& parameters_of(int i) const noexcept {
+    return rotor_parameters(vehicle_, static_cast<std::size_t>(i));
+  }
+
+  /// The positive root of quadratic Omega^2 + linear Omega = thrust, with thrust(parameters).
+  template <typename Thrust>
+  [[nodiscard]] RotorVector rotor_speeds(const Thrust& thrust) const {
+    RotorVector speeds;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorParameters& p = parameters_of(i);
+      const double middle = -0.5 * p.linear_thrust_coefficient / p.thrust_coefficient;
+      speeds(i) = middle + std::sqrt(middle * middle + thrust(p) / p.thrust_coefficient);
+    }
+    return speeds;
   }
 
   [[nodiscard]] std::vector<WheelMount> mounts() const {
@@ -246,7 +273,9 @@ class Plant {
   /// At most max_substep; throws if that cannot be made stable in reasonable time.
   [[nodiscard]] double stable_substep() const {
     double fastest =
-        std::max(1.0 / vehicle_.rotor.time_constant, 1.0 / vehicle_.servo.time_constant);
+        1.0 / vehicle_.servo.time_constant;
+    for (int i = 0; i < Rotors; ++i)
+      fastest = std::max(fastest, 1.0 / parameters_of(i).time_constant);
     for (const WheelMount& mount : mounts_)
       fastest = std::max(fastest, fastest_contact_rate(parameters_.contact, mount, vehicle_.body));
     require(fastest <= 1e7, "Plant: fastest rate of rotors, servos and contact [1/s]", fastest,
@@ -269,10 +298,12 @@ class Plant {
     Wrench<> sum;
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& geometry = rotor(i);
+      const RotorParameters& p = parameters_of(i);
       const double speed = actuators.rotor_speed(i), tilt = actuators.tilt_angle(i);
-      const double thrust =
-          geometry.effectiveness * vehicle_.rotor.thrust_coefficient * speed * speed;
-      const double reaction = -static_cast<int>(geometry.spin) * vehicle_.rotor.torque_ratio;
+      const double per_speed = geometry.effectiveness * p.thrust_coefficient * speed +
+                               geometry.effectiveness * p.linear_thrust_coefficient;
+      const double thrust = std::max(per_speed, 0.0) * speed;
+      const double reaction = -static_cast<int>(geometry.spin) * p.torque_ratio;
       const Eigen::Vector3d force = thrust * (std::cos(tilt) * geometry.orientation.col(2) -
                                               std::sin(tilt) * geometry.orientation.col(1));
       sum.force += force;
@@ -316,9 +347,9 @@ class Plant {
     const Eigen::Vector3d half = 0.5 * x.body.angular_velocity;
     r.body.orientation = q * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z());
     r.body.angular_velocity = on_x.angular_acceleration;
-    r.actuators.rotor_speed =
-        (command_.rotor_speed - x.actuators.rotor_speed) / vehicle_.rotor.time_constant;
     for (int i = 0; i < Rotors; ++i) {
+      r.actuators.rotor_speed(i) =
+          (command_.rotor_speed(i) - x.actuators.rotor_speed(i)) / parameters_of(i).time_constant;
       const double free =
           (command_.tilt_angle(i) - x.actuators.tilt_angle(i)) / vehicle_.servo.time_constant;
       const double limit = rotor(i).tilts ? vehicle_.servo.max_rate : 0.0;
@@ -369,6 +400,8 @@ class Plant {
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
   std::vector<WheelMount> mounts_;  ///< none, two or four
+  RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
+  double top_speed_share_ = 1.0;                   ///< that the voltage leaves of max_rotor_speed_
   double substep_;
   detail::DelayQueue<Eigen::Matrix<double, Rotors, 1>> tilt_commands_;
   ActuatorState<Rotors> command_;  ///< within range; its tilt angles after the dead time
