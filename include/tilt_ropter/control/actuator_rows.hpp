@@ -1,14 +1,17 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
 
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <optional>
 
 /// What servos and rotors can do, as rows of the optimal-control problem (beyond the paper, whose
 /// box on the wrench rate lets an arm of little thrust turn at any speed).
@@ -37,7 +40,7 @@ inline void validate(const ActuatorRowSettings& s) {
 ///
 ///     ( (dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
 ///     (-(dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
-///     sqrt(T_l^2 + T_v^2) <= effectiveness max_thrust,
+///     sqrt(T_l^2 + T_v^2) <= effectiveness max_thrust_at(voltage),
 ///
 /// first the first of all rotors, then the second, then the third. h is the thrust of one rotor in
 /// hover, so there the first two are rad/s beyond r. Divided by the thrust's own square they would
@@ -67,10 +70,14 @@ class ActuatorRows {
     const double hover = vehicle.body.mass * gravity / Rotors;
     scale_ = 1.0 / (hover * hover);
     hold_square_ = settings.hold_thrust * settings.hold_thrust;
+    battery_ = vehicle.battery;
     for (int i = 0; i < Rotors; ++i) {
-      const RotorGeometry& geometry = vehicle.rotors[static_cast<std::size_t>(i)];
+      const auto k = static_cast<std::size_t>(i);
+      const RotorGeometry& geometry = vehicle.rotors[k];
+      rotors_[k] = rotor_parameters(vehicle, k);
+      effectiveness_[k] = geometry.effectiveness;
       if (!(geometry.effectiveness > 0.0)) continue;
-      upper_(2 * Rotors + i) = geometry.effectiveness * vehicle.rotor.max_thrust;
+      upper_(2 * Rotors + i) = geometry.effectiveness * rotors_[k].max_thrust;
       if (!geometry.tilts) continue;
       servo_rate_(i) = vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
@@ -86,6 +93,19 @@ class ActuatorRows {
     changed.hold_square_ = settings.hold_thrust * settings.hold_thrust;
     changed.max_rate_ = settings.tilt_rate_share * servo_rate_;
     return changed;
+  }
+
+  /// Takes the measured `voltage` of the battery [V], with which the bounds of the thrusts fall.
+  /// Returns whether voltage_ratio() accepts it; if not, and without bounds, nothing changes.
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+    if (!ratio) return false;
+    for (int i = 0; i < Rotors; ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      if (effectiveness_[k] > 0.0)
+        upper_(2 * Rotors + i) = effectiveness_[k] * max_thrust_at(rotors_[k], *ratio);
+    }
+    return true;
   }
 
   /// Upper bounds of the rows, infinite for what is not bounded; there are no lower ones.
@@ -152,6 +172,9 @@ class ActuatorRows {
 
   bool enabled_ = false;
   double scale_ = 0.0, hold_square_ = 0.0;  // [1/N^2], [N^2]
+  BatteryParameters battery_;               // of no voltage without bounds
+  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_{};
+  std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
   using PerRotor = Eigen::Matrix<double, Rotors, 1>;
   PerRotor servo_rate_ = PerRotor::Zero(), max_rate_ = PerRotor::Zero();  // [rad/s]
   Values upper_ = Values::Constant(std::numeric_limits<double>::infinity());

@@ -128,6 +128,11 @@ class Nmpc {
   /// Instead of feedback(), where there is no state to trust at `time` [s].
   [[nodiscard]] const NmpcResult& hold(double time) noexcept;
 
+  /// Takes the measured `voltage` of the battery [V]: plans from the next prepare() on keep to the
+  /// thrusts that it leaves. Returns whether voltage_ratio() accepts it; if not, and without
+  /// NmpcSettings::actuator_rows, nothing changes.
+  bool set_voltage(double voltage) noexcept { return solver_.problem().set_voltage(voltage); }
+
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
   /// What the plan goes by: that of prepare(), or an earlier one where that was not plausible.
   [[nodiscard]] const ContactEstimate& contact() const { return contact_; }

@@ -114,6 +114,17 @@ class WheeledFlightProblem {
     set_bounds();
   }
 
+  /// As ActuatorRows::set_voltage(), for all nodes.
+  bool set_voltage([[maybe_unused]] double voltage) noexcept {
+    if constexpr (Rotors > 0) {
+      if (!actuators_.set_voltage(voltage)) return false;
+      const auto thrusts = actuators_.upper().template tail<Rotors>();
+      upper_.template tail<Rotors>() = last_upper_.template tail<Rotors>() = thrusts;
+      return true;
+    }
+    return false;
+  }
+
   [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
   [[nodiscard]] WheeledFlightNode& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const WheeledFlightNode& node(int k) const {
