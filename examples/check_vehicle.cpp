@@ -91,8 +91,9 @@ Wrench<> weight_of(const Vehicle<Rotors>& vehicle) {
 template <int Rotors>
 bool is_level(const Vehicle<Rotors>& vehicle, const ControlAuthority& authority) {
   const double share = vehicle.body.mass * gravity / Rotors;
-  for (const RotorGeometry& rotor : vehicle.rotors)
-    if (rotor.tilts && authority.least_thrust < vehicle.rotor.min_thrust + 0.05 * share)
+  for (std::size_t i = 0; i < Rotors; ++i)
+    if (vehicle.rotors[i].tilts &&
+        authority.least_thrust < rotor_parameters(vehicle, i).min_thrust + 0.05 * share)
       return false;
   return authority.hovers;
 }
@@ -104,7 +105,7 @@ void write_envelope(const Vehicle<Rotors>& vehicle, const NmpcBounds& limits,
                     const std::string& path) {
   const Allocation<Rotors> allocation(vehicle);
   const Wrench<> hover = weight_of(vehicle);
-  const double most = 2.0 * Rotors * vehicle.rotor.max_thrust;
+  const double most = 2.0 * Rotors * largest_max_thrust(vehicle);
   examples::MissionLog log(
       path, {"plane", "angle_rad", "force_a_n", "force_b_n", "torque_a_nm", "torque_b_nm",
              "force_a_min_n", "force_a_max_n", "force_b_min_n", "force_b_max_n", "torque_a_min_nm",

@@ -92,9 +92,11 @@ template <int Rotors>
   tilt_ropter::Vehicle<Rotors> truth = believed;
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
-  for (double* thrust :
-       {&truth.rotor.thrust_coefficient, &truth.rotor.min_thrust, &truth.rotor.max_thrust})
-    *thrust *= 1.0 + options.thrust_error;
+  tilt_ropter::change_rotor_parameters(truth, [&](tilt_ropter::RotorParameters& rotor) {
+    for (double* thrust : {&rotor.thrust_coefficient, &rotor.linear_thrust_coefficient,
+                           &rotor.min_thrust, &rotor.max_thrust})
+      *thrust *= 1.0 + options.thrust_error;
+  });
   if (options.servo_time_constant > 0.0) believed.servo.time_constant = options.servo_time_constant;
   return {truth, believed};
 }

@@ -157,7 +157,46 @@ class Fields {
 
 constexpr double degree = pi / 180.0;
 
-RotorGeometry read_rotor(const Json& object, const std::string& path) {
+/// Whether `fields` has at least one of those of `rotor`.
+bool has_rotor_parameters(Fields& fields) {
+  bool has = false;
+  for (const char* key :
+       {"thrust_coefficient_n_s2_per_rad2", "linear_thrust_coefficient_n_s_per_rad",
+        "torque_ratio_m", "min_thrust_n", "max_thrust_n", "time_constant_s"})
+    has = fields.find(key) != nullptr || has;
+  return has;
+}
+
+/// Those of the object `path`. A field that is not there is that of `common`, or missing where
+/// there is nothing in common.
+RotorParameters read_rotor_parameters(Fields& fields, const std::string& path,
+                                      const RotorParameters* common) {
+  const auto number = [&](const char* key, const Range& range, double RotorParameters::*field) {
+    return common != nullptr && fields.find(key) == nullptr ? common->*field
+                                                            : fields.number(key, range);
+  };
+  RotorParameters rotor;
+  rotor.thrust_coefficient = number("thrust_coefficient_n_s2_per_rad2", {1e-10, 1.0, "N s^2/rad^2"},
+                                    &RotorParameters::thrust_coefficient);
+  rotor.torque_ratio = number("torque_ratio_m", {0.0, 1.0, "m"}, &RotorParameters::torque_ratio);
+  rotor.min_thrust = number("min_thrust_n", {0.0, 1e4, "N"}, &RotorParameters::min_thrust);
+  rotor.max_thrust = number("max_thrust_n", {1e-3, 1e4, "N"}, &RotorParameters::max_thrust);
+  rotor.time_constant =
+      number("time_constant_s", {1e-3, 1.0, "s"}, &RotorParameters::time_constant);
+  const char* linear = "linear_thrust_coefficient_n_s_per_rad";
+  if (common != nullptr) rotor.linear_thrust_coefficient = common->linear_thrust_coefficient;
+  if (fields.find(linear) != nullptr) {
+    const double least = -std::sqrt(0.5 * rotor.thrust_coefficient * rotor.max_thrust);
+    rotor.linear_thrust_coefficient = fields.number(linear, {least, 1.0, "N s/rad"});
+  }
+  if (rotor.min_thrust >= rotor.max_thrust)
+    refuse(path + ".min_thrust_n", shown(rotor.min_thrust),
+           "less than max_thrust_n, " + shown(rotor.max_thrust) + " N");
+  return rotor;
+}
+
+RotorGeometry read_rotor(const Json& object, const std::string& path,
+                         const RotorParameters& common) {
   Fields fields(object, path);
   const Range metres{-10.0, 10.0, "m"}, any{-1e3, 1e3, ""};
   RotorGeometry rotor;
@@ -187,6 +226,7 @@ RotorGeometry read_rotor(const Json& object, const std::string& path) {
     rotor.orientation.col(0) = rotor.orientation.col(1).cross(up);
   }
   rotor.tilts = tilts;
+  if (has_rotor_parameters(fields)) rotor.parameters = read_rotor_parameters(fields, path, &common);
   fields.refuse_unknown();
   return rotor;
 }
@@ -203,17 +243,8 @@ RigidBodyParameters read_body(const Json& object) {
 
 RotorParameters read_rotor_parameters(const Json& object) {
   Fields fields(object, "rotor");
-  RotorParameters rotor;
-  rotor.thrust_coefficient =
-      fields.number("thrust_coefficient_n_s2_per_rad2", {1e-10, 1.0, "N s^2/rad^2"});
-  rotor.torque_ratio = fields.number("torque_ratio_m", {0.0, 1.0, "m"});
-  rotor.min_thrust = fields.number("min_thrust_n", {0.0, 1e4, "N"});
-  rotor.max_thrust = fields.number("max_thrust_n", {1e-3, 1e4, "N"});
-  rotor.time_constant = fields.number("time_constant_s", {1e-3, 1.0, "s"});
+  const RotorParameters rotor = read_rotor_parameters(fields, "rotor", nullptr);
   fields.refuse_unknown();
-  if (rotor.min_thrust >= rotor.max_thrust)
-    refuse("rotor.min_thrust_n", shown(rotor.min_thrust),
-           "less than max_thrust_n, " + shown(rotor.max_thrust) + " N");
   return rotor;
 }
 
@@ -314,13 +345,22 @@ void require_limits(const NmpcBounds& limits, double weight) {
 template <int Rotors>
 Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   for (std::size_t i = 0; i < Rotors; ++i)
-    vehicle.rotors[i] = read_rotor(list[i], "rotors[" + std::to_string(i) + ']');
+    vehicle.rotors[i] = read_rotor(list[i], "rotors[" + std::to_string(i) + ']', vehicle.rotor);
   const double weight = vehicle.body.mass * gravity;
   // No more lift than all thrusts upward; whether they can be had together is for check_vehicle.
   const double share = weight / Rotors;
-  if (vehicle.rotor.max_thrust <= share)
+  double lift = 0.0;
+  bool alike = true;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    lift += rotor_parameters(vehicle, i).max_thrust;
+    alike = alike && !vehicle.rotors[i].parameters;
+  }
+  if (alike && vehicle.rotor.max_thrust <= share)
     refuse("rotor.max_thrust_n", shown(vehicle.rotor.max_thrust),
            "more than " + shown(share) + " N, a share of the weight, " + shown(weight) + " N");
+  if (!alike && lift <= weight)
+    refuse("sum of max_thrust_n of all rotors", shown(lift),
+           "more than the weight, " + shown(weight) + " N");
   (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
   validate(vehicle);
   return vehicle;
@@ -346,6 +386,8 @@ VehicleFile read(const Json& root) {
   common.power = read_power(fields.get("power", object));
   if (fields.find("battery_wh") != nullptr)
     file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
+  if (fields.find("battery_nominal_v") != nullptr)
+    common.battery.nominal_voltage = fields.number("battery_nominal_v", {0.1, 1e4, "V"});
 
   const std::string rotor_list = "a list of 4, 6 or 8 rotors";
   const Json& list = fields.get("rotors", rotor_list);
@@ -357,6 +399,7 @@ VehicleFile read(const Json& root) {
     vehicle.wheels = common.wheels;
     vehicle.legs = common.legs;
     vehicle.power = common.power;
+    vehicle.battery = common.battery;
     file.vehicle = with_rotors(list, vehicle);
   };
   switch (list.size()) {
@@ -423,7 +466,25 @@ std::array<double, 3> list_of(const Eigen::Vector3d& v) {
   return {rounded(v.x()), rounded(v.y()), rounded(v.z())};
 }
 
-Json json_of(const RotorGeometry& rotor) {
+/// The fields of `rotor` that differ from those of `common`; all that have to be there where there
+/// is nothing in common.
+Json json_of(const RotorParameters& rotor, const RotorParameters* common) {
+  Json object = Json::object();
+  const auto add = [&](const char* key, double RotorParameters::*field, bool needed) {
+    const double usual = common != nullptr ? common->*field : RotorParameters{}.*field;
+    const bool same = !(std::abs(rotor.*field - usual) > 0.0);
+    if (!same || (common == nullptr && needed)) object[key] = rotor.*field;
+  };
+  add("thrust_coefficient_n_s2_per_rad2", &RotorParameters::thrust_coefficient, true);
+  add("linear_thrust_coefficient_n_s_per_rad", &RotorParameters::linear_thrust_coefficient, false);
+  add("torque_ratio_m", &RotorParameters::torque_ratio, true);
+  add("min_thrust_n", &RotorParameters::min_thrust, true);
+  add("max_thrust_n", &RotorParameters::max_thrust, true);
+  add("time_constant_s", &RotorParameters::time_constant, true);
+  return object;
+}
+
+Json json_of(const RotorGeometry& rotor, const RotorParameters& common) {
   Json object;
   const double length = rotor.position.norm();
   const double azimuth = std::atan2(rotor.position.y(), rotor.position.x());
@@ -438,6 +499,7 @@ Json json_of(const RotorGeometry& rotor) {
   }
   object["spin"] = rotor.spin == Spin::clockwise ? "clockwise" : "counter_clockwise";
   object["tilts"] = rotor.tilts;
+  if (rotor.parameters) object.update(json_of(*rotor.parameters, &common));
   return object;
 }
 
@@ -453,17 +515,13 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
     for (int i = 0; i < 3; ++i)
       root["body"]["inertia_kg_m2"].push_back(list_of(inertia.row(i).transpose()));
   }
-  root["rotor"] = {{"thrust_coefficient_n_s2_per_rad2", v.rotor.thrust_coefficient},
-                   {"torque_ratio_m", v.rotor.torque_ratio},
-                   {"min_thrust_n", v.rotor.min_thrust},
-                   {"max_thrust_n", v.rotor.max_thrust},
-                   {"time_constant_s", v.rotor.time_constant}};
+  root["rotor"] = json_of(v.rotor, nullptr);
   root["servo"] = {{"time_constant_s", v.servo.time_constant},
                    {"max_rate_radps", v.servo.max_rate},
                    {"min_angle_deg", rounded(v.servo.min_angle / degree)},
                    {"max_angle_deg", rounded(v.servo.max_angle / degree)},
                    {"dead_time_s", v.servo.dead_time}};
-  for (const RotorGeometry& rotor : v.rotors) root["rotors"].push_back(json_of(rotor));
+  for (const RotorGeometry& rotor : v.rotors) root["rotors"].push_back(json_of(rotor, v.rotor));
   if (v.wheels) {
     root["wheels"] = {{"radius_m", v.wheels->radius}, {"half_track_m", v.wheels->half_track}};
     if (v.wheels->wheel_base > 0.0) root["wheels"]["wheel_base_m"] = v.wheels->wheel_base;
@@ -474,6 +532,7 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
                     {"half_width_m", v.legs->half_width}};
   root["power"] = {{"electronics_w", v.power.electronics}, {"hover_w", v.power.hover}};
   if (file.battery_wh > 0.0) root["battery_wh"] = file.battery_wh;
+  if (v.battery.nominal_voltage > 0.0) root["battery_nominal_v"] = v.battery.nominal_voltage;
   for_allowed_errors(file.allowed_errors,
                      [&](const char* key, const Range&, const Eigen::Vector3d& value) {
                        root["allowed_errors"][key] = list_of(value);

@@ -34,11 +34,16 @@
 ///       "legs": { "height_m": 0.12, "half_length_m": 0.15,       instead of wheels
 ///                 "half_width_m": 0.15 },
 ///       "battery_wh": 100,
+///       "battery_nominal_v": 22.2,      under load, at which the rotors reach max_thrust_n
 ///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  any of AllowedErrors
 ///       "limits": { "force_max_n": [6, 6, 30] } }                any of NmpcBounds
 ///
 /// All in the body frame, x forward, y left, z up, from the CoM. `thrust_axis` and `arm_axis` need
 /// not have length one; a rotor that does not tilt needs no `arm_axis`.
+///
+/// `rotor` may also hold `linear_thrust_coefficient_n_s_per_rad`, zero by default: thrust =
+/// thrust_coefficient speed^2 + linear_thrust_coefficient speed. An entry of `rotors` may hold any
+/// field of `rotor`, which holds for this rotor instead of the common one.
 namespace examples {
 
 using AnyVehicle =

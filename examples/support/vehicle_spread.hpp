@@ -105,9 +105,12 @@ class RandomStream {
   vehicle.body.mass *= draw.mass;
   vehicle.body.inertia = vehicle.body.inertia * draw.inertia.asDiagonal();
   for (tilt_ropter::RotorGeometry& rotor : vehicle.rotors) rotor.position -= draw.com_offset;
-  vehicle.rotor.thrust_coefficient *= draw.thrust;
-  vehicle.rotor.max_thrust *= draw.thrust;
-  vehicle.rotor.time_constant *= draw.rotor_time_constant;
+  tilt_ropter::change_rotor_parameters(vehicle, [&](tilt_ropter::RotorParameters& rotor) {
+    rotor.thrust_coefficient *= draw.thrust;
+    rotor.linear_thrust_coefficient *= draw.thrust;
+    rotor.max_thrust *= draw.thrust;
+    rotor.time_constant *= draw.rotor_time_constant;
+  });
   vehicle.servo.time_constant *= draw.servo_time_constant;
   return vehicle;
 }
