@@ -2,6 +2,7 @@
 
 #include "dense_riccati.hpp"
 
+#include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
@@ -79,6 +80,31 @@ void servo_update(benchmark::State& state) {
   }
 }
 
+/// With commands that run ahead, as in a loop.
+void allocate_moving(benchmark::State& state) {
+  const Allocation<4> allocation(vehicle);
+  const ActuatorState<4> last = hovering();
+  Wrench<> input{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.1, -0.1, 0.05)};
+  const Wrench<> rate{Eigen::Vector3d(1.0, -2.0, 3.0), Eigen::Vector3d(0.1, -0.2, 0.3)};
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(input);
+    benchmark::DoNotOptimize(allocation.allocate(input, rate, last));
+  }
+}
+
+void actuator_model_update(benchmark::State& state) {
+  ActuatorModel<4> model(vehicle);
+  ActuatorState<4> command = hovering();
+  command.tilt_angle.setConstant(0.5);
+  double time = 0.0;
+  for (auto _ : state) {
+    time += 1e-3;
+    command.rotor_speed = -(command.rotor_speed.array() - 3000.0);
+    command.tilt_angle = -command.tilt_angle;
+    benchmark::DoNotOptimize(model.update(time, command));
+  }
+}
+
 /// 1 ms, from the same state each time.
 void plant_step(benchmark::State& state, const PlantState<4>& start,
                 const ActuatorState<4>& command) {
@@ -118,7 +144,9 @@ BENCHMARK(rigid_body_step_with_sensitivity);
 BENCHMARK_CAPTURE(allocate, free, {weight, Eigen::Vector3d(0.1, -0.1, 0.05)}, AllocationStatus::ok);
 BENCHMARK_CAPTURE(allocate, limited, {3.0 * weight, Eigen::Vector3d(1.0, -1.0, 0.5)},
                   AllocationStatus::limited);
+BENCHMARK(allocate_moving);
 BENCHMARK(servo_update);
+BENCHMARK(actuator_model_update);
 BENCHMARK(plant_step_in_hover);
 BENCHMARK(plant_step_on_wheels);
 BENCHMARK(dense_riccati_pass);

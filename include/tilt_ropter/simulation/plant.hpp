@@ -106,8 +106,9 @@ class Plant {
         parameters_((validate(parameters), parameters)),
         inertia_inverse_(vehicle.body.inertia.inverse()),
         mounts_(mounts()),
-        min_rotor_speed_(rotor_speeds([](const RotorParameters& p) { return p.min_thrust; })),
-        max_rotor_speed_(rotor_speeds([](const RotorParameters& p) { return p.max_thrust; })),
+        min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),
+        max_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.max_thrust, p); })),
+        rotor_time_constant_(of_rotors([](const auto& p) { return p.time_constant; })),
         substep_(stable_substep()),
         tilt_commands_(static_cast<std::size_t>(
                            std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
@@ -234,16 +235,18 @@ class Plant {
     return rotor_parameters(vehicle_, static_cast<std::size_t>(i));
   }
 
-  /// The positive root of quadratic Omega^2 + linear Omega = thrust, with thrust(parameters).
-  template <typename Thrust>
-  [[nodiscard]] RotorVector rotor_speeds(const Thrust& thrust) const {
-    RotorVector speeds;
-    for (int i = 0; i < Rotors; ++i) {
-      const RotorParameters& p = parameters_of(i);
-      const double middle = -0.5 * p.linear_thrust_coefficient / p.thrust_coefficient;
-      speeds(i) = middle + std::sqrt(middle * middle + thrust(p) / p.thrust_coefficient);
-    }
-    return speeds;
+  template <typename Value>
+  [[nodiscard]] RotorVector of_rotors(const Value& value) const {
+    RotorVector values;
+    for (int i = 0; i < Rotors; ++i) values(i) = value(parameters_of(i));
+    return values;
+  }
+
+  /// The speed [rad/s] at which the curve gives `thrust` [N], the larger root of a square.
+  [[nodiscard]] static double speed_at(double thrust, const RotorParameters& p) noexcept {
+    const double middle = -0.5 * p.linear_thrust_coefficient / p.thrust_coefficient;
+    const double square = thrust / p.thrust_coefficient, root = std::sqrt(middle * middle + square);
+    return middle < 0.0 ? square / (root - middle) : middle + root;  // without cancellation
   }
 
   [[nodiscard]] std::vector<WheelMount> mounts() const {
@@ -347,9 +350,9 @@ class Plant {
     const Eigen::Vector3d half = 0.5 * x.body.angular_velocity;
     r.body.orientation = q * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z());
     r.body.angular_velocity = on_x.angular_acceleration;
+    r.actuators.rotor_speed =
+        (command_.rotor_speed - x.actuators.rotor_speed).cwiseQuotient(rotor_time_constant_);
     for (int i = 0; i < Rotors; ++i) {
-      r.actuators.rotor_speed(i) =
-          (command_.rotor_speed(i) - x.actuators.rotor_speed(i)) / parameters_of(i).time_constant;
       const double free =
           (command_.tilt_angle(i) - x.actuators.tilt_angle(i)) / vehicle_.servo.time_constant;
       const double limit = rotor(i).tilts ? vehicle_.servo.max_rate : 0.0;
@@ -401,6 +404,7 @@ class Plant {
   Eigen::Matrix3d inertia_inverse_;
   std::vector<WheelMount> mounts_;  ///< none, two or four
   RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
+  RotorVector rotor_time_constant_;                ///< [s]
   double top_speed_share_ = 1.0;                   ///< that the voltage leaves of max_rotor_speed_
   double substep_;
   detail::DelayQueue<Eigen::Matrix<double, Rotors, 1>> tilt_commands_;
