@@ -1,6 +1,7 @@
 // Fits a rotor to what a thrust stand has measured: thrust coefficient, torque ratio and power with
-// their 95 % intervals, whether thrust goes with the square of the speed at all, a CSV of the fit
-// and a picture of it. Makes such measurements, too, of a simulated stand, to try it on.
+// their 95 % intervals, the thrust curve with a linear term, whether thrust goes with the square of
+// the speed at all, a CSV of the fit and a picture of it. Makes such measurements, too, of a
+// simulated stand, to try it on.
 
 #include "support/csv.hpp"
 #include "support/mission_log.hpp"
@@ -22,6 +23,7 @@
 #include <iomanip>
 #include <iostream>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -34,12 +36,15 @@ namespace {
 struct Options {
   std::string input, output = "results";
   std::string speed = "speed_radps", thrust = "thrust_n", torque = "torque_nm", power = "power_w";
-  bool torque_needed = false, power_needed = false;  // else the fit does without
+  std::string voltage = "voltage_v", rotor_column = "rotor";
+  bool torque_needed = false, power_needed = false, voltage_needed = false;  // else it does without
+  std::optional<int> rotor;  // the one to fit, of a file of several
   bool no_pictures = false;
 
   std::string generate;  // the file, or empty
   std::uint64_t seed = 1;
   double thrust_coefficient = tilt_ropter_vehicle().rotor.thrust_coefficient;
+  double linear_thrust_coefficient = 0.0;
   double torque_ratio = tilt_ropter_vehicle().rotor.torque_ratio;
   double idle_power = 5.0, power_coefficient = 3.7e-8, exponent = 2.0;
   int points = 40;
@@ -57,13 +62,17 @@ void generate(const Options& o) {
        << " N s^2/rad^2, exponent " << o.exponent << ", torque ratio " << o.torque_ratio
        << " m, power " << o.idle_power << " W + " << o.power_coefficient
        << " W s^3/rad^3 speed^3; noise " << o.thrust_noise << " N, " << o.torque_noise << " N m, "
-       << o.power_noise << " W; seed " << o.seed << '\n'
+       << o.power_noise << " W; seed " << o.seed;
+  if (std::abs(o.linear_thrust_coefficient) > 0.0)
+    file << "; linear thrust coefficient " << o.linear_thrust_coefficient << " N s/rad";
+  file << '\n'
        << o.speed << ',' << o.thrust << ',' << o.torque << ',' << o.power << '\n'
        << std::setprecision(8);
   for (int i = 0; i < o.points; ++i) {
     const double speed = o.slowest + (o.fastest - o.slowest) * i / (o.points - 1);
     const double thrust =
-        o.thrust_coefficient * o.fastest * o.fastest * std::pow(speed / o.fastest, o.exponent);
+        o.thrust_coefficient * o.fastest * o.fastest * std::pow(speed / o.fastest, o.exponent) +
+        o.linear_thrust_coefficient * speed;
     const double seen = thrust + o.thrust_noise * noise.draw();
     const double torque = o.torque_ratio * thrust + o.torque_noise * noise.draw();
     const double power =
@@ -73,12 +82,39 @@ void generate(const Options& o) {
   if (!file.flush()) throw std::runtime_error("cannot write " + o.generate);
 }
 
+// Leaves the rows of one rotor.
+void choose_rotor(examples::CsvTable& table, const std::string& column, int rotor) {
+  const std::vector<double> rotors = table[column];
+  std::set<double> others;
+  const auto is_other = [&](std::size_t row) {
+    return std::abs(rotors[row] - static_cast<double>(rotor)) > 1e-6;
+  };
+  const auto keep = [&](auto& values) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < rotors.size(); ++i)
+      if (!is_other(i)) values[kept++] = values[i];
+    values.resize(kept);
+  };
+  for (std::size_t i = 0; i < rotors.size(); ++i)
+    if (is_other(i)) others.insert(rotors[i]);
+  keep(table.lines);
+  for (std::vector<double>& values : table.columns) keep(values);
+  if (table.rows() > 0 || others.empty()) return;
+  std::ostringstream text;
+  for (const double other : others) text << (text.str().empty() ? "" : ", ") << other;
+  throw std::runtime_error(table.file + ": no rotor " + std::to_string(rotor) + " in column " +
+                           column + ", which has " + text.str());
+}
+
 examples::CsvTable read_points(const Options& o) {
   std::vector<std::string> needed = {o.speed, o.thrust}, optional;
   (o.torque_needed ? needed : optional).push_back(o.torque);
   (o.power_needed ? needed : optional).push_back(o.power);
+  (o.voltage_needed ? needed : optional).push_back(o.voltage);
+  if (o.rotor) needed.push_back(o.rotor_column);
   examples::CsvTable table =
       examples::read_csv(o.input, needed, examples::CsvNumbers::finite, optional);
+  if (o.rotor) choose_rotor(table, o.rotor_column, *o.rotor);
   const std::vector<double>& speeds = table[o.speed];
   const auto backwards = std::find_if(speeds.begin(), speeds.end(), [](double s) { return s < 0; });
   if (backwards != speeds.end())
@@ -92,9 +128,33 @@ examples::CsvTable read_points(const Options& o) {
 struct Fit {
   std::string status = "fitted";
   examples::ThrustFit thrust;
+  std::optional<examples::CurveFit> curve;
   std::optional<examples::TorqueFit> torque;
   std::optional<examples::PowerFit> power;
+  // At the fastest point:
+  double speed = 0.0;             // [rad/s]
+  std::optional<double> voltage;  // [V]
+
+  // By the curve where its linear term is significant, else by the square [N].
+  [[nodiscard]] bool is_curved() const { return curve && curve->linear_is_significant(); }
+  [[nodiscard]] double fastest_thrust() const {
+    return is_curved() ? curve->thrust(speed) : thrust.coefficient.value * speed * speed;
+  }
 };
+
+// Whether a vehicle takes the curve, with the thrust at the fastest point as its largest.
+bool can_be_in_a_vehicle(const examples::CurveFit& curve, double max_thrust) {
+  RotorParameters rotor;
+  rotor.thrust_coefficient = curve.quadratic.value;
+  rotor.linear_thrust_coefficient = curve.linear.value;
+  rotor.max_thrust = max_thrust;
+  try {
+    validate(rotor);
+  } catch (const std::invalid_argument&) {
+    return false;
+  }
+  return true;
+}
 
 Fit fit(const Options& o, const examples::CsvTable& table) {
   Fit found;
@@ -111,7 +171,9 @@ Fit fit(const Options& o, const examples::CsvTable& table) {
   // A law of which most is left over is none; a measurement that does not change has no r_squared.
   const auto follows = [](const examples::Goodness& goodness) { return goodness.r_squared > 0.5; };
   const auto rises = [](const examples::Estimate& slope) { return slope.value > 0.0; };
+  found.speed = *fastest;
   found.thrust = examples::fit_thrust(speeds, table[o.thrust]);
+  found.curve = examples::fit_curve(speeds, table[o.thrust]);
   if (!rises(found.thrust.coefficient)) return refused("the thrust is negative: turn its sign");
   if (!follows(found.thrust.goodness)) return refused("the thrust does not follow the speed");
   if (table.has(o.torque)) {
@@ -124,6 +186,8 @@ Fit fit(const Options& o, const examples::CsvTable& table) {
     if (!rises(found.power->coefficient) || !follows(found.power->goodness))
       return refused("the power does not follow the speed");
   }
+  if (table.has(o.voltage))
+    found.voltage = table[o.voltage][static_cast<std::size_t>(fastest - speeds.begin())];
   return found;
 }
 
@@ -145,6 +209,13 @@ void print(const Fit& found) {
   estimate("thrust_coefficient", "_n_s2_per_rad2", found.thrust.coefficient);
   goodness("thrust", "_n", found.thrust.goodness);
   estimate("exponent", "", found.thrust.exponent);
+  if (found.curve) {
+    estimate("curve_thrust_coefficient", "_n_s2_per_rad2", found.curve->quadratic);
+    estimate("linear_thrust_coefficient", "_n_s_per_rad", found.curve->linear);
+    goodness("curve", "_n", found.curve->goodness);
+    line("linear_share", found.curve->linear_share);
+    std::cout << "linear_significant: " << (found.is_curved() ? "yes" : "no") << '\n';
+  }
   if (found.torque) {
     estimate("torque_ratio", "_m", found.torque->ratio);
     goodness("torque", "_nm", found.torque->goodness);
@@ -153,6 +224,11 @@ void print(const Fit& found) {
     estimate("idle_power", "_w", found.power->idle);
     estimate("power_coefficient", "_w_s3_per_rad3", found.power->coefficient);
     goodness("power", "_w", found.power->goodness);
+  }
+  if (found.voltage) {
+    line("fastest_speed_radps", found.speed);
+    line("fastest_thrust_n", found.fastest_thrust());
+    line("fastest_voltage_v", *found.voltage);
   }
 }
 
@@ -177,8 +253,12 @@ void warn(const Fit& found, const std::vector<double>& speeds) {
          << exponent.half_width
          << ", not with its square. Look for a scale that is not at zero without thrust, ground or "
             "walls near the rotor, a wrong unit of the speed.";
+    if (found.is_curved()) text << " If all is well, the curve with a linear term is the law.";
     say(text.str());
   }
+  if (found.is_curved() && !can_be_in_a_vehicle(*found.curve, found.fastest_thrust()))
+    say("the curve is none that a vehicle takes: its thrust must rise with the speed from half of "
+        "the fastest speed on, or earlier.");
 }
 
 void write_fit(const Options& o, const examples::CsvTable& table, const Fit& found) {
@@ -186,6 +266,7 @@ void write_fit(const Options& o, const examples::CsvTable& table, const Fit& fou
   std::vector<std::string> columns = {"speed_radps", "thrust_n", "thrust_fit_n"};
   if (found.torque) columns.insert(columns.end(), {"torque_nm", "torque_fit_nm"});
   if (found.power) columns.insert(columns.end(), {"power_w", "power_fit_w"});
+  if (found.curve) columns.emplace_back("thrust_curve_n");
   examples::MissionLog file(o.output + "/fit_rotor.csv", columns);
   for (std::size_t i = 0; i < table.rows(); ++i) {
     const double speed = table[o.speed][i];
@@ -195,8 +276,23 @@ void write_fit(const Options& o, const examples::CsvTable& table, const Fit& fou
     if (found.power)
       file.add(table[o.power][i])
           .add(found.power->idle.value + found.power->coefficient.value * speed * speed * speed);
+    if (found.curve) file.add(found.curve->thrust(speed));
     file.end_row();
   }
+}
+
+void print_for_vehicle(const Fit& found) {
+  const bool curved =
+      found.is_curved() && can_be_in_a_vehicle(*found.curve, found.fastest_thrust());
+  std::cout << "for a vehicle file:\n"
+            << "\"rotor\": { \"thrust_coefficient_n_s2_per_rad2\": "
+            << (curved ? found.curve->quadratic : found.thrust.coefficient).value;
+  if (curved)
+    std::cout << ", \"linear_thrust_coefficient_n_s_per_rad\": " << found.curve->linear.value;
+  if (found.torque) std::cout << ", \"torque_ratio_m\": " << found.torque->ratio.value;
+  if (found.voltage) std::cout << ", \"max_thrust_n\": " << found.fastest_thrust();
+  std::cout << " }\n";
+  if (found.voltage) std::cout << "\"battery_nominal_v\": " << *found.voltage << '\n';
 }
 
 int fit_file(const Options& o) {
@@ -210,18 +306,21 @@ int fit_file(const Options& o) {
   print(found);
   warn(found, table[o.speed]);
   write_fit(o, table, found);
-  std::cout << "for a vehicle file:\n"
-            << "\"rotor\": { \"thrust_coefficient_n_s2_per_rad2\": "
-            << found.thrust.coefficient.value;
-  if (found.torque) std::cout << ", \"torque_ratio_m\": " << found.torque->ratio.value;
-  std::cout << " }\n";
+  print_for_vehicle(found);
   return 0;
 }
 
 constexpr const char* footer = R"(
 The file has a header line and one point a line: speed and thrust, torque and power if they were
 measured, in any order, each averaged over some seconds at a steady speed. Thrust and torque have
-to be zero at rest, torque counts positive. Best are 10 points or more, from slow to fast.
+to be zero at rest, torque counts positive. Best are 10 points or more, from slow to fast. With a
+column of voltages, the fastest point has to be at full throttle: it gives the largest thrust and
+the voltage that belongs to it. Of a file of several rotors, with a column of their numbers, choose
+one by --rotor.
+
+The curve is thrust = coefficient speed^2 + linear coefficient speed. Its linear term is significant
+where its interval leaves zero out and it is at least 3 % of the thrust at the fastest point; then
+the lines for a vehicle file have it.
 
 In the output directory: fit_rotor.csv, the points with the fit beside them, and fit_rotor.png.
 
@@ -243,6 +342,13 @@ int main(int argc, char** argv) {
                             ->capture_default_str();
   CLI::Option* power = app.add_option("--power", o.power, "of electrical powers; likewise [W]")
                            ->capture_default_str();
+  CLI::Option* voltage =
+      app.add_option("--voltage", o.voltage, "of the supply's voltages; likewise [V]")
+          ->capture_default_str();
+  CLI::Option* rotor = app.add_option("--rotor", o.rotor, "fit the points of this rotor only");
+  app.add_option("--rotor-column", o.rotor_column, "of the rotors' numbers")
+      ->needs(rotor)
+      ->capture_default_str();
   app.add_flag("--no-pictures", o.no_pictures, "write the fit only");
   const std::string group = "To make a file of a simulated stand instead";
   CLI::Option* generated = app.add_option("--generate", o.generate, "file to write it to")
@@ -261,6 +367,8 @@ int main(int argc, char** argv) {
       ->group(group);
   add("--thrust-coefficient", o.thrust_coefficient, "of the rotor [N s^2/rad^2]",
       CLI::Range(1e-12, 1.0));
+  add("--linear-thrust-coefficient", o.linear_thrust_coefficient,
+      "likewise, of the curve [N s/rad]", CLI::Range(-1.0, 1.0));
   add("--torque-ratio", o.torque_ratio, "of the rotor [m]", CLI::Range(0.0, 1.0));
   add("--idle-power", o.idle_power, "drawn at rest [W]", CLI::Range(0.0, 1e4));
   add("--power-coefficient", o.power_coefficient, "on top, per speed^3 [W s^3/rad^3]",
@@ -277,6 +385,7 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   o.torque_needed = torque->count() > 0;
   o.power_needed = power->count() > 0;
+  o.voltage_needed = voltage->count() > 0;
   try {
     if (!o.generate.empty()) {
       generate(o);

@@ -52,15 +52,102 @@ TEST_F(FitRotor, FindsTheRotorThatItSimulated) {
   EXPECT_EQ(ratio, found["torque_ratio_m"]);
 }
 
+TEST_F(FitRotor, FindsTheLinearTermOfTheCurve) {
+  for (const double linear : {2e-3, 4e-4, -4e-4, -8e-4}) {
+    const Outcome found =
+        fit(generate("stand.csv", "--linear-thrust-coefficient " + std::to_string(linear)));
+    ASSERT_EQ(found.exit_code, 0) << found.output;
+    EXPECT_EQ(found.figures.at("linear_significant"), "yes") << found.output;
+    EXPECT_NEAR(found["linear_thrust_coefficient_n_s_per_rad"], linear, 1e-4);
+    EXPECT_NEAR(found["curve_thrust_coefficient_n_s2_per_rad2"], 1.4e-6, 0.05e-6);
+    EXPECT_NEAR(found["curve_residual_n"], 0.05, 0.02);
+    EXPECT_GT(found["curve_r_squared"], found["thrust_r_squared"]);
+    EXPECT_NEAR(found["linear_share"], linear / (1.4e-6 * 2900.0 + linear), 0.03);
+    double coefficient = 0.0, in_vehicle = 0.0, ratio = 0.0;
+    ASSERT_EQ(std::sscanf(found.figures.at("\"rotor\"").c_str(),
+                          "{ \"thrust_coefficient_n_s2_per_rad2\": %lf, "
+                          "\"linear_thrust_coefficient_n_s_per_rad\": %lf, "
+                          "\"torque_ratio_m\": %lf }",
+                          &coefficient, &in_vehicle, &ratio),
+              3)
+        << found.output;
+    EXPECT_EQ(coefficient, found["curve_thrust_coefficient_n_s2_per_rad2"]);
+    EXPECT_EQ(in_vehicle, found["linear_thrust_coefficient_n_s_per_rad"]);
+    EXPECT_TRUE(read_file(path("out") + "/fit_rotor.csv").find("thrust_curve_n") !=
+                std::string::npos);
+  }
+  const Outcome square = fit(generate("stand.csv"));
+  EXPECT_EQ(square.figures.at("linear_significant"), "no");
+  EXPECT_FALSE(square.says("\"linear_thrust_coefficient")) << square.output;
+  // Of two speeds the two terms are one.
+  const Outcome two = fit_text("speed_radps,thrust_n\n1000,1\n0,0\n1000,1.01\n0,0.01\n");
+  EXPECT_EQ(two.exit_code, 0);
+  EXPECT_EQ(two.figures.count("linear_significant"), 0u) << two.output;
+  // A thrust that begins beyond half of the fastest speed.
+  std::string beyond = "speed_radps,thrust_n\n";
+  for (double speed = 500.0; speed < 850.0; speed += 50.0)
+    beyond += std::to_string(speed) + ',' + std::to_string(1e-5 * speed * (speed - 500.0)) + '\n';
+  const Outcome late = fit_text(beyond);
+  EXPECT_TRUE(late.says("the curve is none that a vehicle takes")) << late.output;
+  EXPECT_FALSE(late.says("\"linear_thrust_coefficient")) << late.output;
+}
+
+TEST_F(FitRotor, FitsOneRotorOfAFileOfSeveral) {
+  std::string all = "speed_radps,rotor,thrust_n\n", second = "speed_radps,thrust_n\n";
+  for (int i = 0; i < 36; ++i) {
+    const double speed = 300.0 + 70.0 * i;
+    const int rotor = i % 3;
+    const std::string thrust =
+        std::to_string((1.0 + 0.5 * rotor) * 1e-6 * speed * speed + 0.01 * (i % 2));
+    all += std::to_string(speed) + ',' + std::to_string(rotor) + ',' + thrust + '\n';
+    if (rotor == 1) second += std::to_string(speed) + ',' + thrust + '\n';
+  }
+  const std::string file = write("all.csv", all);
+  const Outcome one = fit(file, "--rotor 1");
+  ASSERT_EQ(one.exit_code, 0) << one.output;
+  EXPECT_EQ(one.output, fit_text(second).output);
+  EXPECT_EQ(one["points"], 12);
+  EXPECT_EQ(fit(file)["points"], 36);  // without the option, the column plays no part
+  const Outcome none = fit(file, "--rotor 7");
+  EXPECT_EQ(none.exit_code, 2);
+  EXPECT_TRUE(none.says("no rotor 7 in column rotor, which has 0, 1, 2")) << none.output;
+  const Outcome renamed = fit(file, "--rotor 1 --rotor-column motor");
+  EXPECT_EQ(renamed.exit_code, 2);
+  EXPECT_TRUE(renamed.says("no column motor")) << renamed.output;
+  EXPECT_GT(fit(file, "--rotor-column rotor").exit_code, 100);
+}
+
+TEST_F(FitRotor, TakesTheVoltageOfTheFastestPoint) {
+  const std::string text =
+      "speed_radps,volts,thrust_n\n1000,16.5,1\n3000,15.8,9.001\n2000,16.2,4\n500,16.7,0.25\n";
+  const Outcome found = fit(write("stand.csv", text), "--voltage volts");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_EQ(found["fastest_speed_radps"], 3000);
+  EXPECT_NEAR(found["fastest_thrust_n"], 9.0, 0.01);
+  EXPECT_EQ(found["fastest_voltage_v"], 15.8);
+  EXPECT_EQ(found["\"battery_nominal_v\""], 15.8);
+  EXPECT_TRUE(found.says("\"max_thrust_n\": " + found.figures.at("fastest_thrust_n")))
+      << found.output;
+  EXPECT_FALSE(fit(write("stand.csv", text)).says("fastest"));
+  EXPECT_EQ(fit(write("stand.csv", text), "--voltage V").exit_code, 2);
+  std::string named = text;
+  named.replace(named.find("volts"), 5, "voltage_v");
+  EXPECT_EQ(fit(write("stand.csv", named))["fastest_voltage_v"], 15.8);
+}
+
 // With few points the intervals are as wide as Student's distribution has them, three times those
 // of the normal one.
 TEST_F(FitRotor, TheIntervalsHoldTheTruthInNineteenOfTwentyStands) {
   const std::map<std::string, double> truth = {{"thrust_coefficient", 1.4e-6},
+                                               {"curve_thrust_coefficient", 1.4e-6},
+                                               {"linear_thrust_coefficient", 0.0},
                                                {"exponent", 2.0},
                                                {"torque_ratio", 0.016},
                                                {"idle_power", 5.0},
                                                {"power_coefficient", 3.7e-8}};
   const std::map<std::string, std::string> unit = {{"thrust_coefficient", "_n_s2_per_rad2"},
+                                                   {"curve_thrust_coefficient", "_n_s2_per_rad2"},
+                                                   {"linear_thrust_coefficient", "_n_s_per_rad"},
                                                    {"exponent", ""},
                                                    {"torque_ratio", "_m"},
                                                    {"idle_power", "_w"},
