@@ -11,6 +11,8 @@
 #include <functional>
 #include <sstream>
 #include <string>
+#include <type_traits>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -80,10 +82,35 @@ TEST(VehicleFile, WhatIsReadIsWrittenAgain) {
     VehicleFile file = examples::read_vehicle(shipped(name));
     file.limits.angular_velocity << 1.0, 2.0, 3.5;  // which is not the default
     file.battery_wh = 12.5;
+    std::visit(
+        [](auto& vehicle) {
+          vehicle.battery.nominal_voltage = 14.8;
+          vehicle.rotor.linear_thrust_coefficient = 1e-4;
+          vehicle.rotors[1].parameters = vehicle.rotor;
+          vehicle.rotors[1].parameters->torque_ratio = 0.0123;
+          vehicle.rotors[2].parameters = vehicle.rotor;
+          vehicle.rotors[2].parameters->linear_thrust_coefficient = 0.0;
+          vehicle.rotors[2].parameters->max_thrust *= 1.25;
+        },
+        file.vehicle);
     examples::write_vehicle(file, once);
     const VehicleFile again = examples::read_vehicle(once);
     EXPECT_EQ(again.limits.angular_velocity, file.limits.angular_velocity);
     EXPECT_EQ(again.battery_wh, file.battery_wh);
+    std::visit(
+        [&](const auto& vehicle) {
+          const auto& written = std::get<std::decay_t<decltype(vehicle)>>(file.vehicle);
+          EXPECT_EQ(vehicle.battery.nominal_voltage, 14.8);
+          for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
+            EXPECT_EQ(vehicle.rotors[i].parameters.has_value(), i == 1 || i == 2);
+            const auto &read = rotor_parameters(vehicle, i), &was = rotor_parameters(written, i);
+            EXPECT_EQ(read.thrust_coefficient, was.thrust_coefficient);
+            EXPECT_EQ(read.linear_thrust_coefficient, was.linear_thrust_coefficient);
+            EXPECT_EQ(read.torque_ratio, was.torque_ratio);
+            EXPECT_EQ(read.max_thrust, was.max_thrust);
+          }
+        },
+        again.vehicle);
     examples::write_vehicle(again, twice);
     EXPECT_EQ(test_support::read_file(once), test_support::read_file(twice)) << name;
   }
@@ -100,6 +127,57 @@ TEST(VehicleFile, RotorsByTheirAxes) {
   const auto vehicle = std::get<tilt_ropter::Vehicle<4>>(examples::read_vehicle(in, "").vehicle);
   const tilt_ropter::RotorGeometry expected = tilt_ropter::tilt_ropter_vehicle().rotors[1];
   EXPECT_TRUE(vehicle.rotors[1].orientation.isApprox(expected.orientation, 1e-12));
+}
+
+std::string with(std::string text, const std::string& find, const std::string& replace) {
+  EXPECT_NE(text.find(find), std::string::npos) << find;
+  return text.replace(text.find(find), find.size(), replace);
+}
+
+/// Those of a rotor hold for it alone, each field by itself.
+TEST(VehicleFile, ARotorMayHaveParametersOfItsOwn) {
+  const std::string good = test_support::read_file(shipped("tilt_ropter"));
+  const tilt_ropter::RotorParameters common = tilt_ropter::tilt_ropter_vehicle().rotor;
+  const std::vector<std::pair<std::string, double tilt_ropter::RotorParameters::*>> fields = {
+      {"thrust_coefficient_n_s2_per_rad2", &tilt_ropter::RotorParameters::thrust_coefficient},
+      {"linear_thrust_coefficient_n_s_per_rad",
+       &tilt_ropter::RotorParameters::linear_thrust_coefficient},
+      {"torque_ratio_m", &tilt_ropter::RotorParameters::torque_ratio},
+      {"min_thrust_n", &tilt_ropter::RotorParameters::min_thrust},
+      {"max_thrust_n", &tilt_ropter::RotorParameters::max_thrust},
+      {"time_constant_s", &tilt_ropter::RotorParameters::time_constant}};
+  for (const auto& field : fields) {
+    std::istringstream in(with(good, "\"azimuth_deg\": 90.0,",
+                               "\"azimuth_deg\": 90.0, \"" + field.first + "\": 0.5,"));
+    const auto vehicle = std::get<tilt_ropter::Vehicle<4>>(examples::read_vehicle(in, "").vehicle);
+    for (std::size_t i = 0; i < 4; ++i)
+      for (const auto& other : fields)
+        EXPECT_EQ(rotor_parameters(vehicle, i).*other.second,
+                  i == 1 && other.first == field.first ? 0.5 : common.*other.second)
+            << field.first << i << other.first;
+  }
+}
+
+/// Five kilograms on four rotors of three sorts, one of them weaker, with curves.
+TEST(VehicleFile, UnlikeRotorsFlyTheirMissionWithoutTuning) {
+  const test_support::Directory directory("vehicle_file");
+  VehicleFile file = examples::read_vehicle(shipped("five_kilograms"));
+  auto& vehicle = std::get<tilt_ropter::Vehicle<4>>(file.vehicle);
+  for (const std::size_t i : {0U, 2U, 3U}) vehicle.rotors[i].parameters = vehicle.rotor;
+  vehicle.rotors[0].parameters->linear_thrust_coefficient = 3e-3;
+  vehicle.rotors[0].parameters->torque_ratio *= 1.3;
+  vehicle.rotors[2].parameters->thrust_coefficient *= 1.5;
+  vehicle.rotors[2].parameters->linear_thrust_coefficient = -3e-3;
+  vehicle.rotors[3].parameters->max_thrust *= 0.8;
+  vehicle.rotors[3].parameters->time_constant *= 1.5;
+  examples::write_vehicle(file, directory.file("unlike.json"));
+  const auto flight = test_support::run(
+      HYBRID_MISSION_PROGRAM, "--vehicle '" + directory.file("unlike.json") +
+                                  "' --no-pictures --output '" + directory.file("") + "'");
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_LT(flight["air_rmse_m"], 0.01);
+  EXPECT_LT(flight["ground_rmse_m"], 0.02);
+  EXPECT_EQ(flight["solver_failures"], 0);
 }
 
 TEST(VehicleFile, WeightsComeFromTheAllowedErrors) {
@@ -178,6 +256,24 @@ std::vector<Wrong> wrong_files() {
       {"\"azimuth_deg\": 90.0,\n      \"length_m\": 0.17",
        "\"position_m\": [0, 0.2, 0], \"thrust_axis\": [0, 0, 0], \"arm_axis\": [0, 1, 0]",
        {"rotors[1].thrust_axis = of length 0", "longer than 0.001"}},
+      {"\"max_thrust_n\": 12.0",
+       "\"max_thrust_n\": 12.0, \"linear_thrust_coefficient_n_s_per_rad\": -0.003",
+       {"rotor.linear_thrust_coefficient_n_s_per_rad = -0.003", "in [-0.00289828, 1] N s/rad"}},
+      {"\"azimuth_deg\": 90.0,",
+       "\"azimuth_deg\": 90.0, \"max_thrust_n\": -3,",
+       {"rotors[1].max_thrust_n = -3", "a number in [0.001, 10000] N"}},
+      {"\"azimuth_deg\": 90.0,",
+       "\"azimuth_deg\": 90.0, \"linear_thrust_coefficient_n_s_per_rad\": -0.003,",
+       {"rotors[1].linear_thrust_coefficient_n_s_per_rad = -0.003", "in [-0.00289828, 1]"}},
+      {"\"azimuth_deg\": 90.0,",
+       "\"azimuth_deg\": 90.0, \"min_thrust_n\": 12.5,",
+       {"rotors[1].min_thrust_n = 12.5", "less than max_thrust_n, 12 N"}},
+      {"\"max_thrust_n\": 12.0,\n    \"time_constant_s\": 0.03\n  },",
+       "\"max_thrust_n\": 3.6, \"time_constant_s\": 0.03 },",
+       {"rotor.max_thrust_n = 3.6", "a share of the weight"}},
+      {"\"power\"",
+       "\"battery_nominal_v\": -22, \"power\"",
+       {"battery_nominal_v = -22", "a number in [0.1, 10000] V"}},
       // Of another spelling, and no JSON.
       {"\"mass_kg\": 1.5",
        "\"mass_kg\": 1.5, \"mas\": 2",
@@ -190,6 +286,27 @@ std::vector<Wrong> wrong_files() {
   // Four fixed rotors that all push upward do not give every wrench.
   wrong.push_back({"\"tilts\": true", "\"tilts\": false", {"rank", "4"}});
   return wrong;
+}
+
+TEST(VehicleFile, RotorsThatDoNotCarryTheWeightTogetherAreRefused) {
+  std::string text = test_support::read_file(shipped("tilt_ropter"));
+  text = with(text, "\"max_thrust_n\": 12.0", "\"max_thrust_n\": 3.0");
+  const auto refusal = [](const std::string& json) {
+    std::istringstream in(json);
+    try {
+      (void)examples::read_vehicle(in, "file");
+    } catch (const examples::VehicleFileError& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  const auto first = [&](const char* most) {
+    return refusal(with(text, "\"azimuth_deg\": 90.0,",
+                        std::string("\"azimuth_deg\": 90.0, \"max_thrust_n\": ") + most + ","));
+  };
+  EXPECT_EQ(first("5"),
+            "file: sum of max_thrust_n of all rotors = 14: must be more than the weight, 14.715 N");
+  EXPECT_EQ(first("6"), "");
 }
 
 TEST(VehicleFile, WrongOnesAreRefusedWithFieldValueAndRange) {
