@@ -5,6 +5,7 @@
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

@@ -4,6 +4,7 @@
 #include "support/allocation_counter.hpp"  // before all that calls NLopt
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
@@ -364,7 +365,9 @@ TEST_F(HeapInTheLoop, AProblemOfAnotherKind) {
 TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.servo.dead_time = 0.015;
-  const Allocation allocation(vehicle);
+  vehicle.battery.nominal_voltage = 20.0;
+  Allocation allocation(vehicle);
+  OutputScaling scaling(vehicle);
   const PowerModel power(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
@@ -438,6 +441,14 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
       settings.problem.weights.position.x() = i % 2 == 0 ? 60.0 : 80.0;
       watch("Nmpc::set_settings", [&] { nmpc.set_settings(settings); });
     }
+    const double voltage = fault == 2 ? nan : 20.0 - 0.001 * time;
+    for (const bool taken :
+         {watch("Allocation::set_voltage", [&] { return allocation.set_voltage(voltage); }),
+          watch("ActuatorModel::set_voltage", [&] { return actuators.set_voltage(voltage); }),
+          watch("OutputScaling::set_voltage", [&] { return scaling.set_voltage(voltage); }),
+          watch("Nmpc::set_voltage", [&] { return nmpc.set_voltage(voltage); }),
+          watch("Plant::set_voltage", [&] { return plant.set_voltage(voltage); })})
+      EXPECT_EQ(taken, fault != 2);
     nlopt([&] {
       watch("ContactEstimator", [&] { contact.update(time, measured, observer); });
       watch("Nmpc::prepare", [&] { return nmpc.prepare(time, reference, contact.estimate()); });

@@ -387,6 +387,47 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
   return result;
 }
 
+// The largest thrust that a climb of 3 m plans behind its first node, by the least thrusts of the
+// planned wrenches.
+double planned_thrust(double voltage, double& top) {
+  Vehicle<4> battery = vehicle;
+  battery.battery.nominal_voltage = 20.0;
+  Nmpc<4> nmpc(battery, in_simulated_time());
+  EXPECT_FALSE(nmpc.set_voltage(0.0));
+  EXPECT_TRUE(nmpc.set_voltage(voltage));
+  const auto above = [](double time) {
+    ReferencePoint point = hover(time);
+    point.position.z() += 3.0;
+    return point;
+  };
+  for (int i = 0; i < 10; ++i) {
+    (void)nmpc.prepare(0.01 * i, above, in_the_air({}));
+    EXPECT_TRUE(has_plan(nmpc.feedback(0.01 * i, hovering()).status));
+  }
+  const Allocation<4> allocation(battery);
+  double largest = 0.0;
+  for (int k = 1; k <= nmpc.solver().horizon(); ++k) {
+    const Wrench<> planned = nmpc.solver().state(k).wrench;
+    const Eigen::Matrix<double, 8, 1> thrusts =
+        allocation.pseudoinverse().leftCols<3>() * planned.force +
+        allocation.pseudoinverse().rightCols<3>() * planned.torque;
+    for (int i = 0; i < 4; ++i)
+      largest = std::max(largest, std::hypot(thrusts(2 * i), thrusts(2 * i + 1)));
+  }
+  top = max_thrust_at(vehicle.rotor, voltage / 20.0);
+  return largest;
+}
+
+TEST(Nmpc, PlansKeepToTheThrustThatTheVoltageLeaves) {
+  double full = 0.0, sagged = 0.0;
+  const double with_full = planned_thrust(20.0, full), with_sagged = planned_thrust(12.0, sagged);
+  EXPECT_NEAR(full, 12.0, 1e-12);
+  EXPECT_NEAR(sagged, 0.36 * 12.0, 1e-12);
+  EXPECT_GT(with_full, 1.2 * sagged);
+  EXPECT_LE(with_sagged, sagged + 0.01);
+  EXPECT_GT(with_sagged, sagged - 0.1);
+}
+
 TEST(Nmpc, ActuatorRowsKeepSlowServosOutOfTheirSpeedLimit) {
   const SlowServos with = fly_with_slow_servos(true), without = fly_with_slow_servos(false);
   EXPECT_EQ(with.failures, 0);

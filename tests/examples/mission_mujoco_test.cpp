@@ -6,11 +6,14 @@
 #include "support/full_run.hpp"
 #include "support/program.hpp"
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -54,9 +57,18 @@ Eigen::Matrix<double, 6, 6> mass_matrix(const MujocoPlant& plant) {
 
 ActuatorState<4> hover(const Vehicle<4>& vehicle) {
   ActuatorState<4> state;
-  state.rotor_speed.setConstant(
-      std::sqrt(vehicle.body.mass * gravity / 4.0 / vehicle.rotor.thrust_coefficient));
+  for (std::size_t i = 0; i < 4; ++i)
+    state.rotor_speed(static_cast<Eigen::Index>(i)) =
+        speed_from_thrust(vehicle.body.mass * gravity / 4.0, rotor_parameters(vehicle, i));
   return state;
+}
+
+Vehicle<4> unlike_rotors() {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.battery.nominal_voltage = 22.2;
+  vehicle.rotors[0].parameters = {1.1e-6, 8e-4, 0.016, 0.3, 9.0, 0.05};
+  vehicle.rotors[3].parameters = {2.0e-6, -5e-4, 0.012, 0.0, 14.0, 0.02};
+  return vehicle;
 }
 
 BodyState<> high() {
@@ -183,7 +195,7 @@ TEST(MujocoPlant, StandsOnItsWheelsWithItsWeight) {
 // Two engines with nothing in common, one motion: with arms and wheels too light to matter they
 // agree, and with the mass where it belongs they do not.
 TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
-  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Vehicle<4> vehicle = unlike_rotors();
   const auto distance = [&vehicle](MujocoParameters p) {
     PlantParameters ours_parameters;
     ours_parameters.contact.bearing_friction = p.contact.bearing_friction = 0.0;
@@ -218,6 +230,23 @@ TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
   const double without_arms = distance(light);
   EXPECT_LT(without_arms, 5e-4);
   EXPECT_GT(distance(heavy), 10.0 * without_arms);
+}
+
+TEST(MujocoPlant, TopSpeedsAreTheRotorsOwnAndFallWithTheVoltage) {
+  const Vehicle<4> vehicle = unlike_rotors();
+  MujocoPlant plant(vehicle);
+  ActuatorState<4> fastest;
+  fastest.rotor_speed.setConstant(1e6);
+  Eigen::Vector4d full;
+  for (std::size_t i = 0; i < 4; ++i)
+    full(static_cast<Eigen::Index>(i)) =
+        speed_from_thrust(rotor_parameters(vehicle, i).max_thrust, rotor_parameters(vehicle, i));
+  for (const double ratio : {1.0, 0.8, 1.2}) {
+    ASSERT_TRUE(plant.set_voltage(22.2 * ratio));
+    EXPECT_FALSE(plant.set_voltage(0.0));
+    ASSERT_TRUE(plant.step(fastest, {}, 1.0));
+    EXPECT_LT((plant.actuators().rotor_speed - std::min(ratio, 1.0) * full).norm(), 1.0);
+  }
 }
 
 TEST(MujocoPlant, OneServoCanBeSlow) {

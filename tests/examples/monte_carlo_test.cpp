@@ -4,6 +4,8 @@
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
 
+#include <tilt_ropter/actuation/rotor.hpp>
+
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -149,6 +151,22 @@ TEST(MonteCarlo, TheTrueVehicleHasItsPartsAroundTheShiftedCom) {
   const auto truth = examples::true_vehicle(draw, believed);
   for (std::size_t i = 0; i < 4; ++i)
     EXPECT_TRUE(truth.rotors[i].position.isApprox(believed.rotors[i].position - draw.com_offset));
+}
+
+TEST(MonteCarlo, AWeakerRotorReachesTheSameSpeedAlsoByItsOwnParameters) {
+  examples::VehicleDraw draw;
+  draw.thrust = 0.9;
+  draw.rotor_time_constant = 1.5;
+  auto believed = tilt_ropter::tilt_ropter_vehicle();
+  believed.rotors[2].parameters = {2e-6, 1e-3, 0.02, 0.0, 14.0, 0.04};
+  const auto truth = examples::true_vehicle(draw, believed);
+  for (const std::size_t i : {1U, 2U}) {
+    const auto &was = rotor_parameters(believed, i), &is = rotor_parameters(truth, i);
+    EXPECT_NEAR(is.max_thrust, 0.9 * was.max_thrust, 1e-12);
+    EXPECT_NEAR(is.time_constant, 1.5 * was.time_constant, 1e-15);
+    EXPECT_NEAR(tilt_ropter::speed_from_thrust(is.max_thrust, is),
+                tilt_ropter::speed_from_thrust(was.max_thrust, was), 1e-9);
+  }
 }
 
 TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
