@@ -62,11 +62,12 @@ double thrust_of(const Vehicle<4>& vehicle, std::size_t i, double speed) {
 TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
   Random random(1);
   for (int run = 0; run < 20; ++run) {
-    const RotorParameters parameters = some_rotor(random);
+    RotorParameters parameters = some_rotor(random);
+    parameters.min_thrust = run % 2 == 0 ? 0.0 : 0.4;
     Vehicle<4> common = tilt_ropter_vehicle(), own = tilt_ropter_vehicle();
     common.rotor = parameters;
     for (RotorGeometry& rotor : own.rotors) rotor.parameters = parameters;
-    own.rotor = {1.0, 0.5, 3.0, 1e5, 1e6, 0.7};  // which nobody uses
+    own.rotor = {1.0, 3.0, 1e5, 1e6, 0.7, 0.5};  // which nobody uses
 
     const Allocation<4> a(common), b(own);
     EXPECT_EQ(a.matrix(), b.matrix());

@@ -66,8 +66,8 @@ ActuatorState<4> hover(const Vehicle<4>& vehicle) {
 Vehicle<4> unlike_rotors() {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.battery.nominal_voltage = 22.2;
-  vehicle.rotors[0].parameters = {1.1e-6, 8e-4, 0.016, 0.3, 9.0, 0.05};
-  vehicle.rotors[3].parameters = {2.0e-6, -5e-4, 0.012, 0.0, 14.0, 0.02};
+  vehicle.rotors[0].parameters = {1.1e-6, 0.016, 0.3, 9.0, 0.05, 8e-4};
+  vehicle.rotors[3].parameters = {2.0e-6, 0.012, 0.0, 14.0, 0.02, -5e-4};
   return vehicle;
 }
 

@@ -158,7 +158,7 @@ TEST(MonteCarlo, AWeakerRotorReachesTheSameSpeedAlsoByItsOwnParameters) {
   draw.thrust = 0.9;
   draw.rotor_time_constant = 1.5;
   auto believed = tilt_ropter::tilt_ropter_vehicle();
-  believed.rotors[2].parameters = {2e-6, 1e-3, 0.02, 0.0, 14.0, 0.04};
+  believed.rotors[2].parameters = {2e-6, 0.02, 0.0, 14.0, 0.04, 1e-3};
   const auto truth = examples::true_vehicle(draw, believed);
   for (const std::size_t i : {1U, 2U}) {
     const auto &was = rotor_parameters(believed, i), &is = rotor_parameters(truth, i);

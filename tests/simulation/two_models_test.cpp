@@ -20,8 +20,8 @@ TEST(TwoModels, FlyTheSameWayUnderTheSameCommands) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.body.inertia << 0.014, 4e-4, -7e-4, 4e-4, 0.0143, 3e-4, -7e-4, 3e-4, 0.025;
   vehicle.servo.dead_time = 0.02;
-  vehicle.rotors[0].parameters = {1.1e-6, 8e-4, 0.02, 0.3, 9.0, 0.05};
-  vehicle.rotors[3].parameters = {2.0e-6, -5e-4, 0.012, 0.0, 14.0, 0.02};
+  vehicle.rotors[0].parameters = {1.1e-6, 0.02, 0.3, 9.0, 0.05, 8e-4};
+  vehicle.rotors[3].parameters = {2.0e-6, 0.012, 0.0, 14.0, 0.02, -5e-4};
   const Allocation allocation(vehicle);
   const RigidBody<> body(vehicle.body);
   Random random(71);

@@ -34,12 +34,14 @@ struct RigidBodyParameters {
 /// thrust begins at the speed -linear_thrust_coefficient / thrust_coefficient then. Where it rises
 /// slower, the linear term is positive.
 struct RotorParameters {
-  double thrust_coefficient = 1.0e-6;      ///< of the speed's square [N s^2 / rad^2]
-  double linear_thrust_coefficient = 0.0;  ///< of the speed [N s / rad]
-  double torque_ratio = 0.016;             ///< reaction torque / thrust [m]
-  double min_thrust = 0.0;                 ///< [N]
-  double max_thrust = 10.0;     ///< at the battery's nominal voltage, if that is known [N]
-  double time_constant = 0.03;  ///< of the speed's first-order lag [s]
+  double thrust_coefficient = 1.0e-6;  ///< of the speed's square [N s^2 / rad^2]
+  double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
+  double min_thrust = 0.0;             ///< [N]
+  double max_thrust = 10.0;            ///< at the battery's nominal voltage, if that is known [N]
+  double time_constant = 0.03;         ///< of the speed's first-order lag [s]
+  /// Of the speed, at least -sqrt(thrust_coefficient max_thrust / 2): the thrust begins at half of
+  /// the top speed there [N s / rad].
+  double linear_thrust_coefficient = 0.0;
 };
 
 /// Direction in which a rotor turns, seen from where its thrust points to.
@@ -56,8 +58,8 @@ struct RotorGeometry {
   /// Share of RotorParameters' thrust that the rotor gives at a speed, and of its limits; 0: it is
   /// lost.
   double effectiveness = 1.0;
-  /// This rotor's own motor and propeller. Without a value the rotor has those of Vehicle::rotor.
-  /// rotor_parameters() says which parameters hold.
+  /// This rotor's own motor and propeller. Without a value the rotor has those of Vehicle::rotor;
+  /// rotor_parameters() returns the ones that hold.
   std::optional<RotorParameters> parameters = std::nullopt;
 };
 
@@ -159,9 +161,9 @@ template <int Rotors>
   return largest;
 }
 
-/// Measured voltage [V] over the nominal one. Nothing where the nominal voltage is not known, and
-/// where the measurement is not between half and 1.5 times the nominal voltage, which no battery
-/// in use is: such a measurement is to be ignored.
+/// Measured voltage [V] over the nominal voltage. Nothing where the nominal voltage is not known.
+/// No battery in use has less than half or more than 1.5 times its nominal voltage, so such a
+/// measurement gives nothing, too, and has to be ignored.
 [[nodiscard]] inline std::optional<double> voltage_ratio(const BatteryParameters& battery,
                                                          double voltage) noexcept {
   if (!(battery.nominal_voltage > 0.0)) return std::nullopt;
