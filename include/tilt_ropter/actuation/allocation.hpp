@@ -87,6 +87,9 @@ struct ActuatorRates {
 /// angle stays. A stuck servo is a fixed rotor (with_stuck_servo): the rest is the null space's and
 /// the ladder's of above.
 ///
+/// Each rotor has the curve, limits and lag of rotor_parameters(). The limits are those of the last
+/// voltage that set_voltage() took, at the start of the nominal one.
+///
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
 /// rotors, 1 to 9 us when limits are hit.
 template <int Rotors = 4, typename Scalar = double>
