@@ -52,6 +52,12 @@ Wrench<> some_wrench(Random& random, double size) {
   return {random.vector(size * 5.0) + Vector3d(0.0, 0.0, size * 14.0), random.vector(size * 0.8)};
 }
 
+Wrench<> upward(double force) {
+  Wrench<> wrench;
+  wrench.force.z() = force;
+  return wrench;
+}
+
 /// c Omega^2 + b Omega of rotor i, by hand.
 double thrust_of(const Vehicle<4>& vehicle, std::size_t i, double speed) {
   const RotorParameters& p = i == 3 ? vehicle.rotor : *vehicle.rotors[i].parameters;
@@ -190,7 +196,7 @@ TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
     Plant<4> plant(vehicle);
     ActuatorState<4> fastest;
     fastest.rotor_speed.setConstant(1e6);
-    const Wrench<> lift{{0.0, 0.0, 1000.0}, {}};
+    const Wrench<> lift = upward(1000.0);
     const auto tops = [&](double time) {
       model.update(time, fastest);
       model.update(time + 10.0, fastest);
@@ -221,10 +227,10 @@ TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
         EXPECT_LT(result.achieved.force.z(), left * full_lift);
       }
       // A command that runs ahead stays below the top, too.
-      const auto ahead = allocation.allocate(lift, {{0.0, 0.0, 1e4}, {}}, {});
+      const auto ahead = allocation.allocate(lift, upward(1e4), {});
       EXPECT_LE((ahead.command.rotor_speed - left * full).maxCoeff(), 1e-6);
 
-      ASSERT_TRUE(plant.step(fastest, {{0.0, 0.0, -1000.0}, {}}, 1.0));
+      ASSERT_TRUE(plant.step(fastest, {}, 1.0));
       EXPECT_LT((plant.actuators().rotor_speed - left * full).norm(), 1e-4 * full.norm());
       PlantState<4> start = plant.state();
       start.body = BodyState<>{};
@@ -255,7 +261,7 @@ TEST(Voltage, LostRotorsStayLost) {
   ActuatorRows<6> rows(vehicle);
   ASSERT_TRUE(allocation.set_voltage(18.0) && rows.set_voltage(18.0));
   EXPECT_EQ(rows.upper()(14), std::numeric_limits<double>::infinity());
-  const Wrench<> wanted{{1.0, 0.0, 25.0}, {}};
+  const Wrench<> wanted = upward(25.0);
   const auto result = allocation.allocate(wanted, {});
   EXPECT_NE(result.status, AllocationStatus::limited);
   EXPECT_EQ(result.command.rotor_speed(2), 0.0);

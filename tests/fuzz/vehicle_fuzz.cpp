@@ -67,7 +67,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
 
   std::optional<Allocation<4>> allocation;
   if (!fuzz::accepted([&] { allocation.emplace(vehicle); })) return 0;
-  expect_good_allocation(vehicle, *allocation, {{0.0, 0.0, vehicle.body.mass * gravity}, {}});
+  expect_good_allocation(vehicle, *allocation,
+                         {{0.0, 0.0, vehicle.body.mass * gravity}, Eigen::Vector3d::Zero()});
   expect_good_allocation(vehicle, *allocation, {});
   expect_good_allocation(vehicle, *allocation, {{3.0, -2.0, 15.0}, {0.3, -0.2, 0.1}});
   return 0;
