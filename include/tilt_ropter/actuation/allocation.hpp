@@ -140,7 +140,7 @@ class Allocation {
     for (std::size_t i = 0; i < Rotors; ++i) {
       const Scalar max_thrust = Scalar(max_thrust_at(rotors_[i], *ratio));
       max_speed_[i] = speed_from_thrust(max_thrust, rotors_[i]);
-      if (!lost_[i]) limits_.set_max_thrust(i, max_thrust);
+      limits_.set_max_thrust(i, max_thrust);  // of a lost rotor, too, whose thrust is zero anyway
     }
     return true;
   }
@@ -207,7 +207,6 @@ class Allocation {
   Limits limits_;
   std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_;
   std::array<Scalar, static_cast<std::size_t>(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
-  std::array<bool, static_cast<std::size_t>(Rotors)> lost_{};
   bool has_min_thrust_ = false;
   BatteryParameters battery_;
   Scalar servo_lead_, max_tilt_rate_, calm_thrust_;
@@ -244,9 +243,8 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
     has_min_thrust_ = has_min_thrust_ || whole.min_thrust > 0.0;
     rotor_lead_(static_cast<Eigen::Index>(i)) =
         Scalar(parameters.lag_compensation * whole.time_constant);
-    lost_[i] = !(rotor.effectiveness > 0.0);
     // A lost rotor's thrust is none of A's, whatever its coefficient.
-    const double effectiveness = lost_[i] ? 1.0 : rotor.effectiveness;
+    const double effectiveness = rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0;
     rotors_[i] = whole;
     for (double RotorParameters::*field :
          {&RotorParameters::thrust_coefficient, &RotorParameters::linear_thrust_coefficient,
