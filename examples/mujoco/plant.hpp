@@ -221,7 +221,6 @@ class MujocoPlant {
   /// Hands rotor thrusts, servo speeds and disturbance to MuJoCo.
   void apply() {
     for (std::size_t i = 0; i < 4; ++i) {
-      const auto k = static_cast<Eigen::Index>(i);
       const tilt_ropter::ServoParameters& servo = servos_[i];
       data_->ctrl[thrust_[i]] = thrust(i);
       const double target = std::clamp(heard(i), servo.min_angle, servo.max_angle);

@@ -272,7 +272,7 @@ TEST(Voltage, BoundsThePlansThrustsBehindTheFirstNode) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.battery.nominal_voltage = 20.0;
   using Problem = WheeledFlightProblem<4>;
-  Problem problem(vehicle.body, vehicle.wheels, {}, ActuatorRows<4>(vehicle));
+  Problem problem(vehicle.body, {}, ActuatorRows<4>(vehicle));
   const auto before = problem.upper(1);
   EXPECT_FALSE(problem.set_voltage(nan));
   EXPECT_EQ(problem.upper(1), before);
@@ -282,7 +282,7 @@ TEST(Voltage, BoundsThePlansThrustsBehindTheFirstNode) {
     for (int i = 0; i < 4; ++i) EXPECT_NEAR(problem.upper(k).tail<4>()(i), 0.64 * 12.0, 1e-12);
   EXPECT_EQ(problem.upper(1).head<Problem::rows - 4>(), before.head<Problem::rows - 4>());
   EXPECT_EQ(problem.upper(0).tail<4>().minCoeff(), std::numeric_limits<double>::infinity());
-  Problem unbounded(vehicle.body, vehicle.wheels);
+  Problem unbounded(vehicle.body);
   EXPECT_FALSE(unbounded.set_voltage(16.0));
 }
 

@@ -163,6 +163,22 @@ TEST(RunTimeSettings, WhatCannotChangeIsRefusedAndNothingChanges) {
   for (int i = 0; i < 20; ++i) ASSERT_EQ(kept.tick().rate.force, refused.tick().rate.force);
 }
 
+TEST(RunTimeSettings, TheVoltageOutlastsThem) {
+  Vehicle<4> sagging = vehicle;
+  sagging.battery.nominal_voltage = 20.0;
+  NmpcSettings settings = test_support::in_simulated_time();
+  settings.actuator_rows = false;
+  Nmpc<4> nmpc(sagging, settings);
+  const auto bound = [&nmpc] {
+    return nmpc.solver().problem().upper(1)(WheeledFlightProblem<4>::Row::actuators + 8);
+  };
+  EXPECT_TRUE(nmpc.set_voltage(16.0));
+  EXPECT_GT(bound(), 1e300);
+  settings.actuator_rows = true;
+  nmpc.set_settings(settings);
+  EXPECT_NEAR(bound(), 0.8 * 0.8 * vehicle.rotor.max_thrust, 1e-9);
+}
+
 TEST(RunTimeSettings, AfterPrepareTheNextPrepareIsNeeded) {
   Loop loop(false);
   loop.run(5);

@@ -129,9 +129,13 @@ class Nmpc {
   [[nodiscard]] const NmpcResult& hold(double time) noexcept;
 
   /// Takes the measured `voltage` of the battery [V]: plans from the next prepare() on keep to the
-  /// thrusts that it leaves. Returns whether voltage_ratio() accepts it; if not, and without
-  /// NmpcSettings::actuator_rows, nothing changes.
-  bool set_voltage(double voltage) noexcept { return solver_.problem().set_voltage(voltage); }
+  /// thrusts that it leaves, where NmpcSettings::actuator_rows is set. Returns whether
+  /// voltage_ratio() accepts it; if not, nothing changes.
+  bool set_voltage(double voltage) noexcept {
+    if (!actuators_.set_voltage(voltage)) return false;
+    (void)solver_.problem().set_voltage(voltage);
+    return true;
+  }
 
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
   /// What the plan goes by: that of prepare(), or an earlier one where that was not plausible.
