@@ -71,7 +71,7 @@ void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
   hitl::Link link(addresses.flight_controller, {addresses.simulator, addresses.onboard}, line);
   SafeWrench safe(vehicle.body.inertia);
   hitl::Times lateness;
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   std::optional<hitl::Message> asked;  // the last wrench
   auto asked_at = hitl::Clock::now();
   std::uint32_t vehicle_session = 0;
@@ -94,7 +94,7 @@ void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
         if (m->session != vehicle_session) {  // a new vehicle stands on the ground
           vehicle_session = m->session;
           asked.reset();
-          command = {};
+          sent = {};
           safe = SafeWrench(vehicle.body.inertia);
         }
         safe.on_gyro(m->time, {m->values[0], m->values[1], m->values[2]});
@@ -122,13 +122,14 @@ void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
       wrench = {part(0) + ahead * rate.force, part(1) + ahead * rate.torque};
       safe.follow(wrench);
     }
-    command = allocation.allocate(wrench, rate, command).command;
+    const double time = std::chrono::duration<double>(now - start).count();
+    sent = allocation.allocate(time, wrench, rate, sent);
     hitl::Message m;
     m.type = hitl::MessageType::actuators;
     m.time = asked->time;
     m.stamp = asked->stamp;
-    Eigen::Map<Eigen::Matrix<double, 8, 1>>(m.values.data()) << command.rotor_speed,
-        command.tilt_angle;
+    Eigen::Map<Eigen::Matrix<double, 8, 1>>(m.values.data()) << sent.command.rotor_speed,
+        sent.command.tilt_angle;
     link.send(0, m);
     link.send(1, m);
     ++cycles;

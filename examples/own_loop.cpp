@@ -26,18 +26,18 @@ int main(int argc, char** argv) {
 
   Plant<4> robot(vehicle);  // your robot goes here: this one is simulated, standing on its wheels
   const Wrench<> wind{Eigen::Vector3d(0.5, 1.0, 0.0), Eigen::Vector3d::Zero()};
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   for (int tick = 0; tick < 1000; ++tick) {  // 100 Hz for 10 s
     const double time = robot.time();
     const ActuatorState<4> applied{robot.actuators().rotor_speed,  // measured
-                                   actuators.update(time, command).tilt_angle};
+                                   actuators.update(time, sent.command).tilt_angle};
     observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
     contact.update(time, robot.body(), observer);
     (void)nmpc.prepare(time, reference, contact.estimate());       // before the state is measured
     const NmpcResult& result = nmpc.feedback(time, robot.body());  // after
-    command = allocation.allocate(result.wrench, result.rate, command).command;
-    actuators.update(time, command);  // acts from now on
-    robot.step(command, wind, 0.01);
+    sent = allocation.allocate(time, result.wrench, result.rate, sent);
+    actuators.update(time, sent.command);  // acts from now on
+    robot.step(sent.command, wind, 0.01);
     if (tick % 100 == 99)
       std::printf("t %4.1f s  height %.3f m  wind %5.2f %5.2f %5.2f N  solve %.0f us\n",
                   robot.time(), robot.body().position.z(), observer.external().force.x(),

@@ -98,7 +98,7 @@ class Px4Node : public rclcpp::Node {
     observer_.update(time,
                      {tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
                       tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2))},
-                     allocation_.wrench(actuators_.update(time, command_)));
+                     allocation_.wrench(actuators_.update(time, sent_.command)));
   }
 
   void on_status(const px4_msgs::msg::VehicleStatus& m) {
@@ -108,7 +108,7 @@ class Px4Node : public rclcpp::Node {
     const bool offboard = m.nav_state == Status::NAVIGATION_STATE_OFFBOARD;
     pilot_ = !armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else;
     if (pilot_ == before) return;
-    if (pilot_ != Pilot::this_node) command_ = {};
+    if (pilot_ != Pilot::this_node) sent_ = {};
     if (pilot_ == Pilot::nobody) observer_.begin_calibration();
     if (before == Pilot::nobody && body_) {
       // Standing on the ground, which carries the weight.
@@ -135,9 +135,9 @@ class Px4Node : public rclcpp::Node {
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
-    command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
-    actuators_.update(time, command_);  // acts from now on
-    const auto outputs = scaling_.outputs(command_);
+    sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
+    actuators_.update(time, sent_.command);  // acts from now on
+    const auto outputs = scaling_.outputs(sent_.command);
     if (!outputs) return;
     const Px4Actuators m = px4_actuators(*outputs, now_us, sample_);
     motor_publisher_->publish(m.motors);
@@ -156,7 +156,7 @@ class Px4Node : public rclcpp::Node {
   double origin_height_, max_silence_;
   std::optional<tilt_ropter::BodyState<>> body_;  // the last one known
   std::uint64_t sample_ = 0;                      // its time [us]
-  tilt_ropter::ActuatorState<4> command_;
+  tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
   rclcpp::Subscription<px4_msgs::msg::VehicleOdometry>::SharedPtr odometry_subscription_;
   rclcpp::Subscription<px4_msgs::msg::SensorCombined>::SharedPtr sensor_subscription_;

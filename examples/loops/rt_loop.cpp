@@ -52,7 +52,7 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
 
 void run(const Options& options) {
   const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  const Vehicle<4> vehicle = examples::quadrotor(file);
+  const Vehicle<4> vehicle = examples::wheeled_quadrotor(file);
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
@@ -72,15 +72,15 @@ void run(const Options& options) {
   // The first ticks take what NLopt needs; from then on memory should be there.
   constexpr std::size_t first_ticks = 10;
   std::int64_t skipped = 0, missed = 0, faults = 0;
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   if (!undercarriage(vehicle)) {  // nothing to stand on: it is in the air from the start
     Wrench<> weight;
     weight.force.z() = vehicle.body.mass * gravity;
-    command = allocation.allocate(weight, {}).command;
+    sent = allocation.allocate(weight, {});
     BodyState<> hovering;
     hovering.position = reference(0.0).position;
-    robot.reset(hovering, command);
-    actuators.reset(command, 0.0);
+    robot.reset(hovering, sent.command);
+    actuators.reset(sent.command, 0.0);
   }
   loops::ask_for_real_time(options.priority, options.processor, std::cout);
 
@@ -93,13 +93,13 @@ void run(const Options& options) {
 
     const double time = robot.time();
     const ActuatorState<4> applied{robot.actuators().rotor_speed,
-                                   actuators.update(time, command).tilt_angle};
+                                   actuators.update(time, sent.command).tilt_angle};
     observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
     contact.update(time, robot.body(), observer);
     (void)nmpc.prepare(time, reference, contact.estimate());
     const NmpcResult& result = nmpc.feedback(time, robot.body());
-    command = allocation.allocate(result.wrench, result.rate, command).command;
-    actuators.update(time, command);  // acts from now on
+    sent = allocation.allocate(time, result.wrench, result.rate, sent);
+    actuators.update(time, sent.command);  // acts from now on
 
     const std::int64_t done = loops::now_ns();
     if (wake_up.values().size() == first_ticks) faults = loops::page_faults();
@@ -112,7 +112,7 @@ void run(const Options& options) {
     skipped += next - (k + 1);
     missed += next - (k + 1);
     for (; k < next; ++k)
-      if (!robot.step(command, {}, dt)) throw std::runtime_error("the plant broke");
+      if (!robot.step(sent.command, {}, dt)) throw std::runtime_error("the plant broke");
   }
 
   const std::int64_t page_faults_at_end = loops::page_faults();
@@ -141,7 +141,7 @@ int main(int argc, char** argv) {
       "and memlock), it says, and goes on."};
   Options options;
   app.add_option("--vehicle", options.vehicle,
-                 "JSON file of the vehicle, of 4 rotors; the Tilt-Ropter without");
+                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
   app.add_option("--rate", options.rate, "of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
       ->capture_default_str();

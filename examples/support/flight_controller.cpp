@@ -17,7 +17,7 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
 
 template <int Rotors>
 void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {
-  command_ = command;
+  sent_.command = command;
   rotor_speeds_ = command.rotor_speed;
 }
 
@@ -30,7 +30,7 @@ ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
 
 template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sample) {
-  applied_ = {rotor_speeds_, actuators_.update(time, command_).tilt_angle};
+  applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);
   rate_sum_ += sample.angular_velocity;
   ++rates_;
@@ -54,15 +54,15 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
 template <int Rotors>
 const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
-  if (!started_) return command_;
+  if (!started_) return sent_.command;
   BodyState<> state = ekf_.state();
   if (rates_ > 0) state.angular_velocity = rate_sum_ / rates_ - ekf_.filter().state().gyro_bias;
   rate_sum_.setZero();
   rates_ = 0;
   result_ = ekf_.running() ? nmpc_.feedback(time, state) : nmpc_.hold(time);
-  command_ = allocation_.allocate(result_.wrench, result_.rate, command_).command;
-  actuators_.update(time, command_);  // acts from now on
-  return command_;
+  sent_ = allocation_.allocate(time, result_.wrench, result_.rate, sent_);
+  actuators_.update(time, sent_.command);  // acts from now on
+  return sent_.command;
 }
 
 template <int Rotors>

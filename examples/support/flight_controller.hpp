@@ -52,7 +52,7 @@ class FlightController {
 
   /// True from the first state on.
   [[nodiscard]] bool started() const { return started_ || ekf_.running(); }
-  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return command_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return sent_.command; }
   /// Measured speeds and modelled tilt angles.
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& applied() const { return applied_; }
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
@@ -71,7 +71,8 @@ class FlightController {
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<Rotors> nmpc_;
   tilt_ropter::NmpcResult result_;
-  tilt_ropter::ActuatorState<Rotors> command_, applied_;
+  tilt_ropter::AllocationResult<Rotors> sent_;
+  tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   // Since the last tick: a single sample of a gyroscope that vibrates with the rotors is aliased.
   Eigen::Vector3d rate_sum_ = Eigen::Vector3d::Zero();

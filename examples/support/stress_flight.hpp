@@ -179,11 +179,11 @@ template <int Rotors>
 
   Wrench<> hover;
   hover.force.z() = vehicle.body.mass * gravity;
-  ActuatorState<Rotors> command = allocation.allocate(hover, ActuatorState<Rotors>{}).command;
+  AllocationResult<Rotors> sent = allocation.allocate(hover, ActuatorState<Rotors>{});
   BodyState<> hovering;
   hovering.position = reference.position;
-  plant.reset(hovering, command);
-  actuators.reset(command, 0.0);
+  plant.reset(hovering, sent.command);
+  actuators.reset(sent.command, 0.0);
 
   StressRecord record;
   record.lowest = reference.position.z();
@@ -203,7 +203,7 @@ template <int Rotors>
     }
     const double time = static_cast<double>(i) * settings.period;
     const ActuatorState<Rotors> applied{plant.actuators().rotor_speed,
-                                        actuators.update(time, command).tilt_angle};
+                                        actuators.update(time, sent.command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     if (i == before) observer.reset();  // it has been put elsewhere
     const double began = thread_microseconds();
@@ -232,10 +232,10 @@ template <int Rotors>
                   bound_ratio(result.wrench.torque, bounds.torque_min, bounds.torque_max),
                   bound_ratio(result.rate.force, -bounds.force_rate, bounds.force_rate),
                   bound_ratio(result.rate.torque, -bounds.torque_rate, bounds.torque_rate)});
-    command = allocation.allocate(result.wrench, result.rate, command).command;
-    actuators.update(time, command);
+    sent = allocation.allocate(time, result.wrench, result.rate, sent);
+    actuators.update(time, sent.command);
     for (int j = 0; j < steps && sound; ++j) {
-      sound = plant.step(command, {}, dt);
+      sound = plant.step(sent.command, {}, dt);
       touched = touched || plant.normal_forces().sum() > 0.0;
     }
     if (i < before) continue;

@@ -6,11 +6,15 @@
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/allocation_parameters.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/actuation/servo.hpp>
+#include <tilt_ropter/actuation/thrust_choice.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
+#include <tilt_ropter/actuation/thrust_program.hpp>
+#include <tilt_ropter/actuation/thrust_search.hpp>
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>

@@ -1,13 +1,13 @@
-#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <utility>
 
 #include "support/random.hpp"
-#include "support/vehicles.hpp"
 
 namespace {
 
@@ -60,61 +60,75 @@ bool reachable(const Vehicle<4>& vehicle, double lateral, double vertical, doubl
 
 TEST(ThrustLimits, ContainsWhatRotorsAndServosCanGive) {
   test_support::Random random(2);
-  const AllocationMatrix<4> allocation(tilt_ropter_vehicle());
   for (const auto& [lower, upper] :
        {std::pair{-pi, pi}, {-0.5 * pi, 0.5 * pi}, {-2.0, 2.2}, {0.5, 1.5}, {2.5, 4.0}}) {
     const Vehicle<4> vehicle = with_range(lower, upper);
     const Limits limits(vehicle);
-    const Limits::Directions none = Limits::Directions::Zero();
     for (int i = 0; i < 20000; ++i) {
-      Limits::Point x = Limits::Point::Zero();
-      // The rotors not under test point to the middle of the range.
-      for (int k = 0; k < 4; ++k) x.segment<2>(2 * k) = Limits::direction(0.5 * (lower + upper));
-      const int rotor = i % 4;
-      x(2 * rotor) = random.uniform(-13.0, 13.0);
-      x(2 * rotor + 1) = random.uniform(-13.0, 13.0);
-      EXPECT_EQ(limits.contains(x, {none, nullptr, 0.0}),
-                reachable(vehicle, x(2 * rotor), x(2 * rotor + 1), 0.0));
+      const Eigen::Vector2d thrust(random.uniform(-13.0, 13.0), random.uniform(-13.0, 13.0));
+      EXPECT_EQ(limits.contains(i % 4, thrust), reachable(vehicle, thrust.x(), thrust.y(), 0.0));
     }
   }
 }
 
-TEST(ThrustLimits, ApproachFindsAPointWheneverAGridDoes) {
-  test_support::Random random(3);
-  const AllocationMatrix<4> allocation(tilt_ropter_vehicle());
-  Limits::Directions directions = Limits::Directions::Zero();
-  directions.topLeftCorner<8, 2>() = allocation.null_space;
-  int reached = 0;
-  for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-0.5 * pi, 0.5 * pi}}) {
+/// Whether a thrust, in units of the largest, is in a region, by at least `margin`.
+bool inside(const detail::ThrustRegion& region, const Eigen::Vector2d& t, double margin) {
+  bool in = region.radius <= 0.0 || t.norm() <= region.radius - margin;
+  for (std::size_t p = 0; p < static_cast<std::size_t>(region.half_planes); ++p)
+    in = in && region.normal[p].dot(t) >= region.offset[p] + margin;
+  return in;
+}
+
+TEST(ThrustLimits, PartsLieWithinTheSetAndCoverItUpToAWholeTurn) {
+  test_support::Random random(4);
+  for (const auto& [lower, upper] : {std::pair{-pi, pi},
+                                     {-0.5 * pi, 0.5 * pi},
+                                     {-2.0, 2.2},
+                                     {0.5, 1.5},
+                                     {2.5, 7.0},
+                                     {-4.0, 4.0},
+                                     {-0.2, 0.2}}) {
     const Vehicle<4> vehicle = with_range(lower, upper);
     const Limits limits(vehicle);
-    for (int i = 0; i < 150; ++i) {
-      Limits::Point base = Limits::Point::Zero(), x, excess;
-      for (int k = 0; k < 4; ++k)
-        base.segment<2>(2 * k) << random.uniform(-9.0, 9.0), random.uniform(-4.0, 14.0);
-      base.head<8>() -=
-          allocation.null_space * (allocation.null_space.transpose() * base.head<8>());
-      Limits::Coordinates y = Limits::Coordinates::Zero();
-      const bool inside = limits.approach(base, {directions, nullptr, 0.0}, y, x, excess);
-      EXPECT_LT((x - base - directions * y).norm(), 1e-12);
-      bool grid_inside = false;
-      for (double u = -20.0; u <= 20.0 && !grid_inside; u += 0.25) {
-        for (double v = -20.0; v <= 20.0 && !grid_inside; v += 0.25) {
-          const Limits::Point point = base + directions.leftCols<2>() * Eigen::Vector2d(u, v);
-          grid_inside = true;
-          for (int k = 0; k < 4; ++k)
-            grid_inside = grid_inside && reachable(vehicle, point(2 * k), point(2 * k + 1), 0.0);
-        }
-      }
-      EXPECT_TRUE(inside || !grid_inside);
-      if (inside) {
-        ++reached;
-        EXPECT_LT(excess.norm(), 1e-12);
+    const auto region = [&](detail::AnglePart part) {
+      return limits.region(0, part, false, 0.0, 0.0);
+    };
+    const auto whole = region(detail::AnglePart::whole);
+    const auto low = region(detail::AnglePart::lower), high = region(detail::AnglePart::upper);
+    for (const auto& each : {whole, low, high}) EXPECT_TRUE(inside(each, each.center, 0.04));
+    for (int i = 0; i < 20000; ++i) {
+      const Eigen::Vector2d t(random.uniform(-1.1, 1.1), random.uniform(-1.1, 1.1));
+      const bool can = reachable(vehicle, 12.0 * t.x(), 12.0 * t.y(), 0.0);
+      const bool in_part = inside(low, t, 0.0) || inside(high, t, 0.0);
+      EXPECT_TRUE(can || !in_part);
+      EXPECT_TRUE(in_part || !can || upper - lower > 2.0 * pi);
+      EXPECT_TRUE(inside(whole, t, 0.0) || !can);
+      if (limits.convex()) {
+        EXPECT_EQ(inside(whole, t, 0.0), can);
       }
     }
   }
-  EXPECT_GT(reached, 50);
-  EXPECT_LT(reached, 250);
+}
+
+TEST(ThrustLimits, FloorKeepsMinThrustAlongItsDirection) {
+  test_support::Random random(5);
+  for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-1.0, 0.3}, {-2.0, 2.2}}) {
+    for (const double min_thrust : {0.01, 3.0, 11.5}) {
+      Vehicle<4> vehicle = with_range(lower, upper);
+      vehicle.rotor.min_thrust = min_thrust;
+      const Limits limits(vehicle);
+      for (int i = 0; i < 2000; ++i) {
+        const double angle = i % 10 == 0 ? lower : random.uniform(lower, upper);
+        const auto region = limits.region(0, limits.nearest_part(angle), true, angle, 0.0);
+        EXPECT_TRUE(inside(region, region.center, 1e-7)) << angle << ' ' << min_thrust;
+        const Eigen::Vector2d t(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0));
+        if (inside(region, t, 0.0)) {
+          EXPECT_GE(12.0 * t.norm(), min_thrust - 1e-12);
+          EXPECT_TRUE(reachable(vehicle, 12.0 * t.x(), 12.0 * t.y(), 1e-9));
+        }
+      }
+    }
+  }
 }
 
 }  // namespace

@@ -59,10 +59,10 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   Wrench<> weight, pull;
   weight.force.z() = vehicle.body.mass * gravity;
   pull.force.x() = 0.1 * vehicle.body.mass * gravity;
-  start.actuators = allocation.allocate(weight, {}).command;
+  AllocationResult<4> sent = allocation.allocate(weight, {});
+  start.actuators = sent.command;
   plant.reset(start);
-  ActuatorState<4> command = start.actuators;
-  actuators.reset(command, 0.0);
+  actuators.reset(sent.command, 0.0);
   const long ticks = std::lround(4.0 / period);
   const long control = std::max(1L, std::lround(0.01 / period));  // NMPC at 100 Hz or every tick
   int failures = 0;
@@ -71,15 +71,15 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
     observer.update(
         time, plant.inertial_sample(),
         allocation.wrench(ActuatorState<4>{plant.actuators().rotor_speed,
-                                           actuators.update(time, command).tilt_angle}));
+                                           actuators.update(time, sent.command).tilt_angle}));
     if (i % control == 0) {
       (void)nmpc.prepare(time, hover, in_the_air(observer.external()));
       const NmpcResult& result = nmpc.feedback(time, plant.body());
       failures += !has_plan(result.status);
-      command = allocation.allocate(result.wrench, result.rate, command).command;
-      actuators.update(time, command);
+      sent = allocation.allocate(time, result.wrench, result.rate, sent);
+      actuators.update(time, sent.command);
     }
-    EXPECT_TRUE(plant.step(command, pull, period));
+    EXPECT_TRUE(plant.step(sent.command, pull, period));
   }
   EXPECT_EQ(failures, 0);
   return (plant.body().position - hover(0.0).position).norm();

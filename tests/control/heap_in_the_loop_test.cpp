@@ -408,7 +408,7 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
     return point;
   };
 
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   BodyState<> measured = plant.body();
   Eigen::Vector4d speeds = Eigen::Vector4d::Zero();
   NloptInTicks nlopt;
@@ -426,8 +426,9 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
           return rotor_sensor.sample(time, plant.actuators().rotor_speed);
         }))
       speeds = m->rotor_speed;
-    const ActuatorState<4> applied{
-        speeds, watch("ActuatorModel", [&] { return actuators.update(time, command).tilt_angle; })};
+    const ActuatorState<4> applied{speeds, watch("ActuatorModel", [&] {
+                                     return actuators.update(time, sent.command).tilt_angle;
+                                   })};
     if (auto m = watch("ImuSensor", [&] {
           return imu.sample(time, plant.body().angular_velocity, plant.specific_force());
         })) {
@@ -457,11 +458,10 @@ TEST_F(HeapInTheLoop, TheWholeLoopInTheAirAndOnTheGround) {
       const NmpcResult& result = watch(
           "Nmpc::feedback", [&]() -> const NmpcResult& { return nmpc.feedback(time, delivered); });
       reached.insert(result.status);
-      command = watch("Allocation::allocate", [&] {
-                  return allocation.allocate(result.wrench, result.rate, command);
-                }).command;
+      sent = watch("Allocation::allocate",
+                   [&] { return allocation.allocate(time, result.wrench, result.rate, sent); });
     });
-    watch("Plant::step", [&] { return plant.step(command, {}, 0.01); });
+    watch("Plant::step", [&] { return plant.step(sent.command, {}, 0.01); });
     energy += watch("PowerModel", [&] { return power.power(plant.actuators().rotor_speed); });
   }
   EXPECT_GE(reached.size(), 4U);  // approximate in the ticks of touch-down
@@ -514,28 +514,30 @@ TEST_F(HeapInTheLoop, AllocationWithinAndBeyondItsLimits) {
   narrow.servo.max_angle = 1.2;
   const Allocation<4> tilting(tilt_ropter_vehicle()), limited(narrow);
   const Allocation<8> fixed(test_support::omnidirectional_octocopter());
-  ActuatorState<4> last, last_limited;
-  ActuatorState<8> last_fixed;
+  AllocationResult<4> last, last_limited, inverted;
+  AllocationResult<8> last_fixed;
   Random random(85);
   std::set<AllocationStatus> reached;
   for (int i = 0; i < ticks(); ++i) {
     watch.next_tick();
+    const double time = 0.01 * i;
     const double size = std::pow(10.0, random.uniform(-3.0, 2.0));
     Wrench<> wanted{random.vector(size), random.vector(0.1 * size)};
     const Wrench<> rate{random.vector(size), random.vector(size)};
     if (i % 10 == 9) wanted.force.y() = nan;
     watch("allocate", [&] {
-      const auto a = tilting.allocate(wanted, rate, last);
-      const auto b = limited.allocate(wanted, rate, last_limited);
-      const auto c = fixed.allocate(wanted, rate, last_fixed);
-      last = a.command;
-      last_limited = b.command;
-      last_fixed = c.command;
+      last = tilting.allocate(time, wanted, rate, last);
+      last_limited = limited.allocate(time, wanted, rate, last_limited);
+      last_fixed = fixed.allocate(time, wanted, rate, last_fixed);
     });
-    reached.insert(tilting.allocate(wanted, last).status);
-    reached.insert(limited.allocate(wanted, last_limited).status);
+    reached.insert(last.status);
+    reached.insert(last_limited.status);
+    // A push to and fro across the end of the range.
+    const Wrench<> upside_down{{0.0, i % 20 < 10 ? 0.05 : -0.05, -8.0}, Eigen::Vector3d::Zero()};
+    watch("allocate", [&] { inverted = tilting.allocate(time, upside_down, {}, inverted); });
+    reached.insert(inverted.status);
   }
-  EXPECT_EQ(reached.size(), 5U);
+  EXPECT_EQ(reached.size(), 7U);
 }
 
 }  // namespace

@@ -365,7 +365,8 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
   plant.reset(start);
   const Allocation<4> allocation(slow);
   Nmpc<4> nmpc(slow, in_simulated_time(settings));
-  ActuatorState<4> command = start.actuators;
+  AllocationResult<4> sent;
+  sent.command = start.actuators;
   SlowServos result;
   const int ticks = 800;
   for (int i = 0; i < ticks; ++i) {
@@ -375,12 +376,12 @@ SlowServos fly_with_slow_servos(bool actuator_rows) {
     if (!has_plan(r.status)) ++result.failures;
     const double speed = slow.servo.max_rate;
     const Eigen::Vector4d planned = allocation.rates(r.wrench, r.rate).tilt_rate / speed;
-    command = allocation.allocate(r.wrench, r.rate, command).command;
+    sent = allocation.allocate(time, r.wrench, r.rate, sent);
     const Eigen::Vector4d demanded =
-        (command.tilt_angle - plant.actuators().tilt_angle) / slow.servo.time_constant / speed;
+        (sent.command.tilt_angle - plant.actuators().tilt_angle) / slow.servo.time_constant / speed;
     result.planned = std::max(result.planned, planned.cwiseAbs().maxCoeff());
     result.demanded = std::max(result.demanded, demanded.cwiseAbs().maxCoeff());
-    EXPECT_TRUE(plant.step(command, {}, 0.01));
+    EXPECT_TRUE(plant.step(sent.command, {}, 0.01));
     result.rmse += (plant.body().position - circle(plant.time()).position).squaredNorm() / ticks;
   }
   result.rmse = std::sqrt(result.rmse);

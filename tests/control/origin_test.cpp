@@ -39,15 +39,15 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
   WrenchObserver<> observer(vehicle.body);
   ContactEstimator contact(vehicle);
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   if (from_hover) {
     Wrench<> weight;
     weight.force.z() = vehicle.body.mass * gravity;
-    command = allocation.allocate(weight, {}).command;
+    sent = allocation.allocate(weight, {});
     BodyState<> hovering;
     hovering.position = reference(0.0).position;
-    plant.reset(hovering, command);
-    actuators.reset(command, 0.0);
+    plant.reset(hovering, sent.command);
+    actuators.reset(sent.command, 0.0);
   }
   const auto on_board = [&](double time) {
     ReferencePoint point = reference(time);
@@ -61,16 +61,16 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
   for (long i = 0; i < ticks; ++i) {
     const double time = plant.time();
     const ActuatorState<4> applied{plant.actuators().rotor_speed,
-                                   actuators.update(time, command).tilt_angle};
+                                   actuators.update(time, sent.command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     BodyState<> measured = plant.body();
     measured.position.z() -= up;
     contact.update(time, measured, observer);
     EXPECT_EQ(nmpc.prepare(time, on_board, contact.estimate()), PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(time, measured);
-    command = allocation.allocate(result.wrench, result.rate, command).command;
-    actuators.update(time, command);
-    for (int j = 0; j < 10; ++j) EXPECT_TRUE(plant.step(command, wind, 1e-3));
+    sent = allocation.allocate(time, result.wrench, result.rate, sent);
+    actuators.update(time, sent.command);
+    for (int j = 0; j < 10; ++j) EXPECT_TRUE(plant.step(sent.command, wind, 1e-3));
     flight.positions.push_back(plant.body().position);
     squares += (plant.body().position - reference(plant.time()).position).squaredNorm();
   }
@@ -146,9 +146,9 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   for (; time < 0.0; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
   ASSERT_FALSE(contact.estimate().on_ground);
 
-  ActuatorState<4> command = allocation.allocate(weight, {}).command;
-  plant.reset(x, command);
-  actuators.reset(command, 0.0);
+  AllocationResult<4> sent = allocation.allocate(weight, {});
+  plant.reset(x, sent.command);
+  actuators.reset(sent.command, 0.0);
   const auto street = [](double now) {  // down by 2.5 m in 5 s, there to stay
     ReferencePoint point;
     point.position.z() = 3.5 - 0.5 * std::min(now, 5.0);
@@ -159,8 +159,8 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
     contact.update(plant.time() + 0.01, plant.body(), {}, k, k, Eigen::Vector3d::Zero());
     EXPECT_EQ(nmpc.prepare(plant.time(), street, contact.estimate()), PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(plant.time(), plant.body());
-    command = allocation.allocate(result.wrench, result.rate, command).command;
-    ASSERT_TRUE(plant.step(command, {}, 0.01));
+    sent = allocation.allocate(plant.time(), result.wrench, result.rate, sent);
+    ASSERT_TRUE(plant.step(sent.command, {}, 0.01));
   }
   EXPECT_NEAR(plant.body().position.z(), 1.0, 0.01);
   EXPECT_LT(plant.body().velocity.norm(), 0.01);

@@ -76,7 +76,7 @@ class OnBoard {
 
   /// Returns what acts from `time` on; what it computes acts a period later.
   ActuatorState<4> tick(double time, const Mission& mission) {
-    acting_ = next_;
+    acting_ = next_.command;
     actuators_.update(time, acting_);
     if (!ekf_.running()) return cast<double>(acting_);
     const double then = time + period;
@@ -91,11 +91,11 @@ class OnBoard {
         body_.step({applied_, ekf_.state()}, rate, observer_.external(), Scalar(period));
     const NmpcResult& result = nmpc_.feedback(then, cast<double>(predicted.body));
     rate_ = cast<Scalar>(result.rate);
-    next_ = allocation_.allocate(cast<Scalar>(result.wrench), rate_, next_).command;
+    next_ = allocation_.allocate(then, cast<Scalar>(result.wrench), rate_, next_);
     EXPECT_TRUE(has_plan(result.status));
     EXPECT_TRUE(is_finite(ekf_.state()) && is_finite(observer_.external()) &&
-                is_finite(predicted.body) && all_finite(next_.rotor_speed) &&
-                all_finite(next_.tilt_angle));
+                is_finite(predicted.body) && all_finite(next_.command.rotor_speed) &&
+                all_finite(next_.command.tilt_angle));
     return cast<double>(acting_);
   }
 
@@ -111,7 +111,8 @@ class OnBoard {
   WrenchObserver<Scalar> observer_;
   ContactEstimator contact_;
   Nmpc<4> nmpc_;
-  ActuatorState<4, Scalar> acting_, next_;
+  ActuatorState<4, Scalar> acting_;
+  AllocationResult<4, Scalar> next_;
   Wrench<Scalar> applied_, rate_;
 };
 

@@ -89,7 +89,7 @@ TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
   const double allocating = most([&] {
     Wrench<> wanted;
     wanted.force << 10.0, 5.0, 300.0;  // beyond what there is
-    (void)allocation.allocate(wanted, {}, {});
+    (void)allocation.allocate(0.0, wanted, {}, {});
   });
   const double estimating = most([&] {
     for (int i = 0; i < 100; ++i) {

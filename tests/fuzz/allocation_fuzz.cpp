@@ -30,16 +30,15 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   const auto kind = static_cast<std::size_t>(input.integer(0, 3));
   const Vehicle<4>& vehicle = vehicles[kind];
   const Allocation<4>& allocation = allocations[kind];
-  ActuatorState<4> last;
+  AllocationResult<4> last;
   for (int i = 0; i < 4; ++i) {
-    last.rotor_speed(i) = input.number(3000.0);
-    last.tilt_angle(i) = input.number(3.0);
+    last.command.rotor_speed(i) = input.number(3000.0);
+    last.command.tilt_angle(i) = input.number(3.0);
   }
   for (int tick = 0; tick < 20 && !input.empty(); ++tick) {
     const Wrench<> wanted = input.wrench(40.0, 4.0), rate = input.wrench(40.0, 4.0);
-    const bool bad =
-        !is_finite(wanted) || !all_finite(last.rotor_speed) || !all_finite(last.tilt_angle);
-    const auto result = allocation.allocate(wanted, rate, last);
+    const bool bad = !is_finite(wanted);
+    const auto result = allocation.allocate(input.number(10.0), wanted, rate, last);
     fuzz::expect((result.status == AllocationStatus::rejected) == bad, "the status is honest");
     fuzz::expect(is_finite(result.achieved) && is_finite(result.lost), "wrenches are finite");
     const ActuatorState<4>& command = result.command;
@@ -53,17 +52,15 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                        command.tilt_angle(i) <= vehicle.servo.max_angle,
                    "angles are within the servo's range");
     }
-    fuzz::expect(is_finite(allocation.wrench(last)), "the wrench of any sensors is finite");
+    fuzz::expect(is_finite(allocation.wrench(last.command)), "the wrench of any sensors is finite");
     if (!bad) {
-      const auto now = allocation.allocate(wanted, last);
+      const auto now = allocation.allocate(wanted, last.command);
       const double scale = 100.0 + wanted.force.stableNorm() + wanted.torque.stableNorm();
-      const bool whole =
-          now.status == AllocationStatus::ok || now.status == AllocationStatus::null_space_used;
-      fuzz::expect(!whole || (now.lost.force.stableNorm() <= 1e-9 * scale &&
-                              now.lost.torque.stableNorm() <= 1e-9 * scale),
+      fuzz::expect(!gives_wrench(now.status) || (now.lost.force.stableNorm() <= 1e-9 * scale &&
+                                                 now.lost.torque.stableNorm() <= 1e-9 * scale),
                    "nothing is lost unless the status says so");
     }
-    last = command;
+    last = result;
   }
   return 0;
 }

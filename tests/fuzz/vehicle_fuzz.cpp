@@ -32,7 +32,7 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
 
 void expect_good_allocation(const Vehicle<4>& vehicle, const Allocation<4>& allocation,
                             const Wrench<>& wanted) {
-  const auto result = allocation.allocate(wanted, wanted, {});
+  const auto result = allocation.allocate(0.0, wanted, wanted, {});
   fuzz::expect(all_finite(result.command.rotor_speed) && all_finite(result.command.tilt_angle),
                "commands are finite");
   fuzz::expect(is_finite(result.achieved) && is_finite(result.lost), "wrenches are finite");

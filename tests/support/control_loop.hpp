@@ -51,9 +51,9 @@ class ControlLoop {
     body.orientation = tilt_ropter::quaternion_from_yaw(yaw);
     tilt_ropter::Wrench<> hover;
     hover.force.z() = weight();
-    command_ = allocation_.allocate(hover, command_).command;
-    place(plant_, body, command_);
-    actuators_.reset(command_, 0.0);
+    sent_ = allocation_.allocate(hover, sent_.command);
+    place(plant_, body, sent_.command);
+    actuators_.reset(sent_.command, 0.0);
   }
 
   /// From now on the plant is `truth`, in the state in which it is; a rotor that tilts no more is
@@ -68,7 +68,7 @@ class ControlLoop {
   /// What the observer took for a disturbance since the failure was the failure.
   void tell(const tilt_ropter::Vehicle<4>& believed) {
     const double time = plant_.time();
-    tilt_ropter::ActuatorState<4> now{command_.rotor_speed, actuators_.state().tilt_angle};
+    tilt_ropter::ActuatorState<4> now{sent_.command.rotor_speed, actuators_.state().tilt_angle};
     actuators_ = tilt_ropter::ActuatorModel<4>(believed);
     actuators_.reset(now, time);
     allocation_ = tilt_ropter::Allocation<4>(believed);
@@ -94,17 +94,17 @@ class ControlLoop {
     using namespace tilt_ropter;
     const double time = plant_.time();
     const ActuatorState<4> applied{plant_.actuators().rotor_speed,
-                                   actuators_.update(time, command_).tilt_angle};
+                                   actuators_.update(time, sent_.command).tilt_angle};
     observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
     std::optional<BodyState<>> measured = state_sensor_.sample(time, plant_.body())->body;
     ContactEstimate contact = contact_.update(time, *measured, observer_);
     tamper(contact.disturbance, measured);
     (void)nmpc_.prepare(time, reference, contact);
     const NmpcResult& result = measured ? nmpc_.feedback(time, *measured) : nmpc_.hold(time);
-    command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
-    actuators_.update(time, command_);
+    sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
+    actuators_.update(time, sent_.command);
     for (int i = 0; i < 20; ++i) {
-      plant_is_sound_ = plant_.step(command_, disturbance, 5e-4) && plant_is_sound_;
+      plant_is_sound_ = plant_.step(sent_.command, disturbance, 5e-4) && plant_is_sound_;
       peak_force_ = std::max(peak_force_, plant_.normal_forces().sum());
       touched_ = touched_ || plant_.normal_forces().sum() > 0.0;
       if (touched_)
@@ -120,7 +120,7 @@ class ControlLoop {
   [[nodiscard]] const PlantType& plant() const { return plant_; }
   [[nodiscard]] const tilt_ropter::Nmpc<4>& nmpc() const { return nmpc_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
-  [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return sent_.command; }
   [[nodiscard]] double weight() const { return vehicle_.body.mass * tilt_ropter::gravity; }
   [[nodiscard]] double peak_force() const { return peak_force_; }  ///< of the ground [N]
   [[nodiscard]] bool touched() const { return touched_; }
@@ -137,7 +137,7 @@ class ControlLoop {
   tilt_ropter::WrenchObserver<> observer_;
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
-  tilt_ropter::ActuatorState<4> command_;
+  tilt_ropter::AllocationResult<4> sent_;
   double peak_force_ = 0.0, highest_ = -1.0;
   bool touched_ = false, plant_is_sound_ = true;
 };

@@ -24,7 +24,7 @@ inline void instantiate(const tilt_ropter::Mission& mission) {
   ContactEstimator contact(vehicle);
   (void)nmpc.prepare(0.0, mission, contact.update(0.0, plant.body(), observer));
   const NmpcResult& result = nmpc.feedback(0.0, plant.body());
-  const auto command = allocation.allocate(result.wrench, result.rate, {}).command;
+  const auto command = allocation.allocate(0.0, result.wrench, result.rate, {}).command;
   observer.update(0.0, plant.inertial_sample(),
                   allocation.wrench(ActuatorState<4>{command.rotor_speed,
                                                      actuators.update(0.0, command).tilt_angle}));

@@ -1,9 +1,10 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/actuation/allocation_parameters.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/actuation/thrust_choice.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
-#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -13,89 +14,47 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <optional>
 
 /// Control allocation (paper, Sec. Control Allocation): from a wrench to rotor speeds and tilt
 /// angles and back.
 namespace tilt_ropter {
 
-/// How the wanted wrench was come by.
-enum class AllocationStatus {
-  ok,               ///< the wanted wrench, by the least thrusts
-  null_space_used,  ///< the wanted wrench, by other thrusts that are within limits
-  angle_held,       ///< but for rotors of almost no thrust; lost is at most 2 h for each
-  limited,          ///< out of reach; force or torque were scaled
-  rejected          ///< the wrench is not finite: the command repeats the last one, lost is zero
-};
-
-/// What Allocation does beyond the inverse of the matrix.
-struct AllocationParameters {
-  /// Thrust below which a tilt angle, undefined at zero, holds on to its last value [N].
-  double hold_thrust = 0.02;
-  /// Share of the actuators' time constants by which commands run ahead of a moving wrench, so that
-  /// first-order lags arrive with it: 1 inverts them, 0 leaves them.
-  double lag_compensation = 1.0;
-  /// Thrust below which an angle runs ahead by less, falling with the thrust's square: its rate is
-  /// mostly noise there, and lags matter little. As a share of one rotor's thrust in hover.
-  double calm_share = 0.1;
-};
-
-inline void validate(const AllocationParameters& p) {
-  require_positive("AllocationParameters.hold_thrust [N]", p.hold_thrust);
-  require_in("AllocationParameters.lag_compensation", p.lag_compensation, 0.0, 1.0);
-  require_positive("AllocationParameters.calm_share", p.calm_share);
-}
-
-/// What to command, what wrench it gives, and what of the wanted wrench it does not: wanted =
-/// achieved + lost.
-template <int Rotors, typename Scalar = double>
-struct AllocationResult {
-  AllocationStatus status = AllocationStatus::rejected;
-  ActuatorState<Rotors, Scalar> command;  ///< always finite and within limits
-  Wrench<Scalar> achieved;
-  Wrench<Scalar> lost;
-};
-
-/// Time derivative of an ActuatorState.
-template <int Rotors, typename Scalar = double>
-struct ActuatorRates {
-  Eigen::Matrix<Scalar, Rotors, 1> rotor_acceleration =
-      Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [rad/s^2]
-  Eigen::Matrix<Scalar, Rotors, 1> tilt_rate =
-      Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [rad/s]
-};
-
 /// Allocation for any number of tilting or fixed rotors, by the Moore-Penrose inverse of
 /// AllocationMatrix, computed once.
 ///
-/// Beyond the paper:
-/// - An angle turns the nearest way from the last one, within the servo's range; where the range
-///   ends it goes over to the equivalent angle (+- 2 pi) inside, if there is one.
-/// - Below h = max(hold_thrust, min_thrust) an angle goes only the share (T/h)^2 of the way to its
-///   target, so a path of wrenches through zero thrust turns it in many small steps; meanwhile
-///   the rotor pushes with what of its thrust lies along the angle, and with min_thrust at least.
-/// - Thrusts or angles out of limits are first brought inside by the null space of A, by the least
-///   change. If that fails, the torque is kept and the force scaled by the largest factor in
-///   [0, 1] that can be reached; if there is none, the torque is first scaled by the largest factor
-///   that some scaled force allows. So a direction that no thrusts have (fixed rotors, servo ranges
-///   below 2 pi) ends at zero. With ranges between pi and 2 pi, not a convex set, the factors may
-///   be less than the largest; a tilting rotor's min_thrust is enforced after the scaling. In any
-///   case limits hold and `lost` says what was given up.
+/// Beyond the paper, in this order:
+/// 1. The least thrusts, if they are within limits. An angle turns the nearest way from the last
+///    one.
+/// 2. Other thrusts with the same wrench (the null space of A), by the least change, if the least
+///    thrusts leave a limit, or if an angle near the end of the servo's range would have to turn
+///    over to the equivalent angle (+- 2 pi) inside. Any wrench is given that some thrusts and
+///    angles within limits give. The one exception is the min_thrust of rotors that tilt, whose
+///    thrusts are not convex: there a local search may fail.
+/// 3. If the null space cannot prevent the turn: an arm waits at the end of its range while its
+///    target is less than range_end_margin beyond it (range_end_held). Otherwise it turns over, and
+///    as few other arms as possible with it (turned_over).
+/// 4. A wrench out of reach is scaled down group by group (AllocationParameters::priorities).
+///
+/// Below h = max(hold_thrust, min_thrust) an angle approaches its target with a time constant that
+/// grows as the thrust falls (AllocationParameters::hold_time), so a path of wrenches through zero
+/// thrust turns it continuously, at any rate of calls. Meanwhile the rotor pushes with the part of
+/// its thrust that lies along the angle, and with min_thrust at least (angle_held).
 ///
 /// A rotor of effectiveness e < 1 turns faster for the same thrust, 1 / sqrt(e) times without a
-/// linear term, and has that share of the limits; a lost one is told the slowest speed and its
-/// angle stays. A stuck servo is a fixed rotor (with_stuck_servo): the rest is the null space's and
-/// the ladder's of above.
+/// linear term, and has that fraction of the limits; a lost one is told the slowest speed and its
+/// angle stays. A stuck servo is a fixed rotor (with_stuck_servo).
 ///
 /// Each rotor has the curve, limits and lag of rotor_parameters(). The limits are those of the last
 /// voltage that set_voltage() took, at the start of the nominal one.
 ///
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
-/// rotors, 1 to 9 us when limits are hit.
+/// rotors; where limits are hit typically 20 us, 50 us out of reach; work is bounded. The search
+/// calculates in double whatever the Scalar is.
 template <int Rotors = 4, typename Scalar = double>
 class Allocation {
   using Limits = detail::ThrustLimits<Rotors, Scalar>;
-  using Point = typename Limits::Point;
 
  public:
   static constexpr int components = 2 * Rotors;
@@ -138,24 +97,29 @@ class Allocation {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (!ratio) return false;
     for (std::size_t i = 0; i < Rotors; ++i) {
-      const Scalar max_thrust = Scalar(max_thrust_at(rotors_[i], *ratio));
-      max_speed_[i] = speed_from_thrust(max_thrust, rotors_[i]);
-      limits_.set_max_thrust(i, max_thrust);  // of a lost rotor, too, whose thrust is zero anyway
+      const double max_thrust = max_thrust_at(rotors_[i], *ratio);
+      max_speed_[i] = speed_from_thrust(Scalar(max_thrust), rotors_[i]);
+      limits_.set_max_thrust(i, Scalar(max_thrust));  // of a lost rotor, too: it gives none anyway
+      choice_.set_max_thrust(i, max_thrust);
     }
     return true;
   }
 
-  /// Speeds and angles that give `wanted`, as near as limits allow. `last` is what was commanded
-  /// before (at the start: what is measured), from which angles turn the nearest way.
+  /// Speeds and angles that give `wanted`, as near as limits allow, from `last`: angles turn the
+  /// nearest way. Without a time: `last` counts as long ago, so hold_thrust has no effect, and an
+  /// angle is held at zero thrust only. For questions and the first command; a loop calls the
+  /// overload below. Entries of `last` that are not finite count as zero, its speeds are not used.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
       const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
-  /// The same for a wrench that moves at `rate` [N/s, N m/s]: speeds and angles run ahead by the
-  /// share lag_compensation of their time constants, within limits and the servo's rate.
-  /// `achieved` and `lost` are those of the wrench now, without the lead.
+  /// The same at `time` [s] for a wrench that moves at `rate` [N/s, N m/s]: speeds and angles run
+  /// ahead by the fraction lag_compensation of their time constants, within limits and the servo's
+  /// rate. `achieved` and `lost` are those of the wrench now, without the lead. `last` is the
+  /// result before; at the start one whose command says where the actuators are. A time that is not
+  /// finite or not after that of `last` counts as no time passed.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
-      const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
-      const ActuatorState<Rotors, Scalar>& last) const noexcept;
+      double time, const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
+      const AllocationResult<Rotors, Scalar>& last) const noexcept;
 
   /// Rates of angles and speeds that follow a wrench rate [N/s, N m/s] without limits (paper, Eq.
   /// allocation_inverse). At thrusts T below h the denominators T^2 and T stay at h^2
@@ -166,6 +130,8 @@ class Allocation {
 
  private:
   using Vector2 = typename Limits::Vector2;
+  using Thrusts = Eigen::Matrix<Scalar, components, 1>;
+  using Angles = Eigen::Matrix<Scalar, Rotors, 1>;
 
   [[nodiscard]] static const Vehicle<Rotors>& checked(const Vehicle<Rotors>& vehicle,
                                                       const AllocationParameters& parameters) {
@@ -174,15 +140,36 @@ class Allocation {
     return vehicle;
   }
 
-  [[nodiscard]] Eigen::Matrix<Scalar, components, 1> least_thrusts(
-      const Vector3<Scalar>& force, const Vector3<Scalar>& torque) const noexcept {
+  [[nodiscard]] Thrusts least_thrusts(const Vector3<Scalar>& force,
+                                      const Vector3<Scalar>& torque) const noexcept {
     return pseudoinverse_.template leftCols<3>() * force +
            pseudoinverse_.template rightCols<3>() * torque;
   }
 
-  [[nodiscard]] AllocationStatus thrusts_within_limits(const Wrench<Scalar>& wanted,
-                                                       const ActuatorState<Rotors, Scalar>& last,
-                                                       Point& x) const noexcept;
+  [[nodiscard]] AllocationResult<Rotors, Scalar> allocate_after(
+      double elapsed, const Wrench<Scalar>& wanted,
+      const ActuatorState<Rotors, Scalar>& last) const noexcept;
+
+  /// True if the least thrusts, which point along `angles` from `last` on, are within limits and
+  /// turn no arm over whose thrust is above `faint` [N].
+  [[nodiscard]] bool are_good(const Thrusts& thrusts, const Angles& last, const Angles& angles,
+                              Scalar faint) const noexcept;
+
+  /// ThrustChoice in this class's scalar; out of line, because it is long and rarely called.
+  [[gnu::noinline]] void choose(
+      const Wrench<Scalar>& wanted, const Angles& last, Scalar faint, Thrusts& thrusts,
+      AllocationStatus& status,
+      std::array<bool, static_cast<std::size_t>(Rotors)>& at_end) const noexcept;
+
+  /// The fraction of the way to its target that an angle goes in a time [s], by its thrust.
+  [[nodiscard]] Scalar follow_fraction(int i, const Vector2& thrust,
+                                       double elapsed) const noexcept {
+    const Scalar square = thrust.squaredNorm(), hold = hold_thrust(i) * hold_thrust(i);
+    if (square >= hold) return Scalar(1);
+    if (square <= limits_.tolerance() * limits_.tolerance()) return Scalar(0);
+    const auto rate = static_cast<double>(square / (hold - square)) / hold_time_;
+    return Scalar(-std::expm1(-elapsed * rate));
+  }
 
   /// Curve and limits of a rotor, times its effectiveness unless it is lost.
   [[nodiscard]] const RotorParameters& rotor(int i) const noexcept {
@@ -198,41 +185,45 @@ class Allocation {
     return std::max(min_speed_[rotor], std::min(speed, max_speed_[rotor]));
   }
 
-  /// Tilt angle of rotor i for a thrust vector, seen from the last one.
-  [[nodiscard]] Scalar next_angle(int i, const Vector2& thrust, Scalar last) const noexcept;
-
   [[nodiscard]] ActuatorState<Rotors, Scalar> within_limits(
       const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   Limits limits_;
   std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_;
   std::array<Scalar, static_cast<std::size_t>(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
+  Scalar largest_hold_thrust_{};
   bool has_min_thrust_ = false;
   BatteryParameters battery_;
   Scalar servo_lead_, max_tilt_rate_, calm_thrust_;
   Eigen::Matrix<Scalar, Rotors, 1> rotor_lead_;
-  Scalar max_force_{};
-  Scalar max_torque_{};
+  double hold_time_;
   Matrix matrix_;
   Pseudoinverse pseudoinverse_;
-  typename Limits::Directions null_space_ = Limits::Directions::Zero();
+  detail::ThrustChoice<Rotors> choice_;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
+
+  Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters,
+             const AllocationMatrix<Rotors>& allocation);
 };
 
 template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
                                        const AllocationParameters& parameters)
-    : limits_(checked(vehicle, parameters)),
+    : Allocation(checked(vehicle, parameters), parameters, AllocationMatrix<Rotors>(vehicle)) {}
+
+template <int Rotors, typename Scalar>
+Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
+                                       const AllocationParameters& parameters,
+                                       const AllocationMatrix<Rotors>& allocation)
+    : limits_(vehicle),
       battery_(vehicle.battery),
       servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
       max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
-      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)) {
-  const AllocationMatrix<Rotors> allocation(vehicle);
-  matrix_ = allocation.matrix.template cast<Scalar>();
-  pseudoinverse_ = allocation.pseudoinverse.template cast<Scalar>();
-  null_space_.topLeftCorner(components, allocation.null_space.cols()) =
-      allocation.null_space.template cast<Scalar>();
-  double lever = 0.0;
+      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
+      hold_time_(parameters.hold_time),
+      matrix_(allocation.matrix.template cast<Scalar>()),
+      pseudoinverse_(allocation.pseudoinverse.template cast<Scalar>()),
+      choice_(vehicle, parameters, allocation) {
   for (std::size_t i = 0; i < Rotors; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
     tilts_[i] = rotor.tilts;
@@ -240,6 +231,7 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
     min_speed_[i] = speed_from_thrust(Scalar(whole.min_thrust), whole);
     max_speed_[i] = speed_from_thrust(Scalar(whole.max_thrust), whole);
     hold_thrust_[i] = Scalar(std::max(parameters.hold_thrust, whole.min_thrust));
+    largest_hold_thrust_ = std::max(largest_hold_thrust_, hold_thrust_[i]);
     has_min_thrust_ = has_min_thrust_ || whole.min_thrust > 0.0;
     rotor_lead_(static_cast<Eigen::Index>(i)) =
         Scalar(parameters.lag_compensation * whole.time_constant);
@@ -250,41 +242,108 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
          {&RotorParameters::thrust_coefficient, &RotorParameters::linear_thrust_coefficient,
           &RotorParameters::min_thrust, &RotorParameters::max_thrust})
       rotors_[i].*field *= effectiveness;
-    lever += rotor.position.norm() + whole.torque_ratio;
   }
-  max_force_ = Scalar(Rotors * largest_max_thrust(vehicle));
-  max_torque_ = Scalar(lever * largest_max_thrust(vehicle));
 }
 
 template <int Rotors, typename Scalar>
-AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
-    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& told) const noexcept {
+bool Allocation<Rotors, Scalar>::are_good(const Thrusts& thrusts, const Angles& last,
+                                          const Angles& angles, Scalar faint) const noexcept {
+  for (int i = 0; i < Rotors; ++i) {
+    const Vector2 thrust = thrusts.template segment<2>(2 * i);
+    if (!limits_.contains(i, thrust)) return false;
+    if (!tilts_[static_cast<std::size_t>(i)]) continue;
+    if (limits_.beyond_range(angles(i)) > Scalar(0) &&
+        limits_.part_of_end(last(i)) != detail::AnglePart::whole &&
+        thrust.squaredNorm() > faint * faint)
+      return false;
+    if (has_min_thrust_ && thrust.norm() < limits_.min_thrust(i) - limits_.tolerance())
+      return false;
+  }
+  return true;
+}
+
+template <int Rotors, typename Scalar>
+void Allocation<Rotors, Scalar>::choose(
+    const Wrench<Scalar>& wanted, const Angles& last, Scalar faint, Thrusts& thrusts,
+    AllocationStatus& status,
+    std::array<bool, static_cast<std::size_t>(Rotors)>& at_end) const noexcept {
+  const Wrench<double> wrench{wanted.force.template cast<double>(),
+                              wanted.torque.template cast<double>()};
+  const auto chosen = choice_.choose(wrench, thrusts.template cast<double>(),
+                                     last.template cast<double>(), static_cast<double>(faint));
+  thrusts = chosen.thrusts.template cast<Scalar>();
+  status = chosen.status;
+  at_end = chosen.at_end;
+}
+
+template <int Rotors, typename Scalar>
+AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
+    double elapsed, const Wrench<Scalar>& wanted,
+    const ActuatorState<Rotors, Scalar>& last) const noexcept {
+  using Status = AllocationStatus;
   AllocationResult<Rotors, Scalar> result;
   if (!is_finite(wanted)) {
-    result.command = within_limits(told);
+    result.command = within_limits(last);
     result.achieved = wrench(result.command);
     return result;
   }
-  // Speeds play no part; an angle that is not known is one like any other.
-  ActuatorState<Rotors, Scalar> last = told;
-  for (int i = 0; i < Rotors; ++i)
-    if (!std::isfinite(last.tilt_angle(i))) last.tilt_angle(i) = Scalar(0);
-  Point x;
-  result.status = thrusts_within_limits(wanted, last, x);
+  Thrusts thrusts =
+      least_thrusts(choice_.shortened_force(wanted.force), choice_.shortened_torque(wanted.torque));
+  Angles from, angles;
+  const auto point_angles = [&] {
+    for (int i = 0; i < Rotors; ++i)
+      angles(i) = Limits::unwrapped_angle(std::atan2(thrusts(2 * i), thrusts(2 * i + 1)), from(i));
+  };
   for (int i = 0; i < Rotors; ++i) {
-    auto thrust = x.template segment<2>(2 * i);
-    const bool tilts = tilts_[static_cast<std::size_t>(i)];
-    const Scalar angle = tilts ? next_angle(i, thrust, last.tilt_angle(i)) : Scalar(0);
+    const Scalar angle = last.tilt_angle(i);
+    from(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
+  }
+  point_angles();
+  std::array<bool, static_cast<std::size_t>(Rotors)> at_end{};
+  result.status = Status::ok;
+  // Below hold_thrust an arm that has time never turns over.
+  const Scalar faint = std::isfinite(elapsed) ? largest_hold_thrust_ : limits_.tolerance();
+  if (!are_good(thrusts, from, angles, faint)) {
+    choose(wanted, from, faint, thrusts, result.status, at_end);
+    point_angles();
+  }
+
+  bool holds = false, waits = result.status == Status::range_end_held, cuts = false;
+  for (int i = 0; i < Rotors; ++i) {
+    const auto rotor = static_cast<std::size_t>(i);
+    auto thrust = thrusts.template segment<2>(2 * i);
+    Scalar angle(0), follow(1);
+    bool waiting = at_end[rotor];
+    if (tilts_[rotor]) {
+      follow = follow_fraction(i, thrust, elapsed);
+      const Scalar beyond = limits_.beyond_range(angles(i));
+      const bool rounding =
+          thrust.norm() * std::min(beyond, Scalar(1)) <= Scalar(choice_.negligible());
+      angle = waiting || rounding || follow < Scalar(1) ? limits_.bounded_angle(angles(i))
+                                                        : limits_.nearest_angle(angles(i), from(i));
+      waiting = waiting || (result.status == Status::ok && beyond > Scalar(0));
+      if (follow < Scalar(1)) angle = from(i) + follow * (angle - from(i));
+      if (std::abs(angle - from(i)) > Scalar(pi * (1.0 + 1e-6))) ++result.turned_over;
+    }
     const auto unit = Limits::direction(angle);
     const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
-    const Scalar missed = (thrust - size * unit).norm();
-    if (missed > Scalar(4) * limits_.tolerance() && result.status != AllocationStatus::limited)
-      result.status = AllocationStatus::angle_held;
+    if ((thrust - size * unit).norm() > Scalar(4) * limits_.tolerance())
+      (follow < Scalar(1) ? holds : waiting ? waits : cuts) = true;
     thrust = size * unit;
     result.command.rotor_speed(i) = bounded_speed(i, speed_from_thrust(size, rotor(i)));
     result.command.tilt_angle(i) = angle;
   }
-  const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * x.template head<components>();
+  if (result.status != Status::limited) {
+    if (waits)
+      result.status = Status::range_end_held;
+    else if (cuts)
+      result.status = Status::limited;
+    else if (holds)
+      result.status = Status::angle_held;
+    else if (result.turned_over > 0)
+      result.status = Status::turned_over;
+  }
+  const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * thrusts;
   result.achieved = {achieved.template head<3>(), achieved.template tail<3>()};
   result.lost = {wanted.force - result.achieved.force, wanted.torque - result.achieved.torque};
   return result;
@@ -292,9 +351,17 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
 
 template <int Rotors, typename Scalar>
 AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
-    const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
-    const ActuatorState<Rotors, Scalar>& last) const noexcept {
-  AllocationResult<Rotors, Scalar> result = allocate(wanted, last);
+    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept {
+  return allocate_after(std::numeric_limits<double>::infinity(), wanted, last);
+}
+
+template <int Rotors, typename Scalar>
+AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
+    double time, const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
+    const AllocationResult<Rotors, Scalar>& last) const noexcept {
+  const double elapsed = time > last.time ? time - last.time : 0.0;
+  AllocationResult<Rotors, Scalar> result = allocate_after(elapsed, wanted, last.command);
+  result.time = std::isfinite(time) ? time : last.time;
   if (result.status == AllocationStatus::rejected) return result;
   const ActuatorRates<Rotors, Scalar> ahead = rates(wanted, rate);
   for (int i = 0; i < Rotors; ++i) {
@@ -326,15 +393,6 @@ ActuatorRates<Rotors, Scalar> Allocation<Rotors, Scalar>::rates(
 }
 
 template <int Rotors, typename Scalar>
-Scalar Allocation<Rotors, Scalar>::next_angle(int i, const Vector2& thrust,
-                                              Scalar last) const noexcept {
-  last = limits_.bounded_angle(last);
-  const Scalar target = limits_.nearest_angle(std::atan2(thrust.x(), thrust.y()), last);
-  const Scalar weight = thrust.squaredNorm() / (hold_thrust(i) * hold_thrust(i));
-  return weight < Scalar(1) ? last + weight * (target - last) : target;
-}
-
-template <int Rotors, typename Scalar>
 ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
     const ActuatorState<Rotors, Scalar>& last) const noexcept {
   ActuatorState<Rotors, Scalar> command;
@@ -345,58 +403,6 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
       command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
   }
   return command;
-}
-
-/// Writes the thrusts to command to `x`, by the ladder of the class comment.
-template <int Rotors, typename Scalar>
-AllocationStatus Allocation<Rotors, Scalar>::thrusts_within_limits(
-    const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last,
-    Point& x) const noexcept {
-  // Forces and torques out of any reach are shortened first, which changes no answer and keeps
-  // the arithmetic from overflowing.
-  const auto shorten = [](const Vector3<Scalar>& v, Scalar limit) {
-    const Scalar size = v.stableNorm();
-    return size > limit ? Vector3<Scalar>(v / size * limit) : v;
-  };
-  Point force = Point::Zero(), torque = Point::Zero();
-  force.template head<components>() =
-      least_thrusts(shorten(wanted.force, Scalar(2) * max_force_), Vector3<Scalar>::Zero());
-  torque.template head<components>() =
-      least_thrusts(Vector3<Scalar>::Zero(), shorten(wanted.torque, Scalar(2) * max_torque_));
-
-  typename Limits::Floors floors;
-  x = force + torque;
-  if (has_min_thrust_) {
-    for (int i = 0; i < Rotors; ++i) {
-      const Vector2 thrust = x.template segment<2>(2 * i);
-      floors[static_cast<std::size_t>(i)] =
-          Limits::direction(next_angle(i, thrust, last.tilt_angle(i)));
-    }
-  }
-  const typename Limits::Space plain{null_space_, nullptr, Scalar(0)};
-  const typename Limits::Space floored{null_space_, has_min_thrust_ ? &floors : nullptr, Scalar(0)};
-  if (limits_.contains(x, floored)) return AllocationStatus::ok;
-
-  typename Limits::Coordinates y = Limits::Coordinates::Zero();
-  Point excess;
-  if (limits_.approach(force + torque, floored, y, x, excess))
-    return AllocationStatus::null_space_used;
-
-  Scalar share;
-  if (limits_.largest_share(torque, force, plain, share, y, x))
-    return share < Scalar(1) ? AllocationStatus::limited : AllocationStatus::null_space_used;
-
-  // The force, at right angles to the null space, becomes one more direction; its share of [0, 1]
-  // is the last component, at the same scale.
-  const Scalar size = force.norm();
-  typename Limits::Directions directions = null_space_;
-  auto column = directions.template rightCols<1>();
-  column = force;
-  column(components) = size;
-  if (size > Scalar(0)) column /= std::sqrt(Scalar(2)) * size;
-  y.setZero();
-  limits_.largest_share(Point::Zero(), torque, {directions, nullptr, size}, share, y, x);
-  return AllocationStatus::limited;
 }
 
 }  // namespace tilt_ropter
