@@ -52,7 +52,7 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
 
 void run(const Options& options) {
   const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  const Vehicle<4> vehicle = examples::wheeled_quadrotor(file);
+  const Vehicle<4> vehicle = examples::quadrotor(file);
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserver<> observer(vehicle.body);
@@ -141,7 +141,7 @@ int main(int argc, char** argv) {
       "and memlock), it says, and goes on."};
   Options options;
   app.add_option("--vehicle", options.vehicle,
-                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
+                 "JSON file of the vehicle, of 4 rotors; the Tilt-Ropter without");
   app.add_option("--rate", options.rate, "of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
       ->capture_default_str();

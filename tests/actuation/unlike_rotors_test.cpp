@@ -80,7 +80,7 @@ TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
     for (int i = 0; i < 50; ++i) {
       const Wrench<> wanted = some_wrench(random, random.uniform(0.0, 4.0)),
                      rate = some_wrench(random, 0.2);
-      const auto x = a.allocate(wanted, rate, {}), y = b.allocate(wanted, rate, {});
+      const auto x = a.allocate(0.0, wanted, rate, {}), y = b.allocate(0.0, wanted, rate, {});
       EXPECT_EQ(x.status, y.status);
       EXPECT_EQ(x.command.rotor_speed, y.command.rotor_speed);
       EXPECT_EQ(x.command.tilt_angle, y.command.tilt_angle);
@@ -163,7 +163,7 @@ TEST(UnlikeRotors, CommandsRunAheadByEachRotorsOwnLag) {
     const double h = 1e-5;
     const Wrench<> next{now.force + h * rate.force, now.torque + h * rate.torque};
     const auto still = allocation.allocate(now, {}), later = allocation.allocate(next, {}),
-               moving = allocation.allocate(now, rate, {});
+               moving = allocation.allocate(0.0, now, rate, {});
     ASSERT_EQ(still.status, AllocationStatus::ok);
     for (std::size_t i = 0; i < 4; ++i) {
       const auto k = static_cast<Eigen::Index>(i);
@@ -227,7 +227,7 @@ TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
         EXPECT_LT(result.achieved.force.z(), left * full_lift);
       }
       // A command that runs ahead stays below the top, too.
-      const auto ahead = allocation.allocate(lift, upward(1e4), {});
+      const auto ahead = allocation.allocate(0.0, lift, upward(1e4), {});
       EXPECT_LE((ahead.command.rotor_speed - left * full).maxCoeff(), 1e-6);
 
       ASSERT_TRUE(plant.step(fastest, {}, 1.0));

@@ -28,10 +28,10 @@ class Loop {
     }
     Wrench<> weight;
     weight.force.z() = vehicle.body.mass * gravity;
-    command_ = allocation_.allocate(weight, {}).command;
+    sent_ = allocation_.allocate(weight, {});
     BodyState<> start;
     start.position.z() = 2.0;
-    plant_.reset(start, command_);
+    plant_.reset(start, sent_.command);
   }
 
   const NmpcResult& tick() {
@@ -44,8 +44,8 @@ class Loop {
     EXPECT_EQ(nmpc.prepare(time, reference, contact_), PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(time, plant_.body());
     EXPECT_EQ(result.status, NmpcStatus::solved);
-    command_ = allocation_.allocate(result.wrench, result.rate, command_).command;
-    EXPECT_TRUE(plant_.step(command_, {}, 0.01));
+    sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
+    EXPECT_TRUE(plant_.step(sent_.command, {}, 0.01));
     return result;
   }
   void run(int ticks) {
@@ -58,7 +58,7 @@ class Loop {
   bool standing_;
   Plant<4> plant_{vehicle};
   Allocation<4> allocation_{vehicle};
-  ActuatorState<4> command_;
+  AllocationResult<4> sent_;
   ContactEstimate contact_;
 };
 

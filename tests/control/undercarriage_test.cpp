@@ -40,16 +40,16 @@ Flight fly(const Vehicle<4>& vehicle) {
   ContactEstimator contact(vehicle);
   NmpcSettings settings = test_support::in_simulated_time(nmpc_settings(vehicle));
   Nmpc<4> nmpc(vehicle, settings);
-  ActuatorState<4> command;
+  AllocationResult<4> sent;
   const bool stands = undercarriage(vehicle).has_value();
   if (!stands) {
     Wrench<> weight;
     weight.force.z() = vehicle.body.mass * gravity;
-    command = allocation.allocate(weight, {}).command;
+    sent = allocation.allocate(weight, {});
     BodyState<> hovering;
     hovering.position = mission(0.0).position;
-    plant.reset(hovering, command);
-    actuators.reset(command, 0.0);
+    plant.reset(hovering, sent.command);
+    actuators.reset(sent.command, 0.0);
   }
   const Wrench<> wind{Eigen::Vector3d(0.3, -0.2, 0.0), Eigen::Vector3d::Zero()};
   Flight flight;
@@ -59,17 +59,17 @@ Flight fly(const Vehicle<4>& vehicle) {
   for (long i = 0; plant.time() < mission.duration(); ++i) {
     const double time = plant.time();
     const ActuatorState<4> applied{plant.actuators().rotor_speed,
-                                   actuators.update(time, command).tilt_angle};
+                                   actuators.update(time, sent.command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     if (i % 10 == 0) {
       contact.update(time, plant.body(), observer);
       EXPECT_EQ(nmpc.prepare(time, reference, contact.estimate()), PrepareStatus::prepared);
       const NmpcResult& result = nmpc.feedback(time, plant.body());
       EXPECT_TRUE(has_plan(result.status));
-      command = allocation.allocate(result.wrench, result.rate, command).command;
-      actuators.update(time, command);
+      sent = allocation.allocate(time, result.wrench, result.rate, sent);
+      actuators.update(time, sent.command);
     }
-    EXPECT_TRUE(plant.step(command, wind, 1e-3));
+    EXPECT_TRUE(plant.step(sent.command, wind, 1e-3));
     const double error = (plant.body().position - mission(plant.time()).position).norm();
     const MissionPhase phase = mission.phase(plant.time());
     flight.largest_error = std::max(flight.largest_error, error);

@@ -310,11 +310,11 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
 
   bool holds = false, waits = result.status == Status::range_end_held, cuts = false;
   for (int i = 0; i < Rotors; ++i) {
-    const auto rotor = static_cast<std::size_t>(i);
+    const auto arm = static_cast<std::size_t>(i);
     auto thrust = thrusts.template segment<2>(2 * i);
     Scalar angle(0), follow(1);
-    bool waiting = at_end[rotor];
-    if (tilts_[rotor]) {
+    bool waiting = at_end[arm];
+    if (tilts_[arm]) {
       follow = follow_fraction(i, thrust, elapsed);
       const Scalar beyond = limits_.beyond_range(angles(i));
       const bool rounding =
