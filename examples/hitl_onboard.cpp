@@ -39,7 +39,7 @@ class Onboard {
         allocation_(vehicle_),
         actuators_(vehicle_),
         ekf_(examples::MissionSensors<>::estimation()),
-        observer_(vehicle_.body),
+        observer_(vehicle_.body, observer_settings(25.0)),
         contact_(vehicle_),
         nmpc_(vehicle_, file.settings()),
         mission_(hybrid_mission(vehicle_)) {}
@@ -61,19 +61,16 @@ class Onboard {
     const ActuatorState<4> applied{Eigen::Map<const Eigen::Vector4d>(m.values.data() + 6),
                                    actuators_.update(m.time, command_).tilt_angle};
     ekf_.on_imu(m.time, sample);
-    const InertialState<>& x = ekf_.filter().state();
-    observer_.update(
-        m.time,
-        {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
-        allocation_.wrench(applied));
+    observer_.update(m.time, ekf_.corrected(sample), allocation_.wrench(applied));
   }
 
   /// The wrench for now, if the state is known.
   std::optional<hitl::Message> control(double time) {
     if (!ekf_.running()) return std::nullopt;
-    contact_.update(time, ekf_.state(), observer_);
+    const BodyState<> state = ekf_.take_state();
+    contact_.update(time, state, observer_);
     (void)nmpc_.prepare(time, mission_, contact_.estimate());
-    const NmpcResult& result = nmpc_.feedback(time, ekf_.state());
+    const NmpcResult& result = nmpc_.feedback(time, state);
     if (!has_plan(result.status)) ++failures_;
     hitl::Message m;
     m.type = hitl::MessageType::wrench;

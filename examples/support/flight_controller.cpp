@@ -7,11 +7,12 @@ using namespace tilt_ropter;
 template <int Rotors>
 FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const NmpcSettings& settings,
-                                           const EkfSettings& estimation)
+                                           const EkfSettings& estimation,
+                                           const WrenchObserverSettings& observer)
     : allocation_(vehicle),
       actuators_(vehicle),
       ekf_(estimation),
-      observer_(vehicle.body),
+      observer_(vehicle.body, observer),
       contact_(vehicle),
       nmpc_(vehicle, settings) {}
 
@@ -32,12 +33,7 @@ template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sample) {
   applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);
-  rate_sum_ += sample.angular_velocity;
-  ++rates_;
-  const InertialState<>& x = ekf_.filter().state();
-  observer_.update(
-      time, {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
-      allocation_.wrench(applied_));
+  observer_.update(time, ekf_.corrected(sample), allocation_.wrench(applied_));
 }
 
 template <int Rotors>
@@ -55,11 +51,7 @@ template <int Rotors>
 const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
   if (!started_) return sent_.command;
-  BodyState<> state = ekf_.state();
-  if (rates_ > 0) state.angular_velocity = rate_sum_ / rates_ - ekf_.filter().state().gyro_bias;
-  rate_sum_.setZero();
-  rates_ = 0;
-  result_ = ekf_.running() ? nmpc_.feedback(time, state) : nmpc_.hold(time);
+  result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.take_state()) : nmpc_.hold(time);
   sent_ = allocation_.allocate(time, result_.wrench, result_.rate, sent_);
   actuators_.update(time, sent_.command);  // acts from now on
   return sent_.command;

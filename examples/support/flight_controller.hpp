@@ -24,9 +24,10 @@ using Reference = std::function<tilt_ropter::ReferencePoint(double)>;
 template <int Rotors = 4>
 class FlightController {
  public:
-  FlightController(const tilt_ropter::Vehicle<Rotors>& vehicle,
-                   const tilt_ropter::NmpcSettings& settings,
-                   const tilt_ropter::EkfSettings& estimation);
+  FlightController(
+      const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
+      const tilt_ropter::EkfSettings& estimation,
+      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(25.0));
 
   /// For a vehicle that is in the air from the start: what to command until the first state.
   void start_with(const tilt_ropter::ActuatorState<Rotors>& command);
@@ -74,9 +75,6 @@ class FlightController {
   tilt_ropter::AllocationResult<Rotors> sent_;
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
-  // Since the last tick: a single sample of a gyroscope that vibrates with the rotors is aliased.
-  Eigen::Vector3d rate_sum_ = Eigen::Vector3d::Zero();
-  int rates_ = 0;
   bool started_ = false;
 };
 

@@ -33,8 +33,17 @@ class MissionFigures {
     if (phase == MissionPhase::ground) ground_.add(square, power);
     if (phase == MissionPhase::take_off || phase == MissionPhase::hover)
       takeoff_overshoot_ = std::max(takeoff_overshoot_, position.z() - flight_height_);
+    if (phase == MissionPhase::take_off)
+      takeoff_error_ = std::max(takeoff_error_, std::sqrt(square));
     if (touching && !was_touching_) touchdown_speed_ = std::max(touchdown_speed_, -vertical_speed);
     was_touching_ = touching;
+  }
+
+  /// What the observer says and what acts on the vehicle, force in the body frame [N].
+  void on_external_force(tilt_ropter::MissionPhase phase, const Eigen::Vector3d& estimated,
+                         const Eigen::Vector3d& truth) {
+    if (phase == tilt_ropter::MissionPhase::air)
+      force_error_.add((estimated - truth).squaredNorm(), 0.0);
   }
 
   /// One tick of the controller.
@@ -85,6 +94,7 @@ class MissionFigures {
     paper("paper_power_saved_percent", 92.8, 2);
     line("touchdown_speed_mps", touchdown_speed_, 3);
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
+    line("takeoff_error_m", takeoff_error_, 4);
   }
 
   void print(std::ostream& out, int contact_mode_changes) {
@@ -93,6 +103,7 @@ class MissionFigures {
       print_line(out, key, value, digits);
     };
     line("contact_mode_changes", contact_mode_changes, 0);
+    if (force_error_.count > 0) line("external_force_error_n", force_error_.rmse(), 3);
     line("servo_speed_radps", servo_speed_, 2);
     line("tilt_rate_max_radps", demanded_max_, 2);
     line("tilt_rate_exceeded_share",
@@ -132,8 +143,8 @@ class MissionFigures {
 
   double flight_height_;
   bool of_the_paper_;
-  Means all_, air_, ground_;
-  double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0;
+  Means all_, air_, ground_, force_error_;
+  double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0;
   double servo_speed_ = 0.0, demanded_max_ = 0.0, planned_max_ = 0.0, slope_max_ = 0.0;
   Eigen::VectorXd last_command_;
   bool was_touching_ = true;

@@ -31,6 +31,8 @@ struct MissionOptions {
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
   double height_offset = 0.0, height_drift = 0.0;  // of motion capture [m]
+  double vibration = 0.0;                          // of the gyroscope [rad/s]
+  double observer_bandwidth = 25.0;                // [1/s]
   std::string vehicle_path;
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
   bool no_actuator_rows = false;
@@ -63,6 +65,15 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_option("--height-drift", options.height_drift,
                  "by which it gets too high, evenly over the mission [m]")
       ->check(CLI::Range(-2.0, 2.0))
+      ->capture_default_str();
+  app.add_option(
+         "--vibration", options.vibration,
+         "of the IMU at 97 Hz: rms of each rate [rad/s]; ten times as much in each specific "
+         "force [m/s^2]")
+      ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--observer-bandwidth", options.observer_bandwidth,
+                 "of the wrench observer in all axes [1/s]")
+      ->check(CLI::Range(0.1, 1000.0))
       ->capture_default_str();
   app.add_option("--servo-speed", options.servo_speed,
                  "of the servos, true and believed, instead of the vehicle's [rad/s]")
@@ -177,8 +188,10 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
               << " at " << v.time << " s, allowed is " << v.allowed << '\n';
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
+  sensors.vibration = options.vibration;
   FlightController<Rotors> controller(vehicles.believed, settings,
-                                      MissionSensors<Rotors>::estimation());
+                                      MissionSensors<Rotors>::estimation(),
+                                      observer_settings(options.observer_bandwidth));
   const PowerModel power(vehicles.truth.power,
                          controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;
@@ -214,6 +227,8 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
       figures.on_control(has_plan(result.status),
                          result.report.prepare_us + result.report.feedback_us,
                          result.report.feedback_us);
+      figures.on_external_force(mission.phase(time), controller.external().force,
+                                plant.external_wrench().force);
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include <cmath>
 #include <cstdint>
 
 namespace examples {
@@ -46,13 +48,22 @@ struct MissionSensors {
     const double time = plant.time();
     if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
-    if (const auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force()))
+    if (auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force())) {
+      // Near the frequency of a 100 Hz loop, where a single sample a tick makes it a slow swing.
+      constexpr double frequency = 97.0;  // [Hz]
+      const double now =
+          vibration * std::sqrt(2.0) * std::sin(2.0 * tilt_ropter::pi * frequency * time);
+      m->angular_velocity.array() += now;
+      m->specific_force.array() += 10.0 * now;
       controller.on_imu(m->time, *m);
+    }
     tilt_ropter::BodyState<> seen = plant.body();
     seen.position.z() += height_error;
     if (const auto m = poses.sample(time, seen)) controller.on_pose(m->time, *m);
   }
 
+  double vibration =
+      0.0;  ///< rms of each rate [rad/s]; ten times as much in specific force [m/s^2]
   tilt_ropter::ImuSensor imu;
   tilt_ropter::RotorSpeedSensor<Rotors> rotor_speeds;
   tilt_ropter::PoseSensor poses;

@@ -548,6 +548,36 @@ TEST(WrenchObserver, StepUnderActuatorLagAndNoiseIsSeenWithItsBandwidth) {
   test_support::check_at_most(9, "observer: bias [N m]", torque, 0.01);
 }
 
+TEST(WrenchObserver, TakenEstimatesAreTheMeanSinceTheLast) {
+  WrenchObserver<> observer(body());
+  EXPECT_EQ(observer.take_external().force, Vector3d::Zero());
+  // A vibration whose period is the tick: a single sample always sees the same phase.
+  const auto sample = [&](int i, double size) {
+    const double a = size * std::sin(2.0 * pi * (i + 2) / 10.0);
+    return observer.update(0.001 * i, {Vector3d::Constant(a), Vector3d(a, 0.0, 0.0)}, {});
+  };
+  for (int i = 0; i <= 1000; ++i) {
+    (void)sample(i, 5.0);
+    if (i % 10 != 0) continue;
+    const Vector3d one = observer.external().force, mean = observer.take_external().force;
+    if (i < 500) continue;
+    EXPECT_LT(mean.norm(), 0.1 * one.norm());
+    EXPECT_EQ(observer.take_external().force, one);  // no new sample
+  }
+  (void)sample(1001, 0.0);
+  EXPECT_EQ(observer.take_external().torque, observer.external().torque);  // the mean of one
+  (void)sample(1002, 9.0);
+  observer.reset();
+  EXPECT_EQ(observer.take_external().force, Vector3d::Zero());
+}
+
+TEST(WrenchObserver, OneBandwidthIsForAllAxes) {
+  const WrenchObserverSettings settings = observer_settings(25.0);
+  EXPECT_EQ(settings.force_bandwidth, Vector3d::Constant(25.0));
+  EXPECT_EQ(settings.torque_bandwidth, Vector3d::Constant(25.0));
+  EXPECT_THROW(WrenchObserver<>(body(), observer_settings(0.0)), std::invalid_argument);
+}
+
 TEST(WrenchObserver, IsStableForAnyBandwidth) {
   for (const double dt : {1e-3, 5e-3, 0.02}) {
     for (const double k_dt : {0.5, 1.0, 2.0, 5.0}) {

@@ -92,13 +92,13 @@ class ContactEstimator {
                             const ContactEstimatorSettings& settings = {})
       : ContactEstimator(vehicle.body, undercarriage(vehicle), settings) {}
 
-  /// Takes the state of the body (of the CoM) and the observer, which has had its sample, at `time`
-  /// [s]; once a tick or more often. Numbers that are not finite or beyond 1e6, or wrenches beyond
-  /// ten times the weight (that at a metre), change nothing, nor does a time that is not after the
-  /// last, unless by a second or more: the clock has been set.
+  /// Takes the state of the body (of the CoM) and what the observer has seen since the last call
+  /// (its take_external()) at `time` [s]; once a tick or more often. Numbers that are not finite or
+  /// beyond 1e6, or wrenches beyond ten times the weight (that at a metre), change nothing, nor
+  /// does a time that is not after the last, unless by a second or more: the clock has been set.
   const ContactEstimate& update(double time, const BodyState<>& body,
-                                const WrenchObserver<>& observer) noexcept {
-    return update(time, body, observer.external(), observer.settings().force_bandwidth,
+                                WrenchObserver<>& observer) noexcept {
+    return update(time, body, observer.take_external(), observer.settings().force_bandwidth,
                   observer.settings().torque_bandwidth, observer.unfiltered_force());
   }
 

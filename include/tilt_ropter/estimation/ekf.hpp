@@ -130,6 +130,23 @@ class Ekf {
             newest_.value.angular_velocity - ahead_.gyro_bias};
   }
 
+  /// The same for a loop that is slower than the IMU: the angular velocity is the mean of all
+  /// samples since the last call, the newest included. A single sample of a gyroscope that vibrates
+  /// with the rotors is aliased; the mean is half a tick old.
+  [[nodiscard]] BodyState<Scalar> take_state() noexcept {
+    BodyState<Scalar> taken = state();
+    if (rates_ > 0) taken.angular_velocity = rate_sum_ / Scalar(rates_) - ahead_.gyro_bias;
+    rates_ = 0;
+    return taken;
+  }
+
+  /// A sample without the biases, as WrenchObserver takes it.
+  [[nodiscard]] InertialSample<Scalar> corrected(
+      const InertialSample<Scalar>& sample) const noexcept {
+    return {sample.angular_velocity - ahead_.gyro_bias,
+            sample.specific_force - ahead_.accelerometer_bias};
+  }
+
   /// The filter itself, at filter_time(): state with biases and marker frame, and covariance.
   [[nodiscard]] const ErrorStateFilter<Scalar>& filter() const noexcept { return filter_; }
   /// Of the last pose used; at most max_delay behind time() where poses stay away [s].
@@ -174,6 +191,11 @@ class Ekf {
     return samples_[(first_ + i) % max_samples];
   }
 
+  void begin_mean(const Sample& sample) noexcept {
+    rate_sum_ = sample.value.angular_velocity;
+    rates_ = 1;
+  }
+
   /// Brings the filter to `time`, if that is later, past the samples up to then.
   void catch_up(double time) noexcept;
 
@@ -204,6 +226,8 @@ class Ekf {
   std::size_t first_ = 0, count_ = 0;
   std::array<Timed<MarkerPose<Scalar>>, max_waiting> poses_;  ///< in the order of their times
   std::size_t waiting_ = 0;
+  Vector3<Scalar> rate_sum_ = Vector3<Scalar>::Zero();  ///< since take_state()
+  int rates_ = 0;
   double pose_time_ = 0.0;  ///< of the last pose compared
   Scalar nis_ = Scalar(0);
   int rejections_ = 0, behind_ = 0;  ///< poses gated, IMU samples late, in a row
@@ -236,7 +260,15 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
     count_ = 0;
     if (pause < 0.0) waiting_ = 0;
     from_ = newest_ = sample;
+    begin_mean(sample);
     return gap ? EkfStatus::stopped : EkfStatus::updated;
+  }
+  constexpr int most = 1 << 20;  // where nobody takes the mean
+  if (rates_ == 0 || rates_ == most) {
+    begin_mean(sample);
+  } else {
+    rate_sum_ += sample.value.angular_velocity;
+    ++rates_;
   }
   if (count_ == max_samples) catch_up(at(0).time);
   samples_[(first_ + count_++) % max_samples] = sample;
@@ -276,7 +308,7 @@ template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = false;
   count_ = waiting_ = 0;
-  rejections_ = behind_ = 0;
+  rejections_ = behind_ = rates_ = 0;
   nis_ = Scalar(0);
   counts_ = {};
   from_ = newest_ = {};
