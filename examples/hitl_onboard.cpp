@@ -39,7 +39,7 @@ class Onboard {
         allocation_(vehicle_),
         actuators_(vehicle_),
         ekf_(examples::MissionSensors<>::estimation()),
-        observer_(vehicle_.body, observer_settings(25.0)),
+        observer_(vehicle_.body, observer_settings(20.0)),
         contact_(vehicle_),
         nmpc_(vehicle_, file.settings()),
         mission_(hybrid_mission(vehicle_)) {}

@@ -16,7 +16,7 @@ int main(int argc, char** argv) {
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
   ActuatorModel<4> actuators(vehicle);               // where the servos are, without encoders
   Ekf<> ekf;                                         // position, velocity, attitude, biases
-  WrenchObserver<> observer(vehicle.body, observer_settings(25.0));  // external force and torque
+  WrenchObserver<> observer(vehicle.body, observer_settings(20.0));  // external force and torque
   ContactEstimator contact(vehicle);                                 // what of it is the ground's
   Nmpc nmpc(vehicle);                                                // the controller
   const auto reference = [](double) {  // any callable: time -> ReferencePoint

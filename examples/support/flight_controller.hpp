@@ -27,7 +27,7 @@ class FlightController {
   FlightController(
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
-      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(25.0));
+      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0));
 
   /// For a vehicle that is in the air from the start: what to command until the first state.
   void start_with(const tilt_ropter::ActuatorState<Rotors>& command);

@@ -32,7 +32,7 @@ struct MissionOptions {
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
   double height_offset = 0.0, height_drift = 0.0;  // of motion capture [m]
   double vibration = 0.0;                          // of the gyroscope [rad/s]
-  double observer_bandwidth = 25.0;                // [1/s]
+  double observer_bandwidth = 20.0;                // [1/s]
   std::string vehicle_path;
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
   bool no_actuator_rows = false;

@@ -31,7 +31,7 @@ struct ContactEstimatorSettings {
   /// In the air so far below where the wheels last stood, as after a table's edge, the ground is
   /// forgotten; until then it may only be lower than it was thought to be [m].
   double search_depth = 0.25;
-  double load_time = 0.02;   ///< over which the load is averaged [s]
+  double load_time = 0.01;   ///< over which the load is averaged [s]
   double air_time = 0.5;     ///< over which what acts in the air is averaged, to be kept [s]
   double ground_time = 0.1;  ///< over which the ground's height is averaged [s]
   double slope_time = 0.4;   ///< over which the ground's slope is averaged [s]

@@ -34,7 +34,7 @@ struct WrenchObserverSettings {
 
 /// Settings with one bandwidth [1/s] for force and torque in all axes. The default of 15 keeps the
 /// time constant within 10 % in a loop of 50 Hz; one of 100 Hz with an IMU of 1 kHz does better
-/// with 25 (measured: README, on the observer).
+/// with 20 (measured: README, on the observer).
 [[nodiscard]] inline WrenchObserverSettings observer_settings(double bandwidth) {
   WrenchObserverSettings settings;
   settings.force_bandwidth.setConstant(bandwidth);
