@@ -18,6 +18,7 @@
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
+#include <tilt_ropter/control/nmpc_result.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/control/reference_wrench.hpp>
@@ -52,11 +53,13 @@
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
+#include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
+#include <tilt_ropter/optimal_control/riccati_equation.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/step_search.hpp>

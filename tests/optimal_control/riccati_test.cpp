@@ -1,4 +1,5 @@
 #include <tilt_ropter/optimal_control/riccati.hpp>
+#include <tilt_ropter/optimal_control/riccati_equation.hpp>
 
 #include "support/random.hpp"
 

@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/control/actuator_rows.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/nmpc_result.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
@@ -22,33 +23,6 @@
 /// The Tilt-Ropter's controller (paper, Sec. Control): the wrench that tracks a reference in the
 /// air and on the ground, one real-time iteration per call.
 namespace tilt_ropter {
-
-/// Where the wrench of an NmpcResult comes from.
-enum class NmpcStatus {
-  solved,  ///< the wrench comes from a plan made from this measurement: a solved program
-  /// The same, but the program was not solved within the limits on time or passes, or gave up a
-  /// hard constraint: SolveReport says which. The plan is finite, and the command within the
-  /// bounds.
-  approximate,
-  bad_state,      ///< the measurement was not finite: the last plan goes on
-  solver_failed,  ///< no plan from this measurement: the last plan goes on
-  no_plan,        ///< no plan, or it has run out: the safe wrench
-};
-
-/// True if the wrench comes from a plan made from this measurement.
-[[nodiscard]] constexpr bool has_plan(NmpcStatus status) {
-  return status == NmpcStatus::solved || status == NmpcStatus::approximate;
-}
-
-/// What leaves the controller.
-struct NmpcResult {
-  NmpcStatus status = NmpcStatus::no_plan;
-  Wrench<> wrench;         ///< to apply now, body frame [N; N m]; finite and within the bounds
-  Wrench<> rate;           ///< its rate from now on, body frame [N/s; N m/s]: what lagging
-                           ///< actuators need to follow it, see Allocation::allocate
-  bool on_ground = false;  ///< mode of contact
-  SolveReport report;      ///< of the solver; of the last one if it was not called
-};
 
 /// prepare(), then measure, then feedback(), at any rate. Whatever comes in, what goes out is
 /// finite and within the bounds. What goes out when something is wrong, from the mildest on:

@@ -10,7 +10,7 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/riccati.hpp>
+#include <tilt_ropter/optimal_control/riccati_equation.hpp>
 
 #include <Eigen/Core>
 
