@@ -5,11 +5,24 @@ if(TILT_ROPTER_WERROR)
   list(APPEND TILT_ROPTER_WARNINGS -Werror)
 endif()
 
-target_compile_options(tilt_ropter_compiled PRIVATE ${TILT_ROPTER_WARNINGS})
+# For this very processor, on request. All that a program is linked from is compiled for the same one:
+# Eigen lays out its matrices by it.
+set(TILT_ROPTER_PROCESSOR)
+if(TILT_ROPTER_NATIVE)
+  set(TILT_ROPTER_PROCESSOR -march=native)
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+    # GCC 12 sees uninitialised registers and short arrays in its own AVX-512 intrinsics. Builds for
+    # no particular processor, the tests' among them, keep these warnings.
+    list(APPEND TILT_ROPTER_PROCESSOR -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds)
+  endif()
+endif()
+
+target_compile_options(tilt_ropter_compiled PRIVATE
+  ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
 
 function(tilt_ropter_own_target target)
   target_link_libraries(${target} PRIVATE tilt_ropter::compiled)
-  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS})
+  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
   set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 endfunction()
 
@@ -33,21 +46,12 @@ function(tilt_ropter_quickly target precompiled)
   target_precompile_headers(${target} REUSE_FROM ${precompiled})
 endfunction()
 
-# The same for programs whose speed counts: all optimisation, on request for this very processor.
+# The same for programs whose speed counts: all optimisation.
 function(tilt_ropter_fast_target target)
   tilt_ropter_own_target(${target})
   if(TARGET precompiled_for_examples)
     tilt_ropter_quickly(${target} precompiled_for_examples)
   else()
     target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O3>)
-  endif()
-  if(TILT_ROPTER_NATIVE)
-    target_compile_options(${target} PRIVATE -march=native)
-    if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-      # GCC 12 sees uninitialised registers and short arrays in its own AVX-512 intrinsics. Builds
-      # for no particular processor, the tests' among them, keep these warnings.
-      target_compile_options(${target} PRIVATE -Wno-uninitialized -Wno-maybe-uninitialized
-                                               -Wno-array-bounds)
-    endif()
   endif()
 endfunction()
