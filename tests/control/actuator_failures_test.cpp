@@ -14,7 +14,7 @@
 #include "support/full_run.hpp"
 
 // An actuator fails in hover, 0.1 s later it is known, 3 s later the landing begins. One line per
-// flight is printed, from which comes the table of the README.
+// flight is printed, from which comes the table of examples/README.md.
 
 namespace {
 

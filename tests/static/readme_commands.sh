@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # readme_commands.sh SOURCE BUILD [full]
-# Runs the README's commands, the lines that are indented by four spaces, as they are printed and in
-# their order, in a copy of the sources. Without `full` those that build or fly for minutes are left
+# Runs the READMEs' commands, the lines that are indented by four spaces, as they are printed and in
+# their order, the first README's first, in a copy of the sources. Without `full` those that build or fly for minutes are left
 # out, and the programs are BUILD's. The user's own files that they name are made here.
 set -euo pipefail
 source=$1
@@ -37,7 +37,9 @@ awk 'BEGIN {
 
 ran=0
 failed=0
-mapfile -t commands < <(awk '/^```/ { code = !code } !code && /^    [^ ]/ { print substr($0, 5) }' README.md)
+mapfile -t readmes < <(find examples tests -name README.md | LC_ALL=C sort)
+mapfile -t commands < <(awk '/^```/ { code = !code } !code && /^    [^ ]/ { print substr($0, 5) }' \
+  README.md "${readmes[@]}")
 for command in "${commands[@]}"; do
   case $command in
     ./tests/run.sh*) echo "== not here, it runs this test: $command" && continue ;;
