@@ -8,20 +8,15 @@
 #include <cstddef>
 
 #include "support/random.hpp"
+#include "support/vehicles.hpp"
 
 namespace {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
 using test_support::Random;
+using test_support::with_tilt_range;
 using Status = AllocationStatus;
-
-Vehicle<4> with_range(double half) {
-  Vehicle<4> v = tilt_ropter_vehicle();
-  v.servo.min_angle = -half;
-  v.servo.max_angle = half;
-  return v;
-}
 
 /// The fraction of each group that a result keeps, NaN for one that is not wanted; in the order of
 /// WrenchGroup.
@@ -68,7 +63,7 @@ TEST(AllocationPriorities, KeepLevelBeforeLift) {
 TEST(AllocationPriorities, KeepLightGroundContactWhileDrivingForceIsBeyondReach) {
   // A short range: the side arms push forward as far as their little lift lets them.
   const double half = 0.5;
-  const Allocation allocation(with_range(half));
+  const Allocation allocation(with_tilt_range(-half, half));
   for (const double lift : {1.0, 2.0}) {
     const Wrench<> wanted{Vector3d(5.0, 0.0, lift), Vector3d::Zero()};
     const auto result = allocation.allocate(wanted, {});
@@ -108,7 +103,7 @@ TEST(AllocationPriorities, OrderIsThatOfTheParameters) {
 // whole is not, whatever the later groups have of theirs.
 TEST(AllocationPriorities, GiveAsMuchOfTheFirstGroupAsSomeThrustsGive) {
   for (const double half : {0.4, 1.0, 0.5 * pi, 2.2, pi}) {
-    const Allocation allocation(with_range(half));
+    const Allocation allocation(with_tilt_range(-half, half));
     Random random(41);
     int limited = 0, improvable = 0;
     for (int i = 0; i < 300; ++i) {

@@ -11,20 +11,15 @@
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
 #include "support/random.hpp"
+#include "support/vehicles.hpp"
 
 namespace {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
 using test_support::Random;
+using test_support::with_tilt_range;
 using Status = AllocationStatus;
-
-Vehicle<4> with_range(double lower, double upper) {
-  Vehicle<4> v = tilt_ropter_vehicle();
-  v.servo.min_angle = lower;
-  v.servo.max_angle = upper;
-  return v;
-}
 
 Wrench<> push(double x, double y, double z) {
   return {Vector3d(x, y, z), Vector3d::Zero()};
@@ -155,7 +150,7 @@ TEST(AllocationRangeEnd, RandomWalksThroughZeroThrustTurnNextToNoArmOver) {
     EXPECT_LT(through.lost, 1e-10);
   }
   for (const auto& [lower, upper] : {std::pair{-3.1, 3.1}, {-3.5, 3.5}, {-3.0, 3.3}}) {
-    const Walk through = walk(with_range(lower, upper), 0.05, true);
+    const Walk through = walk(with_tilt_range(lower, upper), 0.05, true);
     EXPECT_LT(through.jumps * 200000.0 / ticks, 100.0) << lower << ' ' << upper;
     EXPECT_EQ(through.jumps, through.reported);
   }

@@ -26,6 +26,7 @@ using test_support::omnidirectional_octocopter;
 using test_support::Random;
 using test_support::steepest;
 using test_support::tilting_hexacopter;
+using test_support::with_tilt_range;
 
 using Status = AllocationStatus;
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
@@ -45,13 +46,6 @@ Wrench<> random_wrench(Random& random, double force, double torque) {
   w.force = random.vector(force);
   w.torque = random.vector(torque);
   return w;
-}
-
-Vehicle<4> with_range(double lower, double upper) {
-  Vehicle<4> v = tilt_ropter_vehicle();
-  v.servo.min_angle = lower;
-  v.servo.max_angle = upper;
-  return v;
 }
 
 template <int Rotors>
@@ -157,10 +151,10 @@ TEST(Allocation, TiltRopterIsHonestOverRandomWrenches) {
 
 TEST(Allocation, ServoRangesAreKeptOverRandomWrenches) {
   Statuses count;
-  expect_honest(with_range(-0.5 * pi, 0.5 * pi), 15.0, 0.5, 3, count);
+  expect_honest(with_tilt_range(-0.5 * pi, 0.5 * pi), 15.0, 0.5, 3, count);
   EXPECT_GT(std::min({count[Status::ok], count[Status::null_space_used], count[Status::limited]}),
             of_million(10000));
-  expect_honest(with_range(-2.0, 2.2), 15.0, 0.5, 4, count);  // not convex
+  expect_honest(with_tilt_range(-2.0, 2.2), 15.0, 0.5, 4, count);  // not convex
   EXPECT_GT(std::min({count[Status::ok], count[Status::null_space_used], count[Status::limited]}),
             of_million(10000));
 }
@@ -356,7 +350,7 @@ Turning turning(const Allocation<4>& allocation, const Path& path, double step) 
 }
 
 TEST(Allocation, AnglesAreContinuousOnPathsThroughZeroThrust) {
-  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  const Allocation allocation(with_tilt_range(-6.0 * pi, 6.0 * pi));
   Random random(11);
   for (int run = 0; run < runs(60); ++run) {
     // Through zero exactly, closely, or at some distance.
@@ -376,7 +370,7 @@ TEST(Allocation, AnglesAreContinuousOnPathsThroughZeroThrust) {
 }
 
 TEST(Allocation, AnglesAreContinuousOnPathsThroughPi) {
-  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  const Allocation allocation(with_tilt_range(-6.0 * pi, 6.0 * pi));
   Random random(12);
   for (int run = 0; run < 30; ++run) {
     // A force that turns twice about a random axis.
@@ -400,7 +394,7 @@ TEST(Allocation, AnglesAreContinuousOnPathsThroughPi) {
 }
 
 TEST(Allocation, AtTheEndOfTheRangeTheEquivalentAngleInsideIsTaken) {
-  const Vehicle<4> vehicle = with_range(-pi, pi);
+  const Vehicle<4> vehicle = with_tilt_range(-pi, pi);
   const Allocation allocation(vehicle);
   ActuatorState<4> last;
   int turned_over = 0;
@@ -433,7 +427,7 @@ TEST(Allocation, NullSpaceIsUsedContinuously) {
   const int paths = test_support::quick_or_full(3, 30);
   EXPECT_LT(steepest(octocopter, paths, 4000, draw(12.0)),
             1.2 * steepest(octocopter, paths, 500, draw(12.0)));
-  const Vehicle<4> narrow = with_range(-0.5 * pi, 0.5 * pi);
+  const Vehicle<4> narrow = with_tilt_range(-0.5 * pi, 0.5 * pi);
   EXPECT_LT(steepest(narrow, 30, 8000, draw(15.0)), 1.2 * steepest(narrow, 30, 500, draw(15.0)));
 }
 
@@ -469,7 +463,7 @@ double largest_jump(const Vehicle<4>& vehicle, int steps, int& limited) {
 }
 
 TEST(Allocation, CommandsAreContinuousWhereLimitsBegin) {
-  const Vehicle<4> vehicle = with_range(-6.0 * pi, 6.0 * pi);  // no arm turns over
+  const Vehicle<4> vehicle = with_tilt_range(-6.0 * pi, 6.0 * pi);  // no arm turns over
   int limited = 0;
   const double coarse = largest_jump(vehicle, 1000, limited);
   EXPECT_GT(limited, 5000);
@@ -641,7 +635,7 @@ TEST(Allocation, RatesAreTheDerivativesOfTheInverseMap) {
 }
 
 TEST(Allocation, RatesAreDifferencesOfCommands) {
-  const Allocation allocation(with_range(-6.0 * pi, 6.0 * pi));
+  const Allocation allocation(with_tilt_range(-6.0 * pi, 6.0 * pi));
   Random random(16);
   for (int run = 0; run < 200; ++run) {
     const Wrench<> wrench = random_wrench(random, 8.0, 0.5), rate = random_wrench(random, 5.0, 2.0);
@@ -707,7 +701,7 @@ TEST(Allocation, CommandsThatRunAheadUndoTheLagOfTheActuators) {
 }
 
 TEST(Allocation, CommandsThatRunAheadStayWithinLimits) {
-  const Vehicle<4> vehicle = with_range(-1.0, 1.0);
+  const Vehicle<4> vehicle = with_tilt_range(-1.0, 1.0);
   const Allocation allocation(vehicle);
   Random random(18);
   AllocationResult<4> last;
@@ -794,7 +788,8 @@ TEST(Allocation, NonFiniteTelemetryDoesNoHarm) {
 TEST(Allocation, AnyInputGivesAFiniteCommandWithinLimits) {
   const std::vector<double> pool{nan,  infinity, -infinity, 0.0,   5e-324, 1e300, -1e300,
                                  1e-9, 1.0,      -3.0,      100.0, -0.02,  15.0};
-  const Vehicle<4> vehicles[] = {tilt_ropter_vehicle(), with_range(-1.5, 1.5), with_range(-2, 2.5)};
+  const Vehicle<4> vehicles[] = {tilt_ropter_vehicle(), with_tilt_range(-1.5, 1.5),
+                                 with_tilt_range(-2, 2.5)};
   Random random(17);
   const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 12.999))]; };
   for (Vehicle<4> vehicle : vehicles) {

@@ -8,23 +8,17 @@
 #include <utility>
 
 #include "support/random.hpp"
+#include "support/vehicles.hpp"
 
 namespace {
 
 using namespace tilt_ropter;
 using Limits = detail::ThrustLimits<4, double>;
 
-Vehicle<4> with_range(double lower, double upper) {
-  Vehicle<4> v = tilt_ropter_vehicle();
-  v.servo.min_angle = lower;
-  v.servo.max_angle = upper;
-  return v;
-}
-
 TEST(ThrustLimits, NearestAngleIsEquivalentInRangeAndTheNearestOfThese) {
   test_support::Random random(1);
   for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-10.0, 9.0}, {-1.0, 2.0}, {0.5, 6.0}}) {
-    const Limits limits(with_range(lower, upper));
+    const Limits limits(test_support::with_tilt_range(lower, upper));
     for (int i = 0; i < 20000; ++i) {
       const double angle = random.uniform(-pi, pi), last = random.uniform(lower, upper);
       const double nearest = limits.nearest_angle(angle, last);
@@ -62,7 +56,7 @@ TEST(ThrustLimits, ContainsWhatRotorsAndServosCanGive) {
   test_support::Random random(2);
   for (const auto& [lower, upper] :
        {std::pair{-pi, pi}, {-0.5 * pi, 0.5 * pi}, {-2.0, 2.2}, {0.5, 1.5}, {2.5, 4.0}}) {
-    const Vehicle<4> vehicle = with_range(lower, upper);
+    const Vehicle<4> vehicle = test_support::with_tilt_range(lower, upper);
     const Limits limits(vehicle);
     for (int i = 0; i < 20000; ++i) {
       const Eigen::Vector2d thrust(random.uniform(-13.0, 13.0), random.uniform(-13.0, 13.0));
@@ -88,7 +82,7 @@ TEST(ThrustLimits, PartsLieWithinTheSetAndCoverItUpToAWholeTurn) {
                                      {2.5, 7.0},
                                      {-4.0, 4.0},
                                      {-0.2, 0.2}}) {
-    const Vehicle<4> vehicle = with_range(lower, upper);
+    const Vehicle<4> vehicle = test_support::with_tilt_range(lower, upper);
     const Limits limits(vehicle);
     const auto region = [&](detail::AnglePart part) {
       return limits.region(0, part, false, 0.0, 0.0);
@@ -114,7 +108,7 @@ TEST(ThrustLimits, FloorKeepsMinThrustAlongItsDirection) {
   test_support::Random random(5);
   for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-1.0, 0.3}, {-2.0, 2.2}}) {
     for (const double min_thrust : {0.01, 3.0, 11.5}) {
-      Vehicle<4> vehicle = with_range(lower, upper);
+      Vehicle<4> vehicle = test_support::with_tilt_range(lower, upper);
       vehicle.rotor.min_thrust = min_thrust;
       const Limits limits(vehicle);
       for (int i = 0; i < 2000; ++i) {

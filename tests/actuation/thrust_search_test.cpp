@@ -8,19 +8,13 @@
 #include <utility>
 
 #include "support/random.hpp"
+#include "support/vehicles.hpp"
 
 namespace {
 
 using namespace tilt_ropter;
 using Search = detail::ThrustSearch<4>;
 using Limits = detail::ThrustLimits<4, double>;
-
-Vehicle<4> with_range(double lower, double upper) {
-  Vehicle<4> v = tilt_ropter_vehicle();
-  v.servo.min_angle = lower;
-  v.servo.max_angle = upper;
-  return v;
-}
 
 /// All of the thrusts in one group.
 Search::Request request_of(const Search::Thrusts& base) {
@@ -46,7 +40,7 @@ TEST(ThrustSearch, FindsThrustsWheneverAGridDoesAndTheLeastChange) {
   for (const auto& [lower, upper] :
        {std::pair{-pi, pi}, {-0.5 * pi, 0.5 * pi}, {-0.6, 1.0}, {-2.0, 2.5}}) {
     int reached = 0;
-    const Limits limits(with_range(lower, upper));
+    const Limits limits(test_support::with_tilt_range(lower, upper));
     const Search search(limits, directions);
     for (int i = 0; i < 150; ++i) {
       Search::Thrusts base;
@@ -84,7 +78,7 @@ TEST(ThrustSearch, LimitsAreKeptHoweverManyTimesTooMuchIsWanted) {
   const AllocationMatrix<4> allocation(tilt_ropter_vehicle());
   test_support::Random random(6);
   for (const double range : {0.2, 1.0, 2.0, pi}) {
-    const Limits limits(with_range(-range, range));
+    const Limits limits(test_support::with_tilt_range(-range, range));
     const Search search(limits, allocation.null_space);
     for (int i = 0; i < 500; ++i) {
       Search::Request request = request_of(Search::Thrusts::Zero());

@@ -56,10 +56,9 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time(settings));
   PlantState<4> start = plant.state();
   start.body.position << 0.1, -0.1, 1.5;
-  Wrench<> weight, pull;
-  weight.force.z() = vehicle.body.mass * gravity;
+  Wrench<> pull;
   pull.force.x() = 0.1 * vehicle.body.mass * gravity;
-  AllocationResult<4> sent = allocation.allocate(weight, {});
+  AllocationResult<4> sent = test_support::level_hover(allocation, vehicle);
   start.actuators = sent.command;
   plant.reset(start);
   actuators.reset(sent.command, 0.0);

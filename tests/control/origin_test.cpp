@@ -10,6 +10,7 @@
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include "support/check_table.hpp"
+#include "support/hovering.hpp"
 #include "support/simulated_time.hpp"
 
 #include <gtest/gtest.h>
@@ -41,9 +42,7 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
   AllocationResult<4> sent;
   if (from_hover) {
-    Wrench<> weight;
-    weight.force.z() = vehicle.body.mass * gravity;
-    sent = allocation.allocate(weight, {});
+    sent = test_support::level_hover(allocation, vehicle);
     BodyState<> hovering;
     hovering.position = reference(0.0).position;
     plant.reset(hovering, sent.command);
@@ -146,7 +145,7 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   for (; time < 0.0; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
   ASSERT_FALSE(contact.estimate().on_ground);
 
-  AllocationResult<4> sent = allocation.allocate(weight, {});
+  AllocationResult<4> sent = test_support::level_hover(allocation, vehicle);
   plant.reset(x, sent.command);
   actuators.reset(sent.command, 0.0);
   const auto street = [](double now) {  // down by 2.5 m in 5 s, there to stay

@@ -4,6 +4,7 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
+#include "support/hovering.hpp"
 #include "support/simulated_time.hpp"
 
 #include <gtest/gtest.h>
@@ -26,9 +27,7 @@ class Loop {
       contact_.on_ground = contact_.ground_known = true;
       return;
     }
-    Wrench<> weight;
-    weight.force.z() = vehicle.body.mass * gravity;
-    sent_ = allocation_.allocate(weight, {});
+    sent_ = test_support::level_hover(allocation_, vehicle);
     BodyState<> start;
     start.position.z() = 2.0;
     plant_.reset(start, sent_.command);

@@ -9,6 +9,7 @@
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
+#include "support/hovering.hpp"
 #include "support/simulated_time.hpp"
 
 #include <gtest/gtest.h>
@@ -43,9 +44,7 @@ Flight fly(const Vehicle<4>& vehicle) {
   AllocationResult<4> sent;
   const bool stands = undercarriage(vehicle).has_value();
   if (!stands) {
-    Wrench<> weight;
-    weight.force.z() = vehicle.body.mass * gravity;
-    sent = allocation.allocate(weight, {});
+    sent = test_support::level_hover(allocation, vehicle);
     BodyState<> hovering;
     hovering.position = mission(0.0).position;
     plant.reset(hovering, sent.command);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -19,6 +20,15 @@ inline tilt_ropter::BodyState<> hovering() {
   tilt_ropter::BodyState<> state;
   state.position << 0.0, 0.0, 1.5;
   return state;
+}
+
+/// The command of level hover.
+template <int Rotors>
+tilt_ropter::AllocationResult<Rotors> level_hover(const tilt_ropter::Allocation<Rotors>& allocation,
+                                                  const tilt_ropter::Vehicle<Rotors>& vehicle) {
+  tilt_ropter::Wrench<> weight;
+  weight.force.z() = vehicle.body.mass * tilt_ropter::gravity;
+  return allocation.allocate(weight, {});
 }
 
 [[nodiscard]] inline bool is_within_bounds(const tilt_ropter::Wrench<>& wrench,

@@ -57,4 +57,12 @@ inline tilt_ropter::Vehicle<4> flat_quadrotor() {
   return v;
 }
 
+/// The Tilt-Ropter with other tilt ranges [rad].
+inline tilt_ropter::Vehicle<4> with_tilt_range(double lower, double upper) {
+  auto v = tilt_ropter::tilt_ropter_vehicle();
+  v.servo.min_angle = lower;
+  v.servo.max_angle = upper;
+  return v;
+}
+
 }  // namespace test_support
