@@ -83,7 +83,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
                  "vehicle's [s]")
       ->check(CLI::Range(0.001, 1.0));
   app.add_option("--ground-thrust", options.ground_thrust,
-                 "vertical, asked for on the ground, instead of a twentieth of the weight [N]")
+                 "vertical, asked for on the ground, instead of what suits weight and servos [N]")
       ->check(CLI::Range(0.0, 1000.0));
   app.add_flag("--no-actuator-rows", options.no_actuator_rows,
                "bound the wrench and its rate by boxes alone, as in the paper");
@@ -181,7 +181,9 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   const Reference reference = [&mission](double time) { return mission(time); };
   NmpcSettings settings = examples::in_simulated_time(file.settings());
   settings.actuator_rows = !options.no_actuator_rows;
-  if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
+  settings.ground.down_force = options.ground_thrust >= 0.0
+                                   ? options.ground_thrust
+                                   : nmpc_settings(vehicles.believed).ground.down_force;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required

@@ -83,12 +83,12 @@ void servo_update(benchmark::State& state) {
 /// With commands that run ahead, as in a loop.
 void allocate_moving(benchmark::State& state) {
   const Allocation<4> allocation(vehicle);
-  const ActuatorState<4> last = hovering();
   Wrench<> input{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.1, -0.1, 0.05)};
+  const AllocationResult<4> sent = allocation.allocate(0.0, input, {}, {});
   const Wrench<> rate{Eigen::Vector3d(1.0, -2.0, 3.0), Eigen::Vector3d(0.1, -0.2, 0.3)};
   for (auto _ : state) {
     benchmark::DoNotOptimize(input);
-    benchmark::DoNotOptimize(allocation.allocate(input, rate, last));
+    benchmark::DoNotOptimize(allocation.allocate(0.01, input, rate, sent));
   }
 }
 

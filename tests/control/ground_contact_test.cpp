@@ -14,6 +14,7 @@ namespace {
 
 const Undercarriage wheels{0.11, true, true, true};
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
+const Eigen::Matrix3d along_level_ground = Eigen::Vector3d(1, 1, 0).asDiagonal();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 GroundContact axle_with(const GroundContactSettings& settings = {}) {
@@ -104,12 +105,12 @@ TEST(GroundContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
   curve.acceleration.y() = 1.5;
   const WheeledFlightNode ground = node_of(contact, curve), air = node_of(contact, at_height(0.5));
   EXPECT_TRUE(ground.on_ground);
-  EXPECT_EQ(ground.freedom.linear, Eigen::Vector3d(1, 1, 0));
+  EXPECT_EQ(ground.freedom.linear, along_level_ground);
   EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
   EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 3.0, 0.0));  // the wheels give the side's
   EXPECT_EQ(ground.external.torque, contact.rolling.torque);
   EXPECT_FALSE(air.on_ground);
-  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+  EXPECT_EQ(air.freedom.linear, Eigen::Matrix3d::Identity());
   EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
@@ -134,9 +135,9 @@ TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
     return state;
   };
   const Undercarriage four_wheels{0.11, true, false, false}, legs{0.11, false, false, false};
-  EXPECT_EQ(node_on(four_wheels).freedom.linear, Eigen::Vector3d(1, 1, 0));
+  EXPECT_EQ(node_on(four_wheels).freedom.linear, along_level_ground);
   EXPECT_EQ(node_on(four_wheels).freedom.angular, Eigen::Vector3d::Zero());
-  EXPECT_EQ(node_on(legs).freedom.linear, Eigen::Vector3d::Zero());
+  EXPECT_EQ(node_on(legs).freedom.linear, Eigen::Matrix3d::Zero());
   EXPECT_EQ(node_on(legs).freedom.angular, Eigen::Vector3d::Zero());
   EXPECT_EQ(released_on(wheels).force, Eigen::Vector3d(1, 0, 3));
   EXPECT_EQ(released_on(wheels).torque, Eigen::Vector3d(0, 5, 6));
@@ -151,21 +152,57 @@ TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
   // Nothing to stand on, no ground.
   const WheeledFlightNode air = node_on(std::nullopt);
   EXPECT_FALSE(air.on_ground);
-  EXPECT_EQ(air.freedom.linear, Eigen::Vector3d::Ones());
+  EXPECT_EQ(air.freedom.linear, Eigen::Matrix3d::Identity());
   EXPECT_EQ(air.external.force, contact.disturbance.force);
   EXPECT_EQ(released_on(std::nullopt).force, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(stopped_on(std::nullopt).angular_velocity, Eigen::Vector3d::Constant(0.2));
 }
 
-TEST(GroundContact, ASlopePullsDownhillWhereverANodeHeads) {
+// The whole of a vehicle that stands on the slope is turned with it: its axle and its way lie in
+// the ground, and seen from above it heads where the reference does.
+TEST(GroundContact, OnASlopeAVehicleStandsAsTheGroundDoes) {
   ContactEstimate contact = standing_at(0.0);
-  contact.ground.slope << 0.1, 0.0;
-  const double pull = 0.1 * (2.0 * gravity - GroundContactSettings{}.down_force);
-  for (const double yaw : {0.0, 0.5, pi}) {
+  contact.ground.slope << 0.1, -0.2;
+  const Eigen::Vector3d normal = Eigen::Vector3d(-0.1, 0.2, 1.0).normalized();
+  for (const double yaw : {0.0, 0.5, 2.0, pi}) {
     ReferencePoint point = at_height(0.11);
     point.orientation = quaternion_from_yaw(yaw);
-    EXPECT_NEAR(node_of(contact, point).external.force.x(), 0.3 - std::cos(yaw) * pull, 1e-12);
+    point.acceleration << 0.3, 0.4, 0.0;
+    const WheeledFlightNode node = node_of(contact, point);
+    const Eigen::Quaterniond& q = node.reference.orientation;
+    EXPECT_LT((q * Eigen::Vector3d::UnitZ() - normal).norm(), 1e-12);
+    const Eigen::Vector3d ahead = q * Eigen::Vector3d::UnitX();
+    EXPECT_NEAR(std::atan2(std::sin(yaw - std::atan2(ahead.y(), ahead.x())),
+                           std::cos(yaw - std::atan2(ahead.y(), ahead.x()))),
+                0.0, 1e-12);
+    EXPECT_LT((node.freedom.linear * normal).norm(), 1e-12);
+    // The wheels give what keeps it from sliding downhill; with that the model accelerates sideways
+    // as the reference does.
+    State<> start;
+    start.body = node.reference;
+    start.wrench = {};
+    const State<> end = RigidBody<>(body).step(start, Eigen::Matrix<double, 6, 1>::Zero(),
+                                               node.external, 0.01, node.freedom);
+    Eigen::Vector3d wanted = point.acceleration;
+    wanted.z() = contact.ground.slope.dot(wanted.head<2>());
+    const Eigen::Vector3d gained = (end.body.velocity - start.body.velocity) / 0.01;
+    EXPECT_NEAR((q.conjugate() * (gained - wanted)).y(), 0.0, 1e-3);
   }
+}
+
+TEST(GroundContact, AnAttitudeIsRelativeToTheGround) {
+  const GroundPlane ground{0.0, {0.1, -0.2}};
+  ReferencePoint level, pitched;
+  level.orientation = quaternion_from_yaw(0.7);
+  const Eigen::Quaterniond pitch(Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitY()));
+  pitched.orientation = level.orientation * pitch;
+  const GroundContact axle = axle_with();
+  EXPECT_LT((axle.on_ground(ground, level).orientation * pitch)
+                .angularDistance(axle.on_ground(ground, pitched).orientation),
+            1e-12);
+  ReferencePoint nose_up;
+  nose_up.orientation = Eigen::AngleAxisd(-0.5 * pi, Eigen::Vector3d::UnitY());
+  EXPECT_TRUE(axle.on_ground(ground, nose_up).orientation.isApprox(nose_up.orientation));
 }
 
 TEST(GroundContact, GroundThatIsNotMetIsLookedForSlowly) {

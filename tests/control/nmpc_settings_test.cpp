@@ -57,6 +57,20 @@ TEST(NmpcSettings, AnAllowedErrorCostsOne) {
   }
 }
 
+TEST(NmpcSettings, SlowerServosGetMoreThrustOnTheGround) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const double usual = nmpc_settings(vehicle).ground.down_force;
+  const auto of_servo = [&](double max_rate) {
+    vehicle.servo.max_rate = max_rate;
+    return nmpc_settings(vehicle).ground.down_force / usual;
+  };
+  EXPECT_NEAR(of_servo(4.0), 2.0, 1e-12);
+  EXPECT_NEAR(of_servo(1.0), 4.0, 1e-12);
+  EXPECT_NEAR(of_servo(16.0), 1.0, 1e-12);
+  for (RotorGeometry& rotor : vehicle.rotors) rotor.tilts = false;
+  EXPECT_NEAR(of_servo(1.0), 1.0, 1e-12);
+}
+
 TEST(NmpcSettings, BoundsAndGroundThrustGoWithWeightAndSize) {
   Vehicle<4> big = tilt_ropter_vehicle();
   big.body.mass *= 3.0;

@@ -228,7 +228,7 @@ std::vector<Wrong> wrong_files() {
       {"\"max_angle_deg\": 180", "\"max_angle_deg\": -3", {"servo.max_angle_deg = -3", "[0, 720]"}},
       {"\"length_m\": 0.17", "\"length_m\": 170", {"rotors[0].length_m = 170", "10] m"}},
       {"\"dead_time_s\": 0.0", "\"dead_time_s\": -0.1", {"servo.dead_time_s = -0.1", "0.5] s"}},
-      {"[0.1291,", "[0,", {"allowed_errors.position_m[0] = 0", "m"}},
+      {"[0.06455,", "[0,", {"allowed_errors.position_m[0] = 0", "m"}},
       // Which do not fit together.
       {"\"min_thrust_n\": 0.0",
        "\"min_thrust_n\": 13",

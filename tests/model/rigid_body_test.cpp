@@ -101,7 +101,10 @@ TEST(RigidBody, SensitivityIsTheDerivativeOfTheStep) {
     Eigen::Matrix<double, 6, 1> u;
     u << random.vector(20.0), random.vector(4.0);
     Freedom<> freedom;
-    if (i % 3 == 1) freedom = {Eigen::Vector3d(1, 1, 0), Eigen::Vector3d(0, 1, 1)};
+    if (i % 3 == 1) {
+      freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
+      freedom.angular.x() = 0.0;
+    }
     const Wrench<> external{random.vector(3.0), random.vector(0.3)};
     worst = std::max(worst, sensitivity_error(x, u, external, freedom, random.uniform(0.01, 0.1)));
   }
@@ -178,18 +181,30 @@ TEST(RigidBody, FreeBodyKeepsEnergyAndAngularMomentum) {
   EXPECT_NEAR(x.body.position.z(), -0.5 * gravity * 60.0 * 60.0, 1e-6);
 }
 
-TEST(RigidBody, HeldAxesDoNotAccelerate) {
+TEST(RigidBody, WhatIsHeldDoesNotAccelerate) {
   Random random(4);
   const RigidBody<> body(lopsided_body());
   State<> x = random_state(random);
   x.body.angular_velocity.x() = 0.0;
+  const Eigen::Vector3d normal = Eigen::Vector3d(-0.2, 0.1, 1.0).normalized();
   Freedom<> wheels_down;
-  wheels_down.linear.z() = 0.0;
+  wheels_down.linear -= normal * normal.transpose();
   wheels_down.angular.x() = 0.0;
   const State<> next = body.step(x, Eigen::Matrix<double, 6, 1>::Ones(), {}, 0.1, wheels_down);
-  EXPECT_DOUBLE_EQ(next.body.velocity.z(), x.body.velocity.z());
+  const Eigen::Vector3d gained = next.body.velocity - x.body.velocity;
+  EXPECT_NEAR(normal.dot(gained), 0.0, 1e-14);
   EXPECT_DOUBLE_EQ(next.body.angular_velocity.x(), 0.0);
-  EXPECT_GT(std::abs(next.body.velocity.x() - x.body.velocity.x()), 1e-3);
+  EXPECT_GT(std::abs(gained.x()), 1e-3);
+}
+
+TEST(RigidBody, OnASlopeItRollsDownhill) {
+  const RigidBody<> body(lopsided_body());
+  const double slope = 0.2, level = -gravity * slope / (1.0 + slope * slope);
+  const Eigen::Vector3d normal = Eigen::Vector3d(-slope, 0.0, 1.0).normalized();
+  Freedom<> wheels_down;
+  wheels_down.linear -= normal * normal.transpose();
+  const State<> next = body.step({}, Eigen::Matrix<double, 6, 1>::Zero(), {}, 0.1, wheels_down);
+  EXPECT_LT((next.body.velocity - 0.1 * level * Eigen::Vector3d(1.0, 0.0, slope)).norm(), 1e-14);
 }
 
 TEST(RigidBody, DerivativeIsTheLimitOfTheStep) {

@@ -35,7 +35,7 @@ Quadrotor::State thrown_quadrotor() {
 }
 
 WheeledFlightProblem<> short_flight() {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.intervals = 4;
   WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
@@ -146,7 +146,7 @@ TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).on_ground = true;
     problem.node(k).com_plane.height = 0.1;
-    problem.node(k).freedom.linear.z() = 0.0;
+    problem.node(k).freedom.linear(2, 2) = 0.0;
     problem.node(k).freedom.angular.x() = 0.0;
   }
   FullSpace<WheeledFlightProblem<>> solver(problem);

@@ -121,7 +121,9 @@ TEST(ProblemDerivatives, TheDeclaredTransitionPatternIsThatOfTheDerivatives) {
   for (int i = 0; i < 100; ++i) {
     WheeledFlightNode& node = problem.node(0);
     node.external = {random.vector(3.0), random.vector(0.3)};
-    node.freedom.linear.z() = i % 2 == 0 ? 1.0 : 0.0;
+    node.freedom = {};
+    if (i % 2 == 0)
+      node.freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
     node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
     WheeledFlightProblem<>::D::A A;
     WheeledFlightProblem<>::D::B B;

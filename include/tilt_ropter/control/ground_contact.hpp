@@ -50,37 +50,60 @@ class GroundContact {
   }
 
   /// Fills all of a node but its reference wrench. Its reference is `point`, `ahead` [s] of the
-  /// `measured` state.
-  void apply(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
-             const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
+  /// `measured` state. Returns the point that it follows: on the ground that of on_ground().
+  ReferencePoint apply(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
+                       const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     node.on_ground = contact.on_ground && meant;
     node.freedom = {};
     node.external = contact.disturbance;
     if (meant && !contact.on_ground) settle(contact, measured, ahead, node);
-    if (!node.on_ground) return;
-    // Along the ground that there is, whatever the reference takes it for.
+    if (!node.on_ground) return point;
+    const ReferencePoint laid = on_ground(contact.ground, point);
+    node.reference = {laid.position, laid.velocity, laid.orientation, laid.angular_velocity};
     node.com_plane = contact.ground;
     node.com_plane.height += undercarriage_->height;
-    node.reference.position.z() = node.com_plane.height_at(point.position);
-    node.reference.velocity.z() = contact.ground.slope.dot(point.velocity.head<2>());
     // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
-    // thrust up. So the vertical and the roll are held. Along the axle it is the same: any side
-    // force and the wheels' own add up to what the curve needs, so the wheels are told to give all
-    // of it.
-    node.freedom.linear.z() = 0.0;
+    // thrust up. So the way along the normal and the roll are held. Along the axle it is the same:
+    // any side force and the wheels' own add up to what the curve needs, so the wheels are told to
+    // give all of it.
+    const Eigen::Vector3d normal = contact.ground.normal();
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) node.freedom.linear(i, j) -= normal(i) * normal(j);
     node.freedom.angular.x() = 0.0;
     if (!undercarriage_->pitches) node.freedom.angular.y() = 0.0;
     if (!undercarriage_->turns) node.freedom.angular.z() = 0.0;
     if (!undercarriage_->rolls) node.freedom.linear.setZero();
     node.external = contact.rolling;
-    // Downhill is the same way all along the horizon, wherever the vehicle turns.
-    const Eigen::Vector2d downhill =
-        -(mass_ * gravity - settings_.down_force) * contact.ground.slope;
-    node.external.force +=
-        point.orientation.conjugate() * Eigen::Vector3d(downhill.x(), downhill.y(), 0.0);
-    node.external.force.y() = mass_ * (point.orientation.conjugate() * point.acceleration).y();
+    Eigen::Vector3d missing = laid.acceleration;  // to what gravity leaves along the ground
+    for (int i = 0; i < 3; ++i) missing(i) += gravity * node.freedom.linear(i, 2);
+    node.external.force.y() = mass_ * (laid.orientation.conjugate() * missing).y();
+    return laid;
+  }
+
+  /// The point with the vehicle standing on `ground`, whatever the reference takes it for: its
+  /// heights, and its attitude, which is relative to the ground there.
+  [[nodiscard]] ReferencePoint on_ground(const GroundPlane& ground,
+                                         const ReferencePoint& point) const noexcept {
+    ReferencePoint laid = point;
+    const auto& slope = ground.slope;
+    laid.position.z() = ground.height_at(point.position) + undercarriage_->height;
+    laid.velocity.z() = slope.dot(point.velocity.head<2>());
+    laid.acceleration.z() = slope.dot(point.acceleration.head<2>());
+    Eigen::Vector3d ahead = point.orientation * Eigen::Vector3d::UnitX();
+    ahead.z() = 0.0;
+    const double level = ahead.norm();
+    if (!(level > 1e-3)) return laid;  // nose up or down
+    // The nose up to the ground's rise, then the axle about it down to the ground.
+    ahead /= level;
+    Eigen::Vector3d along = ahead;
+    along.z() = slope.dot(ahead.head<2>());
+    along /= along.norm();
+    const Eigen::Quaterniond pitch = shortest_turn(ahead, along);
+    const Eigen::Vector3d up = pitch * Eigen::Vector3d::UnitZ();
+    laid.orientation = shortest_turn(up, ground.normal()) * (pitch * point.orientation);
+    return laid;
   }
 
   /// Sets to zero what of a measured motion the ground does not let go on. With both wheels down
@@ -104,6 +127,15 @@ class GroundContact {
   }
 
  private:
+  // From one unit vector to another, less than half a turn away.
+  static Eigen::Quaterniond shortest_turn(const Eigen::Vector3d& from,
+                                          const Eigen::Vector3d& to) noexcept {
+    const Eigen::Vector3d axis = from.cross(to);
+    Eigen::Quaterniond turn(1.0 + from.dot(to), axis.x(), axis.y(), axis.z());
+    turn.normalize();
+    return turn;
+  }
+
   // Height of the ground that the reference goes by, under `position`.
   [[nodiscard]] double expected(const ContactEstimate& contact,
                                 const Eigen::Vector3d& position) const noexcept {

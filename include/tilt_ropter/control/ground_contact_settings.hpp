@@ -22,7 +22,7 @@ struct GroundContactSettings {
   double down_force = 0.75;
   /// Vertical thrust that a rotor keeps on the ground where torques take from it, see GroundThrust
   /// [N].
-  double rotor_thrust = 0.12;
+  double rotor_thrust = 0.08;
 };
 
 inline void validate(const GroundContactSettings& s) {

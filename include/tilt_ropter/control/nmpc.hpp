@@ -406,9 +406,9 @@ void Nmpc<Rotors>::set_nodes() {
 template <int Rotors>
 void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
                             WheeledFlightNode& node) const {
-  ground_.apply(contact_, body_state_, ahead, point, node);
+  const ReferencePoint followed = ground_.apply(contact_, body_state_, ahead, point, node);
   if (settings_.wrench_feedforward) {
-    node.wrench_reference = reference_wrench_(point, node.external, node.on_ground);
+    node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
   } else {
     node.wrench_reference = {};
     node.wrench_reference.force.z() =

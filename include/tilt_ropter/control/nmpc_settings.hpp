@@ -9,6 +9,8 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
+
 /// What Nmpc can be told, and how a vehicle that is not the Tilt-Ropter gets settings that fly it
 /// without tuning: weights from allowed errors by Bryson's rule, bounds from weight and size.
 namespace tilt_ropter {
@@ -84,8 +86,8 @@ inline void validate(const NmpcSettings& s) {
 /// so that the same numbers fly a vehicle of any size. Those here are the reference vehicle's
 /// weights of NmpcSettings, to four digits.
 struct AllowedErrors {
-  Eigen::Vector3d position{0.1291, 0.1291, 0.1118};          ///< world [m]
-  Eigen::Vector3d velocity{0.4082, 0.4082, 0.3536};          ///< world [m/s]
+  Eigen::Vector3d position{0.06455, 0.06455, 0.0559};        ///< world [m]
+  Eigen::Vector3d velocity{0.25, 0.25, 0.2236};              ///< world [m/s]
   Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
   Eigen::Vector3d angular_velocity{0.6325, 0.6325, 0.6325};  ///< body [rad/s]
   Eigen::Vector3d force{0.4805, 0.4805, 0.4805};             ///< body [m g]
@@ -121,10 +123,10 @@ template <int Rotors>
 /// Settings with which a vehicle flies without tuning. Weights are one over the square of the
 /// allowed error (A. E. Bryson and Y.-C. Ho, Applied Optimal Control, 1975); bounds on force and
 /// torque and the thrusts kept on the ground are the reference vehicle's as shares of weight and of
-/// weight times size. Whether the actuators give what the bounds allow is not asked:
-/// ActuatorRows bounds thrusts and tilt rates, and control_authority() knows what rotors that do
-/// not tilt can do. Throws std::invalid_argument for errors out of range, and for a vehicle without
-/// mass or size.
+/// weight times size, down_force the more the slower the servos are, up to four times. Whether the
+/// actuators give what the bounds allow is not asked: ActuatorRows bounds thrusts and tilt rates,
+/// and control_authority() knows what rotors that do not tilt can do. Throws std::invalid_argument
+/// for errors out of range, and for a vehicle without mass or size.
 template <int Rotors>
 [[nodiscard]] NmpcSettings nmpc_settings(const Vehicle<Rotors>& vehicle,
                                          const AllowedErrors& errors = {}) {
@@ -153,7 +155,13 @@ template <int Rotors>
   for (Eigen::Vector3d* force : {&b.force_min, &b.force_max, &b.force_rate}) *force *= by_weight;
   for (Eigen::Vector3d* torque : {&b.torque_min, &b.torque_max, &b.torque_rate})
     *torque *= by_lever;
-  s.ground.down_force *= by_weight;
+  // The same change of force along the ground takes an arm a smaller turn where there is more
+  // thrust to turn.
+  const bool tilts = std::any_of(vehicle.rotors.begin(), vehicle.rotors.end(),
+                                 [](const RotorGeometry& rotor) { return rotor.tilts; });
+  const double by_servos =
+      tilts ? std::clamp(reference.servo.max_rate / vehicle.servo.max_rate, 1.0, 4.0) : 1.0;
+  s.ground.down_force *= by_weight * by_servos;
   s.ground.rotor_thrust *= by_weight;
   return s;
 }

@@ -82,7 +82,8 @@ template <typename Reference, int Rotors>
     const ReferencePoint point = reference(time);
     const bool on_ground = ground.is_ground_reference(contact, point.position, point);
     const Eigen::Vector3d& w = point.angular_velocity;
-    const Wrench<> needed = reference_wrench(point, {}, on_ground);
+    const Wrench<> needed = reference_wrench(
+        on_ground ? ground.on_ground(contact.ground, point) : point, {}, on_ground);
     Vector6 wrench;
     wrench << needed.force, needed.torque;
     compare(0, time, wrench.head<3>(), bounds.force_min, bounds.force_max);

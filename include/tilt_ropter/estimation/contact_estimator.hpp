@@ -28,6 +28,10 @@ struct ContactEstimatorSettings {
   /// than believed.
   double carried_load = 0.40;
   double leave_height = 0.030;  ///< above the ground and not carried: in the air [m]
+  /// Not carried for unloaded_time, as in a take-off and not in a hop over a plank, it is in the
+  /// air so long before its speed takes it there [s].
+  double leave_lead = 0.1;
+  double unloaded_time = 0.3;  ///< see leave_lead [s]
   /// In the air so far below where the wheels last stood, as after a table's edge, the ground is
   /// forgotten; until then it may only be lower than it was thought to be [m].
   double search_depth = 0.25;
@@ -47,6 +51,8 @@ inline void validate(const ContactEstimatorSettings& s) {
           "ContactEstimatorSettings.far_load", s.far_load, "finite and >= near_load");
   require_positive("ContactEstimatorSettings.carried_load", s.carried_load);
   require_positive("ContactEstimatorSettings.leave_height [m]", s.leave_height);
+  require_non_negative("ContactEstimatorSettings.leave_lead [s]", s.leave_lead);
+  require_non_negative("ContactEstimatorSettings.unloaded_time [s]", s.unloaded_time);
   require_positive("ContactEstimatorSettings.search_depth [m]", s.search_depth);
   require_positive("ContactEstimatorSettings.load_time [s]", s.load_time);
   require_positive("ContactEstimatorSettings.air_time [s]", s.air_time);
@@ -163,16 +169,20 @@ class ContactEstimator {
     return body.position.z() - undercarriage_->height - estimate_.ground.height_at(body.position);
   }
 
+  // Of the vehicle away from the ground [m/s].
+  [[nodiscard]] double rising_of(const BodyState<>& body) const noexcept {
+    return body.velocity.z() - estimate_.ground.slope.dot(body.velocity.head<2>());
+  }
+
   // In the air, until a load says otherwise.
   void fly(const BodyState<>& body, double lift, double clearance, double dt) noexcept {
-    const GroundPlane& ground = estimate_.ground;
-    const double load = lift - air_lift_,
-                 rising = body.velocity.z() - ground.slope.dot(body.velocity.head<2>());
+    const double load = lift - air_lift_, rising = rising_of(body);
     const bool near = std::abs(clearance) < settings_.leave_height;
     const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
     const bool stands = !started_ && near && body.velocity.norm() < 0.1;
     if (stands || (load > enough && rising < 0.1)) {
       estimate_.on_ground = estimate_.ground_known = true;
+      unloaded_for_ = 0.0;
       if (!near) estimate_.ground.slope.setZero();
       set_air_lift(air_lift_, body);
       place_ground(body, 1.0);
@@ -198,9 +208,15 @@ class ContactEstimator {
     if (lift < lift_of(air_, body)) set_air_lift(lift, body);
     if (undercarriage_->pitches) air_.torque.y() = external.torque.y();
     if (lift - lift_of(air_, body) > settings_.carried_load * weight_) {
+      unloaded_for_ = 0.0;
       place_ground(body, share(dt, settings_.ground_time));
       learn_slope(body, share(dt, settings_.slope_time));
-    } else if (std::abs(clearance) > settings_.leave_height) {
+      return;
+    }
+    unloaded_for_ += dt;
+    const double lead = unloaded_for_ > settings_.unloaded_time ? settings_.leave_lead : 0.0;
+    if (std::abs(clearance) > settings_.leave_height ||
+        clearance + lead * rising_of(body) > settings_.leave_height) {
       // No ground any more: the lift that there is is all the air's.
       estimate_.on_ground = false;
       air_lift_ = possible(lift);
@@ -290,15 +306,10 @@ class ContactEstimator {
       estimate_.rolling = estimate_.ground_reaction = {};
       return;
     }
-    const Eigen::Vector3d air = orientation * air_.force, all = orientation * external.force;
-    const double normal = all.z() - air.z();
-    const Eigen::Vector2d& slope = estimate_.ground.slope;
-    const Eigen::Vector3d reaction = normal * Eigen::Vector3d(-slope.x(), -slope.y(), 1.0);
-    Eigen::Vector3d along = all - reaction;
-    along.z() = 0.0;
+    const Eigen::Vector3d normal = orientation.conjugate() * estimate_.ground.normal();
     Wrench<>&held = estimate_.ground_reaction, &free = estimate_.rolling;
-    free = {orientation.conjugate() * along, external.torque};
-    held = {orientation.conjugate() * reaction, Eigen::Vector3d::Zero()};
+    free = {external.force - normal.dot(external.force) * normal, external.torque};
+    held = {normal.dot(external.force - air_.force) * normal, Eigen::Vector3d::Zero()};
     if (!undercarriage_->rolls) {
       free.force.setZero();
       held.force = external.force - air_.force;
@@ -319,7 +330,7 @@ class ContactEstimator {
   Wrench<> air_;        // what acts in the air, averaged; kept on the ground
   Wrench<> left_over_;  // of the ground, in the observer's output
   Wrench<> last_;       // of the observer
-  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0;
+  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
   int mode_changes_ = 0;
   bool started_ = false;
 };

@@ -20,6 +20,10 @@ struct GroundPlane {
   [[nodiscard]] double height_at(const Eigen::Vector3d& position) const noexcept {
     return height + slope.x() * position.x() + slope.y() * position.y();
   }
+  /// Unit vector upward.
+  [[nodiscard]] Eigen::Vector3d normal() const noexcept {
+    return Eigen::Vector3d(-slope.x(), -slope.y(), 1.0) / std::sqrt(1.0 + slope.squaredNorm());
+  }
 };
 
 /// Wrenches act at the CoM and are given in the body frame, as what the wrench observer finds is.
