@@ -82,7 +82,7 @@ build() {  # directory, CMake options
 }
 
 benchmark_packages=(libbenchmark-dev)
-test_packages=(clang libgtest-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core
+test_packages=(clang libgtest-dev libbenchmark-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core
   libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
@@ -93,7 +93,7 @@ instrumented() {  # directory, flags
     -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
 }
 # What these tests show is not changed by how the tests are built.
-sources_only='^(header|clang|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
+sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|readme_.*|without_nlopt)$'
 # Their three programs fly in real time, which instrumented ones do not keep up with.
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'

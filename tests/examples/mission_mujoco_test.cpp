@@ -311,8 +311,8 @@ TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
   for (int seed = 1; seed <= seeds; ++seed) {
     Flight flight = run("--seed " + std::to_string(seed));
     ASSERT_EQ(flight.exit_code, 0) << flight.output;
-    EXPECT_LE(flight["air_rmse_m"], 0.0035) << flight.output;
-    EXPECT_LE(flight["ground_rmse_m"], 0.008) << flight.output;
+    EXPECT_LE(flight["air_rmse_m"], 0.003) << flight.output;
+    EXPECT_LE(flight["ground_rmse_m"], 0.006) << flight.output;
     EXPECT_LE(flight["mission_rmse_m"], 0.008) << flight.output;
     EXPECT_GE(flight["power_saved_percent"], 94.4) << flight.output;
     EXPECT_EQ(flight["solver_failures"], 0) << flight.output;
