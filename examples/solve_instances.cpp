@@ -85,9 +85,7 @@ WheeledFlightProblem<> benchmark_problem(examples::InstanceBounds bounds) {
   RigidBodyParameters body;
   body.mass = mass;
   body.inertia = Eigen::Vector3d(0.0137, 0.0143, 0.0246).asDiagonal();
-  WheeledFlightSettings settings;  // but for two weights, the defaults are the benchmark's
-  settings.weights.position << 60.0, 60.0, 80.0;
-  settings.weights.velocity << 6.0, 6.0, 8.0;
+  WheeledFlightSettings settings;  // the defaults are the benchmark's: N, weights, wide bounds
   if (bounds == examples::InstanceBounds::paper) settings.bounds = paper_bounds();
   return WheeledFlightProblem<>(body, settings);
 }

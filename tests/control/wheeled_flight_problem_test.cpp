@@ -334,7 +334,7 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
   expect_refused([&](auto& s) { riccati(s).position.z() = 0.0; }, costs_nothing);
   expect_refused([&](auto& s) { riccati(s).orientation.z() = 0.0; }, costs_nothing);
   expect_refused([&](auto& s) { riccati(s).position.x() = 61.0; },
-                 "NmpcWeights.position [1/m^2] = (61, 240, 320): must be the same for x and y");
+                 "NmpcWeights.position [1/m^2] = (61, 60, 80): must be the same for x and y");
   expect_refused([&](auto& s) { riccati(s).velocity.y() = 5.0; }, "NmpcWeights.velocity [s^2/m^2]");
   expect_refused([&](auto& s) { riccati(s).orientation.y() = 5.0; }, "NmpcWeights.orientation [1/");
   WheeledFlightSettings enough;  // that x and y lean, and how fast anything moves, position shows

@@ -35,7 +35,7 @@ Quadrotor::State thrown_quadrotor() {
 }
 
 WheeledFlightProblem<> short_flight() {
-  WheeledFlightSettings settings = test_support::benchmark_settings();
+  WheeledFlightSettings settings;
   settings.intervals = 4;
   WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {

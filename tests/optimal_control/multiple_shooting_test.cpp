@@ -150,7 +150,7 @@ TEST(MultipleShooting, OptimumCannotBeImprovedByFeasibleChanges) {
 
 TEST(MultipleShooting, ThePenaltyIsThePriceAtWhichABoundIsGivenUp) {
   const auto violation_at = [](double row_penalty) {
-    WheeledFlightSettings settings = test_support::benchmark_settings();
+    WheeledFlightSettings settings;
     settings.penalties = {row_penalty, row_penalty, row_penalty, row_penalty};
     WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
     for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);

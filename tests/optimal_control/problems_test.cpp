@@ -85,7 +85,7 @@ Quadrotor::State thrown_quadrotor() {
 }
 
 WheeledFlightProblem<> short_flight(const NmpcBounds& bounds) {
-  WheeledFlightSettings settings = test_support::benchmark_settings();
+  WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.bounds = bounds;
   WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
@@ -108,7 +108,7 @@ State<> displaced_flight() {
 
 // The wheels touch the ground at `touch_down` and stay there.
 WheeledFlightProblem<> short_landing(int touch_down, double ground_weight) {
-  WheeledFlightSettings settings = test_support::benchmark_settings();
+  WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.weights.ground.setConstant(ground_weight);
   WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);

@@ -24,21 +24,12 @@ inline tilt_ropter::RigidBodyParameters benchmark_body() {
   return body;
 }
 
-/// Horizon, weights and wide bounds of the problem.
-inline WheeledFlightSettings benchmark_settings() {
-  WheeledFlightSettings settings;
-  settings.weights.position << 60.0, 60.0, 80.0;
-  settings.weights.velocity << 6.0, 6.0, 8.0;
-  return settings;
-}
-
 inline Eigen::Vector3d benchmark_hover_force() {
   return {0.0, 0.0, 1.5 * tilt_ropter::gravity};
 }
 
 /// STEP: hover at (0, 0, 1.5) from a displaced, turned and moving start; wide bounds.
-inline WheeledFlightProblem<> step_problem(
-    const WheeledFlightSettings& settings = benchmark_settings()) {
+inline WheeledFlightProblem<> step_problem(const WheeledFlightSettings& settings = {}) {
   WheeledFlightProblem<> problem(benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
@@ -70,7 +61,7 @@ inline Eigen::Vector3d air_velocity(double t) {
 
 /// AIR: bounds of the paper's table.
 inline WheeledFlightProblem<> air_problem() {
-  WheeledFlightSettings settings = benchmark_settings();
+  WheeledFlightSettings settings;
   settings.bounds = tilt_ropter::paper_bounds();
   return WheeledFlightProblem<>(benchmark_body(), settings);
 }

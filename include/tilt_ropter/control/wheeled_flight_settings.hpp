@@ -14,8 +14,8 @@ namespace tilt_ropter {
 struct NmpcWeights {
   Eigen::Vector3d force{0.02, 0.02, 0.02};          ///< F - F_r, body [1/N^2]
   Eigen::Vector3d torque{0.2, 0.2, 0.2};            ///< M - M_r, body [1/(N m)^2]
-  Eigen::Vector3d position{240.0, 240.0, 320.0};    ///< world [1/m^2]
-  Eigen::Vector3d velocity{16.0, 16.0, 20.0};       ///< world [s^2/m^2]
+  Eigen::Vector3d position{60.0, 60.0, 80.0};       ///< world [1/m^2]
+  Eigen::Vector3d velocity{6.0, 6.0, 8.0};          ///< world [s^2/m^2]
   Eigen::Vector3d orientation{30.0, 30.0, 30.0};    ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
   Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< body [s^2/rad^2]
   Eigen::Vector3d force_rate{0.02, 0.02, 0.02};     ///< dF [s^2/N^2]
