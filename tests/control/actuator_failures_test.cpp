@@ -228,10 +228,10 @@ TEST(ActuatorFailures, ServoStuckAcrossLandsByAReferenceThatLeans) {
         SCOPED_TRACE(name);
         Flight flight{with_stuck_servo(tilt_ropter_vehicle(), arm, angle * degree)};
         flight.lean = lean_about(arm);
-        // Where the stuck arm pushes against the lean, the vehicle swings to 100 degrees first. Of
-        // ten seeds most recover within 2 m, the last within 5 m.
+        // Where the stuck arm pushes against the lean, the vehicle swings far beyond it first. Of
+        // ten seeds most recover within 2 m, the last within 7 m.
         const bool against = angle * static_cast<int>(flight.failed.rotors[arm].spin) > 0;
-        if (against) flight.height = 6.0;
+        if (against) flight.height = 8.0;
         const Landing landing = land(name, flight, seed);
         expect_soft_and_upright(landing);
         EXPECT_TRUE(landing.stands || arm >= 2);
