@@ -203,6 +203,9 @@ TEST(GroundContact, AnAttitudeIsRelativeToTheGround) {
   ReferencePoint nose_up;
   nose_up.orientation = Eigen::AngleAxisd(-0.5 * pi, Eigen::Vector3d::UnitY());
   EXPECT_TRUE(axle.on_ground(ground, nose_up).orientation.isApprox(nose_up.orientation));
+  EXPECT_TRUE(GroundContact(body, std::nullopt)
+                  .on_ground(ground, level)
+                  .orientation.isApprox(level.orientation));
 }
 
 TEST(GroundContact, GroundThatIsNotMetIsLookedForSlowly) {

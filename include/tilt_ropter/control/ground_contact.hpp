@@ -83,10 +83,12 @@ class GroundContact {
   }
 
   /// The point with the vehicle standing on `ground`, whatever the reference takes it for: its
-  /// heights, and its attitude, which is relative to the ground there.
+  /// heights, and its attitude, which is relative to the ground there. Without an undercarriage the
+  /// point as it is.
   [[nodiscard]] ReferencePoint on_ground(const GroundPlane& ground,
                                          const ReferencePoint& point) const noexcept {
     ReferencePoint laid = point;
+    if (!undercarriage_) return laid;
     const auto& slope = ground.slope;
     laid.position.z() = ground.height_at(point.position) + undercarriage_->height;
     laid.velocity.z() = slope.dot(point.velocity.head<2>());
