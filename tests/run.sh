@@ -82,8 +82,8 @@ build() {  # directory, CMake options
 }
 
 benchmark_packages=(libbenchmark-dev)
-test_packages=(clang libgtest-dev libbenchmark-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core
-  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf time)
+test_packages=(clang libgtest-dev "${benchmark_packages[@]}" libcli11-dev nlohmann-json3-dev
+  gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
@@ -159,7 +159,7 @@ if [[ $instead == coverage ]]; then
 fi
 
 if [[ $instead == tidy ]]; then
-  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" "${benchmark_packages[@]}" \
+  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" \
     libclang-rt-dev clang-tidy
   configure build-tidy "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_BENCHMARKS=ON \
     -DTILT_ROPTER_BUILD_FUZZERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON

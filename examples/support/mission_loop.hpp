@@ -179,11 +179,11 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
 
   const Mission mission = hybrid_mission(vehicles.believed);
   const Reference reference = [&mission](double time) { return mission(time); };
-  NmpcSettings settings = examples::in_simulated_time(file.settings());
+  VehicleFile believed = file;
+  believed.vehicle = vehicles.believed;
+  NmpcSettings settings = examples::in_simulated_time(believed.settings());
   settings.actuator_rows = !options.no_actuator_rows;
-  settings.ground.down_force = options.ground_thrust >= 0.0
-                                   ? options.ground_thrust
-                                   : nmpc_settings(vehicles.believed).ground.down_force;
+  if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required

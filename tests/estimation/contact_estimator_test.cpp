@@ -225,6 +225,25 @@ TEST(ContactEstimator, AVehicleMuchLighterThanBelievedLeavesTheGround) {
   EXPECT_NEAR(feed.contact.estimate().disturbance.force.z(), 0.25 * weight, 0.02 * weight);
 }
 
+// Long not carried, as in a take-off, it leaves where its speed will take it; in a hop over a plank
+// it does not.
+TEST(ContactEstimator, ATakeOffIsSeenBeforeTheHeightAloneShowsIt) {
+  const auto rise = [](double unloaded) {
+    Feed feed;
+    feed.bandwidth = 1e3;  // no lag
+    feed(0.11, with_lift(weight), 1.0);
+    feed.stay({}, unloaded);
+    EXPECT_TRUE(feed.contact.estimate().on_ground);
+    feed.state.velocity.z() = 0.2;  // 2 cm in 0.1 s
+    feed(0.11, {}, 0.03);
+    EXPECT_TRUE(feed.contact.estimate().on_ground);
+    feed(0.11 + 0.012, {});
+    return feed.contact.estimate().on_ground;
+  };
+  EXPECT_FALSE(rise(0.4));
+  EXPECT_TRUE(rise(0.1));
+}
+
 TEST(ContactEstimator, FollowsAnEstimateOfTheHeightThatJumpsOrDrifts) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
@@ -311,6 +330,8 @@ TEST(ContactEstimator, SettingsOutOfRangeAreRefused) {
   refused([](ContactEstimatorSettings& s) { s.carried_load = -1.0; });
   refused([](ContactEstimatorSettings& s) { s.leave_height = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.search_depth = 0.0; });
+  refused([](ContactEstimatorSettings& s) { s.leave_lead = -0.1; });
+  refused([](ContactEstimatorSettings& s) { s.unloaded_time = std::nan(""); });
   refused([](ContactEstimatorSettings& s) { s.load_time = std::nan(""); });
   refused([](ContactEstimatorSettings& s) { s.air_time = 0.0; });
   refused([](ContactEstimatorSettings& s) { s.ground_time = 0.0; });
