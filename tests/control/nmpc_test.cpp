@@ -231,6 +231,33 @@ TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
   EXPECT_NEAR(wrench.force.z(), settings.ground.down_force, 0.1);
 }
 
+TEST(Nmpc, OnASlopeItHoldsTheVehicleAgainstThePull) {
+  NmpcSettings settings;
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
+  ContactEstimate contact = standing_on_the_ground();
+  const double slope = 0.1;  // [rad], up along x
+  contact.ground.slope.x() = std::tan(slope);
+  BodyState<> standing;
+  standing.position.z() = vehicle.wheels->radius;
+  standing.orientation = Eigen::AngleAxisd(-slope, Eigen::Vector3d::UnitY());
+  const auto rest = [&](double) {
+    ReferencePoint point;
+    point.position = standing.position;
+    return point;
+  };
+  Wrench<> wrench;
+  for (int i = 0; i < 600; ++i) {
+    const double time = 0.01 * i;
+    (void)nmpc.prepare(time, rest, contact);
+    const NmpcResult& result = nmpc.feedback(time, standing);
+    ASSERT_EQ(result.status, NmpcStatus::solved);
+    wrench = result.wrench;
+  }
+  const double pull = vehicle.body.mass * gravity * std::sin(slope);
+  EXPECT_NEAR(wrench.force.x(), pull, 1e-3);
+  EXPECT_NEAR(nmpc.solver().problem().node(3).wrench_reference.force.x(), pull, 1e-12);
+}
+
 TEST(Nmpc, TheCommandIsCutToTheBoundsWhateverThePlanSays) {
   // A plan may give up a bound (here the box of the force shrinks to what the start is out of); the
   // command may not.

@@ -98,9 +98,32 @@ TEST(CheckReference, SeesRates) {
   EXPECT_NEAR(std::abs(violations[0].required), 1.5, 1e-3);
 }
 
+TEST(CheckReference, OnASlopeTheDriveHoldsAgainstThePull) {
+  const auto drive = [](double t) {
+    ReferencePoint point;
+    point.position << t, 0.0, vehicle.wheels->radius;
+    point.velocity.x() = 1.0;
+    return point;
+  };
+  GroundPlane plane;
+  plane.slope.x() = std::tan(0.1);  // 0.1 rad up along x
+  NmpcSettings settings = nmpc_settings(vehicle);
+  settings.problem.bounds.force_max.x() = 1.0;
+  EXPECT_TRUE(check_reference(drive, 0.0, 2.0, vehicle, settings).empty());
+  const auto violations = check_reference(drive, 0.0, 2.0, vehicle, settings, 0.01, plane);
+  ASSERT_EQ(violations.size(), 1u);
+  EXPECT_STREQ(violations[0].bound, "force");
+  EXPECT_EQ(violations[0].axis, 0);
+  EXPECT_NEAR(violations[0].required, vehicle.body.mass * gravity * std::sin(0.1), 1e-9);
+}
+
 TEST(CheckReference, BadArgumentsAreRefused) {
   EXPECT_THROW((void)check_reference(swing, 0.0, 0.0, vehicle, {}), std::invalid_argument);
   EXPECT_THROW((void)check_reference(swing, 0.0, 1.0, vehicle, {}, 0.0), std::invalid_argument);
+  GroundPlane nowhere;
+  nowhere.slope.x() = std::nan("");
+  EXPECT_THROW((void)check_reference(swing, 0.0, 1.0, vehicle, {}, 0.01, nowhere),
+               std::invalid_argument);
 }
 
 }  // namespace

@@ -31,28 +31,29 @@ struct BoundViolation {
 };
 
 /// Compares the wrench, wrench rate and body rate that follow from a reference by inverse dynamics
-/// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground the
-/// ground gives what the undercarriage holds, and the bounds are asked for the rest. Where
-/// the reference leaves the ground or lands, the change of force must fit into the horizon. A step
-/// of position or attitude of more than 2 cm or 0.02 rad is none that a vehicle can follow. Returns
-/// an empty list if all fits. Allocates; throws std::invalid_argument for a vehicle, settings or
-/// times out of range.
+/// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground, which
+/// is `plane`, the reference is laid on it, the ground gives what the undercarriage holds, and the
+/// bounds are asked for the rest. Where the reference leaves the ground or lands, the change of
+/// force must fit into the horizon. A step of position or attitude of more than 2 cm or 0.02 rad is
+/// none that a vehicle can follow. Returns an empty list if all fits. Allocates; throws
+/// std::invalid_argument for a vehicle, settings, times or a plane out of range.
 template <typename Reference, int Rotors>
-[[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
-                                                          double end,
-                                                          const Vehicle<Rotors>& vehicle,
-                                                          const NmpcSettings& settings,
-                                                          double step = 0.01) {
+[[nodiscard]] std::vector<BoundViolation> check_reference(
+    const Reference& reference, double start, double end, const Vehicle<Rotors>& vehicle,
+    const NmpcSettings& settings, double step = 0.01, const GroundPlane& plane = {}) {
   validate(vehicle);
   validate(settings);
   require_positive("check_reference.step [s]", step);
   require(std::isfinite(start) && std::isfinite(end) && end > start, "check_reference.end [s]", end,
           "finite and > start");
+  require_finite("check_reference.plane.height [m]", plane.height);
+  require(plane.slope.allFinite(), "check_reference.plane.slope", plane.slope, "finite");
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   const GroundContact ground(vehicle.body, undercarriage(vehicle), settings.ground);
   const ReferenceWrench<Rotors> reference_wrench(vehicle, settings.ground);
-  const ContactEstimate contact;  // flat ground at height zero
+  ContactEstimate contact;
+  contact.ground = plane;
   const NmpcBounds& bounds = settings.problem.bounds;
   static constexpr std::array<const char*, 7> names = {
       "force",       "torque",   "angular_velocity", "force_rate",
@@ -82,8 +83,8 @@ template <typename Reference, int Rotors>
     const ReferencePoint point = reference(time);
     const bool on_ground = ground.is_ground_reference(contact, point.position, point);
     const Eigen::Vector3d& w = point.angular_velocity;
-    const Wrench<> needed = reference_wrench(
-        on_ground ? ground.on_ground(contact.ground, point) : point, {}, on_ground);
+    const Wrench<> needed =
+        reference_wrench(on_ground ? ground.on_ground(plane, point) : point, {}, on_ground);
     Vector6 wrench;
     wrench << needed.force, needed.torque;
     compare(0, time, wrench.head<3>(), bounds.force_min, bounds.force_max);
