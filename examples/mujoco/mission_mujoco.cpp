@@ -102,6 +102,7 @@ class Wind {
 };
 
 void fly(Options& options) {
+  options.mujoco.seen = options.film;
   options.mujoco.slope = options.slope_deg * pi / 180.0;
   options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;

@@ -48,6 +48,7 @@ struct MujocoParameters {
   double payload = 0.0;          ///< below the body, which the controller does not know of [kg]
   Eigen::Vector3d payload_position{0.0, 0.0, -0.05};  ///< [m]
   double com_x = 0.0;  ///< of the true CoM ahead of the body frame's origin [m]
+  bool seen = false;   ///< with what is only there for pictures, which takes time and moves nothing
 };
 
 /// Throws std::invalid_argument naming the field, its value and what is allowed.
@@ -172,8 +173,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
 /// The model. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`.. as wheel_in_body
 /// counts them; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the CoM at zero
 /// tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction torque act at
-/// the rotor's site, which tilts with its arm. A servo is a speed loop. Geoms without a name are
-/// what is seen, and weigh nothing.
+/// the rotor's site, which tilts with its arm. A servo is a speed loop. Geoms weigh nothing.
 [[nodiscard]] inline std::string mujoco_model(const tilt_ropter::Vehicle<4>& vehicle,
                                               const MujocoParameters& p = {}) {
   using detail::numbers;
@@ -186,7 +186,8 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
   std::ostringstream xml;
   xml << R"(<mujoco model="tilt_ropter">
-<compiler angle="radian" inertiafromgeom="false" balanceinertia="false"/>
+<compiler angle="radian" inertiafromgeom="false" balanceinertia="false" discardvisual=)"
+      << quoted(p.seen ? "false" : "true") << R"(/>
 <option integrator="implicit" solver="Newton" cone="elliptic" impratio="100" tolerance="1e-12")"
       << " timestep=" << quoted(numbers(p.time_step))
       << " gravity=" << quoted(numbers(0.0, 0.0, -tilt_ropter::gravity)) << R"(/>
