@@ -1,8 +1,6 @@
 // After construction and a few ticks no function of the control loop touches the heap, and what
 // NLopt takes there stays within what DualSolver's documentation says.
 
-#include "support/allocation_counter.hpp"  // before all that calls NLopt
-
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -14,6 +12,7 @@
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include "support/allocation_counter.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
@@ -36,11 +35,6 @@
 #include <vector>
 
 namespace tilt_ropter {
-
-// What does not call NLopt need not be compiled here.
-extern template class Allocation<4>;
-extern template class Allocation<8>;
-
 namespace {
 
 using test_support::heap_use;

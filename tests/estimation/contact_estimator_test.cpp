@@ -113,8 +113,8 @@ TEST(ContactEstimator, StandingBodiesShowTheSlopeThatTheyStandOn) {
   const Eigen::Vector2d slope(0.1, -0.05);
   Feed feed({}, Undercarriage{0.11, false, false, false});
   feed(0.5, {}, 2.0);
-  feed.state.orientation = Eigen::Quaterniond::FromTwoVectors(
-      Eigen::Vector3d::UnitZ(), Eigen::Vector3d(-slope.x(), -slope.y(), 1.0));
+  feed.state.orientation = Eigen::AngleAxisd(
+      std::atan(slope.norm()), Eigen::Vector3d(slope.y(), -slope.x(), 0.0).normalized());
   feed(0.11, with_lift(0.9 * weight), 5.0);
   EXPECT_LT((feed.contact.estimate().ground.slope - slope).norm(), 1e-3);
 }

@@ -1,10 +1,9 @@
 // After construction and a few measurements the estimator does not touch the heap, whatever
 // becomes of what it is given.
 
-#include "support/allocation_counter.hpp"  // before all that calls NLopt
-
 #include <tilt_ropter/estimation/ekf.hpp>
 
+#include "support/allocation_counter.hpp"
 #include "support/flights.hpp"
 #include "support/full_run.hpp"
 #include "support/random.hpp"

@@ -1,10 +1,9 @@
-#include "support/allocation_counter.hpp"  // before all that calls NLopt
-
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
+#include "support/allocation_counter.hpp"
 #include "support/full_run.hpp"
 #include "support/patient.hpp"
 #include "support/pendulum.hpp"

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>  // with clang it declares posix_memalign, defined below
 
+#include <dlfcn.h>
 #include <nlopt.h>
 
 #include <algorithm>
@@ -12,10 +13,10 @@
 #include <cstdlib>
 
 /// Counts every use of the heap in a program, by who asked for it: NLopt, or anything else. For one
-/// source file of a program, before any header that calls NLopt. malloc and its kin are replaced by
-/// functions that count and go on to the C library's own; operator new comes here through malloc.
-/// Where that cannot be (sanitizers bring their own malloc; another C library),
-/// heap_can_be_counted is false and nothing is replaced.
+/// source file of a program. malloc and its kin, and the functions of NLopt that the library calls,
+/// are replaced by functions that count and go on to the libraries' own; operator new comes here
+/// through malloc. Where malloc cannot be replaced (sanitizers bring their own; another C library),
+/// heap_can_be_counted is false.
 namespace test_support {
 
 #if defined(__has_feature)
@@ -101,23 +102,42 @@ struct NloptCalls {
 };
 inline NloptCalls nlopt_calls;
 
-/// A function of NLopt.
-template <auto function, typename... Arguments>
-auto in_nlopt(Arguments... arguments) {
-  const detail::Acting nlopt(HeapUser::nlopt);
-  return function(arguments...);
+namespace detail {
+
+/// The function of this name in NLopt's library.
+template <auto function>
+auto nlopts_own(const char* name) {
+  static const auto own = reinterpret_cast<decltype(function)>(dlsym(RTLD_NEXT, name));
+  return own;
 }
 
-/// A function that NLopt calls back is not NLopt's.
-template <nlopt_func objective>
-double called_back(unsigned n, const double* x, double* gradient, void* data) {
-  const detail::Acting other(HeapUser::other);
-  return objective(n, x, gradient, data);
+/// An objective that was given to NLopt. What it does is not NLopt's doing.
+struct Objective {
+  nlopt_opt owner;
+  nlopt_func function;
+  void* data;
+};
+inline std::array<Objective, 256> objectives{};
+
+inline Objective& objective_of(nlopt_opt owner) {
+  for (Objective& objective : objectives)
+    if (objective.owner == owner) return objective;
+  if (owner == nullptr) std::abort();  // more optimisers than there is room for
+  return objective_of(nullptr);
+}
+
+inline double called_back(unsigned n, const double* x, double* gradient, void* data) {
+  const Acting other(HeapUser::other);
+  const Objective& objective = *static_cast<Objective*>(data);
+  return objective.function(n, x, gradient, objective.data);
 }
 
 inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
+  const auto own = nlopts_own<nlopt_optimize>("nlopt_optimize");
+  if (heap_user == HeapUser::nlopt) return own(optimizer, x, value);  // its own
+  const Acting nlopt(HeapUser::nlopt);
   const HeapUse before = heap_use(HeapUser::nlopt);
-  const nlopt_result result = in_nlopt<nlopt_optimize>(optimizer, x, value);
+  const nlopt_result result = own(optimizer, x, value);
   const HeapUse use = heap_use(HeapUser::nlopt) - before;
   HeapUse& largest = nlopt_calls.largest.at(nlopt_get_dimension(optimizer));
   largest.allocations = std::max(largest.allocations, use.allocations);
@@ -128,22 +148,52 @@ inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
   return result;
 }
 
+}  // namespace detail
 }  // namespace test_support
 
-// The headers' calls of NLopt go through the functions above. One that is missing here is counted
-// as not NLopt's, which a test sees.
-#define nlopt_create test_support::in_nlopt<nlopt_create>
-#define nlopt_destroy test_support::in_nlopt<nlopt_destroy>
-#define nlopt_force_stop test_support::in_nlopt<nlopt_force_stop>
-#define nlopt_optimize test_support::optimize
-#define nlopt_set_ftol_rel test_support::in_nlopt<nlopt_set_ftol_rel>
-#define nlopt_set_lower_bounds test_support::in_nlopt<nlopt_set_lower_bounds>
-#define nlopt_set_maxeval test_support::in_nlopt<nlopt_set_maxeval>
-#define nlopt_set_min_objective(optimizer, objective, data)                                        \
-  test_support::in_nlopt<nlopt_set_min_objective>(optimizer, test_support::called_back<objective>, \
-                                                  static_cast<void*>(data))
-#define nlopt_set_upper_bounds test_support::in_nlopt<nlopt_set_upper_bounds>
-#define nlopt_set_vector_storage test_support::in_nlopt<nlopt_set_vector_storage>
+// The functions of NLopt that the library's loop calls. One that is missing here is counted as not
+// NLopt's, which a test sees.
+#define TILT_ROPTER_TEST_NLOPT(name, parameters, arguments)                  \
+  nlopt_result name parameters {                                             \
+    const test_support::detail::Acting nlopt(test_support::HeapUser::nlopt); \
+    return test_support::detail::nlopts_own<name>(#name) arguments;          \
+  }
+extern "C" {
+
+TILT_ROPTER_TEST_NLOPT(nlopt_force_stop, (nlopt_opt o), (o))
+TILT_ROPTER_TEST_NLOPT(nlopt_set_ftol_rel, (nlopt_opt o, double tolerance), (o, tolerance))
+TILT_ROPTER_TEST_NLOPT(nlopt_set_lower_bounds, (nlopt_opt o, const double* bounds), (o, bounds))
+TILT_ROPTER_TEST_NLOPT(nlopt_set_upper_bounds, (nlopt_opt o, const double* bounds), (o, bounds))
+TILT_ROPTER_TEST_NLOPT(nlopt_set_maxeval, (nlopt_opt o, int most), (o, most))
+TILT_ROPTER_TEST_NLOPT(nlopt_set_vector_storage, (nlopt_opt o, unsigned vectors), (o, vectors))
+
+nlopt_opt nlopt_create(nlopt_algorithm algorithm, unsigned variables) {
+  const test_support::detail::Acting nlopt(test_support::HeapUser::nlopt);
+  return test_support::detail::nlopts_own<nlopt_create>("nlopt_create")(algorithm, variables);
+}
+
+void nlopt_destroy(nlopt_opt o) {
+  const test_support::detail::Acting nlopt(test_support::HeapUser::nlopt);
+  if (o != nullptr) test_support::detail::objective_of(o) = {};
+  test_support::detail::nlopts_own<nlopt_destroy>("nlopt_destroy")(o);
+}
+
+nlopt_result nlopt_set_min_objective(nlopt_opt o, nlopt_func function, void* data) {
+  using namespace test_support::detail;
+  const auto own = nlopts_own<nlopt_set_min_objective>("nlopt_set_min_objective");
+  if (heap_user == test_support::HeapUser::nlopt) return own(o, function, data);  // its own
+  const Acting nlopt(test_support::HeapUser::nlopt);
+  Objective& objective = objective_of(o);
+  objective = {o, function, data};
+  return own(o, called_back, &objective);
+}
+
+nlopt_result nlopt_optimize(nlopt_opt o, double* x, double* value) {
+  return test_support::detail::optimize(o, x, value);
+}
+
+}  // extern "C"
+#undef TILT_ROPTER_TEST_NLOPT
 
 #ifdef TILT_ROPTER_TEST_COUNTS_HEAP
 extern "C" {

@@ -40,9 +40,9 @@ inline tilt_ropter::Vehicle<8> omnidirectional_octocopter() {
     RotorGeometry& rotor = v.rotors[i];
     const auto column = static_cast<Eigen::Index>(i);
     rotor.position = 0.2 * corners.col(column).normalized();
+    const Eigen::Vector3d axis = axes.col(column), about = Eigen::Vector3d::UnitZ().cross(axis);
     rotor.orientation =
-        Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), axes.col(column))
-            .toRotationMatrix();
+        Eigen::AngleAxisd(std::acos(axis.z()), about.normalized()).toRotationMatrix();
     rotor.spin = i < 4 ? Spin::counter_clockwise : Spin::clockwise;
     rotor.tilts = false;
   }
