@@ -19,7 +19,7 @@ cat > "$away/nmpc.cpp" << 'CPP'
 #include <tilt_ropter/control/nmpc.hpp>
 int main() {
   tilt_ropter::Nmpc<4> nmpc(tilt_ropter::tilt_ropter_vehicle());
-  nmpc.prepare(0.0, [](double) { return tilt_ropter::ReferencePoint(); }, {});
+  (void)nmpc.prepare(0.0, [](double) { return tilt_ropter::ReferencePoint(); }, {});
   return nmpc.feedback(0.0, {}).wrench.force.z() > 0.0 ? 0 : 1;
 }
 CPP

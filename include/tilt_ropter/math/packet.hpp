@@ -179,15 +179,30 @@ template <typename Body>
 [[gnu::cold, gnu::flatten]] inline auto without_avx2(const Body& body) {
   return body(std::integral_constant<int, packet_width>{});
 }
+inline bool has_avx2() {
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+}
 template <typename Body>
 inline auto vectorised(const Body& body) {
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return with_avx2(body);
+  if (has_avx2()) return with_avx2(body);
   return without_avx2(body);
+}
+/// For a `body` that has a plainer twin: runs it, or returns false where the twin is for.
+template <typename Body>
+inline bool vectorised_or_not(const Body& body) {
+  if (!has_avx2()) return false;
+  with_avx2(body);
+  return true;
 }
 #else
 template <typename Body>
 [[gnu::flatten]] inline auto vectorised(const Body& body) {
   return body(std::integral_constant<int, packet_width>{});
+}
+template <typename Body>
+inline bool vectorised_or_not(const Body& body) {
+  vectorised(body);
+  return true;
 }
 #endif
 

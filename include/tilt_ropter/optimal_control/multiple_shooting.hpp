@@ -335,25 +335,27 @@ class MultipleShooting {
       finite = finite && all_finite(defect);
       report_.max_defect = std::max(report_.max_defect, detail::largest(defect));
     };
+    int k = 0;
     if constexpr (HasLanes<Problem>::value) {
       State ends[Lanes::count];
-      for (int k = 0; k < horizon_; k += Lanes::count) {
-        const int count = std::min(Lanes::count, horizon_ - k);
-        finite =
-            detail::vectorised([&](auto) __attribute__((always_inline)) {
-              problem_.step_lanes(k, count, &here_.x(k), &here_.u(k), ends, lanes_A_, lanes_B_);
-              return program_.riccati.set_transitions(k, count, lanes_A_, lanes_B_);
-            }) &&
-            finite;
+      for (; k < horizon_; k += Lanes::count) {
+        const int first = k, count = std::min(Lanes::count, horizon_ - k);
+        bool sound = true;
+        const auto step = [&](auto) __attribute__((always_inline)) {
+          problem_.step_lanes(first, count, &here_.x(first), &here_.u(first), ends, lanes_A_,
+                              lanes_B_);
+          sound = program_.riccati.set_transitions(first, count, lanes_A_, lanes_B_);
+        };
+        if (!detail::vectorised_or_not(step)) break;
+        finite = finite && sound;
         for (int i = 0; i < count; ++i) set_defect(k + i, ends[i]);
       }
-    } else {
-      typename Dimensions::A A;
-      typename Dimensions::B B;
-      for (int k = 0; k < horizon_; ++k) {
-        set_defect(k, problem_.step(k, here_.x(k), here_.u(k), A, B));
-        finite = program_.riccati.set_transition(k, A, B) && finite;
-      }
+    }
+    typename Dimensions::A A;
+    typename Dimensions::B B;
+    for (; k < horizon_; ++k) {
+      set_defect(k, problem_.step(k, here_.x(k), here_.u(k), A, B));
+      finite = program_.riccati.set_transition(k, A, B) && finite;
     }
     return finite;
   }
