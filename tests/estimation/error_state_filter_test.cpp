@@ -114,7 +114,7 @@ double relative(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
 double least_eigenvalue(const Covariance& p) {
   const Tangent scale = p.diagonal().cwiseSqrt().cwiseInverse();
   const Covariance correlation = scale.asDiagonal() * p * scale.asDiagonal();
-  return Eigen::SelfAdjointEigenSolver<Covariance>(correlation, Eigen::EigenvaluesOnly)
+  return Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(correlation, Eigen::EigenvaluesOnly)
       .eigenvalues()(0);
 }
 
@@ -306,7 +306,7 @@ TEST(ErrorStateFilter, InnovationIsThatOfTheLinearisedPose) {
     const Covariance p = random_covariance(random);
     f.reset(x, p);
     const Innovation in = f.innovation(pose);
-    const Eigen::Matrix<double, 6, 6> s = h * p * h.transpose() + pose_covariance();
+    const Eigen::MatrixXd s = h * p * h.transpose() + pose_covariance();
     worst_c = std::max(worst_c, relative(in.correlation, p * h.transpose()));
     worst_s = std::max(worst_s, relative(in.covariance, s));
     InertialState<> seen = x;  // a state that would show this pose
@@ -351,7 +351,7 @@ TEST(ErrorStateFilter, UpdateIsTheTextbooksInJosephsForm) {
     f.update(in);
     const Eigen::Matrix<double, 6, 21> h = pose_jacobian(x);
     const Eigen::Matrix<double, 6, 6> r = pose_covariance();
-    const Eigen::Matrix<double, 6, 6> s = h * p * h.transpose() + r;
+    const Eigen::MatrixXd s = h * p * h.transpose() + r;
     const Eigen::Matrix<double, 21, 6> gain = p * h.transpose() * s.inverse();
     const Covariance rest = Covariance::Identity() - gain * h;
     const Covariance joseph = rest * p * rest.transpose() + gain * r * gain.transpose();

@@ -203,9 +203,9 @@ TEST(Problems, LinearQuadraticOptimumIsThatOfTheDenseLeastSquares) {
   };
   using Inputs = Eigen::Matrix<double, 7, 1>;
   const Eigen::Matrix<double, 24, 1> free = residuals(Inputs::Zero());
-  Eigen::Matrix<double, 24, 7> by_input;
+  Eigen::MatrixXd by_input(24, 7);
   for (int k = 0; k < 7; ++k) by_input.col(k) = residuals(Inputs::Unit(k)) - free;
-  const Inputs optimum = by_input.colPivHouseholderQr().solve(-free);
+  const Inputs optimum = by_input.colPivHouseholderQr().solve(Eigen::VectorXd(-free));
 
   MultipleShooting<DoubleIntegrator> solver(problem);
   solver.reset(x0);
