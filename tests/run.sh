@@ -82,8 +82,9 @@ build() {  # directory, CMake options
 }
 
 benchmark_packages=(libbenchmark-dev)
-test_packages=(clang libgtest-dev "${benchmark_packages[@]}" libcli11-dev nlohmann-json3-dev
-  gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri pkgconf time)
+test_packages=(clang clang-format libgtest-dev "${benchmark_packages[@]}" libcli11-dev
+  nlohmann-json3-dev gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri
+  pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
@@ -94,7 +95,7 @@ instrumented() {  # directory, flags
 }
 # What these tests show is not changed by how the tests are built.
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
-sources_only+='|^(fast_math|readme_.*|without_nlopt)$'
+sources_only+='|^(fast_math|format|readme_.*|without_nlopt)$'
 # Their three programs fly in real time, which instrumented ones do not keep up with.
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
 /// The whole library; without NLopt, all but what solves with it. A component compiles faster; each

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # include_rules.sh INCLUDE_DIR
-# Who may include whom below INCLUDE_DIR/tilt_ropter. Prints every violation, fails if there is one.
+# Who may include whom below INCLUDE_DIR/tilt_ropter, and that each header names its licence, which a
+# header that was copied into another tree would lose. Prints every violation, fails if there is one.
 set -euo pipefail
 shopt -s inherit_errexit
 
@@ -36,6 +37,10 @@ violations=$(
         ok = $2 ~ /^<(unsupported\/)?Eigen\/[A-Za-z]+>$/ || $2 ~ /^<[a-z_]+>$/
       if (!ok) print $1 " may not include " $2
     }' <<< "$includes"
+  for header in $headers $umbrella $compiled; do
+    [[ $(head -1 $header) == "// SPDX-License-Identifier: BSD-3-Clause" ]] ||
+      echo "$header does not name its licence in the first line"
+  done
   for header in $headers; do
     grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
   done

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -275,8 +276,7 @@ class Plant {
 
   /// At most max_substep; throws if that cannot be made stable in reasonable time.
   [[nodiscard]] double stable_substep() const {
-    double fastest =
-        1.0 / vehicle_.servo.time_constant;
+    double fastest = 1.0 / vehicle_.servo.time_constant;
     for (int i = 0; i < Rotors; ++i)
       fastest = std::max(fastest, 1.0 / parameters_of(i).time_constant);
     for (const WheelMount& mount : mounts_)
@@ -402,7 +402,7 @@ class Plant {
   Vehicle<Rotors> vehicle_;
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
-  std::vector<WheelMount> mounts_;  ///< none, two or four
+  std::vector<WheelMount> mounts_;                 ///< none, two or four
   RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
   RotorVector rotor_time_constant_;                ///< [s]
   double top_speed_share_ = 1.0;                   ///< that the voltage leaves of max_rotor_speed_
