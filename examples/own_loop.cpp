@@ -48,7 +48,7 @@ int main(int argc, char** argv) {
       actuators.update(time, sent.command);  // acts from now on
     }
     robot.step(sent.command, wind, 0.001);
-    if (i % 1000 == 999)
+    if (i % 5000 == 4999)
       std::printf("t %4.1f s  height %.3f m  wind %5.2f %5.2f %5.2f N\n", robot.time(),
                   robot.body().position.z(), observer.external().force.x(),
                   observer.external().force.y(), observer.external().force.z());
