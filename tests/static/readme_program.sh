@@ -21,7 +21,7 @@ if [[ $# -eq 1 ]]; then
   awk '/^```cpp$/ { code = 1; text = ""; next }
     /^```/ && code { code = 0; if (text !~ /int main/) { printf "%s", text; ++count }; next }
     code { text = text $0 "\n" }
-    END { exit count < 5 }' "$readme"
+    END { exit count < 3 }' "$readme"
   echo '}'
   exit 0
 fi

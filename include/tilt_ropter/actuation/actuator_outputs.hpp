@@ -103,7 +103,7 @@ struct ActuatorOutputs {
 };
 
 /// How motors and servos answer; by default thrust is proportional, servos without trim.
-template <int Rotors = 4>
+template <int Rotors>
 struct ActuatorOutputSettings {
   double thrust_model_factor = 0.0;  ///< f of motor_output(), in [0, 1]
   /// The factor that the autopilot itself undoes, PX4's THR_MDL_FAC, in [0, 1]. If it is not zero,
@@ -130,16 +130,16 @@ void validate(const ActuatorOutputSettings<Rotors>& s) {
 /// No output is ever NaN: what PX4 takes for
 /// "disarmed", and stops the motor for, is the caller's to say. Nothing allocates; only the
 /// constructor throws.
-template <int Rotors = 4>
+template <int Rotors>
 class OutputScaling {
  public:
   /// Throws std::invalid_argument on rotor, servo or battery parameters or settings that validate()
   /// refuses.
   explicit OutputScaling(const Vehicle<Rotors>& vehicle,
                          const ActuatorOutputSettings<Rotors>& settings = {})
-      : servo_((validate(vehicle.servo), vehicle.servo)),
-        battery_((validate(vehicle.battery), vehicle.battery)),
-        settings_((validate(settings), settings)) {
+      : servo_(validated(vehicle.servo)),
+        battery_(validated(vehicle.battery)),
+        settings_(validated(settings)) {
     for (std::size_t i = 0; i < Rotors; ++i) {
       rotors_[i] = rotor_parameters(vehicle, i);
       validate(rotors_[i]);

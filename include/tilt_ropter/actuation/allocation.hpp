@@ -53,7 +53,7 @@ namespace tilt_ropter {
 /// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
 /// rotors; where limits are hit typically 20 us, 50 us out of reach; work is bounded. The search
 /// calculates in double whatever the Scalar is.
-template <int Rotors = 4, typename Scalar = double>
+template <int Rotors, typename Scalar = double>
 class Allocation {
   using Limits = detail::ThrustLimits<Rotors, Scalar>;
 
@@ -134,13 +134,6 @@ class Allocation {
   using Thrusts = Eigen::Matrix<Scalar, components, 1>;
   using Angles = Eigen::Matrix<Scalar, Rotors, 1>;
 
-  [[nodiscard]] static const Vehicle<Rotors>& checked(const Vehicle<Rotors>& vehicle,
-                                                      const AllocationParameters& parameters) {
-    validate(vehicle);
-    validate(parameters);
-    return vehicle;
-  }
-
   [[nodiscard]] Thrusts least_thrusts(const Vector3<Scalar>& force,
                                       const Vector3<Scalar>& torque) const noexcept {
     return pseudoinverse_.template leftCols<3>() * force +
@@ -210,7 +203,7 @@ class Allocation {
 template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
                                        const AllocationParameters& parameters)
-    : Allocation(checked(vehicle, parameters), parameters, AllocationMatrix<Rotors>(vehicle)) {}
+    : Allocation(validated(vehicle), validated(parameters), AllocationMatrix<Rotors>(vehicle)) {}
 
 template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,

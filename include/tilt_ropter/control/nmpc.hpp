@@ -50,7 +50,7 @@ namespace tilt_ropter {
 /// without measurements has to take the thrust away before long.
 ///
 /// A tick takes at most 64 KB of stack in an optimised program.
-template <int Rotors = 4>
+template <int Rotors>
 class Nmpc {
  public:
   using Problem = WheeledFlightProblem<Rotors>;
@@ -121,11 +121,6 @@ class Nmpc {
  private:
   using Actuators = ActuatorRows<Rotors>;
   using Rate = Eigen::Matrix<double, 6, 1>;
-
-  static const NmpcSettings& checked(const NmpcSettings& settings) {
-    validate(settings);
-    return settings;
-  }
 
   // What prepare() does before it looks at the reference, and after.
   void begin_to_prepare(double time, const ContactEstimate& contact);
@@ -204,7 +199,7 @@ class Nmpc {
 
 template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
-    : settings_(checked(settings)),
+    : settings_(validated(settings)),
       body_(vehicle.body),
       actuators_(vehicle, settings.actuators),
       ground_(vehicle.body, undercarriage(vehicle), settings.ground),

@@ -238,7 +238,7 @@ class Ekf {
 
 template <typename Scalar>
 Ekf<Scalar>::Ekf(const EkfSettings& settings)
-    : settings_((validate(settings), settings)),
+    : settings_(validated(settings)),
       filter_(settings.imu_noise, settings.pose_noise),
       samples_(max_samples) {
   reset();

@@ -108,7 +108,7 @@ class WrenchObserver {
   /// Throws std::invalid_argument for parameters out of range.
   explicit WrenchObserver(const RigidBodyParameters& body,
                           const WrenchObserverSettings& settings = {})
-      : settings_((validate(settings), settings)) {
+      : settings_(validated(settings)) {
     validate(body);
     mass_ = Scalar(body.mass);
     inertia_ = body.inertia.cast<Scalar>();

@@ -90,6 +90,13 @@ inline void require_in(std::string_view field, double value, double low, double 
   detail::refuse(field, detail::printed(value), allowed.str());
 }
 
+/// The argument after validate(), which throws for wrong values: for a constructor's initialisers.
+template <typename Checked>
+[[nodiscard]] const Checked& validated(const Checked& value) {
+  validate(value);
+  return value;
+}
+
 /// A point of time [s], on whatever clock: to 300 years from its zero a double tells 2 us apart.
 inline void require_time(std::string_view field, double value) {
   require_in(field, value, -1e10, 1e10);

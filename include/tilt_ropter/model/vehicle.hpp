@@ -124,7 +124,7 @@ struct BatteryParameters {
 };
 
 /// All that is known of a vehicle with `Rotors` arms, tilting or not.
-template <int Rotors = 4>
+template <int Rotors>
 struct Vehicle {
   RigidBodyParameters body;
   std::array<RotorGeometry, static_cast<std::size_t>(Rotors)> rotors;

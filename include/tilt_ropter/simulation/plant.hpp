@@ -43,7 +43,7 @@ inline void validate(const PlantParameters& p) {
 }
 
 /// All that changes in a Plant, but commands on their way.
-template <int Rotors = 4>
+template <int Rotors>
 struct PlantState {
   double time = 0.0;  ///< [s]
   BodyState<> body;
@@ -93,7 +93,7 @@ struct PlantLoads {
 /// than max_substep or the inverse of the fastest rate of the parameters, so that stiff wheels and
 /// quick motors stay stable. Contact is not smooth, there the order is lower: at the default
 /// substep, energy rises at no step by more than rounding where the contact is dissipative.
-template <int Rotors = 4>
+template <int Rotors>
 class Plant {
  public:
   static constexpr double max_step = 10.0;    ///< longest that step() accepts [s]
@@ -103,8 +103,8 @@ class Plant {
   /// height zero and meets no ground. Allocates, and throws std::invalid_argument for a vehicle or
   /// parameters that are not valid.
   explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {})
-      : vehicle_((validate(vehicle), vehicle)),
-        parameters_((validate(parameters), parameters)),
+      : vehicle_(validated(vehicle)),
+        parameters_(validated(parameters)),
         inertia_inverse_(vehicle.body.inertia.inverse()),
         mounts_(mounts()),
         min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),

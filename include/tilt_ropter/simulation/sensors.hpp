@@ -39,7 +39,7 @@ template <typename Parameters, typename Measurement>
 class SensorCore {
  public:
   SensorCore(const Parameters& given, std::uint64_t seed)
-      : parameters((validate(given), given)),
+      : parameters(validated(given)),
         noise(seed),
         queue_(static_cast<std::size_t>(given.rate * given.delay) + 4) {}
 
@@ -199,7 +199,7 @@ inline void validate(const RotorSpeedSensorParameters& p) {
 }
 
 /// White noise and a delay, at the rate of the parameters.
-template <int Rotors = 4>
+template <int Rotors>
 class RotorSpeedSensor {
  public:
   /// What the sensor says.
