@@ -66,6 +66,17 @@ TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
   EXPECT_NEAR(report.cost, 2074.17, 1e-4 * 2074.17);
 }
 
+// More rows matter on the way than it begins with at most.
+TEST(MultipleShooting, TheFirstProgramOfStepIsLeftToNlopt) {
+  Solver solver(step_problem(), patient());
+  solver.reset(step_start());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  const SolveReport report = solver.feedback(step_start());
+  EXPECT_LE(report.program_residual, 1e-6);
+  EXPECT_GT(report.active_rows, 10);
+  EXPECT_EQ(report.passes, 0);
+}
+
 TEST(MultipleShooting, ReachesTheKnownOptimumOfAirAtTickZero) {
   Solver solver(air_problem(), patient());
   set_air_reference(solver.problem(), 0.0);

@@ -52,7 +52,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     const auto start = SolverClock::now();
     damping_ = damping;
     this->collect_active();
-    const bool few_rows = static_cast<int>(this->active().size()) <= dual_.capacity();
+    const bool few_rows =
+        static_cast<int>(this->active().size()) <= std::max(1, settings_.max_dual_rows);
     by_dual_ = settings_.method == ProgramMethod::dual ||
                (settings_.method == ProgramMethod::automatic && few_rows && !unsolved_);
     bool good;
@@ -152,9 +153,11 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   [[nodiscard]] int rounds() const { return dual_.rounds(); }  ///< of the working set
 
  private:
+  // Room for twice the rows that it begins with at most: most that join go again, and to give up
+  // halfway costs more than to finish.
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
     const int all = 2 * Rows * (horizon + 1);
-    const int wanted = settings.method == ProgramMethod::dual ? 1000 : settings.max_dual_rows;
+    const int wanted = settings.method == ProgramMethod::dual ? 1000 : 2 * settings.max_dual_rows;
     return std::max(1, std::min(wanted, all));
   }
   // If a pass that takes so long would be late, with what follows it, or one too many. What it
