@@ -77,6 +77,27 @@ TEST(MultipleShooting, TheFirstProgramOfStepIsLeftToNlopt) {
   EXPECT_EQ(report.passes, 0);
 }
 
+TEST(MultipleShooting, NothingIsFactorisedAtASolutionButForTheFirstGains) {
+  Solver solver(step_problem(), patient());
+  solver.reset(step_start());
+  ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
+  SolverSettings settings = patient();
+  settings.max_iterations = solver.report().iterations - 1;
+  Solver before(step_problem(), settings);
+  before.reset(step_start());
+  ASSERT_EQ(before.solve(step_start()).status, SolveStatus::iteration_limit);
+  EXPECT_EQ(solver.gain(0), before.gain(0));
+
+  State<> hover;
+  hover.wrench.force = test_support::benchmark_hover_force();
+  hover.body.position.z() = 1.5;
+  Solver there(step_problem(), patient());
+  there.reset(hover);
+  ASSERT_EQ(there.solve(hover).status, SolveStatus::converged);
+  EXPECT_EQ(there.report().iterations, 0);
+  EXPECT_GT(there.gain(0).norm(), 1.0);
+}
+
 TEST(MultipleShooting, ReachesTheKnownOptimumOfAirAtTickZero) {
   Solver solver(air_problem(), patient());
   set_air_reference(solver.problem(), 0.0);

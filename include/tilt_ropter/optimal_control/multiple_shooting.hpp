@@ -144,17 +144,8 @@ class MultipleShooting {
   /// number that is not finite, or no damping makes the Hessians positive definite.
   [[nodiscard]] PrepareStatus prepare() noexcept {
     const auto start = Clock::now();
-    if (program_.goes_on()) {
-      report_.linearise_us = report_.factorise_us = report_.rows_us = report_.prepare_us = 0.0;
-      prepared_ = true;
-      return PrepareStatus::prepared;
-    }
-    prepared_ = linearise();
-    report_.linearise_us = since(start);
-    const auto linearised = Clock::now();
-    prepared_ = prepared_ && factorise();
-    report_.rows_us = std::chrono::duration<double, std::micro>(program_.rows_time()).count();
-    report_.factorise_us = since(linearised) - report_.rows_us;
+    report_.linearise_us = report_.factorise_us = report_.rows_us = 0.0;
+    prepared_ = program_.goes_on() || (linearise() && factorise());
     report_.prepare_us = since(start);
     return prepared_ ? PrepareStatus::prepared : PrepareStatus::failed;
   }
@@ -233,10 +224,13 @@ class MultipleShooting {
     search_.begin(!updates_multipliers_);
     progress_ = {};
     for (;; ++iteration) {
-      const bool prepared = prepare() == PrepareStatus::prepared;
-      prepare_us += report_.prepare_us;
+      const auto begun_at = Clock::now();
+      bool prepared = linearise();
       if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
       const bool converged = prepared && report_.kkt <= settings_.tolerance;
+      // No step begins at a solution; gain() needs one factorisation.
+      if (!converged || iteration == 0) prepared = prepared && factorise();
+      prepare_us += since(begun_at);
       report_.status =
           converged ? (hard_rows_given_up() ? SolveStatus::infeasible : SolveStatus::converged)
           : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
@@ -293,6 +287,7 @@ class MultipleShooting {
   // Every interval's end state and derivative, every node's quadratic model and constraints. False
   // if a number is not finite.
   bool linearise() {
+    const auto start = Clock::now();
     report_.cost = report_.max_defect = report_.max_violation = report_.max_equality = 0.0;
     bool finite = linearise_intervals();
     for (int k = 0; k <= horizon_; ++k) {
@@ -322,6 +317,7 @@ class MultipleShooting {
     finite = finite && std::isfinite(report_.kkt) && std::isfinite(report_.cost) &&
              std::isfinite(report_.max_equality);
     if (!finite) report_.kkt = std::numeric_limits<double>::infinity();
+    report_.linearise_us = since(start);
     return finite;
   }
 
@@ -389,6 +385,7 @@ class MultipleShooting {
 
   // With Levenberg damping where a Hessian is not positive definite.
   bool factorise() {
+    const auto start = Clock::now();
     if (report_.damping > 0.0) report_.damping *= 0.1;
     if (report_.damping < least_damping) report_.damping = 0.0;
     while (!program_.prepare(report_.damping)) {
@@ -398,6 +395,8 @@ class MultipleShooting {
         return false;
       }
     }
+    report_.rows_us = std::chrono::duration<double, std::micro>(program_.rows_time()).count();
+    report_.factorise_us = since(start) - report_.rows_us;
     return true;
   }
 
