@@ -406,7 +406,7 @@ TEST(MultipleShooting, MemorySavesIterationsAndDoesNotChangeTheOptimum) {
     without += forgetful.report().iterations;
     with += learning.report().iterations;
   }
-  EXPECT_LT(with, without);  // measured: 388 and 470
+  EXPECT_LT(with, without);  // measured: 385 and 470
 }
 
 // Knows nothing of speeds beyond `fence`.
@@ -504,6 +504,20 @@ void expect_better_than_the_guess(int max_iterations) {
 
 TEST(MultipleShooting, ThirtyIterationsFromAWildStartAreBetterThanTheGuess) {
   expect_better_than_the_guess(30);
+}
+
+// What is learnt far away does not mislead nearby.
+TEST(MultipleShooting, WildStartsConvergeInFewIterations) {
+  Random random(134);
+  int iterations = 0;
+  for (int i = 0; i < 60; ++i) {
+    const State<> x = wild_start(random);
+    Solver solver(step_problem(), patient());
+    solver.reset(x);
+    EXPECT_EQ(solver.solve(x).status, SolveStatus::converged) << "start " << i;
+    iterations += solver.report().iterations;
+  }
+  EXPECT_LT(iterations, 1700);  // measured: 1465, and 1937 where no move was forgotten
 }
 
 TEST(MultipleShooting, SettingsOutOfRangeAreRefusedByName) {

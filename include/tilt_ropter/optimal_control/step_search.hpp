@@ -20,10 +20,10 @@ namespace tilt_ropter {
 
 /// Finds the next iterate of MultipleShooting::solve() from the step of a quadratic program.
 ///
-/// What is tried first is the step that Anderson makes of it; it need not lower the merit where
-/// that is nearly level or rounding hides it (the merit's norms reject good steps there: Maratos),
-/// but then is on trust: unless the next program's step is shorter, the search goes back. Else a
-/// line search along the step.
+/// What is tried first, where steps have become slow or the merit nearly level, is the step that
+/// Anderson makes of it; it need not lower the merit where that is level or rounding hides it (the
+/// merit's norms reject good steps there: Maratos), but then is on trust: unless the next program's
+/// step is shorter, the search goes back. Else a line search along the step.
 template <typename Problem, typename Program>
 class StepSearch {
  public:
@@ -90,6 +90,9 @@ class StepSearch {
     if (!accelerates_)
       return search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
 
+    // Where steps get on well far from the solution, what they teach is soon wrong.
+    const bool far = -slope > 1e-3 * (1.0 + std::abs(merit));
+    if (far && moved_ && norm(residual_) < 0.6 * norm(base_residual_)) anderson_.clear();
     base_ = here;
     base_residual_ = residual_;
     moved_ = true;
