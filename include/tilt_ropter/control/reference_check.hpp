@@ -48,7 +48,7 @@ template <typename Reference, int Rotors>
   require(std::isfinite(start) && std::isfinite(end) && end > start, "check_reference.end [s]", end,
           "finite and > start");
   require_finite("check_reference.plane.height [m]", plane.height);
-  require(plane.slope.allFinite(), "check_reference.plane.slope", plane.slope, "finite");
+  require_finite("check_reference.plane.slope", plane.slope);
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   const GroundContact ground(vehicle.body, undercarriage(vehicle), settings.ground);
