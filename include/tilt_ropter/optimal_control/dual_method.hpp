@@ -76,9 +76,9 @@ class DualMethod {
   }
 
   /// The step for the initial step dx0, and the multipliers, in the nodes of `program`; after
-  /// prepare().
+  /// prepare(). The working set grows to at most `most` constraints, up to capacity().
   [[nodiscard]] Outcome solve(Program& program, const typename Program::Tangent& dx0,
-                              std::optional<SolverClock::time_point> deadline) {
+                              std::optional<SolverClock::time_point> deadline, int most) {
     std::copy_n(dx0.data(), States, program.step(0).data());
     program.riccati.sweep(program.steps());
     program.predict();
@@ -94,7 +94,7 @@ class DualMethod {
         program.predict();
       }
       const int first = size();
-      const bool has_room = add_violated(program);
+      const bool has_room = add_violated(program, most);
       if (size() == first && has_room) break;
       if (!has_room || rounds_ == settings_.max_rounds) {
         active_.resize(static_cast<std::size_t>(first));
@@ -134,8 +134,8 @@ class DualMethod {
                         : n.lower(r.component) - n.predicted(r.component);
   }
 
-  /// Rows that the prediction violates join the working set. False if there is no room.
-  [[nodiscard]] bool add_violated(const Program& program) {
+  /// Rows that the prediction violates join the working set. False if there are more than `most`.
+  [[nodiscard]] bool add_violated(const Program& program, int most) {
     if (program.excess() <= settings_.row_tolerance) return true;
     for (auto& flags : in_set_) flags.fill(false);
     for (const Row& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
@@ -146,7 +146,7 @@ class DualMethod {
         if (std::max(over, under) <= settings_.row_tolerance) continue;
         const Row r{k, i, over > under ? 1.0 : -1.0};
         if (in_set_[static_cast<std::size_t>(k)][r.slot()]) continue;
-        if (size() == capacity_) return false;
+        if (size() == most) return false;
         active_.push_back(r);
       }
     }

@@ -402,9 +402,9 @@ class MultipleShooting {
 
   // Solves the quadratic program, and says how in the report.
   SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline,
-                            bool clamps) {
-    ProgramStatus status = program_.solve(dx0, deadline);
-    if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
+                            bool real_time) {
+    ProgramStatus status = program_.solve(dx0, deadline, real_time);
+    if (real_time && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();
     report_.program_residual = program_.residual();

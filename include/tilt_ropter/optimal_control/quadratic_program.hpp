@@ -81,8 +81,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
 
   /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end
-  /// after the deadline, by what the last ones took, is not begun.
-  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
+  /// after the deadline, by what the last ones took, is not begun. In `real_time` NLopt's working
+  /// set does not grow beyond the constraints that it begins with at most, which bounds the time
+  /// that is lost where another method has to take over.
+  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {},
+                      bool real_time = false) {
+    most_dual_rows_ = real_time && settings_.method != ProgramMethod::dual
+                          ? std::max(1, settings_.max_dual_rows)
+                          : dual_.capacity();
     deadline_ = deadline;
     late_ = false;
     if (!goes_on_) {
@@ -153,8 +159,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   [[nodiscard]] int rounds() const { return dual_.rounds(); }  ///< of the working set
 
  private:
-  // Room for twice the rows that it begins with at most: most that join go again, and to give up
-  // halfway costs more than to finish.
+  // Room for twice the constraints that it begins with at most: in a solve to convergence most that
+  // join leave again, and giving up halfway costs more than finishing.
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
     const int all = 2 * Rows * (horizon + 1);
     const int wanted = settings.method == ProgramMethod::dual ? 1000 : 2 * settings.max_dual_rows;
@@ -178,7 +184,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   void solve_by_method(const Tangent& dx0) {
     if (by_dual_) {
       using Outcome = typename DualMethod<States, Inputs, Rows, Pattern>::Outcome;
-      const Outcome outcome = dual_.solve(*this, dx0, deadline_);
+      const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_rows_);
       if (outcome == Outcome::solved && solved()) return;
       if (settings_.method == ProgramMethod::dual) {
         late_ = dual_.late();
@@ -358,6 +364,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   InteriorPoint<States, Inputs, Rows, Pattern> interior_point_;
   std::vector<typename Program::Vector> saved_steps_;
   std::vector<typename Program::Values> saved_multipliers_, saved_prices_;
+  int most_dual_rows_ = 0;  // of this solve
   std::optional<SolverClock::time_point> deadline_;
   // What a pass and an iteration of the interior point last took.
   SolverClock::duration pass_time_{}, interior_time_{}, rows_time_{};

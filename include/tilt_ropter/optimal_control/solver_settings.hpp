@@ -53,8 +53,8 @@ struct QuadraticProgramSettings {
   ProgramMethod method = ProgramMethod::automatic;
   /// Residual of a solved program (see ProgramResidual), relative.
   double tolerance = 1e-6;
-  /// Constraints that hold up to which the method `automatic` leaves them to NLopt, as long as no
-  /// more than twice as many matter on the way.
+  /// Active constraints up to which the method `automatic` leaves them to NLopt. In solve() up to
+  /// twice as many may matter on the way.
   int max_dual_rows = 16;
   int max_passes = 100;  ///< Riccati passes in one solve, besides that of prepare()
   DualSettings dual;
