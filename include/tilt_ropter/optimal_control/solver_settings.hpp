@@ -55,7 +55,7 @@ struct QuadraticProgramSettings {
   double tolerance = 1e-6;
   /// Active constraints up to which the method `automatic` leaves them to NLopt. In solve() up to
   /// twice as many may matter on the way.
-  int max_dual_rows = 12;
+  int max_dual_rows = 16;
   int max_passes = 100;  ///< Riccati passes in one solve, besides that of prepare()
   DualSettings dual;
 };
