@@ -57,10 +57,12 @@
 #include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
+#include <tilt_ropter/optimal_control/node_rows.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_rows.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
 #include <tilt_ropter/optimal_control/riccati_equation.hpp>
+#include <tilt_ropter/optimal_control/riccati_stage.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/step_search.hpp>

@@ -208,38 +208,12 @@ TEST(Nmpc, FirstMeasurementBadGivesTheSafeWrench) {
   expect_within_bounds(result, nmpc.settings().problem.bounds);
 }
 
-TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
-  // Down on the ground the estimate is the normal force, whatever the thrust.
-  NmpcSettings settings;
-  Nmpc nmpc(vehicle, in_simulated_time(settings));
+// The command after six seconds at rest on the ground of `contact`.
+Wrench<> after_resting(Nmpc<4>& nmpc, const ContactEstimate& contact,
+                       const Eigen::Quaterniond& orientation = Eigen::Quaterniond::Identity()) {
   BodyState<> standing;
   standing.position.z() = vehicle.wheels->radius;
-  const auto rest = [&](double) {
-    ReferencePoint point;
-    point.position = standing.position;
-    return point;
-  };
-  Wrench<> wrench;
-  for (int i = 0; i < 600; ++i) {
-    const double time = 0.01 * i;
-    (void)nmpc.prepare(time, rest, standing_on_the_ground());
-    const NmpcResult& result = nmpc.feedback(time, standing);
-    ASSERT_EQ(result.status, NmpcStatus::solved);
-    EXPECT_TRUE(result.on_ground);
-    wrench = result.wrench;
-  }
-  EXPECT_NEAR(wrench.force.z(), settings.ground.down_force, 0.1);
-}
-
-TEST(Nmpc, OnASlopeItHoldsTheVehicleAgainstThePull) {
-  NmpcSettings settings;
-  Nmpc nmpc(vehicle, in_simulated_time(settings));
-  ContactEstimate contact = standing_on_the_ground();
-  const double slope = 0.1;  // [rad], up along x
-  contact.ground.slope.x() = std::tan(slope);
-  BodyState<> standing;
-  standing.position.z() = vehicle.wheels->radius;
-  standing.orientation = Eigen::AngleAxisd(-slope, Eigen::Vector3d::UnitY());
+  standing.orientation = orientation;
   const auto rest = [&](double) {
     ReferencePoint point;
     point.position = standing.position;
@@ -250,9 +224,29 @@ TEST(Nmpc, OnASlopeItHoldsTheVehicleAgainstThePull) {
     const double time = 0.01 * i;
     (void)nmpc.prepare(time, rest, contact);
     const NmpcResult& result = nmpc.feedback(time, standing);
-    ASSERT_EQ(result.status, NmpcStatus::solved);
+    EXPECT_EQ(result.status, NmpcStatus::solved);
+    EXPECT_TRUE(result.on_ground);
     wrench = result.wrench;
   }
+  return wrench;
+}
+
+TEST(Nmpc, OnTheGroundItTakesTheWeightOffTheRotors) {
+  // Down on the ground the estimate is the normal force, whatever the thrust.
+  NmpcSettings settings;
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
+  const Wrench<> wrench = after_resting(nmpc, standing_on_the_ground());
+  EXPECT_NEAR(wrench.force.z(), settings.ground.down_force, 0.1);
+}
+
+TEST(Nmpc, OnASlopeItHoldsTheVehicleAgainstThePull) {
+  NmpcSettings settings;
+  Nmpc nmpc(vehicle, in_simulated_time(settings));
+  ContactEstimate contact = standing_on_the_ground();
+  const double slope = 0.1;  // [rad], up along x
+  contact.ground.slope.x() = std::tan(slope);
+  const Wrench<> wrench = after_resting(
+      nmpc, contact, Eigen::Quaterniond(Eigen::AngleAxisd(-slope, Eigen::Vector3d::UnitY())));
   const double pull = vehicle.body.mass * gravity * std::sin(slope);
   EXPECT_NEAR(wrench.force.x(), pull, 1e-3);
   EXPECT_NEAR(nmpc.solver().problem().node(3).wrench_reference.force.x(), pull, 1e-12);

@@ -28,6 +28,9 @@ namespace tilt_ropter {
 /// with mu -> 0. Eliminated, it adds one weight 1 / (t / l + s / (rho - l) + c) to the Hessian and
 /// one number to the gradient. No program is infeasible, no matrix singular, and no iterate leaves
 /// a bound that it is inside, so that a solve that is cut off leaves a plan that can be flown.
+///
+/// A long header for one method: the steps of an iteration work on the same eighteen vectors, one
+/// number for each side of each bounded constraint, and are read in the order in which they run.
 template <int States, int Inputs, int Rows, typename Pattern>
 class InteriorPoint {
  public:
