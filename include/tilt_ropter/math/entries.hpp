@@ -5,12 +5,12 @@
 #include <cmath>
 #include <cstddef>
 
-/// Plain loops over the entries of Eigen's matrices of fixed or dynamic size: what Eigen's own
-/// expressions do, for code that every user of the controller compiles. Each expression is a dozen
-/// types, and the compiler takes as long for them as for a screenful of loops.
+/// Plain loops over the entries of Eigen matrices of fixed or dynamic size. They replace Eigen's
+/// expressions in code that every user of the controller compiles. One Eigen expression
+/// instantiates about a dozen types; their compile time equals that of a screenful of loops.
 namespace tilt_ropter::detail {
 
-/// Becomes any matrix of fixed size whose entries all are `value`.
+/// Converts to a matrix of any fixed size with all entries equal to `value`.
 struct Filled {
   double value = 0.0;
 
@@ -22,18 +22,19 @@ struct Filled {
   }
 };
 
+/// Sets all entries to `value`.
 template <typename Matrix>
 void fill(Matrix& matrix, double value) {
   std::fill_n(matrix.data(), matrix.size(), typename Matrix::Scalar(value));
 }
 
-/// Copies the first `count` entries.
+/// Copies the first `count` entries of a vector.
 template <typename From, typename To>
 void copy_first(int count, const From& from, To& to) {
   for (int i = 0; i < count; ++i) to(i) = from(i);
 }
 
-/// The largest absolute value; NaN does not count.
+/// Returns the largest absolute value of all entries. Ignores NaN.
 template <typename Matrix>
 [[nodiscard]] double largest(const Matrix& matrix) {
   double most = 0.0;

@@ -7,15 +7,17 @@
 
 #include <cmath>
 
-/// Four numbers side by side as one scalar: a function that is a template on its scalar does four
-/// times the work in little more than the time, where processors have registers for that.
+/// Scalar type that holds four doubles. A function template on the scalar type then computes four
+/// results at once. On processors with vector registers this takes little more time than one
+/// result.
 namespace tilt_ropter {
 
-/// Has the operators of a number, each of them on all four. There is no comparison.
+/// Four doubles. Each arithmetic operator acts on all four. There are no comparison operators.
 struct Lanes {
   static constexpr int count = 4;
 
-  // At any address, since Eigen aligns to less where registers are taken to be short.
+  // Aligned like a double: Eigen aligns to fewer bytes if the program is compiled for shorter
+  // registers.
   using Packet = detail::PacketType<count>::anywhere;
   Packet packet;
 
@@ -63,12 +65,12 @@ struct Lanes {
   return {std::sqrt(a[0]), std::sqrt(a[1]), std::sqrt(a[2]), std::sqrt(a[3])};
 }
 
-/// Lane i is function(i).
+/// Returns Lanes whose lane i is function(i).
 template <typename Function>
 [[gnu::always_inline]] inline Lanes gather(const Function& function) {
   return {function(0), function(1), function(2), function(3)};
 }
-/// The same for vectors and matrices of one size, coefficient by coefficient.
+/// The same for vectors and matrices of equal size, coefficient by coefficient, into `result`.
 template <typename Result, typename Function>
 [[gnu::always_inline]] inline void gather_into(Result& result, const Function& function) {
   for (Eigen::Index j = 0; j < result.cols(); ++j)
@@ -79,6 +81,7 @@ template <typename Result, typename Function>
 }  // namespace tilt_ropter
 
 namespace Eigen {
+/// Lets Eigen's matrices have entries of type Lanes.
 template <>
 struct NumTraits<tilt_ropter::Lanes> : NumTraits<double> {
   using Real = tilt_ropter::Lanes;

@@ -6,14 +6,14 @@
 #include <cstdio>
 #include <cstdlib>
 
-/// Files of one program that are compiled for different processors (-march) do not meet: Eigen
-/// aligns its matrices by the widest registers of the processor, so such files lay out our types in
-/// two ways, and what one of them hands the other is garbage. The program ends as it starts and
-/// says so.
+/// All files of one program must be compiled for the same processor (-march). Eigen aligns its
+/// matrices to the widest registers of that processor. Files for different processors lay out the
+/// library's types differently, so data that they exchange is corrupt. This header detects such a
+/// program at its start, prints a message and aborts the program.
 namespace tilt_ropter::detail {
 
-/// True. Ends the program, with a message, where the caller's file aligns differently from the file
-/// that asked first. [bytes]
+/// Returns true if `alignment` [bytes] equals the alignment of the first call. Otherwise prints a
+/// message to stderr and aborts the program.
 inline bool aligned_alike(int alignment) {
   static const int first = alignment;
   if (alignment == first) return true;
@@ -24,7 +24,7 @@ inline bool aligned_alike(int alignment) {
   std::abort();
 }
 
-/// Each file asks.
+/// Runs the check once for each file that includes this header, at the start of the program.
 [[maybe_unused]] static const bool one_processor = aligned_alike(EIGEN_MAX_STATIC_ALIGN_BYTES);
 
 }  // namespace tilt_ropter::detail

@@ -5,20 +5,21 @@
 #include <type_traits>
 #include <utility>
 
-/// Packets of doubles that stay in a processor's vector registers, and a choice of the instruction
-/// set at run time: a program that is compiled for any x86-64 processor uses AVX2 and FMA where it
-/// finds them, which makes the solver's inner loops three times as fast.
+/// Packets of doubles for the processor's vector registers, and selection of the instruction set at
+/// run time. A program that is compiled for any x86-64 processor uses AVX2 and FMA if the processor
+/// has them. This makes the solver's inner loops three times faster.
 ///
-/// Packets are GCC's and clang's vector extension. None is passed to or returned from a function by
-/// value, so that functions compiled for different instruction sets agree on how they are called.
+/// Packets use the vector extension of GCC and clang. No function takes or returns a packet by
+/// value. Functions compiled for different instruction sets therefore have the same calling
+/// convention.
 namespace tilt_ropter::detail {
 
-/// A number of things, as the size of an array.
+/// Converts a count to the size of an array.
 [[nodiscard]] constexpr std::size_t size(int count) {
   return static_cast<std::size_t>(count);
 }
 
-/// `Width` doubles, and the same at any address.
+/// Packet of `Width` doubles: `aligned` is aligned to its size, `anywhere` like a double.
 template <int Width>
 struct PacketType {
   typedef double aligned [[gnu::vector_size(8 * Width)]];
@@ -35,14 +36,14 @@ template <int Width>
 [[gnu::always_inline]] inline void store(double* to, const Packet<Width>& packet) {
   *reinterpret_cast<typename PacketType<Width>::anywhere*>(to) = packet;
 }
-/// sum += factor * the packet at `from`.
+/// sum += factor * (packet at `from`).
 template <int Width>
 [[gnu::always_inline]] inline void add_product(Packet<Width>& sum, const double* from,
                                                double factor) {
   sum += *reinterpret_cast<const typename PacketType<Width>::anywhere*>(from) * factor;
 }
 
-/// Transposes a square whose columns are packets.
+/// Transposes a square matrix in place. Its columns are packets.
 [[gnu::always_inline]] inline void transpose(Packet<2> (&c)[2]) {
   const double above = c[1][0];
   c[1][0] = c[0][1];
@@ -70,7 +71,7 @@ template <int Width>
 #endif
 }
 
-/// Tells whether all numbers that were added to it are finite.
+/// Checks whether all numbers passed to add() are finite.
 template <int Width>
 struct FiniteCheck {
   Packet<Width> packets{};
@@ -93,11 +94,11 @@ struct FiniteCheck {
     double sum = single + pairs[0] + pairs[1];
 #pragma GCC unroll 4
     for (int i = 0; i < Width; ++i) sum += packets[i];
-    return sum == 0.0;  // NaN is not
+    return sum == 0.0;  // false for NaN
   }
 };
 
-/// Copies `Rows` numbers.
+/// Copies `Rows` numbers and adds them to `check`.
 template <int Width, int Rows>
 [[gnu::always_inline]] inline void copy(const double* from, double* to, FiniteCheck<Width>& check) {
 #pragma GCC unroll 32
@@ -114,8 +115,8 @@ template <int Width, int Rows>
   }
 }
 
-/// Copies the transpose of a matrix of Rows x Columns without gaps to where columns are `stride`
-/// numbers apart.
+/// Copies the transpose of a Rows x Columns matrix and adds all numbers to `check`. The columns at
+/// `from` have no gaps. The columns at `to` start `stride` numbers apart.
 template <int Width, int Rows, int Columns>
 [[gnu::always_inline]] inline void copy_transposed(const double* from, double* to, int stride,
                                                    FiniteCheck<Width>& check) {
@@ -132,7 +133,7 @@ template <int Width, int Rows, int Columns>
 #pragma GCC unroll 4
       for (int c = 0; c < Width; ++c) store<Width>(to + stride * (i + c) + j, square[c]);
     }
-  // What is left, in pairs and at last one by one.
+  // Copies the remaining numbers: first in 2 x 2 squares, then one by one.
   const auto copy_pair = [&](int i, int j) __attribute__((always_inline)) {
     Packet<2> square[2];
     load<2>(from + Rows * j + i, square[0]);
@@ -155,27 +156,29 @@ template <int Width, int Rows, int Columns>
     }
 }
 
-/// Numbers that matrices of packets are filled up to a multiple of: the same on every processor.
+/// Matrices of packets are padded to a multiple of this number. It is the same on every processor.
 inline constexpr int padding = 4;
 constexpr int padded(int size) {
   return (size + padding - 1) / padding * padding;
 }
 
-/// Width of all packets. Compilers make two of one where registers are shorter, and code that was
-/// written for another width would be read and compiled once more.
+/// Width of all packets. If registers are shorter, the compiler splits a packet in two. Code for a
+/// second width would have to be compiled in addition.
 inline constexpr int packet_width = padding;
 
-/// Returns body(width), compiled for the best instructions there are here, with the width of their
-/// packets. All that `body` calls has to be inlined: what is not is compiled as the program is.
-/// With TILT_ROPTER_NO_DISPATCH defined there is no choice, and results are the same to the bit on
-/// every processor that runs the program.
+/// Returns body(width), compiled for the best instruction set of the processor that runs the
+/// program. The argument is packet_width. All functions that `body` calls must be inlined: other
+/// functions are compiled for the program's instruction set. If TILT_ROPTER_NO_DISPATCH is defined,
+/// only the program's instruction set is used. Results are then bitwise identical on every
+/// processor that runs the program.
 #if defined(__x86_64__) && !(defined(__AVX2__) && defined(__FMA__)) && \
     !defined(TILT_ROPTER_NO_DISPATCH)
 template <typename Body>
 [[gnu::target("avx2,fma"), gnu::flatten]] inline auto with_avx2(const Body& body) {
   return body(std::integral_constant<int, packet_width>{});
 }
-/// For processors from before 2013: to compile it for size saves a tenth of a program's compiling.
+/// For processors built before 2013. Compiling for size (gnu::cold) saves a tenth of a program's
+/// compile time.
 template <typename Body>
 [[gnu::cold, gnu::flatten]] inline auto without_avx2(const Body& body) {
   return body(std::integral_constant<int, packet_width>{});
@@ -188,7 +191,8 @@ inline auto vectorised(const Body& body) {
   if (has_avx2()) return with_avx2(body);
   return without_avx2(body);
 }
-/// For a `body` that has a plainer twin: runs it, or returns false where the twin is for.
+/// For a `body` with a simpler alternative. Runs body(width) and returns true, or returns false if
+/// the processor lacks AVX2 or FMA. The caller must then run the alternative.
 template <typename Body>
 inline bool vectorised_or_not(const Body& body) {
   if (!has_avx2()) return false;

@@ -6,17 +6,17 @@
 
 #include <cmath>
 
-/// Rotations: the few functions of SO(3) that a rigid body needs.
+/// Functions of SO(3) for the rotation of a rigid body.
 ///
 /// Quaternions are Hamilton and rotate from body to world. Their tangent space is the body frame:
 /// q = q_bar (x) Exp(dtheta). Formulas follow J. Solà, "Quaternion kinematics for the error-state
-/// Kalman filter", 2017. Nothing here throws or allocates; all of it works with automatic
-/// differentiation, at zero too.
+/// Kalman filter", 2017. No function in this header throws or allocates. All functions work with
+/// automatic differentiation, also at zero.
 namespace tilt_ropter {
 
 inline constexpr double pi = 3.14159265358979323846;
 
-/// Three components, of whatever frame the declaration says.
+/// Vector of three components. The declaration of a variable states the frame.
 template <typename Scalar>
 using Vector3 = Eigen::Matrix<Scalar, 3, 1>;
 /// Rotation matrix, inertia or Jacobian.
@@ -32,8 +32,8 @@ template <typename Derived>
   return m;
 }
 
-/// Quaternion of a rotation vector theta [rad] (Solà, Eq. 101). A series below 1e-3 rad keeps the
-/// derivative finite at zero.
+/// Returns the quaternion of a rotation vector `theta` [rad] (Solà, Eq. 101). Below 1e-3 rad a
+/// series expansion keeps the derivative finite at zero.
 template <typename Derived>
 [[nodiscard]] Eigen::Quaternion<typename Derived::Scalar> quaternion_exp(
     const Eigen::MatrixBase<Derived>& theta) {
@@ -55,8 +55,8 @@ template <typename Derived>
   return {real, Scalar(scale * theta.x()), Scalar(scale * theta.y()), Scalar(scale * theta.z())};
 }
 
-/// Rotation vector [rad] of a unit quaternion, the shorter of the two ways, |theta| <= pi
-/// (Solà, Eq. 105).
+/// Returns the rotation vector theta [rad] of a unit quaternion, by the shorter of the two
+/// rotations: |theta| <= pi (Solà, Eq. 105).
 template <typename Scalar>
 [[nodiscard]] Vector3<Scalar> quaternion_log(const Eigen::Quaternion<Scalar>& q) {
   using std::atan2;
@@ -102,7 +102,7 @@ template <typename Derived>
   return jacobian;
 }
 
-/// Quaternion of a rotation by `yaw` [rad] about world z.
+/// Returns the quaternion of a rotation by `yaw` [rad] about world z.
 template <typename Scalar>
 [[nodiscard]] Eigen::Quaternion<Scalar> quaternion_from_yaw(const Scalar& yaw) {
   using std::cos;
@@ -110,7 +110,7 @@ template <typename Scalar>
   return {cos(yaw / Scalar(2)), Scalar(0), Scalar(0), sin(yaw / Scalar(2))};
 }
 
-/// Heading [rad] of the body x axis in the world's xy plane, in (-pi, pi].
+/// Returns the heading [rad] of the body x axis in the world's xy plane, in (-pi, pi].
 template <typename Scalar>
 [[nodiscard]] Scalar yaw_of(const Eigen::Quaternion<Scalar>& q) {
   using std::atan2;

@@ -10,21 +10,22 @@
 
 namespace tilt_ropter {
 
-/// The singular value decomposition A = left diag(values) right of a matrix with no more rows than
-/// columns, by rotations of pairs of its rows until all are orthogonal (one-sided Jacobi, Hestenes
-/// 1958), which finds small values as exactly as large ones (Demmel & Veselic, "Jacobi's method is
-/// more accurate than QR", 1992). Eigen has one that is faster for large matrices, and takes a
-/// compiler fifty times as long.
+/// Singular value decomposition A = left diag(values) right. A must not have more rows than
+/// columns. The method rotates pairs of rows until all rows are orthogonal (one-sided Jacobi,
+/// Hestenes 1958). Small and large values have the same relative accuracy (Demmel & Veselic,
+/// "Jacobi's method is more accurate than QR", 1992). Eigen's decomposition is faster for large
+/// matrices, but takes 50 times longer to compile.
 template <int Rows, int Columns>
 struct SingularValues {
   static_assert(Rows <= Columns);
 
   Eigen::Matrix<double, Rows, Rows> left = detail::Filled();  ///< orthogonal
-  Eigen::Matrix<double, Rows, 1> values = detail::Filled();   ///< the largest first
-  /// Orthonormal rows; those of values of zero are zero.
+  Eigen::Matrix<double, Rows, 1> values = detail::Filled();   ///< in decreasing order
+  /// Orthonormal rows. The rows of zero values are zero.
   Eigen::Matrix<double, Rows, Columns> right;
 
-  /// Of finite numbers whose squares neither overflow nor underflow. No allocation.
+  /// Decomposes `A`. Its entries must be finite, and their squares must not overflow or underflow.
+  /// Does not allocate.
   explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
     for (int i = 0; i < Rows; ++i) left(i, i) = 1.0;
     for (int sweep = 0; sweep < max_sweeps; ++sweep) {
@@ -46,10 +47,10 @@ struct SingularValues {
     }
   }
 
-  /// How many values are above `share` times the largest.
-  [[nodiscard]] int rank(double share) const {
+  /// Returns the number of values above `fraction` times the largest value.
+  [[nodiscard]] int rank(double fraction) const {
     int rank = 0;
-    for (int i = 0; i < Rows; ++i) rank += values(i) > share * values(0);
+    for (int i = 0; i < Rows; ++i) rank += values(i) > fraction * values(0);
     return rank;
   }
 
@@ -60,7 +61,7 @@ struct SingularValues {
     return sum;
   }
 
-  // Makes two rows orthogonal. False if they are.
+  // Makes rows i and j orthogonal. Returns false if they are already orthogonal.
   bool rotate(int i, int j) {
     const double ii = product(i, i), jj = product(j, j), ij = product(i, j);
     if (!(std::abs(ij) > 1e-15 * std::sqrt(ii) * std::sqrt(jj))) return false;
@@ -83,7 +84,7 @@ struct SingularValues {
     for (int r = 0; r < Rows; ++r) std::swap(left(r, i), left(r, j));
   }
 
-  static constexpr int max_sweeps = 60;  // six or seven are usual
+  static constexpr int max_sweeps = 60;  // 6 or 7 sweeps are usual
 };
 
 }  // namespace tilt_ropter

@@ -3,12 +3,13 @@
 
 #include <Eigen/Core>
 
-/// Vectors and matrices of three, for the few functions in which a microsecond counts: all their
-/// operators are inlined into the caller by any compiler, and so are compiled for the caller's
-/// instruction set, which Eigen's are not.
+/// 3-vectors and 3x3 matrices for the few functions where microseconds matter. Every compiler
+/// inlines their operators into the caller. They are therefore compiled for the caller's
+/// instruction set. Eigen's operators do not guarantee this.
 namespace tilt_ropter::detail {
 
-// A factor that any expression of the scalar may be, as those of automatic differentiation are.
+// Type of a scalar factor that is not deduced from the argument. The argument can then be any
+// expression that converts to Scalar, such as an expression of automatic differentiation.
 template <typename Scalar>
 struct FactorOf {
   using type = Scalar;
@@ -16,6 +17,7 @@ struct FactorOf {
 template <typename Scalar>
 using Factor = typename FactorOf<Scalar>::type;
 
+/// Vector of three components.
 template <typename Scalar>
 struct Triple {
   Scalar x, y, z;
@@ -28,7 +30,7 @@ struct Triple {
   }
 };
 
-/// Columns of a 3x3 matrix.
+/// 3x3 matrix, stored as its three columns.
 template <typename Scalar>
 struct Square {
   Triple<Scalar> x, y, z;
@@ -56,7 +58,7 @@ template <typename Scalar>
                                                        const Triple<Scalar>& a) {
   return {s * a.x, s * a.y, s * a.z};
 }
-/// Entry by entry.
+/// Multiplies entry by entry.
 template <typename Scalar>
 [[gnu::always_inline]] inline Triple<Scalar> scaled(const Triple<Scalar>& a,
                                                     const Triple<Scalar>& by) {
@@ -92,7 +94,7 @@ template <typename Scalar>
                                                        const Square<Scalar>& m) {
   return {s * m.x, s * m.y, s * m.z};
 }
-/// Rows scaled: diag(by) m.
+/// Scales the rows: diag(by) m.
 template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> scaled(const Square<Scalar>& m,
                                                     const Triple<Scalar>& by) {
@@ -102,13 +104,13 @@ template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> transposed(const Square<Scalar>& m) {
   return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z.y}, {m.x.z, m.y.z, m.z.z}};
 }
-/// m times the cross-product matrix of a.
+/// Returns m times the cross-product matrix of a.
 template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> times_cross(const Square<Scalar>& m,
                                                          const Triple<Scalar>& a) {
   return {a.z * m.y - a.y * m.z, a.x * m.z - a.z * m.x, a.y * m.x - a.x * m.y};
 }
-/// The derivative of -w x (J w) by w, `momentum` being J w.
+/// Returns the derivative of -w x (J w) with respect to w. `inertia` is J, `momentum` is J w.
 template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> gyroscopic(const Square<Scalar>& inertia,
                                                         const Triple<Scalar>& w,
@@ -118,7 +120,7 @@ template <typename Scalar>
           Triple<Scalar>{-momentum.z, zero, momentum.x} - cross(w, inertia.y),
           Triple<Scalar>{momentum.y, -momentum.x, zero} - cross(w, inertia.z)};
 }
-/// d I + a b' + cross-product matrix of c.
+/// Returns d I + a b' + the cross-product matrix of c.
 template <typename Scalar>
 [[gnu::always_inline]] inline Square<Scalar> outer(const Factor<Scalar>& d, const Triple<Scalar>& a,
                                                    const Triple<Scalar>& b,
@@ -133,12 +135,13 @@ template <typename Derived>
     const Eigen::MatrixBase<Derived>& a) {
   return {a.coeff(0), a.coeff(1), a.coeff(2)};
 }
-/// Entries row, row + 1, row + 2 of a column, or of a square from (row, column) on.
+/// Reads the entries row, row + 1, row + 2 of a column.
 template <typename Matrix>
 [[gnu::always_inline]] inline Triple<typename Matrix::Scalar> triple_at(const Matrix& m, int row,
                                                                         int column = 0) {
   return {m.coeff(row, column), m.coeff(row + 1, column), m.coeff(row + 2, column)};
 }
+/// Reads the 3x3 block whose first entry is (row, column).
 template <typename Matrix>
 [[gnu::always_inline]] inline Square<typename Matrix::Scalar> square_at(const Matrix& m, int row,
                                                                         int column) {
@@ -149,13 +152,14 @@ template <typename Derived>
     const Eigen::MatrixBase<Derived>& m) {
   return square_at(m.derived(), 0, 0);
 }
-/// Writes entries row, row + 1, row + 2 of a column.
+/// Writes the entries row, row + 1, row + 2 of a column.
 template <typename Scalar, typename Matrix>
 [[gnu::always_inline]] inline void put(const Triple<Scalar>& a, Matrix& m, int row, int column) {
   m.coeffRef(row, column) = a.x;
   m.coeffRef(row + 1, column) = a.y;
   m.coeffRef(row + 2, column) = a.z;
 }
+/// Writes the 3x3 block whose first entry is (row, column).
 template <typename Scalar, typename Matrix>
 [[gnu::always_inline]] inline void put(const Square<Scalar>& a, Matrix& m, int row, int column) {
   put(a.x, m, row, column);

@@ -14,15 +14,15 @@
 #include <string_view>
 #include <type_traits>
 
-/// Checks of parameters at construction. Each throws std::invalid_argument with a sentence that
-/// names the field, its value and what is allowed; one that passes allocates nothing. Where
-/// exceptions are switched off (-fno-exceptions) the sentence goes to stderr and the program ends
-/// by abort().
+/// Checks of parameters and settings at construction. A failed check throws std::invalid_argument.
+/// The message names the field, its value and the allowed values. A check that passes does not
+/// allocate. Without exceptions (-fno-exceptions) a failed check prints the message to stderr and
+/// calls abort().
 namespace tilt_ropter {
 
 namespace detail {
 
-/// The message stands in one place, or every check would be as long as it is.
+/// Builds the message and throws. This code exists only once to keep every check short.
 [[noreturn, gnu::noinline, gnu::cold]] inline void refuse(std::string_view field,
                                                           std::string_view value,
                                                           std::string_view allowed) {
@@ -36,7 +36,7 @@ namespace detail {
 #endif
 }
 
-/// What `<<` prints.
+/// Returns `value` as text, printed by operator<<.
 template <typename Value>
 [[nodiscard, gnu::noinline, gnu::cold]] std::string printed(const Value& value) {
   std::ostringstream stream;
@@ -44,7 +44,7 @@ template <typename Value>
   stream << value;
   return stream.str();
 }
-/// A matrix in one line: Eigen's own printing takes the compiler as long as all the rest of this
+/// Returns a matrix as one line of text. Eigen's own printing would double the compile time of this
 /// header.
 template <typename Value>
 [[nodiscard, gnu::noinline, gnu::cold]] std::string printed_matrix(const Value& value) {
@@ -60,8 +60,8 @@ template <typename Value>
 
 }  // namespace detail
 
-/// Throws "`field` = `value`: must be `allowed`" unless `ok`. `value` is anything that can be
-/// printed; vectors and matrices are printed in one line.
+/// Throws std::invalid_argument("`field` = `value`: must be `allowed`") unless `ok`. `value` can
+/// have any type that can be printed. Vectors and matrices are printed in one line.
 template <typename Value>
 void require(bool ok, std::string_view field, const Value& value, std::string_view allowed) {
   if (ok) return;
@@ -90,22 +90,24 @@ inline void require_in(std::string_view field, double value, double low, double 
   detail::refuse(field, detail::printed(value), allowed.str());
 }
 
-/// The argument after validate(), which throws for wrong values: for a constructor's initialisers.
+/// Calls validate(value), which throws for wrong values, and returns `value`. For the member
+/// initialisers of constructors.
 template <typename Checked>
 [[nodiscard]] const Checked& validated(const Checked& value) {
   validate(value);
   return value;
 }
 
-/// A point of time [s], on whatever clock: to 300 years from its zero a double tells 2 us apart.
+/// Requires a time [s] of any clock within 1e10 s (300 years) of its zero. In this range a double
+/// resolves 2 us.
 inline void require_time(std::string_view field, double value) {
   require_in(field, value, -1e10, 1e10);
 }
 
 namespace detail {
 
-/// Entry by entry: Eigen's reductions take the compiler longer, and every user of a parameter
-/// waits.
+/// Returns true if `condition` holds for every entry. Every program that uses a parameter compiles
+/// this code. Eigen's reductions would take longer to compile.
 template <typename Derived, typename Condition>
 [[nodiscard]] bool all_entries(const Eigen::MatrixBase<Derived>& value,
                                const Condition& condition) {
@@ -141,7 +143,7 @@ void require_positive_or_infinite(std::string_view field, const Eigen::MatrixBas
           "> 0 in every entry");
 }
 
-/// lower <= upper entry by entry; infinite entries are allowed, NaN is not.
+/// Requires lower <= upper entry by entry. Infinite entries are allowed, NaN is not.
 template <typename Lower, typename Upper>
 void require_ordered(std::string_view field, const Eigen::MatrixBase<Lower>& lower,
                      const Eigen::MatrixBase<Upper>& upper) {
@@ -153,9 +155,9 @@ void require_ordered(std::string_view field, const Eigen::MatrixBase<Lower>& low
             "<= the upper bound in every entry");
 }
 
-/// An inertia that some rigid body has: symmetric, positive, and no principal moment larger than
-/// the sum of the two others. That is the same as a positive semi-definite tr(I) / 2 - I, which is
-/// the second moment of its mass.
+/// Requires the inertia [kg m^2] of a possible rigid body: symmetric, positive definite, and no
+/// principal moment larger than the sum of the two others. The last condition is equivalent to a
+/// positive semi-definite tr(I) / 2 - I, the second moment of the mass.
 inline void require_inertia(std::string_view field, const Eigen::Matrix3d& inertia) {
   require_finite(field, inertia);
   double size = 0.0, asymmetry = 0.0;
@@ -166,8 +168,8 @@ inline void require_inertia(std::string_view field, const Eigen::Matrix3d& inert
     }
   require(size >= 1e-12 && size <= 1e9, field, inertia, "of 1e-12 to 1e9 kg m^2");
   require(asymmetry <= 1e-9 * size, field, inertia, "symmetric");
-  // Leading minors (Sylvester): an eigenvalue decomposition here, which every header of the model
-  // includes, would be the longest part of compiling it.
+  // Tests the leading minors (Sylvester). Every header of the model includes this code. An
+  // eigenvalue decomposition would take the largest part of the header's compile time.
   const double xy = inertia(0, 1) / size, xz = inertia(0, 2) / size, yz = inertia(1, 2) / size;
   const auto positive = [=](double xx, double yy, double zz, double sign) {
     const double minor = xx * yy - xy * xy;
@@ -175,7 +177,7 @@ inline void require_inertia(std::string_view field, const Eigen::Matrix3d& inert
            minor * zz - xx * yz * yz - yy * xz * xz + 2.0 * sign * xy * xz * yz > 0.0;
   };
   const double xx = inertia(0, 0) / size, yy = inertia(1, 1) / size, zz = inertia(2, 2) / size;
-  const double half = 0.5 * (xx + yy + zz) + 5e-10;  // rounded up: a flat plate is a body, too
+  const double half = 0.5 * (xx + yy + zz) + 5e-10;  // rounded up to accept a flat plate
   require(positive(xx, yy, zz, 1.0) && positive(half - xx, half - yy, half - zz, -1.0), field,
           inertia,
           "positive definite with principal moments that obey the triangle inequality [kg m^2]");

@@ -12,26 +12,27 @@
 #include <cstddef>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// Solves a Subproblem by Newton steps on its first-order conditions, each of them one Riccati
-/// pass: constraints that are held at a bound enter the pass as quadratic terms,
+/// Active-set solver for a Subproblem: Newton steps on its first-order conditions. Each step is one
+/// Riccati pass. A constraint that is assumed active at a bound adds a quadratic term to the pass:
 ///
-///     multiplier = m + weight (value - bound),
+///     multiplier = m + weight (value - bound).
 ///
-/// with their last multiplier m and a weight that is large beside the cost's own curvature, those
-/// at their price by their multiplier, the others not at all. Where the pass contradicts what it
-/// assumed of a constraint, the next one assumes otherwise (an augmented Lagrangian with a
-/// semismooth Newton method; Hintermueller, Ito & Kunisch, "The primal-dual active set strategy as
-/// a semismooth Newton method", 2003). Nothing is singular, however many constraints hold and
-/// however they depend on one another.
+/// m is the last multiplier of the constraint. The weight is large compared to the curvature of the
+/// cost. A relaxed constraint (multiplier at its price) adds its multiplier to the gradient only.
+/// An inactive constraint adds nothing. If a pass contradicts the assumption for a constraint, the
+/// next pass uses the corrected assumption. This is an augmented Lagrangian with a semismooth
+/// Newton method (Hintermueller, Ito & Kunisch, "The primal-dual active set strategy as a
+/// semismooth Newton method", 2003). No matrix is singular, for any number of active constraints
+/// and also if they are linearly dependent.
 ///
-/// From the last solution one pass or two are enough as a rule. From far away they may never end,
-/// which the number of contradictions tells early.
-template <int States, int Inputs, int Rows, typename Pattern>
+/// From the last solution, one or two passes are usually enough. From a distant start, the passes
+/// may never converge; the number of contradictions shows this early.
+template <int States, int Inputs, int Constraints, typename Pattern>
 class ActiveSet {
  public:
-  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+  using Program = Subproblem<States, Inputs, Constraints, Pattern>;
 
   /// Allocates everything for `horizon` intervals.
   explicit ActiveSet(int horizon)
@@ -40,11 +41,11 @@ class ActiveSet {
         weights_(states_.size()),
         offsets_(states_.size()) {}
 
-  /// Assumes what the multipliers in the nodes say.
+  /// Sets the assumption for each constraint from its multiplier in the node.
   void assume(const Program& program) {
     stiffening_ = least_stiffening;
     for (int k = 0; k <= program.horizon(); ++k)
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const auto& n = program.node(k);
         const double m = n.multiplier(i);
         const double bound = m > 0.0 ? n.upper(i) : n.lower(i);
@@ -54,8 +55,9 @@ class ActiveSet {
       }
   }
 
-  /// How much it costs to move a constraint with this gradient, from the curvature of the last pass
-  /// in which none held.
+  /// Returns the curvature of the cost along the value of a constraint of node k: the cost of
+  /// moving this constraint. `row` is the gradient of the constraint by (dx, du). Uses the Hessians
+  /// of the last pass without active constraints.
   [[nodiscard]] double curvature(int k, const typename Program::Vector& row) const {
     const auto& curvature = curvatures_[static_cast<std::size_t>(k)];
     double squares = 0.0, weighted = 0.0;
@@ -66,7 +68,8 @@ class ActiveSet {
     return weighted / (squares * squares);
   }
 
-  /// A pass in which no constraint holds: notes the curvature that weights are measured by. False
+  /// Riccati pass without active constraints. Stores the curvature of the cost, which is the
+  /// reference for the weights. `damping` is added to the diagonals of the Hessians. Returns false
   /// if the cost has no minimum.
   [[nodiscard]] bool factorise_free(Program& program, double damping) {
     double most = 0.0;
@@ -83,7 +86,7 @@ class ActiveSet {
     return good;
   }
 
-  /// One pass with what is assumed. False if the cost has no minimum.
+  /// One Riccati pass with the current assumptions. Returns false if the cost has no minimum.
   [[nodiscard]] bool factorise(Program& program, double damping) {
     const auto terms = [&](int k, double* hessian, double* gradient) {
       add_terms(program, k, hessian, gradient);
@@ -91,13 +94,15 @@ class ActiveSet {
     return program.riccati.factorise(damping, terms);
   }
 
-  /// Makes weights ten times as large, as far as rounding allows: where many constraints hold, the
-  /// cost's own curvature is no measure of what they stand against.
+  /// Multiplies the weights by 10, up to a limit that is set by rounding errors. Necessary if many
+  /// constraints are active: the curvature of the cost alone is then too small as a reference for
+  /// the weights.
   void stiffen() { stiffening_ = std::min(10.0 * stiffening_, most_stiffening); }
 
-  /// The step of the last pass for the initial step dx0, and its multipliers, in the nodes of
-  /// `program`. Returns the number of constraints that contradict what was assumed; from now on the
-  /// opposite is.
+  /// Computes the step of the last pass for the initial step dx0, and its multipliers. Stores the
+  /// step in `program` and the multipliers in its nodes. Returns the number of constraints that
+  /// contradict their assumption. The assumptions of these constraints are corrected for the next
+  /// pass.
   int solve(Program& program, const typename Program::Tangent& dx0) {
     program.set_first(dx0);
     program.riccati.sweep(program.steps());
@@ -105,14 +110,15 @@ class ActiveSet {
     int contradictions = 0;
     for (int k = 0; k <= program.horizon(); ++k) {
       auto& n = program.node(k);
-      for (int i = 0; i < Rows; ++i) contradictions += judge(program, n, k, i);
+      for (int i = 0; i < Constraints; ++i) contradictions += judge(program, n, k, i);
     }
     return contradictions;
   }
 
  private:
-  // Of a constraint: 0 free, +-1 held at its upper or lower bound, +-2 at its price there.
-  using States8 = std::array<signed char, static_cast<std::size_t>(Rows)>;
+  // State of a constraint: 0 inactive, +-1 active at its upper or lower bound, +-2 relaxed at that
+  // bound (multiplier at its price).
+  using States8 = std::array<signed char, static_cast<std::size_t>(Constraints)>;
 
   signed char& state(int k, int i) {
     return states_[static_cast<std::size_t>(k)][static_cast<std::size_t>(i)];
@@ -127,7 +133,7 @@ class ActiveSet {
 
   void add_terms(const Program& program, int k, double* hessian, double* gradient) {
     constexpr int width = Program::width, rows = Program::rows;
-    for (int i = 0; i < Rows; ++i) {
+    for (int i = 0; i < Constraints; ++i) {
       const int assumed = state(k, i);
       if (assumed == 0) continue;
       const auto& n = program.node(k);
@@ -146,7 +152,8 @@ class ActiveSet {
           state(k, i) = 0;
           continue;
         }
-        // The first input is what is used, and stiffness hurts least where the pass ends.
+        // Node 0 gets a larger weight because its input is applied. A stiff term does the least
+        // harm there, because the backward pass ends at node 0.
         const double stiff = (k == 0 ? 100.0 : 1.0) * stiffening_ * curvature / (squares * squares);
         const double w = 1.0 / (1.0 / stiff + 1.0 / n.stiffness(i));
         weight(k, i) = w;
@@ -164,7 +171,8 @@ class ActiveSet {
     }
   }
 
-  // 1 if the constraint contradicts what was assumed.
+  // Sets the multiplier of constraint i of node k and corrects its assumption. Returns 1 if the
+  // result contradicted the assumption, otherwise 0.
   int judge(const Program& program, typename Program::Node& n, int k, int i) {
     signed char& assumed = state(k, i);
     double& m = n.multiplier(i);
@@ -202,14 +210,14 @@ class ActiveSet {
     return 1;
   }
 
-  static constexpr double tolerance = 1e-8;  // relative violation that is none
+  static constexpr double tolerance = 1e-8;  // relative violation that still counts as satisfied
   static constexpr double least_stiffening = 1e6, most_stiffening = 1e10;
-  static constexpr double least_curvature = 1e-6;  // of the largest
+  static constexpr double least_curvature = 1e-6;  // relative to the largest curvature
 
-  double stiffening_ = least_stiffening;  // weights over the cost's curvature
+  double stiffening_ = least_stiffening;  // ratio of the weights to the curvature of the cost
   std::vector<States8> states_;
   std::vector<typename Program::Vector> curvatures_;  // diagonals of H in a pass without weights
-  std::vector<std::array<double, static_cast<std::size_t>(Rows)>> weights_, offsets_;
+  std::vector<std::array<double, static_cast<std::size_t>(Constraints)>> weights_, offsets_;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -8,16 +8,17 @@
 #include <algorithm>
 
 /// Anderson acceleration (Anderson 1965; Walker & Ni, "Anderson acceleration for fixed-point
-/// iterations", 2011) of an iteration x <- x + f(x) that creeps, oscillates or even diverges: a
-/// secant method that knows only the points seen and their f.
-namespace tilt_ropter {
+/// iterations", 2011) of an iteration x <- x + f(x) that converges slowly, oscillates or diverges.
+/// It is a secant method that uses only the visited points and their f.
+namespace tilt_ropter::optimal_control {
 
-/// Allocates in its constructor only.
+/// Stores the last moves of an iteration and computes the accelerated step. Allocates only in the
+/// constructor.
 class Anderson {
  public:
   using Vector = Eigen::VectorXd;
 
-  /// For vectors of `size` entries, remembering the last `memory` moves.
+  /// For vectors of `size` entries. Stores the last `memory` moves.
   Anderson(Eigen::Index size, int memory)
       : size_(static_cast<int>(size)),
         moves_(size, memory),
@@ -30,7 +31,8 @@ class Anderson {
   [[nodiscard]] bool empty() const { return count_ == 0; }
   void clear() { count_ = next_ = 0; }
 
-  /// A move between two points and their f, whose entries should be scaled to matter alike.
+  /// Adds a move between two points. `before` and `after` are f at these points. The entries should
+  /// be scaled to similar importance.
   void add(const Vector& move, const Vector& before, const Vector& after) {
     const int memory = static_cast<int>(weights_.size());
     for (int i = 0; i < size_; ++i) {
@@ -43,7 +45,8 @@ class Anderson {
     next_ = (next_ + 1) % memory;
   }
 
-  /// The step from a point with this f after which f is predicted to be smallest, in the 2-norm.
+  /// Returns the accelerated step from a point with this f. The step combines the stored moves so
+  /// that the predicted f is smallest in the 2-norm.
   [[nodiscard]] const Vector& step(const Vector& f) {
     solve(f);
     std::copy_n(f.data(), size_, step_.data());
@@ -58,7 +61,8 @@ class Anderson {
 
   [[nodiscard]] const double* change(int i) const { return &changes_(0, i); }
 
-  // Least squares by its normal equations; columns that the others hold already get no weight.
+  // Least squares by the normal equations. A column that depends linearly on the columns before it
+  // gets weight zero.
   void solve(const Vector& f) {
     for (int j = 0; j < count_; ++j) {
       weights_(j) = detail::dot(change(j), f.data(), size_);
@@ -70,11 +74,11 @@ class Anderson {
   }
 
   int size_;
-  Matrix moves_, changes_;  // one column each
+  Matrix moves_, changes_;  // one column per move
   Vector step_;
-  Matrix gram_, factor_;  // changes' changes and its lower Cholesky factor
+  Matrix gram_, factor_;  // changes_' changes_ and its lower Cholesky factor
   Vector weights_;
   int count_ = 0, next_ = 0;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

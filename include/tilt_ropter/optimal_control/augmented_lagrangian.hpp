@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
@@ -11,11 +12,12 @@
 #include <limits>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// Equalities of a problem as part of its cost, sum over the nodes of (m + w h / 2) h with weights
-/// w and multipliers m: as rows of the dual they would cost ten times more. Multipliers bring h to
-/// zero where weights alone bring it near (Nocedal & Wright, "Numerical Optimization", Sec. 17.3).
+/// Equality constraints of a problem as part of its cost: the sum over the nodes of (m + w h / 2) h
+/// with weights w and multipliers m. As constraints of the dual, the equalities would cost ten
+/// times more. Weights alone bring h only near zero; multipliers bring h to zero (Nocedal & Wright,
+/// "Numerical Optimization", Sec. 17.3).
 template <typename Problem>
 class AugmentedLagrangian {
  public:
@@ -30,7 +32,7 @@ class AugmentedLagrangian {
         added_(multipliers_.size()),
         max_multiplier_(max_multiplier) {}
 
-  /// True if node k has an equality with a weight, or with one that is no number.
+  /// True if node k has an equality whose weight is positive or NaN.
   [[nodiscard]] bool has(const Problem& problem, int k) const {
     bool any = false;
     if constexpr (D::ne > 0) {
@@ -39,29 +41,30 @@ class AugmentedLagrangian {
     }
     return any;
   }
-  /// True if any node has.
+  /// True if any node has such an equality.
   [[nodiscard]] bool any(const Problem& problem) const {
     for (std::size_t k = 0; k < multipliers_.size(); ++k)
       if (has(problem, static_cast<int>(k))) return true;
     return false;
   }
 
+  /// Sets all multipliers to zero.
   void forget_multipliers() {
     for (Equalities& m : multipliers_) detail::fill(m, 0.0);
   }
-  /// Multipliers move `nodes` ahead, those of the last node stay.
+  /// Moves the multipliers `nodes` nodes ahead in time. The multipliers of the last node stay.
   void shift(int nodes) {
     for (std::size_t k = 0; k < multipliers_.size(); ++k)
       multipliers_[k] =
           multipliers_[std::min(k + static_cast<std::size_t>(nodes), multipliers_.size() - 1)];
   }
-  /// Weights are the problem's again.
+  /// Resets the weights to the weights of the problem.
   void forget_scale() {
     scale_ = 1.0;
     last_residual_ = std::numeric_limits<double>::infinity();
   }
 
-  /// Adds node k's part to the model of its cost. Returns the largest |h|.
+  /// Adds the terms of node k to the model of its cost. Returns the largest |h|.
   double add_to_model(const Problem& problem, int k, const State& x, Model& model) {
     double largest = 0.0;
     if constexpr (D::ne > 0) {
@@ -70,7 +73,7 @@ class AugmentedLagrangian {
       typename D::EqualitiesX H;
       problem.equality_derivatives(k, x, H);
       Added& added = added_[static_cast<std::size_t>(k)];
-      for (int j = 0; j < D::nx; ++j) {  // most entries are zero as a rule
+      for (int j = 0; j < D::nx; ++j) {  // most entries are usually zero
         bool any = false;
         for (int i = 0; i < D::ne; ++i) any |= H(i, j) != 0.0;
         if (any) added.columns[added.count++] = j;
@@ -83,7 +86,7 @@ class AugmentedLagrangian {
       }
       for (int i = 0; i < D::ne; ++i) {
         if (w(i) <= 0.0) continue;
-        largest = std::max(largest, std::abs(h(i)));
+        largest = detail::larger(largest, std::abs(h(i)));
         const double slope = w(i) * h(i) + multiplier(k)(i);
         for (auto a = columns; a != end; ++a) {
           model.lx()(*a) += slope * H(i, *a);
@@ -91,12 +94,12 @@ class AugmentedLagrangian {
           if (factor == 0.0) continue;
           for (auto b = columns; b != end; ++b) model.lxx()(*b, *a) += factor * H(i, *b);
         }
-        if (added.count == 0) largest += 0.0 * slope;  // is it a number?
+        if (added.count == 0) largest += 0.0 * slope;  // NaN if the slope is not finite
       }
     }
     return largest;
   }
-  /// Undoes the last add_to_model() of node k.
+  /// Restores the model of node k as it was before the last add_to_model().
   void take_from_model(int k, Model& model) {
     if constexpr (D::ne > 0) {
       Added& added = added_[static_cast<std::size_t>(k)];
@@ -109,7 +112,7 @@ class AugmentedLagrangian {
     }
   }
 
-  /// Node k's part of the cost.
+  /// Returns the terms of node k in the cost.
   [[nodiscard]] double value(const Problem& problem, int k, const State& x) const {
     double sum = 0.0;
     if constexpr (D::ne > 0) {
@@ -121,8 +124,8 @@ class AugmentedLagrangian {
     return sum;
   }
 
-  /// Multiplier step after a step to `trajectory`, from where the largest |h| was `residual`. Where
-  /// full steps do not bring the conditions closer, the weights grow.
+  /// Updates the multipliers after a step to `trajectory`. `residual` is the largest |h| at the
+  /// start of the step. If full steps do not halve the residual, the weights grow.
   void update(const Problem& problem, const Trajectory<Problem>& trajectory, double residual,
               bool full_step) {
     if constexpr (D::ne > 0) {
@@ -140,7 +143,8 @@ class AugmentedLagrangian {
   }
 
  private:
-  // The states that a node's equalities depend on, and what the model had there before them.
+  // The states on which the equalities of a node depend, and the entries of the model for these
+  // states before add_to_model().
   struct Added {
     [[nodiscard]] const int* begin() const { return columns.data(); }
     [[nodiscard]] const int* end() const { return columns.data() + count; }
@@ -150,7 +154,7 @@ class AugmentedLagrangian {
     std::array<double, static_cast<std::size_t>(D::nx*(D::nx + 1))> entries{};
   };
 
-  // The measured state is not ours to change.
+  // The weights of node 0 are zero because the solver cannot change the measured state.
   [[nodiscard]] Equalities weights(const Problem& problem, int k) const {
     Equalities w = detail::Filled();
     if (k == 0) return w;
@@ -163,9 +167,9 @@ class AugmentedLagrangian {
   }
 
   std::vector<Equalities> multipliers_;
-  std::vector<Added> added_;  // to each node's model
+  std::vector<Added> added_;  // terms in the model of each node
   double max_multiplier_, scale_ = 1.0;
   double last_residual_ = std::numeric_limits<double>::infinity();
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

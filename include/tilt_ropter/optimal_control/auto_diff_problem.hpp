@@ -10,23 +10,22 @@
 #include <type_traits>
 #include <utility>
 
-namespace tilt_ropter {
-namespace detail {
+namespace tilt_ropter::detail {
 
-/// True if the struct has the function or constant that Member<User> is formed from.
+/// True if the struct has the function or constant that Member<User> refers to.
 template <template <typename> class Member, typename User, typename = void>
 inline constexpr bool has_member = false;
 template <template <typename> class Member, typename User>
 inline constexpr bool has_member<Member, User, std::void_t<Member<User>>> = true;
 
 template <typename User>
-using RowsMember = std::integral_constant<int, User::rows>;
+using ConstraintsMember = std::integral_constant<int, User::constraints>;
 template <typename User>
 using LowerMember = decltype(std::declval<const User&>().lower(0));
 template <typename User>
 using PenaltyMember = decltype(std::declval<const User&>().penalty(0));
 template <typename User>
-using TerminalRowsMember = std::integral_constant<int, User::terminal_rows>;
+using TerminalConstraintsMember = std::integral_constant<int, User::terminal_constraints>;
 template <typename User>
 using TerminalLowerMember = decltype(std::declval<const User&>().terminal_lower());
 template <typename User>
@@ -37,26 +36,28 @@ template <typename User>
 using TerminalResidualMember = decltype(std::declval<const User&>().terminal_residual(
     std::declval<const Eigen::Matrix<double, User::states, 1>&>()));
 
-/// The value of such a constant, 0 where it is absent.
+/// Value of such a constant, or 0 if the struct does not have it.
 template <template <typename> class Member, typename User>
 constexpr int count_of() {
   if constexpr (has_member<Member, User>) return Member<User>::value;
   return 0;
 }
 
-/// Has the constant only if the struct has it: ProblemRows asks whether it is there.
-template <typename User, bool = has_member<TerminalRowsMember, User>>
-struct AutoDiffTerminalRows {};
+/// Has the constant only if the struct has it, because ProblemConstraints tests for it.
+template <typename User, bool = has_member<TerminalConstraintsMember, User>>
+struct AutoDiffTerminalConstraints {};
 template <typename User>
-struct AutoDiffTerminalRows<User, true> {
-  static constexpr int terminal_rows = User::terminal_rows;
+struct AutoDiffTerminalConstraints<User, true> {
+  static constexpr int terminal_constraints = User::terminal_constraints;
 };
-}  // namespace detail
+}  // namespace tilt_ropter::detail
 
-/// A problem for MultipleShooting, made of a struct whose functions are templates on their scalar.
-/// Its derivatives are exact, by forward automatic differentiation (Eigen's AutoDiffScalar). The
-/// state is a vector and moves by addition; there are no equalities by weight. problem.hpp has an
-/// example. With V<S, n> for Eigen::Matrix<S, n, 1> the struct has
+namespace tilt_ropter::optimal_control {
+
+/// A problem for MultipleShooting, made from a struct whose functions are templates on the scalar
+/// type. The derivatives are exact, by forward automatic differentiation (Eigen's AutoDiffScalar).
+/// The state is a vector and its retraction is addition. There are no equalities by weight.
+/// problem.hpp has an example. With V<S, n> for Eigen::Matrix<S, n, 1> the struct has
 ///
 ///     static constexpr int states, inputs, residuals;
 ///     int horizon() const;  // number of intervals N
@@ -67,61 +68,66 @@ struct AutoDiffTerminalRows<User, true> {
 ///
 /// and may have
 ///
-///     static constexpr int rows;  // of constraints: lower <= c(x, u) <= upper
+///     static constexpr int constraints;  // number of constraints lower <= c(x, u) <= upper
 ///     template <typename S>
-///     V<S, rows> constraints(int k, const V<S, states>& x, const V<S, inputs>& u) const;
-///     V<double, rows> lower(int k) const;  // and upper(k)
-///     V<double, rows> penalty(int k) const;  // absent: infinite, all constraints are hard
-///     V<double, rows> quadratic_penalty(int k) const;
+///     V<S, constraints> constraint_values(int k, const V<S, states>& x,
+///                                         const V<S, inputs>& u) const;
+///     V<double, constraints> lower(int k) const;  // and upper(k)
+///     V<double, constraints> penalty(int k) const;  // absent: infinite, all constraints are hard
+///     V<double, constraints> quadratic_penalty(int k) const;
 ///
-///     // constraints of node N instead of those above; terminal_rows = 0: none, without functions
-///     static constexpr int terminal_rows;
+///     // constraints of node N instead of those above; terminal_constraints = 0: no constraints
+///     // and no functions
+///     static constexpr int terminal_constraints;
 ///     template <typename S>
-///     V<S, terminal_rows> terminal_constraints(const V<S, states>& x) const;
-///     V<double, terminal_rows> terminal_lower() const;  // and terminal_upper()
-///     V<double, terminal_rows> terminal_penalty() const;  // absent: infinite
-///     V<double, terminal_rows> terminal_quadratic_penalty() const;
+///     V<S, terminal_constraints> terminal_constraint_values(const V<S, states>& x) const;
+///     V<double, terminal_constraints> terminal_lower() const;  // and terminal_upper()
+///     V<double, terminal_constraints> terminal_penalty() const;  // absent: infinite
+///     V<double, terminal_constraints> terminal_quadratic_penalty() const;
 ///
-///     // cost of node N instead of residual(N, x, 0); terminal_residuals = 0: none
+///     // cost of node N instead of residual(N, x, 0); terminal_residuals = 0: no cost
 ///     static constexpr int terminal_residuals;
 ///     template <typename S>
 ///     V<S, terminal_residuals> terminal_residual(const V<S, states>& x) const;
 ///
-/// Equal lower and upper bounds make an equality. Without `terminal_rows`, the `constraints` that
-/// do not depend on the input also hold at node N. They are called there with an arbitrary input,
-/// and a constraint whose derivative by this input is not zero does not count.
+/// Equal lower and upper bounds make an equality. Without `terminal_constraints`, the `constraints`
+/// that do not depend on the input also apply at node N. There the functions are called with an
+/// arbitrary input, and a constraint whose derivative by this input is not zero is ignored.
 ///
-/// The functions may be static. Intermediate results must be declared as S or as a matrix of S:
-/// with auto they refer to temporaries. The residual of node N has to be differentiable at u = 0.
-/// Nothing here allocates unless the struct does; Eigen's atan2 of AutoDiffScalars allocates.
+/// The functions may be static. Intermediate results must be declared as S or as a matrix of S.
+/// With auto they refer to temporaries. The residual of node N must be differentiable at u = 0.
+/// AutoDiffProblem allocates only if the struct allocates; Eigen's atan2 of AutoDiffScalars
+/// allocates.
 template <typename User>
-class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
+class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User> {
   template <template <typename> class Member>
   static constexpr bool has = detail::has_member<Member, User>;
-  static_assert(has<detail::RowsMember> || !has<detail::LowerMember>, "lower(k) needs rows");
-  static_assert(has<detail::TerminalRowsMember> || !has<detail::TerminalLowerMember>,
-                "terminal_lower() needs terminal_rows");
+  static_assert(has<detail::ConstraintsMember> || !has<detail::LowerMember>,
+                "lower(k) needs constraints");
+  static_assert(has<detail::TerminalConstraintsMember> || !has<detail::TerminalLowerMember>,
+                "terminal_lower() needs terminal_constraints");
   static_assert(has<detail::TerminalResidualsMember> || !has<detail::TerminalResidualMember>,
                 "terminal_residual(x) needs terminal_residuals");
   static constexpr bool has_terminal_cost = has<detail::TerminalResidualsMember>;
-  static constexpr int end_rows = detail::count_of<detail::TerminalRowsMember, User>(),
+  static constexpr int end_constraints =
+                           detail::count_of<detail::TerminalConstraintsMember, User>(),
                        end_residuals = detail::count_of<detail::TerminalResidualsMember, User>();
 
  public:
   static constexpr int states = User::states, inputs = User::inputs, equalities = 0,
-                       rows = detail::count_of<detail::RowsMember, User>();
+                       constraints = detail::count_of<detail::ConstraintsMember, User>();
   using D = ProblemDimensions<AutoDiffProblem>;
   using Tangent = typename D::Tangent;
   using State = Tangent;
   using Input = typename D::Input;
-  using Rows = typename D::Rows;
+  using Constraints = typename D::Constraints;
   using Model = QuadraticModel<states, inputs>;
-  using TerminalRows = Eigen::Matrix<double, end_rows, 1>;
-  using TerminalRowsX = Eigen::Matrix<double, end_rows, states>;
+  using TerminalConstraints = Eigen::Matrix<double, end_constraints, 1>;
+  using TerminalConstraintsX = Eigen::Matrix<double, end_constraints, states>;
 
   explicit AutoDiffProblem(User user = User()) : user_(std::move(user)) {}
 
-  /// The struct: its references and weights may change between solves, its horizon may not.
+  /// The struct. Its references and weights may change between solves, its horizon may not.
   [[nodiscard]] User& user() { return user_; }
   [[nodiscard]] const User& user() const { return user_; }
 
@@ -153,44 +159,44 @@ class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
       set_model<end_residuals>(user_.terminal_residual(variables(x)), k, model);
   }
 
-  [[nodiscard]] Rows row_values(int k, const State& x, const Input& u) const {
-    return user_.constraints(k, x, k < horizon() ? u : arbitrary_input());
+  [[nodiscard]] Constraints constraint_values(int k, const State& x, const Input& u) const {
+    return user_.constraint_values(k, x, k < horizon() ? u : arbitrary_input());
   }
-  void row_derivatives(int k, const State& x, const Input& u, typename D::RowsX& C,
-                       typename D::RowsU& E) const {
+  void constraint_derivatives(int k, const State& x, const Input& u, typename D::ConstraintsX& C,
+                              typename D::ConstraintsU& E) const {
     const Input at = k < horizon() ? u : arbitrary_input();
-    const Duals<rows> c = user_.constraints(k, variables(x), variables(at, states));
+    const Duals<constraints> c = user_.constraint_values(k, variables(x), variables(at, states));
     set_derivatives(c, C, E);
   }
-  [[nodiscard]] Rows lower(int k) const { return user_.lower(k); }
-  [[nodiscard]] Rows upper(int k) const { return user_.upper(k); }
-  [[nodiscard]] Rows penalty(int k) const {
+  [[nodiscard]] Constraints lower(int k) const { return user_.lower(k); }
+  [[nodiscard]] Constraints upper(int k) const { return user_.upper(k); }
+  [[nodiscard]] Constraints penalty(int k) const {
     if constexpr (has<detail::PenaltyMember>) return user_.penalty(k);
-    return Rows::Constant(std::numeric_limits<double>::infinity());
+    return Constraints::Constant(std::numeric_limits<double>::infinity());
   }
   template <typename U = User>
   [[nodiscard]] auto quadratic_penalty(int k) const
-      -> decltype(Rows(std::declval<const U&>().quadratic_penalty(k))) {
+      -> decltype(Constraints(std::declval<const U&>().quadratic_penalty(k))) {
     return user_.quadratic_penalty(k);
   }
 
-  [[nodiscard]] TerminalRows terminal_row_values(const State& x) const {
-    return user_.terminal_constraints(x);
+  [[nodiscard]] TerminalConstraints terminal_constraint_values(const State& x) const {
+    return user_.terminal_constraint_values(x);
   }
-  void terminal_row_derivatives(const State& x, TerminalRowsX& C) const {
-    const Duals<end_rows> c = user_.terminal_constraints(variables(x));
-    for (int i = 0; i < end_rows; ++i)
+  void terminal_constraint_derivatives(const State& x, TerminalConstraintsX& C) const {
+    const Duals<end_constraints> c = user_.terminal_constraint_values(variables(x));
+    for (int i = 0; i < end_constraints; ++i)
       C.row(i) = c(i).derivatives().template head<states>().transpose();
   }
-  [[nodiscard]] TerminalRows terminal_lower() const { return user_.terminal_lower(); }
-  [[nodiscard]] TerminalRows terminal_upper() const { return user_.terminal_upper(); }
-  [[nodiscard]] TerminalRows terminal_penalty() const {
+  [[nodiscard]] TerminalConstraints terminal_lower() const { return user_.terminal_lower(); }
+  [[nodiscard]] TerminalConstraints terminal_upper() const { return user_.terminal_upper(); }
+  [[nodiscard]] TerminalConstraints terminal_penalty() const {
     if constexpr (has<detail::TerminalPenaltyMember>) return user_.terminal_penalty();
-    return TerminalRows::Constant(std::numeric_limits<double>::infinity());
+    return TerminalConstraints::Constant(std::numeric_limits<double>::infinity());
   }
   template <typename U = User>
   [[nodiscard]] auto terminal_quadratic_penalty() const
-      -> decltype(TerminalRows(std::declval<const U&>().terminal_quadratic_penalty())) {
+      -> decltype(TerminalConstraints(std::declval<const U&>().terminal_quadratic_penalty())) {
     return user_.terminal_quadratic_penalty();
   }
 
@@ -200,7 +206,7 @@ class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
   template <int Count>
   using Duals = Eigen::Matrix<Dual, Count, 1>;
 
-  // The numbers to differentiate by: those of (x, u) from `first` on.
+  // Independent variables: entries of (x, u), starting at index `first`.
   template <int Count>
   static Duals<Count> variables(const Eigen::Matrix<double, Count, 1>& numbers, int first = 0) {
     Duals<Count> duals;
@@ -208,7 +214,7 @@ class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
     return duals;
   }
 
-  // No zero, where a square has no derivative, and no two equal entries.
+  // No zero entries, because the derivative of a square is zero there, and no two equal entries.
   static Input arbitrary_input() {
     Input u;
     for (int i = 0; i < inputs; ++i) u(i) = 0.37 + 0.113 * i;
@@ -230,7 +236,7 @@ class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
     }
   }
 
-  // The Gauss-Newton model of |r|^2, whose Hessian leaves out the second derivatives of r.
+  // Sets the Gauss-Newton model of |r|^2. Its Hessian has no second derivatives of r.
   template <int Count>
   void set_model(const Duals<Count>& residual, int k, Model& model) const {
     const Eigen::Matrix<double, Count, 1> r = values<Count>(residual);
@@ -248,4 +254,4 @@ class AutoDiffProblem : public detail::AutoDiffTerminalRows<User> {
   User user_;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

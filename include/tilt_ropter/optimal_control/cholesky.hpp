@@ -7,24 +7,24 @@
 #include <cmath>
 #include <cstddef>
 
-/// Products and Cholesky factorisations of small matrices whose size is known at run time only.
-/// Eigen's are made for large ones, and cost whoever compiles them seconds.
+/// Products and Cholesky factorisations of small matrices whose size is known only at run time.
+/// Eigen's functions are made for large matrices and add seconds to the compile time.
 namespace tilt_ropter::detail {
 
-/// A matrix whose columns are `stride` numbers apart.
+/// A matrix whose columns are `stride` numbers apart in memory.
 struct MatrixView {
   const double* data;
   int rows, columns;
   std::ptrdiff_t stride;
 };
 
-/// Numbers that are `stride` apart: a row of such a matrix, or a vector.
+/// A vector whose entries are `stride` numbers apart in memory, such as a row of a MatrixView.
 struct VectorView {
   const double* data;
   std::ptrdiff_t stride = 1;
 };
 
-/// Rows of add_product() that are `Packets` packets from row `first` on.
+/// add_product() for `Packets` packets of rows, from row `first` on.
 template <int Width, int Packets>
 [[gnu::always_inline]] inline void add_product_rows(double factor, const MatrixView& m,
                                                     const VectorView& x, int first,
@@ -62,11 +62,11 @@ inline void add_product(double factor, const MatrixView& m, const VectorView& x,
   });
 }
 
-/// a' b.
+/// Returns a' b for vectors of `count` entries.
 [[nodiscard]] inline double dot(const double* a, const double* b, int count) {
   return vectorised([&](auto packet) __attribute__((always_inline)) {
     constexpr int Width = packet();
-    Packet<Width> sums[2] = {};  // two, since each addition waits for the one before
+    Packet<Width> sums[2] = {};  // two sums, because each addition must wait for the one before
     int i = 0;
     for (; i + 2 * Width <= count; i += 2 * Width) {
 #pragma GCC unroll 2
@@ -86,9 +86,9 @@ inline void add_product(double factor, const MatrixView& m, const VectorView& x,
   });
 }
 
-/// Replaces the lower triangle of an n x n matrix by its Cholesky factor. A column of whose
-/// diagonal entry no more than the part `least` is left for the pivot is one that those before it
-/// hold already: it becomes zero. Returns how many did.
+/// Replaces the lower triangle of an n x n matrix by its Cholesky factor. A column is set to zero
+/// if its pivot is at most `least` times its diagonal entry: it then depends linearly on the
+/// columns before it. Returns the number of these columns.
 [[nodiscard]] inline int factorise(double* matrix, std::ptrdiff_t stride, int n,
                                    double least = 0.0) {
   int dropped = 0;
@@ -100,7 +100,7 @@ inline void add_product(double factor, const MatrixView& m, const VectorView& x,
       const double root = std::sqrt(column[j]), inverse = 1.0 / root;
       column[j] = root;
       for (int i = j + 1; i < n; ++i) column[i] *= inverse;
-    } else {  // NaN, too
+    } else {  // also if the pivot is NaN
       std::fill(column + j, column + n, 0.0);
       ++dropped;
     }
@@ -108,7 +108,8 @@ inline void add_product(double factor, const MatrixView& m, const VectorView& x,
   return dropped;
 }
 
-/// Replaces x by the solution y of L L' y = x with that factor L; y is zero where columns are.
+/// Replaces x by the solution y of L L' y = x, where L is the `factor` from factorise(). The
+/// entries of y for columns that factorise() set to zero are zero.
 inline void solve_factorised(const double* factor, std::ptrdiff_t stride, int n, double* x) {
   for (int j = 0; j < n; ++j) {
     const double* column = factor + stride * j;

@@ -4,7 +4,7 @@
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 
 #include <Eigen/Core>
 
@@ -18,18 +18,21 @@
 #include <utility>
 #include <vector>
 
-namespace tilt_ropter {
+/// Check of a problem's functions and derivatives against finite differences, for tests.
+///
+/// This header is long because the check covers every function of a problem.
+namespace tilt_ropter::optimal_control {
 
-/// An entry that a function of a problem got wrong; see check_derivatives().
+/// A wrong entry in the result of a problem's function; see check_derivatives().
 struct DerivativeError {
-  std::string callback;  ///< the function and its result, such as "step: A"
+  std::string callback;  ///< the function and its result, for example "step: A"
   int node = 0;
-  int row = 0, column = 0;  ///< of the entry; the column is -1 in a vector, both are -1 in a number
-  double given = 0.0;       ///< what the function returned
-  double expected = 0.0;    ///< what it should be; NaN: any finite number
+  int row = 0, column = 0;  ///< of the entry; column -1 for a vector, both -1 for a number
+  double given = 0.0;       ///< value that the function returned
+  double expected = 0.0;    ///< correct value; NaN: any finite number
 };
 
-/// One line, such as "step: A(3, 7) at node 0 is 0.5, expected 0.25".
+/// Returns one line, for example "step: A(3, 7) at node 0 is 0.5, expected 0.25".
 [[nodiscard]] inline std::string to_string(const DerivativeError& error) {
   std::ostringstream text;
   text.precision(9);
@@ -46,13 +49,15 @@ struct DerivativeError {
   return text.str();
 }
 
-namespace detail {
+}  // namespace tilt_ropter::optimal_control
 
-/// The work of check_derivatives().
+namespace tilt_ropter::detail {
+
+/// Implementation of check_derivatives().
 template <typename Problem>
 class DerivativeCheck {
  public:
-  using D = ProblemDimensions<Problem>;
+  using D = optimal_control::ProblemDimensions<Problem>;
   using State = typename Problem::State;
   using Tangent = typename D::Tangent;
   using Input = typename D::Input;
@@ -64,29 +69,29 @@ class DerivativeCheck {
     check_retraction(k, x);
     if (k < problem_.horizon()) check_step(k, x, u);
     check_cost(k, x, u);
-    if constexpr (AllRows::count > 0) check_rows(k, x, u);
+    if constexpr (AllConstraints::count > 0) check_constraints(k, x, u);
     if constexpr (D::ne > 0) check_equalities(k, x);
   }
 
-  /// Compares step_lanes() with step(), if the problem has it, for all intervals.
+  /// Compares step_lanes() with step() for all intervals, if the problem has step_lanes().
   void check_lanes(const std::vector<State>& xs, const std::vector<Input>& us) {
     if constexpr (HasLanes<Problem>::value)
       for (int k = 0; k < problem_.horizon(); k += Lanes::count)
         check_lanes(k, std::min(Lanes::count, problem_.horizon() - k), xs, us);
   }
 
-  /// What was found, worst first.
-  [[nodiscard]] std::vector<DerivativeError> errors() {
+  /// Returns the errors found, largest first.
+  [[nodiscard]] std::vector<optimal_control::DerivativeError> errors() {
     std::stable_sort(found_.begin(), found_.end(),
                      [](const auto& a, const auto& b) { return a.first > b.first; });
-    std::vector<DerivativeError> sorted;
+    std::vector<optimal_control::DerivativeError> sorted;
     for (const auto& found : found_) sorted.push_back(found.second);
     return sorted;
   }
 
  private:
-  using AllRows = ProblemRows<Problem>;
-  using Pattern = typename TransitionPatternOf<Problem>::type;
+  using AllConstraints = optimal_control::ProblemConstraints<Problem>;
+  using Pattern = typename optimal_control::TransitionPatternOf<Problem>::type;
   template <typename P, typename = void>
   struct HasLanes : std::false_type {};
   template <typename P>
@@ -94,30 +99,31 @@ class DerivativeCheck {
   static constexpr double nan = std::numeric_limits<double>::quiet_NaN(),
                           infinity = std::numeric_limits<double>::infinity();
 
-  // Derivatives of the same function by long and by short steps.
-  template <int Rows, int Columns>
+  // Derivatives of the same function by differences with long and with short steps.
+  template <int Constraints, int Columns>
   struct Differences {
-    Eigen::Matrix<double, Rows, Columns> by_long, by_short;
+    Eigen::Matrix<double, Constraints, Columns> by_long, by_short;
   };
 
   // d function(e) / de at e = 0, by central differences of fourth order.
-  template <int Rows, int Columns, typename Function>
-  static Eigen::Matrix<double, Rows, Columns> difference_quotients(const Function& function,
-                                                                   double length) {
-    Eigen::Matrix<double, Rows, Columns> derivative;
+  template <int Constraints, int Columns, typename Function>
+  static Eigen::Matrix<double, Constraints, Columns> difference_quotients(const Function& function,
+                                                                          double length) {
+    Eigen::Matrix<double, Constraints, Columns> derivative;
     for (int j = 0; j < Columns; ++j) {
       using Step = Eigen::Matrix<double, Columns, 1>;
       const Step e = length * Step::Unit(j);
-      const Eigen::Matrix<double, Rows, 1> far = function(Step(2.0 * e)) - function(Step(-2.0 * e)),
-                                           near = function(e) - function(Step(-e));
+      const Eigen::Matrix<double, Constraints, 1> far = function(Step(2.0 * e)) -
+                                                        function(Step(-2.0 * e)),
+                                                  near = function(e) - function(Step(-e));
       derivative.col(j) = (8.0 * near - far) / (12.0 * length);
     }
     return derivative;
   }
-  template <int Rows, int Columns, typename Function>
-  static Differences<Rows, Columns> differences(const Function& function) {
-    return {difference_quotients<Rows, Columns>(function, 1e-3),
-            difference_quotients<Rows, Columns>(function, 1e-5)};
+  template <int Constraints, int Columns, typename Function>
+  static Differences<Constraints, Columns> differences(const Function& function) {
+    return {difference_quotients<Constraints, Columns>(function, 1e-3),
+            difference_quotients<Constraints, Columns>(function, 1e-5)};
   }
 
   void note(double size, const std::string& callback, int k, int row, int column, double given,
@@ -125,7 +131,7 @@ class DerivativeCheck {
     found_.push_back({size, {callback, k, row, column, given, expected}});
   }
 
-  // An entry has to be near one of two numbers, of which the first may not be finite.
+  // The entry must be close to `first` or to `second`. `first` may be non-finite.
   void expect(const std::string& callback, int k, int row, int column, double given, double first,
               double second) {
     const double expected = std::abs(given - first) <= std::abs(given - second) ? first : second;
@@ -133,9 +139,9 @@ class DerivativeCheck {
     if (!(size <= 1.0))
       note(std::isfinite(size) ? size : infinity, callback, k, row, column, given, expected);
   }
-  template <typename Given, int Rows, int Columns>
-  void expect_row(const std::string& callback, int k, int row, const Given& given,
-                  const Differences<Rows, Columns>& by) {
+  template <typename Given, int Constraints, int Columns>
+  void expect_constraint(const std::string& callback, int k, int row, const Given& given,
+                         const Differences<Constraints, Columns>& by) {
     for (int j = 0; j < Columns; ++j)
       expect(callback, k, row, j, given(row, j), by.by_long(row, j), by.by_short(row, j));
   }
@@ -178,8 +184,8 @@ class DerivativeCheck {
     });
     const typename D::A identity = D::A::Identity();
     for (int i = 0; i < D::nx; ++i)
-      expect_row("identity, the derivative of difference(retract(x, dx), x)", k, i, identity,
-                 by_step);
+      expect_constraint("identity, the derivative of difference(retract(x, dx), x)", k, i, identity,
+                        by_step);
   }
 
   void check_step(int k, const State& x, const Input& u) {
@@ -195,8 +201,8 @@ class DerivativeCheck {
       return problem_.difference(problem_.step(k, x, u + e), end);
     });
     for (int i = 0; i < D::nx; ++i) {
-      expect_row("step: A", k, i, A, by_state);
-      expect_row("step: B", k, i, B, by_input);
+      expect_constraint("step: A", k, i, A, by_state);
+      expect_constraint("step: B", k, i, B, by_input);
       for (int j = 0; j < D::nx + D::nu; ++j) {
         if (Pattern::nonzero(i, j)) continue;
         const auto of = [&](const auto& state, const auto& input) {
@@ -223,7 +229,7 @@ class DerivativeCheck {
       typename D::A A = D::A::Constant(nan);
       typename D::B B = D::B::Constant(nan);
       const State end = problem_.step(k, xs[node], us[node], A, B);
-      // What step() itself got wrong is not said twice.
+      // Errors of step() itself are already reported, so they are skipped here.
       const Tangent end_minus = problem_.difference(ends[static_cast<std::size_t>(lane)], end);
       if (all_finite(problem_.difference(end, xs[node])))
         expect_zero("step_lanes: end minus that of step", k, end_minus);
@@ -240,7 +246,7 @@ class DerivativeCheck {
 
   void check_cost(int k, const State& x, const Input& u) {
     using Number = Eigen::Matrix<double, 1, 1>;
-    QuadraticModel<D::nx, D::nu> model;
+    optimal_control::QuadraticModel<D::nx, D::nu> model;
     problem_.cost_model(k, x, u, model);
     const double cost = problem_.cost(k, x, u);
     if (std::isfinite(cost)) {
@@ -262,24 +268,25 @@ class DerivativeCheck {
     expect_finite_matrix("cost_model: lux", k, model.lux());
   }
 
-  void check_rows(int k, const State& x, const Input& u) {
-    using Values = typename AllRows::Values;
-    const bool own_end = AllRows::of_end >= 0 && k == problem_.horizon();
+  void check_constraints(int k, const State& x, const Input& u) {
+    using Values = typename AllConstraints::Values;
+    const bool own_end = AllConstraints::of_end >= 0 && k == problem_.horizon();
     const std::string prefix = own_end ? "terminal_" : "";
-    const Values values = AllRows::values(problem_, k, x, u);
-    typename AllRows::ByState C = AllRows::ByState::Zero();
-    typename AllRows::ByInput E = AllRows::ByInput::Zero();
-    AllRows::derivatives(problem_, k, x, u, C, E);
-    const auto by_state = differences<AllRows::count, D::nx>([&](const Tangent& e) -> Values {
-      return AllRows::values(problem_, k, problem_.retract(x, e), u);
-    });
-    const auto by_input = differences<AllRows::count, D::nu>(
-        [&](const Input& e) -> Values { return AllRows::values(problem_, k, x, u + e); });
+    const Values values = AllConstraints::values(problem_, k, x, u);
+    typename AllConstraints::ByState C = AllConstraints::ByState::Zero();
+    typename AllConstraints::ByInput E = AllConstraints::ByInput::Zero();
+    AllConstraints::derivatives(problem_, k, x, u, C, E);
+    const auto by_state =
+        differences<AllConstraints::count, D::nx>([&](const Tangent& e) -> Values {
+          return AllConstraints::values(problem_, k, problem_.retract(x, e), u);
+        });
+    const auto by_input = differences<AllConstraints::count, D::nu>(
+        [&](const Input& e) -> Values { return AllConstraints::values(problem_, k, x, u + e); });
     Values lower, upper, price, stiffness = Values::Constant(infinity);
-    AllRows::bounds(problem_, k, lower, upper, price, stiffness);
-    expect_finite(prefix + "row_values", k, values);
-    for (int i = 0; i < AllRows::count; ++i) {
-      if (!AllRows::applies(problem_, k, E, i)) continue;
+    AllConstraints::bounds(problem_, k, lower, upper, price, stiffness);
+    expect_finite(prefix + "constraint_values", k, values);
+    for (int i = 0; i < AllConstraints::count; ++i) {
+      if (!AllConstraints::applies(problem_, k, E, i)) continue;
       const auto expect_number = [&](const char* callback, double bound) {
         if (std::isnan(bound)) note(infinity, prefix + callback, k, i, -1, bound, nan);
       };
@@ -288,8 +295,8 @@ class DerivativeCheck {
       expect_number("penalty", price(i));
       expect_number("quadratic_penalty", stiffness(i));
       if (!std::isfinite(values(i))) continue;
-      expect_row(prefix + "row_derivatives: C", k, i, C, by_state);
-      if (!own_end) expect_row(prefix + "row_derivatives: E", k, i, E, by_input);
+      expect_constraint(prefix + "constraint_derivatives: C", k, i, C, by_state);
+      if (!own_end) expect_constraint(prefix + "constraint_derivatives: E", k, i, E, by_input);
     }
   }
 
@@ -307,7 +314,7 @@ class DerivativeCheck {
     for (int i = 0; i < D::ne; ++i) {
       if (!(weights(i) > 0.0)) continue;
       if (std::isfinite(values(i)))
-        expect_row("equality_derivatives: H", k, i, H, by_state);
+        expect_constraint("equality_derivatives: H", k, i, H, by_state);
       else
         note(infinity, "equality_values", k, i, -1, values(i), nan);
     }
@@ -315,33 +322,37 @@ class DerivativeCheck {
 
   const Problem& problem_;
   double tolerance_;
-  std::vector<std::pair<double, DerivativeError>> found_;
+  std::vector<std::pair<double, optimal_control::DerivativeError>> found_;
 };
 
-}  // namespace detail
+}  // namespace tilt_ropter::detail
 
-/// Compares all that a problem (see problem.hpp) returns for the solver with what it has to be,
-/// at the nodes 0 .. N of the states `xs` (N + 1 of them) and inputs `us` (N; more are not read):
+namespace tilt_ropter::optimal_control {
+
+/// Compares everything that a problem (see problem.hpp) returns to the solver with the correct
+/// values, at the nodes 0 .. N of the states `xs` (N + 1 states) and inputs `us` (N inputs; more
+/// are ignored). The function compares:
 ///
-/// - step: A and B, cost_model: lx and lu, row_derivatives: C and E, terminal_row_derivatives and
-///   equality_derivatives (where the weight is not zero) with central differences in tangent
-///   coordinates;
-/// - difference() with retract(): the one undoes the other, to first order;
-/// - entries of A and B that TransitionPattern calls zero with zero;
-/// - the two forms of step() with one another, and step_lanes(), if there is one, with them;
-/// - cost_model: lxx and luu with their transposes. Their values are not checked, as Gauss-Newton
-///   Hessians are not the second derivatives of the cost;
-/// - every number with being finite, bounds and penalties with not being NaN.
+/// - step: A and B, cost_model: lx and lu, constraint_derivatives: C and E,
+///   terminal_constraint_derivatives and equality_derivatives (where the weight is not zero) with
+///   central differences in tangent coordinates;
+/// - difference() with retract(): each is the inverse of the other, to first order;
+/// - entries of A and B that are zero in TransitionPattern with zero;
+/// - the two overloads of step() with each other, and step_lanes(), if it exists, with them;
+/// - cost_model: lxx and luu with their transposes. Their values are not checked, because
+///   Gauss-Newton Hessians are not the second derivatives of the cost.
 ///
-/// At node N the input is zero, and constraints that have an entry in E there are left out. An
-/// entry is an error if it differs by more than tolerance (1 + |expected|): entries smaller than
-/// the tolerance are not seen. Differences are taken of fourth order with steps of 1e-3 and of
-/// 1e-5, and the entry has to agree with one of them. Where a function has a kink closer than that,
-/// what is reported may be no error.
+/// All numbers must be finite. Bounds and penalties must not be NaN.
 ///
-/// Returns the errors, worst first, empty if there are none. Takes 8 (nx + nu) calls of every
-/// function for a node and allocates: for tests, not for the loop. Throws std::invalid_argument for
-/// trajectories of other lengths or a tolerance that is not positive.
+/// At node N the input is zero, and constraints with a non-zero entry in E are skipped there. An
+/// entry is an error if it differs by more than tolerance (1 + |expected|). Errors in entries
+/// smaller than the tolerance are not detected. The differences are of fourth order, with steps of
+/// 1e-3 and of 1e-5, and the entry must agree with one of them. If a function has a kink within
+/// these steps, a reported error may be false.
+///
+/// Returns the errors, largest first, empty if there are none. Calls every function 8 (nx + nu)
+/// times per node and allocates: for tests, not for the loop. Throws std::invalid_argument if a
+/// trajectory has another length or the tolerance is not positive.
 template <typename Problem>
 [[nodiscard]] std::vector<DerivativeError> check_derivatives(
     const Problem& problem, const std::vector<typename Problem::State>& xs,
@@ -361,7 +372,7 @@ template <typename Problem>
   return check.errors();
 }
 
-/// The same with one state and one input at every node.
+/// Uses the same state and the same input at every node.
 template <typename Problem>
 [[nodiscard]] std::vector<DerivativeError> check_derivatives(
     const Problem& problem, const typename Problem::State& x,
@@ -372,4 +383,4 @@ template <typename Problem>
                            tolerance);
 }
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/optimal_control/adjoint_batch.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
@@ -15,25 +16,27 @@
 #include <utility>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// Solves a Subproblem by the dual of the constraints that matter, its working set: a constraint's
-/// gradient with respect to the coordinates z of Riccati comes from one adjoint sweep, all in one
-/// batch; NLopt solves for the multipliers; a forward sweep shows which constraints the solution
-/// violates; they join, and so on. Those that had a multiplier last time are the first working set,
-/// and their gradients need no measurement: they are prepare()'s.
+/// Solves a Subproblem by the dual of the constraints in a working set. One adjoint sweep computes
+/// the gradients of these constraints by the coordinates z of Riccati, all in one batch. NLopt
+/// solves for the multipliers. A forward sweep shows which constraints the solution violates. These
+/// constraints join the working set, and the next round starts. The first working set contains the
+/// constraints that had a multiplier in the last solution. Their gradients need no measurement, so
+/// prepare() computes them.
 ///
-/// The fastest way for a handful of constraints. Work grows with the cube of their number, and
-/// memory with its square.
-template <int States, int Inputs, int Rows, typename Pattern>
+/// This is the fastest method for a few constraints. The work grows with the cube of their number,
+/// and the memory with its square.
+template <int States, int Inputs, int Constraints, typename Pattern>
 class DualMethod {
  public:
-  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+  using Program = Subproblem<States, Inputs, Constraints, Pattern>;
+  using Adjoint = AdjointBatch<States, Inputs, Pattern>;
 
   /// How solve() ended.
   enum class Outcome {
-    solved,  ///< no constraint is violated that is not in the working set
-    full,    ///< there is no room, or there are no rounds left, for all that are violated
+    solved,  ///< no constraint outside the working set is violated
+    full,    ///< the working set is full or no rounds are left, but constraints are still violated
     failed,  ///< no finite multipliers were found, or none before the deadline
   };
 
@@ -58,10 +61,11 @@ class DualMethod {
 
   [[nodiscard]] int capacity() const { return capacity_; }
   [[nodiscard]] bool late() const { return dual_.late(); }  ///< the deadline has passed
-  [[nodiscard]] int rounds() const { return rounds_; }      ///< of the last solve
+  [[nodiscard]] int rounds() const { return rounds_; }      ///< rounds of the last solve()
 
-  /// The first working set and its gradients; after the factorisation of `program` without terms.
-  /// False if it has no room.
+  /// Builds the first working set and computes its gradients. Requires the factorisation of
+  /// `program` without terms. Returns false if the working set has more than capacity()
+  /// constraints.
   [[nodiscard]] bool prepare(const Program& program) {
     active_.clear();
     for (const auto& [k, i] : program.active()) {
@@ -75,8 +79,9 @@ class DualMethod {
     return true;
   }
 
-  /// The step for the initial step dx0, and the multipliers, in the nodes of `program`; after
-  /// prepare(). The working set grows to at most `most` constraints, up to capacity().
+  /// Computes the step for the initial step dx0 and the multipliers. Stores the step in `program`
+  /// and the multipliers in its nodes. Requires prepare(). The working set grows to at most `most`
+  /// constraints (`most` <= capacity()).
   [[nodiscard]] Outcome solve(Program& program, const typename Program::Tangent& dx0,
                               std::optional<SolverClock::time_point> deadline, int most) {
     std::copy_n(dx0.data(), States, program.step(0).data());
@@ -106,7 +111,7 @@ class DualMethod {
         multipliers_(i) = 0.0;
         offsets_(i) = violation(program, row(i));
       }
-      // A row's value without any multiplier: its value now less what z contributes.
+      // Value of a constraint for zero multipliers: its current value minus the contribution of z.
       if (first > 0)
         detail::add_product(-1.0, gradients(first, static_cast<int>(z_.size())), {z_.data()},
                             &offsets_(first));
@@ -116,35 +121,36 @@ class DualMethod {
   }
 
  private:
-  /// A row of the working set: component of node k, at its upper (+1) or lower (-1) bound.
-  struct Row {
+  /// A constraint of the working set: `component` of node k, at its upper (+1) or lower (-1) bound.
+  struct Active {
     int k, component;
     double side;
     [[nodiscard]] std::size_t slot() const {
-      return static_cast<std::size_t>(side > 0.0 ? Rows + component : component);
+      return static_cast<std::size_t>(side > 0.0 ? Constraints + component : component);
     }
   };
 
   [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
-  [[nodiscard]] const Row& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
+  [[nodiscard]] const Active& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
 
-  [[nodiscard]] static double violation(const Program& program, const Row& r) {
+  [[nodiscard]] static double violation(const Program& program, const Active& r) {
     const auto& n = program.node(r.k);
     return r.side > 0.0 ? n.predicted(r.component) - n.upper(r.component)
                         : n.lower(r.component) - n.predicted(r.component);
   }
 
-  /// Rows that the prediction violates join the working set. False if there are more than `most`.
+  /// Adds the constraints that the prediction violates to the working set. Returns false if there
+  /// are more than `most`.
   [[nodiscard]] bool add_violated(const Program& program, int most) {
-    if (program.excess() <= settings_.row_tolerance) return true;
+    if (program.excess() <= settings_.constraint_tolerance) return true;
     for (auto& flags : in_set_) flags.fill(false);
-    for (const Row& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
+    for (const Active& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
     for (int k = program.horizon(); k >= 0; --k) {
       const auto& n = program.node(k);
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
-        if (std::max(over, under) <= settings_.row_tolerance) continue;
-        const Row r{k, i, over > under ? 1.0 : -1.0};
+        if (std::max(over, under) <= settings_.constraint_tolerance) continue;
+        const Active r{k, i, over > under ? 1.0 : -1.0};
         if (in_set_[static_cast<std::size_t>(k)][r.slot()]) continue;
         if (size() == most) return false;
         active_.push_back(r);
@@ -153,22 +159,22 @@ class DualMethod {
     return true;
   }
 
-  /// Gradients by z of the rows from `first` on, which are ordered by falling node, by one adjoint
-  /// sweep for all of them, and their part of G G'.
+  /// Computes the gradients by z of the constraints from `first` on, and their part of G G'. The
+  /// constraints from `first` on are ordered by decreasing node, so one adjoint sweep serves all.
   void add_gradients(const Program& program, int first) {
     const int last = size();
     if (first == last) return;
     auto *after = &adjoints_[0], *here = &adjoints_[1];
-    int count = 0;  // rows whose node has been reached
+    int count = 0;  // constraints whose node the sweep has reached
     for (int k = program.horizon(); k >= 0; --k) {
-      if (count > 0) program.riccati.step_back(k, *after, *here, count);
+      if (count > 0) Adjoint::step_back(program.riccati.stage(k), *after, *here, count);
       for (; first + count < last && row(first + count).k == k; ++count) {
-        const Row& r = row(first + count);
-        set_row_gradient(program, r, here->data() + count, here->rows());
+        const Active& r = row(first + count);
+        set_constraint_gradient(program, r, here->data() + count, here->rows());
         bounds_(first + count) = program.node(k).price(r.component);
       }
       if (k < program.horizon()) {
-        if (count > 0) program.riccati.to_coordinates(k, *here, count);
+        if (count > 0) Adjoint::to_coordinates(program.riccati.stage(k), *here, count);
         for (int j = 0; j < Inputs; ++j) {
           double* column = &gradients_(first, Inputs * k + j);
           std::copy_n(&(*here)(0, States + j), count, column);
@@ -180,22 +186,23 @@ class DualMethod {
     add_gram(program, first);
   }
 
-  /// The row's gradient by (dx, du) of its node, into entries that are `stride` apart.
-  static void set_row_gradient(const Program& program, const Row& r, double* entries,
-                               Eigen::Index stride) {
+  /// Writes the gradient of the constraint by (dx, du) of its node to entries that are `stride`
+  /// numbers apart.
+  static void set_constraint_gradient(const Program& program, const Active& r, double* entries,
+                                      Eigen::Index stride) {
     const auto& n = program.node(r.k);
     for (int j = 0; j < States; ++j) entries[stride * j] = r.side * n.C(r.component, j);
     for (int j = 0; j < Inputs; ++j)
       entries[stride * (States + j)] = r.k < program.horizon() ? r.side * n.E(r.component, j) : 0.0;
   }
 
-  /// The gradients of the rows from `first` on, by the first `count` entries of z.
+  /// Returns the gradients of the constraints from `first` on, by the first `count` entries of z.
   [[nodiscard]] detail::MatrixView gradients(int first, int count) const {
     return {gradients_.data() + first, size() - first, count, capacity_};
   }
 
-  /// Rows from `first` on of the lower triangle of G G' + 1 / stiffness. The gradient of a row is
-  /// zero after its node.
+  /// Computes the lower triangle of G G' + 1 / stiffness for the constraints from `first` on. The
+  /// gradient of a constraint is zero for all nodes after its own.
   void add_gram(const Program& program, int first) {
     const int last = size(), end = Inputs * std::min(row(first).k + 1, program.horizon());
     for (int j = 0; j < last; ++j) {
@@ -205,32 +212,32 @@ class DualMethod {
       detail::add_product(1.0, gradients(start, end), {&gradients_(j, 0), capacity_}, column);
     }
     for (int i = first; i < last; ++i) {
-      const Row& r = row(i);
+      const Active& r = row(i);
       gram_(i, i) += 1.0 / std::min(program.node(r.k).stiffness(r.component), most_stiffness);
     }
   }
 
   void store_multipliers(Program& program) const {
     for (int k = 0; k <= program.horizon(); ++k)
-      std::fill_n(program.node(k).multiplier.data(), Rows, 0.0);
+      std::fill_n(program.node(k).multiplier.data(), Constraints, 0.0);
     for (int i = 0; i < size(); ++i)
       if (multipliers_(i) > 0.0)
         program.node(row(i).k).multiplier(row(i).component) += row(i).side * multipliers_(i);
   }
 
-  // Keeps the dual of rows that are multiples of each other from being singular.
+  // Limit that keeps the dual regular if constraints are multiples of each other.
   static constexpr double most_stiffness = 1e12;
 
   DualSettings settings_;
   int capacity_;
   DualSolver<> dual_;
-  std::vector<Row> active_;
-  Eigen::MatrixXd gradients_;  // row i: gradient of row i by z
-  std::array<typename Program::Factorisation::Batch, 2> adjoints_;
+  std::vector<Active> active_;
+  Eigen::MatrixXd gradients_;  // row i: gradient of constraint i of the working set by z
+  std::array<typename Adjoint::Gradients, 2> adjoints_;
   Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
-  std::vector<std::array<bool, 2 * static_cast<std::size_t>(Rows)>> in_set_;
+  std::vector<std::array<bool, 2 * static_cast<std::size_t>(Constraints)>> in_set_;
   int rounds_ = 0;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

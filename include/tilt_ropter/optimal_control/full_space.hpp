@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/LU>
@@ -21,37 +22,41 @@
 #include <utility>
 #include <vector>
 
-/// The plain way to solve a problem of optimal_control/problem.hpp: the whole nonlinear program
-/// handed to NLopt's SLSQP. It is slow and exact: dense matrices of all states and inputs, so time
-/// grows with the cube of the horizon (the Tilt-Ropter's 96 variables of 4 intervals: 20 ms, 480
-/// of 20: 3 s), but Hessians come from BFGS instead of Gauss-Newton, rows and equalities are hard,
-/// and NLopt sees everything. Meant as an oracle for tests, and for whoever wants just that.
+/// Direct solver for a problem of optimal_control/problem.hpp: NLopt's SLSQP solves the whole
+/// nonlinear program. The solver is slow and exact. It uses dense matrices of all states and
+/// inputs, so the time grows with the cube of the horizon. The Tilt-Ropter's 96 variables of 4
+/// intervals take 20 ms, 480 variables of 20 intervals take 3 s. Hessians come from BFGS instead of
+/// Gauss-Newton, constraints and equalities are hard, and NLopt handles all of them. FullSpace is
+/// the reference solver for tests and for users who need exact solutions.
+///
+/// This header is long because the cost, the constraints and their gradients for NLopt share one
+/// layout of the variables.
 ///
 ///     variables     dx_1 .. dx_N, du_0 .. du_{N-1}: steps from a base trajectory, in tangent
 ///                   coordinates; the initial state is fixed
 ///     minimise      sum of cost(k, x_k (+) dx_k, u_k + du_k)
 ///     subject to    continuity  step(x_k, u_k) (-) base_{k+1} - dx_{k+1} = 0
-///                   rows        lower <= c(x, u) <= upper, each finite bound by itself
+///                   constraints lower <= c(x, u) <= upper, each finite bound by itself
 ///                   equalities  h(x) = 0, where their weight is > 0 and k > 0
 ///
-/// When SLSQP stops, the base moves to where it stopped, the steps are zero again, and SLSQP starts
-/// anew, until a whole call moves nothing: the final point then rests on derivatives at zero steps
-/// alone. At other steps the derivative of the retraction is needed. A problem whose retraction is
-/// not plain addition therefore has one more member,
+/// When SLSQP stops, the base moves to the final point, the steps are set to zero, and SLSQP
+/// restarts. This ends when a whole call moves nothing. The final point then depends only on
+/// derivatives at zero steps. At other steps the derivative of the retraction is needed. A problem
+/// whose retraction is not plain addition therefore has one more member,
 ///
 ///     // d difference(retract(x, dx + e), retract(x, dx)) / de at e = 0
 ///     D::A retract_derivative(const State& x, const D::Tangent& dx) const;
 ///
-/// and where it is absent it is taken to be the identity: exact where the retraction is addition;
-/// elsewhere a call of NLopt then goes astray far from its base, and it takes more of them.
+/// If it is absent, the identity is used. The identity is exact if the retraction is addition.
+/// Otherwise the derivatives are wrong far from the base, and more calls of NLopt are needed.
 ///
-/// Differences to MultipleShooting: penalties do not count, linear or quadratic, so a problem
-/// without a feasible point is reported as infeasible and not solved; equality weights only switch
-/// rows on and off; and equalities that no variable moves (a height that the problem holds anyway)
-/// make SLSQP's subproblem singular: a failure.
-namespace tilt_ropter {
+/// Differences to MultipleShooting: linear and quadratic penalties are ignored, so a problem
+/// without a feasible point is reported as infeasible and not solved. Equality weights only switch
+/// equalities on and off. Equalities that no variable can change (for example a height that the
+/// problem holds anyway) make SLSQP's subproblem singular, and the solve fails.
+namespace tilt_ropter::optimal_control {
 
-/// Solves a `Problem` as a whole, by the program above.
+/// Solves a `Problem` as one nonlinear program, see above.
 template <typename Problem>
 class FullSpace {
  public:
@@ -59,11 +64,11 @@ class FullSpace {
   using State = typename Problem::State;
   using Tangent = typename Dimensions::Tangent;
   using Input = typename Dimensions::Input;
-  using AllRows = ProblemRows<Problem>;
-  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllRows::count,
+  using AllConstraints = ProblemConstraints<Problem>;
+  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllConstraints::count,
                        ne = Dimensions::ne;
 
-  /// Throws std::invalid_argument for settings out of range or a horizon below 1.
+  /// Throws std::invalid_argument if settings are out of range or the horizon is below 1.
   explicit FullSpace(Problem problem, const FullSpaceSettings& settings = {})
       : problem_(std::move(problem)), settings_(settings), horizon_(problem_.horizon()) {
     validate(settings);
@@ -89,14 +94,14 @@ class FullSpace {
     for (int k = 0; k <= horizon_; ++k) set_guess(k, x0, Input::Zero());
   }
 
-  /// Guess of the state and input at node k (the input of the last node means nothing).
+  /// Sets the guess of the state and input at node k. The input of the last node is ignored.
   void set_guess(int k, const State& x, const Input& u) {
     node(k).base = x;
     node(k).base_input = u;
   }
 
-  /// Solves from the current guess, which reset() or set_guess() must have set at every node, with
-  /// the initial state fixed to x0. Never throws; NLopt allocates its workspace.
+  /// Solves from the current guess, with the initial state fixed to x0. reset() or set_guess() must
+  /// have set the guess at every node. Never throws. NLopt allocates its workspace.
   const FullSpaceReport& solve(const State& x0) noexcept {
     report_ = {};
     if (!all_finite(problem_.difference(x0, x0))) {
@@ -114,8 +119,8 @@ class FullSpace {
     while (last == Call::moved && report_.rebases < settings_.max_rebases && time_left() > 0.0)
       last = call_nlopt(time_left());
     audit();
-    const double infeasibility =
-        std::max({report_.max_defect, report_.max_violation, report_.max_equality});
+    const double infeasibility = detail::larger(
+        report_.max_defect, detail::larger(report_.max_violation, report_.max_equality));
     if (last == Call::failed || !std::isfinite(report_.cost) || !std::isfinite(infeasibility))
       report_.status = FullSpaceStatus::failed;
     else if (last == Call::moved)
@@ -151,18 +156,18 @@ class FullSpace {
     Tangent dx = Tangent::Zero();
     A turn = A::Identity();  // derivative of the retraction at dx
   };
-  struct Bound {  // a finite bound of a row: upper (side +1) or lower (-1)
+  struct Bound {  // a finite bound of a constraint: upper (side +1) or lower (-1)
     int k, component;
     double side, limit;
   };
-  using Rows = typename AllRows::Values;
-  struct RowBounds {
-    Rows lower, upper, price, stiffness;
+  using Constraints = typename AllConstraints::Values;
+  struct ConstraintBounds {
+    Constraints lower, upper, price, stiffness;
   };
   struct Equality {
     int k, component;
   };
-  enum class Call { moved, settled, stuck, failed };  // what a call of NLopt did
+  enum class Call { moved, settled, stuck, failed };  // result of a call of NLopt
   struct Destroy {
     void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
   };
@@ -170,17 +175,17 @@ class FullSpace {
   Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
   const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
 
-  // Where the steps of node k stand among the variables: du_0, dx_1, du_1, dx_2, ..
+  // Index of the steps of node k in the variables: du_0, dx_1, du_1, dx_2, ..
   static Eigen::Index input_at(int k) { return (nx + nu) * k; }
   static Eigen::Index state_at(int k) { return (nx + nu) * k - nx; }
 
-  // Tells NLopt of every bound and equality that is there now.
+  // Adds all current bounds and equalities to NLopt.
   bool add_constraints() {
     if (!optimizer_) return false;
     bounds_.clear();
     equalities_.clear();
     for (int k = 0; k <= horizon_; ++k) {
-      const RowBounds bounds = row_bounds(k);
+      const ConstraintBounds bounds = constraint_bounds(k);
       for (int i = 0; i < nc; ++i) {
         if (std::isfinite(bounds.upper(i))) bounds_.push_back({k, i, 1.0, bounds.upper(i)});
         if (std::isfinite(bounds.lower(i))) bounds_.push_back({k, i, -1.0, bounds.lower(i)});
@@ -196,7 +201,7 @@ class FullSpace {
     nlopt_remove_inequality_constraints(optimizer);
     const auto equalities =
         static_cast<unsigned>(nx * horizon_) + static_cast<unsigned>(equalities_.size());
-    // Without tolerances: SLSQP's own tests would prefer a cheaper point at the edge of them.
+    // No constraint tolerances: with tolerances SLSQP would prefer a cheaper point at their limit.
     return nlopt_set_min_objective(optimizer, cost, this) > 0 &&
            nlopt_add_equality_mconstraint(optimizer, equalities, equality, this, nullptr) > 0 &&
            (bounds_.empty() ||
@@ -204,24 +209,24 @@ class FullSpace {
                                              this, nullptr) > 0);
   }
 
-  // At node N, only of rows that do not see the input.
-  [[nodiscard]] RowBounds row_bounds(int k) const {
-    RowBounds b;
-    AllRows::bounds(problem_, k, b.lower, b.upper, b.price, b.stiffness);
+  // At node N, only bounds of constraints that do not depend on the input.
+  [[nodiscard]] ConstraintBounds constraint_bounds(int k) const {
+    ConstraintBounds b;
+    AllConstraints::bounds(problem_, k, b.lower, b.upper, b.price, b.stiffness);
     if (k < horizon_) return b;
-    typename AllRows::ByState C = AllRows::ByState::Zero();
-    typename AllRows::ByInput E = AllRows::ByInput::Zero();
-    AllRows::derivatives(problem_, k, node(k).base, Input::Zero(), C, E);
+    typename AllConstraints::ByState C = AllConstraints::ByState::Zero();
+    typename AllConstraints::ByInput E = AllConstraints::ByInput::Zero();
+    AllConstraints::derivatives(problem_, k, node(k).base, Input::Zero(), C, E);
     for (int i = 0; i < nc; ++i)
-      if (!AllRows::applies(problem_, k, E, i)) {
+      if (!AllConstraints::applies(problem_, k, E, i)) {
         b.lower(i) = -std::numeric_limits<double>::infinity();
         b.upper(i) = std::numeric_limits<double>::infinity();
       }
     return b;
   }
 
-  // SLSQP starts from the identity as Hessian, so the variables are scaled until the diagonal of
-  // the cost's is one.
+  // SLSQP starts with the identity as Hessian. The variables are therefore scaled so that the
+  // diagonal of the cost's Hessian is one.
   void choose_scale() {
     for (int k = 0; k <= horizon_; ++k) {
       QuadraticModel<nx, nu> model;
@@ -232,7 +237,7 @@ class FullSpace {
     scale_ = scale_.cwiseMax(1e-4).cwiseSqrt().cwiseInverse();
   }
 
-  // One call of NLopt, from the base and to a new one.
+  // Makes one call of NLopt from the base, and moves the base to the result.
   Call call_nlopt(double time) {
     choose_scale();
     nlopt_result result = optimize(time, 0.0);
@@ -240,8 +245,9 @@ class FullSpace {
       return result == NLOPT_MAXEVAL_REACHED || result == NLOPT_MAXTIME_REACHED;
     };
     if (finite_ && gradients_ < 2 && !limited()) {
-      // No step was tried: either this is the very optimum, and a start beside it leads back, or
-      // SLSQP cannot solve its subproblem. NLopt's code is the same.
+      // SLSQP tried no step. Either the start is the optimum, and a slightly different start leads
+      // back to it, or SLSQP cannot solve its subproblem. NLopt returns the same code in both
+      // cases.
       result = optimize(time, 1e-6);
       if (finite_ && gradients_ < 2 && !limited()) return Call::stuck;
     }
@@ -257,11 +263,11 @@ class FullSpace {
     return moved || limited() ? Call::moved : Call::settled;
   }
 
-  // Lets NLopt run from steps of this size; ends in latest_.
+  // Runs NLopt from variables of this size. The result is in latest_.
   nlopt_result optimize(double time, double size) {
     nlopt_opt optimizer = optimizer_.get();
     nlopt_set_maxeval(optimizer, settings_.max_evaluations);
-    nlopt_set_maxtime(optimizer, std::max(time, 1e-9));  // 0 would be no limit
+    nlopt_set_maxtime(optimizer, std::max(time, 1e-9));  // 0 would mean no limit
     nlopt_set_force_stop(optimizer, 0);
     variables_.setConstant(size);
     latest_.setZero();
@@ -272,7 +278,7 @@ class FullSpace {
     return nlopt_optimize(optimizer, variables_.data(), &value);
   }
 
-  // Steps to states and inputs.
+  // Converts steps to states and inputs.
   template <typename Variables>
   void place(const Variables& v) {
     for (int k = 0; k <= horizon_; ++k) {
@@ -289,16 +295,16 @@ class FullSpace {
     }
   }
 
-  // NLopt burns all its evaluations on a NaN.
+  // Stops NLopt at a NaN. Otherwise NLopt would use all its evaluations on it.
   void stop_unless(bool finite) {
     if (finite) return;
     finite_ = false;
     nlopt_force_stop(optimizer_.get());
   }
 
-  // SLSQP asks for gradients at every new iterate and at every full step from one. If such a point
-  // is no other than one of the last two, then either the full step is none, or no part of it
-  // makes anything better.
+  // SLSQP requests gradients at every new iterate and at every full step from an iterate. If such a
+  // point equals one of the last two points, either the full step is zero or no shorter step
+  // decreases the merit.
   void look_for_the_end(const Point& v) {
     const double moved = (v - latest_).cwiseAbs().maxCoeff();
     const double moved_in_two = (v - before_latest_).cwiseAbs().maxCoeff();
@@ -334,16 +340,26 @@ class FullSpace {
     return sum;
   }
 
-  // Continuity of every interval, then equalities.
+  // Takes the point v and returns where NLopt wants the values and, if at all, their Jacobian,
+  // which is zero so far.
+  std::pair<Vector, Jacobian> outputs(unsigned count, double* result, unsigned size,
+                                      const double* v, double* gradient) {
+    const auto rows = static_cast<Eigen::Index>(count), columns = static_cast<Eigen::Index>(size);
+    place(Point(v, columns));
+    std::pair<Vector, Jacobian> to{Vector(result, rows),
+                                   Jacobian(gradient, gradient ? rows : 0, columns)};
+    to.second.setZero();
+    return to;
+  }
+
+  // Continuity of every interval, then the equalities.
   static void equality(unsigned count, double* result, unsigned size, const double* v,
                        double* gradient, void* self_pointer) {
     auto& self = *static_cast<FullSpace*>(self_pointer);
     const Problem& problem = self.problem_;
-    self.place(Point(v, static_cast<Eigen::Index>(size)));
-    Vector value(result, static_cast<Eigen::Index>(count));
-    Jacobian jacobian(gradient, gradient ? static_cast<Eigen::Index>(count) : 0,
-                      static_cast<Eigen::Index>(size));
-    jacobian.setZero();
+    std::pair<Vector, Jacobian> to = self.outputs(count, result, size, v, gradient);
+    Vector& value = to.first;
+    Jacobian& jacobian = to.second;
     for (int k = 0; k < self.horizon_; ++k) {
       const Node& n = self.node(k);
       const Node& next = self.node(k + 1);
@@ -379,31 +395,29 @@ class FullSpace {
     self.finish(value, jacobian);
   }
 
-  // Finite bounds of rows, as values <= 0.
+  // Finite bounds of constraints, as values <= 0.
   static void row(unsigned count, double* result, unsigned size, const double* v, double* gradient,
                   void* self_pointer) {
     auto& self = *static_cast<FullSpace*>(self_pointer);
     const Problem& problem = self.problem_;
-    self.place(Point(v, static_cast<Eigen::Index>(size)));
-    Vector value(result, static_cast<Eigen::Index>(count));
-    Jacobian jacobian(gradient, gradient ? static_cast<Eigen::Index>(count) : 0,
-                      static_cast<Eigen::Index>(size));
-    jacobian.setZero();
+    std::pair<Vector, Jacobian> to = self.outputs(count, result, size, v, gradient);
+    Vector& value = to.first;
+    Jacobian& jacobian = to.second;
     if constexpr (nc == 0) return;
-    Rows c;
-    typename AllRows::ByState C;
-    typename AllRows::ByInput E;
+    Constraints c;
+    typename AllConstraints::ByState C;
+    typename AllConstraints::ByInput E;
     int evaluated = -1;
     for (std::size_t i = 0; i < self.bounds_.size(); ++i) {
       const Bound& b = self.bounds_[i];
       const auto index = static_cast<Eigen::Index>(i);
       const Node& n = self.node(b.k);
       if (evaluated != b.k) {
-        c = AllRows::values(problem, b.k, n.x, n.u);
+        c = AllConstraints::values(problem, b.k, n.x, n.u);
         if (gradient) {
           C.setZero();
           E.setZero();
-          AllRows::derivatives(problem, b.k, n.x, n.u, C, E);
+          AllConstraints::derivatives(problem, b.k, n.x, n.u, C, E);
         }
         evaluated = b.k;
       }
@@ -423,10 +437,10 @@ class FullSpace {
     stop_unless(all_finite(jacobian));
   }
 
-  // Figures of the base trajectory. A NaN stays one.
+  // Computes the report's values for the base trajectory.
   void audit() {
     const auto raise = [](double& largest, double value) {
-      if (!(value <= largest)) largest = value;
+      largest = detail::larger(largest, value);
     };
     for (int k = 0; k <= horizon_; ++k) {
       const Node& n = node(k);
@@ -436,8 +450,8 @@ class FullSpace {
         const Tangent defect = problem_.difference(end, node(k + 1).base);
         for (int i = 0; i < nx; ++i) raise(report_.max_defect, std::abs(defect(i)));
       }
-      const Rows c = AllRows::values(problem_, k, n.base, n.base_input);
-      const RowBounds bounds = row_bounds(k);
+      const Constraints c = AllConstraints::values(problem_, k, n.base, n.base_input);
+      const ConstraintBounds bounds = constraint_bounds(k);
       for (int i = 0; i < nc; ++i) {
         raise(report_.max_violation, c(i) - bounds.upper(i));
         raise(report_.max_violation, bounds.lower(i) - c(i));
@@ -457,11 +471,11 @@ class FullSpace {
   std::vector<Bound> bounds_;
   std::vector<Equality> equalities_;
   Eigen::VectorXd scale_;                   // step = scale * variable
-  Eigen::VectorXd variables_;               // NLopt's
-  Eigen::VectorXd latest_, before_latest_;  // last points at which gradients were asked for
+  Eigen::VectorXd variables_;               // NLopt's variables
+  Eigen::VectorXd latest_, before_latest_;  // last points where NLopt requested gradients
   FullSpaceReport report_;
-  int gradients_ = 0;  // asked for in this call of NLopt
+  int gradients_ = 0;  // gradients requested in this call of NLopt
   bool finite_ = true;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

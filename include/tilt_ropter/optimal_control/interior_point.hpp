@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/optimal_control/bounded_sides.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -14,40 +15,41 @@
 #include <limits>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// Solves a Subproblem by a primal-dual interior-point method whose every iteration is one Riccati
-/// pass and two solves with it, whatever holds: predictor and corrector (Mehrotra 1992) as in HPIPM
-/// (Frison & Diehl 2020), with the constraints' prices in it.
+/// Solves a Subproblem by a primal-dual interior-point method. Every iteration takes one Riccati
+/// pass and two solves with its factorisation, for any set of active constraints. The method uses
+/// predictor and corrector steps (Mehrotra 1992) as in HPIPM (Frison & Diehl 2020), and includes
+/// the prices of the constraints.
 ///
 /// A bound with value v <= 0, price rho and softness c = 1 / stiffness has slacks t and s and a
 /// multiplier l,
 ///
 ///     v + t - s - c l = 0,    l t = mu,    (rho - l) s = mu,    t, s > 0,  0 < l < rho,
 ///
-/// with mu -> 0. Eliminated, it adds one weight 1 / (t / l + s / (rho - l) + c) to the Hessian and
-/// one number to the gradient. No program is infeasible, no matrix singular, and no iterate leaves
-/// a bound that it is inside, so that a solve that is cut off leaves a plan that can be flown.
+/// with mu -> 0. Eliminating t, s and l adds one weight 1 / (t / l + s / (rho - l) + c) to the
+/// Hessian and one number to the gradient. No program is infeasible and no matrix is singular. An
+/// iterate that is inside a bound stays inside it, so an interrupted solve leaves a plan that can
+/// be flown.
 ///
-/// A long header for one method: the steps of an iteration work on the same eighteen vectors, one
-/// number for each side of each bounded constraint, and are read in the order in which they run.
-template <int States, int Inputs, int Rows, typename Pattern>
+/// This header is long because the steps of an iteration work on the same eighteen vectors, with
+/// one number for each side of each bounded constraint. The steps are listed in the order in which
+/// they run.
+template <int States, int Inputs, int Constraints, typename Pattern>
 class InteriorPoint {
  public:
-  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+  using Program = Subproblem<States, Inputs, Constraints, Pattern>;
   using Vector = typename Program::Vector;
 
   /// Allocates everything for `horizon` intervals.
   explicit InteriorPoint(int horizon)
-      : nodes_(static_cast<std::size_t>(horizon) + 1),
-        here_(nodes_.size(), detail::Filled()),
+      : sides_(horizon),
+        here_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
         change_(here_),
         cost_gradients_(here_),
         gradients_(here_),
-        of_rows_(Eigen::VectorXd::Zero(Rows * (horizon + 1))) {
-    const int most = 2 * Rows * (horizon + 1);
-    sides_.reserve(static_cast<std::size_t>(most));
-    immovable_.reserve(static_cast<std::size_t>(most / 2));
+        of_constraints_(Eigen::VectorXd::Zero(Constraints * (horizon + 1))) {
+    const int most = 2 * Constraints * (horizon + 1);
     for (Eigen::VectorXd* numbers :
          {&price_, &softness_, &value_, &multiplier_, &slack_, &excess_, &weight_, &per_multiplier_,
           &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_, &slack_change_,
@@ -55,17 +57,18 @@ class InteriorPoint {
       numbers->setOnes(detail::padded(std::max(most, 1)));
   }
 
-  /// Begins with the inputs of the plan from which `program` was linearised, or, where they lead
-  /// far astray, with inputs that follow the deviation from it by the gains of the last pass, whose
-  /// step is in `program`; curvature(k, row) is what it costs to move a constraint. Hard
-  /// constraints get a price that is `far_above` times what the cost pushes against them with.
-  /// False, and nothing is begun, if no step changes any bounded constraint.
+  /// Starts from the inputs of the plan at which `program` was linearised. If these inputs lead far
+  /// from the plan, starts from inputs that follow the deviation from the plan by the gains of the
+  /// last pass. The step of that pass is in `program`. curvature(k, row) returns the cost of moving
+  /// a constraint. The price of a hard constraint becomes `far_above` times the estimated slope of
+  /// the cost along this constraint. Returns false, and does not start, if no step changes any
+  /// bounded constraint.
   template <typename Curvature>
   [[nodiscard]] bool start(Program& program, double damping, double far_above,
                            const Curvature& curvature) {
     damping_ = damping;
-    read_rows(program);
-    if (sides_.empty()) return false;
+    read_bounds(program);
+    if (count() == 0) return false;
     double gain = 0.0;
     for (Vector& w : here_) detail::fill(w, 0.0);
     detail::copy_first(States, program.step(0), here_[0]);
@@ -73,14 +76,14 @@ class InteriorPoint {
     if (!(largest(here_) <= 100.0 * largest(program.steps()))) {
       program.riccati.sweep_plan(here_);
       for (Eigen::Index i = 0; i < count(); ++i) {
-        const Side& side = sides_[static_cast<std::size_t>(i)];
+        const Side& side = sides_[i];
         const double v = std::max(value_change_(i), 0.0);
-        gain += curvature(side.k, program.row_gradient(side.k, side.row)) * v * v;
+        gain += curvature(side.k, program.constraint_gradient(side.k, side.row)) * v * v;
       }
     }
     set_values(program);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const Side& side = sides_[i];
       if (!program.node(side.k).hard[static_cast<std::size_t>(side.row)])
         gain += 0.1 * price_(i) * std::max(value_(i), 0.0);
     }
@@ -88,29 +91,30 @@ class InteriorPoint {
     return true;
   }
 
-  /// Instead of start(): the same program with another initial step. Inputs follow the difference
-  /// by the gains of the last pass. False, and nothing is done, if a number is not finite.
+  /// Alternative to start(): continues the same program for another initial step. The inputs follow
+  /// the difference by the gains of the last pass. Returns false, and changes no iterate, if a
+  /// number is not finite.
   [[nodiscard]] bool go_on(Program& program, const typename Program::Tangent& dx0) {
     for (int i = 0; i < States; ++i) change_[0](i) = dx0(i) - here_[0](i);
     program.riccati.sweep_deviation(change_);
     if (!(largest(change_) < infinity)) return false;
-    multiply_rows(program, change_);
+    multiply_constraints(program, change_);
     add_change(1.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
-      const double change = side.sign * of_rows_(side.at);
+      const Side& side = sides_[i];
+      const double change = side.sign * of_constraints_(side.at);
       value_(i) += change;
       slack_(i) = std::max(slack_(i) - change, 0.1 * slack_(i));
     }
     return true;
   }
 
-  /// One iteration. False if there is no factorisation or a number is not finite.
+  /// One iteration. Returns false if the factorisation fails or a number is not finite.
   [[nodiscard]] bool iterate(Program& program) {
     const double mu = set_weights() / (2.0 * static_cast<double>(count()));
     const auto weights = [this](int k, double* hessian, double*) {
       detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-        add_weights<packet()>(k, hessian);
+        sides_.template add_weights<packet()>(k, of_constraints_.data() + Constraints * k, hessian);
         return true;
       });
     };
@@ -124,7 +128,8 @@ class InteriorPoint {
     find_direction(program);
     Lengths lengths = complete_direction();
     if (std::min(lengths.primal, lengths.dual) < short_step) {
-      // The correction has led astray: towards the centre, and no further.
+      // The corrected direction allows only a short step: use the direction towards the centre
+      // alone.
       aim_at_center(mu, 0.0);
       find_direction(program);
       lengths = complete_direction();
@@ -138,9 +143,11 @@ class InteriorPoint {
     return true;
   }
 
-  [[nodiscard]] double mu() const { return mu_; }              ///< mean complementarity product
-  [[nodiscard]] double first_mu() const { return first_mu_; }  ///< that of start()
-  /// Bounds of which the last iteration does not clearly say whether they hold.
+  [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
+  /// Mean complementarity product after start().
+  [[nodiscard]] double first_mu() const { return first_mu_; }
+  /// Number of bounds for which the last iteration does not show clearly whether they are active or
+  /// at their price.
   [[nodiscard]] int undecided() const {
     const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
     int undecided = 0;
@@ -149,15 +156,16 @@ class InteriorPoint {
     return undecided;
   }
 
-  /// Writes the step into `program`, and the multipliers into its nodes; if `decided`, those of
-  /// bounds that seem not to hold as zero, and those that seem to be at their price as that.
+  /// Writes the step into `program` and the multipliers into its nodes. With `decided`, the
+  /// multipliers of bounds that seem inactive become zero. Multipliers that seem to be at their
+  /// price become the price.
   void finish(Program& program, bool decided) const {
     for (int k = 0; k <= program.horizon(); ++k) {
       program.step(k) = here_[static_cast<std::size_t>(k)];
       detail::fill(program.node(k).multiplier, 0.0);
     }
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const Side& side = sides_[i];
       const bool holds = of_multiplier_(i) < 0.5;
       if (!holds && decided) continue;
       const bool at_price =
@@ -166,7 +174,7 @@ class InteriorPoint {
           side.sign * (at_price ? price_(i) : multiplier_(i));
     }
     program.predict();
-    for (const auto& [k, i] : immovable_) {
+    for (const auto& [k, i] : sides_.immovable()) {
       auto& n = program.node(k);
       if (n.predicted(i) > n.upper(i)) n.multiplier(i) = n.price(i);
       if (n.predicted(i) < n.lower(i)) n.multiplier(i) = -n.price(i);
@@ -174,24 +182,11 @@ class InteriorPoint {
   }
 
  private:
-  struct Side {      // a finite bound: of row `row` of node k, upper (+1) or lower (-1)
-    int k, row, at;  // at: in of_rows_
-    double sign;
-  };
-  // The rows of a node that have a bound, by what they add to a Hessian.
-  struct NodeRowsRead {
-    int bounds = 0;  // with a single non-zero entry
-    std::array<int, static_cast<std::size_t>(Rows)> bound{}, entry{};
-    std::array<double, static_cast<std::size_t>(Rows)> square{};
-    int dense = 0;  // with more of them
-    std::array<int, static_cast<std::size_t>(Rows)> row{};
-    std::array<Vector, static_cast<std::size_t>(Rows)> gradient;
-    int columns = 0;  // that they reach
-    std::array<int, static_cast<std::size_t>(Program::width)> column{};
-  };
+  using Sides = BoundedSides<States, Inputs, Constraints, Pattern>;
+  using Side = typename Sides::Side;
 
   [[nodiscard]] static double largest(const std::vector<Vector>& w) {
-    double most = 0.0, sum = 0.0;  // the sum is NaN if any is
+    double most = 0.0, sum = 0.0;  // the sum is NaN if any entry is NaN
     for (const Vector& v : w) {
       for (Eigen::Index i = 0; i < v.size(); ++i) {
         most = std::max(most, std::abs(v(i)));
@@ -200,7 +195,7 @@ class InteriorPoint {
     }
     return std::isfinite(sum) ? most : infinity;
   }
-  [[nodiscard]] Eigen::Index count() const { return static_cast<Eigen::Index>(sides_.size()); }
+  [[nodiscard]] Eigen::Index count() const { return sides_.count(); }
 
   // here_ += length change_.
   void add_change(double length) {
@@ -208,70 +203,32 @@ class InteriorPoint {
       for (Eigen::Index i = 0; i < here_[k].size(); ++i) here_[k](i) += length * change_[k](i);
   }
 
-  // Which bounds there are, and which entries of their rows; value_change_ is what their values are
-  // at the step in `program`.
-  void read_rows(const Program& program) {
-    sides_.clear();
-    immovable_.clear();
-    for (int k = 0; k <= program.horizon(); ++k) {
-      const auto& n = program.node(k);
-      NodeRowsRead& node = nodes_[static_cast<std::size_t>(k)];
-      node.bounds = node.dense = node.columns = 0;
-      std::array<bool, static_cast<std::size_t>(Program::width)> reached{};
-      for (int i = 0; i < Rows; ++i) {
-        const bool above = std::isfinite(n.upper(i)), below = std::isfinite(n.lower(i));
-        if (!above && !below) continue;
-        Vector& gradient = node.gradient[static_cast<std::size_t>(node.dense)];
-        gradient = program.row_gradient(k, i);
-        int entries = 0, last = 0;
-        for (int j = 0; j < Program::width; ++j)
-          if (gradient(j) != 0.0) {
-            ++entries;
-            last = j;
-          }
-        if (entries == 0) {
-          immovable_.push_back({k, i});
-          continue;
-        }
-        if (entries == 1) {
-          const auto b = static_cast<std::size_t>(node.bounds++);
-          node.bound[b] = i;
-          node.entry[b] = last;
-          node.square[b] = gradient(last) * gradient(last);
-        } else {
-          node.row[static_cast<std::size_t>(node.dense++)] = i;
-          for (int j = 0; j < Program::width; ++j)
-            if (gradient(j) != 0.0) reached[static_cast<std::size_t>(j)] = true;
-        }
-        for (const double sign : {1.0, -1.0}) {
-          if (!(sign > 0.0 ? above : below)) continue;
-          const Eigen::Index at = count();
-          sides_.push_back({k, i, Rows * k + i, sign});
-          price_(at) = n.price(i);
-          softness_(at) = 1.0 / n.stiffness(i);
-          value_change_(at) =
-              sign > 0.0 ? n.predicted(i) - n.upper(i) : n.lower(i) - n.predicted(i);
-        }
-      }
-      for (int j = 0; j < Program::width; ++j)
-        if (reached[static_cast<std::size_t>(j)])
-          node.column[static_cast<std::size_t>(node.columns++)] = j;
+  // Reads the bounds. Sets value_change_ to the values of the bounds at the step in `program`.
+  void read_bounds(const Program& program) {
+    sides_.read(program);
+    for (Eigen::Index i = 0; i < count(); ++i) {
+      const Side& side = sides_[i];
+      const auto& n = program.node(side.k);
+      price_(i) = n.price(side.row);
+      softness_(i) = 1.0 / n.stiffness(side.row);
+      value_change_(i) = side.sign > 0.0 ? n.predicted(side.row) - n.upper(side.row)
+                                         : n.lower(side.row) - n.predicted(side.row);
     }
   }
 
-  // Of all bounds at here_.
+  // Sets the values of all bounds at here_.
   void set_values(const Program& program) {
-    multiply_rows(program, here_);
+    multiply_constraints(program, here_);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const Side& side = sides_[i];
       const auto& n = program.node(side.k);
-      const double value = n.value(side.row) + of_rows_(side.at);
+      const double value = n.value(side.row) + of_constraints_(side.at);
       value_(i) = side.sign > 0.0 ? value - n.upper(side.row) : n.lower(side.row) - value;
     }
   }
 
-  // By how much the program's step would be better than here_ if nothing were bounded; gradients_
-  // are those of the cost there.
+  // Returns the cost at here_ minus the cost at the step of the program, without constraints. Sets
+  // gradients_ to the gradients of the cost at that step.
   [[nodiscard]] double to_gain(const Program& program) {
     double sum = 0.0;
     set_cost_gradients(program);
@@ -289,22 +246,24 @@ class InteriorPoint {
   }
 
   void begin(Program& program, double gain, double far_above) {
-    std::array<double, static_cast<std::size_t>(Rows)> unit{};  // how far a row moves at most
+    std::array<double, static_cast<std::size_t>(Constraints)>
+        unit{};  // estimated largest change of the value of each constraint
     for (Eigen::Index i = 0; i < count(); ++i) {
-      double& u = unit[static_cast<std::size_t>(sides_[static_cast<std::size_t>(i)].row)];
+      double& u = unit[static_cast<std::size_t>(sides_[i].row)];
       u = std::max({u, std::abs(value_change_(i) - value_(i)), value_(i)});
     }
-    // What the cost pushes with at the program's step.
+    // Derivatives of the cost by (dx, du) of each node, with the effect on later nodes, at the step
+    // of the program.
     (void)program.sweep_back(
         false, [&](auto, int k, Vector& g) { g = gradients_[static_cast<std::size_t>(k)]; },
         [&](int k, const Vector& sum, const Vector&) {
           gradients_[static_cast<std::size_t>(k)] = sum;
         });
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
+      const Side& side = sides_[i];
       auto& n = program.node(side.k);
       if (!n.hard[static_cast<std::size_t>(side.row)]) continue;
-      const Vector row = program.row_gradient(side.k, side.row);
+      const Vector row = program.constraint_gradient(side.k, side.row);
       double push = 1.0 + gain / std::max(unit[static_cast<std::size_t>(side.row)], 1e-100);
       for (int j = 0; j < Program::width; ++j)
         if (row(j) != 0.0)
@@ -317,15 +276,16 @@ class InteriorPoint {
     center(restart_mu_);
   }
 
-  // Slacks and multipliers about as they should be at here_ for products of `mu`.
+  // Sets slacks and multipliers to approximate values at here_ for complementarity products of
+  // `mu`.
   void center(double mu) {
     for (Eigen::Index i = 0; i < count(); ++i) {
-      Side& side = sides_[static_cast<std::size_t>(i)];
+      const Side& side = sides_[i];
       const double u = unit_[static_cast<std::size_t>(side.row)];
       slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
       multiplier_(i) = std::min(mu / slack_(i), 0.1 * price_(i));
       excess_(i) = mu / (price_(i) - multiplier_(i));
-      of_multiplier_(i) = 1.0;  // nothing holds
+      of_multiplier_(i) = 1.0;  // no bound counts as active
       of_rest_(i) = 0.0;
     }
     mu_ = mu;
@@ -340,7 +300,7 @@ class InteriorPoint {
       return true;
     });
   }
-  // The sum of what body(width, i, total) adds to `total`.
+  // Returns the sum of the numbers that body(width, i, total) adds to `total`.
   template <typename Body>
   [[nodiscard]] double sum_of_sides(const Body& body) const {
     double sum = 0.0;
@@ -355,7 +315,8 @@ class InteriorPoint {
     });
     return sum;
   }
-  // The largest of two numbers of each side, at least `least` each: body(width, i, first, second).
+  // Returns the largest values of two numbers of each side, at least `least`: body(width, i, first,
+  // second) updates both.
   template <typename Body>
   [[nodiscard]] std::array<double, 2> largest_of_sides(double least, const Body& body) const {
     std::array<double, 2> most{least, least};
@@ -371,9 +332,9 @@ class InteriorPoint {
     });
     return most;
   }
-  // The sum of all complementarity products.
+  // Computes the weights. Returns the sum of all complementarity products.
   double set_weights() {
-    // What fills up the last packet has no say.
+    // Fill the last packet with numbers that do not affect the result.
     for (Eigen::Index i = count(); i < detail::padded(static_cast<int>(count())); ++i) {
       price_(i) = 2.0;
       multiplier_(i) = softness_(i) = value_(i) = value_change_(i) = 1.0;
@@ -397,47 +358,18 @@ class InteriorPoint {
           detail::store<W>(weight_.data() + i, weight);
           total += l * t + rest * s;
         });
-    detail::fill(of_rows_, 0.0);
-    for (Eigen::Index i = 0; i < count(); ++i)
-      of_rows_(sides_[static_cast<std::size_t>(i)].at) += weight_(i);
+    detail::fill(of_constraints_, 0.0);
+    for (Eigen::Index i = 0; i < count(); ++i) of_constraints_(sides_[i].at) += weight_(i);
     return sum;
   }
 
-  template <int W>
-  [[gnu::always_inline]] inline void add_weights(int k, double* hessian) const {
-    constexpr int rows = Program::rows, packets = rows / W;
-    const NodeRowsRead& node = nodes_[static_cast<std::size_t>(k)];
-    const double* weights = of_rows_.data() + Rows * k;
-    for (int b = 0; b < node.bounds; ++b) {
-      const auto i = static_cast<std::size_t>(b);
-      hessian[(rows + 1) * node.entry[i]] += weights[node.bound[i]] * node.square[i];
-    }
-    if (node.dense == 0) return;
-    for (int c = 0; c < node.columns; ++c) {
-      const int j = node.column[static_cast<std::size_t>(c)];
-      double* column = hessian + rows * j;
-      detail::Packet<W> sum[detail::size(packets)];
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::load<W>(column + W * t, sum[t]);
-      for (int d = 0; d < node.dense; ++d) {
-        const auto i = static_cast<std::size_t>(d);
-        const double factor = weights[node.row[i]] * node.gradient[i](j);
-#pragma GCC unroll 16
-        for (int t = 0; t < packets; ++t)
-          detail::add_product<W>(sum[t], node.gradient[i].data() + W * t, factor);
-      }
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::store<W>(column + W * t, sum[t]);
-    }
-  }
-
-  // Rows times w, of every node.
-  void multiply_rows(const Program& program, const std::vector<Vector>& w) {
+  // Sets of_constraints_ to C dx + E du of every node, for w = (dx, du).
+  void multiply_constraints(const Program& program, const std::vector<Vector>& w) {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (int k = 0; k <= program.horizon(); ++k) {
-        double* result = of_rows_.data() + Rows * k;
-        std::fill(result, result + Rows, 0.0);
-        program.template add_row_values<packet()>(k, w[static_cast<std::size_t>(k)], result);
+        double* result = of_constraints_.data() + Constraints * k;
+        std::fill(result, result + Constraints, 0.0);
+        program.template add_constraint_values<packet()>(k, w[static_cast<std::size_t>(k)], result);
       }
       return true;
     });
@@ -452,8 +384,8 @@ class InteriorPoint {
     });
   }
 
-  // push_: the multipliers after a Newton step towards complementarity products of zero, if it
-  // changed no value.
+  // Predictor: sets push_ to the multipliers after a Newton step towards complementarity products
+  // of zero, if the values of the bounds did not change.
   void aim_at_solution() {
     for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
       constexpr int W = packet();
@@ -467,7 +399,8 @@ class InteriorPoint {
     });
   }
 
-  // The same towards products of `mu`, with a second-order correction by the last direction.
+  // Corrector: the same towards products of `mu`, with a second-order correction from the last
+  // direction. The factor `correction` scales the second-order term.
   void aim_at_center(double mu, double correction) {
     for_sides([&](auto packet, Eigen::Index i) __attribute__((always_inline)) {
       constexpr int W = packet();
@@ -492,35 +425,36 @@ class InteriorPoint {
     });
   }
 
-  // The step for these multipliers, and how it changes the values.
+  // Computes the step for the multipliers in push_ and the resulting change of the values.
   void find_direction(Program& program) {
-    detail::fill(of_rows_, 0.0);
+    detail::fill(of_constraints_, 0.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
-      of_rows_(side.at) += side.sign * push_(i);
+      const Side& side = sides_[i];
+      of_constraints_(side.at) += side.sign * push_(i);
     }
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (std::size_t k = 0; k < here_.size(); ++k) {
         gradients_[k] = cost_gradients_[k];
-        program.template add_row_gradients<packet()>(
-            static_cast<int>(k), of_rows_.data() + Rows * static_cast<Eigen::Index>(k),
-            gradients_[k]);
+        program.template add_constraint_gradients<packet()>(
+            static_cast<int>(k),
+            of_constraints_.data() + Constraints * static_cast<Eigen::Index>(k), gradients_[k]);
       }
       return true;
     });
     program.riccati.solve(gradients_);
     std::fill_n(change_[0].data(), States, 0.0);
     program.riccati.sweep_change(change_);
-    multiply_rows(program, change_);
+    multiply_constraints(program, change_);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      const Side& side = sides_[static_cast<std::size_t>(i)];
-      value_change_(i) = side.sign * of_rows_(side.at);
+      const Side& side = sides_[i];
+      value_change_(i) = side.sign * of_constraints_(side.at);
     }
   }
 
-  // Completes the direction towards the solution, and tells by it which bounds hold: there the
-  // slack vanishes and the multiplier stays, at others it is the other way round (El-Bakry, Tapia &
-  // Zhang 1994). Returns the sum of the products after the longest step along it.
+  // Completes the direction towards the solution and detects the active bounds from it. At an
+  // active bound the slack vanishes and the multiplier stays; at an inactive bound the multiplier
+  // vanishes and the slack stays (El-Bakry, Tapia & Zhang 1994). Returns the sum of the
+  // complementarity products after the longest step along the direction.
   double predict() {
     const auto [most_primal, most_dual] = largest_of_sides(
         1.0, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
@@ -569,7 +503,8 @@ class InteriorPoint {
     double primal, dual;
   };
 
-  // Completes the direction towards the centre; most of the way along it to the nearest bound.
+  // Completes the direction towards the centre. Returns the step lengths: the fraction
+  // most_of_the_way of the distance to the nearest bound, at most 1.
   [[nodiscard]] Lengths complete_direction() {
     const auto [most_primal, most_dual] = largest_of_sides(
         most_of_the_way, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
@@ -601,7 +536,19 @@ class InteriorPoint {
     return {most_of_the_way / most_primal, most_of_the_way / most_dual};
   }
 
-  // False, and nothing is done, if a number is not finite.
+  // Adds length times `change` to `numbers`, in the packet at i, and returns this packet in `sum`.
+  template <int W>
+  [[gnu::always_inline]] static inline void add_packet(const Eigen::VectorXd& change, double length,
+                                                       Eigen::Index i, Eigen::VectorXd& numbers,
+                                                       detail::Packet<W>& sum) {
+    detail::Packet<W> step;
+    detail::load<W>(numbers.data() + i, sum);
+    detail::load<W>(change.data() + i, step);
+    sum += length * step;
+    detail::store<W>(numbers.data() + i, sum);
+  }
+
+  // Moves along the direction. Returns false, and changes nothing, if a number is not finite.
   [[nodiscard]] bool move(const Lengths& lengths) {
     const double primal = lengths.primal, dual = lengths.dual;
     if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
@@ -611,24 +558,12 @@ class InteriorPoint {
         sum_of_sides([&](auto packet, Eigen::Index i, auto& total) __attribute__((always_inline)) {
           constexpr int W = packet();
           using P = detail::Packet<W>;
-          P l, t, s, v, rho, change;
+          P l, t, s, v, rho;
           detail::load<W>(price_.data() + i, rho);
-          detail::load<W>(multiplier_.data() + i, l);
-          detail::load<W>(multiplier_change_.data() + i, change);
-          l += dual * change;
-          detail::store<W>(multiplier_.data() + i, l);
-          detail::load<W>(slack_.data() + i, t);
-          detail::load<W>(slack_change_.data() + i, change);
-          t += primal * change;
-          detail::store<W>(slack_.data() + i, t);
-          detail::load<W>(excess_.data() + i, s);
-          detail::load<W>(excess_change_.data() + i, change);
-          s += primal * change;
-          detail::store<W>(excess_.data() + i, s);
-          detail::load<W>(value_.data() + i, v);
-          detail::load<W>(value_change_.data() + i, change);
-          v += primal * change;
-          detail::store<W>(value_.data() + i, v);
+          add_packet<W>(multiplier_change_, dual, i, multiplier_, l);
+          add_packet<W>(slack_change_, primal, i, slack_, t);
+          add_packet<W>(excess_change_, primal, i, excess_, s);
+          add_packet<W>(value_change_, primal, i, value_, v);
           total += l * t + (rho - l) * s;
         });
     mu_ = sum / (2.0 * static_cast<double>(count()));
@@ -636,7 +571,7 @@ class InteriorPoint {
   }
 
   [[nodiscard]] double largest_change() const {
-    double sum = 0.0;  // NaN if any is
+    double sum = 0.0;  // NaN if any change is NaN
     for (Eigen::Index i = 0; i < count(); ++i)
       sum += std::abs(multiplier_change_(i)) + std::abs(slack_change_(i)) +
              std::abs(excess_change_(i));
@@ -646,18 +581,16 @@ class InteriorPoint {
   static constexpr double infinity = std::numeric_limits<double>::infinity();
   static constexpr double most_of_the_way = 0.99, short_step = 0.1;
 
-  std::vector<NodeRowsRead> nodes_;
-  std::vector<Side> sides_;
-  std::vector<typename Program::ActiveRow> immovable_;  // bounded rows that no step changes
+  Sides sides_;
   std::vector<Vector> here_, change_, cost_gradients_, gradients_;
-  Eigen::VectorXd of_rows_;  // a number of each row of each node
-  // Of each side:
+  Eigen::VectorXd of_constraints_;  // one number for each constraint of each node
+  // One number for each side:
   Eigen::VectorXd price_, softness_, value_, multiplier_, slack_, excess_, weight_, per_multiplier_,
       per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_, excess_change_,
       value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
   int stuck_ = 0;
-  std::array<double, static_cast<std::size_t>(Rows)> unit_{};
+  std::array<double, static_cast<std::size_t>(Constraints)> unit_{};
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

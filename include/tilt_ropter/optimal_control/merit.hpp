@@ -4,7 +4,7 @@
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
 
@@ -13,54 +13,57 @@
 #include <cstddef>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// By how much a value is outside its bounds; NaN for NaN.
+/// Returns the distance of `value` outside its bounds, or zero if it is inside; NaN for NaN.
 [[nodiscard]] inline double violation(double value, double lower, double upper) {
   const double over = std::max(value - upper, lower - value);
   return over <= 0.0 ? 0.0 : over;
 }
 
-/// The merit function of a line search: cost + weighted 1-norms of defects and violations (Nocedal
-/// & Wright, "Numerical Optimization", Sec. 15.4), whose weights follow the multipliers (Powell
-/// 1978).
+/// Merit function of the line search: cost + weighted 1-norms of defects and violations (Nocedal &
+/// Wright, "Numerical Optimization", Sec. 15.4). The weights follow the multipliers (Powell 1978).
 template <typename Problem, typename Program>
 class Merit {
  public:
   using D = ProblemDimensions<Problem>;
   using Tangent = typename D::Tangent;
-  using AllRows = ProblemRows<Problem>;
-  using Rows = typename AllRows::Values;
+  using AllConstraints = ProblemConstraints<Problem>;
+  using Constraints = typename AllConstraints::Values;
 
   /// Allocates; the functions below do not.
   explicit Merit(int horizon)
       : defect_weights_(static_cast<std::size_t>(horizon) + 1),
-        row_weights_(defect_weights_.size()) {
+        constraint_weights_(defect_weights_.size()) {
     forget();
   }
 
+  /// Sets all weights to zero.
   void forget() {
     for (Tangent& w : defect_weights_) w.setZero();
-    for (Rows& w : row_weights_) w.setZero();
+    for (Constraints& w : constraint_weights_) w.setZero();
   }
 
-  /// Weights from the multipliers of a solved program; returns the merit's slope along its step.
+  /// Updates the weights from the multipliers of a solved program. Returns the slope of the merit
+  /// function along the step of the program.
   double update(const Program& program, int horizon) {
     double slope = 0.0;
-    Tangent adjoint = Tangent::Zero();  // multiplier of the continuity that ends at node k
+    // Multiplier of the continuity constraint at the end of interval k.
+    Tangent adjoint = Tangent::Zero();
     for (int k = horizon; k >= 0; --k) {
       const auto& s = program.riccati.stage(k);
-      const auto& rows = program.node(k);
-      Rows& row_weight = row_weights_[static_cast<std::size_t>(k)];
+      const auto& node = program.node(k);
+      Constraints& constraint_weight = constraint_weights_[static_cast<std::size_t>(k)];
       const double* step = program.step(k).data();  // (dx, du)
       for (int i = 0; i < (k < horizon ? D::nx + D::nu : D::nx); ++i)
         slope += s.cost.gradient(i) * step[i];
-      for (int i = 0; i < AllRows::count; ++i) {
-        follow(row_weight(i), rows.multiplier(i));
-        // Beyond the price, the merit would rise towards the solution that pays it.
-        row_weight(i) = std::min(row_weight(i), rows.price(i));
-        slope += of_row(rows, row_weight, i, rows.predicted(i)) -
-                 of_row(rows, row_weight, i, rows.value(i));
+      for (int i = 0; i < AllConstraints::count; ++i) {
+        follow(constraint_weight(i), node.multiplier(i));
+        // With a weight above the price, the merit would rise towards a solution that relaxes this
+        // constraint.
+        constraint_weight(i) = std::min(constraint_weight(i), node.price(i));
+        slope += of_constraint(node, constraint_weight, i, node.predicted(i)) -
+                 of_constraint(node, constraint_weight, i, node.value(i));
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
@@ -72,20 +75,21 @@ class Merit {
     return slope;
   }
 
-  /// At the point where `program` was linearised, which has this cost.
+  /// Returns the merit at the point where `program` was linearised; `cost` is the cost there.
   [[nodiscard]] double value_here(const Problem& problem, const Program& program,
                                   const AugmentedLagrangian<Problem>& equalities,
                                   const Trajectory<Problem>& here, double cost) const {
     double sum = cost;
     for (int k = 0; k <= here.horizon(); ++k) {
-      sum += equalities.value(problem, k, here.x(k)) + of_rows(program, k, program.node(k).value);
+      sum += equalities.value(problem, k, here.x(k)) +
+             of_constraints(program, k, program.node(k).value);
       if (k < here.horizon())
         sum += weighted_norm(defect_weight(k), program.riccati.stage(k).defect.data());
     }
     return sum;
   }
 
-  /// Anywhere else.
+  /// Returns the merit at any other trajectory.
   [[nodiscard]] double value(const Problem& problem, const Program& program,
                              const AugmentedLagrangian<Problem>& equalities,
                              const Trajectory<Problem>& at) const {
@@ -94,7 +98,7 @@ class Merit {
       const auto& x = at.x(k);
       const auto& u = at.u(k);
       sum += problem.cost(k, x, u) + equalities.value(problem, k, x);
-      sum += of_rows(program, k, AllRows::values(problem, k, x, u));
+      sum += of_constraints(program, k, AllConstraints::values(problem, k, x, u));
       if (k < at.horizon()) {
         const Tangent defect = problem.difference(problem.step(k, x, u), at.x(k + 1));
         sum += weighted_norm(defect_weight(k), defect.data());
@@ -109,11 +113,12 @@ class Merit {
     weight = std::max(m, 0.5 * (weight + m));
   }
 
-  // The multiplier of the continuity that ends at node k, from that of the next one (k < N).
+  // Multiplier of the continuity constraint that ends at node k, from the multiplier `after` of the
+  // constraint that ends at the next node (k < N).
   [[nodiscard]] static Tangent adjoint_before(const Program& program, int k, const Tangent& after) {
     typename Program::Vector gradient;
     program.template cost_gradient<2>(k, program.step(k), program.damping(), gradient);
-    program.template add_row_gradients<2>(k, program.node(k).multiplier.data(), gradient);
+    program.template add_constraint_gradients<2>(k, program.node(k).multiplier.data(), gradient);
     const auto& transition = program.riccati.stage(k).transition;
     Tangent before;
     for (int j = 0; j < D::nx; ++j) before(j) = gradient(j);
@@ -132,23 +137,24 @@ class Merit {
     return defect_weights_[static_cast<std::size_t>(k)];
   }
 
-  [[nodiscard]] double of_rows(const Program& program, int k, const Rows& value) const {
-    const auto& rows = program.node(k);
-    const Rows& weight = row_weights_[static_cast<std::size_t>(k)];
+  [[nodiscard]] double of_constraints(const Program& program, int k,
+                                      const Constraints& value) const {
+    const auto& node = program.node(k);
+    const Constraints& weight = constraint_weights_[static_cast<std::size_t>(k)];
     double sum = 0.0;
-    for (int i = 0; i < AllRows::count; ++i) sum += of_row(rows, weight, i, value(i));
+    for (int i = 0; i < AllConstraints::count; ++i) sum += of_constraint(node, weight, i, value(i));
     return sum;
   }
-  // What it costs by itself, or a weight times its violation.
-  [[nodiscard]] static double of_row(const typename Program::Node& rows, const Rows& weight, int i,
-                                     double value) {
-    const double v = violation(value, rows.lower(i), rows.upper(i));
-    return std::isfinite(rows.stiffness(i)) ? violation_cost(rows.price(i), rows.stiffness(i), v)
+  // Cost of the violation if the stiffness is finite, otherwise the weight times the violation.
+  [[nodiscard]] static double of_constraint(const typename Program::Node& node,
+                                            const Constraints& weight, int i, double value) {
+    const double v = violation(value, node.lower(i), node.upper(i));
+    return std::isfinite(node.stiffness(i)) ? violation_cost(node.price(i), node.stiffness(i), v)
                                             : weight(i) * v;
   }
 
-  std::vector<Tangent> defect_weights_;  // of the interval that starts at the node
-  std::vector<Rows> row_weights_;
+  std::vector<Tangent> defect_weights_;  // one for each interval, at its first node
+  std::vector<Constraints> constraint_weights_;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

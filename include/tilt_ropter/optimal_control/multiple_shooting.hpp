@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
@@ -31,11 +32,14 @@ Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_R
 
 /// Sequential quadratic programming on a multiple-shooting problem (Bock & Plitt 1984) with a
 /// Gauss-Newton Hessian: linearise, solve the quadratic program by Riccati passes and NLopt, step.
-/// One such iteration is the real-time iteration (Diehl, Bock & Schlöder 2005), split in prepare(),
-/// before the measurement comes, and feedback(), after it.
-namespace tilt_ropter {
+/// One such iteration is the real-time iteration (Diehl, Bock & Schlöder 2005). It is split into
+/// prepare(), before the measurement, and feedback(), after it.
+///
+/// This header is long because the real-time iteration and solve() share the linearisation, the
+/// factorisation and the report.
+namespace tilt_ropter::optimal_control {
 
-/// Owns the problem, the trajectory and the workspace. Two solvers share nothing.
+/// Solver that owns the problem, the trajectory and the workspace. Two solvers share no data.
 template <typename Problem>
 class MultipleShooting {
  public:
@@ -43,16 +47,16 @@ class MultipleShooting {
   using State = typename Problem::State;
   using Tangent = typename Dimensions::Tangent;
   using Input = typename Dimensions::Input;
-  using AllRows = ProblemRows<Problem>;
-  /// Constraints of a node; of the last one, if it has its own.
-  using Rows = typename AllRows::Values;
-  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllRows::count,
+  using AllConstraints = ProblemConstraints<Problem>;
+  /// Constraints of a node; also of the last node, if it has separate constraints.
+  using Constraints = typename AllConstraints::Values;
+  static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllConstraints::count,
                        ne = Dimensions::ne;
   using Gain = Eigen::Matrix<double, nu, nx>;
   using Clock = SolverClock;
 
-  /// Allocates everything; the loop functions below allocate nothing outside NLopt. Throws
-  /// std::invalid_argument for settings out of range or a horizon below 1.
+  /// Allocates all memory. The loop functions below allocate only inside NLopt. Throws
+  /// std::invalid_argument if settings are out of range or the horizon is below 1.
   explicit MultipleShooting(Problem problem, const SolverSettings& settings = {})
       : problem_(std::move(problem)),
         settings_(checked(settings)),
@@ -72,27 +76,30 @@ class MultipleShooting {
   [[nodiscard]] const State& state(int k) const { return here_.x(k); }
   [[nodiscard]] const Input& input(int k) const { return here_.u(k); }
   /// Multipliers of the constraints of node k: > 0 at the upper bound, < 0 at the lower.
-  [[nodiscard]] const Rows& row_multipliers(int k) const { return program_.node(k).multiplier; }
-  /// True if the last quadratic program violates this constraint of node k because keeping to it
-  /// would cost more than its price.
-  [[nodiscard]] bool given_up(int k, int row) const {
-    const auto& n = program_.node(k);
-    const double multiplier = std::abs(n.multiplier(row));
-    return (multiplier > 0.0 && multiplier >= n.price(row)) ||
-           (n.crossed && n.crosses[static_cast<std::size_t>(row)]);
+  [[nodiscard]] const Constraints& constraint_multipliers(int k) const {
+    return program_.node(k).multiplier;
   }
-  /// By how much the last quadratic program violates this constraint of node k, at least zero.
-  [[nodiscard]] double slack(int k, int row) const {
+  /// Returns true if the last quadratic program relaxed constraint i of node k, because
+  /// satisfying it would cost more than its price.
+  [[nodiscard]] bool relaxed(int k, int i) const {
     const auto& n = program_.node(k);
-    return n.violation(row, n.predicted(row));
+    const double multiplier = std::abs(n.multiplier(i));
+    return (multiplier > 0.0 && multiplier >= n.price(i)) ||
+           (n.crossed && n.crosses[static_cast<std::size_t>(i)]);
+  }
+  /// Violation of constraint i of node k in the last quadratic program, at least zero.
+  [[nodiscard]] double slack(int k, int i) const {
+    const auto& n = program_.node(k);
+    return n.violation(i, n.predicted(i));
   }
 
-  /// The feedback u = input(k) + gain(k) difference(x, state(k)) that the last factorisation gives
-  /// for an interval k < N: optimal to first order while the same constraints hold, which count in
-  /// it by the weights that solved the last quadratic program. It keeps to no bounds by itself.
+  /// Gain of the feedback u = input(k) + gain(k) difference(x, state(k)) for an interval k < N,
+  /// from the last factorisation. The feedback is optimal to first order while the active
+  /// constraints stay the same. Active constraints enter with the weights that solved the last
+  /// quadratic program. The feedback itself respects no bounds.
   [[nodiscard]] Gain gain(int k) const { return program_.riccati.gain(k); }
-  /// The feed-forward that goes with it: the change of the input of interval k that the last
-  /// quadratic program asks for where the state stays on the plan before.
+  /// Feed-forward for gain(): the change of the input of interval k in the last quadratic program
+  /// for a state that stays on the previous plan.
   [[nodiscard]] Input feedforward(int k) const { return program_.du(k) - gain(k) * program_.dx(k); }
 
   /// Cold start: every state x0, every input zero, no multipliers.
@@ -109,7 +116,7 @@ class MultipleShooting {
     prepared_ = false;
   }
 
-  /// Guess of the state and input at node k (the input of the last node means nothing).
+  /// Sets the guess of the state and input at node k. The input of the last node is ignored.
   void set_guess(int k, const State& x, const Input& u) {
     here_.x(k) = x;
     if (k < horizon_) here_.u(k) = u;
@@ -117,9 +124,9 @@ class MultipleShooting {
     prepared_ = false;
   }
 
-  /// Moves the plan ahead in time by elapsed time / length of an interval, so that it fits nodes
-  /// that have moved with the clock. Multipliers move with the nodes they are nearest to since the
-  /// last solve. Nothing happens unless `intervals` > 0.
+  /// Moves the plan ahead in time, for nodes that moved with the clock. `intervals` is the elapsed
+  /// time divided by the length of an interval. The multipliers move by the total shift since the
+  /// last solve, rounded to whole nodes. Does nothing unless `intervals` > 0.
   void shift(double intervals) noexcept {
     if (!(intervals > 0.0)) return;
     here_.shift(problem_, intervals);
@@ -133,33 +140,33 @@ class MultipleShooting {
     prepared_ = false;
   }
 
-  /// True if the last feedback() was cut off by its deadline. The next prepare() has then nothing
-  /// to do, and feedback() goes on with the same quadratic program from the state measured by then,
-  /// unless reset(), set_guess() or shift() come in between.
+  /// Returns true if the deadline interrupted the last feedback(). The next prepare() then has no
+  /// work, and feedback() continues the same quadratic program from the new measured state.
+  /// reset(), set_guess() and shift() cancel this.
   [[nodiscard]] bool goes_on() const { return program_.goes_on(); }
-  /// False if it was cut off so early that the plan is still the one before it.
+  /// Returns false if the interruption came so early that the plan is still the previous plan.
   [[nodiscard]] bool has_step() const { return program_.has_step(); }
 
-  /// Linearises and factorises: all that needs no measurement. Fails if the problem returned a
-  /// number that is not finite, or no damping makes the Hessians positive definite.
+  /// Linearises and factorises: all work that needs no measurement. Fails if the problem returned a
+  /// non-finite number, or if no damping makes the Hessians positive definite.
   [[nodiscard]] PrepareStatus prepare() noexcept {
     const auto start = Clock::now();
-    report_.linearise_us = report_.factorise_us = report_.rows_us = 0.0;
-    prepared_ = program_.goes_on() || (linearise() && factorise());
+    report_.linearise_us = report_.factorise_us = report_.gradients_us = 0.0;
+    prepared_ = program_.goes_on() || (linearise() && factorise(true));
     report_.prepare_us = since(start);
     return prepared_ ? PrepareStatus::prepared : PrepareStatus::failed;
   }
 
-  /// The step from the measured initial state; needs a prepare() before. Afterwards state(k) and
-  /// input(k) are the new plan if has_plan() says so of the report's status, else the old one. With
-  /// a `deadline`, or SolverSettings.max_feedback_time, work that would end later is not begun: the
-  /// plan is then the best one so far, and the next call goes on from its multipliers.
+  /// Computes the step from the measured initial state. Needs a prepare() before. If has_plan() of
+  /// the report's status is true, state(k) and input(k) are then the new plan, else the old plan.
+  /// Work that would end after `deadline` or SolverSettings.max_feedback_time is not started. The
+  /// plan is then the best plan so far, and the next call continues from its multipliers.
   const SolveReport& feedback(const State& x0,
                               std::optional<Clock::time_point> deadline = {}) noexcept {
     const auto start = Clock::now();
     report_.iterations = 1;
     report_.step = 1.0;
-    // A program that goes on is that of the plan before the last one.
+    // An interrupted program was linearised at the plan before the last one.
     const bool goes_on = program_.goes_on();
     const Trajectory<Problem>& base = goes_on ? trial_ : here_;
     Trajectory<Problem>& next = goes_on ? here_ : trial_;
@@ -195,7 +202,7 @@ class MultipleShooting {
     return report_;
   }
 
-  /// After a feedback() whose plan cannot be used: back to the plan before it, without multipliers.
+  /// Restores the previous plan, without multipliers, after a feedback() whose plan is not usable.
   void take_back() noexcept {
     here_.swap(trial_);
     for (int k = 0; k <= horizon_; ++k) detail::fill(program_.node(k).multiplier, 0.0);
@@ -203,8 +210,9 @@ class MultipleShooting {
     prepared_ = false;
   }
 
-  /// Iterates to convergence from the current guess with the initial state fixed to x0. Steps are
-  /// accelerated (see StepSearch), full or shorter, whatever lowers the merit enough.
+  /// Iterates to convergence from the current guess, with the initial state fixed to x0. A step is
+  /// accelerated, full or shorter, so that the merit decreases enough. See StepSearch for
+  /// accelerated steps that do not decrease the merit.
   const SolveReport& solve(const State& x0) noexcept {
     const auto start = Clock::now();
     const auto end = start + std::chrono::duration_cast<Clock::duration>(
@@ -228,16 +236,16 @@ class MultipleShooting {
       bool prepared = linearise();
       if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
       const bool converged = prepared && report_.kkt <= settings_.tolerance;
-      // No step begins at a solution; gain() needs one factorisation.
-      if (!converged || iteration == 0) prepared = prepared && factorise();
+      // A converged iterate needs no step, but gain() needs at least one factorisation.
+      if (!converged || iteration == 0) prepared = prepared && factorise(false);
       prepare_us += since(begun_at);
-      report_.status =
-          converged ? (hard_rows_given_up() ? SolveStatus::infeasible : SolveStatus::converged)
-          : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
-          : Clock::now() > end                    ? SolveStatus::time_limit
-          : prepared && stalls(iteration)         ? SolveStatus::stalled
-          : !prepared && !search_.on_trust()      ? SolveStatus::failed
-                                                  : SolveStatus::iterated;
+      report_.status = converged ? (hard_constraints_relaxed() ? SolveStatus::infeasible
+                                                               : SolveStatus::converged)
+                       : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
+                       : Clock::now() > end                    ? SolveStatus::time_limit
+                       : prepared && stalls(iteration)         ? SolveStatus::stalled
+                       : !prepared && !search_.on_trust()      ? SolveStatus::failed
+                                                               : SolveStatus::iterated;
       if (report_.status != SolveStatus::iterated) break;
       const auto prepared_at = Clock::now();
       report_.status = advance(prepared, end);
@@ -246,7 +254,7 @@ class MultipleShooting {
       if (updates_multipliers_)
         equalities_.update(problem_, here_, report_.max_equality, search_.length() == 1.0);
     }
-    if (search_.on_trust() && !is_solution(report_.status)) {  // nothing says it is better
+    if (search_.on_trust() && !is_solution(report_.status)) {  // the last step is not confirmed
       search_.give_back(here_);
       (void)linearise();
     }
@@ -284,8 +292,8 @@ class MultipleShooting {
     return status == SolveStatus::converged || status == SolveStatus::infeasible;
   }
 
-  // Every interval's end state and derivative, every node's quadratic model and constraints. False
-  // if a number is not finite.
+  // Computes the end state and derivative of every interval, and the quadratic model and
+  // constraints of every node. Returns false if a number is not finite.
   bool linearise() {
     const auto start = Clock::now();
     report_.cost = report_.max_defect = report_.max_violation = report_.max_equality = 0.0;
@@ -294,23 +302,23 @@ class MultipleShooting {
       const State& x = here_.x(k);
       const Input& u = here_.u(k);
       auto& model = program_.riccati.stage(k).cost;
-      equalities_.take_from_model(k, model);  // the problem need not set all of it again
+      equalities_.take_from_model(k, model);  // the problem need not set all entries again
       problem_.cost_model(k, x, u, model);
       report_.cost += problem_.cost(k, x, u);
       if constexpr (ne > 0)
         report_.max_equality =
-            larger(report_.max_equality, equalities_.add_to_model(problem_, k, x, model));
-      auto& rows = program_.node(k);
-      rows.value = AllRows::values(problem_, k, x, u);
-      AllRows::derivatives(problem_, k, x, u, rows.C, rows.E);
-      AllRows::bounds(problem_, k, rows.lower, rows.upper, rows.price, rows.stiffness);
+            detail::larger(report_.max_equality, equalities_.add_to_model(problem_, k, x, model));
+      auto& node = program_.node(k);
+      node.value = AllConstraints::values(problem_, k, x, u);
+      AllConstraints::derivatives(problem_, k, x, u, node.C, node.E);
+      AllConstraints::bounds(problem_, k, node.lower, node.upper, node.price, node.stiffness);
       for (int i = 0; k == horizon_ && i < nc; ++i)
-        if (!AllRows::applies(problem_, k, rows.E, i)) {
-          rows.lower(i) = -std::numeric_limits<double>::infinity();
-          rows.upper(i) = std::numeric_limits<double>::infinity();
+        if (!AllConstraints::applies(problem_, k, node.E, i)) {
+          node.lower(i) = -std::numeric_limits<double>::infinity();
+          node.upper(i) = std::numeric_limits<double>::infinity();
         }
       finite = program_.check_node(k) && finite;
-      report_.max_violation = larger(report_.max_violation, program_.violation_here(k));
+      report_.max_violation = detail::larger(report_.max_violation, program_.violation_here(k));
     }
     program_.cost_here = report_.cost;
     report_.kkt = kkt_residual();
@@ -321,16 +329,15 @@ class MultipleShooting {
     return finite;
   }
 
-  // Of the two, NaN if either is.
-  static double larger(double a, double b) { return b <= a ? a : b; }
-
   bool linearise_intervals() {
     bool finite = true;
     const auto set_defect = [&](int k, const State& end) {
       const Tangent defect = problem_.difference(end, here_.x(k + 1));
       program_.riccati.set_defect(k, defect);
-      finite = finite && all_finite(defect);
-      report_.max_defect = std::max(report_.max_defect, detail::largest(defect));
+      const double most =
+          all_finite(defect) ? detail::largest(defect) : std::numeric_limits<double>::infinity();
+      finite = finite && std::isfinite(most);
+      report_.max_defect = std::max(report_.max_defect, most);
     };
     int k = 0;
     if constexpr (HasLanes<Problem>::value) {
@@ -357,9 +364,9 @@ class MultipleShooting {
     return finite;
   }
 
-  // Largest violation of the first-order conditions at the iterate with the current multipliers;
-  // the multipliers of continuity follow from the adjoint recursion, so only the input's
-  // stationarity remains.
+  // Largest violation of the first-order conditions at the iterate with the current multipliers.
+  // The multipliers of continuity follow from the adjoint recursion, so only the stationarity of
+  // the inputs remains.
   double kkt_residual() {
     program_.collect_active();
     double residual = report_.max_defect;
@@ -372,10 +379,10 @@ class MultipleShooting {
             residual = std::max(residual, std::abs(sum(j)));
         });
     for (const auto& [k, i] : program_.active()) {
-      const auto& rows = program_.node(k);
-      const double m = rows.multiplier(i), size = std::abs(m);
-      const double inside = m > 0.0 ? rows.upper(i) - rows.value(i) : rows.value(i) - rows.lower(i);
-      residual = std::max(residual, std::min(size, inside + size / rows.stiffness(i)));
+      const auto& node = program_.node(k);
+      const double m = node.multiplier(i), size = std::abs(m);
+      const double inside = m > 0.0 ? node.upper(i) - node.value(i) : node.value(i) - node.lower(i);
+      residual = std::max(residual, std::min(size, inside + size / node.stiffness(i)));
     }
     if (!finite || !(report_.max_violation < std::numeric_limits<double>::infinity()))
       return std::numeric_limits<double>::infinity();
@@ -383,56 +390,59 @@ class MultipleShooting {
     return residual;
   }
 
-  // With Levenberg damping where a Hessian is not positive definite.
-  bool factorise() {
+  // Adds Levenberg damping if a Hessian is not positive definite.
+  bool factorise(bool real_time) {
     const auto start = Clock::now();
     if (report_.damping > 0.0) report_.damping *= 0.1;
     if (report_.damping < least_damping) report_.damping = 0.0;
-    while (!program_.prepare(report_.damping)) {
+    while (!program_.prepare(report_.damping, real_time)) {
       report_.damping = std::max(10.0 * report_.damping, least_damping);
       if (!(report_.damping <= largest_damping)) {
         report_.damping = 0.0;
         return false;
       }
     }
-    report_.rows_us = std::chrono::duration<double, std::micro>(program_.rows_time()).count();
-    report_.factorise_us = since(start) - report_.rows_us;
+    report_.gradients_us =
+        std::chrono::duration<double, std::micro>(program_.gradients_time()).count();
+    report_.factorise_us = since(start) - report_.gradients_us;
     return true;
   }
 
-  // Solves the quadratic program, and says how in the report.
+  // Solves the quadratic program and writes the result into the report.
   SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline,
-                            bool real_time) {
-    ProgramStatus status = program_.solve(dx0, deadline, real_time);
-    if (real_time && status != ProgramStatus::failed) status = program_.clamp_first_input();
+                            bool clamps) {
+    ProgramStatus status = program_.solve(dx0, deadline);
+    if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();
     report_.program_residual = program_.residual();
     if (status == ProgramStatus::failed) return SolveStatus::failed;
-    report_.active_rows = static_cast<int>(program_.active().size());
-    report_.given_up_rows = report_.given_up_hard_rows = 0;
-    report_.largest_given_up = report_.largest_given_up_hard = 0.0;
+    report_.active_constraints = static_cast<int>(program_.active().size());
+    report_.relaxed_constraints = report_.relaxed_hard_constraints = 0;
+    report_.largest_relaxation = report_.largest_hard_relaxation = 0.0;
     const auto note = [this](int k, int i) {
       const bool hard = program_.node(k).hard[static_cast<std::size_t>(i)];
-      ++report_.given_up_rows;
-      report_.given_up_hard_rows += hard;
-      double& largest = hard ? report_.largest_given_up_hard : report_.largest_given_up;
+      ++report_.relaxed_constraints;
+      report_.relaxed_hard_constraints += hard;
+      double& largest = hard ? report_.largest_hard_relaxation : report_.largest_relaxation;
       largest = std::max(largest, slack(k, i));
     };
     for (const auto& [k, i] : program_.active())
-      if (given_up(k, i)) note(k, i);
+      if (relaxed(k, i)) note(k, i);
     for (int k = 0; k <= horizon_; ++k)
       for (int i = 0; program_.node(k).crossed && i < nc; ++i)
-        if (given_up(k, i) && program_.node(k).multiplier(i) == 0.0) note(k, i);
+        if (relaxed(k, i) && program_.node(k).multiplier(i) == 0.0) note(k, i);
     if (status == ProgramStatus::interrupted)
       return program_.late() ? SolveStatus::time_limit : SolveStatus::iteration_limit;
-    return hard_rows_given_up() ? SolveStatus::infeasible : SolveStatus::iterated;
+    return hard_constraints_relaxed() ? SolveStatus::infeasible : SolveStatus::iterated;
   }
 
-  [[nodiscard]] bool hard_rows_given_up() const { return report_.given_up_hard_rows > 0; }
+  [[nodiscard]] bool hard_constraints_relaxed() const {
+    return report_.relaxed_hard_constraints > 0;
+  }
 
-  // True if neither residual nor merit has become lower for long. Acceleration, which may go round
-  // in circles, goes first.
+  // Returns true if neither residual nor merit has decreased for `patience` iterations.
+  // Acceleration may cycle, so it is switched off first.
   [[nodiscard]] bool stalls(int iteration) {
     const double merit = search_.lowest_merit();
     if (report_.kkt < 0.9 * progress_.kkt) {
@@ -450,7 +460,7 @@ class MultipleShooting {
     return false;
   }
 
-  // The next iterate of solve().
+  // Computes the next iterate of solve().
   SolveStatus advance(bool prepared, Clock::time_point end) {
     SolveStatus status =
         prepared ? solve_program(detail::Filled(), end, false) : SolveStatus::failed;
@@ -473,7 +483,7 @@ class MultipleShooting {
   Eigen::Matrix<Lanes, nx, nx> lanes_A_;
   Eigen::Matrix<Lanes, nx, nu> lanes_B_;
   SolveReport report_;
-  // The lowest of solve()'s iterates, and the last one that was lower.
+  // Lowest residual and merit of solve() so far, and the iteration of the last decrease.
   struct Progress {
     double kkt = std::numeric_limits<double>::infinity(),
            merit = std::numeric_limits<double>::infinity();
@@ -483,4 +493,4 @@ class MultipleShooting {
   bool prepared_ = false, updates_multipliers_ = false;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -18,28 +18,30 @@
 
 /// The dual of a quadratic program with identity Hessian, solved by NLopt:
 ///
-///     min over z of 1/2 |z|^2 + elastic penalty of the rows G z + b <= 0
+///     min over z of 1/2 |z|^2 + elastic penalty of the constraints G z + b <= 0
 ///     dual:  min_{0 <= lambda <= rho}  1/2 lambda' (G G' + I/sigma) lambda - b' lambda,
 ///     z = -G' lambda.
 ///
-/// The upper bound rho on a multiplier is the exact L1 penalty on its row, so a solution exists for
-/// every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
-namespace tilt_ropter {
+/// The upper bound rho on a multiplier is the exact L1 penalty on its constraint, so a solution
+/// exists for every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
+namespace tilt_ropter::optimal_control {
 
-/// Minimiser of the dual above, with room for `capacity` rows. With a `Capacity` known to the
-/// compiler (of up to 128, Eigen's limit) the matrices are part of the object. From cold NLopt
-/// finds the rows that hold, in short calls with projected Newton steps between them; from the last
-/// multipliers those steps come first, and NLopt confirms the result or goes on from it.
+/// Minimiser of the dual above for up to `capacity` constraints. If `Capacity` is known at compile
+/// time (up to 128, Eigen's limit), the matrices are stored inside the object. On a cold start,
+/// NLopt finds the active constraints in short calls with projected Newton steps between them. On a
+/// warm start from the last multipliers, the Newton steps run first. NLopt then confirms the result
+/// or continues from it.
 ///
-/// After construction only NLopt allocates. A solve makes at most 20 calls of NLopt; one with n
-/// rows takes 2 blocks of together at most 256 (n + 1) bytes (NLopt 2.7.1: 220 n from n = 8 on) and
-/// gives them back before it returns. For every n met for the first time 3 blocks of together at
-/// most 32 n + 512 bytes (16 n + 248) are taken and kept. These bounds are those of the default
-/// algorithm: lbfgs, variable_metric and ccsa take less, slsqp 1.6 MB a call at n = 150.
+/// After construction only NLopt allocates. A solve makes at most 20 calls of NLopt. A call with n
+/// constraints allocates 2 blocks and frees them before it returns. Together these have at most 256
+/// (n + 1) bytes (220 n in NLopt 2.7.1 for n >= 8). The first call with a new n also allocates 3
+/// blocks that are kept. Together these have at most 32 n + 512 bytes (16 n + 248). These bounds
+/// hold for the default algorithm. lbfgs, variable_metric and ccsa need less. For n = 150, slsqp
+/// needs 1.6 MB per call.
 template <int Capacity = Eigen::Dynamic>
 class DualSolver {
  public:
-  /// Allocates; `capacity` is not more than Capacity.
+  /// Allocates. `capacity` must not be larger than a fixed Capacity.
   explicit DualSolver(int capacity, const DualSettings& settings = {})
       : settings_(settings),
         optimizers_(static_cast<std::size_t>(capacity) + 1),
@@ -58,8 +60,8 @@ class DualSolver {
 
   /// Solves for `lambda` (in: warm start; out: solution) with the lower triangle of H = G G' +
   /// I/sigma (size x size), offsets b and bounds rho. Returns false if no finite solution was
-  /// found, or none before `deadline`, which is looked at between steps; lambda is then what it
-  /// was. Never throws.
+  /// found, or none before `deadline`, which is checked between steps; lambda is then unchanged.
+  /// Never throws.
   template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
   [[nodiscard]] bool solve(const Eigen::MatrixBase<Hessian>& H, const Eigen::MatrixBase<Offset>& b,
                            const Eigen::MatrixBase<Bound>& rho,
@@ -68,7 +70,7 @@ class DualSolver {
     return solve(static_cast<int>(b.size()), H.derived(), b.derived(), rho.derived(),
                  lambda.derived(), deadline);
   }
-  /// The same for the first `size` rows of what may have more.
+  /// The same for the first `size` constraints of larger matrices and vectors.
   template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
   [[nodiscard]] bool solve(int size, const Hessian& H, const Offset& b, const Bound& rho,
                            Multiplier& lambda,
@@ -76,7 +78,7 @@ class DualSolver {
     deadline_ = deadline;
     size_ = size;
     if (size_ == 0) return true;
-    // Jacobi scaling: unit diagonal, multipliers in units of their row.
+    // Jacobi scaling: unit diagonal; each multiplier is in the unit of its constraint.
     for (int i = 0; i < size_; ++i) {
       scale_(i) = 1.0 / std::sqrt(std::max(H.coeff(i, i), 1e-300));
       linear_(i) = b.coeff(i) * scale_(i);
@@ -87,13 +89,13 @@ class DualSolver {
       for (int i = j; i < size_; ++i)
         hessian(i, j) = hessian(j, i) = H.coeff(i, j) * scale_(i) * scale_(j);
     if (!minimise()) return false;
-    for (int i = 0; i < size_; ++i)  // rounding must not hide a row given up
+    for (int i = 0; i < size_; ++i)  // rounding must not hide a relaxed constraint
       lambda.coeffRef(i) =
           iterate_(i) >= upper_(i) ? rho.coeff(i) : std::min(iterate_(i) * scale_(i), rho.coeff(i));
     return true;
   }
 
-  /// Gradient evaluations that NLopt asked for since construction.
+  /// Number of gradient evaluations by NLopt since construction.
   [[nodiscard]] long evaluations() const { return evaluations_; }
 
   /// True if the deadline of the last solve() has passed.
@@ -107,7 +109,7 @@ class DualSolver {
   using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, Capacity, 1>;
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Capacity, Capacity>;
   static constexpr int max_rounds = 20, max_passes = 20;
-  static constexpr unsigned vector_storage = 8;  // NLopt's own choice takes 21 MB a call
+  static constexpr unsigned vector_storage = 8;  // NLopt's default needs 21 MB per call
 
   static nlopt_algorithm algorithm(DualAlgorithm name) {
     switch (name) {
@@ -125,7 +127,7 @@ class DualSolver {
     return NLOPT_LD_TNEWTON_PRECOND_RESTART;
   }
 
-  /// The entry of a matrix of the current size, without gaps.
+  /// Entry (i, j) of a matrix of the current size, stored without gaps.
   [[nodiscard]] double& hessian(int i, int j) {
     return hessian_.data()[static_cast<std::ptrdiff_t>(size_) * j + i];
   }
@@ -138,14 +140,14 @@ class DualSolver {
     return check.passed();
   }
 
-  /// The dual's objective, and its gradient in gradient_.
+  /// Returns the objective of the dual at x and sets gradient_ to its gradient.
   double evaluate(const double* x) {
     double* g = gradient_.data();
     for (int i = 0; i < size_; ++i) g[i] = -linear_(i);
     detail::add_product(1.0, {hessian_.data(), size_, size_, size_}, {x}, g);
     return 0.5 * (detail::dot(x, g, size_) - detail::dot(x, linear_.data(), size_));
   }
-  /// The largest entry of the projected gradient at x, where evaluate() was.
+  /// Largest entry of the projected gradient at x. Requires evaluate() at the same x.
   [[nodiscard]] double residual(const double* x) const {
     double largest = 0.0;
     for (int i = 0; i < size_; ++i) {
@@ -161,7 +163,7 @@ class DualSolver {
     const double value = self.evaluate(x);
     if (gradient != nullptr) {
       std::copy_n(self.gradient_.data(), self.size_, gradient);
-      // A solution to tolerance needs no further evaluation.
+      // Stop NLopt: a solution within the tolerance needs no further evaluation.
       if (self.residual(x) <= self.stop_) {
         std::copy_n(x, self.size_, self.iterate_.data());
         self.solved_ = true;
@@ -171,7 +173,8 @@ class DualSolver {
     return value;
   }
 
-  /// From iterate_, with the data scaled. False if there is no finite solution, or none in time.
+  /// Minimises the scaled dual from iterate_. Returns false if there is no finite solution, or none
+  /// before the deadline.
   [[nodiscard]] bool minimise() {
     if (!finite(linear_) || !finite(iterate_)) return false;
     double largest = 0.0;
@@ -181,7 +184,8 @@ class DualSolver {
       warm = warm || iterate_(i) > 0.0;
     }
     const double tolerance = settings_.tolerance * (1.0 + largest);
-    // The last multipliers are nearly right; without any, NLopt finds the rows that hold first.
+    // The last multipliers are close to the solution, so Newton steps come first. Without
+    // multipliers, NLopt first finds the active constraints.
     if (warm) refine(tolerance);
     bool solved = false;
     for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
@@ -193,7 +197,7 @@ class DualSolver {
 
   [[nodiscard]] Optimizer& optimizer() { return optimizers_[static_cast<std::size_t>(size_)]; }
 
-  /// One call of NLopt from iterate_. True if the dual is then solved to tolerance.
+  /// One call of NLopt from iterate_. Returns true if the dual is then solved within the tolerance.
   bool optimize(double tolerance) {
     if (!optimizer()) {
       optimizer().reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
@@ -209,7 +213,8 @@ class DualSolver {
     solved_ = false;
     std::copy_n(iterate_.data(), size_, candidate_.data());
     double value = 0.0;
-    // NLopt's return code says little (positive even if all was NaN): the point itself is judged.
+    // NLopt's return code is not reliable (positive even if all numbers were NaN), so the point
+    // itself is checked.
     nlopt_optimize(optimizer().get(), candidate_.data(), &value);
     if (solved_) return true;
     if (finite(candidate_))
@@ -218,10 +223,10 @@ class DualSolver {
     return residual(iterate_.data()) <= tolerance;
   }
 
-  /// Projected Newton steps (Bertsekas 1982) from iterate_, each with its own Cholesky
-  /// factorisation of the rows that are not held at a bound: what NLopt finds to a few digits, and
-  /// what the last multipliers are off by, this finishes to rounding. Never increases the dual's
-  /// objective.
+  /// Projected Newton steps (Bertsekas 1982) from iterate_. Each step computes a Cholesky
+  /// factorisation for the multipliers that are not at a bound. NLopt's result is correct to a few
+  /// digits, and the last multipliers are close to the solution; these steps improve both to
+  /// rounding accuracy. Never increases the objective of the dual.
   void refine(double tolerance) {
     evaluate(iterate_.data());
     for (int pass = 0; pass < max_passes && residual(iterate_.data()) > tolerance && !late();
@@ -229,7 +234,8 @@ class DualSolver {
       if (!find_newton_step() || !search_line()) return;
   }
 
-  /// In step_, from iterate_ and its gradient. False if the Hessian is singular.
+  /// Computes the Newton step step_ from iterate_ and its gradient. Returns false if the Hessian is
+  /// singular.
   [[nodiscard]] bool find_newton_step() {
     int free = 0;
     for (int i = 0; i < size_; ++i) {
@@ -252,7 +258,7 @@ class DualSolver {
     return true;
   }
 
-  /// Moves iterate_ along step_ to where the objective is lower. False if it is so nowhere.
+  /// Moves iterate_ along step_ to a point with a lower objective. Returns false if it finds none.
   [[nodiscard]] bool search_line() {
     std::copy_n(gradient_.data(), size_, gradient_before_.data());
     for (double length = 1.0; length > 1e-4; length *= 0.5) {
@@ -264,8 +270,8 @@ class DualSolver {
     }
     return false;
   }
-  /// Of the objective, by its gradients at both ends: its values differ by less than their rounding
-  /// near the solution.
+  /// Change of the objective to candidate_, from its gradients at both ends. Near the solution, the
+  /// difference of the two objective values is smaller than their rounding errors.
   [[nodiscard]] double change_to_candidate() const {
     double change = 0.0;
     for (int i = 0; i < size_; ++i)
@@ -274,8 +280,8 @@ class DualSolver {
   }
 
   DualSettings settings_;
-  std::vector<Optimizer> optimizers_;  // by size, made when first needed
-  Matrix hessian_, factor_;            // without gaps, see hessian()
+  std::vector<Optimizer> optimizers_;  // one for each size, created at first use
+  Matrix hessian_, factor_;            // stored without gaps, see hessian()
   Vector linear_, upper_, scale_, iterate_, gradient_, gradient_before_, candidate_, step_;
   Vector reduced_;
   std::vector<int> free_;
@@ -286,4 +292,4 @@ class DualSolver {
   long evaluations_ = 0;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -16,25 +16,27 @@
 #include <utility>
 #include <vector>
 
-/// Solves the quadratic program of one SQP step, by whichever method suits it.
-namespace tilt_ropter {
+/// Solves the quadratic program of one SQP step by the most suitable of three methods: DualMethod,
+/// ActiveSet or InteriorPoint. This header is long because the methods share one program and start
+/// from each other's intermediate results.
+namespace tilt_ropter::optimal_control {
 
 /// How a solve of a quadratic program ended.
 enum class ProgramStatus {
-  solved,       ///< the residual is below the tolerance
-  interrupted,  ///< by the deadline or a limit: the step is the best one so far
-  failed,       ///< no factorisation or a number that is not finite; there is no step
+  solved,       ///< the residual is at most the tolerance
+  interrupted,  ///< stopped by the deadline or a limit: the step is the best one so far
+  failed,       ///< the factorisation failed or a number is not finite: there is no step
 };
 
-/// prepare() does what needs no measurement, solve() the rest. Allocates in its constructor; later
-/// only NLopt does.
-template <int States, int Inputs, int Rows, typename Pattern = FullTransition>
-class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
+/// prepare() does the work that needs no measurement, solve() does the rest. Allocates in the
+/// constructor; later only NLopt allocates.
+template <int States, int Inputs, int Constraints, typename Pattern = FullTransition>
+class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern> {
  public:
-  using Program = Subproblem<States, Inputs, Rows, Pattern>;
+  using Program = Subproblem<States, Inputs, Constraints, Pattern>;
   using Tangent = typename Program::Tangent;
 
-  /// For `horizon` intervals; settings must be valid.
+  /// For `horizon` intervals. The settings must be valid.
   QuadraticProgram(int horizon, const QuadraticProgramSettings& settings)
       : Program(horizon),
         settings_(settings),
@@ -45,17 +47,20 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
         saved_multipliers_(saved_steps_.size()),
         saved_prices_(saved_steps_.size()) {}
 
-  /// Factorises with `damping` on the Hessians' diagonals, for the constraints that have
-  /// multipliers. False if the cost has no minimum.
-  [[nodiscard]] bool prepare(double damping = 0.0) {
+  /// Factorises with `damping` on the diagonals of the Hessians, for the constraints that have
+  /// multipliers. Returns false if the cost has no minimum. With `real_time`, NLopt is used for
+  /// fewer constraints, see QuadraticProgramSettings.max_dual_constraints.
+  [[nodiscard]] bool prepare(double damping = 0.0, bool real_time = false) {
     goes_on_ = false;
     const auto start = SolverClock::now();
     damping_ = damping;
     this->collect_active();
-    const bool few_rows =
-        static_cast<int>(this->active().size()) <= std::max(1, settings_.max_dual_rows);
+    const bool limited = real_time && settings_.method != ProgramMethod::dual;
+    const int first = std::max(1, (limited ? 3 : 4) * settings_.max_dual_constraints / 4);
+    most_dual_constraints_ = limited ? first : dual_.capacity();
+    const bool few_constraints = static_cast<int>(this->active().size()) <= first;
     by_dual_ = settings_.method == ProgramMethod::dual ||
-               (settings_.method == ProgramMethod::automatic && few_rows && !unsolved_);
+               (settings_.method == ProgramMethod::automatic && few_constraints && !unsolved_);
     bool good;
     assumes_ = !by_dual_ && settings_.method == ProgramMethod::automatic && !unsolved_;
     if (assumes_) {
@@ -67,28 +72,24 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     const auto factorised = SolverClock::now();
     pass_time_ = 2 * (factorised - start);  // with the sweep after it
     if (good && by_dual_) by_dual_ = dual_.prepare(*this);
-    rows_time_ = SolverClock::now() - factorised;
+    gradients_time_ = SolverClock::now() - factorised;
     return good;
   }
-  /// What the last prepare() took for the gradients of the dual's first working set.
-  [[nodiscard]] SolverClock::duration rows_time() const { return rows_time_; }
-  [[nodiscard]] double damping() const { return damping_; }  ///< of the last prepare()
-  /// True if the last solve() was cut off by its deadline: the next one goes on with the same
-  /// program, for another initial step, instead of a new one after prepare().
+  /// Time that the last prepare() needed for the gradients of the dual's first working set.
+  [[nodiscard]] SolverClock::duration gradients_time() const { return gradients_time_; }
+  [[nodiscard]] double damping() const { return damping_; }  ///< damping of the last prepare()
+  /// True if the deadline interrupted the last solve(). The next solve() then continues the same
+  /// program for another initial step; it needs no new program and no prepare().
   [[nodiscard]] bool goes_on() const { return goes_on_; }
-  /// False where it was cut off before the first pass that takes all constraints into account.
+  /// False if the last solve() was interrupted before the first pass that includes all constraints.
   [[nodiscard]] bool has_step() const { return !goes_on_ || passes_ > 0; }
-  void forget() { goes_on_ = unsolved_ = false; }  ///< it shall not
+  /// The next solve() does not continue the last one.
+  void forget() { goes_on_ = unsolved_ = false; }
 
-  /// The step and multipliers for the initial step dx0; after prepare(). A pass that would end
-  /// after the deadline, by what the last ones took, is not begun. In `real_time` NLopt's working
-  /// set does not grow beyond the constraints that it begins with at most, which bounds the time
-  /// that is lost where another method has to take over.
-  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {},
-                      bool real_time = false) {
-    most_dual_rows_ = real_time && settings_.method != ProgramMethod::dual
-                          ? std::max(1, settings_.max_dual_rows)
-                          : dual_.capacity();
+  /// Computes the step and multipliers for the initial step dx0. Requires prepare(). A pass does
+  /// not start if it would end after the deadline, as estimated from the duration of the last
+  /// passes.
+  ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
     deadline_ = deadline;
     late_ = false;
     if (!goes_on_) {
@@ -104,12 +105,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
 
-  /// Takes the input step du of node k at this dx into its hard bounds: those of constraints that
-  /// see one input (and the state).
+  /// Clamps the input step du of node k, for this dx, to its hard bounds: the bounds of hard
+  /// constraints that depend on a single input (and the state).
   void clamp_input(int k, const double* dx, double* du) const {
-    if constexpr (Rows > 0) {
+    if constexpr (Constraints > 0) {
       const auto& n = this->node(k);
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         if (!n.hard[static_cast<std::size_t>(i)] || n.stiffness(i) < infinity) continue;
         int j = -1, entries = 0;
         for (int l = 0; l < Inputs; ++l)
@@ -128,9 +129,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     }
   }
 
-  /// Takes the first input into its hard bounds; the inputs after it follow by the gains, also what
-  /// is rounding, as a horizon can make a thousand times as much of it. The residual counts what is
-  /// more than that. Returns what solve() does.
+  /// Clamps the first input to its hard bounds. The later inputs follow the change by the gains.
+  /// This also applies to a change by rounding errors, because a horizon can amplify it a thousand
+  /// times. The residual is recomputed only for larger changes. Returns the same as solve().
   ProgramStatus clamp_first_input() {
     auto &change = saved_steps_[0], &here = this->step(0);
     double size = 0.0;
@@ -152,23 +153,23 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     return residual_ <= settings_.tolerance ? ProgramStatus::solved : ProgramStatus::interrupted;
   }
 
-  [[nodiscard]] double residual() const { return residual_; }  ///< of the last solve
-  [[nodiscard]] bool late() const { return late_; }            ///< it ended at the deadline
-  /// Of the last solve, besides prepare()'s, and of those that it went on from.
+  [[nodiscard]] double residual() const { return residual_; }  ///< residual of the last solve()
+  [[nodiscard]] bool late() const { return late_; }  ///< the last solve() ended at the deadline
+  /// Passes of the last solve() and of the solves that it continued, without the pass of prepare().
   [[nodiscard]] int passes() const { return passes_; }
-  [[nodiscard]] int rounds() const { return dual_.rounds(); }  ///< of the working set
+  /// Rounds of the working set in the dual method.
+  [[nodiscard]] int rounds() const { return dual_.rounds(); }
 
  private:
-  // Room for twice the constraints that it begins with at most: in a solve to convergence most that
-  // join leave again, and giving up halfway costs more than finishing.
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
-    const int all = 2 * Rows * (horizon + 1);
-    const int wanted = settings.method == ProgramMethod::dual ? 1000 : 2 * settings.max_dual_rows;
+    const int all = 2 * Constraints * (horizon + 1);
+    const int wanted =
+        settings.method == ProgramMethod::dual ? 1000 : 2 * settings.max_dual_constraints;
     return std::max(1, std::min(wanted, all));
   }
-  // If a pass that takes so long would be late, with what follows it, or one too many. What it
-  // takes may have been something else that the machine did, so the next time it counts as a little
-  // less.
+  // True if a pass of duration `needed` and the work after it would end after the deadline, or if
+  // the limit of passes is reached. Other work of the machine can increase the measured duration,
+  // so it counts as slightly shorter the next time.
   [[nodiscard]] bool out_of_time(SolverClock::duration& needed) {
     if (!late_ && deadline_ && SolverClock::now() + needed + pass_time_ / 2 > *deadline_) {
       late_ = true;
@@ -183,8 +184,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
 
   void solve_by_method(const Tangent& dx0) {
     if (by_dual_) {
-      using Outcome = typename DualMethod<States, Inputs, Rows, Pattern>::Outcome;
-      const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_rows_);
+      using Outcome = typename DualMethod<States, Inputs, Constraints, Pattern>::Outcome;
+      const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
       if (outcome == Outcome::solved && solved()) return;
       if (settings_.method == ProgramMethod::dual) {
         late_ = dual_.late();
@@ -204,7 +205,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     solve_by_interior_point(dx0);
   }
 
-  // Passes of the active set, as long as each has clearly fewer contradictions than the one before.
+  // Up to eight passes of the active set. From the third pass on, the number of contradictions must
+  // decrease in each pass. Returns true if the program is solved.
   bool settle(const Tangent& dx0, int contradictions) {
     for (int tries = 0; tries < 8 && !out_of_time(pass_time_); ++tries) {
       const auto start = SolverClock::now();
@@ -230,8 +232,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     }
     iterate_interior_point(dx0, start, false);
     goes_on_ = cut_off();
-    if (residual_ > settings_.tolerance || !hard_given_up()) return;
-    // Their price may have been too low: once more with a higher one, if there is time.
+    if (residual_ > settings_.tolerance || !hard_relaxed()) return;
+    // The price of the hard constraints may have been too low: solve again with a higher price if
+    // there is time.
     save();
     if (out_of_time(interior_time_) || !plain_pass(dx0)) return restore();
     start = SolverClock::now();
@@ -240,7 +243,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     if (residual_ > settings_.tolerance) restore();
   }
 
-  // Goes on with iterations that were cut off.
+  // Continues iterations that the deadline interrupted.
   [[nodiscard]] bool go_on(const Tangent& dx0) {
     goes_on_ = false;
     const auto start = SolverClock::now();
@@ -249,7 +252,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     goes_on_ = cut_off();
     return true;
   }
-  // After half the passes a program is old: linearised anew, it is worth more than when solved.
+  // After half of the allowed passes the program is outdated: a new linearisation is worth more
+  // than its solution.
   [[nodiscard]] bool cut_off() const {
     return late_ && residual_ > settings_.tolerance && 2 * passes_ < settings_.max_passes;
   }
@@ -260,7 +264,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     });
   }
 
-  // With `one`, there is always time for one iteration, or nothing would ever come of it.
+  // With `one`, one iteration runs even if there is no time; otherwise the solve would never make
+  // progress.
   void iterate_interior_point(const Tangent& dx0, SolverClock::time_point start, bool one) {
     const double first = interior_point_.first_mu();
     double next_try = 1e-2 * interior_point_.mu();
@@ -283,14 +288,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
         if (solved() || mu < 1e-18 * first) return;
       }
     }
-    // Cut off, its best use is a guess of what holds.
+    // The iterations were interrupted: use their result as a guess of the active constraints.
     interior_point_.finish(*this, true);
     (void)solved();
   }
 
-  // The step where there is no time to solve anything: inputs that follow the gains of the last
-  // pass as far as hard bounds allow, or those of the plan that was linearised, whichever costs
-  // less. Multipliers stay what they are.
+  // Step for the case that there is no time to solve the program. Compares inputs that follow the
+  // gains of the last pass with the inputs of the linearised plan, both clamped to the hard bounds.
+  // Uses the inputs with the lower cost. The multipliers do not change.
   void make_do(const Tangent& dx0) {
     this->set_first(dx0);
     const auto clamp = [this](int k, auto& w) {
@@ -314,7 +319,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
     (void)solved();
   }
 
-  [[nodiscard]] bool hard_given_up() const {
+  [[nodiscard]] bool hard_relaxed() const {
     for (const auto& [k, i] : this->active()) {
       const auto& n = this->node(k);
       if (n.hard[static_cast<std::size_t>(i)] && std::abs(n.multiplier(i)) >= 0.99 * n.price(i))
@@ -336,14 +341,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
       this->node(k).multiplier = saved_multipliers_[static_cast<std::size_t>(k)];
       auto& n = this->node(k);
       n.price = saved_prices_[static_cast<std::size_t>(k)];
-      for (int i = 0; i < Rows; ++i)
+      for (int i = 0; i < Constraints; ++i)
         if (n.hard[static_cast<std::size_t>(i)]) n.stand_in(i) = n.price(i);
     }
     this->predict();
     (void)solved();
   }
 
-  // The step that is optimal without constraints, by a pass without them.
+  // The optimal step without constraints, by a pass without constraints.
   void sweep(const Tangent& dx0) {
     this->set_first(dx0);
     this->riccati.sweep(this->steps());
@@ -356,24 +361,25 @@ class QuadraticProgram : public Subproblem<States, Inputs, Rows, Pattern> {
   }
 
   static constexpr double infinity = std::numeric_limits<double>::infinity();
-  static constexpr int few = 10;  // contradictions that an active set gets over
+  static constexpr int few = 10;  // contradictions from which the active set usually recovers
 
   QuadraticProgramSettings settings_;
-  DualMethod<States, Inputs, Rows, Pattern> dual_;
-  ActiveSet<States, Inputs, Rows, Pattern> active_set_;
-  InteriorPoint<States, Inputs, Rows, Pattern> interior_point_;
+  DualMethod<States, Inputs, Constraints, Pattern> dual_;
+  ActiveSet<States, Inputs, Constraints, Pattern> active_set_;
+  InteriorPoint<States, Inputs, Constraints, Pattern> interior_point_;
   std::vector<typename Program::Vector> saved_steps_;
   std::vector<typename Program::Values> saved_multipliers_, saved_prices_;
-  int most_dual_rows_ = 0;  // of this solve
+  int most_dual_constraints_ = 0;  // set by the last prepare()
   std::optional<SolverClock::time_point> deadline_;
-  // What a pass and an iteration of the interior point last took.
-  SolverClock::duration pass_time_{}, interior_time_{}, rows_time_{};
+  // Duration of the last pass, of the last interior-point iteration, and of computing the gradients
+  // in the last prepare().
+  SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0;
   bool by_dual_ = true, late_ = false;
-  bool assumes_ = false;   // the last factorisation holds what had a multiplier
-  bool unsolved_ = false;  // the last program was cut off: its multipliers are no guess
+  bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
+  bool unsolved_ = false;  // the last program was interrupted: its multipliers are a bad guess
   bool goes_on_ = false;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -16,31 +16,32 @@
 #include <utility>
 #include <vector>
 
-/// The linear-quadratic problem of one SQP step without its inequalities, and its factorisation by
-/// one backward Riccati pass.
+/// The linear-quadratic problem of one SQP step without inequality constraints, and its
+/// factorisation by one backward Riccati pass.
 ///
 /// With w = (dx, du) and M = [A B], the cost to go of node k is 1/2 w' H w + g' w with
 ///
 ///     H = [lxx lux'; lux luu] + M' P M,    g = (lx, lu) + M' (p + P defect),
 ///
-/// P and p being those of node k + 1. Eliminating du by a Cholesky factorisation of H whose pivots
-/// are its last rows leaves the P and p of node k (Rao, Wright & Rawlings, "Application of
-/// interior-point methods to model predictive control", 1998, for the recursion; Frison &
+/// where P and p belong to node k + 1. A Cholesky factorisation of H, whose pivots are the last
+/// rows of H, eliminates du and leaves the P and p of node k (Rao, Wright & Rawlings, "Application
+/// of interior-point methods to model predictive control", 1998, for the recursion; Frison &
 /// Jorgensen, "Efficient implementation of the Riccati recursion", 2013, for its form as one
-/// Cholesky factorisation). With the eliminated columns [Y; L], divided by the roots of their
-/// pivots,
+/// Cholesky factorisation). With the eliminated columns [Y; L], divided by the square roots of
+/// their pivots,
 ///
 ///     z_k = L' du_k + Y' dx_k + y_k,    L y_k = g_u,
 ///
-/// is the distance from the unconstrained optimal input, and completing the square turns the whole
-/// cost into 1/2 |z|^2 + const, with continuity eliminated.
+/// is the distance from the unconstrained optimal input. Completing the square turns the total cost
+/// into 1/2 |z|^2 + const, with continuity eliminated.
 ///
-/// A long header, because one class holds the factorisation and the sweeps that read it: all of
-/// them depend on the same packed layout, and on zeros that are known when compiling.
-namespace tilt_ropter {
+/// This header is long because one class holds the factorisation and the sweeps that use it. All of
+/// them depend on the same packed layout and on zeros that are known at compile time. The adjoint
+/// propagation for many functions at once is in adjoint_batch.hpp.
+namespace tilt_ropter::optimal_control {
 
-/// The horizon: stage(0) to stage(N), of the last one only the cost of dx is used. `Pattern` says
-/// which entries of [A B] can be non-zero: see TransitionPattern.
+/// The problem for a horizon with the nodes stage(0) to stage(N). Of the last node only the cost of
+/// dx is used. `Pattern` defines which entries of [A B] can be non-zero: see TransitionPattern.
 template <int States, int Inputs, typename Pattern = FullTransition>
 class Riccati {
  public:
@@ -51,7 +52,7 @@ class Riccati {
   using InputMatrix = Eigen::Matrix<double, States, Inputs>;
   using Gain = Eigen::Matrix<double, Inputs, States>;
   static constexpr int width = Stage::width, rows = Stage::rows;
-  /// (dx, du) of a node, or derivatives by it, filled up with zeros.
+  /// (dx, du) of a node, or derivatives by it, padded with zeros.
   using Vector = typename Stage::Vector;
 
   /// Allocates once for `horizon` intervals.
@@ -61,7 +62,8 @@ class Riccati {
   [[nodiscard]] Stage& stage(int k) { return stages_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Stage& stage(int k) const { return stages_[static_cast<std::size_t>(k)]; }
 
-  /// The interval dx_{k+1} = A dx_k + B du_k + defect. False if a number is not finite.
+  /// Sets A and B of the interval dx_{k+1} = A dx_k + B du_k + defect. Returns false if a number is
+  /// not finite.
   [[nodiscard]] bool set_transition(int k, const StateMatrix& A, const InputMatrix& B) {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       constexpr int Width = packet();
@@ -73,8 +75,8 @@ class Riccati {
       return check.passed();
     });
   }
-  /// The same for the intervals k to k + count - 1, count <= 4, from derivatives side by side, of
-  /// which only what the pattern allows is read.
+  /// The same for the intervals k to k + count - 1, count <= 4, from derivatives with one lane per
+  /// interval. Reads only the entries that the pattern allows.
   [[nodiscard, gnu::always_inline]] inline bool set_transitions(
       int k, int count, const Eigen::Matrix<Lanes, States, States>& A,
       const Eigen::Matrix<Lanes, States, Inputs>& B) {
@@ -82,7 +84,7 @@ class Riccati {
     static constexpr auto lists = reached_by<lanes>();
     detail::FiniteCheck<lanes> check;
     for (int t = 0; t < rows / lanes; ++t) {
-      const Reached& list = lists[static_cast<std::size_t>(t)];
+      const auto& list = lists[static_cast<std::size_t>(t)];
       for (int n = 0; n < list.count; ++n) {
         const int row = list.at[static_cast<std::size_t>(n)];
         Packet<lanes> square[detail::size(lanes)];
@@ -108,18 +110,18 @@ class Riccati {
     for (int i = 0; i < States; ++i) stage(k).defect(i) = defect(i);
   }
 
-  /// Backward pass, with `damping` added to the diagonals of all Hessians and whatever
-  /// terms(k, hessian, gradient) adds to those of node k: `rows` x `width` and `rows` numbers, of
-  /// the columns of dx the lower triangle without the rows of du. False if the Hessian left for the
-  /// inputs of some node is not positive definite or not a number (then the problem has no unique
-  /// minimum). No allocation.
+  /// Backward pass. `damping` is added to the diagonals of all Hessians. terms(k, hessian,
+  /// gradient) adds to the Hessian (`rows` x `width` numbers) and gradient (`rows` numbers) of node
+  /// k. Of the columns of dx, only the lower triangle without the rows of du is used. Returns false
+  /// if the remaining Hessian of the inputs of a node is not positive definite or NaN (the problem
+  /// then has no unique minimum). Does not allocate.
   [[nodiscard]] bool factorise(double damping = 0.0, const NodeTerms& terms = {}) {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       return pass<packet()>(damping, terms);
     });
   }
 
-  /// Backward pass for other gradients, one of each node, and no defects, by the last
+  /// Backward pass for other gradients, one for each node, without defects. Uses the last
   /// factorisation.
   void solve(const std::vector<Vector>& gradients) {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -128,20 +130,20 @@ class Riccati {
     });
   }
 
-  /// Forward sweep from the dx in w[0]: the inputs du that have the coordinates z (Inputs of each
-  /// node, or null for zero: the optimal ones), and where they lead.
+  /// Forward sweep from the dx in w[0]. Computes the inputs du with the coordinates z, and the dx
+  /// that they lead to. `z` has Inputs numbers for each node; null means zero: the optimal inputs.
   void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
     Sweep how;
     how.z = z;
     run(how, w);
   }
-  /// Forward sweep with inputs that follow dx by the gains alone, and where they lead.
+  /// Forward sweep with inputs that follow dx by the gains alone, without feed-forward.
   void sweep_plan(std::vector<Vector>& w) const {
     Sweep how;
     how.feedforward = false;
     run(how, w);
   }
-  /// Forward sweep with the inputs du in w as they are.
+  /// Forward sweep with the unchanged inputs du in w.
   void roll_out(std::vector<Vector>& w) const {
     Sweep how;
     how.first = w.size();
@@ -153,15 +155,15 @@ class Riccati {
     how.defects = false;
     run(how, w);
   }
-  /// The same for a deviation from a step, without defects; inputs of nodes before `first` are
-  /// those in w.
+  /// The same as sweep_plan() without defects, for a deviation from a step. Nodes before `first`
+  /// keep their inputs in w.
   void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
     Sweep how;
     how.first = first;
     how.feedforward = how.defects = false;
     run(how, w);
   }
-  /// Forward sweep with whatever choose(k, w) makes of the optimal inputs in w = (dx, du).
+  /// Forward sweep in which choose(k, w) may change the optimal input of each node in w = (dx, du).
   template <typename Choose>
   void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
     for (int k = 0; k < horizon(); ++k) {
@@ -178,7 +180,8 @@ class Riccati {
     }
   }
 
-  /// P of node 0, symmetric, after factorise(): the Hessian of what the whole horizon costs.
+  /// Returns the symmetric P of node 0, after factorise(): the Hessian of the cost of the whole
+  /// horizon.
   [[nodiscard]] StateMatrix initial_cost() const {
     StateMatrix P;
     for (int j = 0; j < States; ++j)
@@ -186,62 +189,7 @@ class Riccati {
     return P;
   }
 
-  /// A batch of linear functions of the trajectory, one a row: its derivative by dx_k, then by
-  /// du_k. Room for a multiple of detail::padding rows.
-  using Batch = Eigen::Matrix<double, Eigen::Dynamic, width>;
-
-  /// Adjoint step through interval k: from derivatives by dx_{k+1} to derivatives by (dx_k, du_k),
-  /// for the first `count` rows.
-  void step_back(int k, const Batch& after, Batch& before, Eigen::Index count) const {
-    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      constexpr int Width = packet();
-      static constexpr auto lists = reached_by<1>();
-      for (int j = 0; j < width; ++j) {
-        const Reached& list = lists[static_cast<std::size_t>(j)];
-        Eigen::Index i = 0;
-        for (; i + 4 * Width <= count + Width - 1; i += 4 * Width)
-          step_back_column<Width, 4>(stage(k), list, after, i, before, j);
-        for (; i < count; i += Width)
-          step_back_column<Width, 1>(stage(k), list, after, i, before, j);
-      }
-      return true;
-    });
-  }
-
-  /// From derivatives by (dx_k, du_k) to those by (dx_k, z_k), for the first `count` rows.
-  void to_coordinates(int k, Batch& batch, Eigen::Index count) const {
-    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      constexpr int Width = packet();
-      const Stage& s = stage(k);
-      const Eigen::Index stride = batch.rows();
-      for (Eigen::Index first = 0; first < count; first += Width) {
-        double* row = batch.data() + first;
-        for (int j = 0; j < Inputs; ++j) {
-          Packet<Width> by_input;
-          detail::load<Width>(row + stride * (States + j), by_input);
-          for (int i = 0; i < j; ++i)
-            detail::add_product<Width>(by_input, row + stride * (States + i),
-                                       -s.factor(States + j, i));
-          detail::store<Width>(row + stride * (States + j), by_input);
-          for (int i = 0; i < States; ++i) {
-            Packet<Width> by_state;
-            detail::load<Width>(row + stride * i, by_state);
-            by_state -= by_input * s.factor(i, j);
-            detail::store<Width>(row + stride * i, by_state);
-          }
-        }
-        for (int j = 0; j < Inputs; ++j) {
-          Packet<Width> by_input;
-          detail::load<Width>(row + stride * (States + j), by_input);
-          by_input *= std::sqrt(s.inverse_pivot(j));
-          detail::store<Width>(row + stride * (States + j), by_input);
-        }
-      }
-      return true;
-    });
-  }
-
-  /// The optimal input of node k where dx = 0.
+  /// Returns the optimal input of node k for dx = 0.
   [[nodiscard]] Input feedforward(int k) const {
     const Stage& s = stage(k);
     Input du;
@@ -251,7 +199,7 @@ class Riccati {
     }
     return du;
   }
-  /// d du / d dx of the optimal input of node k.
+  /// Returns the gain d du / d dx of the optimal input of node k.
   [[nodiscard]] Gain gain(int k) const {
     const Stage& s = stage(k);
     Gain gain;
@@ -268,26 +216,9 @@ class Riccati {
   using Packet = detail::Packet<Width>;
   static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
 
-  // Of the nodes of an interval's end: which of them an entry or a packet of (dx, du) reaches.
-  struct Reached {
-    int count = 0;
-    std::array<int, static_cast<std::size_t>(States)> at{};
-  };
-  static constexpr bool nonzero(int row, int first, int last) {
-    for (int column = first; column < last && column < width; ++column)
-      if (Pattern::nonzero(row, column)) return true;
-    return false;
-  }
   template <int Width>
   static constexpr auto reached_by() {
-    std::array<Reached, static_cast<std::size_t>(rows / Width)> lists{};
-    for (int t = 0; t < rows / Width; ++t)
-      for (int k = 0; k < States; ++k)
-        if (nonzero(k, Width * t, Width * (t + 1))) {
-          Reached& list = lists[static_cast<std::size_t>(t)];
-          list.at[static_cast<std::size_t>(list.count++)] = k;
-        }
-    return lists;
+    return detail::reached_by<States, Inputs, Pattern, Width>();
   }
 
   template <int Width>
@@ -322,7 +253,7 @@ class Riccati {
   // product_ = M' P.
   template <int Width>
   [[gnu::always_inline]] inline void multiply(const Stage& s) {
-    constexpr int most = 9;  // columns whose sums fit the registers
+    constexpr int most = 9;  // number of columns whose sums fit into the registers
     for (int t = 0; t < rows / Width; ++t) {
       for (int column = 0; column + most <= States; column += most)
         multiply_packet<Width, most>(s, t, column);
@@ -333,7 +264,7 @@ class Riccati {
   template <int Width, int Columns>
   [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
     static constexpr auto lists = reached_by<Width>();
-    const Reached& list = lists[static_cast<std::size_t>(t)];
+    const auto& list = lists[static_cast<std::size_t>(t)];
     Packet<Width> sum[detail::size(Columns)] = {};
     for (int n = 0; n < list.count; ++n) {
       const int k = list.at[static_cast<std::size_t>(n)];
@@ -348,7 +279,7 @@ class Riccati {
       detail::store<Width>(product_.data() + rows * (first + j) + Width * t, sum[j]);
   }
 
-  // gradient_ = g, where its first entries were p.
+  // Sets gradient_ to g. Before, its first entries are p.
   template <int Width>
   [[gnu::always_inline]] inline void add_gradient(const Stage& s) {
     constexpr int packets = rows / Width;
@@ -368,7 +299,7 @@ class Riccati {
     for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, sum[t]);
   }
 
-  // hessian_ = H: columns of dx from the diagonal down, those of du whole.
+  // Sets hessian_ to H: columns of dx from the diagonal down, complete columns of du.
   template <int Width>
   [[gnu::always_inline]] inline void add_hessian(const Stage& s) {
     add_state_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
@@ -387,7 +318,7 @@ class Riccati {
   template <int Width, int First, int Last>
   [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
     static constexpr auto lists = reached_by<1>();
-    const Reached& list = lists[static_cast<std::size_t>(j)];
+    const auto& list = lists[static_cast<std::size_t>(j)];
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
     Packet<Width> sum[detail::size(Last - First)];
@@ -405,7 +336,8 @@ class Riccati {
     for (int t = First; t < Last; ++t) detail::store<Width>(column + Width * t, sum[t - First]);
   }
 
-  // The Cholesky factorisation of the last rows and columns, and what it leaves of the gradient.
+  // Cholesky factorisation of the last rows and columns, which also eliminates du from the
+  // gradient. Returns false if a pivot is not positive.
   template <int Width>
   [[gnu::always_inline]] inline bool eliminate(Stage& s) {
     constexpr int packets = rows / Width;
@@ -442,7 +374,7 @@ class Riccati {
     return positive;
   }
 
-  // cost_to_go_ from the diagonal down: what the elimination leaves of hessian_.
+  // Sets cost_to_go_ from the diagonal down: the rest of hessian_ after the elimination.
   template <int Width>
   [[gnu::always_inline]] inline void add_remainder(const Stage& s) {
     add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
@@ -473,7 +405,7 @@ class Riccati {
     }
   }
 
-  // The upper triangle of cost_to_go_ from the lower one.
+  // Copies the lower triangle of cost_to_go_ to its upper triangle.
   template <int Width>
   [[gnu::always_inline]] inline void mirror() {
     for (int j = 0; j < States; j += Width) {
@@ -533,32 +465,15 @@ class Riccati {
     }
   }
 
-  template <int Width, int Packets>
-  [[gnu::always_inline]] static inline void step_back_column(const Stage& s, const Reached& list,
-                                                             const Batch& after, Eigen::Index row,
-                                                             Batch& before, int column) {
-    Packet<Width> sum[detail::size(Packets)] = {};
-    for (int n = 0; n < list.count; ++n) {
-      const int k = list.at[static_cast<std::size_t>(n)];
-      const double factor = s.transition(column, k);
-      const double* from = after.data() + after.rows() * k + row;
-#pragma GCC unroll 4
-      for (int t = 0; t < Packets; ++t)
-        detail::add_product<Width>(sum[t], from + Width * t, factor);
-    }
-#pragma GCC unroll 4
-    for (int t = 0; t < Packets; ++t)
-      detail::store<Width>(before.data() + before.rows() * column + row + Width * t, sum[t]);
-  }
-
-  // What a forward sweep does: at run time, or each of its kinds would be compiled by itself.
+  // Options of a forward sweep. They are chosen at run time; as template parameters, each
+  // combination would be compiled separately.
   struct Sweep {
-    std::size_t begin = 0, end = static_cast<std::size_t>(-1);  // nodes
-    std::size_t first = 0;      // the first one whose input is not that in w
-    const double* z = nullptr;  // coordinates of the inputs
-    bool feedforward = true;    // else inputs follow dx by the gains alone
-    bool defects = true;        // else of a linear system
-    bool move = true;           // else the inputs alone
+    std::size_t begin = 0, end = static_cast<std::size_t>(-1);  // nodes of the sweep
+    std::size_t first = 0;  // first node whose input is computed; earlier nodes keep the input in w
+    const double* z = nullptr;  // coordinates of the inputs; null: zero
+    bool feedforward = true;    // false: inputs follow dx by the gains alone
+    bool defects = true;        // false: without defects
+    bool move = true;           // false: only the inputs are computed
   };
   void run(const Sweep& how, std::vector<Vector>& w) const {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -573,7 +488,7 @@ class Riccati {
       return true;
     });
   }
-  // du of w = (dx, du).
+  // Computes du of w = (dx, du).
   template <int Width>
   [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z,
                                                       bool feedforward, Vector& w) {
@@ -590,7 +505,7 @@ class Riccati {
       du[j] = sum;
     }
   }
-  // dx of `next`.
+  // Computes dx of `next`.
   template <int Width>
   [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w, bool defects,
                                                     Vector& next) {
@@ -599,7 +514,7 @@ class Riccati {
       multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);
     for (int k = 0; k < States; ++k) next(k) = defects ? dx[k] + s.defect(k) : dx[k];
   }
-  // The products of Width columns, `rows` numbers apart, with the first `Count` numbers of w.
+  // Products of Width columns, which are `rows` numbers apart, with the first `Count` numbers of w.
   template <int Width, int Count>
   [[gnu::always_inline]] static inline void multiply_transposed(const double* columns,
                                                                 const double* w, double* result) {
@@ -622,11 +537,11 @@ class Riccati {
   }
 
   std::vector<Stage> stages_;
-  // P of the node that was reached, M' P and H of the one being done; (p, what is left of g_u).
+  // P of the node that the pass has reached; M' P and H of the current node; (p, remainder of g_u).
   Eigen::Matrix<double, state_rows, States> cost_to_go_ = detail::Filled();
   Eigen::Matrix<double, rows, States> product_ = detail::Filled();
   Eigen::Matrix<double, rows, width> hessian_ = detail::Filled();
   Vector gradient_ = detail::Filled();
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

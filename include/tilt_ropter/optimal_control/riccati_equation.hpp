@@ -9,21 +9,22 @@
 #include <cmath>
 #include <optional>
 
-/// The cost to go of a horizon without end.
-namespace tilt_ropter {
+/// The cost to go of an infinite horizon.
+namespace tilt_ropter::optimal_control {
 
-/// P of a horizon without end that has the same interval and cost throughout: the solution that
-/// stabilises of the discrete algebraic Riccati equation
+/// Returns P of an infinite horizon with the same interval and cost at every node: the stabilising
+/// solution of the discrete algebraic Riccati equation
 ///
-///     P = lxx + A' P A - (A' P B + lux') (luu + B' P B)^-1 (B' P A + lux),
+///     P = lxx + A' P A - (A' P B + lux') (luu + B' P B)^-1 (B' P A + lux).
 ///
-/// by passes of Riccati from the identity, until none of its entries moves by more than 1e-12 of
-/// sqrt(P_ii P_jj) in a pass. Empty if `max_passes` do not get there: it does not exist where some
-/// motion that does not die out costs nothing or cannot be stopped. Allocates; takes about a
-/// microsecond a pass for an NMPC, and as many passes as the slowest motion takes intervals to
-/// decay by 1e-6, since the cost is its square.
+/// The function repeats passes of Riccati from the identity until no entry P_ij changes by more
+/// than 1e-12 sqrt(P_ii P_jj) in a pass. Returns nothing if `max_passes` passes are not enough or a
+/// pass fails. P does not exist if a motion that does not decay has no cost or cannot be stopped.
+/// Allocates. For an NMPC, a pass takes about a microsecond. The number of passes is the number of
+/// intervals in which the slowest motion decays by 1e-6, because the cost is the square of the
+/// motion.
 template <int States, int Inputs, typename Pattern = FullTransition>
-[[nodiscard]] std::optional<Eigen::Matrix<double, States, States>> endless_cost(
+[[nodiscard]] std::optional<Eigen::Matrix<double, States, States>> solve_dare(
     const Eigen::Matrix<double, States, States>& A, const Eigen::Matrix<double, States, Inputs>& B,
     const QuadraticModel<States, Inputs>& cost, int max_passes = 20000) {
   Riccati<States, Inputs, Pattern> pass(1);
@@ -47,4 +48,4 @@ template <int States, int Inputs, typename Pattern = FullTransition>
   return std::nullopt;
 }
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

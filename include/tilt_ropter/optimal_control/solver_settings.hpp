@@ -8,28 +8,30 @@
 #include <limits>
 #include <tuple>
 
-/// What the solver can be told. Needs no NLopt, so settings can be made, checked and stored where
-/// nothing is solved.
-namespace tilt_ropter {
+/// Settings of the solver. This header does not need NLopt, so that programs without a solver can
+/// create, check and store settings.
+namespace tilt_ropter::optimal_control {
 
-/// NLopt's algorithms that can solve the dual; all reach the same point.
+/// NLopt's algorithms for the dual; all converge to the same point.
 enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
 
-/// The clock of all time limits.
+/// Clock of all time limits.
 using SolverClock = std::chrono::steady_clock;
 
-/// How the dual of the rows is solved, and how well.
+/// Limits and tolerances for the dual of the constraints.
 struct DualSettings {
+  /// NLopt's algorithm; it changes time and memory, but not the solution.
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
   double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
-  double row_tolerance = 1e-9;  ///< violation that makes a constraint join the working set
-  int max_rounds = 20;          ///< of adding constraints
+  double constraint_tolerance = 1e-9;  ///< violation above which a constraint joins the working set
+  int max_rounds = 20;                 ///< rounds in which constraints join the working set
 };
 
 [[nodiscard]] inline bool operator==(const DualSettings& a, const DualSettings& b) {
   const auto all = [](const DualSettings& s) {
-    return std::tie(s.algorithm, s.max_evaluations, s.tolerance, s.row_tolerance, s.max_rounds);
+    return std::tie(s.algorithm, s.max_evaluations, s.tolerance, s.constraint_tolerance,
+                    s.max_rounds);
   };
   return all(a) == all(b);
 }
@@ -37,58 +39,60 @@ struct DualSettings {
 inline void validate(const DualSettings& s) {
   require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
   require_positive("DualSettings.tolerance", s.tolerance);
-  require_positive("DualSettings.row_tolerance", s.row_tolerance);
+  require_positive("DualSettings.constraint_tolerance", s.constraint_tolerance);
   require(s.max_rounds > 0, "DualSettings.max_rounds", s.max_rounds, "> 0");
 }
 
-/// How a quadratic program is solved.
+/// Method that solves a quadratic program.
 enum class ProgramMethod {
-  automatic,       ///< by the dual where few constraints hold, else by Riccati passes
-  dual,            ///< by NLopt: DualMethod
-  interior_point,  ///< by InteriorPoint as soon as a constraint is violated
+  automatic,       ///< the dual if few constraints are active, else Riccati passes
+  dual,            ///< NLopt: DualMethod
+  interior_point,  ///< InteriorPoint as soon as a constraint is violated
 };
 
 /// Limits and tolerances of one SQP step.
 struct QuadraticProgramSettings {
-  ProgramMethod method = ProgramMethod::automatic;
-  /// Residual of a solved program (see ProgramResidual), relative.
+  ProgramMethod method = ProgramMethod::automatic;  ///< method of the solve
+  /// Relative residual below which a program counts as solved, see ProgramResidual.
   double tolerance = 1e-6;
-  /// Active constraints up to which the method `automatic` leaves them to NLopt. In solve() up to
-  /// twice as many may matter on the way.
-  int max_dual_rows = 16;
-  int max_passes = 100;  ///< Riccati passes in one solve, besides that of prepare()
-  DualSettings dual;
+  /// Largest number of active constraints with which the method `automatic` uses NLopt. During the
+  /// solve the working set may grow to twice this number. In a real-time iteration both limits are
+  /// three quarters of this number: if more constraints join, the time spent in NLopt is lost.
+  int max_dual_constraints = 16;
+  int max_passes = 100;  ///< Riccati passes in one solve, without the pass of prepare()
+  DualSettings dual;     ///< limits and tolerances of the dual
 };
 
 [[nodiscard]] inline bool operator==(const QuadraticProgramSettings& a,
                                      const QuadraticProgramSettings& b) {
   const auto all = [](const QuadraticProgramSettings& s) {
-    return std::tie(s.method, s.tolerance, s.max_dual_rows, s.max_passes, s.dual);
+    return std::tie(s.method, s.tolerance, s.max_dual_constraints, s.max_passes, s.dual);
   };
   return all(a) == all(b);
 }
 
 inline void validate(const QuadraticProgramSettings& s) {
   require_positive("QuadraticProgramSettings.tolerance", s.tolerance);
-  require(s.max_dual_rows >= 0 && s.max_dual_rows <= 1000, "QuadraticProgramSettings.max_dual_rows",
-          s.max_dual_rows, "in [0, 1000]");
+  require(s.max_dual_constraints >= 0 && s.max_dual_constraints <= 1000,
+          "QuadraticProgramSettings.max_dual_constraints", s.max_dual_constraints, "in [0, 1000]");
   require(s.max_passes >= 1, "QuadraticProgramSettings.max_passes", s.max_passes, ">= 1");
   validate(s.dual);
 }
 
-/// Limits and tolerances; the defaults serve problems whose cost is of order 1 to 10^4.
+/// Limits and tolerances. The defaults suit problems whose cost is of order 1 to 10^4.
 struct SolverSettings {
   int max_iterations = 200;  ///< of solve()
-  double max_time = 1.0;     ///< of solve() [s]
-  /// Of feedback(); an iteration that would end later is not begun. Finite: at most 1000 [s].
+  double max_time = 1.0;     ///< time limit of solve() [s]
+  /// Time limit of feedback() [s]. An iteration that would end later is not started. At most 1000,
+  /// or infinite: no limit.
   double max_feedback_time = std::numeric_limits<double>::infinity();
-  double tolerance = 1e-6;      ///< on the KKT residual, for solve()
-  double min_step = 1e-4;       ///< shortest step that solve()'s line search tries
-  int memory = 16;              ///< moves that solve() learns longer or shorter steps from; 0: none
-  double max_multiplier = 1e6;  ///< bound on an equality's multiplier
-  bool update_multipliers = true;  ///< of equalities, in solve(): conditions met exactly, not only
-                                   ///< by weight; feedback() never does, as noise would pile up
-  QuadraticProgramSettings program;
+  double tolerance = 1e-6;         ///< on the KKT residual, for solve()
+  double min_step = 1e-4;          ///< shortest step length in the line search of solve()
+  int memory = 16;                 ///< past moves for Anderson acceleration in solve(); 0: none
+  double max_multiplier = 1e6;     ///< bound on the absolute multiplier of an equality
+  bool update_multipliers = true;  ///< of equalities, in solve(): equalities hold exactly, not only
+                                   ///< by weight. feedback() never updates: noise would accumulate
+  QuadraticProgramSettings program;  ///< limits and tolerances of the quadratic programs
 };
 
 [[nodiscard]] inline bool operator==(const SolverSettings& a, const SolverSettings& b) {
@@ -113,4 +117,4 @@ inline void validate(const SolverSettings& s) {
   validate(s.program);
 }
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

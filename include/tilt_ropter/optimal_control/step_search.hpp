@@ -16,14 +16,16 @@
 #include <cmath>
 #include <limits>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
 /// Finds the next iterate of MultipleShooting::solve() from the step of a quadratic program.
 ///
-/// What is tried first, where steps have become slow or the merit nearly level, is the step that
-/// Anderson makes of it; it need not lower the merit where that is level or rounding hides it (the
-/// merit's norms reject good steps there: Maratos), but then is on trust: unless the next program's
-/// step is shorter, the search goes back. Else a line search along the step.
+/// If the steps have become slow or the merit function is nearly level, the step from Anderson is
+/// tried first. This step need not lower the merit if the merit is level or if rounding errors hide
+/// its change. The norms in the merit function reject good steps there (Maratos effect). Such a
+/// step is on trust: if the step of the next program is not shorter, the search goes back to the
+/// start of the step on trust. Otherwise, the search is a line search along the step of the
+/// program.
 template <typename Problem, typename Program>
 class StepSearch {
  public:
@@ -44,7 +46,8 @@ class StepSearch {
         move_(residual_),
         scale_(residual_) {}
 
-  /// Before the first step of a solve. Without `accelerated`, line searches only.
+  /// Call this before the first step of a solve. If `accelerated` is false, only line searches are
+  /// used.
   void begin(bool accelerated) {
     merit_.forget();
     lowest_merit_ = std::numeric_limits<double>::infinity();
@@ -54,21 +57,22 @@ class StepSearch {
     first_ = true;
   }
 
-  /// The last step was accepted without a lower merit, and nothing says yet that it is better.
+  /// True if the last step was accepted without a lower merit and is not yet confirmed as better.
   [[nodiscard]] bool on_trust() const { return on_trust_; }
-  [[nodiscard]] double length() const { return length_; }  ///< of the last step
-  /// Of all iterates since begin(), each by its own weights.
+  [[nodiscard]] double length() const { return length_; }  ///< length of the last step
+  /// Lowest merit of all iterates since begin(); each merit uses the weights of its iterate.
   [[nodiscard]] double lowest_merit() const { return lowest_merit_; }
   [[nodiscard]] bool accelerates() const { return accelerates_; }
-  /// Line searches only from now on: what was learnt leads nowhere.
+  /// Uses only line searches from now on, because the acceleration makes no progress. Discards the
+  /// stored moves.
   void stop_accelerating() {
     forget_moves();
     accelerates_ = false;
   }
 
-  /// Moves `here` by the step in `program`, which was linearised there at this cost; back to where
-  /// the step on trust started if that is not worth it. Returns iterated, or stalled if no step is
-  /// better.
+  /// Moves `here` by the step in `program`, which was linearised there; `cost` is the cost there.
+  /// Goes back to the start of the step on trust if this step was not an improvement. Returns
+  /// iterated, or stalled if no step is better.
   SolveStatus advance(const Problem& problem, const Program& program,
                       const AugmentedLagrangian<Problem>& equalities, double cost, Points& here) {
     if (accelerates_) {
@@ -90,7 +94,7 @@ class StepSearch {
     if (!accelerates_)
       return search_line(problem, program, merit, slope, hidden, merit_of_trial, here);
 
-    // Where steps get on well far from the solution, what they teach is soon wrong.
+    // Far from the solution and with fast progress, stored moves are soon outdated.
     const bool far = -slope > 1e-3 * (1.0 + std::abs(merit));
     if (far && moved_ && norm(residual_) < 0.6 * norm(base_residual_)) anderson_.clear();
     base_ = here;
@@ -114,8 +118,9 @@ class StepSearch {
     return status;
   }
 
-  /// Back to where the trusted step started. What was learnt at its end makes for a better one, a
-  /// few times; then the line search has to find one.
+  /// Goes back to the start of the step on trust. If `learnt`, the acceleration knows the end of
+  /// that step, and tries a better step from the same start (fewer than max_attempts times).
+  /// Otherwise the line search must find the next step.
   SolveStatus go_back(const Problem& problem, Points& here, bool learnt) {
     here = base_;
     if (learnt && ++attempts_ < max_attempts) {
@@ -128,25 +133,25 @@ class StepSearch {
     }
     return SolveStatus::iterated;
   }
-  /// The same for the end of a solve.
+  /// Goes back to the start of the step on trust, at the end of a solve.
   void give_back(Points& here) { here.swap(base_); }
 
  private:
-  // Along the step of the quadratic program.
+  // Line search along the step of the quadratic program.
   template <typename MeritOfTrial>
   SolveStatus search_line(const Problem& problem, const Program& program, double merit,
                           double slope, bool hidden, const MeritOfTrial& merit_of_trial,
                           Points& here) {
     double length = 1.0;
-    if (hidden) {  // nothing to go by but what was right before
+    if (hidden) {  // the merit gives no information here: without acceleration, use the last length
       if (!accelerates_) length = length_;
       try_step(problem, program, length, here);
     } else {
       try_step(problem, program, length, here);
       double there = merit_of_trial();
-      // The parabola through the merit here, its slope and its value at the end: where a
-      // Gauss-Newton step goes far beyond the minimum, it does so every time, and only a shorter
-      // one converges.
+      // Parabola through the merit here, its slope and its value at the end of the step. If a
+      // Gauss-Newton step goes far beyond the minimum, it does so in every iteration, and only a
+      // shorter step converges.
       const double bend = there - merit - slope;
       if (bend > 0.0 && -slope < 1.5 * bend) {
         length = std::max(0.1, -slope / (2.0 * bend));
@@ -175,7 +180,8 @@ class StepSearch {
     attempts_ = 0;
   }
 
-  // The step of the quadratic program as one vector, scaled by the first Hessians' diagonals.
+  // Packs the step of the quadratic program into one vector, scaled by the square roots of the
+  // diagonals of the first Hessians.
   void pack_step(const Program& program) {
     for (int k = 0; k <= horizon_; ++k)
       for (int i = 0; i < entries_of(k); ++i)
@@ -197,7 +203,8 @@ class StepSearch {
         scale_(entry(k, i)) = std::sqrt(std::max(std::abs(hessian(i, i)), 1e-6));
     }
   }
-  // Of (dx, du) of node k: their number, and where they are in a vector of all nodes.
+  // Number of entries of (dx, du) of node k, and index of entry i of node k in a vector of all
+  // nodes.
   [[nodiscard]] int entries_of(int k) const { return k < horizon_ ? nx + nu : nx; }
   [[nodiscard]] static int entry(int k, int i) { return (nx + nu) * k + i; }
 
@@ -214,17 +221,18 @@ class StepSearch {
 
   SolverSettings settings_;
   int horizon_;
-  Points trial_, base_;  // base: where the last step started
+  Points trial_, base_;  // base_: start of the last step
   Merit<Problem, Program> merit_;
   Anderson anderson_;
-  // Scaled: step of the program here and at the base, step taken from the base; and the scales.
+  // Scaled: step of the program at the iterate, step of the program at the base, step taken from
+  // the base. Last: the scales.
   Eigen::VectorXd residual_, base_residual_, move_, scale_;
   double length_ = 1.0, lowest_merit_ = 0.0;
   bool accelerates_ = false, first_ = true;
   bool moved_ = false;     // move_ and base_residual_ are set
   bool on_trust_ = false;  // the last step was accepted without a lower merit
   bool searches_ = false;  // the next step must lower the merit
-  int attempts_ = 0;       // trusted steps from the same base
+  int attempts_ = 0;       // steps on trust from the same base
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/packet.hpp>
-#include <tilt_ropter/optimal_control/node_rows.hpp>
+#include <tilt_ropter/optimal_control/node_constraints.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
 
 #include <Eigen/Core>
@@ -15,19 +16,19 @@
 #include <vector>
 
 /// The quadratic program of one SQP step: the linear-quadratic problem of Riccati with two-sided
-/// constraints lower <= value + C dx + E du <= upper at every node, see NodeRows.
+/// constraints lower <= value + C dx + E du <= upper at every node, see NodeConstraints.
 ///
-/// A long header, because all methods that solve the program share its data and these sweeps over
-/// the nodes; none of them belongs to one method.
-namespace tilt_ropter {
+/// This header is long because all methods that solve the program share its data and these sweeps
+/// over the nodes. None of the sweeps belongs to a single method.
+namespace tilt_ropter::optimal_control {
 
-/// The program's data, a step, and what every way to solve it needs. Allocates in its constructor
-/// only.
-template <int States, int Inputs, int Rows, typename Pattern = FullTransition>
+/// Data of the program, a step, and the functions that all solution methods need. Allocates only in
+/// the constructor.
+template <int States, int Inputs, int Constraints, typename Pattern = FullTransition>
 class Subproblem {
  public:
   using Factorisation = Riccati<States, Inputs, Pattern>;
-  using Node = NodeRows<States, Inputs, Rows>;
+  using Node = NodeConstraints<States, Inputs, Constraints>;
   using Values = typename Node::Values;
   using Vector = typename Factorisation::Vector;
   using Tangent = typename Factorisation::Tangent;
@@ -37,7 +38,7 @@ class Subproblem {
       : riccati(horizon),
         nodes_(static_cast<std::size_t>(horizon) + 1),
         steps_(nodes_.size(), detail::Filled()) {
-    active_.reserve(static_cast<std::size_t>(Rows) * nodes_.size());
+    active_.reserve(static_cast<std::size_t>(Constraints) * nodes_.size());
   }
 
   [[nodiscard]] int horizon() const { return riccati.horizon(); }
@@ -48,26 +49,28 @@ class Subproblem {
   [[nodiscard]] Vector& step(int k) { return steps_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] const Vector& step(int k) const { return steps_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] std::vector<Vector>& steps() { return steps_; }
-  /// dx of node 0.
+  /// Sets dx of node 0.
   void set_first(const Tangent& dx0) { detail::copy_first(States, dx0, steps_[0]); }
 
-  /// Makes of what was written into the cost and the constraints of node k what can be solved:
-  /// those of infinite price are hard, and get a price so large that only those give up who must;
-  /// constraints without a price go; and where the lower bound is above the upper one they change
-  /// places, which has the same solutions: the price is paid for the gap in any case. False if a
-  /// number is not one or a price is negative.
+  /// Prepares the cost and the constraints that were written to node k for a solve. Constraints
+  /// with infinite price are hard: they get a price so large that only constraints that must be
+  /// violated are relaxed. Constraints with price or stiffness zero are removed. If the lower bound
+  /// is above the upper bound, the two are swapped; the solutions are the same, because the price
+  /// is paid for the gap in any case. Returns false if a number is not finite, a bound is NaN, or a
+  /// price or stiffness is negative.
   [[nodiscard]] bool check_node(int k) {
     Node& n = node(k);
     n.crossed = false;
-    for (int i = 0; i < Rows; ++i) n.hard[static_cast<std::size_t>(i)] = n.price(i) == infinity;
-    for (int i = 0; i < Rows; ++i) {
+    for (int i = 0; i < Constraints; ++i)
+      n.hard[static_cast<std::size_t>(i)] = n.price(i) == infinity;
+    for (int i = 0; i < Constraints; ++i) {
       if (!n.hard[static_cast<std::size_t>(i)]) continue;
-      // One that was given up goes on with the price at which it was.
+      // A relaxed hard constraint keeps the price at which it was relaxed.
       const bool gave_up = std::abs(n.multiplier(i)) >= n.stand_in(i);
       n.price(i) = n.stand_in(i) = gave_up ? n.stand_in(i) : hard_price;
     }
     bool regular = true;
-    for (int i = 0; i < Rows; ++i)
+    for (int i = 0; i < Constraints; ++i)
       regular &= n.lower(i) <= n.upper(i) && n.price(i) > 0.0 && n.stiffness(i) > 0.0;
     if (!regular && !repair(n)) return false;
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -82,8 +85,7 @@ class Subproblem {
     });
   }
 
-  /// How far the worst of the values at which the constraints of node k were linearised is outside
-  /// its bounds, at least zero.
+  /// Largest violation of the constraints of node k at the point of linearisation, at least zero.
   [[nodiscard]] double violation_here(int k) const {
     const Node& n = node(k);
     const double excess = detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -91,16 +93,16 @@ class Subproblem {
     });
     if (!n.crossed) return excess;
     double most = excess;
-    for (int i = 0; i < Rows; ++i) most = std::max(most, n.violation(i, n.value(i)));
+    for (int i = 0; i < Constraints; ++i) most = std::max(most, n.violation(i, n.value(i)));
     return most;
   }
 
-  /// The largest violation, of the values at which the constraints were linearised, that no
-  /// multiplier accounts for.
+  /// Largest violation at the point of linearisation that no multiplier accounts for, over all
+  /// nodes.
   [[nodiscard]] double unpaid_here() const {
     double largest = 0.0;
     for (const Node& n : nodes_)
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const double size = std::abs(n.multiplier(i));
         if (size >= n.price(i)) continue;
         largest = std::max(largest, std::max(n.value(i) - n.upper(i), n.lower(i) - n.value(i)) -
@@ -109,41 +111,40 @@ class Subproblem {
     return largest;
   }
 
-  /// The gradient of row i of node k by (dx, du).
-  [[nodiscard]] Vector row_gradient(int k, int i) const {
+  /// Gradient of constraint i of node k by (dx, du).
+  [[nodiscard]] Vector constraint_gradient(int k, int i) const {
     Vector gradient = detail::Filled();
-    if constexpr (Rows > 0) {
+    if constexpr (Constraints > 0) {
       for (int j = 0; j < States; ++j) gradient(j) = node(k).C(i, j);
       for (int j = 0; k < horizon() && j < Inputs; ++j) gradient(States + j) = node(k).E(i, j);
     }
     return gradient;
   }
 
-  /// Fills in what the constraints of all nodes are predicted to be after the step, and how far
-  /// the worst of them is outside its bounds.
+  /// Computes the predicted values of the constraints of all nodes after the step, and their
+  /// largest violation.
   void predict() {
     excess_ = detail::vectorised([this](auto packet) __attribute__((always_inline)) {
       double excess = 0.0;
       for (int k = 0; k <= horizon(); ++k) {
         Node& n = node(k);
         n.predicted = n.value;
-        add_row_values<packet()>(k, step(k), n.predicted.data());
-        excess = larger(excess, excess_of<packet()>(n.predicted, n));
+        add_constraint_values<packet()>(k, step(k), n.predicted.data());
+        excess = detail::larger(excess, excess_of<packet()>(n.predicted, n));
       }
       return excess;
     });
   }
-  /// How far the worst constraint was outside its bounds in the last prediction, at least zero;
-  /// infinite if a number was not finite.
+  /// Largest violation in the last prediction, at least zero; infinite if a number was not finite.
   [[nodiscard]] double excess() const { return excess_; }
-  /// The same for the values of a node.
+  /// The same for the given values of the constraints of a node.
   template <int Width>
   [[gnu::always_inline]] static inline double excess_of(const Values& values, const Node& n) {
     detail::FiniteCheck<Width> check;
     detail::Packet<Width> most{};
     double rest = 0.0;
     int i = 0;
-    for (; i + Width <= Rows; i += Width) {
+    for (; i + Width <= Constraints; i += Width) {
       detail::Packet<Width> value, lower, upper;
       detail::load<Width>(values.data() + i, value);
       detail::load<Width>(n.lower.data() + i, lower);
@@ -153,7 +154,7 @@ class Subproblem {
       most = over > most ? over : most;
       most = under > most ? under : most;
     }
-    for (; i < Rows; ++i) {
+    for (; i < Constraints; ++i) {
       check.add(values(i));
       rest = std::max({rest, values(i) - n.upper(i), n.lower(i) - values(i)});
     }
@@ -162,26 +163,29 @@ class Subproblem {
     return check.passed() ? rest : infinity;
   }
 
-  /// Constraints with a multiplier, after collect_active().
-  struct ActiveRow {
+  /// Constraint i of node k. active() lists the constraints with a multiplier, after
+  /// collect_active().
+  struct ActiveConstraint {
     int k, i;
   };
-  [[nodiscard]] const std::vector<ActiveRow>& active() const {
+  [[nodiscard]] const std::vector<ActiveConstraint>& active() const {
     return active_;
   }
-  /// Looks for the constraints that have a multiplier, from the last node to the first.
+  /// Collects the constraints that have a multiplier, from the last node to the first.
   void collect_active() {
     active_.clear();
     for (int k = horizon(); k >= 0; --k) {
       const Values& m = node(k).multiplier;
-      for (int i = 0; i < Rows; ++i)
+      for (int i = 0; i < Constraints; ++i)
         if (m(i) != 0.0) active_.push_back({k, i});
     }
   }
 
-  /// Derivatives by (dx, du) of each node with all that follows from them, from the last node to
-  /// the first: of gradients that set(width, k, g) writes and, on request, of the multipliers.
-  /// Calls see(k, derivative, the node's own part of it). False if a number is not finite.
+  /// Backward propagation of derivatives, from the last node to the first: the derivative by (dx,
+  /// du) of each node, with the effect on all later nodes. The derivatives start from the gradients
+  /// that set(width, k, g) writes and, if `with_multipliers`, from the multipliers of active().
+  /// Calls see(k, derivative, own) with the node's own part of the derivative. Returns false if a
+  /// number is not finite.
   template <typename Set, typename See>
   [[nodiscard]] bool sweep_back(bool with_multipliers, const Set& set, const See& see) const {
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -217,7 +221,7 @@ class Subproblem {
     });
   }
 
-  /// False if no step changes the value of row i of node k.
+  /// Returns false if no step changes the value of constraint i of node k.
   [[nodiscard]] bool can_move(int k, int i) const {
     bool moves = false;
     for (int j = 0; j < States; ++j) moves |= node(k).C(i, j) != 0.0;
@@ -225,11 +229,12 @@ class Subproblem {
     return moves;
   }
 
-  /// Adds C dx + E du of node k to `values`.
+  /// Adds C dx + E du of node k to `values`, for w = (dx, du).
   template <int Width>
-  [[gnu::always_inline]] inline void add_row_values(int k, const Vector& w, double* values) const {
+  [[gnu::always_inline]] inline void add_constraint_values(int k, const Vector& w,
+                                                           double* values) const {
     const Node& n = node(k);
-    if constexpr (Rows >= Width) {
+    if constexpr (Constraints >= Width) {
       detail::Packet<Width> sum[detail::size(row_packets<Width>)];
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t)
@@ -237,33 +242,35 @@ class Subproblem {
       for (int j = 0; j < States; ++j) {
 #pragma GCC unroll 16
         for (int t = 0; t < row_packets<Width>; ++t)
-          detail::add_product<Width>(sum[t], n.C.data() + Rows * j + row_packet<Width>(t), w(j));
+          detail::add_product<Width>(sum[t], n.C.data() + Constraints * j + row_packet<Width>(t),
+                                     w(j));
       }
       for (int j = 0; k < horizon() && j < Inputs; ++j) {
 #pragma GCC unroll 16
         for (int t = 0; t < row_packets<Width>; ++t)
-          detail::add_product<Width>(sum[t], n.E.data() + Rows * j + row_packet<Width>(t),
+          detail::add_product<Width>(sum[t], n.E.data() + Constraints * j + row_packet<Width>(t),
                                      w(States + j));
       }
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t)
         detail::store<Width>(values + row_packet<Width>(t), sum[t]);
     } else {
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         for (int j = 0; j < States; ++j) values[i] += n.C(i, j) * w(j);
         for (int j = 0; k < horizon() && j < Inputs; ++j) values[i] += n.E(i, j) * w(States + j);
       }
     }
   }
 
-  /// Adds C' m and E' m of node k to the gradient.
+  /// Adds C' m and E' m of node k to the gradient g.
   template <int Width>
-  [[gnu::always_inline]] inline void add_row_gradients(int k, const double* m, Vector& g) const {
+  [[gnu::always_inline]] inline void add_constraint_gradients(int k, const double* m,
+                                                              Vector& g) const {
     const Node& n = node(k);
     const int columns = k < horizon() ? width : States;
-    if constexpr (Rows >= Width) {
-      // Packets of rows overlap where they do not come out even: there the second one counts for
-      // its last rows only.
+    if constexpr (Constraints >= Width) {
+      // If the number of constraints is not a multiple of Width, the last two packets overlap. Only
+      // the last entries of the second packet then count.
       detail::Packet<Width> factor[detail::size(row_packets<Width>)];
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t) {
@@ -272,7 +279,7 @@ class Subproblem {
       }
       for (int j = 0; j < columns; ++j) {
         const double* column =
-            j < States ? n.C.data() + Rows * j : n.E.data() + Rows * (j - States);
+            j < States ? n.C.data() + Constraints * j : n.E.data() + Constraints * (j - States);
         detail::Packet<Width> sum{};
 #pragma GCC unroll 16
         for (int t = 0; t < row_packets<Width>; ++t) {
@@ -284,20 +291,19 @@ class Subproblem {
         for (int i = 0; i < Width; ++i) g(j) += sum[i];
       }
     } else {
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         for (int j = 0; j < States; ++j) g(j) += m[i] * n.C(i, j);
         for (int j = States; j < columns; ++j) g(j) += m[i] * n.E(i, j - States);
       }
     }
   }
 
-  /// Largest violation that is predicted, relative to the bound. Infinite if a number is not
-  /// finite.
+  /// Largest predicted violation, relative to 1 + |bound|. Infinite if a number is not finite.
   [[nodiscard]] double largest_violation() const {
     double largest = 0.0;
     bool finite = true;
     for (const Node& n : nodes_)
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
         const double unit = 1.0 + std::abs(over > under ? n.upper(i) : n.lower(i));
         finite = finite && (over < infinity || under < infinity);
@@ -306,8 +312,8 @@ class Subproblem {
     return finite ? largest : infinity;
   }
 
-  /// The gradient of the cost of node k at w = (dx, du), without continuity and constraints;
-  /// `damping` is on the Hessian's diagonal.
+  /// Computes the gradient of the cost of node k at w = (dx, du), without continuity and
+  /// constraints. `damping` is added to the diagonal of the Hessian.
   template <int Width>
   [[gnu::always_inline]] inline void cost_gradient(int k, const Vector& at, double damping,
                                                    Vector& g) const {
@@ -333,7 +339,7 @@ class Subproblem {
       for (int i = 0; i < States; ++i) g(States + j) += s.cost.hessian(i, States + j) * w[i];
   }
 
-  /// What the step changes the cost by, with the price of every violation, after predict().
+  /// Change of the cost by the step, including the price of every violation. Requires predict().
   [[nodiscard]] double price_of_step(double damping) const {
     double sum = 0.0;
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -347,14 +353,14 @@ class Subproblem {
       return true;
     });
     for (const Node& n : nodes_)
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         if (n.predicted(i) > n.upper(i) || n.predicted(i) < n.lower(i))
           sum += violation_cost(n.price(i), n.stiffness(i), n.violation(i, n.predicted(i)));
       }
     return sum;
   }
 
-  /// Residual of the step with the multipliers in the nodes, after predict().
+  /// Residual of the step with the multipliers in the nodes. Requires predict().
   [[nodiscard]] ProgramResidual residual(double damping) {
     collect_active();
     ProgramResidual r;
@@ -373,19 +379,20 @@ class Subproblem {
           }
         });
     double largest_multiplier = 0.0;
-    for (const ActiveRow& row : active_) {
+    for (const ActiveConstraint& row : active_) {
       const Node& n = node(row.k);
       const double m = std::abs(n.multiplier(row.i));
       largest_multiplier = std::max(largest_multiplier, m);
-      // Hard constraints that contradict each other cancel, and rounding of what they push with
-      // hides the rest.
+      // The large terms of contradicting hard constraints cancel each other, and their rounding
+      // errors hide the remaining terms.
       if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
-        largest_term = std::max(largest_term, m * detail::largest(row_gradient(row.k, row.i)));
+        largest_term =
+            std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
     }
     r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
     r.violation = excess_;
     if (excess_ > 0.0 && excess_ < infinity) r.violation = unpaid_violation(largest_multiplier);
-    for (const ActiveRow& row : active_) {
+    for (const ActiveConstraint& row : active_) {
       const Node& n = node(row.k);
       const double m = std::abs(n.multiplier(row.i));
       const bool above = n.multiplier(row.i) > 0.0;
@@ -400,8 +407,8 @@ class Subproblem {
     return r;
   }
 
-  double cost_here = 0.0;  ///< of the point at which the program was linearised
-  /// Until a better one is known, see InteriorPoint.
+  double cost_here = 0.0;  ///< cost at the point of linearisation
+  /// Price of a hard constraint until a better one is known, see InteriorPoint.
   static constexpr double hard_price = 1e12;
 
   Factorisation riccati;
@@ -409,18 +416,14 @@ class Subproblem {
  private:
   static constexpr double infinity = std::numeric_limits<double>::infinity();
   template <int Width>
-  static constexpr int row_packets = (Rows + Width - 1) / Width;
+  static constexpr int row_packets = (Constraints + Width - 1) / Width;
   template <int Width>
   static constexpr int row_packet(int t) {
-    return Width * t < Rows - Width ? Width * t : Rows - Width;
-  }
-
-  [[nodiscard]] static double larger(double a, double b) {
-    return a > b ? a : b;
+    return Width * t < Constraints - Width ? Width * t : Constraints - Width;
   }
 
   [[nodiscard]] bool repair(Node& n) {
-    for (int i = 0; i < Rows; ++i) {
+    for (int i = 0; i < Constraints; ++i) {
       double &lower = n.lower(i), &upper = n.upper(i);
       if (!(n.price(i) >= 0.0) || !(n.stiffness(i) >= 0.0)) return false;
       if (!(lower <= upper) && !(lower > upper)) return false;
@@ -437,12 +440,13 @@ class Subproblem {
     return true;
   }
 
-  // Violations relative to the bound, as far as multipliers are not at their price, relative to the
-  // largest multiplier.
+  // Largest violation beyond the part that the multiplier accounts for. For each constraint, the
+  // smaller of two numbers counts: the violation relative to the bound, and the distance of the
+  // multiplier from its price, relative to the largest multiplier.
   [[nodiscard]] double unpaid_violation(double largest_multiplier) const {
     double largest = 0.0;
     for (const Node& n : nodes_)
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
         const double most = std::max(over, under), m = std::abs(n.multiplier(i));
         if (!(most > 0.0)) continue;
@@ -456,8 +460,8 @@ class Subproblem {
 
   std::vector<Node> nodes_;
   std::vector<Vector> steps_;
-  std::vector<ActiveRow> active_;
+  std::vector<ActiveConstraint> active_;
   double excess_ = 0.0;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -9,9 +9,9 @@
 #include <cstddef>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// States at the nodes 0 .. N and inputs of the intervals 0 .. N - 1; the input N is zero.
+/// States at the nodes 0 .. N and inputs of the intervals 0 .. N - 1. The input of node N is zero.
 template <typename Problem>
 class Trajectory {
  public:
@@ -34,7 +34,7 @@ class Trajectory {
     u_.swap(other.u_);
   }
 
-  /// Becomes `here` moved by `length` times the step of a quadratic program.
+  /// Sets this trajectory to `here` plus `length` times the step of a quadratic program.
   template <typename Program>
   void set_moved(const Problem& problem, const Trajectory& here, const Program& program,
                  double length) {
@@ -46,8 +46,9 @@ class Trajectory {
     }
   }
 
-  /// Moves the nodes `intervals` >= 0 ahead in time, interpolating between the old ones; beyond the
-  /// old end the last input goes on, or nothing moves where the problem has no finite answer.
+  /// Moves the nodes `intervals` >= 0 ahead in time, by interpolation between the old nodes. Beyond
+  /// the old end the last input continues. If the problem returns no finite state there, the last
+  /// state stays.
   void shift(const Problem& problem, double intervals) {
     const double whole = std::floor(std::min(intervals, 1.0 * horizon()));
     for (int i = 0; i < static_cast<int>(whole); ++i) advance(problem, 1.0);
@@ -63,7 +64,7 @@ class Trajectory {
     return result;
   }
 
-  // By part of one interval.
+  // Moves by a fraction `part` of one interval.
   void advance(const Problem& problem, double part) {
     const int n = horizon();
     Tangent ahead = problem.difference(problem.step(n - 1, x(n), u(n - 1)), x(n));
@@ -80,4 +81,4 @@ class Trajectory {
   std::vector<Input> u_;
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

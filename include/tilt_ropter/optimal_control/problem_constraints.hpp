@@ -11,18 +11,18 @@
 #include <type_traits>
 #include <utility>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 
-/// The constraints of a problem in vectors of one size for every node, whatever of the optional
-/// functions it has: what the solvers read.
+/// The constraints of a problem in vectors of the same size for every node. The solvers read them
+/// in this form, whether or not the problem has the optional functions.
 template <typename Problem>
-class ProblemRows {
+class ProblemConstraints {
  private:
   template <typename P, typename = void>
   struct TerminalCount : std::integral_constant<int, -1> {};
   template <typename P>
-  struct TerminalCount<P, std::void_t<decltype(P::terminal_rows)>>
-      : std::integral_constant<int, P::terminal_rows> {};
+  struct TerminalCount<P, std::void_t<decltype(P::terminal_constraints)>>
+      : std::integral_constant<int, P::terminal_constraints> {};
   template <typename P, typename = void>
   struct HasQuadratic : std::false_type {};
   template <typename P>
@@ -40,7 +40,7 @@ class ProblemRows {
   using State = typename Problem::State;
   using Input = typename D::Input;
   static constexpr int of_nodes = D::nc;
-  /// Of node N; -1 if they are those of the other nodes.
+  /// Number of separate constraints of node N; -1 if node N has the constraints of the other nodes.
   static constexpr int of_end = TerminalCount<Problem>::value;
   static constexpr int count = std::max(of_nodes, of_end);
   using Values = Eigen::Matrix<double, count, 1>;
@@ -50,40 +50,42 @@ class ProblemRows {
   [[nodiscard]] static Values values(const Problem& problem, int k, const State& x,
                                      const Input& u) {
     if constexpr (count == of_nodes && of_end < 0) {
-      if constexpr (count > 0) return problem.row_values(k, x, u);
+      if constexpr (count > 0) return problem.constraint_values(k, x, u);
       return {};
     } else {
       Values all = Values::Zero();
       if (k == problem.horizon()) {
-        if constexpr (of_end > 0) all.template head<of_end>() = problem.terminal_row_values(x);
+        if constexpr (of_end > 0)
+          all.template head<of_end>() = problem.terminal_constraint_values(x);
       } else if constexpr (of_nodes > 0) {
-        all.template head<of_nodes>() = problem.row_values(k, x, u);
+        all.template head<of_nodes>() = problem.constraint_values(k, x, u);
       }
       return all;
     }
   }
 
-  /// Entries that the problem does not set keep what they were.
+  /// Writes the derivatives. Entries that the problem does not set keep their values.
   static void derivatives(const Problem& problem, int k, const State& x, const Input& u, ByState& C,
                           ByInput& E) {
     if constexpr (count == of_nodes && of_end < 0) {
-      if constexpr (count > 0) problem.row_derivatives(k, x, u, C, E);
+      if constexpr (count > 0) problem.constraint_derivatives(k, x, u, C, E);
     } else if (k == problem.horizon()) {
       if constexpr (of_end > 0) {
         Eigen::Matrix<double, of_end, D::nx> by_state = C.template topRows<of_end>();
-        problem.terminal_row_derivatives(x, by_state);
+        problem.terminal_constraint_derivatives(x, by_state);
         C.template topRows<of_end>() = by_state;
       }
     } else if constexpr (of_nodes > 0) {
-      typename D::RowsX by_state = C.template topRows<of_nodes>();
-      typename D::RowsU by_input = E.template topRows<of_nodes>();
-      problem.row_derivatives(k, x, u, by_state, by_input);
+      typename D::ConstraintsX by_state = C.template topRows<of_nodes>();
+      typename D::ConstraintsU by_input = E.template topRows<of_nodes>();
+      problem.constraint_derivatives(k, x, u, by_state, by_input);
       C.template topRows<of_nodes>() = by_state;
       E.template topRows<of_nodes>() = by_input;
     }
   }
 
-  /// Bounds, price and stiffness (quadratic penalty), which are infinite where there are none.
+  /// Writes bounds, price and stiffness (quadratic penalty), infinite where the problem has none.
+  /// If the problem has no quadratic penalty at all, `stiffness` is not written.
   static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& price,
                      Values& stiffness) {
     constexpr double infinity = std::numeric_limits<double>::infinity();
@@ -115,7 +117,7 @@ class ProblemRows {
     }
   }
 
-  /// True if row i, with these derivatives at node k, has a meaning there: node N has no input.
+  /// Returns true if constraint i, with the derivative `E`, applies at node k. Node N has no input.
   [[nodiscard]] static bool applies(const Problem& problem, int k, const ByInput& E, int i) {
     if constexpr (count == 0) return false;
     bool sees_input = false;
@@ -124,4 +126,4 @@ class ProblemRows {
   }
 };
 
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control
