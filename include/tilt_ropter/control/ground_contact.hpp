@@ -15,16 +15,16 @@
 #include <cmath>
 #include <optional>
 
-/// What contact with the ground means to the controller: which references are on the ground, and
-/// what holds and drives a node there (paper, Sec. Problem Formulation). Where the ground is, and
-/// whether the vehicle stands on it, is a ContactEstimate.
+/// Ground contact in the controller: which references are on the ground, and which constraints and
+/// forces act on a node there (paper, Sec. Problem Formulation). ContactEstimate tells where the
+/// ground is and whether the vehicle stands on it.
 namespace tilt_ropter {
 
-/// Contact of an Undercarriage with the ground, once for the controller and for check_reference.
-/// Without an undercarriage there is no ground: no reference means it and no node is held.
+/// Contact of an Undercarriage with the ground, used by the controller and by check_reference.
+/// Without an undercarriage there is no ground: no reference is on the ground and no node is held.
 class GroundContact {
  public:
-  /// Throws std::invalid_argument for parameters or settings out of range.
+  /// Throws std::invalid_argument if parameters or settings are out of range.
   GroundContact(const RigidBodyParameters& body, const std::optional<Undercarriage>& undercarriage,
                 const GroundContactSettings& settings = {})
       : settings_(settings), mass_(body.mass), undercarriage_(undercarriage) {
@@ -33,11 +33,12 @@ class GroundContact {
     validate(settings);
   }
 
-  /// Takes other settings, which must be valid.
+  /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
-  /// True if `point` means the ground of `contact` to a vehicle at `position` (world frame): the
-  /// ground there or, where it falls away from a level reference, under the vehicle.
+  /// Returns true if the reference `point` is on the ground of `contact`. `position` is the
+  /// vehicle's position (world frame). The ground height is the larger of the heights at `point`
+  /// and at `position`, because the ground may fall away under a level reference.
   [[nodiscard]] bool is_ground_reference(const ContactEstimate& contact,
                                          const Eigen::Vector3d& position,
                                          const ReferencePoint& point) const noexcept {
@@ -45,14 +46,15 @@ class GroundContact {
     const double above = point.position.z() - undercarriage_->height -
                          std::max(expected(contact, point.position), expected(contact, position));
     const double rising =
-        point.velocity.z() - std::max(0.0, contact.ground.slope.dot(point.velocity.head<2>()));
+        point.velocity.z() - std::max(0.0, contact.ground.rise(point.velocity));
     const bool rests = rising < 2e-3 && rising > -0.05;
     return above < (rests ? settings_.reference_tolerance : 1e-3);
   }
 
-  /// Fills all of a node but its reference wrench. Its reference is `point`, `ahead` [s] of the
-  /// `measured` state. Returns the point that it follows: on the ground that of on_ground().
-  ReferencePoint apply(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
+  /// Fills all of a node except its reference wrench. `point` is the reference, `ahead` [s] after
+  /// the `measured` state. Returns the point that the node follows: on the ground the result of
+  /// on_ground(), else `point`.
+  ReferencePoint apply(const ContactEstimate& contact, const BodyStated& measured, double ahead,
                        const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
@@ -65,10 +67,11 @@ class GroundContact {
     node.reference = {laid.position, laid.velocity, laid.orientation, laid.angular_velocity};
     node.com_plane = contact.ground;
     node.com_plane.height += undercarriage_->height;
-    // The ground carries what thrust does not: a model that fell when F_z shrinks would keep the
-    // thrust up. So the way along the normal and the roll are held. Along the axle it is the same:
-    // any side force and the wheels' own add up to what the curve needs, so the wheels are told to
-    // give all of it.
+    // The ground carries the part of the weight that the thrust does not carry. If the model fell
+    // when F_z shrinks, the controller would keep the thrust high. The model therefore holds the
+    // motion along the normal and the roll. Along the axle, the side force of the rotors and the
+    // side force of the wheels add up to the force that the curve needs. The external force
+    // therefore contains all of it.
     const Eigen::Vector3d normal = contact.ground.normal();
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) node.freedom.linear(i, j) -= normal(i) * normal(j);
@@ -77,31 +80,31 @@ class GroundContact {
     if (!undercarriage_->turns) node.freedom.angular.z() = 0.0;
     if (!undercarriage_->rolls) node.freedom.linear.setZero();
     node.external = contact.rolling;
-    Eigen::Vector3d missing = laid.acceleration;  // to what gravity leaves along the ground
+    Eigen::Vector3d missing = laid.acceleration;  // minus gravity along the ground
     for (int i = 0; i < 3; ++i) missing(i) += gravity * node.freedom.linear(i, 2);
     node.external.force.y() = mass_ * (laid.orientation.conjugate() * missing).y();
     return laid;
   }
 
-  /// The point with the vehicle standing on `ground`, whatever the reference takes it for: its
-  /// heights, and its attitude, which is relative to the ground there. Without an undercarriage the
-  /// point as it is.
+  /// Returns the point with the vehicle standing on `ground`. Height, vertical velocity and
+  /// vertical acceleration follow the ground. The attitude of `point` is taken as relative to the
+  /// ground. Without an undercarriage the point is returned unchanged.
   [[nodiscard]] ReferencePoint on_ground(const GroundPlane& ground,
                                          const ReferencePoint& point) const noexcept {
     ReferencePoint laid = point;
     if (!undercarriage_) return laid;
-    const auto& slope = ground.slope;
     laid.position.z() = ground.height_at(point.position) + undercarriage_->height;
-    laid.velocity.z() = slope.dot(point.velocity.head<2>());
-    laid.acceleration.z() = slope.dot(point.acceleration.head<2>());
+    laid.velocity.z() = ground.rise(point.velocity);
+    laid.acceleration.z() = ground.rise(point.acceleration);
     Eigen::Vector3d ahead = point.orientation * Eigen::Vector3d::UnitX();
     ahead.z() = 0.0;
     const double level = ahead.norm();
-    if (!(level > 1e-3)) return laid;  // nose up or down
-    // The nose up to the ground's rise, then the axle about it down to the ground.
+    if (!(level > 1e-3)) return laid;  // nose points straight up or down
+    // First pitch the nose to the slope of the ground, then roll the axle about it down to the
+    // ground.
     ahead /= level;
     Eigen::Vector3d along = ahead;
-    along.z() = slope.dot(ahead.head<2>());
+    along.z() = ground.rise(ahead);
     along /= along.norm();
     const Eigen::Quaterniond pitch = shortest_turn(ahead, along);
     const Eigen::Vector3d up = pitch * Eigen::Vector3d::UnitZ();
@@ -109,10 +112,10 @@ class GroundContact {
     return laid;
   }
 
-  /// Sets to zero what of a measured motion the ground does not let go on. With both wheels down
-  /// that is the roll rate: the vehicle has one about body x while it turns with its nose up or
-  /// down, and a model in which the roll went on would rather keep the nose there.
-  void stop_held(BodyState<>& body) const noexcept {
+  /// Sets the velocities to zero that the ground holds. With both wheels down this is the roll
+  /// rate. A vehicle that turns with its nose up or down has a roll rate about body x. If the model
+  /// let this roll continue, the plan would tend to keep the nose there.
+  void stop_held(BodyStated& body) const noexcept {
     if (!undercarriage_) return;
     body.angular_velocity.x() = 0.0;
     if (!undercarriage_->pitches) body.angular_velocity.y() = 0.0;
@@ -120,8 +123,8 @@ class GroundContact {
     if (!undercarriage_->rolls) body.velocity.setZero();
   }
 
-  /// Takes from a wrench what the ground gives; the vertical force stays.
-  void release(Wrench<>& wrench) const noexcept {
+  /// Sets the components of a wrench to zero that the ground provides. The vertical force stays.
+  void release(Wrenchd& wrench) const noexcept {
     if (!undercarriage_) return;
     wrench.force.y() = wrench.torque.x() = 0.0;
     if (!undercarriage_->pitches) wrench.torque.y() = 0.0;
@@ -130,7 +133,7 @@ class GroundContact {
   }
 
  private:
-  // From one unit vector to another, less than half a turn away.
+  // Rotation from one unit vector to another, by less than half a turn.
   static Eigen::Quaterniond shortest_turn(const Eigen::Vector3d& from,
                                           const Eigen::Vector3d& to) noexcept {
     const Eigen::Vector3d axis = from.cross(to);
@@ -139,15 +142,17 @@ class GroundContact {
     return turn;
   }
 
-  // Height of the ground that the reference goes by, under `position`.
+  // Height of the ground that the reference was planned for or that was estimated, under
+  // `position`.
   [[nodiscard]] double expected(const ContactEstimate& contact,
                                 const Eigen::Vector3d& position) const noexcept {
     return std::max(settings_.planned_height, contact.ground.height_at(position));
   }
 
-  // Down to where the ground should be, ever slower, and on with settling_speed until it is met:
-  // it may be lower, and a vehicle that waits above it would hover there.
-  void settle(const ContactEstimate& contact, const BodyState<>& measured, double ahead,
+  // The reference descends to the expected ground with decreasing speed, then continues with
+  // settling_speed until the vehicle touches the ground. The ground may be lower than expected, and
+  // a vehicle that waits above it would hover there.
+  void settle(const ContactEstimate& contact, const BodyStated& measured, double ahead,
               WheeledFlightNode& node) const noexcept {
     constexpr double time_constant = 1.0;  // [s]
     const double ground = contact.ground_known ? contact.ground.height_at(measured.position)

@@ -5,24 +5,26 @@
 
 #include <limits>
 
-/// What the controller is told about the ground. Where it is, is a ContactEstimate.
+/// Settings of the controller for ground contact. ContactEstimate tells where the ground is.
 namespace tilt_ropter {
 
-/// Which references are on the ground, how it is reached, and what thrust is kept there.
+/// Settings for references on the ground, for the descent to the ground, and for the thrust there.
 struct GroundContactSettings {
-  /// A reference that neither takes off nor lands is on the ground if it is lower than this above
-  /// the height at which the CoM stands; one that does, if it is lower than a millimetre [m].
+  /// Height above the standing height of the CoM below which a reference counts as on the ground
+  /// [m]. It applies to a reference that neither takes off nor lands. For a reference that takes
+  /// off or lands, the limit is one millimetre.
   double reference_tolerance = 0.03;
-  /// Height of the ground that references were planned for: what is on the ground there counts as
-  /// such where the ground turns out to be lower, too. -infinity: the ground's estimate alone [m].
+  /// Height of the ground for which references were planned [m]. A reference on this ground counts
+  /// as on the ground, also where the estimated ground is lower. -infinity: only the estimated
+  /// ground counts.
   double planned_height = -std::numeric_limits<double>::infinity();
-  /// With which the vehicle comes down where the reference is on the ground and no ground is met
+  /// Descent speed where the reference is on the ground and the vehicle has not touched it yet
   /// [m/s].
   double settling_speed = 0.10;
-  /// Vertical thrust asked for on the ground; keeps tilt angles defined [N].
+  /// Vertical thrust that is commanded on the ground [N]. It keeps the tilt angles defined.
   double down_force = 0.75;
-  /// Vertical thrust that a rotor keeps on the ground where torques take from it, see GroundThrust
-  /// [N].
+  /// Vertical thrust that a rotor keeps on the ground where torques reduce its thrust [N]. See
+  /// GroundThrust.
   double rotor_thrust = 0.08;
 };
 

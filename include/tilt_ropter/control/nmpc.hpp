@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_result.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/control/plan_in_force.hpp>
 #include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/model/contact.hpp>
@@ -21,91 +22,97 @@
 #include <cstddef>
 #include <vector>
 
-/// The Tilt-Ropter's controller (paper, Sec. Control): the wrench that tracks a reference in the
-/// air and on the ground, one real-time iteration per call.
+/// The Tilt-Ropter's controller (paper, Sec. Control). It computes the wrench that tracks a
+/// reference in the air and on the ground, with one real-time iteration per call.
+///
+/// This header is long because the controller is one class: every fallback needs the measurement,
+/// the solver and the plan in force (plan_in_force.hpp).
 namespace tilt_ropter {
 
-/// prepare(), then measure, then feedback(), at any rate. Whatever comes in, what goes out is
-/// finite and within the bounds. What goes out when something is wrong, from the mildest on:
+/// Call prepare(), measure, then call feedback(), at any rate. For every input, the output is
+/// finite and within the bounds. The controller reacts to faults as follows, from mild to severe:
 ///
-/// - The contact estimate is not finite, or a wrench of it is more than ten times the weight, or
-///   that at a metre (a lost observer): the last one that was stands in for it, for as long as it
-///   takes. Status solved.
-/// - The measurement is not finite, or there is none to trust (a stale estimate, which the caller
-///   sees: hold()): the last plan goes on. Status bad_state.
-/// - The quadratic program is not solved in time (NmpcSettings.time_limit) or in so many passes:
-///   the best plan so far is used, and the next tick goes on from there. Status approximate.
-/// - There is no solution, as with a reference that is not finite: the last plan goes on. Status
-///   solver_failed.
-/// - The plan goes where no vehicle does, as after a measurement or a reference from far away: it
-///   is made anew from cold in the same call, and if that is no better, the safe wrench goes out.
-///   Where there is no time for it, the last plan goes on. Status solver_failed.
-/// - So often in a row (failures_before_reset): the next solve starts cold, from the measured state
-///   and the wrench commanded last, which goes on if that fails, too.
-/// - The last plan is older than max_plan_age, or there was none: the safe wrench. Status no_plan.
-///   After an interruption as long as that, the next plan begins with it, too.
+/// - The contact estimate is not finite. Or the observer is lost: a force of the estimate is above
+///   ten times the weight, or a torque is above ten times the weight at one metre. The last good
+///   estimate is used instead, for any length of time. Status solved.
+/// - The measurement is not finite. Or there is no valid measurement (a stale estimate, which the
+///   caller detects and reports by hold()). The last plan continues. Status bad_state.
+/// - The quadratic program is not solved within NmpcSettings.time_limit or the limit on passes. The
+///   best plan so far is used, and the next tick continues from there. Status approximate.
+/// - There is no solution, for example because the reference is not finite. The last plan
+///   continues. Status solver_failed.
+/// - The plan is not credible, for example after a measurement or a reference from far away. It is
+///   computed again from a cold start in the same call. If the new plan is not better, the safe
+///   wrench is returned with status no_plan. If there is no time for it, the last plan continues
+///   with status solver_failed.
+/// - Failures in a row reach failures_before_reset. The next solve starts cold, from the measured
+///   state and the last commanded wrench. If this solve fails, too, the last commanded wrench
+///   continues.
+/// - The last plan is older than max_plan_age, or there was no plan. The safe wrench is returned.
+///   Status no_plan. After an interruption of this length, the next plan also starts from the safe
+///   wrench.
 ///
-/// One good tick ends each of these. The safe wrench is hover against the external wrench known
-/// last, or down_force in contact: it keeps level what is level and holds no position, so a caller
-/// without measurements has to take the thrust away before long.
+/// One good tick ends each of these states. The safe wrench is hover against the last known
+/// external wrench, or down_force in contact. It keeps a level vehicle level, but holds no
+/// position. A caller without measurements must therefore reduce the thrust soon.
 ///
-/// A tick takes at most 64 KB of stack in an optimised program.
+/// A tick uses at most 64 KB of stack in an optimised program.
 template <int Rotors>
 class Nmpc {
  public:
   using Problem = WheeledFlightProblem<Rotors>;
 
-  /// Throws std::invalid_argument for parameters or settings out of range, and for a geometry that
-  /// cannot give every wrench (see control_authority()). Allocates; the functions below allocate
-  /// nothing outside NLopt and never throw. When an actuator fails in flight, make another one for
-  /// the vehicle that is left.
+  /// Throws std::invalid_argument if parameters or settings are out of range, or if the geometry
+  /// cannot give every wrench (see control_authority()). Allocates. The functions for the loop
+  /// below allocate only inside NLopt and never throw. If an actuator fails in flight, construct a
+  /// new controller for the remaining vehicle.
   Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings);
 
-  /// With the settings that fly this vehicle without tuning.
+  /// Uses the settings that fly this vehicle without tuning.
   explicit Nmpc(const Vehicle<Rotors>& vehicle);
 
-  /// Takes other settings between two ticks, without a cold start: weights, bounds, prices, what
-  /// is done on the ground, limits on time. Only `solver` and the number and length of intervals
-  /// stay as they were made. The next prepare() goes by them; after one, feedback() fails until
-  /// there is another. Allocates nothing, but with TerminalCost::riccati. Throws
-  /// std::invalid_argument, and changes nothing, for settings out of range.
+  /// Changes the settings between two ticks, without a cold start: weights, bounds, penalties,
+  /// ground contact, time limits. Only `solver` and the number and length of the intervals must
+  /// stay the same. The next prepare() uses the new settings. After this call feedback() fails
+  /// until prepare() is called again. Does not allocate, except with TerminalCost::riccati. Throws
+  /// std::invalid_argument, and changes nothing, if the settings are out of range.
   void set_settings(const NmpcSettings& settings);
 
-  /// Everything that can be done before the measurement of time `time` [s] comes: reference,
-  /// linearisation, factorisation. `reference` is any callable that returns a ReferencePoint for a
-  /// time and does not throw; `contact` is ContactEstimator's or the caller's own. With a time that
-  /// is not finite nothing is prepared (rejected), and feedback() fails.
+  /// Does all work that does not need the measurement of `time` [s]: reference, linearisation,
+  /// factorisation. `reference` is any callable that returns a ReferencePoint for a time and does
+  /// not throw. `contact` comes from ContactEstimator or from the caller. If the time is not
+  /// finite, nothing is prepared (rejected), and feedback() fails.
   template <typename Reference>
-  [[nodiscard]] PrepareStatus prepare(double time, const Reference& reference,
-                                      const ContactEstimate& contact) noexcept {
-    const auto start = SolverClock::now();
+  [[nodiscard]] optimal_control::PrepareStatus prepare(double time, const Reference& reference,
+                                                       const ContactEstimate& contact) noexcept {
+    const auto start = optimal_control::SolverClock::now();
     begin_to_prepare(time, contact);
-    if (!std::isfinite(time)) return PrepareStatus::rejected;
+    if (!std::isfinite(time)) return optimal_control::PrepareStatus::rejected;
     for (std::size_t k = 0; k < points_.size(); ++k)
       points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
-    const PrepareStatus status = finish_preparing(time);
-    prepare_time_ = SolverClock::now() - start;
+    const optimal_control::PrepareStatus status = finish_preparing(time);
+    prepare_time_ = optimal_control::SolverClock::now() - start;
     return status;
   }
 
-  /// The wrench to command from the body state measured at `time` [s]. Needs a prepare() before.
-  /// After a cold start or repeated failure this one call does the work of prepare(), too.
-  [[nodiscard]] const NmpcResult& feedback(double time, const BodyState<>& measured) noexcept;
+  /// Returns the wrench to command for the body state measured at `time` [s]. Needs a prepare()
+  /// before. After a cold start or repeated failure this call also does the work of prepare().
+  [[nodiscard]] const NmpcResult& feedback(double time, const BodyStated& measured) noexcept;
 
-  /// Between two ticks, as from an inner loop at 1 kHz: the wrench for the body state measured at
-  /// `time` [s]. Its rate is that of the plan, corrected by the gains of the last factorisation for
-  /// the deviation from where the plan should be by now, within the bounds; the wrench follows from
-  /// the rates since the last call, and the next tick starts from it. Takes microseconds. With a
-  /// state that is not finite, or without a plan that is in force: as hold(), but not counted as a
-  /// failure.
-  [[nodiscard]] const NmpcResult& between_ticks(double time, const BodyState<>& measured) noexcept;
+  /// Returns the wrench for the body state measured at `time` [s] between two ticks, for example in
+  /// an inner loop at 1 kHz. The wrench rate is the rate of the plan plus a correction, within the
+  /// bounds. The correction is the gain of the last factorisation times the deviation from the
+  /// planned state. The wrench integrates the rates since the last call, and the next tick starts
+  /// from it. Takes microseconds. If the state is not finite or no plan is in force, the call
+  /// returns the result of hold(). This does not count as a failure.
+  [[nodiscard]] const NmpcResult& between_ticks(double time, const BodyStated& measured) noexcept;
 
-  /// Instead of feedback(), where there is no state to trust at `time` [s].
+  /// Replaces feedback() if there is no valid state at `time` [s].
   [[nodiscard]] const NmpcResult& hold(double time) noexcept;
 
-  /// Takes the measured `voltage` of the battery [V]: plans from the next prepare() on keep to the
-  /// thrusts that it leaves, where NmpcSettings::actuator_rows is set. Returns whether
-  /// voltage_ratio() accepts it; if not, nothing changes.
+  /// Sets the measured `voltage` of the battery [V]. From the next prepare() on, plans respect the
+  /// thrusts that this voltage allows, if NmpcSettings::actuator_constraints is set. Returns true
+  /// if voltage_ratio() accepts the voltage; if not, nothing changes.
   bool set_voltage(double voltage) noexcept {
     if (!actuators_.set_voltage(voltage)) return false;
     (void)solver_.problem().set_voltage(voltage);
@@ -113,61 +120,58 @@ class Nmpc {
   }
 
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
-  /// What the plan goes by: that of prepare(), or an earlier one where that was not plausible.
+  /// The estimate that the plan uses: from prepare(), or an earlier one if that was not plausible.
   [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
-  [[nodiscard]] const MultipleShooting<Problem>& solver() const { return solver_; }
+  [[nodiscard]] const optimal_control::MultipleShooting<Problem>& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
 
  private:
-  using Actuators = ActuatorRows<Rotors>;
-  using Rate = Eigen::Matrix<double, 6, 1>;
+  using Actuators = ActuatorConstraints<Rotors>;
+  using Rate = typename PlanInForce<Rotors>::Rate;
 
-  // What prepare() does before it looks at the reference, and after.
+  // The parts of prepare() before and after the reference is evaluated.
   void begin_to_prepare(double time, const ContactEstimate& contact);
-  PrepareStatus finish_preparing(double time);
+  optimal_control::PrepareStatus finish_preparing(double time);
 
   [[nodiscard]] bool is_plausible(const ContactEstimate& contact) const;
 
-  // When this tick has to be over, prepare() counted.
-  [[nodiscard]] SolverClock::time_point deadline_from(SolverClock::time_point now) const;
+  // End of the time limit of this tick; the time of prepare() counts.
+  [[nodiscard]] optimal_control::SolverClock::time_point deadline_from(
+      optimal_control::SolverClock::time_point now) const;
 
-  [[nodiscard]] bool plan_in_force(double time) const;
-  // After an interruption: nobody has followed it.
+  [[nodiscard]] bool plan_in_force(double time) const {
+    return plan_.in_force(time, settings_.max_plan_age);
+  }
+  // Discards the plan after an interruption, because no actuator has followed it.
   void forget_old_plan(double time);
 
-  [[nodiscard]] bool make_plan(const State<>& x, SolverClock::time_point deadline);
+  [[nodiscard]] bool make_plan(const Stated& x, optimal_control::SolverClock::time_point deadline);
 
-  // In the same tick, which must not get much longer by it.
-  [[nodiscard]] bool can_start_again(SolverClock::time_point deadline) const;
+  // Checks whether a cold start fits into the same tick without making it much longer.
+  [[nodiscard]] bool can_start_again(optimal_control::SolverClock::time_point deadline) const;
 
-  /// A plan from anywhere begins with the whole horizon at `x`.
-  void start_cold(const State<>& x);
+  /// Cold start: sets the state of every node to `x` and prepares the solver.
+  void start_cold(const Stated& x);
 
-  /// False if the plan turns or pushes ten times as much as the bounds allow, or goes a kilometre
-  /// away: bad input has led it astray, from where one iteration at a time does not find back.
+  /// Returns false if the plan exceeds ten times the bounds on body rate, force or torque, or if it
+  /// moves more than a kilometre away. Bad input then caused the plan, and single iterations do not
+  /// recover from it.
   [[nodiscard]] bool plan_is_credible() const;
 
   void set_nodes();
 
   void set_node(double ahead, const ReferencePoint& point, WheeledFlightNode& node) const;
 
-  [[nodiscard]] int interval_at(double age) const {
-    return std::min(static_cast<int>(age / settings_.problem.interval), solver_.horizon() - 1);
+  /// Wrench without a plan. In the air it carries the weight and the known external wrench without
+  /// turning the vehicle; on the ground it is almost no thrust.
+  [[nodiscard]] Wrenchd safe_wrench() const;
+
+  void set_rate(const Rate& rate) {
+    for (int i = 0; i < 3; ++i) {
+      result_.rate.force(i) = rate(i);
+      result_.rate.torque(i) = rate(3 + i);
+    }
   }
-
-  /// Wrench of the last plan `age` [s] after its measurement: linear in each interval.
-  [[nodiscard]] Wrench<> planned_wrench(double age) const;
-
-  /// What has been commanded by now, while a plan is in force.
-  [[nodiscard]] Wrench<> wrench_at(double time) const;
-
-  [[nodiscard]] Wrench<> within_bounds(const Wrench<>& wrench) const;
-  [[nodiscard]] Rate rate_within_bounds(const Rate& rate) const;
-
-  /// Without a plan: carry the weight and what else is known to pull, turn nothing; on the ground,
-  /// almost no thrust.
-  [[nodiscard]] Wrench<> safe_wrench() const;
-
   void set_command(double age);
 
   const NmpcResult& continue_last_plan(double time, NmpcStatus status);
@@ -178,23 +182,16 @@ class Nmpc {
   Actuators actuators_;
   GroundContact ground_;
   ReferenceWrench<Rotors> reference_wrench_;
-  MultipleShooting<Problem> solver_;
+  optimal_control::MultipleShooting<Problem> solver_;
   std::vector<ReferencePoint> points_;
-  BodyState<> body_state_;   // the last good measurement
-  ContactEstimate contact_;  // the last good one
+  BodyStated body_state_;    // last good measurement
+  ContactEstimate contact_;  // last good estimate
   NmpcResult result_;
-  double plan_time_ = 0.0;
-  State<> plan_start_;  // at plan_time_
-  typename MultipleShooting<Problem>::Gain gain_ = MultipleShooting<Problem>::Gain::Zero();
+  PlanInForce<Rotors> plan_;
   NmpcStatus plan_status_ = NmpcStatus::no_plan;
-  // By between_ticks() since the last tick:
-  bool corrected_ = false;
-  double corrected_time_ = 0.0;
-  Wrench<> corrected_wrench_;
-  Rate corrected_rate_ = Rate::Zero();
-  SolverClock::duration prepare_time_{};
+  optimal_control::SolverClock::duration prepare_time_{};
   int failures_ = 0;
-  bool prepared_ = false, has_plan_ = false, cold_ = true;
+  bool prepared_ = false, cold_ = true;
 };
 
 template <int Rotors>
@@ -205,7 +202,7 @@ Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
       ground_(vehicle.body, undercarriage(vehicle), settings.ground),
       reference_wrench_(vehicle, settings.ground),
       solver_(Problem(vehicle.body, settings.problem,
-                      settings.actuator_rows ? actuators_ : Actuators()),
+                      settings.actuator_constraints ? actuators_ : Actuators()),
               settings.solver),
       points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
   result_.wrench = safe_wrench();
@@ -219,8 +216,9 @@ void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
   validate(settings);
   require(settings.solver == settings_.solver, "NmpcSettings.solver", "another",
           "as at construction");
-  solver_.problem().set_settings(
-      settings.problem, settings.actuator_rows ? actuators_.with(settings.actuators) : Actuators());
+  solver_.problem().set_settings(settings.problem, settings.actuator_constraints
+                                                       ? actuators_.with(settings.actuators)
+                                                       : Actuators());
   settings_ = settings;
   ground_.set_settings(settings.ground);
   reference_wrench_.set_settings(settings.ground);
@@ -228,70 +226,57 @@ void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
 }
 
 template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyState<>& measured) noexcept {
+const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyStated& measured) noexcept {
   if (!std::isfinite(time) || !is_finite(measured))
     return continue_last_plan(time, NmpcStatus::bad_state);
   body_state_ = measured;
   body_state_.orientation.normalize();
   if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
-  const auto deadline = deadline_from(SolverClock::now());
+  const auto deadline = deadline_from(optimal_control::SolverClock::now());
   forget_old_plan(time);
-  if (cold_) set_nodes();  // with this measurement, not the last
-  State<> x;
+  if (cold_) set_nodes();  // with this measurement, not with the last one
+  Stated x;
   x.body = body_state_;
   if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
-  x.wrench = has_plan_ ? wrench_at(time) : safe_wrench();
+  x.wrench = plan_.exists() ? plan_.wrench(solver_, time) : safe_wrench();
   if (cold_) start_cold(x);
   prepared_ = false;
   bool credible = make_plan(x, deadline);
-  if (!credible && tilt_ropter::has_plan(result_.report.status)) {
+  if (!credible && optimal_control::has_plan(result_.report.status)) {
     solver_.take_back();
     if (!cold_ && can_start_again(deadline)) {
       start_cold(x);
-      has_plan_ = false;  // it has been written over
+      plan_.drop();  // start_cold() has overwritten it
       credible = make_plan(x, deadline);
-      if (!credible && tilt_ropter::has_plan(result_.report.status)) solver_.take_back();
+      if (!credible && optimal_control::has_plan(result_.report.status)) solver_.take_back();
     }
-    if (!credible) result_.report.status = SolveStatus::failed;
+    if (!credible) result_.report.status = optimal_control::SolveStatus::failed;
   }
   if (!credible) return continue_last_plan(time, NmpcStatus::solver_failed);
   if (!solver_.has_step() && plan_in_force(time))
     return hand_out_last_plan(time, NmpcStatus::approximate);
   failures_ = 0;
   cold_ = false;
-  has_plan_ = true;
-  plan_time_ = time;
-  plan_start_ = solver_.state(0);
-  gain_ = solver_.gain(0);
-  corrected_ = false;
-  plan_status_ =
-      result_.report.status == SolveStatus::iterated ? NmpcStatus::solved : NmpcStatus::approximate;
+  plan_.begin(solver_, time);
+  plan_status_ = result_.report.status == optimal_control::SolveStatus::iterated
+                     ? NmpcStatus::solved
+                     : NmpcStatus::approximate;
   result_.status = plan_status_;
   set_command(0.0);
   return result_;
 }
 
 template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyState<>& measured) noexcept {
+const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& measured) noexcept {
   if (!plan_in_force(time) || !is_finite(measured))
     return hand_out_last_plan(time, NmpcStatus::bad_state);
-  const double age = std::max(time - plan_time_, 0.0), interval = settings_.problem.interval;
-  const Problem& problem = solver_.problem();
-  const int k = interval_at(age);
-  State<> x;
+  Stated x;
   x.body = measured;
   x.body.orientation.normalize();
-  if (problem.node(0).on_ground) ground_.stop_held(x.body);  // as in feedback()
-  x.wrench = wrench_at(time);
-  const State<> expected = problem.step_for(
-      age - interval * k, k, k == 0 ? plan_start_ : solver_.state(k), solver_.input(k));
-  corrected_ = true;
-  corrected_time_ = time;
-  corrected_wrench_ = x.wrench;
-  corrected_rate_ =
-      rate_within_bounds(Rate(solver_.input(k) + gain_ * problem.difference(x, expected)));
+  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);  // as in feedback()
+  x.wrench = plan_.wrench(solver_, time);
+  set_rate(plan_.correct(solver_, time, x));
   result_.wrench = x.wrench;
-  result_.rate = {corrected_rate_.head<3>(), corrected_rate_.tail<3>()};
   result_.status = plan_status_;
   return result_;
 }
@@ -310,15 +295,17 @@ void Nmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact)
 }
 
 template <int Rotors>
-PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
+optimal_control::PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
   set_nodes();
   prepared_ = true;
-  if (cold_) return PrepareStatus::prepared;  // feedback() does the rest, from where it measures
-  // The wrench at `time` is the controller's own. Linearised there, the first node's rows are
-  // exact, and what is commanded keeps to them.
+  if (cold_)
+    return optimal_control::PrepareStatus::prepared;  // feedback() does the rest, from the
+                                                      // measured state
+  // The controller itself commands the wrench at `time`. With this wrench as the linearisation
+  // point, the constraints of the first node are exact, and the command satisfies them.
   if (!solver_.goes_on()) {
-    State<> first = solver_.state(0);
-    first.wrench = wrench_at(time);
+    Stated first = solver_.state(0);
+    first.wrench = plan_.wrench(solver_, time);
     solver_.set_guess(0, first, solver_.input(0));
   }
   return solver_.prepare();
@@ -327,52 +314,47 @@ PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
 template <int Rotors>
 bool Nmpc<Rotors>::is_plausible(const ContactEstimate& contact) const {
   const double most = 10.0 * body_.mass * gravity;
-  const auto is_small = [most](const Wrench<>& w) {  // not a comparison that NaN passes
+  const auto is_small = [most](const Wrenchd& w) {  // false for NaN
     return w.force.norm() <= most && w.torque.norm() <= most;
   };
   return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling);
 }
 
 template <int Rotors>
-SolverClock::time_point Nmpc<Rotors>::deadline_from(SolverClock::time_point now) const {
+optimal_control::SolverClock::time_point Nmpc<Rotors>::deadline_from(
+    optimal_control::SolverClock::time_point now) const {
   const double limit = settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
   return now - prepare_time_ +
-         std::chrono::duration_cast<SolverClock::duration>(
+         std::chrono::duration_cast<optimal_control::SolverClock::duration>(
              std::chrono::duration<double>(std::min(limit, 1e6)));
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::plan_in_force(double time) const {
-  return has_plan_ && std::abs(time - plan_time_) <= settings_.max_plan_age;
-}
-
-template <int Rotors>
 void Nmpc<Rotors>::forget_old_plan(double time) {
-  if (has_plan_ && !plan_in_force(time)) {
-    has_plan_ = false;
+  if (plan_.exists() && !plan_in_force(time)) {
+    plan_.drop();
     cold_ = true;
   }
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::make_plan(const State<>& x, SolverClock::time_point deadline) {
+bool Nmpc<Rotors>::make_plan(const Stated& x, optimal_control::SolverClock::time_point deadline) {
   result_.report = solver_.feedback(x, deadline);
-  return tilt_ropter::has_plan(result_.report.status) && plan_is_credible();
+  return optimal_control::has_plan(result_.report.status) && plan_is_credible();
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::can_start_again(SolverClock::time_point deadline) const {
-  const auto needed = std::chrono::duration_cast<SolverClock::duration>(
+bool Nmpc<Rotors>::can_start_again(optimal_control::SolverClock::time_point deadline) const {
+  const auto needed = std::chrono::duration_cast<optimal_control::SolverClock::duration>(
       std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
   return 4 * solver_.report().passes <= settings_.solver.program.max_passes &&
-         SolverClock::now() + needed < deadline;
+         optimal_control::SolverClock::now() + needed < deadline;
 }
 
 template <int Rotors>
-void Nmpc<Rotors>::start_cold(const State<>& x) {
+void Nmpc<Rotors>::start_cold(const Stated& x) {
   solver_.reset(x);
-  plan_start_ = x;
-  corrected_ = false;
+  plan_.reset(x);
   (void)solver_.prepare();
 }
 
@@ -383,7 +365,7 @@ bool Nmpc<Rotors>::plan_is_credible() const {
                force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
                torque = 10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
   for (int k = 1; k <= solver_.horizon(); ++k) {
-    const State<>& x = solver_.state(k);
+    const Stated& x = solver_.state(k);
     if (!(x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
           x.wrench.torque.norm() <= torque &&
           (x.body.position - body_state_.position).norm() <= 1e3))
@@ -413,55 +395,21 @@ void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
 }
 
 template <int Rotors>
-Wrench<> Nmpc<Rotors>::planned_wrench(double age) const {
-  const double interval = settings_.problem.interval;
-  const double clamped = std::min(std::max(age, 0.0), interval * solver_.horizon());
-  const int k = interval_at(clamped);
-  const Wrench<>& start = k == 0 ? plan_start_.wrench : solver_.state(k).wrench;
-  const Rate& rate = solver_.input(k);
-  const double t = clamped - interval * k;
-  return within_bounds({start.force + t * rate.head<3>(), start.torque + t * rate.tail<3>()});
-}
-
-template <int Rotors>
-Wrench<> Nmpc<Rotors>::wrench_at(double time) const {
-  if (!corrected_) return planned_wrench(time - plan_time_);
-  const double t = std::max(time - corrected_time_, 0.0);
-  return within_bounds({corrected_wrench_.force + t * corrected_rate_.head<3>(),
-                        corrected_wrench_.torque + t * corrected_rate_.tail<3>()});
-}
-
-template <int Rotors>
-Wrench<> Nmpc<Rotors>::within_bounds(const Wrench<>& wrench) const {
-  const NmpcBounds& b = settings_.problem.bounds;
-  return {wrench.force.cwiseMax(b.force_min).cwiseMin(b.force_max),
-          wrench.torque.cwiseMax(b.torque_min).cwiseMin(b.torque_max)};
-}
-
-template <int Rotors>
-typename Nmpc<Rotors>::Rate Nmpc<Rotors>::rate_within_bounds(const Rate& rate) const {
-  Rate most;
-  most << settings_.problem.bounds.force_rate, settings_.problem.bounds.torque_rate;
-  return rate.cwiseMax(-most).cwiseMin(most);
-}
-
-template <int Rotors>
-Wrench<> Nmpc<Rotors>::safe_wrench() const {
-  Wrench<> wrench;
+Wrenchd Nmpc<Rotors>::safe_wrench() const {
+  Wrenchd wrench;
   if (contact_.on_ground) {
     wrench.force.z() = settings_.ground.down_force;
   } else {
     wrench = {-contact_.disturbance.force, -contact_.disturbance.torque};
     wrench.force.z() += body_.mass * gravity;
   }
-  return within_bounds(wrench);
+  return within(settings_.problem.bounds, wrench);
 }
 
 template <int Rotors>
 void Nmpc<Rotors>::set_command(double age) {
-  result_.wrench = planned_wrench(age);
-  const Rate rate = rate_within_bounds(solver_.input(interval_at(age)));
-  result_.rate = {rate.head<3>(), rate.tail<3>()};
+  result_.wrench = plan_.planned_wrench(solver_, age);
+  set_rate(plan_.planned_rate(solver_, age));
   result_.on_ground = contact_.on_ground;
 }
 
@@ -474,13 +422,13 @@ const NmpcResult& Nmpc<Rotors>::continue_last_plan(double time, NmpcStatus statu
 
 template <int Rotors>
 const NmpcResult& Nmpc<Rotors>::hand_out_last_plan(double time, NmpcStatus status) {
-  const double age = time - plan_time_;
-  if (has_plan_ && age >= 0.0 && age <= settings_.max_plan_age) {
+  const double age = plan_.age(time);
+  if (plan_.exists() && age >= 0.0 && age <= settings_.max_plan_age) {
     set_command(age);
-    if (corrected_) result_.wrench = wrench_at(time);
+    if (plan_.corrected()) result_.wrench = plan_.wrench(solver_, time);
     result_.status = status;
   } else {
-    has_plan_ = false;
+    plan_.drop();
     cold_ = true;
     result_.wrench = safe_wrench();
     result_.rate = {};

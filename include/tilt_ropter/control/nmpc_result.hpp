@@ -4,34 +4,34 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 
-/// What leaves Nmpc, and where it comes from.
+/// Output of Nmpc, and the source of the wrench in it.
 namespace tilt_ropter {
 
-/// Where the wrench of an NmpcResult comes from.
+/// Source of the wrench of an NmpcResult.
 enum class NmpcStatus {
-  solved,  ///< the wrench comes from a plan made from this measurement: a solved program
-  /// The same, but the program was not solved within the limits on time or passes, or gave up a
-  /// hard constraint: SolveReport says which. The plan is finite, and the command within the
-  /// bounds.
+  solved,  ///< the wrench comes from a plan for this measurement, and the program is solved
+  /// The wrench comes from a plan for this measurement, but the program reached its limit on time
+  /// or passes, or it relaxed a hard constraint. SolveReport tells which. The plan is finite, and
+  /// the command is within the bounds.
   approximate,
-  bad_state,      ///< the measurement was not finite: the last plan goes on
-  solver_failed,  ///< no plan from this measurement: the last plan goes on
-  no_plan,        ///< no plan, or it has run out: the safe wrench
+  bad_state,      ///< the measurement was not finite: the last plan continues
+  solver_failed,  ///< no plan from this measurement: the last plan continues
+  no_plan,        ///< no plan, or the last plan is too old: the safe wrench
 };
 
-/// True if the wrench comes from a plan made from this measurement.
+/// Returns true if the wrench comes from a plan for this measurement.
 [[nodiscard]] constexpr bool has_plan(NmpcStatus status) {
   return status == NmpcStatus::solved || status == NmpcStatus::approximate;
 }
 
-/// What leaves the controller.
+/// Output of the controller.
 struct NmpcResult {
-  NmpcStatus status = NmpcStatus::no_plan;
-  Wrench<> wrench;         ///< to apply now, body frame [N; N m]; finite and within the bounds
-  Wrench<> rate;           ///< its rate from now on, body frame [N/s; N m/s]: what lagging
-                           ///< actuators need to follow it, see Allocation::allocate
-  bool on_ground = false;  ///< mode of contact
-  SolveReport report;      ///< of the solver; of the last one if it was not called
+  NmpcStatus status = NmpcStatus::no_plan;  ///< source of the wrench
+  Wrenchd wrench;          ///< to apply now, body frame [N; N m]; finite and within the bounds
+  Wrenchd rate;            ///< rate of the wrench from now on, body frame [N/s; N m/s]; actuators
+                           ///< with lag need it to follow the wrench, see Allocation::allocate
+  bool on_ground = false;  ///< contact mode
+  optimal_control::SolveReport report;  ///< of the last call of the solver
 };
 
 }  // namespace tilt_ropter

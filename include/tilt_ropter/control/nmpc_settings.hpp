@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/math/validation.hpp>
@@ -12,52 +12,57 @@
 
 #include <algorithm>
 
-/// What Nmpc can be told, and how a vehicle that is not the Tilt-Ropter gets settings that fly it
+/// Settings of Nmpc, and a function that computes settings for other vehicles than the Tilt-Ropter
 /// without tuning: weights from allowed errors by Bryson's rule, bounds from weight and size.
 namespace tilt_ropter {
 
-/// WheeledFlightSettings with weights that hold the vehicle to its path closely, and damp its
-/// attitude enough for one whose actuators are slower and later than the controller knows. With a
-/// quarter of this weight on angular velocity, servos and rotors 1.7 times as slow as believed let
-/// a heavy vehicle rock until it tips.
+/// WheeledFlightSettings with weights for close tracking. The attitude is damped enough for
+/// actuators that are slower and later than the controller assumes. Example: servos and rotors are
+/// 1.7 times slower than assumed. With a quarter of this weight on angular velocity, a heavy
+/// vehicle then rocks until it tips.
 [[nodiscard]] inline WheeledFlightSettings damped_flight_settings() {
   WheeledFlightSettings s;
-  s.weights.position << 240.0, 240.0, 320.0;
-  s.weights.velocity << 16.0, 16.0, 20.0;
+  s.weights.position = {240.0, 240.0, 320.0};
+  s.weights.velocity = {16.0, 16.0, 20.0};
   s.weights.angular_velocity.setConstant(10.0);
   return s;
 }
 
-/// The solver's own settings with less work at most, for a loop: a tick whose quadratic program
-/// takes more passes says approximate. After the worst that the example stress_flights begins with,
-/// up to 30 would be needed, and flights with 8 recover the same.
-[[nodiscard]] inline SolverSettings real_time_settings() {
-  SolverSettings s;
+/// The solver's default settings with a lower limit on passes, for a control loop. A tick whose
+/// quadratic program needs more passes reports approximate. The worst initial conditions of the
+/// example stress_flights would need up to 30 passes. Flights with 8 passes recover in the same
+/// way.
+[[nodiscard]] inline optimal_control::SolverSettings real_time_settings() {
+  optimal_control::SolverSettings s;
   s.program.max_passes = 10;
   return s;
 }
 
-/// The defaults fly the reference vehicle; nmpc_settings() has those for another one.
+/// The defaults fly the reference vehicle. nmpc_settings() computes the settings for other
+/// vehicles.
 struct NmpcSettings {
+  /// Weights, bounds, penalties and horizon of the optimal-control problem.
   WheeledFlightSettings problem = damped_flight_settings();
-  SolverSettings solver = real_time_settings();
-  double period = 0.01;  ///< of the loop that calls the controller [s]
-  /// For prepare() and feedback() together, cold starts and plans made anew included; work that
-  /// would end later is not begun, and what is left is the next tick's. Zero: half the period.
-  /// Infinite: none. In [s].
+  /// Limits and tolerances of the solver.
+  optimal_control::SolverSettings solver = real_time_settings();
+  double period = 0.01;  ///< period of the loop that calls the controller [s]
+  /// Time limit for prepare() and feedback() together, including cold starts and repeated plans
+  /// [s]. Work that would end later is not started, and is left to the next tick. Zero: half the
+  /// period. Infinite: no limit.
   double time_limit = 0.0;
-  GroundContactSettings ground;
-  /// A plan older than this is not followed; the safe wrench is commanded [s].
+  GroundContactSettings ground;  ///< references and thrusts on the ground
+  /// Age above which a plan is not followed and the safe wrench is commanded [s].
   double max_plan_age = 0.2;
-  /// So many failures in a row, and the next solve starts cold from the measured state.
+  /// Number of failures in a row after which the next solve starts cold from the measured state.
   int failures_before_reset = 3;
-  /// False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: what the reference's acceleration
-  /// and the estimated external wrench ask for, which leaves no offset at rest.
+  /// Selects the reference wrench. False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: the
+  /// wrench that the reference's acceleration and the estimated external wrench require, which
+  /// leaves no offset at rest.
   bool wrench_feedforward = true;
-  /// True: a plan keeps to what the servos' speed and the rotors' thrust allow, see ActuatorRows.
-  /// False: as in the paper, to the boxes of NmpcBounds alone.
-  bool actuator_rows = true;
-  ActuatorRowSettings actuators;  ///< no effect without actuator_rows
+  /// True: a plan respects the servo speed and the rotor thrust, see ActuatorConstraints. False: a
+  /// plan respects only the boxes of NmpcBounds, as in the paper.
+  bool actuator_constraints = true;
+  ActuatorConstraintSettings actuators;  ///< limits; no effect without actuator_constraints
 };
 
 inline void validate(const NmpcSettings& s) {
@@ -72,23 +77,23 @@ inline void validate(const NmpcSettings& s) {
           s.failures_before_reset, ">= 1");
 }
 
-/// The paper's parameters: its table of bounds, N and interval, its reference
-/// wrench, and no rows beyond its own.
+/// Settings of the paper: its table of bounds, N and interval, its reference wrench, and no further
+/// constraints.
 [[nodiscard]] inline NmpcSettings paper_nmpc_settings() {
   NmpcSettings s;
   s.problem.intervals = 20;
   s.problem.interval = 0.1;
   s.problem.bounds = paper_bounds();
   s.wrench_feedforward = false;
-  s.actuator_rows = false;
+  s.actuator_constraints = false;
   return s;
 }
 
-/// Errors that are allowed, each as bad as any other: what tuning is done with. An allowed position
-/// error of half the size pulls the vehicle in with four times the weight. Forces are in units of
-/// the vehicle's weight m g and torques in m g times the mean distance of its rotors from the CoM,
-/// so that the same numbers fly a vehicle of any size. Those here are the reference vehicle's
-/// weights of NmpcSettings, to four digits.
+/// Allowed errors for tuning; each of them costs the same. Half the allowed position error means
+/// four times the position weight. Forces are in units of the vehicle's weight m g. Torques are in
+/// units of m g times the mean distance of the rotors from the CoM. The same numbers therefore fit
+/// a vehicle of any size. The defaults give the reference vehicle's weights of NmpcSettings, to
+/// four digits.
 struct AllowedErrors {
   Eigen::Vector3d position{0.06455, 0.06455, 0.0559};        ///< world [m]
   Eigen::Vector3d velocity{0.25, 0.25, 0.2236};              ///< world [m/s]
@@ -111,7 +116,7 @@ inline void validate(const AllowedErrors& e) {
   require_positive("AllowedErrors.torque_rate [m g size / s]", e.torque_rate);
 }
 
-/// Mean distance of the rotors from the CoM [m].
+/// Mean distance of the rotors from the CoM, without lost rotors [m].
 template <int Rotors>
 [[nodiscard]] double size_of(const Vehicle<Rotors>& vehicle) {
   double sum = 0.0;
@@ -124,13 +129,14 @@ template <int Rotors>
   return count > 0 ? sum / count : 0.0;
 }
 
-/// Settings with which a vehicle flies without tuning. Weights are one over the square of the
-/// allowed error (A. E. Bryson and Y.-C. Ho, Applied Optimal Control, 1975); bounds on force and
-/// torque and the thrusts kept on the ground are the reference vehicle's as shares of weight and of
-/// weight times size, down_force the more the slower the servos are, up to four times. Whether the
-/// actuators give what the bounds allow is not asked: ActuatorRows bounds thrusts and tilt rates,
-/// and control_authority() knows what rotors that do not tilt can do. Throws std::invalid_argument
-/// for errors out of range, and for a vehicle without mass or size.
+/// Returns settings with which a vehicle flies without tuning. Weights are one over the square of
+/// the allowed error (A. E. Bryson and Y.-C. Ho, Applied Optimal Control, 1975). Bounds on force
+/// and torque and the thrusts on the ground are scaled from the reference vehicle, by weight and by
+/// weight times size. With tilting rotors, down_force also increases with slower servos, by up to
+/// four times. The function does not check whether the actuators can reach the bounds.
+/// ActuatorConstraints limits thrusts and tilt rates, and control_authority() tells the limits of
+/// rotors that do not tilt. Throws std::invalid_argument if the errors are out of range or the
+/// vehicle has no mass or size.
 template <int Rotors>
 [[nodiscard]] NmpcSettings nmpc_settings(const Vehicle<Rotors>& vehicle,
                                          const AllowedErrors& errors = {}) {
@@ -159,8 +165,7 @@ template <int Rotors>
   for (Eigen::Vector3d* force : {&b.force_min, &b.force_max, &b.force_rate}) *force *= by_weight;
   for (Eigen::Vector3d* torque : {&b.torque_min, &b.torque_max, &b.torque_rate})
     *torque *= by_lever;
-  // The same change of force along the ground takes an arm a smaller turn where there is more
-  // thrust to turn.
+  // With more thrust, the same change of force along the ground needs a smaller turn of the arm.
   const bool tilts = std::any_of(vehicle.rotors.begin(), vehicle.rotors.end(),
                                  [](const RotorGeometry& rotor) { return rotor.tilts; });
   const double by_servos =

@@ -17,27 +17,29 @@
 #include <limits>
 #include <vector>
 
-/// Does a reference ask for more than the bounds give? To be answered before flying it.
+/// Checks, before a flight, whether a reference needs more than the bounds allow.
 namespace tilt_ropter {
 
-/// The worst violation of one bound on one axis.
+/// The largest violation of one bound on one axis.
 struct BoundViolation {
   /// "force", "torque", "angular_velocity", "force_rate", "torque_rate"; "position" [m] and
-  /// "orientation" [rad]: a step, which is not what velocity and angular velocity say.
+  /// "orientation" [rad] are steps, that is, changes that do not follow from velocity and angular
+  /// velocity.
   const char* bound;
   int axis;         ///< 0, 1, 2: body x, y, z
-  double time;      ///< when [s]
-  double required;  ///< what the reference asks for, in the bound's unit
-  double allowed;   ///< the bound that it passes
+  double time;      ///< time of the violation [s]
+  double required;  ///< value that the reference needs, in the bound's unit
+  double allowed;   ///< the violated bound
 };
 
-/// Compares the wrench, wrench rate and body rate that follow from a reference by inverse dynamics
-/// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. On the ground, which
-/// is `plane`, the reference is laid on it, the ground gives what the undercarriage holds, and the
-/// bounds are asked for the rest. Where the reference leaves the ground or lands, the change of
-/// force must fit into the horizon. A step of position or attitude of more than 2 cm or 0.02 rad is
-/// none that a vehicle can follow. Returns an empty list if all fits. Allocates; throws
-/// std::invalid_argument for a vehicle, settings, times or a plane out of range.
+/// Computes the wrench, wrench rate and body rate of a reference by inverse dynamics. Compares them
+/// with the bounds of `settings`, every `step` [s] from `start` to `end` [s]. `plane` is the
+/// ground. On the ground the reference is moved onto `plane`, and the ground provides the forces of
+/// the undercarriage. The rest must be within the bounds. At take-off and landing the change of
+/// force must fit into the horizon. A step of position above 2 cm or of attitude above 0.02 rad
+/// counts as a violation, because no vehicle can follow it. Returns the violations, empty if there
+/// are none. Allocates. Throws std::invalid_argument if the vehicle, settings, times or the plane
+/// are out of range.
 template <typename Reference, int Rotors>
 [[nodiscard]] std::vector<BoundViolation> check_reference(
     const Reference& reference, double start, double end, const Vehicle<Rotors>& vehicle,
@@ -84,7 +86,7 @@ template <typename Reference, int Rotors>
     const ReferencePoint point = reference(time);
     const bool on_ground = ground.is_ground_reference(contact, point.position, point);
     const Eigen::Vector3d& w = point.angular_velocity;
-    const Wrench<> needed =
+    const Wrenchd needed =
         reference_wrench(on_ground ? ground.on_ground(plane, point) : point, {}, on_ground);
     Vector6 wrench;
     wrench << needed.force, needed.torque;
@@ -114,7 +116,7 @@ template <typename Reference, int Rotors>
   return violations;
 }
 
-/// With the settings that Nmpc has by default for this vehicle.
+/// Uses the default settings of Nmpc for this vehicle.
 template <typename Reference, int Rotors>
 [[nodiscard]] std::vector<BoundViolation> check_reference(const Reference& reference, double start,
                                                           double end,

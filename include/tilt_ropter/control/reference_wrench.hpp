@@ -14,36 +14,36 @@
 /// The wrench that a reference needs, in the air and on the ground.
 namespace tilt_ropter {
 
-/// The vertical thrust to ask for on the ground: down_force, and more where a torque takes thrust
-/// from a rotor, so that each keeps pushing upward. A CoM off the axle pitches the vehicle all the
-/// time, and with little thrust to share the front rotor or the rear one would have to push
-/// downward, at the end of its servo's range: from one end to the other is a whole turn, on the way
-/// of which it pushes anywhere, and the vehicle tips.
+/// Vertical thrust to command on the ground: down_force, and more where a torque reduces the thrust
+/// of a rotor, so that every rotor pushes upward. A CoM off the axle pitches the vehicle all the
+/// time. With little total thrust, the front or the rear rotor would have to push downward. Its
+/// servo would then be at one end of its range. From one end to the other is a whole turn. During
+/// this turn the rotor pushes in every direction, and the vehicle tips.
 ///
-/// A rotor from which the torque takes t keeps min(2 t, rotor_thrust) at least, unless that takes
-/// more than half the weight off the wheels.
+/// If the torque reduces a rotor's thrust by t, the rotor keeps at least min(2 t, rotor_thrust).
+/// The total is limited to half the weight, so that the other half stays on the wheels.
 template <int Rotors>
 class GroundThrust {
  public:
-  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
+  /// Throws std::invalid_argument if the geometry cannot give every wrench.
   GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
       : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
     const auto inverse = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
     for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
   }
 
-  /// Takes other settings, which must be valid.
+  /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
-  /// The force [N] for a wrench (body frame) whose own vertical force is left out of account.
-  [[nodiscard]] double operator()(const Wrench<>& wrench) const noexcept {
+  /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored.
+  [[nodiscard]] double operator()(const Wrenchd& wrench) const noexcept {
     Eigen::Matrix<double, 6, 1> level;
     level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
     double force = settings_.down_force;
     for (int i = 0; i < Rotors; ++i) {
-      const double share = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
-      if (share > 1e-6)
-        force = std::max(force, (taken + std::min(2.0 * taken, settings_.rotor_thrust)) / share);
+      const double fraction = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
+      if (fraction > 1e-6)
+        force = std::max(force, (taken + std::min(2.0 * taken, settings_.rotor_thrust)) / fraction);
     }
     return std::max(settings_.down_force, std::min(force, most_));
   }
@@ -58,23 +58,24 @@ class GroundThrust {
 template <int Rotors>
 class ReferenceWrench {
  public:
-  /// Throws std::invalid_argument for a geometry that cannot give every wrench.
+  /// Throws std::invalid_argument if the geometry cannot give every wrench.
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
       : body_(vehicle.body),
         contact_(vehicle.body, undercarriage(vehicle), settings),
         ground_thrust_(vehicle, settings) {}
 
-  /// Takes other settings, which must be valid.
+  /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept {
     contact_.set_settings(settings);
     ground_thrust_.set_settings(settings);
   }
 
-  /// Against `external` (body frame); on the ground without what the ground gives.
-  [[nodiscard]] Wrench<> operator()(const ReferencePoint& point, const Wrench<>& external,
-                                    bool on_ground) const noexcept {
+  /// Returns the wrench (body frame) for `point` that also balances `external` (body frame). On the
+  /// ground it excludes the components that the ground provides.
+  [[nodiscard]] Wrenchd operator()(const ReferencePoint& point, const Wrenchd& external,
+                                   bool on_ground) const noexcept {
     const Eigen::Vector3d& w = point.angular_velocity;
-    Wrench<> wrench;
+    Wrenchd wrench;
     wrench.force = body_.mass * (point.orientation.conjugate() *
                                  (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
                    external.force;

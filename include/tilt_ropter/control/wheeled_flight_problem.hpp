@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/rotation.hpp>
@@ -22,50 +22,55 @@
 #include <vector>
 
 /// The paper's optimal-control problem (paper, Sec. Nonlinear Model Predictive Control): 19 states
-/// (F, M, p, v, q, w), 6 inputs (dF, dM), bounds on wrench, wrench rate and body rate, and the
-/// non-holonomic conditions of ground contact, posed to MultipleShooting.
+/// (F, M, p, v, q, w) and 6 inputs (dF, dM). The constraints are bounds on wrench, wrench rate and
+/// body rate, and the non-holonomic conditions of ground contact. MultipleShooting solves it.
+///
+/// This header is long because one class must provide all functions that MultipleShooting needs:
+/// model, cost, constraints and their derivatives.
 namespace tilt_ropter {
 
-/// What a node should do and what acts on it.
+/// Reference of a node, and the wrench and ground contact that act on it.
 struct WheeledFlightNode {
-  BodyState<> reference;      ///< p_r, v_r, q_r, w_r
-  Wrench<> wrench_reference;  ///< F_r, M_r (body frame)
-  Wrench<> external;          ///< F_e, M_e during the interval that starts here (body frame)
-  Freedom<> freedom;          ///< what the ground leaves free during that interval
-  bool on_ground = false;     ///< the paper's delta: non-holonomic conditions apply here
-  GroundPlane com_plane;      ///< that the CoM keeps to on the ground
+  BodyStated reference;      ///< p_r, v_r, q_r, w_r
+  Wrenchd wrench_reference;  ///< F_r, M_r (body frame)
+  Wrenchd external;          ///< F_e, M_e during the interval that starts here (body frame)
+  Freedomd freedom;          ///< motion that the ground leaves free during that interval
+  bool on_ground = false;    ///< the paper's delta: non-holonomic conditions apply here
+  GroundPlane com_plane;     ///< plane on which the CoM stays on the ground
 };
 
-/// A problem as MultipleShooting takes it: 18 tangent coordinates (dF, dM, dp, dv, dtheta, dw), 6
-/// inputs (dF/dt, dM/dt), 15 rows (F, M, w, dF/dt, dM/dt), 3 ground conditions. The nodes'
-/// references and external wrenches are set from outside before each solve. With `Rotors`, the
-/// rows of ActuatorRows follow the paper's 15.
-template <int Rotors = 0>
+/// The problem in the form that MultipleShooting needs: 18 tangent coordinates (dF, dM, dp, dv,
+/// dtheta, dw), 6 inputs (dF/dt, dM/dt), 15 constraints (F, M, w, dF/dt, dM/dt), 3 ground
+/// conditions. The caller sets the nodes' references and external wrenches before each solve. With
+/// `Rotors` > 0, the constraints of ActuatorConstraints follow the paper's 15.
+template <int Rotors>
 class WheeledFlightProblem {
  public:
-  /// Where each part of the rows starts.
-  struct Row {
+  /// Index of the first constraint of each part.
+  struct Part {
     static constexpr int force = 0, torque = 3, angular_velocity = 6, rate = 9, actuators = 15;
   };
-  static constexpr int states = 18, inputs = 6, rows = Row::actuators + ActuatorRows<Rotors>::rows,
+  static constexpr int states = 18, inputs = 6,
+                       constraints = Part::actuators + ActuatorConstraints<Rotors>::count,
                        equalities = 3;
-  using State = tilt_ropter::State<>;
-  using D = ProblemDimensions<WheeledFlightProblem>;
-  using Model = QuadraticModel<states, inputs>;
-  using Tangent = StateTangent<>;
+  using State = tilt_ropter::Stated;
+  using D = optimal_control::ProblemDimensions<WheeledFlightProblem>;
+  using Model = optimal_control::QuadraticModel<states, inputs>;
+  using Tangent = StateTangentd;
   using Input = Eigen::Matrix<double, 6, 1>;
   using StateJacobian = Eigen::Matrix<double, 18, 18>;
   using InputJacobian = Eigen::Matrix<double, 18, 6>;
   using LaneStateJacobian = Eigen::Matrix<Lanes, 18, 18>;
   using LaneInputJacobian = Eigen::Matrix<Lanes, 18, 6>;
-  using Rows = typename D::Rows;
-  using RowsX = typename D::RowsX;
-  using RowsU = typename D::RowsU;
+  using Constraints = typename D::Constraints;
+  using ConstraintsX = typename D::ConstraintsX;
+  using ConstraintsU = typename D::ConstraintsU;
   using Equalities = Eigen::Vector3d;
   using EqualitiesX = Eigen::Matrix<double, 3, 18>;
 
-  /// The wrench is the input's integral, nothing follows position or velocity but position, no
-  /// force turns the body, and within one interval a torque's rate does not reach the position.
+  /// The wrench is the integral of the input. The position acts on no other state, and the velocity
+  /// only on the position. Forces do not turn the body. Within one interval the torque rate does
+  /// not reach the position.
   struct TransitionPattern {
     static constexpr bool nonzero(int row, int column) {
       enum Block { zero, diagonal, full };
@@ -83,12 +88,12 @@ class WheeledFlightProblem {
     }
   };
 
-  /// `actuators` bounds nothing by default. Throws std::invalid_argument for parameters or settings
-  /// out of range, with TerminalCost::riccati also for weights by which some error costs nothing
-  /// for ever.
+  /// `actuators` has no bounds by default. Throws std::invalid_argument if parameters or settings
+  /// are out of range. With TerminalCost::riccati it also throws if some error that does not decay
+  /// costs nothing with these weights.
   explicit WheeledFlightProblem(const RigidBodyParameters& body,
                                 const WheeledFlightSettings& settings = {},
-                                const ActuatorRows<Rotors>& actuators = {})
+                                const ActuatorConstraints<Rotors>& actuators = {})
       : body_(body), lanes_(body), actuators_(actuators), settings_(settings) {
     validate(settings);
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
@@ -97,12 +102,12 @@ class WheeledFlightProblem {
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
   }
 
-  /// Takes other settings and rows for the next MultipleShooting::prepare(). Nodes stay, and so
-  /// must the number of intervals and their length. Allocates nothing, but with
-  /// TerminalCost::riccati: then it takes milliseconds. Throws std::invalid_argument, and changes
-  /// nothing, for settings out of range.
+  /// Changes settings and constraints for the next MultipleShooting::prepare(). The nodes stay as
+  /// they are. The number and the length of the intervals must stay the same. Does not allocate,
+  /// except with TerminalCost::riccati, which also takes milliseconds. Throws
+  /// std::invalid_argument, and changes nothing, if the settings are out of range.
   void set_settings(const WheeledFlightSettings& settings,
-                    const ActuatorRows<Rotors>& actuators = {}) {
+                    const ActuatorConstraints<Rotors>& actuators = {}) {
     validate(settings);
     require(settings.intervals == settings_.intervals, "WheeledFlightSettings.intervals",
             settings.intervals, "as at construction");
@@ -115,7 +120,7 @@ class WheeledFlightProblem {
     set_bounds();
   }
 
-  /// As ActuatorRows::set_voltage(), for all nodes.
+  /// Calls ActuatorConstraints::set_voltage() and updates the bounds of all nodes.
   bool set_voltage([[maybe_unused]] double voltage) noexcept {
     if constexpr (Rotors > 0) {
       if (!actuators_.set_voltage(voltage)) return false;
@@ -155,13 +160,13 @@ class WheeledFlightProblem {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
   }
 
-  /// Where a part of interval k, `seconds` long, ends.
+  /// End state after the first `seconds` of interval k.
   [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
     return body_.step(x, u, node(k).external, seconds, node(k).freedom);
   }
 
-  /// Intervals k, k + 1, .. side by side, as many as x has states; of the last one again where
-  /// there are no four.
+  /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the
+  /// remaining lanes repeat the last interval.
   [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {
@@ -250,36 +255,37 @@ class WheeledFlightProblem {
     }
   }
 
-  [[nodiscard]] Rows row_values(int, const State& x, const Input& u) const {
+  [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {
     using detail::triple;
-    Rows value;
-    detail::put(triple(x.wrench.force), value, Row::force, 0);
-    detail::put(triple(x.wrench.torque), value, Row::torque, 0);
-    detail::put(triple(x.body.angular_velocity), value, Row::angular_velocity, 0);
-    for (int i = 0; i < inputs; ++i) value(Row::rate + i) = u(i);
+    Constraints value;
+    detail::put(triple(x.wrench.force), value, Part::force, 0);
+    detail::put(triple(x.wrench.torque), value, Part::torque, 0);
+    detail::put(triple(x.body.angular_velocity), value, Part::angular_velocity, 0);
+    for (int i = 0; i < inputs; ++i) value(Part::rate + i) = u(i);
     if constexpr (Rotors > 0) {
       const auto of_actuators = actuators_.values(packed(x.wrench), u);
-      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Row::actuators);
+      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Part::actuators);
     }
     return value;
   }
-  void row_derivatives(int, const State& x, const Input& u, RowsX& C, RowsU& E) const {
-    for (int i = 0; i < 6; ++i) C(Row::force + i, I::force + i) = E(Row::rate + i, i) = 1.0;
-    for (int i = 0; i < 3; ++i) C(Row::angular_velocity + i, I::angular_velocity + i) = 1.0;
+  void constraint_derivatives(int, const State& x, const Input& u, ConstraintsX& C,
+                              ConstraintsU& E) const {
+    for (int i = 0; i < 6; ++i) C(Part::force + i, I::force + i) = E(Part::rate + i, i) = 1.0;
+    for (int i = 0; i < 3; ++i) C(Part::angular_velocity + i, I::angular_velocity + i) = 1.0;
     if constexpr (Rotors > 0)
       actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
                              E.template bottomRows<3 * Rotors>());
   }
-  [[nodiscard]] const Rows& lower(int k) const {
+  [[nodiscard]] const Constraints& lower(int k) const {
     return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
   }
-  [[nodiscard]] const Rows& upper(int k) const {
+  [[nodiscard]] const Constraints& upper(int k) const {
     return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
   }
-  [[nodiscard]] const Rows& penalty(int) const { return penalty_; }
+  [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
 
-  /// v_By, w_x and the CoM over its plane (paper, Eq. mpc_subject), where the node is on the
-  /// ground.
+  /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
+  /// node is on the ground.
   [[nodiscard]] Equalities equality_values(int k, const State& x) const {
     return {body_velocity(x).y, x.body.angular_velocity.x(),
             x.body.position.z() - node(k).com_plane.height_at(x.body.position)};
@@ -341,22 +347,23 @@ class WheeledFlightProblem {
       detail::put(below, lower_, 3 * i, 0);
     }
     if constexpr (Rotors > 0) {
-      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Row::actuators);
-      std::fill_n(lower_.data() + Row::actuators, 3 * Rotors, -infinity);
+      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
+      std::fill_n(lower_.data() + Part::actuators, 3 * Rotors, -infinity);
     }
-    // The measured state is not ours to bound, and the last node has no input.
+    // No plan can change the measured state, so node 0 has no bounds on it. The last node has no
+    // input.
     first_upper_ = last_upper_ = upper_;
     first_lower_ = last_lower_ = lower_;
-    std::fill_n(first_upper_.data(), Row::rate, infinity);
-    std::fill_n(first_lower_.data(), Row::rate, -infinity);
-    std::fill_n(first_upper_.data() + rows - Rotors, Rotors, infinity);
-    std::fill_n(last_upper_.data() + Row::rate, 6 + 2 * Rotors, infinity);
-    std::fill_n(last_lower_.data() + Row::rate, 6 + 2 * Rotors, -infinity);
+    std::fill_n(first_upper_.data(), Part::rate, infinity);
+    std::fill_n(first_lower_.data(), Part::rate, -infinity);
+    std::fill_n(first_upper_.data() + constraints - Rotors, Rotors, infinity);
+    std::fill_n(last_upper_.data() + Part::rate, 6 + 2 * Rotors, infinity);
+    std::fill_n(last_lower_.data() + Part::rate, 6 + 2 * Rotors, -infinity);
     const NmpcPenalties& p = settings_.penalties;
-    std::fill_n(penalty_.data() + Row::force, 6, p.wrench);
-    std::fill_n(penalty_.data() + Row::angular_velocity, 3, p.angular_velocity);
-    std::fill_n(penalty_.data() + Row::rate, 6, p.rate);
-    std::fill_n(penalty_.data() + Row::actuators, 3 * Rotors, p.actuators);
+    std::fill_n(penalty_.data() + Part::force, 6, p.wrench);
+    std::fill_n(penalty_.data() + Part::angular_velocity, 3, p.angular_velocity);
+    std::fill_n(penalty_.data() + Part::rate, 6, p.rate);
+    std::fill_n(penalty_.data() + Part::actuators, 3 * Rotors, p.actuators);
   }
 
   [[nodiscard]] static Triple body_velocity(const State& x) {
@@ -364,7 +371,7 @@ class WheeledFlightProblem {
            detail::triple(x.body.velocity);
   }
 
-  // The rotation from reference to body, on the half of the sphere where it is the shorter one.
+  // Rotation from reference to body, with w >= 0: the shorter of the two equivalent rotations.
   [[nodiscard]] Eigen::Quaterniond attitude_error(int k, const State& x) const {
     Eigen::Quaterniond turn = x.body.orientation * node(k).reference.orientation.conjugate();
     if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
@@ -392,16 +399,15 @@ class WheeledFlightProblem {
     return k == horizon() && settings_.terminal_cost == TerminalCost::riccati;
   }
 
-  // From the world's axes to those that turn with the heading of the last node's reference. In
-  // level hover the dynamics of the error are the same for all headings if what of it is in the
-  // world's axes, position, velocity and orientation, turns with the heading; the rest is in the
-  // body's.
+  // Rotation from the world axes to axes that turn with the heading of the last node's reference.
+  // In level hover the error dynamics are the same for all headings if position, velocity and
+  // orientation errors (world axes) are turned by the heading. The other errors are in body axes.
   [[nodiscard]] Square to_heading() const {
     return detail::square(
         quaternion_from_yaw(-yaw_of(nodes_.back().reference.orientation)).toRotationMatrix());
   }
 
-  // Apart, or the code of all other nodes is slower for it.
+  // A separate function: inlined, it would make the code of all other nodes slower.
   [[nodiscard]] [[gnu::noinline]] double riccati_cost(Tangent e) const {
     const Square turn = to_heading();
     for (const int i : {I::position, I::velocity, I::orientation})
@@ -411,7 +417,7 @@ class WheeledFlightProblem {
       for (int i = 0; i < states; ++i) sum += e(i) * terminal_.front()(i, j) * e(j);
     return sum;
   }
-  // e' T' P T e with a T of 3x3 blocks on the diagonal, and its derivatives by the state.
+  // e' T' P T e, where T has 3x3 blocks on the diagonal, and its derivatives by the state.
   [[gnu::noinline]] void set_riccati_model(const Tangent& e, const Square& by_angle,
                                            Model& model) const {
     const StateJacobian& P = terminal_.front();
@@ -431,7 +437,7 @@ class WheeledFlightProblem {
     }
   }
 
-  // At heading zero the tangent coordinates are the error's, to first order.
+  // At heading zero the tangent coordinates equal those of the error, to first order.
   void set_terminal(const NmpcWeights& weights) {
     State hover;
     hover.wrench.force.z() = body_.mass() * gravity;
@@ -444,7 +450,7 @@ class WheeledFlightProblem {
     for (int i = 0; i < states; ++i) cost.hessian(i, i) = of_state(i);
     for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = of_input(i);
     const std::optional<StateJacobian> P =
-        endless_cost<states, inputs, TransitionPattern>(A, B, cost);
+        optimal_control::solve_dare<states, inputs, TransitionPattern>(A, B, cost);
     require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
             "used with weights by which every error that stays costs something, as NmpcWeights."
             "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
@@ -455,22 +461,22 @@ class WheeledFlightProblem {
     return k == horizon() ? last_state_weights_ : state_weights_;
   }
 
-  [[nodiscard]] static Input packed(const Wrench<>& wrench) {
+  [[nodiscard]] static Input packed(const Wrenchd& wrench) {
     Input w;
     detail::put(detail::triple(wrench.force), w, I::force, 0);
     detail::put(detail::triple(wrench.torque), w, I::torque, 0);
     return w;
   }
 
-  RigidBody<> body_;
+  RigidBodyd body_;
   RigidBody<Lanes> lanes_;
-  ActuatorRows<Rotors> actuators_;
+  ActuatorConstraints<Rotors> actuators_;
   WheeledFlightSettings settings_;
   std::vector<WheeledFlightNode> nodes_;
   Tangent state_weights_, last_state_weights_;
   Input input_weights_;
-  std::vector<StateJacobian> terminal_;  // P of TerminalCost::riccati, else nothing
-  Rows lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
+  std::vector<StateJacobian> terminal_;  // P of TerminalCost::riccati, else empty
+  Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
 }  // namespace tilt_ropter

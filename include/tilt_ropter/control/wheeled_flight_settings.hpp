@@ -2,84 +2,109 @@
 #pragma once
 
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <limits>
 
-/// The settings of the paper's optimal-control problem: weights, bounds, prices of violation, the
-/// cost of the last node. They know no solver.
+/// Settings of the paper's optimal-control problem: weights, bounds, penalties, cost of the last
+/// node. They do not depend on a solver.
 namespace tilt_ropter {
 
-/// Weights of the squared errors, per axis; the cost has no 1/2 and no time step in it.
+/// Weights of the squared errors, per axis. The cost has no factor 1/2 and no time step.
 struct NmpcWeights {
   Eigen::Vector3d force{0.02, 0.02, 0.02};          ///< F - F_r, body [1/N^2]
   Eigen::Vector3d torque{0.2, 0.2, 0.2};            ///< M - M_r, body [1/(N m)^2]
-  Eigen::Vector3d position{60.0, 60.0, 80.0};       ///< world [1/m^2]
-  Eigen::Vector3d velocity{6.0, 6.0, 8.0};          ///< world [s^2/m^2]
+  Eigen::Vector3d position{60.0, 60.0, 80.0};       ///< p - p_r, world [1/m^2]
+  Eigen::Vector3d velocity{6.0, 6.0, 8.0};          ///< v - v_r, world [s^2/m^2]
   Eigen::Vector3d orientation{30.0, 30.0, 30.0};    ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
-  Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< body [s^2/rad^2]
+  Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< w - w_r, body [s^2/rad^2]
   Eigen::Vector3d force_rate{0.02, 0.02, 0.02};     ///< dF [s^2/N^2]
   Eigen::Vector3d torque_rate{0.2, 0.2, 0.2};       ///< dM [s^2/(N m)^2]
-  double terminal = 5.0;  ///< factor on the state's weights at the end, see TerminalCost
-  Eigen::Vector3d ground{1e3, 1e3, 1e3};  ///< v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2]
+  double terminal = 5.0;  ///< factor on the state weights at the last node, see TerminalCost
+  /// Ground conditions v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2].
+  Eigen::Vector3d ground{1e3, 1e3, 1e3};
 };
 
-/// Bounds on wrench, wrench rate and body rate, all in the body frame. Infinite means none.
+/// Bounds on wrench, wrench rate and body rate, all in the body frame. Infinite: no bound.
 struct NmpcBounds {
   Eigen::Vector3d force_rate{20.0, 20.0, 40.0};     ///< |dF| <= [N/s]
   Eigen::Vector3d torque_rate{4.0, 4.0, 4.0};       ///< |dM| <= [N m/s]
-  Eigen::Vector3d force_min{-6.0, -6.0, 0.0};       ///< [N]
-  Eigen::Vector3d force_max{6.0, 6.0, 30.0};        ///< [N]
-  Eigen::Vector3d torque_min{-1.5, -1.5, -1.5};     ///< [N m]
-  Eigen::Vector3d torque_max{1.5, 1.5, 1.5};        ///< [N m]
+  Eigen::Vector3d force_min{-6.0, -6.0, 0.0};       ///< F >= [N]
+  Eigen::Vector3d force_max{6.0, 6.0, 30.0};        ///< F <= [N]
+  Eigen::Vector3d torque_min{-1.5, -1.5, -1.5};     ///< M >= [N m]
+  Eigen::Vector3d torque_max{1.5, 1.5, 1.5};        ///< M <= [N m]
   Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
 };
 
-/// The bounds of the paper's table (paper, Tab. NMPC Parameters). They
-/// allow 0.13 m/s^2 sideways without leaning and need 7 s from rest thrust to hover.
+/// Returns `wrench` cut to the bounds.
+[[nodiscard]] inline Wrenchd within(const NmpcBounds& b, const Wrenchd& wrench) noexcept {
+  Wrenchd cut;
+  for (int i = 0; i < 3; ++i) {
+    cut.force(i) = std::clamp(wrench.force(i), b.force_min(i), b.force_max(i));
+    cut.torque(i) = std::clamp(wrench.torque(i), b.torque_min(i), b.torque_max(i));
+  }
+  return cut;
+}
+
+/// Returns the wrench rate `rate`, force first [N/s; N m/s], cut to the bounds.
+[[nodiscard]] inline Eigen::Matrix<double, 6, 1> within(
+    const NmpcBounds& b, const Eigen::Matrix<double, 6, 1>& rate) noexcept {
+  Eigen::Matrix<double, 6, 1> cut;
+  for (int i = 0; i < 3; ++i) {
+    cut(i) = std::clamp(rate(i), -b.force_rate(i), b.force_rate(i));
+    cut(3 + i) = std::clamp(rate(3 + i), -b.torque_rate(i), b.torque_rate(i));
+  }
+  return cut;
+}
+
+/// The bounds of the paper's table (paper, Tab. NMPC Parameters). They allow 0.13 m/s^2 sideways
+/// without tilting the body, and need 7 s from the thrust at rest to hover.
 [[nodiscard]] inline NmpcBounds paper_bounds() {
   NmpcBounds b;
   b.force_rate.setConstant(2.0);
   b.torque_rate.setConstant(2.0);
-  b.force_min << -0.2, -0.2, 0.0;
-  b.force_max << 0.2, 0.2, 20.0;
+  b.force_min = {-0.2, -0.2, 0.0};
+  b.force_max = {0.2, 0.2, 20.0};
   b.torque_min.setConstant(-20.0);
   b.torque_max.setConstant(20.0);
-  b.angular_velocity << 2.0, 2.0, 1.5;
+  b.angular_velocity = {2.0, 2.0, 1.5};
   return b;
 }
 
-/// What the last node costs, which stands for all that comes after the horizon.
+/// Cost of the last node. It stands for the cost after the horizon.
 enum class TerminalCost {
-  weights,  ///< the state's weights times NmpcWeights.terminal
-  /// e' P e, the least that the error can cost from there on near level hover: P solves the
-  /// discrete Riccati equation of the problem linearised there, bounds left out. P is that of
-  /// heading zero and turns with the reference's heading, so the weights of position, velocity and
-  /// orientation have to be the same for x and y. It is not exact where the reference leans or
-  /// accelerates, nor on the ground.
+  weights,  ///< the state weights times NmpcWeights.terminal
+  /// e' P e, the minimum cost of the error after the horizon near level hover. P solves the
+  /// discrete algebraic Riccati equation of the problem linearised there, without bounds. P is
+  /// computed for heading zero and turned with the reference's heading. The weights of position,
+  /// velocity and orientation must therefore be the same for x and y. The cost is not exact on the
+  /// ground or where the reference tilts or accelerates.
   riccati,
 };
 
-/// Prices of violating a constraint by one unit: one whose multiplier would have to be larger is
-/// given up. Infinite: a hard constraint.
+/// Penalties for violating a constraint by one unit. A constraint whose multiplier would exceed its
+/// penalty is relaxed. Infinite: a hard constraint.
 struct NmpcPenalties {
-  /// Bounds on the wrench's rate: hard, and so met by what is commanded whatever else becomes of a
-  /// plan [s/N, s/(N m)].
+  /// Bounds on the wrench rate [s/N, s/(N m)]. They are hard, so the command meets them even if the
+  /// plan violates other constraints.
   double rate = std::numeric_limits<double>::infinity();
-  double wrench = 1e4;            ///< [1/N, 1/(N m)]
-  double angular_velocity = 1e4;  ///< for comfort; the state measured may be beyond [s/rad]
-  double actuators = 1e4;         ///< of the rows of ActuatorRows, by their units
+  double wrench = 1e4;            ///< bounds on the wrench [1/N, 1/(N m)]
+  double angular_velocity = 1e4;  ///< for comfort; a measured state may violate them [s/rad]
+  double actuators = 1e4;         ///< of ActuatorConstraints, per unit of each constraint
 };
 
-/// What the problem needs beyond the model.
+/// Settings of the problem, in addition to the model's parameters.
 struct WheeledFlightSettings {
-  int intervals = 20;     ///< N (paper: 20)
-  double interval = 0.1;  ///< length of one [s] (paper: 0.1)
-  NmpcWeights weights;
+  int intervals = 20;     ///< number of intervals N (paper: 20)
+  double interval = 0.1;  ///< length of one interval [s] (paper: 0.1)
+  NmpcWeights weights;    ///< of the squared errors
+  /// Cost of the last node.
   TerminalCost terminal_cost = TerminalCost::weights;
-  NmpcBounds bounds;
-  NmpcPenalties penalties;
+  NmpcBounds bounds;        ///< on wrench, wrench rate and body rate
+  NmpcPenalties penalties;  ///< for violating the bounds
 };
 
 inline void validate(const NmpcWeights& w) {

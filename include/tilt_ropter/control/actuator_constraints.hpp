@@ -14,56 +14,61 @@
 #include <limits>
 #include <optional>
 
-/// What servos and rotors can do, as rows of the optimal-control problem (beyond the paper, whose
-/// box on the wrench rate lets an arm of little thrust turn at any speed).
+/// Servo and rotor limits as constraints of the optimal-control problem. They go beyond the paper.
+/// The paper's box on the wrench rate lets an arm with little thrust turn at any speed.
 namespace tilt_ropter {
 
-/// How much of the actuators a plan may use.
-struct ActuatorRowSettings {
-  /// Share of the servo's max_rate that a plan may ask for. What reaches the servo is more: a
-  /// command that is held for h seconds and runs ahead to invert a lag of T asks for h / (2 T) on
-  /// top, 6 % at 100 Hz and 80 ms, and about 10 % come from AllocationParameters.calm_share, by
-  /// which commands run ahead farther while a thrust grows.
-  double tilt_rate_share = 0.85;
-  /// A rotor of less thrust counts as one of this thrust, since its tilt rate is not defined at
-  /// zero; as in AllocationParameters [N].
+/// Fraction of the actuator limits that a plan may use.
+struct ActuatorConstraintSettings {
+  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate. The rate of the
+  /// commands to the servo is higher than planned. A command that is held for h seconds and leads
+  /// to invert a lag with time constant T needs an extra h / (2 T): 6 % at 100 Hz and 80 ms. About
+  /// 10 % more come from AllocationSettings.calm_fraction: the lead of a command grows while the
+  /// thrust grows.
+  double tilt_rate_fraction = 0.85;
+  /// Smallest thrust in the tilt-rate constraint [N]: a rotor with less thrust counts as a rotor
+  /// with this thrust, because the tilt rate is not defined at zero thrust. Same meaning as in
+  /// AllocationSettings.
   double hold_thrust = 0.02;
 };
 
-inline void validate(const ActuatorRowSettings& s) {
-  require(s.tilt_rate_share > 0.0 && s.tilt_rate_share <= 1.0,
-          "ActuatorRowSettings.tilt_rate_share", s.tilt_rate_share, "in (0, 1]");
-  require_positive("ActuatorRowSettings.hold_thrust [N]", s.hold_thrust);
+inline void validate(const ActuatorConstraintSettings& s) {
+  require(s.tilt_rate_fraction > 0.0 && s.tilt_rate_fraction <= 1.0,
+          "ActuatorConstraintSettings.tilt_rate_fraction", s.tilt_rate_fraction, "in (0, 1]");
+  require_positive("ActuatorConstraintSettings.hold_thrust [N]", s.hold_thrust);
 }
 
-/// Three rows for each rotor under a wrench W = (F, M) that moves at u = dW/dt. With the least
-/// thrusts T = A^+ W, dT = A^+ u (see AllocationMatrix) and r = tilt_rate_share max_rate
+/// Three constraints for each rotor under a wrench W = (F, M) with the rate u = dW/dt. With the
+/// minimum-norm thrusts T = A^+ W, dT = A^+ u (see AllocationMatrix) and
+/// r = tilt_rate_fraction max_rate:
 ///
 ///     ( (dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
 ///     (-(dT_l T_v - T_l dT_v) - r max(T_l^2 + T_v^2, hold_thrust^2)) / h^2 <= 0
 ///     sqrt(T_l^2 + T_v^2) <= effectiveness max_thrust_at(voltage),
 ///
-/// first the first of all rotors, then the second, then the third. h is the thrust of one rotor in
-/// hover, so there the first two are rad/s beyond r. Divided by the thrust's own square they would
-/// be so everywhere, in one row with two sides, but nearly singular on the ground, where the
-/// thrusts are a thirtieth: one linearisation per tick does not follow that. While u is constant
-/// dT_l T_v - T_l dT_v is, too, so between two nodes a tilt rate grows only where the thrust
-/// shrinks.
+/// Order: the first constraint of all rotors, then the second, then the third. h is the thrust of
+/// one rotor in hover. At this thrust the first two values are the excess of the tilt rate over r
+/// [rad/s]. Division by the rotor's own squared thrust would give rad/s at every thrust, and one
+/// two-sided constraint. But this form is nearly singular on the ground, where the thrusts are 30
+/// times smaller: one linearisation per tick cannot follow it. While u is constant,
+/// dT_l T_v - T_l dT_v is constant, too. Between two nodes a tilt rate therefore grows only where
+/// the thrust shrinks.
 ///
-/// Wrenches that need the null space of A have other thrusts; the rows do not know of it. A rotor
-/// that does not tilt has the third row only, a lost one none.
+/// A wrench that needs the null space of A has other thrusts than A^+ W. The constraints ignore the
+/// null space. A rotor that does not tilt has only the third constraint. A lost rotor has none.
 template <int Rotors>
-class ActuatorRows {
+class ActuatorConstraints {
  public:
-  static constexpr int rows = 3 * Rotors;
-  using Values = Eigen::Matrix<double, rows, 1>;
+  static constexpr int count = 3 * Rotors;
+  using Values = Eigen::Matrix<double, count, 1>;
   using Vector = Eigen::Matrix<double, 6, 1>;
 
-  /// No bounds: values and derivatives are zero and take no time.
-  ActuatorRows() = default;
+  /// No bounds: values and derivatives are zero and cost no time.
+  ActuatorConstraints() = default;
 
-  /// Throws std::invalid_argument for a vehicle, settings or a geometry out of range.
-  explicit ActuatorRows(const Vehicle<Rotors>& vehicle, const ActuatorRowSettings& settings = {})
+  /// Throws std::invalid_argument if the vehicle, the settings or the geometry are out of range.
+  explicit ActuatorConstraints(const Vehicle<Rotors>& vehicle,
+                               const ActuatorConstraintSettings& settings = {})
       : enabled_(true) {
     validate(vehicle);
     validate(settings);
@@ -83,21 +88,22 @@ class ActuatorRows {
       servo_rate_(i) = vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
     }
-    max_rate_ = settings.tilt_rate_share * servo_rate_;
+    max_rate_ = settings.tilt_rate_fraction * servo_rate_;
   }
 
-  /// The same rows with other settings. Allocates nothing; throws std::invalid_argument for
-  /// settings out of range.
-  [[nodiscard]] ActuatorRows with(const ActuatorRowSettings& settings) const {
+  /// Returns the same constraints with other settings. Does not allocate. Throws
+  /// std::invalid_argument if the settings are out of range.
+  [[nodiscard]] ActuatorConstraints with(const ActuatorConstraintSettings& settings) const {
     validate(settings);
-    ActuatorRows changed = *this;
+    ActuatorConstraints changed = *this;
     changed.hold_square_ = settings.hold_thrust * settings.hold_thrust;
-    changed.max_rate_ = settings.tilt_rate_share * servo_rate_;
+    changed.max_rate_ = settings.tilt_rate_fraction * servo_rate_;
     return changed;
   }
 
-  /// Takes the measured `voltage` of the battery [V], with which the bounds of the thrusts fall.
-  /// Returns whether voltage_ratio() accepts it; if not, and without bounds, nothing changes.
+  /// Sets the measured `voltage` of the battery [V]. The thrust bounds fall with the voltage.
+  /// Returns true if voltage_ratio() accepts the voltage; if not, or without bounds, nothing
+  /// changes.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (!ratio) return false;
@@ -109,7 +115,7 @@ class ActuatorRows {
     return true;
   }
 
-  /// Upper bounds of the rows, infinite for what is not bounded; there are no lower ones.
+  /// Upper bounds of the constraints, infinite where there is no bound. There are no lower bounds.
   [[nodiscard]] const Values& upper() const { return upper_; }
 
   [[nodiscard]] Values values(const Vector& wrench, const Vector& rate) const {
@@ -125,9 +131,9 @@ class ActuatorRows {
     return value;
   }
 
-  /// Writes the derivatives by wrench and by its rate, rows x 6 each, but for those of the thrusts
-  /// by the rate, which are zero. A thrust of zero has no derivative; zero, one of its
-  /// subgradients, stands for it. Without bounds nothing is written.
+  /// Writes the derivatives by the wrench and by its rate, count x 6 each. The derivatives of the
+  /// thrusts by the rate are zero and are not written. At zero thrust there is no derivative; zero,
+  /// one of the subgradients, is used instead. Without bounds nothing is written.
   template <typename ByWrench, typename ByRate>
   void derivatives(const Vector& wrench, const Vector& rate, ByWrench&& by_wrench,
                    ByRate&& by_rate) const {
@@ -173,7 +179,7 @@ class ActuatorRows {
 
   bool enabled_ = false;
   double scale_ = 0.0, hold_square_ = 0.0;  // [1/N^2], [N^2]
-  BatteryParameters battery_;               // of no voltage without bounds
+  BatteryParameters battery_;               // no voltage if there are no bounds
   std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_{};
   std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
   using PerRotor = Eigen::Matrix<double, Rotors, 1>;
@@ -183,11 +189,11 @@ class ActuatorRows {
       Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor>::Zero();
 };
 
-/// None: the problem has the paper's rows alone.
+/// No actuator constraints: the problem has only the paper's constraints.
 template <>
-class ActuatorRows<0> {
+class ActuatorConstraints<0> {
  public:
-  static constexpr int rows = 0;
+  static constexpr int count = 0;
 };
 
 }  // namespace tilt_ropter
