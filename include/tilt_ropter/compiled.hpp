@@ -5,13 +5,15 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 
-/// Instead of the headers that it includes, where the program links to tilt_ropter::compiled: says
-/// which instances are in that library, so that whoever includes this does not compile them. The
-/// library is built with the flags of the project that links to it; cmake/compiled.cmake says how.
+/// If the program links to tilt_ropter::compiled, include this header instead of the headers that
+/// it includes. It declares the template instances of that library, so the including file does not
+/// compile them. The library is built with the flags of the project that links to it; see
+/// cmake/compiled.cmake.
 ///
-/// What is the same for any number of rotors is in it, too: Ekf in double precision.
+/// The library also contains Ekf in double precision, which does not depend on the number of
+/// rotors.
 
-/// What there is for a number of rotors; `prefix` is `extern` for a declaration.
+/// Instances for one number of rotors. `prefix` is `extern` for a declaration.
 #define TILT_ROPTER_INSTANCES(prefix, rotors)      \
   prefix template class tilt_ropter::Nmpc<rotors>; \
   prefix template class tilt_ropter::Allocation<rotors>;

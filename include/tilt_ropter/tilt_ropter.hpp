@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-/// The whole library; without NLopt, all but what solves with it. A component compiles faster; each
-/// header stands alone.
+/// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
+/// Including only the headers of one component compiles faster. Each header can be included alone.
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/allocation_parameters.hpp>
+#include <tilt_ropter/actuation/allocation_settings.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
@@ -16,7 +16,7 @@
 #include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/actuation/thrust_program.hpp>
 #include <tilt_ropter/actuation/thrust_search.hpp>
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
 #include <tilt_ropter/control/nmpc_result.hpp>
@@ -49,17 +49,19 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 #include <tilt_ropter/optimal_control/active_set.hpp>
+#include <tilt_ropter/optimal_control/adjoint_batch.hpp>
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
+#include <tilt_ropter/optimal_control/bounded_sides.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
-#include <tilt_ropter/optimal_control/node_rows.hpp>
+#include <tilt_ropter/optimal_control/node_constraints.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_rows.hpp>
+#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/riccati.hpp>
 #include <tilt_ropter/optimal_control/riccati_equation.hpp>
 #include <tilt_ropter/optimal_control/riccati_stage.hpp>
@@ -81,6 +83,7 @@
 
 #if __has_include(<nlopt.h>)
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/plan_in_force.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>

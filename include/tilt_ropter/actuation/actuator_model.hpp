@@ -12,18 +12,17 @@
 #include <cstddef>
 #include <optional>
 
-/// All actuators of a vehicle.
+/// Model of all rotors and tilt servos of a vehicle.
 namespace tilt_ropter {
 
-/// Where rotors and servos are, computed from what they were told. Servos report no angle, so the
-/// wrench really applied takes tilt_angle from here and rotor_speed from the speed controllers
-/// where those measure it (paper, Sec. External Wrench Estimation). Nothing allocates; only the
-/// constructor throws.
+/// Model of the rotor speeds and tilt angles, computed from the commands. Servos report no angle.
+/// For the wrench that is really applied, take tilt_angle from this model. Take rotor_speed from
+/// the speed controllers if they measure the speed (paper, Sec. External Wrench Estimation). Does
+/// not allocate. Only the constructor throws.
 template <int Rotors, typename Scalar = double>
 class ActuatorModel {
  public:
-  /// Throws std::invalid_argument on rotor, servo or battery parameters that validate()
-  /// refuses.
+  /// Throws std::invalid_argument if the rotor, servo or battery parameters fail validate().
   explicit ActuatorModel(const Vehicle<Rotors>& vehicle) {
     validate(vehicle.battery);
     battery_ = vehicle.battery;
@@ -35,8 +34,9 @@ class ActuatorModel {
     read();
   }
 
-  /// Brings every actuator to `time` [s] under the earlier commands, then takes `command`; see
-  /// Rotor::update() and Servo::update(), also for what is ignored. Returns the state at `time`.
+  /// Advances every actuator to `time` [s] under the earlier commands, then accepts `command`
+  /// (speeds [rad/s], angles [rad]). Rotor::update() and Servo::update() define which inputs are
+  /// ignored. Returns the state at `time`.
   const ActuatorState<Rotors, Scalar>& update(
       double time, const ActuatorState<Rotors, Scalar>& command) noexcept {
     for (std::size_t i = 0; i < Rotors; ++i) {
@@ -48,8 +48,9 @@ class ActuatorModel {
     return state_;
   }
 
-  /// Takes the measured `voltage` of the battery [V], with which the rotors' top speeds fall.
-  /// Returns whether voltage_ratio() accepts it; if not, the last one holds.
+  /// Sets the measured battery `voltage` [V]. The top speeds of the rotors fall with the voltage.
+  /// Returns true if voltage_ratio() accepts the voltage. Otherwise the last accepted voltage
+  /// remains in effect.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (!ratio) return false;
@@ -58,7 +59,7 @@ class ActuatorModel {
     return true;
   }
 
-  /// Sets speeds and angles, cut to their limits, at `time` [s].
+  /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s].
   void reset(const ActuatorState<Rotors, Scalar>& state, double time) noexcept {
     for (std::size_t i = 0; i < Rotors; ++i) {
       const auto row = static_cast<Eigen::Index>(i);
@@ -68,7 +69,8 @@ class ActuatorModel {
     read();
   }
 
-  /// Speeds and angles at the last update. A rotor that does not tilt has angle zero.
+  /// Speeds [rad/s] and angles [rad] at the last update. The angle of a rotor that does not tilt is
+  /// zero.
   [[nodiscard]] const ActuatorState<Rotors, Scalar>& state() const noexcept { return state_; }
 
  private:

@@ -13,73 +13,74 @@
 #include <cstddef>
 #include <optional>
 
-/// Rotor speeds and tilt angles as an autopilot's normalised outputs, such as PX4's
-/// actuator_motors and actuator_servos, and back.
+/// Conversion between rotor speeds and tilt angles and the normalised outputs of an autopilot, such
+/// as PX4's actuator_motors and actuator_servos.
 namespace tilt_ropter {
 
 namespace detail {
 
-/// The u >= 0 with f u^2 + (1 - f) u = share, for a share >= 0, in a form that holds for f = 0,
-/// too.
+/// Returns the u >= 0 that solves f u^2 + (1 - f) u = fraction, for `fraction` >= 0. This form of
+/// the solution is also valid for f = 0.
 template <typename Scalar>
-[[nodiscard]] Scalar undo_thrust_model(const Scalar& share, double f) noexcept {
+[[nodiscard]] Scalar undo_thrust_model(const Scalar& fraction, double f) noexcept {
   using std::sqrt;
   const double linear = 1.0 - f;
-  return Scalar(2) * share /
-         (Scalar(linear) + sqrt(Scalar(Scalar(linear * linear) + Scalar(4.0 * f) * share)));
+  return Scalar(2) * fraction /
+         (Scalar(linear) + sqrt(Scalar(Scalar(linear * linear) + Scalar(4.0 * f) * fraction)));
 }
 
 }  // namespace detail
 
-/// Output u in [0, 1] of the motor whose rotor is to turn at `speed` [rad/s]: where the thrust, as
-/// a share of max_thrust, is f u^2 + (1 - f) u, with f in [0, 1] the thrust model factor; cut to
-/// 1. Zero where thrust_from_speed() is.
+/// Output u in [0, 1] of a motor whose rotor must turn at `speed` [rad/s]. The thrust, as a
+/// fraction of max_thrust, is f u^2 + (1 - f) u, where f in [0, 1] is `thrust_model_factor`.
+/// Returns at most 1, and zero where thrust_from_speed() is zero.
 ///
-/// PX4's actuator_motors are shares of the thrust, f = 0, if its THR_MDL_FAC is the motors' own
-/// factor: it then finds u itself. With THR_MDL_FAC = 0, give that factor here. OutputScaling takes
-/// both factors and the battery's voltage.
+/// If PX4's THR_MDL_FAC is the motors' own factor, PX4 finds u itself. Its actuator_motors are then
+/// fractions of the thrust, so use f = 0. If THR_MDL_FAC = 0, pass the motors' factor here.
+/// OutputScaling takes both factors and the battery's voltage.
 template <typename Scalar>
 [[nodiscard]] Scalar motor_output(const Scalar& speed, const RotorParameters& rotor,
                                   double thrust_model_factor) noexcept {
-  const Scalar share = thrust_from_speed(speed, rotor) / Scalar(rotor.max_thrust);
-  if (!(share > Scalar(0))) return Scalar(0);
-  if (share >= Scalar(1)) return Scalar(1);
-  return detail::undo_thrust_model(share, thrust_model_factor);
+  const Scalar fraction = thrust_from_speed(speed, rotor) / Scalar(rotor.max_thrust);
+  if (!(fraction > Scalar(0))) return Scalar(0);
+  if (fraction >= Scalar(1)) return Scalar(1);
+  return detail::undo_thrust_model(fraction, thrust_model_factor);
 }
 
-/// Inverse of motor_output(): speed [rad/s] at `output`, which is cut to [0, 1]. NaN, by which PX4
-/// means a motor that is disarmed, stands still.
+/// Inverse of motor_output(). Returns the speed [rad/s] at `output`, which is clamped to [0, 1].
+/// NaN gives zero speed, because PX4 uses NaN for a disarmed motor.
 template <typename Scalar>
 [[nodiscard]] Scalar speed_from_motor_output(const Scalar& output, const RotorParameters& rotor,
                                              double thrust_model_factor) noexcept {
   if (!(output > Scalar(0))) return Scalar(0);
   const Scalar u = output < Scalar(1) ? output : Scalar(1);
-  const Scalar share = u * (Scalar(thrust_model_factor) * u + Scalar(1.0 - thrust_model_factor));
-  return speed_from_thrust(Scalar(Scalar(rotor.max_thrust) * share), rotor);
+  const Scalar fraction = u * (Scalar(thrust_model_factor) * u + Scalar(1.0 - thrust_model_factor));
+  return speed_from_thrust(Scalar(Scalar(rotor.max_thrust) * fraction), rotor);
 }
 
-/// How a servo sits in its arm.
+/// Mounting of a servo in its arm.
 struct ServoOutputParameters {
-  double trim = 0.0;      ///< output in the middle of the range, in [-1, 1]
-  bool reversed = false;  ///< true: the output falls where the angle grows
+  double trim = 0.0;      ///< output in the middle of the servo's range, in [-1, 1]
+  bool reversed = false;  ///< true: the output decreases as the angle increases
 };
 
-/// Output in [-1, 1] of the servo that is to stand at `angle` [rad]: linear, -1 at min_angle and 1
-/// at max_angle, the other way round if reversed, then shifted by the trim and cut. NaN stays NaN.
+/// Output in [-1, 1] of a servo that must stand at `angle` [rad]. The output is linear in the
+/// angle: -1 at min_angle and 1 at max_angle, or the opposite if reversed. The trim is then added
+/// and the result is clamped. NaN gives NaN.
 template <typename Scalar>
 [[nodiscard]] Scalar servo_output(const Scalar& angle, const ServoParameters& servo,
                                   const ServoOutputParameters& parameters) noexcept {
   const double middle = 0.5 * (servo.min_angle + servo.max_angle),
                half = 0.5 * (servo.max_angle - servo.min_angle);
-  const Scalar share = (angle - Scalar(middle)) / Scalar(parameters.reversed ? -half : half);
-  const Scalar output = share + Scalar(parameters.trim);
+  const Scalar fraction = (angle - Scalar(middle)) / Scalar(parameters.reversed ? -half : half);
+  const Scalar output = fraction + Scalar(parameters.trim);
   if (output > Scalar(1)) return Scalar(1);
   if (output < Scalar(-1)) return Scalar(-1);
   return output;
 }
 
-/// Inverse of servo_output(): angle [rad], cut to the servo's range, at `output`, which is cut to
-/// [-1, 1]. NaN stays NaN.
+/// Inverse of servo_output(). Returns the angle [rad] at `output`, which is clamped to [-1, 1]. The
+/// angle is clamped to the servo's range. NaN gives NaN.
 template <typename Scalar>
 [[nodiscard]] Scalar angle_from_servo_output(const Scalar& output, const ServoParameters& servo,
                                              const ServoOutputParameters& parameters) noexcept {
@@ -102,17 +103,21 @@ struct ActuatorOutputs {
   Eigen::Matrix<Scalar, Rotors, 1> servo = Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< [-1, 1]
 };
 
-/// How motors and servos answer; by default thrust is proportional, servos without trim.
+/// Response of motors and servos to their outputs. By default the thrust is proportional to the
+/// output and the servos have no trim.
 template <int Rotors>
 struct ActuatorOutputSettings {
-  double thrust_model_factor = 0.0;  ///< f of motor_output(), in [0, 1]
-  /// The factor that the autopilot itself undoes, PX4's THR_MDL_FAC, in [0, 1]. If it is not zero,
-  /// thrust_model_factor is the motors' own factor, and both may be the same.
+  /// Factor f of motor_output(), in [0, 1]. Zero: the thrust is proportional to the output.
+  double thrust_model_factor = 0.0;
+  /// Factor that the autopilot itself compensates, PX4's THR_MDL_FAC, in [0, 1]. If it is not zero,
+  /// set thrust_model_factor to the motors' own factor. Both factors may be equal.
   double autopilot_factor = 0.0;
+  /// Trim and direction of each servo.
   std::array<ServoOutputParameters, static_cast<std::size_t>(Rotors)> servos{};
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
+/// Throws std::invalid_argument if a field is out of range. The message names the field, its value
+/// and the allowed values.
 template <int Rotors>
 void validate(const ActuatorOutputSettings<Rotors>& s) {
   require_in("ActuatorOutputSettings.thrust_model_factor", s.thrust_model_factor, 0.0, 1.0);
@@ -121,20 +126,21 @@ void validate(const ActuatorOutputSettings<Rotors>& s) {
     require_in("ServoOutputParameters.trim", servo.trim, -1.0, 1.0);
 }
 
-/// Between commands and normalised outputs of a vehicle, with each rotor's own parameters.
+/// Converts between commands and normalised outputs of a vehicle, with the parameters of each
+/// rotor.
 ///
-/// A motor turns with its duty cycle d times the battery's voltage. So at r times the nominal
-/// voltage the duty cycle is motor_output() / r, at most 1, and the output is p d^2 + (1 - p) d
-/// with the autopilot_factor p. The autopilot must not compensate the voltage itself then.
+/// A motor's speed is determined by its duty cycle d times the battery's voltage. At r times the
+/// nominal voltage the required duty cycle is therefore motor_output() / r, at most 1. The output
+/// is p d^2 + (1 - p) d, where p is the autopilot_factor. The autopilot must then not compensate
+/// the voltage itself.
 ///
-/// No output is ever NaN: what PX4 takes for
-/// "disarmed", and stops the motor for, is the caller's to say. Nothing allocates; only the
-/// constructor throws.
+/// No output is NaN. PX4 interprets NaN as "disarmed" and stops the motor. Only the caller decides
+/// when to send NaN. Does not allocate. Only the constructor throws.
 template <int Rotors>
 class OutputScaling {
  public:
-  /// Throws std::invalid_argument on rotor, servo or battery parameters or settings that validate()
-  /// refuses.
+  /// Throws std::invalid_argument if the rotor, servo or battery parameters or the settings fail
+  /// validate().
   explicit OutputScaling(const Vehicle<Rotors>& vehicle,
                          const ActuatorOutputSettings<Rotors>& settings = {})
       : servo_(validated(vehicle.servo)),
@@ -146,15 +152,16 @@ class OutputScaling {
     }
   }
 
-  /// Takes the measured `voltage` of the battery [V]. Returns whether voltage_ratio() accepts it;
-  /// if not, the last one holds.
+  /// Sets the measured battery `voltage` [V]. Returns true if voltage_ratio() accepts the voltage.
+  /// Otherwise the last accepted voltage remains in effect.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (ratio) voltage_ratio_ = *ratio;
     return ratio.has_value();
   }
 
-  /// Nothing if a speed or an angle is not finite: the last outputs had better stay.
+  /// Outputs for `command` (speeds [rad/s], angles [rad]). Returns std::nullopt if a speed or an
+  /// angle is not finite. The caller should then keep the last outputs.
   template <typename Scalar>
   [[nodiscard]] std::optional<ActuatorOutputs<Rotors, Scalar>> outputs(
       const ActuatorState<Rotors, Scalar>& command) const noexcept {
@@ -167,8 +174,9 @@ class OutputScaling {
     return result;
   }
 
-  /// What the actuators are told by `outputs`. NaN is a motor that is disarmed, and stands still;
-  /// where a disarmed servo stands nobody knows: nothing if a servo's output is not finite.
+  /// Inverse of outputs(): returns the command that `outputs` give to the actuators. A motor output
+  /// of NaN means a disarmed motor and gives zero speed. Returns std::nullopt if a servo output is
+  /// not finite, because the angle of a disarmed servo is unknown.
   template <typename Scalar>
   [[nodiscard]] std::optional<ActuatorState<Rotors, Scalar>> command(
       const ActuatorOutputs<Rotors, Scalar>& outputs) const noexcept {
@@ -208,7 +216,7 @@ class OutputScaling {
   std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_;
   ServoParameters servo_;
   BatteryParameters battery_;
-  double voltage_ratio_ = 1.0;  ///< measured over nominal
+  double voltage_ratio_ = 1.0;  ///< measured voltage / nominal voltage
   ActuatorOutputSettings<Rotors> settings_;
 };
 

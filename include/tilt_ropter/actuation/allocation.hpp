@@ -2,7 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/allocation_parameters.hpp>
+#include <tilt_ropter/actuation/allocation_settings.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/actuation/thrust_choice.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
@@ -19,40 +19,42 @@
 #include <optional>
 
 /// Control allocation (paper, Sec. Control Allocation): from a wrench to rotor speeds and tilt
-/// angles and back.
+/// angles and back. This header is long because Allocation is a class template, so its function
+/// definitions must be in the header.
 namespace tilt_ropter {
 
-/// Allocation for any number of tilting or fixed rotors, by the Moore-Penrose inverse of
-/// AllocationMatrix, computed once.
+/// Allocation for any number of tilting or fixed rotors. It uses the Moore-Penrose inverse of
+/// AllocationMatrix, which is computed once.
 ///
-/// Beyond the paper, in this order:
-/// 1. The least thrusts, if they are within limits. An angle turns the nearest way from the last
-///    one.
-/// 2. Other thrusts with the same wrench (the null space of A), by the least change, if the least
-///    thrusts leave a limit, or if an angle near the end of the servo's range would have to turn
-///    over to the equivalent angle (+- 2 pi) inside. Any wrench is given that some thrusts and
-///    angles within limits give. The one exception is the min_thrust of rotors that tilt, whose
-///    thrusts are not convex: there a local search may fail.
-/// 3. If the null space cannot prevent the turn: an arm waits at the end of its range while its
-///    target is less than range_end_margin beyond it (range_end_held). Otherwise it turns over, and
-///    as few other arms as possible with it (turned_over).
-/// 4. A wrench out of reach is scaled down group by group (AllocationParameters::priorities).
+/// Allocation goes beyond the paper in these steps:
+/// 1. Use the minimum-norm thrusts A^+ W if they are within limits. Each angle turns the shortest
+///    way from the last angle.
+/// 2. Otherwise use other thrusts with the same wrench (the null space of A), with the least
+///    change. This step applies if the minimum-norm thrusts violate a limit. It also applies if an
+///    angle near the end of the servo's range would have to turn over to the equivalent angle
+///    (+- 2 pi) inside. This step reaches every wrench that some thrusts and angles within limits
+///    give. The one exception is the min_thrust of tilting rotors: their thrusts are not convex,
+///    and the local search may fail there.
+/// 3. If the null space cannot prevent the turn and the target is less than range_end_margin beyond
+///    the end, the arm waits there (range_end_held). Otherwise the arm turns over, together with
+///    the smallest possible number of other arms (turned_over).
+/// 4. Scale an unreachable wrench down group by group (AllocationSettings::priorities).
 ///
 /// Below h = max(hold_thrust, min_thrust) an angle approaches its target with a time constant that
-/// grows as the thrust falls (AllocationParameters::hold_time), so a path of wrenches through zero
-/// thrust turns it continuously, at any rate of calls. Meanwhile the rotor pushes with the part of
-/// its thrust that lies along the angle, and with min_thrust at least (angle_held).
+/// grows as the thrust falls (AllocationSettings::hold_time). A path of wrenches through zero
+/// thrust therefore turns the angle continuously, at any call rate. Meanwhile the rotor gives the
+/// component of its thrust along the angle, and at least min_thrust (angle_held).
 ///
-/// A rotor of effectiveness e < 1 turns faster for the same thrust, 1 / sqrt(e) times without a
-/// linear term, and has that fraction of the limits; a lost one is told the slowest speed and its
-/// angle stays. A stuck servo is a fixed rotor (with_stuck_servo).
+/// A rotor of effectiveness e < 1 turns faster for the same thrust: at 1 / sqrt(e) times the speed
+/// without a linear term. Its limits are multiplied by e. A lost rotor gets the slowest speed and
+/// keeps its angle. A stuck servo is a fixed rotor (with_stuck_servo).
 ///
-/// Each rotor has the curve, limits and lag of rotor_parameters(). The limits are those of the last
-/// voltage that set_voltage() took, at the start of the nominal one.
+/// Each rotor has the curve, limits and lag of rotor_parameters(). The limits hold for the last
+/// voltage that set_voltage() accepted, initially for the nominal voltage.
 ///
-/// The constructor throws and allocates; all else does neither. About 0.3 us per call with 4
-/// rotors; where limits are hit typically 20 us, 50 us out of reach; work is bounded. The search
-/// calculates in double whatever the Scalar is.
+/// The constructor throws and allocates. No other function throws or allocates. A call takes about
+/// 0.3 us with 4 rotors, typically 20 us if limits are hit, and 50 us for an unreachable wrench.
+/// The work is bounded. The search calculates in double for every Scalar.
 template <int Rotors, typename Scalar = double>
 class Allocation {
   using Limits = detail::ThrustLimits<Rotors, Scalar>;
@@ -62,17 +64,17 @@ class Allocation {
   using Matrix = Eigen::Matrix<Scalar, 6, components>;
   using Pseudoinverse = Eigen::Matrix<Scalar, components, 6>;
 
-  /// Throws std::invalid_argument on parameters that validate() refuses and on a geometry that
-  /// cannot give every wrench (rank of A below 6).
-  explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters = {});
+  /// Throws std::invalid_argument if the vehicle or the settings fail validate(), or if the
+  /// geometry cannot give every wrench (rank of A below 6).
+  explicit Allocation(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings = {});
 
   /// A of AllocationMatrix, 6 x 2n, and its Moore-Penrose inverse, 2n x 6.
   [[nodiscard]] const Matrix& matrix() const noexcept { return matrix_; }
   [[nodiscard]] const Pseudoinverse& pseudoinverse() const noexcept { return pseudoinverse_; }
 
-  /// Wrench that rotors apply at given speeds and tilt angles, measured, modelled or commanded.
-  /// `Value` may be an automatic-differentiation scalar. A rotor whose speed or angle is not finite
-  /// counts as standing still.
+  /// Wrench that the rotors apply at the given speeds and tilt angles (measured, modelled or
+  /// commanded). `Value` may be an automatic-differentiation scalar. A rotor whose speed or angle
+  /// is not finite counts as standing still.
   template <typename Value>
   [[nodiscard]] Wrench<Value> wrench(const ActuatorState<Rotors, Value>& actuators) const noexcept {
     using std::cos;
@@ -91,41 +93,43 @@ class Allocation {
     return {packed.template head<3>(), packed.template tail<3>()};
   }
 
-  /// Takes the measured `voltage` of the battery [V]: the next commands keep to the top speeds and
-  /// thrusts that max_thrust_at() leaves. Returns whether voltage_ratio() accepts it; if not, the
-  /// last one holds.
+  /// Sets the measured battery `voltage` [V]. The next commands observe the top speeds and thrusts
+  /// of max_thrust_at(). Returns true if voltage_ratio() accepts the voltage. Otherwise the last
+  /// accepted voltage remains in effect.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (!ratio) return false;
     for (std::size_t i = 0; i < Rotors; ++i) {
       const double max_thrust = max_thrust_at(rotors_[i], *ratio);
       max_speed_[i] = speed_from_thrust(Scalar(max_thrust), rotors_[i]);
-      limits_.set_max_thrust(i, Scalar(max_thrust));  // of a lost rotor, too: it gives none anyway
+      // Also set for a lost rotor, which gives no thrust.
+      limits_.set_max_thrust(i, Scalar(max_thrust));
       choice_.set_max_thrust(i, max_thrust);
     }
     return true;
   }
 
-  /// Speeds and angles that give `wanted`, as near as limits allow, from `last`: angles turn the
-  /// nearest way. Without a time: `last` counts as long ago, so hold_thrust has no effect, and an
-  /// angle is held at zero thrust only. For questions and the first command; a loop calls the
-  /// overload below. Entries of `last` that are not finite count as zero, its speeds are not used.
+  /// Speeds and angles that give `wanted`, within limits, starting from `last`. Angles turn the
+  /// shortest way. This overload has no time: `last` counts as infinitely old, so hold_thrust has
+  /// no effect, and an angle is held at zero thrust only. Use it for queries and for the first
+  /// command; a control loop calls the overload below. Entries of `last` that are not finite count
+  /// as zero. The speeds of `last` are used only if `wanted` is not finite.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
       const Wrench<Scalar>& wanted, const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
-  /// The same at `time` [s] for a wrench that moves at `rate` [N/s, N m/s]: speeds and angles run
-  /// ahead by the fraction lag_compensation of their time constants, within limits and the servo's
-  /// rate. `achieved` and `lost` are those of the wrench now, without the lead. `last` is the
-  /// result before; at the start one whose command says where the actuators are. A time that is not
-  /// finite or not after that of `last` counts as no time passed.
+  /// Same at `time` [s] for a wrench that changes at `rate` [N/s, N m/s]. Speeds and angles lead by
+  /// the fraction lag_compensation of their time constants, within limits and the servo's rate.
+  /// `achieved` and `lost` are for the wrench at `time`, without the lead. `last` is the previous
+  /// result; for the first call, its command is the state of the actuators. A time that is not
+  /// finite, or not after the time of `last`, counts as zero elapsed time.
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate(
       double time, const Wrench<Scalar>& wanted, const Wrench<Scalar>& rate,
       const AllocationResult<Rotors, Scalar>& last) const noexcept;
 
-  /// Rates of angles and speeds that follow a wrench rate [N/s, N m/s] without limits (paper, Eq.
-  /// allocation_inverse). At thrusts T below h the denominators T^2 and T stay at h^2
-  /// and h, so everything is finite and falls to zero with T. Inputs that are not finite or
-  /// overflow give zero rates.
+  /// Rates of angles and speeds that follow a wrench rate [N/s, N m/s] without limits
+  /// (paper, Eq. allocation_inverse). At a thrust T below h = max(hold_thrust, min_thrust) the
+  /// denominators T^2 and T are replaced by h^2 and h. The rates are therefore finite and go to
+  /// zero with T. Returns zero rates if an input is not finite or a result overflows.
   [[nodiscard]] ActuatorRates<Rotors, Scalar> rates(
       const Wrench<Scalar>& wrench, const Wrench<Scalar>& wrench_rate) const noexcept;
 
@@ -144,18 +148,20 @@ class Allocation {
       double elapsed, const Wrench<Scalar>& wanted,
       const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
-  /// True if the least thrusts, which point along `angles` from `last` on, are within limits and
-  /// turn no arm over whose thrust is above `faint` [N].
+  /// Returns true if the minimum-norm thrusts, which point along `angles`, are within limits and
+  /// turn no arm over from `last`. Arms with a thrust up to `faint` [N] may turn over.
   [[nodiscard]] bool are_good(const Thrusts& thrusts, const Angles& last, const Angles& angles,
                               Scalar faint) const noexcept;
 
-  /// ThrustChoice in this class's scalar; out of line, because it is long and rarely called.
+  /// Calls ThrustChoice and converts its result to this class's scalar. Not inlined, because it is
+  /// long and rarely called.
   [[gnu::noinline]] void choose(
       const Wrench<Scalar>& wanted, const Angles& last, Scalar faint, Thrusts& thrusts,
       AllocationStatus& status,
       std::array<bool, static_cast<std::size_t>(Rotors)>& at_end) const noexcept;
 
-  /// The fraction of the way to its target that an angle goes in a time [s], by its thrust.
+  /// Fraction of the way to its target that an angle covers in `elapsed` [s], depending on its
+  /// thrust.
   [[nodiscard]] Scalar follow_fraction(int i, const Vector2& thrust,
                                        double elapsed) const noexcept {
     const Scalar square = thrust.squaredNorm(), hold = hold_thrust(i) * hold_thrust(i);
@@ -165,7 +171,7 @@ class Allocation {
     return Scalar(-std::expm1(-elapsed * rate));
   }
 
-  /// Curve and limits of a rotor, times its effectiveness unless it is lost.
+  /// Curve and limits of a rotor, multiplied by its effectiveness unless the rotor is lost.
   [[nodiscard]] const RotorParameters& rotor(int i) const noexcept {
     return rotors_[static_cast<std::size_t>(i)];
   }
@@ -196,40 +202,40 @@ class Allocation {
   detail::ThrustChoice<Rotors> choice_;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
 
-  Allocation(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters,
+  Allocation(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings,
              const AllocationMatrix<Rotors>& allocation);
 };
 
 template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
-                                       const AllocationParameters& parameters)
-    : Allocation(validated(vehicle), validated(parameters), AllocationMatrix<Rotors>(vehicle)) {}
+                                       const AllocationSettings& settings)
+    : Allocation(validated(vehicle), validated(settings), AllocationMatrix<Rotors>(vehicle)) {}
 
 template <int Rotors, typename Scalar>
 Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
-                                       const AllocationParameters& parameters,
+                                       const AllocationSettings& settings,
                                        const AllocationMatrix<Rotors>& allocation)
     : limits_(vehicle),
       battery_(vehicle.battery),
-      servo_lead_(Scalar(parameters.lag_compensation * vehicle.servo.time_constant)),
+      servo_lead_(Scalar(settings.lag_compensation * vehicle.servo.time_constant)),
       max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
-      calm_thrust_(Scalar(parameters.calm_share * vehicle.body.mass * gravity / Rotors)),
-      hold_time_(parameters.hold_time),
+      calm_thrust_(Scalar(settings.calm_fraction * vehicle.body.mass * gravity / Rotors)),
+      hold_time_(settings.hold_time),
       matrix_(allocation.matrix.template cast<Scalar>()),
       pseudoinverse_(allocation.pseudoinverse.template cast<Scalar>()),
-      choice_(vehicle, parameters, allocation) {
+      choice_(vehicle, settings, allocation) {
   for (std::size_t i = 0; i < Rotors; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
     tilts_[i] = rotor.tilts;
     const RotorParameters& whole = rotor_parameters(vehicle, i);
     min_speed_[i] = speed_from_thrust(Scalar(whole.min_thrust), whole);
     max_speed_[i] = speed_from_thrust(Scalar(whole.max_thrust), whole);
-    hold_thrust_[i] = Scalar(std::max(parameters.hold_thrust, whole.min_thrust));
+    hold_thrust_[i] = Scalar(std::max(settings.hold_thrust, whole.min_thrust));
     largest_hold_thrust_ = std::max(largest_hold_thrust_, hold_thrust_[i]);
     has_min_thrust_ = has_min_thrust_ || whole.min_thrust > 0.0;
     rotor_lead_(static_cast<Eigen::Index>(i)) =
-        Scalar(parameters.lag_compensation * whole.time_constant);
-    // A lost rotor's thrust is none of A's, whatever its coefficient.
+        Scalar(settings.lag_compensation * whole.time_constant);
+    // A contains no thrust of a lost rotor, so its coefficient may have any value.
     const double effectiveness = rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0;
     rotors_[i] = whole;
     for (double RotorParameters::*field :
@@ -295,7 +301,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
   point_angles();
   std::array<bool, static_cast<std::size_t>(Rotors)> at_end{};
   result.status = Status::ok;
-  // Below hold_thrust an arm that has time never turns over.
+  // With a finite elapsed time, an arm never turns over below hold_thrust.
   const Scalar faint = std::isfinite(elapsed) ? largest_hold_thrust_ : limits_.tolerance();
   if (!are_good(thrusts, from, angles, faint)) {
     choose(wanted, from, faint, thrusts, result.status, at_end);

@@ -15,31 +15,34 @@
 #include <string>
 #include <vector>
 
-/// The allocation matrix of a vehicle's geometry (paper, Sec. Control Allocation).
+/// Allocation matrix of a vehicle's geometry (paper, Sec. Control Allocation).
 namespace tilt_ropter {
 
-/// W = A T with W = (F, M) at the CoM in the body frame and T = (T_1l, T_1v, ..., T_nl, T_nv), the
-/// lateral and vertical thrusts T_il = T_i sin(alpha_i), T_iv = T_i cos(alpha_i) (paper, Eq.
-/// allocation). Rotor i pushes along (0, -T_il, T_iv) in its rotor frame; that force f, turned to
-/// the body frame, has the torque r_i x f - spin_i torque_ratio_i f. Column T_il of a rotor that
-/// does not tilt is zero, so are both columns of a lost one. Of a rotor's effectiveness between 0
-/// and 1 the thrusts T_i know nothing; it counts where they become speeds.
+/// Allocation matrix A with W = A T. W = (F, M) is the wrench at the CoM in the body frame. T =
+/// (T_1l, T_1v, ..., T_nl, T_nv) holds the lateral and vertical thrusts T_il = T_i sin(alpha_i),
+/// T_iv = T_i cos(alpha_i) (paper, Eq. allocation).
+///
+/// Rotor i pushes along (0, -T_il, T_iv) in its rotor frame. This force f, rotated to the body
+/// frame, has the torque r_i x f - spin_i torque_ratio_i f. Column T_il of a rotor that does not
+/// tilt is zero. Both columns of a lost rotor are zero. An effectiveness between 0 and 1 is not
+/// part of A; it is applied where the thrusts T_i become speeds.
 template <int Rotors>
 struct AllocationMatrix {
   static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
   static constexpr int components = 2 * Rotors;
 
   Eigen::Matrix<double, 6, components> matrix = detail::Filled();  ///< A; rows F [1] and M [m]
-  Eigen::Matrix<double, components, 6> pseudoinverse = detail::Filled();  ///< Moore-Penrose
-  Eigen::MatrixXd null_space;  ///< orthonormal columns, zero where A's are
+  Eigen::Matrix<double, components, 6> pseudoinverse = detail::Filled();  ///< Moore-Penrose inverse
+  Eigen::MatrixXd null_space;  ///< orthonormal columns; zero rows for zero columns of A
 
-  /// Allocates. Throws std::invalid_argument on a geometry that cannot give every wrench, naming
-  /// the rank of A and what is out of reach.
+  /// Allocates. Throws std::invalid_argument if the geometry cannot give every wrench. The message
+  /// names the rank of A and the unreachable directions.
   explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) { invert(fill(vehicle)); }
 
-  /// Singular values of A, the largest first, torques in units of the vehicle's size: its longest
-  /// arm plus torque_ratio. A's rank is the number of those above 1e-6 times the largest. Of any
-  /// geometry whose products are finite, else throws std::invalid_argument; allocates.
+  /// Singular values of A in descending order. Torques are in units of the vehicle's size, which is
+  /// its longest arm plus torque_ratio. The rank of A is the number of singular values above 1e-6
+  /// times the largest. Accepts any geometry whose products are finite, otherwise throws
+  /// std::invalid_argument. Allocates.
   [[nodiscard]] static Eigen::Matrix<double, 6, 1> singular_values(const Vehicle<Rotors>& vehicle) {
     AllocationMatrix allocation;
     const Columns columns = allocation.fill(vehicle);
@@ -47,7 +50,7 @@ struct AllocationMatrix {
   }
 
  private:
-  /// The columns of A that a rotor stands behind, and the vehicle's size [m].
+  /// Indices of the columns of A that belong to an actuator, and the vehicle's size [m].
   struct Columns {
     std::vector<int> of;
     double size = 1e-9;
@@ -55,7 +58,7 @@ struct AllocationMatrix {
 
   AllocationMatrix() = default;
 
-  /// Writes A.
+  /// Writes A and returns its columns.
   Columns fill(const Vehicle<Rotors>& vehicle) {
     Columns columns;
     for (int i = 0; i < Rotors; ++i) {
@@ -73,7 +76,8 @@ struct AllocationMatrix {
     return columns;
   }
 
-  /// The wrench of a force of one newton along an axis of the rotor frame, or against it.
+  /// Writes the wrench of a force of 1 N along an axis of the rotor frame, times `sign`, to a
+  /// column of A.
   void set_column(int column, const RotorGeometry& rotor, double sign, int axis,
                   const RotorParameters& parameters) {
     const detail::Triple<double> force = sign * detail::triple_at(rotor.orientation, 0, axis);
@@ -85,13 +89,13 @@ struct AllocationMatrix {
 
   using Decomposition = SingularValues<6, components>;
 
-  /// Of A with torques in units of the vehicle's size, so that the rank is that of its shape; with
-  /// full rank the pseudo-inverse does not depend on it.
+  /// Decomposes A with torques in units of the vehicle's size, so that the rank depends only on the
+  /// shape. At full rank the pseudo-inverse does not depend on the size.
   [[nodiscard]] Decomposition decompose(const Columns& columns) const {
     Eigen::Matrix<double, 6, components> scaled = matrix;
     for (int j = 0; j < components; ++j)
       for (int i = 3; i < 6; ++i) scaled(i, j) /= columns.size;
-    // Products of finite numbers may overflow, and the decomposition's rank is nonsense then.
+    // Products of finite numbers may overflow. The rank of the decomposition is then meaningless.
     double squares = 0.0;
     for (Eigen::Index i = 0; i < scaled.size(); ++i) squares += scaled(i) * scaled(i);
     require(std::isfinite(squares), "size of the vehicle [m]", columns.size,
@@ -111,8 +115,9 @@ struct AllocationMatrix {
     set_null_space(columns, svd);
   }
 
-  /// Completes the rows of `svd` to a basis, by the unit vector that is farthest from what there
-  /// is, again and again, made orthogonal to it twice, for rounding.
+  /// Completes the rows of `svd` to an orthonormal basis. Each iteration takes the unit vector
+  /// farthest from the current span. It makes the vector orthogonal to the span, twice because of
+  /// rounding.
   void set_null_space(const Columns& columns, const Decomposition& svd) {
     const auto count = static_cast<Eigen::Index>(columns.of.size()) - 6;
     null_space = Eigen::MatrixXd(components, count);

@@ -11,46 +11,51 @@
 #include <cmath>
 #include <limits>
 
-/// What a vehicle can do, whole or with actuators that failed.
+/// Control authority of a vehicle, intact or with failed actuators.
 namespace tilt_ropter {
 
-/// Largest s in [0, most] up to which `allocation` gives the wrench from + s along with nothing
-/// lost, by bisection to 1e-12 of `most`; zero if it does not give `from`. Where what a vehicle can
-/// give is not convex, as with servos of a short range, there may be a gap before it.
+/// Largest s in [0, most] up to which `allocation` gives the wrench from + s along with a status
+/// other than limited. Computed by bisection to 1e-12 of `most`. Returns zero if `allocation` does
+/// not give `from`. If the set of reachable wrenches is not convex, as with servos of a short
+/// range, there may be a gap below the result.
 template <int Rotors>
-[[nodiscard]] double reach(const Allocation<Rotors>& allocation, const Wrench<>& from,
-                           const Wrench<>& along, double most) {
+[[nodiscard]] double reach(const Allocation<Rotors>& allocation, const Wrenchd& from,
+                           const Wrenchd& along, double most) {
   double within = 0.0, beyond = most;
   for (int i = 0; i < 40; ++i) {
     const double middle = 0.5 * (within + beyond);
-    const Wrench<> wrench{from.force + middle * along.force, from.torque + middle * along.torque};
+    const Wrenchd wrench{from.force + middle * along.force, from.torque + middle * along.torque};
     const bool reached = allocation.allocate(wrench, {}).status != AllocationStatus::limited;
     (reached ? within : beyond) = middle;
   }
   return within;
 }
 
-/// Level hover and what is left beyond it, at rest: how fast servos and rotors get there is not
-/// asked.
+/// Level hover and the wrench that remains beyond hover, at rest. The speed of servos and rotors is
+/// not considered.
 struct ControlAuthority {
-  int rank = 0;  ///< of A, see AllocationMatrix; below 6 Allocation and Nmpc refuse the vehicle
-  /// Largest singular value of A / the smallest, torques in units of the vehicle's size: how much
-  /// dearer in thrust the dearest wrench is than the cheapest. Infinite below rank 6.
+  /// Rank of A, see AllocationMatrix; below 6 Allocation and Nmpc reject the vehicle.
+  int rank = 0;
+  /// Largest singular value of A / smallest singular value, with torques in units of the vehicle's
+  /// size. This is the thrust cost of the most expensive wrench relative to the cheapest wrench.
+  /// Infinite below rank 6.
   double condition = std::numeric_limits<double>::infinity();
-  bool hovers = false;  ///< the weight is carried without torque, all thrusts within limits
-  /// Smallest thrust of a rotor that is not lost, at hover by the command of Allocation [N]. Near
-  /// zero a push the other way takes half a turn of its servo.
+  /// True if the vehicle carries its weight without torque, with all thrusts within limits.
+  bool hovers = false;
+  /// Smallest thrust of a rotor that is not lost, in hover by the command of Allocation [N]. If it
+  /// is near zero, a thrust in the opposite direction requires half a turn of the servo.
   double least_thrust = 0.0;
-  /// Largest force [N] and torque [N m] along each body axis, F then M, up to which Allocation
-  /// gives it on top of hover with nothing lost, forward and backward; zero where it does not
-  /// hover.
+  /// Largest force [N] and torque [N m] along each body axis, F then M, that Allocation adds to
+  /// hover with nothing lost. One magnitude per direction, forward and backward. Zero if the
+  /// vehicle does not hover.
   Eigen::Matrix<double, 6, 1> forward = Eigen::Matrix<double, 6, 1>::Zero();
   Eigen::Matrix<double, 6, 1> backward = Eigen::Matrix<double, 6, 1>::Zero();
 };
 
-/// Of a vehicle of any rank; below 6 all but the rank stays as it is by default, although some such
-/// vehicles, a flat quadrotor for one, do hover. Bisection, about a millisecond; allocates. Throws
-/// std::invalid_argument on a vehicle that validate() refuses.
+/// Control authority of a vehicle of any rank. Below rank 6 all members except the rank keep their
+/// defaults, although some of these vehicles do hover, for example a flat quadrotor. Uses bisection
+/// and takes about a millisecond. Allocates. Throws std::invalid_argument if the vehicle fails
+/// validate().
 template <int Rotors>
 [[nodiscard]] ControlAuthority control_authority(const Vehicle<Rotors>& vehicle) {
   validate(vehicle);
@@ -61,7 +66,7 @@ template <int Rotors>
   authority.condition = singular(0) / singular(5);
 
   const Allocation<Rotors> allocation(vehicle);
-  Wrench<> hover;
+  Wrenchd hover;
   hover.force.z() = vehicle.body.mass * gravity;
   const auto level = allocation.allocate(hover, {});
   authority.hovers = level.status != AllocationStatus::limited;
@@ -80,11 +85,10 @@ template <int Rotors>
       authority.least_thrust = std::min(authority.least_thrust, thrust);
   }
 
-  const double most =
-      2.0 * Rotors * largest_max_thrust(vehicle);  // the weight carried, and as much
+  const double most = 2.0 * Rotors * largest_max_thrust(vehicle);  // hover thrust plus full thrust
   for (int axis = 0; axis < 6; ++axis) {
     const double end = axis < 3 ? most : most * lever;
-    Wrench<> along;
+    Wrenchd along;
     double& component = axis < 3 ? along.force(axis) : along.torque(axis - 3);
     component = 1.0;
     authority.forward(axis) = reach(allocation, hover, along, end);

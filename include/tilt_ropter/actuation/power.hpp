@@ -12,23 +12,23 @@
 /// Electrical power from rotor speeds.
 namespace tilt_ropter {
 
-/// P = electronics + c sum Omega^3, the aerodynamic power of propellers at rest in air, with c such
-/// that hover takes PowerParameters.hover (paper, Sec. Energy Efficiency). All rotors have the same
-/// c, also those with parameters of their own: where propellers differ much, the shares of the
-/// rotors are rough, and their sum in hover is right. Only constructors throw;
-/// nothing allocates.
+/// Electrical power P = electronics + c sum Omega^3. The second term is the aerodynamic power of
+/// propellers that do not move through the air. c is such that hover takes PowerParameters.hover
+/// (paper, Sec. Energy Efficiency). All rotors have the same c, also rotors with their own
+/// parameters. If the propellers differ much, the power of each rotor is inaccurate, but the sum in
+/// hover is right. Does not allocate. Only constructors throw.
 class PowerModel {
  public:
-  /// For a vehicle whose rotors share m g equally in hover, each at the speed of its own curve.
-  /// Throws std::invalid_argument on
-  /// parameters that validate() refuses, and where hover takes so slow a speed that power would
-  /// overflow.
+  /// For a vehicle whose rotors carry equal parts of m g in hover. Each rotor's speed follows from
+  /// its own curve. Throws std::invalid_argument if the parameters fail validate(), or if the hover
+  /// speed is so low that the power would overflow.
   template <int Rotors>
   explicit PowerModel(const Vehicle<Rotors>& vehicle)
       : PowerModel(vehicle.power, speeds_in_hover(vehicle)) {}
 
-  /// For one whose rotors do not, such as a vehicle whose rotors push against each other: `hover`
-  /// are their speeds then [rad/s], a vector of any length. Throws likewise.
+  /// For a vehicle whose rotors carry different parts of m g, such as a vehicle whose rotors push
+  /// against each other. `hover` are the rotor speeds in hover [rad/s], a vector of any length.
+  /// Throws like the constructor above.
   template <typename Derived>
   PowerModel(const PowerParameters& parameters, const Eigen::MatrixBase<Derived>& hover)
       : electronics_(parameters.electronics) {
@@ -42,7 +42,7 @@ class PowerModel {
   }
 
   /// Power [W] at rotor speeds [rad/s], a vector of any length. A speed that is negative, not
-  /// finite, or beyond 1e9 rad/s counts as zero.
+  /// finite or above 1e9 rad/s counts as zero.
   template <typename Derived>
   [[nodiscard]] typename Derived::Scalar power(
       const Eigen::MatrixBase<Derived>& rotor_speed) const noexcept {
@@ -55,7 +55,7 @@ class PowerModel {
     return Scalar(electronics_) + Scalar(coefficient_) * sum;
   }
 
-  /// c [W s^3].
+  /// Coefficient c [W s^3].
   [[nodiscard]] double coefficient() const noexcept { return coefficient_; }
 
  private:

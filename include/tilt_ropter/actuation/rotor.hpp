@@ -7,13 +7,14 @@
 #include <cmath>
 #include <limits>
 
-/// Motor with propeller: thrust follows from the speed by the curve of RotorParameters, speed
-/// follows its command with a first-order lag.
+/// Motor with propeller. The thrust follows from the speed by the curve of RotorParameters. The
+/// speed follows its command with a first-order lag.
 namespace tilt_ropter {
 
-/// Thrust [N] at `speed` [rad/s], c Omega^2 + b Omega with the linear coefficient b; b = 0 is the
-/// paper's law (paper, Sec. Control Allocation). Zero where that is negative, and for a speed that
-/// is negative, not finite, or beyond 1e9 rad/s, which no sensor means.
+/// Thrust [N] at `speed` [rad/s]: c Omega^2 + b Omega with the linear coefficient b. b = 0 is the
+/// paper's law (paper, Sec. Control Allocation). Returns zero if the result is negative. Also
+/// returns zero for a speed that is negative, not finite or above 1e9 rad/s, which no valid sensor
+/// reports.
 template <typename Scalar>
 [[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, double thrust_coefficient,
                                        double linear_thrust_coefficient = 0.0) noexcept {
@@ -22,9 +23,9 @@ template <typename Scalar>
   return per_speed > Scalar(0) ? Scalar(per_speed * speed) : Scalar(0);
 }
 
-/// Speed [rad/s] that gives `thrust` [N], (sqrt(b^2 + 4 c T) - b) / (2 c): sqrt(T / c) where b = 0.
-/// For a thrust that is negative, zero (with derivative zero) or not finite: the speed at which the
-/// thrust begins, -b / c where b is negative, else zero.
+/// Speed [rad/s] that gives `thrust` [N]: (sqrt(b^2 + 4 c T) - b) / (2 c), or sqrt(T / c) for
+/// b = 0. For a thrust that is negative, zero or not finite, returns the speed at which the thrust
+/// begins: -b / c if b is negative, otherwise zero. The derivative at zero thrust is zero.
 template <typename Scalar>
 [[nodiscard]] Scalar speed_from_thrust(const Scalar& thrust, double thrust_coefficient,
                                        double linear_thrust_coefficient = 0.0) noexcept {
@@ -33,14 +34,15 @@ template <typename Scalar>
     return Scalar(std::max(0.0, -linear_thrust_coefficient / thrust_coefficient));
   const double root = std::sqrt(thrust_coefficient);
   if (!(std::abs(linear_thrust_coefficient) > 0.0)) return sqrt(thrust) / Scalar(root);
-  // Divided by sqrt(c), so that no product overflows; each sign in the form without cancellation.
+  // Divided by sqrt(c), so that no product overflows. Each sign of b has a form without
+  // cancellation.
   const double half = 0.5 * linear_thrust_coefficient / root;
   const Scalar shifted = sqrt(Scalar(thrust + Scalar(half * half)));
   if (half < 0.0) return (shifted + Scalar(-half)) / Scalar(root);
   return thrust / ((shifted + Scalar(half)) * Scalar(root));
 }
 
-/// Slope dT / dOmega [N s] of the curve where the thrust is `thrust` >= 0 [N], sqrt(b^2 + 4 c T).
+/// Slope dT / dOmega [N s] of the curve at `thrust` >= 0 [N]: sqrt(b^2 + 4 c T).
 template <typename Scalar>
 [[nodiscard]] Scalar thrust_slope(const Scalar& thrust, double thrust_coefficient,
                                   double linear_thrust_coefficient = 0.0) noexcept {
@@ -49,7 +51,7 @@ template <typename Scalar>
   return sqrt(Scalar(Scalar(square) + Scalar(4) * (Scalar(thrust_coefficient) * thrust)));
 }
 
-/// The same three for the curve of `rotor`.
+/// The same three functions for the curve of `rotor`.
 template <typename Scalar>
 [[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, const RotorParameters& rotor) noexcept {
   return thrust_from_speed(speed, rotor.thrust_coefficient, rotor.linear_thrust_coefficient);
@@ -65,22 +67,22 @@ template <typename Scalar>
 }
 
 /// Largest thrust [N] of `rotor` at `ratio` times the nominal voltage, see voltage_ratio(). The top
-/// speed falls in proportion to the voltage. Above the nominal voltage max_thrust stays the limit,
-/// and the limit is never below min_thrust.
+/// speed is proportional to the voltage. Above the nominal voltage the limit is max_thrust. The
+/// limit is never below min_thrust.
 [[nodiscard]] inline double max_thrust_at(const RotorParameters& rotor, double ratio) noexcept {
   if (!(ratio < 1.0)) return rotor.max_thrust;
   const double speed = ratio * speed_from_thrust(rotor.max_thrust, rotor);
   return std::max(rotor.min_thrust, thrust_from_speed(speed, rotor));
 }
 
-/// Speed of one rotor. Between two updates the command is held, and the lag
-/// d(Omega)/dt = (command - Omega) / time_constant is solved exactly, so the result does not depend
-/// on how often update() is called. Nothing allocates; only the constructor throws.
-template <typename Scalar = double>
+/// Speed of one rotor. Between two updates the command is held and the lag
+/// d(Omega)/dt = (command - Omega) / time_constant is solved exactly. The result therefore does not
+/// depend on the update rate. Does not allocate. Only the constructor throws.
+template <typename Scalar>
 class Rotor {
  public:
-  /// Stands still, or turns at the speed of min_thrust, until the first update. Throws
-  /// std::invalid_argument on parameters that validate() refuses.
+  /// Before the first update the rotor stands still, or turns at the speed of min_thrust. Throws
+  /// std::invalid_argument if the parameters fail validate().
   explicit Rotor(const RotorParameters& parameters = {}) : parameters_(parameters) {
     validate(parameters);
     min_speed_ = speed_from_thrust(Scalar(parameters.min_thrust), parameters);
@@ -88,18 +90,18 @@ class Rotor {
     speed_ = command_ = min_speed();
   }
 
-  /// From now on the battery has `ratio` times its nominal voltage, see voltage_ratio(). The speed
-  /// and the command are cut to the new max_speed.
+  /// Sets the battery voltage to `ratio` times the nominal voltage, see voltage_ratio(). Clamps the
+  /// speed and the command to the new max_speed.
   void set_voltage_ratio(double ratio) noexcept {
     max_speed_ = speed_from_thrust(Scalar(max_thrust_at(parameters_, ratio)), parameters_);
     speed_ = bounded(speed_);
     command_ = bounded(command_);
   }
 
-  /// Brings the speed to `time` [s] under the earlier command, then takes `command` [rad/s], cut
-  /// to [min_speed, max_speed], for the time after it. The first update only starts the clock.
-  /// A command or time that is not finite, or a time before the last one, changes nothing.
-  /// Returns the speed at `time`.
+  /// Advances the speed to `time` [s] under the earlier command. Then accepts `command` [rad/s],
+  /// clamped to [min_speed, max_speed], for the time after `time`. The first update starts the
+  /// clock and does not change the speed. Ignores a command or time that is not finite, and a time
+  /// before the last time. Returns the speed at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
     const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
@@ -115,7 +117,7 @@ class Rotor {
     return speed_;
   }
 
-  /// Sets speed and command [rad/s], cut to [min_speed, max_speed], at `time` [s].
+  /// Sets speed and command [rad/s], clamped to [min_speed, max_speed], at `time` [s].
   void reset(const Scalar& speed, double time) noexcept {
     speed_ = command_ = bounded(speed);
     time_ = time;
@@ -127,7 +129,7 @@ class Rotor {
     return thrust_from_speed(speed_, parameters_);
   }
   [[nodiscard]] const Scalar& min_speed() const noexcept { return min_speed_; }  ///< [rad/s]
-  /// Of max_thrust, or of what the voltage leaves of it [rad/s].
+  /// Speed at max_thrust, or at the thrust that the voltage allows [rad/s].
   [[nodiscard]] const Scalar& max_speed() const noexcept { return max_speed_; }
 
  private:
@@ -144,5 +146,6 @@ class Rotor {
   double time_ = 0.0;
   bool started_ = false;
 };
+using Rotord = Rotor<double>;  ///< in double precision
 
 }  // namespace tilt_ropter

@@ -13,30 +13,30 @@
 namespace tilt_ropter {
 
 /// Angle of one servo. Between two updates the command is held and
-/// d(angle)/dt = clamp((command - angle) / time_constant, +-max_rate) is solved in closed form: a
-/// ramp while the rate limit holds, an exponential afterwards. So the result does not depend on how
-/// often update() is called. Nothing allocates; only the constructor throws.
+/// d(angle)/dt = clamp((command - angle) / time_constant, +-max_rate) is solved in closed form. The
+/// solution is a ramp while the rate limit is active, then an exponential. The result therefore
+/// does not depend on the update rate. Does not allocate. Only the constructor throws.
 ///
-/// Commands that wait for their dead time to pass stand in a ring of `capacity` entries. Two
-/// commands closer than dead_time / (capacity - 1) share an entry: the later one takes effect when
-/// the earlier one would have, that is up to this much too soon. At updates further apart than that
-/// (1 kHz: dead times up to 63 ms) the dead time is exact.
-template <typename Scalar = double>
+/// Commands wait for their dead time in a ring buffer of `capacity` entries. Two commands closer
+/// than dead_time / (capacity - 1) share an entry. The later command then takes effect at the time
+/// of the earlier command, too early by up to this spacing. If updates are further apart than this
+/// spacing, the dead time is exact (1 kHz: dead times up to 63 ms).
+template <typename Scalar>
 class Servo {
  public:
   static constexpr std::size_t capacity = 64;
 
-  /// Stands at angle zero, or the nearest one in range. Throws std::invalid_argument on parameters
-  /// that validate() refuses.
+  /// The initial angle is zero, or the nearest angle in range. Throws std::invalid_argument if the
+  /// parameters fail validate().
   explicit Servo(const ServoParameters& parameters = {}) : parameters_(parameters) {
     validate(parameters);
     angle_ = command_ = bounded(Scalar(0));
   }
 
-  /// Brings the angle to `time` [s] under the earlier commands, then takes `command` [rad], cut to
-  /// the range, which acts from time + dead_time on. The first update only starts the clock. A
-  /// command or time that is not finite, or a time before the last one, changes nothing. Returns
-  /// the angle at `time`.
+  /// Advances the angle to `time` [s] under the earlier commands. Then accepts `command` [rad],
+  /// clamped to the range, which acts from time + dead_time on. The first update starts the clock
+  /// and does not change the angle. Ignores a command or time that is not finite, and a time before
+  /// the last time. Returns the angle at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
     const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
@@ -55,7 +55,7 @@ class Servo {
     return angle_;
   }
 
-  /// Sets angle and command [rad], cut to the range, at `time` [s] and forgets waiting commands.
+  /// Sets angle and command [rad], clamped to the range, at `time` [s]. Discards waiting commands.
   void reset(const Scalar& angle, double time) noexcept {
     angle_ = command_ = bounded(angle);
     time_ = time;
@@ -75,7 +75,7 @@ class Servo {
 
  private:
   struct Waiting {
-    double time = 0.0;  ///< at which the command takes effect [s]
+    double time = 0.0;  ///< time at which the command takes effect [s]
     Scalar command{};
   };
 
@@ -102,7 +102,7 @@ class Servo {
     const Scalar time_constant = Scalar(parameters_.time_constant);
     Scalar error = command_ - angle_;
     Scalar rest = Scalar(duration);
-    // Beyond this error the rate limit holds.
+    // Above this error the rate limit is active.
     const Scalar knee = rate * time_constant;
     if (abs(error) > knee) {
       const Scalar ramp = (abs(error) - knee) / rate;
@@ -132,5 +132,6 @@ class Servo {
   std::size_t first_ = 0;
   std::size_t waiting_ = 0;
 };
+using Servod = Servo<double>;  ///< in double precision
 
 }  // namespace tilt_ropter

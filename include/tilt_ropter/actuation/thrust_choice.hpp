@@ -2,7 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/allocation_parameters.hpp>
+#include <tilt_ropter/actuation/allocation_settings.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/actuation/thrust_search.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -15,7 +15,7 @@
 #include <cmath>
 #include <cstddef>
 
-/// Which thrusts to command where the least thrusts will not do.
+/// Choice of thrusts if the minimum-norm thrusts are not usable.
 namespace tilt_ropter::detail {
 
 /// Thrusts [N] and how they were chosen.
@@ -23,12 +23,12 @@ template <int Rotors>
 struct ChosenThrusts {
   AllocationStatus status = AllocationStatus::ok;
   Eigen::Matrix<double, 2 * Rotors, 1> thrusts;
-  /// Arms whose thrust points beyond the end of the range and that wait there.
+  /// Arms whose thrust points beyond the end of the range and that wait at this end.
   std::array<bool, static_cast<std::size_t>(Rotors)> at_end{};
 };
 
 /// Steps 2 to 4 of Allocation: null space, end of the range, priorities. Only the constructor
-/// allocates; nothing throws.
+/// allocates. Nothing throws.
 template <int Rotors>
 class ThrustChoice {
   using Search = ThrustSearch<Rotors>;
@@ -42,13 +42,13 @@ class ThrustChoice {
   using Angles = Eigen::Matrix<double, Rotors, 1>;
   using Chosen = ChosenThrusts<Rotors>;
 
-  ThrustChoice(const Vehicle<Rotors>& vehicle, const AllocationParameters& parameters,
+  ThrustChoice(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings,
                const AllocationMatrix<Rotors>& allocation)
       : limits_(vehicle),
         search_(limits_, null_space(allocation)),
         pseudoinverse_(allocation.pseudoinverse),
-        priorities_(parameters.priorities),
-        margin_(parameters.range_end_margin),
+        priorities_(settings.priorities),
+        margin_(settings.range_end_margin),
         negligible_(2e-8 * largest_max_thrust(vehicle)) {
     double lever = 0.0;
     for (std::size_t i = 0; i < Rotors; ++i) {
@@ -60,14 +60,14 @@ class ThrustChoice {
     max_torque_ = 2.0 * lever * largest_max_thrust(vehicle);
   }
 
-  /// As ThrustLimits::set_max_thrust().
+  /// Same as ThrustLimits::set_max_thrust().
   void set_max_thrust(std::size_t i, double max_thrust) noexcept {
     limits_.set_max_thrust(i, max_thrust);
     search_.set_max_thrust(i, max_thrust);
   }
 
-  /// A force or torque out of any reach [N, N m], shortened to one that is still out of reach. That
-  /// changes no answer and keeps the arithmetic from overflowing.
+  /// Shortens a force or torque [N, N m] that is far out of reach. The shortened vector is still
+  /// out of reach. This does not change the result and prevents overflow.
   template <typename Vector>
   [[nodiscard]] Vector shortened_force(const Vector& v) const noexcept {
     return shortened(v, max_force_);
@@ -77,8 +77,9 @@ class ThrustChoice {
     return shortened(v, max_torque_);
   }
 
-  /// Thrusts for `wanted`, given the `least` thrusts, which leave a limit or turn an arm over, and
-  /// the last angles, in range. An arm whose thrust is below `faint` [N] never turns over.
+  /// Chooses thrusts for `wanted`. The minimum-norm thrusts `least` violate a limit or turn an arm
+  /// over. `last` are the last angles [rad], in range. An arm whose thrust is below `faint` [N]
+  /// never turns over.
   [[nodiscard]] Chosen choose(const Wrench<double>& wanted, const Thrusts& least,
                               const Angles& last, double faint) const noexcept {
     Request request;
@@ -135,8 +136,9 @@ class ThrustChoice {
     return chosen;
   }
 
-  /// By how much `thrust` of rotor i, near the end of its range, points beyond that end [rad]; zero
-  /// within the range, for an arm that is farther from the end, and for a negligible loss.
+  /// Angle [rad] by which `thrust` of rotor i points beyond the end of its range, if `last` is near
+  /// this end. Returns zero within the range, for an arm farther from the end, and for a negligible
+  /// loss.
   [[nodiscard]] double beyond_end(int i, const Eigen::Vector2d& thrust,
                                   double last) const noexcept {
     if (!limits_.tilts(i) || limits_.part_of_end(last) == AnglePart::whole) return 0.0;
@@ -145,7 +147,7 @@ class ThrustChoice {
     return thrust.norm() * std::min(beyond, 1.0) > negligible_ ? beyond : 0.0;
   }
 
-  /// Loss [N] of a rotor's thrust that rounding and the method's tolerance may cause.
+  /// Loss [N] of a rotor's thrust that rounding and the tolerance of the method may cause.
   [[nodiscard]] double negligible() const noexcept { return negligible_; }
 
  private:
@@ -175,7 +177,7 @@ class ThrustChoice {
            pseudoinverse_.template rightCols<3>() * shortened_torque(torque);
   }
 
-  /// The angle in range nearest to `last` that `thrust` of rotor i points along.
+  /// Angle in range, nearest to `last`, along which the thrust of rotor i points [rad].
   [[nodiscard]] double angle_of(const Thrusts& thrusts, int i, double last) const noexcept {
     return limits_.nearest_angle(std::atan2(thrusts(2 * i), thrusts(2 * i + 1)), last);
   }
@@ -191,9 +193,9 @@ class ThrustChoice {
     return true;
   }
 
-  /// Searches thrusts for the whole wrench. The min_thrust of rotors that tilt is kept along the
-  /// directions of the least thrusts. If that fails, it is kept along the directions of thrusts
-  /// found without it.
+  /// Searches thrusts for the whole wrench. First applies the min_thrust of tilting rotors along
+  /// the directions of the minimum-norm thrusts. If that fails, applies min_thrust along the
+  /// directions of thrusts that were found without min_thrust. Returns true if it finds thrusts.
   [[nodiscard]] bool reach(Request& request, const Parts& parts, const Thrusts& least,
                            Answer& answer, bool at_edge = false) const noexcept {
     request.floors = has_min_thrust_;
@@ -214,8 +216,9 @@ class ThrustChoice {
     return false;
   }
 
-  /// Marks the arms whose thrust points beyond the end of the range. Returns whether there are any
-  /// and each may wait: it is less than the margin beyond, or its thrust is below `faint`.
+  /// Marks the arms whose thrust points beyond the end of the range. Returns true if there are such
+  /// arms and each of them may wait. An arm may wait if it is less than the margin beyond the end,
+  /// or if its thrust is below `faint`.
   [[nodiscard]] bool all_wait(
       const Thrusts& thrusts, const Angles& last, double faint,
       std::array<bool, static_cast<std::size_t>(Rotors)>& beyond_range) const noexcept {
@@ -230,8 +233,9 @@ class ThrustChoice {
     return any && all;
   }
 
-  /// For `thrusts` that give the wrench, but turn arms over: lets them wait at the end if all may;
-  /// else turns as few over as give the wrench, those first that are farthest beyond the end.
+  /// Handles `thrusts` that give the wrench but turn arms over. If all these arms may wait, they
+  /// wait at the end. Otherwise the smallest number of arms that gives the wrench turns over,
+  /// starting with the arm farthest beyond the end.
   void turn_over(Request& request, Parts parts, const Angles& last, const Thrusts& least,
                  const Thrusts& thrusts, double faint, Chosen& chosen) const noexcept {
     chosen.thrusts = thrusts;

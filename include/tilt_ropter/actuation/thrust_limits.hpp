@@ -12,23 +12,25 @@
 #include <cstddef>
 #include <limits>
 
-/// Which thrusts the rotors and servos of a vehicle can give.
+/// Thrusts that the rotors and servos of a vehicle can give.
 namespace tilt_ropter::detail {
 
-/// A part of a servo's range. A range wider than half a turn is not convex as a set of thrusts;
-/// `lower` and `upper` are the half turns at its two ends. They are convex, and cover a range of up
-/// to a whole turn. `whole` stands for the convex hull. A range of half a turn or less has only
+/// Part of a servo's range. The set of thrusts of a range wider than half a turn is not convex.
+/// `lower` and `upper` are the half turns at the two ends of the range. They are convex and cover a
+/// range of up to a whole turn. `whole` is the convex hull. A range of half a turn or less has only
 /// `whole`.
 enum class AnglePart { whole, lower, upper };
 
-/// The set of thrusts within limits: for each rotor a part of the plane of (T_l, T_v), namely
+/// Set of thrusts within limits. For each rotor the set is a part of the plane of (T_l, T_v):
 /// - servo turns all round: the disc |T| <= max_thrust,
 /// - smaller servo range: the sector of that disc,
-/// - rotor does not tilt: the ray T_l = 0, min_thrust <= T_v <= max_thrust,
-/// with limits that are the rotor's effectiveness times those of RotorParameters.
-/// The min_thrust of a rotor that tilts would cut a hole into the disc. So that the set stays
-/// convex the hole is left to an optional floor, T . u >= min_thrust along a unit vector u.
-/// Nothing throws or allocates.
+/// - rotor does not tilt: the segment T_l = 0, min_thrust <= T_v <= max_thrust.
+///
+/// The limits are the limits of RotorParameters times the rotor's effectiveness.
+///
+/// The min_thrust of a tilting rotor would cut a hole into the disc. To keep the set convex, an
+/// optional floor T . u >= min_thrust along a unit vector u replaces the hole. Nothing throws or
+/// allocates.
 template <int Rotors, typename Scalar>
 class ThrustLimits {
  public:
@@ -43,7 +45,7 @@ class ThrustLimits {
         half_width_(0.5 * (vehicle.servo.max_angle - vehicle.servo.min_angle)) {
     const double middle = 0.5 * (vehicle.servo.min_angle + vehicle.servo.max_angle);
     middle_ = direction(Scalar(middle));
-    // Below -1 every direction is in range, without regard to rounding.
+    // A value below -1 accepts every direction, independent of rounding.
     cos_half_width_ = Scalar(all_round() ? -2.0 : std::cos(half_width_));
     for (std::size_t i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[i];
@@ -53,14 +55,15 @@ class ThrustLimits {
     }
   }
 
-  /// Another limit [N] of rotor i, as with another voltage, with its effectiveness counted.
+  /// Sets another limit [N] of rotor i, for example for another voltage. `max_thrust` includes the
+  /// effectiveness.
   void set_max_thrust(std::size_t i, Scalar max_thrust) noexcept { max_thrust_[i] = max_thrust; }
 
   [[nodiscard]] bool tilts(int i) const noexcept { return tilts_[std::size_t(i)]; }
   [[nodiscard]] Scalar min_thrust(int i) const noexcept { return min_thrust_[std::size_t(i)]; }
   [[nodiscard]] Scalar max_thrust(int i) const noexcept { return max_thrust_[std::size_t(i)]; }
 
-  /// `thrust` [N] of rotor i, cut to its limits.
+  /// Returns `thrust` [N] of rotor i, clamped to its limits.
   [[nodiscard]] Scalar bounded_thrust(int i, Scalar thrust) const noexcept {
     return std::max(min_thrust(i), std::min(thrust, max_thrust(i)));
   }
@@ -70,19 +73,19 @@ class ThrustLimits {
     return {std::sin(angle), std::cos(angle)};
   }
 
-  /// The nearest angle within the servo's range [rad].
+  /// Nearest angle within the servo's range [rad].
   [[nodiscard]] Scalar bounded_angle(Scalar angle) const noexcept {
     return std::max(min_angle_, std::min(angle, max_angle_));
   }
 
-  /// The angle equivalent to `angle` (+- 2 pi k) that is nearest to `last`, in range or not [rad].
+  /// Angle equivalent to `angle` (+- 2 pi k) and nearest to `last`, in range or not [rad].
   [[nodiscard]] static Scalar unwrapped_angle(Scalar angle, Scalar last) noexcept {
     const Scalar turn = Scalar(2.0 * pi);
     return angle + turn * std::round((last - angle) / turn);
   }
 
-  /// The angle in range that is equivalent to `angle` (+- 2 pi k) and nearest to `last`; if there
-  /// is none, the nearer end of the range.
+  /// Angle in range that is equivalent to `angle` (+- 2 pi k) and nearest to `last` [rad]. If there
+  /// is no such angle, returns the nearer end of the range.
   [[nodiscard]] Scalar nearest_angle(Scalar angle, Scalar last) const noexcept {
     const Scalar turn = Scalar(2.0 * pi);
     angle = unwrapped_angle(angle, last);
@@ -93,16 +96,16 @@ class ThrustLimits {
     return angle - max_angle_ < min_angle_ + turn - angle ? max_angle_ : min_angle_;
   }
 
-  /// By how much `angle` is out of range, either way [rad]; zero within.
+  /// Angle by which `angle` is beyond either end of the range [rad]; zero within the range.
   [[nodiscard]] Scalar beyond_range(Scalar angle) const noexcept {
     return std::max(Scalar(0), std::max(angle - max_angle_, min_angle_ - angle));
   }
 
-  /// Distance [N] up to which a thrust counts as being in the set.
+  /// Distance [N] up to which a thrust counts as inside the set.
   [[nodiscard]] Scalar tolerance() const noexcept { return tolerance_; }
 
-  /// True if (T_l, T_v) of rotor i is within limits, without regard to the min_thrust of a rotor
-  /// that tilts.
+  /// Returns true if (T_l, T_v) of rotor i is within limits. Ignores the min_thrust of a tilting
+  /// rotor.
   [[nodiscard]] bool contains(int i, const Vector2& thrust) const noexcept {
     if (!tilts(i))
       return thrust.y() >= min_thrust(i) - tolerance_ && thrust.y() <= max_thrust(i) + tolerance_;
@@ -110,28 +113,29 @@ class ThrustLimits {
     return thrust.squaredNorm() <= most * most && in_range(thrust);
   }
 
-  /// True if some angle of the servo gives the direction of `thrust`, to within tolerance().
+  /// Returns true if an angle of the servo gives the direction of `thrust`, within tolerance().
   [[nodiscard]] bool in_range(const Vector2& thrust) const noexcept {
     return cos_half_width_ < Scalar(-1) || out_of_range(thrust) <= Scalar(0);
   }
 
-  /// Grows with the distance of `thrust` from the servo's range; at most 0 in range [N].
+  /// Measure [N] that increases with the distance of `thrust` from the servo's range. At most 0
+  /// within the range.
   [[nodiscard]] Scalar out_of_range(const Vector2& thrust) const noexcept {
     return cos_half_width_ * thrust.norm() - thrust.dot(middle_) - tolerance_;
   }
 
-  /// True if the set of a rotor that tilts is not convex.
+  /// Returns true if the set of a tilting rotor is convex.
   [[nodiscard]] bool convex() const noexcept { return half_width_ <= 0.5 * pi || all_round(); }
-  /// True if the range has the parts `lower` and `upper`.
+  /// Returns true if the range has the parts `lower` and `upper`.
   [[nodiscard]] bool has_parts() const noexcept { return half_width_ > 0.5 * pi; }
 
-  /// The part whose end is nearest to `angle`.
+  /// Part whose end is nearest to `angle`.
   [[nodiscard]] AnglePart nearest_part(Scalar angle) const noexcept {
     if (!has_parts()) return AnglePart::whole;
     return max_angle_ - angle < angle - min_angle_ ? AnglePart::upper : AnglePart::lower;
   }
 
-  /// The part of the end that is within a quarter of a turn of `angle`, else `whole`.
+  /// Part whose end is within a quarter turn of `angle`, otherwise `whole`.
   [[nodiscard]] AnglePart part_of_end(Scalar angle) const noexcept {
     if (!has_parts()) return AnglePart::whole;
     const Scalar to_upper = max_angle_ - angle, to_lower = angle - min_angle_;
@@ -140,8 +144,8 @@ class ThrustLimits {
   }
 
   /// `part` of the set of rotor i, in units of its max_thrust, which must not be zero. With `floor`
-  /// it keeps the rotor's min_thrust along the tilt angle `floor_angle` [rad]. All limits are wider
-  /// by `widening`.
+  /// the region keeps the rotor's min_thrust along the tilt angle `floor_angle` [rad]. All limits
+  /// are widened by `widening`.
   [[nodiscard]] ThrustRegion region(int i, AnglePart part, bool floor, Scalar floor_angle,
                                     double widening) const noexcept {
     using Plane = Eigen::Vector2d;
@@ -173,7 +177,7 @@ class ThrustLimits {
       region.center = 0.5 * (1.0 + std::cos(half)) * unit(middle);
     }
     if (floor && least > 0.0) {
-      // The center moves from the floor's direction towards the middle, to be inside of both.
+      // The center moves from the floor's direction towards the middle, to be inside both.
       const double angle = std::max(low, std::min(static_cast<double>(floor_angle), high));
       const double most = 0.5 * std::acos(std::min(1.0, 0.5 * (1.0 + least)));
       const double shift = std::max(-most, std::min(0.5 * (middle - angle), most));

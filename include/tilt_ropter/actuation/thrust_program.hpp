@@ -9,15 +9,15 @@
 #include <cstddef>
 #include <limits>
 
-/// The small convex program behind the allocation of thrusts, and an interior-point method for it.
+/// Small convex program for the allocation of thrusts, and an interior-point method that solves it.
 namespace tilt_ropter::detail {
 
-/// A convex set of thrusts of one rotor, in units of its largest thrust: half-planes
-/// normal . t >= offset, and the disc |t| <= radius if `radius` is not zero.
+/// Convex set of thrusts of one rotor, in units of its largest thrust. The set has the half-planes
+/// normal . t >= offset and, if `radius` is not zero, the disc |t| <= radius.
 struct ThrustRegion {
   static constexpr int most = 3;
 
-  Eigen::Vector2d center = Eigen::Vector2d::Zero();  ///< strictly inside
+  Eigen::Vector2d center = Eigen::Vector2d::Zero();  ///< strictly inside the set
   std::array<Eigen::Vector2d, most> normal;
   std::array<double, most> offset{};
   int half_planes = 0;
@@ -30,14 +30,14 @@ struct ThrustRegion {
   }
 };
 
-/// Minimises a linear or a quadratic function over the variables z under t_i(z) = base_i +
-/// columns_i z in the region of each rotor i, and lower < z < upper for the last `Bounded`
-/// variables.
+/// Minimises a linear or a quadratic function of the variables z. The thrusts
+/// t_i(z) = base_i + columns_i z must be in the region of each rotor i. The last `Bounded`
+/// variables must satisfy lower < z < upper.
 ///
 /// The method is a primal-dual interior-point method with feasible iterates (Boyd and Vandenberghe,
 /// Convex Optimization, 2004, Sec. 11.7). Every iterate is strictly inside all constraints, so a
-/// search that ends early still gives valid thrusts. Work and memory are bounded, the result is
-/// deterministic; nothing throws or allocates.
+/// search that ends early still gives valid thrusts. Work and memory are bounded, and the result is
+/// deterministic. Nothing throws or allocates.
 template <int Rotors, int Variables, int Bounded>
 class ThrustProgram {
  public:
@@ -45,15 +45,15 @@ class ThrustProgram {
   static constexpr int first_bounded = Variables - Bounded;
   static constexpr int max_iterations = 80;
 
-  /// Rows 2i and 2i + 1 belong to rotor i; all are zero for a rotor that `used` leaves out.
+  /// Rows 2i and 2i + 1 belong to rotor i. They are zero for a rotor that `used` excludes.
   Eigen::Matrix<double, 2 * Rotors, 1> base;
   Eigen::Matrix<double, 2 * Rotors, Variables> columns;
   std::array<ThrustRegion, static_cast<std::size_t>(Rotors)> regions;
   std::array<bool, static_cast<std::size_t>(Rotors)> used{};
   std::array<double, static_cast<std::size_t>(Bounded)> lower{}, upper{};
-  bool cautious = false;  ///< smaller steps, which converge in a few cases more
+  bool cautious = false;  ///< smaller steps, which converge in a few more cases
 
-  /// Variable `j` keeps the value that it has in `z`.
+  /// Fixes variable `j` at its value in `z`.
   void fix(int j, const Vector& z) noexcept {
     base += z(j) * columns.col(j);
     columns.col(j).setZero();
@@ -62,9 +62,9 @@ class ThrustProgram {
   void release(int j) noexcept { free_[static_cast<std::size_t>(j)] = true; }
   [[nodiscard]] bool is_free(int j) const noexcept { return free_[static_cast<std::size_t>(j)]; }
 
-  /// Moves `z`, strictly inside, so that sign z(j) grows. Stops where z(j) reaches `goal` and
-  /// returns true, then z(j) = goal exactly; or where the duality gap falls below `tolerance`, and
-  /// returns false. With `only_goal` it also stops where the gap excludes the goal.
+  /// Moves `z`, which must be strictly inside, so that sign z(j) increases. Returns true where z(j)
+  /// reaches `goal`; then z(j) = goal exactly. Returns false where the duality gap falls below
+  /// `tolerance`. With `only_goal` it also returns false where the gap excludes the goal.
   [[nodiscard]] bool push(int j, double sign, double goal, bool only_goal, double tolerance,
                           Vector& z) const noexcept {
     Vector cost = Vector::Zero();
@@ -72,7 +72,7 @@ class ThrustProgram {
     return minimise(cost, 0.0, z, tolerance, {j, sign, goal, only_goal});
   }
 
-  /// Moves to the point of least |z| over the free variables before `first_bounded`.
+  /// Moves `z` to the point of least |z| over the free variables before `first_bounded`.
   void shorten(double tolerance, Vector& z) const noexcept {
     (void)minimise(Vector::Zero(), 1.0, z, tolerance, {-1, 0.0, 0.0, false});
   }
@@ -83,9 +83,9 @@ class ThrustProgram {
   using Numbers = std::array<double, static_cast<std::size_t>(constraints)>;
   using Thrusts = Eigen::Matrix<double, 2 * Rotors, 1>;
 
-  /// Calls plane(k, row, normal, offset) for each half-plane, disc(k, row, radius) for each disc
-  /// and bound(k, variable, side, shift) for each bound side z + shift > 0. k counts constraints,
-  /// `row` is the first of the rotor.
+  /// Calls plane(k, row, normal, offset) for each half-plane and disc(k, row, radius) for each
+  /// disc. Calls bound(k, variable, side, shift) for each bound side z + shift > 0. k counts
+  /// constraints. `row` is the first row of the rotor.
   template <typename Plane, typename Disc, typename Bound>
   void each(const Plane& plane, const Disc& disc, const Bound& bound) const noexcept {
     std::size_t k = 0;
@@ -105,7 +105,7 @@ class ThrustProgram {
     }
   }
 
-  /// Slack of each constraint, > 0 inside. Returns how many there are.
+  /// Computes the slack of each constraint, > 0 inside. Returns the number of constraints.
   std::size_t slacks(const Vector& z, const Thrusts& t, Numbers& slack) const noexcept {
     std::size_t count = 0;
     each(
@@ -125,7 +125,7 @@ class ThrustProgram {
     return count;
   }
 
-  /// Whether all slacks at `z`, which are written, are > 0.
+  /// Writes the slacks at `z` and returns true if all of them are > 0.
   bool inside(const Vector& z, Numbers& slack) const noexcept {
     const std::size_t count = slacks(z, base + columns * z, slack);
     bool all = true;
@@ -139,12 +139,13 @@ class ThrustProgram {
     bool only_goal;
   };
 
-  /// Minimises cost . z + weight |z|^2 / 2, the square over the variables before `first_bounded`.
-  /// Returns whether it ended at the target.
+  /// Minimises cost . z + weight |z|^2 / 2, with the square over the variables before
+  /// `first_bounded`. Returns true if it ends at the target.
   bool minimise(const Vector& cost, double weight, Vector& z, double tolerance,
                 const Target& target) const noexcept;
 
-  /// Solves H x = rhs in place for a positive semidefinite H; directions without curvature stay.
+  /// Solves H x = rhs in place for a positive semidefinite H. Directions without curvature get a
+  /// zero step.
   static void solve(Eigen::Matrix<double, Variables, Variables>& h, Vector& x) noexcept {
     for (int j = 0; j < Variables; ++j) {
       const double before = h(j, j);
@@ -180,7 +181,7 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
   Thrusts t = base + columns * z;
   const std::size_t count = slacks(z, t, slack);
   const auto constraint_count = static_cast<double>(count);
-  // On the central path, with a gap of the size of the cost.
+  // Start on the central path, with a duality gap of the size of the cost.
   const double first_gap =
       std::max(std::sqrt(cost.squaredNorm()) + weight * std::sqrt(z.squaredNorm()), 1e-6);
   for (std::size_t k = 0; k < count; ++k) multiplier[k] = first_gap / constraint_count / slack[k];
@@ -190,8 +191,8 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
     double gap = 0.0;
     for (std::size_t k = 0; k < count; ++k) gap += multiplier[k] * slack[k];
 
-    // Gradient of the Lagrangian, gradient of the barrier sum log(slack), and the reduced Hessian;
-    // the parts of rotors first in their own planes.
+    // Gradient of the Lagrangian, gradient of the barrier sum log(slack), and reduced Hessian. The
+    // terms of the rotors are first summed in each rotor's plane.
     Vector gradient = cost, barrier = Vector::Zero();
     Eigen::Matrix<double, Variables, Variables> hessian;
     hessian.setZero();
@@ -245,7 +246,7 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
       }
     }
 
-    // Short steps come from iterates off the central path: the next step leads back to it.
+    // A short step means that the iterate is off the central path. The next step leads back to it.
     const double centering = cautious            ? 0.5
                              : last_length > 0.7 ? 0.1
                              : last_length > 0.3 ? 0.4
@@ -256,11 +257,11 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
     for (int j = 0; j < Variables; ++j)
       if (!is_free(j)) step(j) = 0.0;
 
-    // The longest steps that keep slacks and multipliers positive.
+    // Longest steps that keep slacks and multipliers positive.
     const Thrusts move = columns * step;
     double longest = 1e3, dual_longest = 1.0;
     const auto limit_step = [&](std::size_t k, double slope, double square) {
-      // The slack after the length a is slack + a slope - a^2 square / 2.
+      // The slack after a step of length a is slack + a slope - a^2 square / 2.
       change[k] = mu / slack[k] - multiplier[k] * slope / slack[k] - multiplier[k];
       if (change[k] < 0.0) dual_longest = std::min(dual_longest, -multiplier[k] / change[k]);
       if (square > 0.0) {
@@ -293,7 +294,7 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
         }
       }
     }
-    // Rounding may put a step outside where the room is as thin as it.
+    // Rounding may put a step outside if the feasible region is no thicker than the rounding error.
     Vector next = z + length * step;
     bool stays = inside(next, slack);
     for (int halving = 0; halving < 4 && !stays; ++halving) {

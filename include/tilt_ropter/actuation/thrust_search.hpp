@@ -11,22 +11,22 @@
 #include <cmath>
 #include <cstddef>
 
-/// The search for thrusts within limits where the least thrusts are not.
+/// Search for thrusts within limits if the minimum-norm thrusts are not within limits.
 namespace tilt_ropter::detail {
 
-/// Groups of a wrench's components that are scaled together.
+/// Number of groups of wrench components that are scaled together.
 inline constexpr int wrench_groups = 4;
 
-/// Searches T = sum_g fraction_g G_g + N y within limits, with N the null space of the allocation
-/// matrix and G_g the least thrusts of one group of the wrench.
+/// Searches T = sum_g fraction_g G_g + N y within limits. N is the null space of the allocation
+/// matrix. G_g are the minimum-norm thrusts of one group of the wrench.
 ///
-/// The program of ThrustProgram has the variables z = (y, fractions, tau), and
-/// T = sum_g fraction_g G_g + N y + tau (T_c - ...), such that tau = 1 gives T_c, the centers of
-/// all regions. So every search starts strictly inside, and tau is driven to zero first.
+/// The program of ThrustProgram has the variables z = (y, fractions, tau). Its thrusts are
+/// T = sum_g fraction_g G_g + N y + tau (T_c - ...). With tau = 1 they are T_c, the centers of all
+/// regions. Every search therefore starts strictly inside, and tau is driven to zero first.
 ///
-/// A range between half a turn and a whole turn is not convex. The search then starts from convex
-/// hulls and splits the one that the answer leaves most into two half turns (branch and bound).
-/// At most `max_nodes` programs are solved. Nothing throws or allocates.
+/// The set of a range between half a turn and a whole turn is not convex. The search then starts
+/// from convex hulls. It splits the hull that the answer violates most into two half turns (branch
+/// and bound). At most `max_nodes` programs are solved. Nothing throws or allocates.
 template <int Rotors>
 class ThrustSearch {
  public:
@@ -41,27 +41,27 @@ class ThrustSearch {
   using Angles = std::array<double, static_cast<std::size_t>(Rotors)>;
   using Limits = ThrustLimits<Rotors, double>;
 
-  /// By how much thrusts may leave their limits, in units of max_thrust, so that a wrench at the
-  /// very edge of reach still has room for the method. Callers cut them.
+  /// Amount by which thrusts may exceed their limits, in units of max_thrust. A wrench at the very
+  /// edge of reach then still leaves room for the interior-point method. Callers clamp the thrusts.
   static constexpr double edge = 5e-9, widening = 1e-8;
-  /// What is missing at most where `edge` may help.
+  /// Largest value of Answer::missing at which `edge` may help.
   static constexpr double near_edge = 1e-2;
 
-  /// What is searched for.
+  /// Input of a search.
   struct Request {
-    Groups groups;        ///< G_g [N], the first has priority
-    Angles floor_angles;  ///< tilt angles along which min_thrust is kept [rad]
+    Groups groups;        ///< G_g [N]; the first group has priority
+    Angles floor_angles;  ///< tilt angles along which min_thrust is enforced [rad]
     Angles near;          ///< angles that the answer should be near [rad]
-    bool floors;          ///< keep the min_thrust of rotors that tilt
+    bool floors;          ///< true: enforce the min_thrust of tilting rotors
   };
 
   struct Answer {
     Thrusts thrusts;       ///< [N]
-    Fractions fractions;   ///< of each group
-    double missing = 1.0;  ///< after reach() failed: how far it came, from 1 to 0
+    Fractions fractions;   ///< fraction of each group
+    double missing = 1.0;  ///< after reach() failed: remaining tau, from 1 (start) to 0 (reached)
   };
 
-  /// `null_space` has orthonormal columns; columns that are not needed are zero.
+  /// `null_space` has orthonormal columns; unused columns are zero.
   ThrustSearch(const Limits& limits, const Directions& null_space)
       : limits_(limits), null_space_(null_space) {
     for (int i = 0; i < Rotors; ++i) {
@@ -71,18 +71,18 @@ class ThrustSearch {
     }
   }
 
-  /// As ThrustLimits::set_max_thrust().
+  /// Same as ThrustLimits::set_max_thrust().
   void set_max_thrust(std::size_t i, double max_thrust) noexcept {
     limits_.set_max_thrust(i, max_thrust);
   }
 
-  /// Thrusts for all groups in full, with the least change |y|, within `parts`. Returns whether
-  /// there are any. With `at_edge` limits are wider by `edge`.
+  /// Finds thrusts for all groups in full, with the least change |y|, within `parts`. With
+  /// `at_edge` the limits are wider by `edge`. Returns true if it finds thrusts.
   [[nodiscard]] bool reach(const Request& request, const Parts& parts, bool at_edge,
                            Answer& answer) const noexcept {
     answer.fractions.fill(1.0);
     answer.missing = 1.0;
-    // Depth first; a node waits for each rotor that was split.
+    // Depth-first search: one node waits for each rotor that was split.
     std::array<Parts, static_cast<std::size_t>(Rotors) + 2> waiting;
     std::size_t count = 0;
     waiting[count++] = parts;
@@ -91,7 +91,7 @@ class ThrustSearch {
       if (!reach_convex(request, now, at_edge, answer)) continue;
       const int worst = farthest_out(now, answer.thrusts);
       if (worst < 0) return true;
-      // The part that the rotor is near to is searched first, so it waits on top.
+      // The part near the rotor's angle is searched first, so it goes on top of the stack.
       AnglePart& part = now[static_cast<std::size_t>(worst)];
       const AnglePart first = limits_.nearest_part(request.near[static_cast<std::size_t>(worst)]);
       part = first == AnglePart::upper ? AnglePart::lower : AnglePart::upper;
@@ -102,10 +102,10 @@ class ThrustSearch {
     return false;
   }
 
-  /// Thrusts for the largest fraction in [0, 1] of the first group, then of the second given the
-  /// first, and so on, while the fractions of later groups are free in [0, 1]; then the least |y|.
-  /// Fractions may be less than the largest by `back_off`, and where the set is not convex and
-  /// `max_splits` programs do not decide.
+  /// Finds thrusts for the largest fraction in [0, 1] of the first group, then of the second group
+  /// with the first fixed, and so on. Meanwhile the fractions of later groups are free in [0, 1].
+  /// Finally minimises |y|. Fractions may be below the largest value by `back_off`. They may also
+  /// be lower if the set is not convex and `max_splits` programs do not decide.
   void prioritise(const Request& request, const Parts& parts, Answer& answer) const noexcept {
     std::array<Parts, static_cast<std::size_t>(Rotors) + max_splits> waiting;
     std::size_t count = 0;
@@ -122,7 +122,7 @@ class ThrustSearch {
         found = true;
         continue;
       }
-      // The nearest half turn is searched first, so it waits on top.
+      // The nearest half turn is searched first, so it goes on top of the stack.
       AnglePart& part = now[static_cast<std::size_t>(worst)];
       const double angle =
           std::atan2(candidate.thrusts(2 * worst), candidate.thrusts(2 * worst + 1));
@@ -135,7 +135,7 @@ class ThrustSearch {
     }
   }
 
-  /// True if the first fraction that differs by more than `margin` is larger in `a`.
+  /// Returns true if the first fraction that differs by more than `margin` is larger in `a`.
   [[nodiscard]] static bool is_better(const Fractions& a, const Fractions& b,
                                       double margin) noexcept {
     for (std::size_t g = 0; g < a.size(); ++g)
@@ -150,7 +150,8 @@ class ThrustSearch {
   using Vector = typename Program::Vector;
   static constexpr double tolerance = 1e-10, back_off = 1e-6;
 
-  /// The rotor whose thrust leaves its range most, of those whose hull was searched; else -1.
+  /// Rotor whose thrust is farthest out of its range, among the rotors whose hull was searched.
+  /// Returns -1 if there is none.
   [[nodiscard]] int farthest_out(const Parts& parts, const Thrusts& thrusts) const noexcept {
     if (limits_.convex()) return -1;
     int worst = -1;
@@ -166,7 +167,7 @@ class ThrustSearch {
     return worst;
   }
 
-  /// The program with y = 0, all fractions `initial` and tau = 1, which is `z`.
+  /// Sets up the program and its start `z`: y = 0, all fractions `initial` and tau = 1.
   void start(const Request& request, const Parts& parts, double initial, double wider,
              Program& program, Vector& z) const noexcept {
     program.base.setZero();
@@ -208,7 +209,8 @@ class ThrustSearch {
 
   [[nodiscard]] bool reach_convex(const Request& request, const Parts& parts, bool at_edge,
                                   Answer& answer) const noexcept {
-    // At the edge: within limits, within wider ones, and once more with caution.
+    // At the edge: first within limits, then within wider limits, then once more with smaller
+    // steps.
     Program program;
     Vector z;
     bool reached = false;

@@ -18,15 +18,15 @@
 #include <utility>
 #include <vector>
 
-/// How far the clocks of IMU and motion capture are apart, from a stretch of a flight: turning is
-/// seen by both, and fits at one offset only.
+/// Calibration of the offset between the clocks of the IMU and motion capture, from a part of a
+/// flight. Both measure the rotation of the vehicle, and their rotations agree at one offset only.
 namespace tilt_ropter {
 
-/// Where calibrate_clock() searches and what it takes for an answer.
+/// Search range and acceptance limits of calibrate_clock().
 struct ClockCalibrationSettings {
-  double max_offset = 0.5;      ///< searched on both sides of zero, at most 60 [s]
-  double window = 0.05;         ///< turns are compared over this time, at least 0.001 [s]
-  double max_deviation = 2e-3;  ///< an offset less certain than this is refused [s]
+  double max_offset = 0.5;  ///< offsets from -max_offset to max_offset are searched, at most 60 [s]
+  double window = 0.05;     ///< rotations are compared over this time, at least 0.001 [s]
+  double max_stddev = 2e-3;  ///< an offset with a larger standard deviation is refused [s]
 };
 
 inline void validate(const ClockCalibrationSettings& s) {
@@ -34,16 +34,17 @@ inline void validate(const ClockCalibrationSettings& s) {
           s.max_offset, "in (0, 60]");
   require(std::isfinite(s.window) && s.window >= 1e-3, "ClockCalibrationSettings.window [s]",
           s.window, "finite and >= 0.001");
-  require_positive("ClockCalibrationSettings.max_deviation [s]", s.max_deviation);
+  require_positive("ClockCalibrationSettings.max_stddev [s]", s.max_stddev);
 }
 
-/// Whether the offset was found and, if not, why; of several reasons the first.
+/// Whether the offset was found and, if not, the reason. If several reasons apply, the status is
+/// the first of them in this order.
 enum class ClockCalibrationStatus {
   calibrated,
-  bad_data,      ///< a number is not finite, or stamps do not increase
-  too_short,     ///< fewer than 100 turns to compare
-  out_of_range,  ///< the best offset lies at an end of the search
-  uncertain      ///< too little turning, or about one axis only
+  bad_data,      ///< a number is not finite, a quaternion is not unit, or stamps do not increase
+  too_short,     ///< fewer than 100 rotations to compare
+  out_of_range,  ///< the best offset lies at an end of the search range
+  uncertain      ///< too little rotation, or rotation about one axis only
 };
 
 [[nodiscard]] inline const char* to_string(ClockCalibrationStatus status) {
@@ -52,18 +53,21 @@ enum class ClockCalibrationStatus {
   return names[static_cast<std::size_t>(status)];
 }
 
-/// What calibrate_clock() found; an offset only where the status is calibrated.
+/// Result of calibrate_clock(). The offset is valid only if the status is calibrated.
 struct ClockCalibration {
   ClockCalibrationStatus status = ClockCalibrationStatus::bad_data;
-  double offset = 0.0;  ///< to be added to the stamps of the poses (EkfSettings.clock_offset) [s]
-  double deviation = std::numeric_limits<double>::infinity();              ///< of the offset [s]
-  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();  ///< M -> body, as seen
-  double residual = 0.0;  ///< root mean square over turns and axes [rad]
+  /// Time to add to the stamps of the poses (EkfSettings.clock_offset) [s].
+  double offset = 0.0;
+  /// Standard deviation of the offset [s].
+  double stddev = std::numeric_limits<double>::infinity();
+  /// Fitted rotation M -> body.
+  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
+  double residual = 0.0;  ///< root mean square over rotations and axes [rad]
 };
 
 namespace detail {
 
-/// The turning of the IMU from the start of a log to any time within it.
+/// Rotation of the IMU from the start of a log to any time within the log.
 template <typename Scalar>
 class GyroIntegral {
  public:
@@ -86,35 +90,36 @@ class GyroIntegral {
   }
 
  private:
-  /// The turn from sample i to `time` before the next one, between which the rate is linear.
+  /// Rotation from sample i to `time`, before the next sample. The rate is linear between the
+  /// samples.
   [[nodiscard]] Eigen::Quaterniond part(std::size_t i, double time) const {
     const double duration = time - imu_[i].time;
-    const double share = duration / (imu_[i + 1].time - imu_[i].time);
+    const double fraction = duration / (imu_[i + 1].time - imu_[i].time);
     const Eigen::Vector3d from = imu_[i].value.angular_velocity.template cast<double>();
     const Eigen::Vector3d to = imu_[i + 1].value.angular_velocity.template cast<double>();
-    return quaternion_exp(duration * (from + share / 2.0 * (to - from)));
+    return quaternion_exp(duration * (from + fraction / 2.0 * (to - from)));
   }
 
   const std::vector<Timed<InertialSample<Scalar>>>& imu_;
   std::vector<Eigen::Quaterniond> turned_;
 };
 
-/// A turn of the marker frame between two poses, on motion capture's clock.
+/// Rotation of the marker frame between two poses, in motion capture's clock.
 struct MarkerTurn {
   double start, end;
   Eigen::Vector3d turn;  ///< rotation vector in M [rad]
 };
 
-/// The best rotation M -> body and constant difference (the gyro's bias) between turns of the
-/// marker and of the IMU at one offset of the clocks, after Kabsch 1976.
+/// Best rotation M -> body and best constant difference (the gyro's bias) between rotations of the
+/// marker and of the IMU. Fitted at one clock offset (Kabsch 1976).
 struct TurnFit {
   double cost = std::numeric_limits<double>::infinity();  ///< mean square of the residuals [rad^2]
-  double second_largest = 0.0;  ///< of the correlation's singular values [rad^2]
+  double second_largest = 0.0;  ///< second largest singular value of the correlation [rad^2]
   Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
-  std::vector<double> squares;  ///< of each turn's residual
+  std::vector<double> squares;  ///< squared residual of each rotation [rad^2]
 };
 
-/// Of turns as columns, of the body and of the marker.
+/// Fits the rotation from `marker` to `body`. Both hold one rotation vector per column.
 template <typename Turns>
 TurnFit fit_rotation(Turns body, Turns marker) {
   body.colwise() -= body.rowwise().mean().eval();
@@ -149,12 +154,15 @@ TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scala
 
 }  // namespace detail
 
-/// Compares the turns of the marker frame between poses one `window` apart with those integrated
-/// from the gyro, over every offset of the clocks: the constant rotation of the marker frame and
-/// the gyro's bias, fitted at each offset, do not disturb it. Both logs in the order of their
-/// stamps; poses may have outliers and gaps. Needs a few seconds of turning about two axes or more,
-/// and `max_offset` of IMU before and after the poses used. Throws std::invalid_argument for
-/// settings out of range; allocates: it is not for the loop. Logs of float are read as double.
+/// Finds the offset between the two clocks. Compares the rotation of the marker frame between poses
+/// one `window` apart with the rotation integrated from the gyro, at every offset. The constant
+/// rotation of the marker frame and the gyro's bias are fitted at each offset, so they do not
+/// disturb the result.
+///
+/// Both logs must be in the order of their stamps. Poses may have outliers and gaps. Needs a few
+/// seconds of rotation about two axes or more, and `max_offset` of IMU samples before and after the
+/// poses used. Logs of float are read as double. Throws std::invalid_argument if a setting is out
+/// of range. Allocates, so do not call it in the control loop.
 template <typename Scalar = double>
 [[nodiscard]] ClockCalibration calibrate_clock(
     const std::vector<Timed<InertialSample<Scalar>>>& imu,
@@ -181,7 +189,7 @@ template <typename Scalar = double>
 
   const double coarse = std::min(5e-3, settings.window / 4.0);
   const auto steps = static_cast<int>(std::ceil(settings.max_offset / coarse));
-  const double reach = settings.max_offset + 2.0 * coarse;  // the last steps may lead out a little
+  const double reach = settings.max_offset + 2.0 * coarse;  // the last steps may exceed the range
   const detail::GyroIntegral<Scalar> gyro(imu);
   std::vector<detail::MarkerTurn> turns;
   double total = 0.0;
@@ -201,8 +209,9 @@ template <typename Scalar = double>
   if (turns.size() < 100) return result;
   const double overlap = std::max(1.0, total / (turns.back().end - turns.front().start));
 
-  // Coarsely over the whole range. Poses gone wrong would pull at the fit: turns five times worse
-  // than the median are left out and the search is done again, as they may have led it astray.
+  // Coarse search over the whole range. Wrong poses would disturb the fit. Rotations with a
+  // residual above five times the median are dropped. The search is then repeated, because these
+  // rotations may have misled it.
   double offset = 0.0;
   int best = 0;
   for (int round = 0; round < 3; ++round) {
@@ -230,7 +239,7 @@ template <typename Scalar = double>
   result.status = ClockCalibrationStatus::out_of_range;
   if (std::abs(best) == steps) return result;
 
-  // Then parabolas through ever closer neighbours.
+  // Fine search with parabolas through neighbours at decreasing distance.
   double curvature = 0.0;
   for (double step = coarse; step > 1e-4; step /= 4.0) {
     const double before = detail::fit_turns(turns, gyro, offset - step).cost;
@@ -247,9 +256,9 @@ template <typename Scalar = double>
   result.marker_orientation = Eigen::Quaterniond(fit.rotation);
   result.residual = std::sqrt(fit.cost / 3.0);
   if (curvature > 0.0)
-    result.deviation = std::sqrt(2.0 * overlap * fit.cost / ((3.0 * count - 7.0) * curvature));
+    result.stddev = std::sqrt(2.0 * overlap * fit.cost / ((3.0 * count - 7.0) * curvature));
   const bool two_axes = fit.second_largest > 10.0 * fit.cost / std::sqrt(count);
-  result.status = two_axes && result.deviation <= settings.max_deviation
+  result.status = two_axes && result.stddev <= settings.max_stddev
                       ? ClockCalibrationStatus::calibrated
                       : ClockCalibrationStatus::uncertain;
   return result;

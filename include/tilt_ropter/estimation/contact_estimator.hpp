@@ -15,34 +15,41 @@
 #include <limits>
 #include <optional>
 
-/// Are the wheels on the ground, where is it, and which part of the external wrench is its?
+/// Contact estimation: are the wheels or feet on the ground, where is the ground, and which part of
+/// the external wrench comes from the ground?
 namespace tilt_ropter {
 
-/// When the vehicle counts as on the ground. A load is the lift that the air does not give.
+/// Criteria for contact with the ground. The load is the upward external force (lift) minus the
+/// lift that the air gives.
 struct ContactEstimatorSettings {
-  /// Share of the weight as load by which ground is met closer than leave_height to where it should
-  /// be.
+  /// Load that counts as contact when the vehicle is within leave_height of the expected ground, as
+  /// a fraction of the weight.
   double near_load = 0.10;
-  /// The same anywhere else: more than what gusts do.
+  /// Load that counts as contact at any other height, as a fraction of the weight. It must exceed
+  /// the load of gusts.
   double far_load = 0.30;
-  /// Share of the weight as load that nothing but the ground gives, not even a vehicle much lighter
-  /// than believed.
+  /// Load that only the ground can give, as a fraction of the weight. Above this load the vehicle
+  /// counts as carried. The value must exceed the error of the believed weight.
   double carried_load = 0.40;
-  double leave_height = 0.030;  ///< above the ground and not carried: in the air [m]
-  /// Not carried for unloaded_time, as in a take-off and not in a hop over a plank, it is in the
-  /// air so long before its speed takes it there [s].
+  /// A vehicle that is not carried counts as in the air above this distance from the ground [m].
+  double leave_height = 0.030;
+  /// Lead of the take-off detection [s]. It acts after the vehicle has not been carried for
+  /// unloaded_time, as in a take-off but not in a hop over a plank. The vehicle then counts as in
+  /// the air if its speed will take it to leave_height within leave_lead.
   double leave_lead = 0.1;
-  double unloaded_time = 0.3;  ///< see leave_lead [s]
-  /// In the air so far below where the wheels last stood, as after a table's edge, the ground is
-  /// forgotten; until then it may only be lower than it was thought to be [m].
+  double unloaded_time = 0.3;  ///< time without load before leave_lead acts [s]
+  /// Depth below the last ground at which the ground is forgotten [m]. A vehicle in the air reaches
+  /// this depth behind the edge of a table, for example. Up to this depth the ground is kept,
+  /// because its height may only be overestimated.
   double search_depth = 0.25;
-  double load_time = 0.01;   ///< over which the load is averaged [s]
-  double air_time = 0.5;     ///< over which what acts in the air is averaged, to be kept [s]
-  double ground_time = 0.1;  ///< over which the ground's height is averaged [s]
-  double slope_time = 0.4;   ///< over which the ground's slope is averaged [s]
-  double max_slope = 0.5;    ///< of the ground, steeper is not believed
-  /// Where the ground is taken to be until the vehicle has stood on it or flown below it; height
-  /// -infinity: nothing is assumed.
+  double load_time = 0.01;  ///< time constant of the load's average [s]
+  /// Time constant of the average of the wrench in the air, which is kept on the ground [s].
+  double air_time = 0.5;
+  double ground_time = 0.1;  ///< time constant of the average of the ground's height [s]
+  double slope_time = 0.4;   ///< time constant of the average of the ground's slope [s]
+  double max_slope = 0.5;    ///< largest slope of the ground; a steeper estimate is ignored
+  /// Expected ground until the vehicle has stood on the ground or flown below this plane. Height
+  /// -infinity: no ground is expected.
   GroundPlane assumed_ground;
 };
 
@@ -65,25 +72,28 @@ inline void validate(const ContactEstimatorSettings& s) {
           "finite, or -infinity");
 }
 
-/// Load first, height second: a vehicle that is carried is on the ground, wherever the ground is,
-/// and one that is not is in the air as soon as it has left the place where it was carried.
+/// Decides whether the vehicle is on the ground, by the load first and by the height second. A
+/// vehicle that is carried is on the ground, at any height. A vehicle that is not carried is in the
+/// air when it leaves the place where it was carried.
 ///
-/// The ground is a plane through the lowest points of wheels or feet. Its height follows them while
-/// they carry. Its slope follows the axle, which lies in it, the way that the vehicle rolls and,
-/// where the undercarriage does not pitch, body x.
+/// The ground is a plane through the lowest points of wheels or feet. Its height follows these
+/// points while they carry the vehicle. Its slope follows lines that lie in the plane: the axle and
+/// the direction in which the vehicle rolls. If the undercarriage does not pitch, body x is a third
+/// line.
 ///
-/// In the air the external wrench is a disturbance, all of it. On the ground the vertical force and
-/// the roll torque are mostly the ground's, so the disturbance is what was last seen in the air, in
-/// two parts corrected by what the ground cannot do: it only pushes, so lift that is missing on it
-/// is missing in the air as well (a heavy vehicle, weak rotors), and freely turning wheels on one
-/// axle give no pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the
-/// air, and all of the external wrench is a disturbance.
+/// In the air the whole external wrench is a disturbance. On the ground the vertical force and the
+/// roll torque come mostly from the ground. The disturbance is then the last disturbance in the
+/// air, with two corrections. The ground only pushes, so lift that is missing on the ground is also
+/// missing in the air (a heavy vehicle, weak rotors). Freely turning wheels on one axle give no
+/// pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the air, and its
+/// whole external wrench is a disturbance.
 ///
-/// The observer is a filter and shows for a while what the ground did after it has let go. That
-/// part is known and taken out. Nothing allocates; only the constructor throws.
+/// The observer is a filter. After take-off its output still contains a decaying part of the
+/// ground's wrench. This part is known and is subtracted. Does not allocate. Only the constructor
+/// throws.
 class ContactEstimator {
  public:
-  /// Throws std::invalid_argument for parameters or settings out of range.
+  /// Throws std::invalid_argument if a parameter or setting is out of range.
   ContactEstimator(const RigidBodyParameters& body,
                    const std::optional<Undercarriage>& undercarriage,
                    const ContactEstimatorSettings& settings = {})
@@ -99,37 +109,38 @@ class ContactEstimator {
                             const ContactEstimatorSettings& settings = {})
       : ContactEstimator(vehicle.body, undercarriage(vehicle), settings) {}
 
-  /// Takes the state of the body (of the CoM) and what the observer has seen since the last call
-  /// (its take_external()) at `time` [s]; once a tick or more often. Numbers that are not finite or
-  /// beyond 1e6, or wrenches beyond ten times the weight (that at a metre), change nothing, nor
-  /// does a time that is not after the last, unless by a second or more: the clock has been set.
-  const ContactEstimate& update(double time, const BodyState<>& body,
-                                WrenchObserver<>& observer) noexcept {
+  /// Processes the state of the body (of the CoM) and the output of the observer since the last
+  /// call (its take_external()) at `time` [s]. Call it once per tick or more often. Ignores numbers
+  /// that are not finite or above 1e6. Ignores wrenches above ten times the weight (torque: ten
+  /// times the weight at one metre). Ignores a time that is not after the last time, unless it is
+  /// earlier by a second or more: then the clock was set.
+  const ContactEstimate& update(double time, const BodyStated& body,
+                                WrenchObserverd& observer) noexcept {
     return update(time, body, observer.take_external(), observer.settings().force_bandwidth,
                   observer.settings().torque_bandwidth, observer.unfiltered_force());
   }
 
-  /// The same with an external wrench (body frame, at the CoM) from elsewhere, filtered to first
-  /// order with these bandwidths [1/s]; infinite for one that is not filtered. `first` is the force
-  /// without the filter's lag, asked for at the first update only: of a filter that has just begun
-  /// its output says nothing.
-  const ContactEstimate& update(double time, const BodyState<>& measured, const Wrench<>& external,
+  /// Same with an external wrench (body frame, at the CoM) from another source, filtered to first
+  /// order with these bandwidths [1/s]. The bandwidth of an unfiltered wrench is infinite. `first`
+  /// is the force without the filter's lag [N]. It is used at the first update only, because the
+  /// output of a filter that has just started is meaningless.
+  const ContactEstimate& update(double time, const BodyStated& measured, const Wrenchd& external,
                                 const Eigen::Vector3d& force_bandwidth,
                                 const Eigen::Vector3d& torque_bandwidth,
                                 const Eigen::Vector3d& first) noexcept {
     if (!std::isfinite(time) || !is_credible(measured, external) || !all_finite(first))
       return estimate_;
-    BodyState<> body = measured;
+    BodyStated body = measured;
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
     if (!undercarriage_) return update_in_the_air(time, external);
     dt = std::max(dt, 0.0);
-    // What the observer's filter has passed since the last call, without its lag.
-    const Wrench<> now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
-    const double lift = started_
-                            ? lift_ + share(dt, settings_.load_time) * (lift_of(now, body) - lift_)
-                            : lift_of({first, Eigen::Vector3d::Zero()}, body);
+    // Mean input of the observer's filter since the last call, without the filter's lag.
+    const Wrenchd now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
+    const double lift =
+        started_ ? lift_ + fraction(dt, settings_.load_time) * (lift_of(now, body) - lift_)
+                 : lift_of({first, Eigen::Vector3d::Zero()}, body);
     const double clearance = clearance_of(body);
 
     const bool was_on_ground = estimate_.on_ground;
@@ -152,31 +163,31 @@ class ContactEstimator {
   }
 
   [[nodiscard]] const ContactEstimate& estimate() const noexcept { return estimate_; }
-  /// Changes of mode after the first update.
+  /// Number of changes between air and ground after the first update.
   [[nodiscard]] int mode_changes() const noexcept { return mode_changes_; }
   [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
 
  private:
-  // Of a vehicle with nothing to stand on.
-  const ContactEstimate& update_in_the_air(double time, const Wrench<>& external) noexcept {
+  // For a vehicle without an undercarriage.
+  const ContactEstimate& update_in_the_air(double time, const Wrenchd& external) noexcept {
     estimate_.disturbance = external;
     started_ = true;
     time_ = time;
     return estimate_;
   }
 
-  // Of wheels or feet over the ground [m].
-  [[nodiscard]] double clearance_of(const BodyState<>& body) const noexcept {
+  // Height of wheels or feet above the ground [m].
+  [[nodiscard]] double clearance_of(const BodyStated& body) const noexcept {
     return body.position.z() - undercarriage_->height - estimate_.ground.height_at(body.position);
   }
 
-  // Of the vehicle away from the ground [m/s].
-  [[nodiscard]] double rising_of(const BodyState<>& body) const noexcept {
-    return body.velocity.z() - estimate_.ground.slope.dot(body.velocity.head<2>());
+  // Speed of the vehicle away from the ground [m/s].
+  [[nodiscard]] double rising_of(const BodyStated& body) const noexcept {
+    return body.velocity.z() - estimate_.ground.rise(body.velocity);
   }
 
-  // In the air, until a load says otherwise.
-  void fly(const BodyState<>& body, double lift, double clearance, double dt) noexcept {
+  // Update in the air, until a load indicates contact.
+  void fly(const BodyStated& body, double lift, double clearance, double dt) noexcept {
     const double load = lift - air_lift_, rising = rising_of(body);
     const bool near = std::abs(clearance) < settings_.leave_height;
     const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
@@ -190,35 +201,35 @@ class ContactEstimator {
       return;
     }
     if (load < 0.5 * enough) {
-      const double part = share(dt, settings_.air_time);
+      const double part = fraction(dt, settings_.air_time);
       air_.force += part * (estimate_.disturbance.force - air_.force);
       air_.torque += part * (estimate_.disturbance.torque - air_.torque);
       air_lift_ = possible(air_lift_ + part * (lift_of(estimate_.disturbance, body) - air_lift_));
     }
     const double depth = estimate_.ground_known ? settings_.search_depth : settings_.leave_height;
-    if (clearance < -depth) {  // it is not there
+    if (clearance < -depth) {  // the ground is not there
       estimate_.ground = {-std::numeric_limits<double>::infinity(), Eigen::Vector2d::Zero()};
       estimate_.ground_known = false;
     }
   }
 
-  // On the ground, until the vehicle is neither carried nor where it was.
-  void stay(const BodyState<>& body, const Wrench<>& external, double lift, double clearance,
+  // Update on the ground, until the vehicle is not carried and has left its place.
+  void stay(const BodyStated& body, const Wrenchd& external, double lift, double clearance,
             double dt) noexcept {
-    // The ground only pushes, and wheels that turn freely do not pitch.
+    // The ground only pushes, and freely turning wheels give no pitch torque.
     if (lift < lift_of(air_, body)) set_air_lift(lift, body);
     if (undercarriage_->pitches) air_.torque.y() = external.torque.y();
     if (lift - lift_of(air_, body) > settings_.carried_load * weight_) {
       unloaded_for_ = 0.0;
-      place_ground(body, share(dt, settings_.ground_time));
-      learn_slope(body, share(dt, settings_.slope_time));
+      place_ground(body, fraction(dt, settings_.ground_time));
+      learn_slope(body, fraction(dt, settings_.slope_time));
       return;
     }
     unloaded_for_ += dt;
     const double lead = unloaded_for_ > settings_.unloaded_time ? settings_.leave_lead : 0.0;
     if (std::abs(clearance) > settings_.leave_height ||
         clearance + lead * rising_of(body) > settings_.leave_height) {
-      // No ground any more: the lift that there is is all the air's.
+      // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
       air_lift_ = possible(lift);
       set_air_lift(air_lift_, body);
@@ -226,27 +237,27 @@ class ContactEstimator {
     }
   }
 
-  static double share(double dt, double time_constant) noexcept {
+  static double fraction(double dt, double time_constant) noexcept {
     return -std::expm1(-dt / time_constant);
   }
 
-  static double lift_of(const Wrench<>& wrench, const BodyState<>& body) noexcept {
+  static double lift_of(const Wrenchd& wrench, const BodyStated& body) noexcept {
     return (body.orientation * wrench.force).z();
   }
 
-  void set_air_lift(double lift, const BodyState<>& body) noexcept {
+  void set_air_lift(double lift, const BodyStated& body) noexcept {
     air_.force += body.orientation.conjugate() *
                   Eigen::Vector3d(0.0, 0.0, possible(lift) - lift_of(air_, body));
   }
 
-  // Lift of the air, of a vehicle heavier or lighter than believed, of rotors weaker or stronger.
-  // Less is missing than what counts as carried: no error hides that the vehicle has left.
+  // Clamps the lift of the air to what a wrong mass or wrong rotor thrust can cause. The missing
+  // lift stays below carried_load, so no error hides that the vehicle has left the ground.
   [[nodiscard]] double possible(double lift) const noexcept {
     return std::clamp(lift, -0.9 * settings_.carried_load * weight_, 0.5 * weight_);
   }
 
-  [[nodiscard]] bool is_credible(const BodyState<>& body, const Wrench<>& external) const noexcept {
-    constexpr double most = 1e6;  // in comparisons that NaN does not pass
+  [[nodiscard]] bool is_credible(const BodyStated& body, const Wrenchd& external) const noexcept {
+    constexpr double most = 1e6;  // NaN fails the comparisons with this bound
     const double largest = 10.0 * weight_;
     return is_finite(body) && body.orientation.norm() <= most && body.position.norm() <= most &&
            body.velocity.norm() <= most && external.force.norm() <= largest &&
@@ -257,11 +268,10 @@ class ContactEstimator {
     return bandwidth.unaryExpr([dt](double k) { return std::exp(-k * dt); });
   }
 
-  // The mean input of the first-order filters between the last output and this one.
-  [[nodiscard]] Wrench<> unfiltered(const Wrench<>& external,
-                                    const Eigen::Vector3d& force_bandwidth,
-                                    const Eigen::Vector3d& torque_bandwidth,
-                                    double dt) const noexcept {
+  // Mean input of the first-order filters between the last output and this output.
+  [[nodiscard]] Wrenchd unfiltered(const Wrenchd& external, const Eigen::Vector3d& force_bandwidth,
+                                   const Eigen::Vector3d& torque_bandwidth,
+                                   double dt) const noexcept {
     if (!(dt > 0.0) || dt > 0.5) return external;
     const auto undone = [dt](const Eigen::Vector3d& now, const Eigen::Vector3d& before,
                              const Eigen::Vector3d& bandwidth) {
@@ -272,27 +282,28 @@ class ContactEstimator {
             undone(external.torque, last_.torque, torque_bandwidth)};
   }
 
-  static void fade(Wrench<>& w, const Eigen::Vector3d& force_bandwidth,
+  static void fade(Wrenchd& w, const Eigen::Vector3d& force_bandwidth,
                    const Eigen::Vector3d& torque_bandwidth, double dt) noexcept {
     w.force = w.force.cwiseProduct(kept(force_bandwidth, dt));
     w.torque = w.torque.cwiseProduct(kept(torque_bandwidth, dt));
   }
 
-  void place_ground(const BodyState<>& body, double share) noexcept {
+  void place_ground(const BodyStated& body, double fraction) noexcept {
     GroundPlane& ground = estimate_.ground;
-    constexpr double largest_step = 0.05;  // [m], of the height that is averaged
+    constexpr double largest_step = 0.05;  // [m], limit of the averaged height error
     if (!std::isfinite(ground.height)) ground.height = 0.0;
     const double off = clearance_of(body);
-    ground.height += share == 1.0 ? off : share * std::clamp(off, -largest_step, largest_step);
+    ground.height +=
+        fraction == 1.0 ? off : fraction * std::clamp(off, -largest_step, largest_step);
   }
 
-  // Turns the plane about the point under the vehicle.
-  void learn_slope(const BodyState<>& body, double share) noexcept {
+  // Rotates the plane about the point under the vehicle.
+  void learn_slope(const BodyStated& body, double fraction) noexcept {
     GroundPlane& ground = estimate_.ground;
     Eigen::Vector2d slope = ground.slope;
-    const auto learn = [&](const Eigen::Vector3d& line) {  // that lies in the plane
+    const auto learn = [&](const Eigen::Vector3d& line) {  // `line` lies in the plane
       const Eigen::Vector2d level = line.head<2>();
-      slope += share * level * (line.z() - slope.dot(level)) / level.squaredNorm();
+      slope += fraction * level * (line.z() - slope.dot(level)) / level.squaredNorm();
     };
     learn(body.orientation * Eigen::Vector3d::UnitY());
     if (!undercarriage_->pitches) learn(body.orientation * Eigen::Vector3d::UnitX());
@@ -302,13 +313,13 @@ class ContactEstimator {
     ground.slope = slope;
   }
 
-  void split(const Wrench<>& external, const Eigen::Quaterniond& orientation) noexcept {
+  void split(const Wrenchd& external, const Eigen::Quaterniond& orientation) noexcept {
     if (!estimate_.on_ground) {
       estimate_.rolling = estimate_.ground_reaction = {};
       return;
     }
     const Eigen::Vector3d normal = orientation.conjugate() * estimate_.ground.normal();
-    Wrench<>&held = estimate_.ground_reaction, &free = estimate_.rolling;
+    Wrenchd &held = estimate_.ground_reaction, &free = estimate_.rolling;
     free = {external.force - normal.dot(external.force) * normal, external.torque};
     held = {normal.dot(external.force - air_.force) * normal, Eigen::Vector3d::Zero()};
     if (!undercarriage_->rolls) {
@@ -328,9 +339,9 @@ class ContactEstimator {
   double weight_;
   std::optional<Undercarriage> undercarriage_;
   ContactEstimate estimate_;
-  Wrench<> air_;        // what acts in the air, averaged; kept on the ground
-  Wrench<> left_over_;  // of the ground, in the observer's output
-  Wrench<> last_;       // of the observer
+  Wrenchd air_;        // average wrench in the air; kept on the ground
+  Wrenchd left_over_;  // ground's part that remains in the observer's output
+  Wrenchd last_;       // last output of the observer
   double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
   int mode_changes_ = 0;
   bool started_ = false;

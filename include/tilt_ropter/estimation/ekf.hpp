@@ -15,38 +15,42 @@
 #include <vector>
 
 /// State of the vehicle from IMU and motion capture (paper, Sec. Control): an error-state Kalman
-/// filter that takes measurements with the time stamps they bear.
+/// filter that processes measurements at their time stamps. This header is long because Ekf is a
+/// class template, so its function definitions must be in the header.
 namespace tilt_ropter {
 
-/// Every length of time in seconds. Deviations are standard deviations per axis.
+/// All times are in seconds. All stddev fields are standard deviations per axis.
 struct EkfSettings {
-  InertialNoise imu_noise;
-  MarkerPoseNoise pose_noise;
+  InertialNoise imu_noise;     ///< noise of the IMU
+  MarkerPoseNoise pose_noise;  ///< noise of the poses
 
-  /// The marker frame M in the body frame: M's origin [m], and M -> body.
+  /// Pose of the marker frame M in the body frame: origin of M [m], and rotation M -> body.
   Eigen::Vector3d marker_position = Eigen::Vector3d::Zero();
   Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
-  /// How well both are known. Zero switches their estimation off. On, they take about ten seconds
-  /// of motion about all axes; a vehicle at rest tells nothing of them.
-  double marker_position_deviation = 0.0;     ///< [m]
-  double marker_orientation_deviation = 0.0;  ///< [rad]
+  /// Standard deviations of this pose. Zero switches its estimation off. If the estimation is on,
+  /// it takes about ten seconds of motion about all axes. A vehicle at rest gives no information
+  /// about this pose.
+  double marker_position_stddev = 0.0;     ///< of marker_position [m]
+  double marker_orientation_stddev = 0.0;  ///< of marker_orientation [rad]
 
-  /// What has to be added to the stamp of a pose to get the IMU's clock (see calibrate_clock).
+  /// Time to add to the stamp of a pose to get the IMU's clock (see calibrate_clock).
   double clock_offset = 0.0;
 
-  /// Of what the first pose does not tell.
-  double velocity_deviation = 1.0;            ///< about zero [m/s]
-  double gyro_bias_deviation = 0.1;           ///< about zero [rad/s]
-  double accelerometer_bias_deviation = 0.5;  ///< about zero [m/s^2]
+  /// Initial standard deviations of the states that the first pose does not measure.
+  double velocity_stddev = 1.0;            ///< of the velocity, about zero [m/s]
+  double gyro_bias_stddev = 0.1;           ///< of the gyro bias, about zero [rad/s]
+  double accelerometer_bias_stddev = 0.5;  ///< of the accelerometer bias, about zero [m/s^2]
 
-  /// A pose whose NIS is above this is not used. 27.9 is passed by all but one in 10^4.
+  /// Largest NIS of a pose that is used. One in 10^4 valid poses exceeds 27.9.
   double gate = 27.9;
-  /// As many poses refused by the gate in a row start the filter anew at the last of them; as many
-  /// IMU samples in a row behind the newest say that it, or the clock, was wrong: a gap, too.
+  /// Number of consecutive poses refused by the gate after which the filter restarts at the last of
+  /// these poses. Also the number of consecutive IMU samples behind the newest sample after which
+  /// the newest sample, or the clock, counts as wrong. The filter then treats this as a gap.
   int max_rejections = 25;
-  /// Poses may come this much after, or before, the IMU sample of their time.
+  /// Largest time by which a pose may arrive after, or before, the IMU sample of the same time.
   double max_delay = 0.2;
-  /// A longer pause of the IMU cannot be bridged: the next pose starts the filter anew.
+  /// Longest pause of the IMU that is bridged. After a longer pause the next pose restarts the
+  /// filter.
   double max_imu_gap = 0.1;
 };
 
@@ -57,31 +61,31 @@ inline void validate(const EkfSettings& s) {
           "EkfSettings.marker_position [m]", s.marker_position, "in [-100, 100] in every entry");
   require(std::abs(s.marker_orientation.norm() - 1.0) < 1e-6, "EkfSettings.marker_orientation",
           s.marker_orientation.coeffs(), "of unit length");
-  require_in("EkfSettings.marker_position_deviation [m]", s.marker_position_deviation, 0.0, 100.0);
-  require_in("EkfSettings.marker_orientation_deviation [rad]", s.marker_orientation_deviation, 0.0,
-             10.0);
+  require_in("EkfSettings.marker_position_stddev [m]", s.marker_position_stddev, 0.0, 100.0);
+  require_in("EkfSettings.marker_orientation_stddev [rad]", s.marker_orientation_stddev, 0.0, 10.0);
   require_time("EkfSettings.clock_offset [s]", s.clock_offset);
-  require_in("EkfSettings.velocity_deviation [m/s]", s.velocity_deviation, 1e-6, 1e3);
-  require_in("EkfSettings.gyro_bias_deviation [rad/s]", s.gyro_bias_deviation, 0.0, 1e3);
-  require_in("EkfSettings.accelerometer_bias_deviation [m/s^2]", s.accelerometer_bias_deviation,
-             0.0, 1e3);
+  require_in("EkfSettings.velocity_stddev [m/s]", s.velocity_stddev, 1e-6, 1e3);
+  require_in("EkfSettings.gyro_bias_stddev [rad/s]", s.gyro_bias_stddev, 0.0, 1e3);
+  require_in("EkfSettings.accelerometer_bias_stddev [m/s^2]", s.accelerometer_bias_stddev, 0.0,
+             1e3);
   require_positive("EkfSettings.gate", s.gate);
   require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
   require_in("EkfSettings.max_delay [s]", s.max_delay, 1e-6, 10.0);
   require_in("EkfSettings.max_imu_gap [s]", s.max_imu_gap, 1e-6, 1.0);
 }
 
-/// What became of a measurement. Those after `restarted` changed nothing in the estimate.
+/// Result of processing a measurement. A measurement with a status after `restarted` did not change
+/// the estimate.
 enum class EkfStatus {
   updated,    ///< used
-  started,    ///< the first pose: the filter stands on it
-  restarted,  ///< the filter stands on this pose anew, after rejections or a gap of the IMU
-  waiting,    ///< a pose ahead of the IMU: used as soon as the IMU has come to its time
-  stopped,    ///< an IMU sample after a gap: the estimate is frozen until the next pose
-  gated,      ///< a pose too unlikely
-  duplicate,  ///< stamp seen before
-  late,       ///< older than an IMU sample, or a pose, that has been used already
-  early,      ///< a pose too far ahead of the IMU, or before its first sample
+  started,    ///< first pose: the filter starts at this pose
+  restarted,  ///< the filter restarts at this pose, after rejections or a gap of the IMU
+  waiting,    ///< pose ahead of the IMU: used when the IMU reaches its time
+  stopped,    ///< IMU sample after a gap: the estimate is frozen until the next pose
+  gated,      ///< pose is too unlikely (NIS above the gate)
+  duplicate,  ///< stamp was seen before
+  late,       ///< older than an IMU sample, or a pose, that was already used
+  early,      ///< pose too far ahead of the IMU, before its first sample, or too many poses wait
   rejected    ///< not finite, not a rotation, or absurd (1e3 rad/s, 1e5 m/s^2, 1e6 m)
 };
 
@@ -92,48 +96,49 @@ enum class EkfStatus {
   return names[static_cast<std::size_t>(status)];
 }
 
-/// How many poses came to which end.
+/// Number of poses by result.
 struct EkfCounts {
   long used = 0;      ///< updates, starts and restarts
-  long restarts = 0;  ///< among those
+  long restarts = 0;  ///< restarts among the used poses
   long gated = 0;
   long unused = 0;  ///< duplicate, late, early or rejected
 };
 
-/// The filter stands at the time of the last pose used, so that a delayed pose meets the state of
-/// its time; from there the state is carried forward through the samples of the IMU, which are kept
-/// as long as a pose of their time may come. All memory is taken at construction; afterwards
-/// nothing throws or allocates. No assumption is made on the orientation at the start.
-template <typename Scalar = double>
+/// Error-state Kalman filter for delayed poses. The filter is at the time of the last pose used, so
+/// that a delayed pose is compared with the state at its own time. From there the state is
+/// propagated through the IMU samples. Samples are kept while a pose of their time may arrive. The
+/// constructor allocates all memory. Afterwards nothing throws or allocates. The initial
+/// orientation may be arbitrary.
+template <typename Scalar>
 class Ekf {
  public:
-  static constexpr std::size_t max_samples = 1024;  ///< of the IMU, kept for delayed poses
-  static constexpr std::size_t max_waiting = 32;    ///< poses ahead of the IMU
+  static constexpr std::size_t max_samples = 1024;  ///< IMU samples kept for delayed poses
+  static constexpr std::size_t max_waiting = 32;    ///< stored poses ahead of the IMU
 
-  /// Throws std::invalid_argument for settings out of range.
+  /// Throws std::invalid_argument if a setting is out of range.
   explicit Ekf(const EkfSettings& settings = {});
 
-  /// A sample of the IMU taken at `time` [s], on the clock that all times are given in.
+  /// Processes an IMU sample taken at `time` [s]. This clock is the reference for all times.
   EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept;
 
-  /// A pose of the marker frame taken at `time` [s] on the clock of motion capture.
+  /// Processes a pose of the marker frame taken at `time` [s] in motion capture's clock.
   EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept;
 
-  /// False before the first pose and after a gap of the IMU: state() is then not to be flown on.
+  /// False before the first pose and after a gap of the IMU. Do not use state() for control then.
   [[nodiscard]] bool running() const noexcept { return running_; }
 
-  /// Of the newest IMU sample [s]; zero before the first.
+  /// Time of the newest IMU sample [s]; zero before the first sample.
   [[nodiscard]] double time() const noexcept { return newest_.time; }
 
-  /// Pose and twist of the body, which is the IMU's frame, at time().
+  /// Pose and twist of the body at time(). The body frame is the IMU's frame.
   [[nodiscard]] BodyState<Scalar> state() const noexcept {
     return {ahead_.position, ahead_.velocity, ahead_.orientation,
             newest_.value.angular_velocity - ahead_.gyro_bias};
   }
 
-  /// The same for a loop that is slower than the IMU: the angular velocity is the mean of all
-  /// samples since the last call, the newest included. A single sample of a gyroscope that vibrates
-  /// with the rotors is aliased; the mean is half a tick old.
+  /// Same as state() for a loop slower than the IMU. The angular velocity is the mean of all
+  /// samples since the last call, including the newest sample. A single sample of a gyroscope that
+  /// vibrates with the rotors is aliased. The mean is half a tick old.
   [[nodiscard]] BodyState<Scalar> take_state() noexcept {
     BodyState<Scalar> taken = state();
     if (rates_ > 0) taken.angular_velocity = rate_sum_ / Scalar(rates_) - ahead_.gyro_bias;
@@ -141,22 +146,22 @@ class Ekf {
     return taken;
   }
 
-  /// A sample without the biases, as WrenchObserver takes it.
+  /// Sample without the biases, for WrenchObserver.
   [[nodiscard]] InertialSample<Scalar> corrected(
       const InertialSample<Scalar>& sample) const noexcept {
     return {sample.angular_velocity - ahead_.gyro_bias,
             sample.specific_force - ahead_.accelerometer_bias};
   }
 
-  /// The filter itself, at filter_time(): state with biases and marker frame, and covariance.
+  /// Filter at filter_time(): state with biases and marker frame, and covariance.
   [[nodiscard]] const ErrorStateFilter<Scalar>& filter() const noexcept { return filter_; }
-  /// Of the last pose used; at most max_delay behind time() where poses stay away [s].
+  /// Time of the last pose used [s]. If no poses arrive, at most max_delay behind time().
   [[nodiscard]] double filter_time() const noexcept { return from_.time; }
-  /// r' S^-1 r of the last pose that was compared, used or not.
+  /// NIS r' S^-1 r of the last pose that was compared, used or not.
   [[nodiscard]] Scalar nis() const noexcept { return nis_; }
   [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
 
-  /// As constructed.
+  /// Restores the state after construction.
   void reset() noexcept;
 
  private:
@@ -177,11 +182,11 @@ class Ekf {
     return propagate(x, mean(from, to), Scalar(to.time - from.time));
   }
 
-  /// Between two samples the IMU is taken to change linearly.
+  /// Interpolates the IMU linearly between two samples.
   static Sample between(const Sample& a, const Sample& b, double time) noexcept {
-    const Scalar share = Scalar((time - a.time) / (b.time - a.time));
-    const auto blend = [share](const Vector3<Scalar>& from, const Vector3<Scalar>& to) {
-      return Vector3<Scalar>(from + share * (to - from));
+    const Scalar fraction = Scalar((time - a.time) / (b.time - a.time));
+    const auto blend = [fraction](const Vector3<Scalar>& from, const Vector3<Scalar>& to) {
+      return Vector3<Scalar>(from + fraction * (to - from));
     };
     return {time,
             {blend(a.value.angular_velocity, b.value.angular_velocity),
@@ -197,7 +202,7 @@ class Ekf {
     rates_ = 1;
   }
 
-  /// Brings the filter to `time`, if that is later, past the samples up to then.
+  /// Advances the filter through the samples up to `time`, if `time` is later.
   void catch_up(double time) noexcept;
 
   void advance(const Sample& to) noexcept;
@@ -209,32 +214,33 @@ class Ekf {
 
   EkfStatus take(double time, const MarkerPose<Scalar>& pose) noexcept;
 
-  /// Stands the vehicle where the pose has it, with what is known of the marker frame and the
-  /// biases' last values. An update from far wider deviations gives the covariance what a pose and
-  /// an uncertain marker frame have in common.
+  /// Starts the vehicle at the pose, with the known marker frame and the last values of the biases.
+  /// The update from a much larger covariance sets the correlation between the pose and an
+  /// uncertain marker frame.
   void start(const MarkerPose<Scalar>& pose) noexcept;
 
-  static void fill(Covariance& p, int start, double deviation) noexcept {
-    p.diagonal().template segment<3>(start).setConstant(Scalar(deviation * deviation));
+  static void fill(Covariance& p, int start, double stddev) noexcept {
+    p.diagonal().template segment<3>(start).setConstant(Scalar(stddev * stddev));
   }
 
   EkfSettings settings_;
   ErrorStateFilter<Scalar> filter_;
-  InertialState<Scalar> ahead_;  ///< the filter's state carried to newest_
-  Sample from_;                  ///< the IMU at the filter's time
+  InertialState<Scalar> ahead_;  ///< filter state propagated to newest_
+  Sample from_;                  ///< IMU at the filter's time
   Sample newest_;                ///< the last of samples_, or from_
-  std::vector<Sample> samples_;  ///< ring of those later than from_
+  std::vector<Sample> samples_;  ///< ring buffer of samples later than from_
   std::size_t first_ = 0, count_ = 0;
-  std::array<Timed<MarkerPose<Scalar>>, max_waiting> poses_;  ///< in the order of their times
+  std::array<Timed<MarkerPose<Scalar>>, max_waiting> poses_;  ///< sorted by time
   std::size_t waiting_ = 0;
-  Vector3<Scalar> rate_sum_ = Vector3<Scalar>::Zero();  ///< since take_state()
+  Vector3<Scalar> rate_sum_ = Vector3<Scalar>::Zero();  ///< sum of rates since take_state()
   int rates_ = 0;
-  double pose_time_ = 0.0;  ///< of the last pose compared
+  double pose_time_ = 0.0;  ///< time of the last pose compared
   Scalar nis_ = Scalar(0);
-  int rejections_ = 0, behind_ = 0;  ///< poses gated, IMU samples late, in a row
+  int rejections_ = 0, behind_ = 0;  ///< consecutive gated poses, consecutive late IMU samples
   EkfCounts counts_;
   bool has_imu_ = false, has_pose_ = false, running_ = false;
 };
+using Ekfd = Ekf<double>;  ///< in double precision
 
 template <typename Scalar>
 Ekf<Scalar>::Ekf(const EkfSettings& settings)
@@ -264,7 +270,7 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
     begin_mean(sample);
     return gap ? EkfStatus::stopped : EkfStatus::updated;
   }
-  constexpr int most = 1 << 20;  // where nobody takes the mean
+  constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
   if (rates_ == 0 || rates_ == most) {
     begin_mean(sample);
   } else {
@@ -379,14 +385,14 @@ void Ekf<Scalar>::start(const MarkerPose<Scalar>& pose) noexcept {
   if (counts_.used > 0) {
     p.template bottomRightCorner<6, 6>() = filter_.covariance().template bottomRightCorner<6, 6>();
   } else {
-    fill(p, I::marker_orientation, settings_.marker_orientation_deviation);
-    fill(p, I::marker_position, settings_.marker_position_deviation);
+    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
+    fill(p, I::marker_position, settings_.marker_position_stddev);
   }
   fill(p, I::position, 1.0);
   fill(p, I::orientation, 1.0);
-  fill(p, I::velocity, settings_.velocity_deviation);
-  fill(p, I::gyro_bias, settings_.gyro_bias_deviation);
-  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_deviation);
+  fill(p, I::velocity, settings_.velocity_stddev);
+  fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
+  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
   filter_.reset(x, p);
   filter_.update(filter_.innovation(pose));
 }

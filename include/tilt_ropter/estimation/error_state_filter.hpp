@@ -13,14 +13,14 @@
 #include <cmath>
 #include <limits>
 
-/// The mathematics of the state estimator, without clocks: an error-state Kalman filter on SO(3)
-/// after J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017, Secs. 5-7 (local
-/// orientation errors). Ekf (ekf.hpp) puts measurements with time stamps into it. Nothing
-/// allocates; only the constructor and validate() throw.
+/// Mathematics of the state estimator, without clocks: an error-state Kalman filter on SO(3) after
+/// J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017, Secs. 5-7 (local
+/// orientation errors). Ekf (ekf.hpp) passes measurements with time stamps to it. Does not
+/// allocate. Only the constructor and validate() throw.
 namespace tilt_ropter {
 
-/// All that is estimated.
-template <typename Scalar = double>
+/// Estimated state.
+template <typename Scalar>
 struct InertialState {
   Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m]
   Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m/s]
@@ -31,19 +31,22 @@ struct InertialState {
       Eigen::Quaternion<Scalar>::Identity();                  ///< marker frame M -> body
   Vector3<Scalar> marker_position = Vector3<Scalar>::Zero();  ///< origin of M in the body frame [m]
 };
+using InertialStated = InertialState<double>;  ///< in double precision
 
-/// Error of an InertialState in the order of its members, orientations as rotation vectors in the
-/// frame they rotate from: body for the orientation, M for the marker's.
-template <typename Scalar = double>
+/// Error of an InertialState, in the order of its members. Orientation errors are rotation vectors
+/// in the frame from which the orientation rotates: body frame for the orientation, M for the
+/// marker's orientation.
+template <typename Scalar>
 using InertialTangent = Eigen::Matrix<Scalar, 21, 1>;
+using InertialTangentd = InertialTangent<double>;  ///< in double precision
 
-/// Where each part of an InertialTangent, and of its covariance, starts.
+/// Start of each part of an InertialTangent and of its covariance.
 struct InertialIndex {
   static constexpr int position = 0, velocity = 3, orientation = 6, gyro_bias = 9,
                        accelerometer_bias = 12, marker_orientation = 15, marker_position = 18;
 };
 
-/// x (+) dx.
+/// Returns x (+) dx.
 template <typename Scalar>
 [[nodiscard]] InertialState<Scalar> retract(const InertialState<Scalar>& x,
                                             const InertialTangent<Scalar>& dx) {
@@ -61,8 +64,8 @@ template <typename Scalar>
   return y;
 }
 
-/// y (-) x, so that retract(x, difference(y, x)) = y. With y the truth and P the covariance it is
-/// the error e whose e' P^-1 e is the NEES.
+/// Returns y (-) x, so that retract(x, difference(y, x)) = y. With y the true state and P the
+/// covariance, the result is the error e of the NEES e' P^-1 e.
 template <typename Scalar>
 [[nodiscard]] InertialTangent<Scalar> difference(const InertialState<Scalar>& y,
                                                  const InertialState<Scalar>& x) {
@@ -76,8 +79,9 @@ template <typename Scalar>
   return dx;
 }
 
-/// The state `dt` [s] later, under a sample that stands for the whole step (the mean of those at
-/// its ends makes it second order): rotation exact, acceleration as in the middle of the step.
+/// Returns the state `dt` [s] later. The sample is constant over the step; the mean of the samples
+/// at both ends makes the step second order. The rotation is exact. The acceleration is evaluated
+/// in the middle of the step.
 template <typename Scalar>
 [[nodiscard]] InertialState<Scalar> propagate(const InertialState<Scalar>& x,
                                               const InertialSample<Scalar>& sample,
@@ -95,13 +99,13 @@ template <typename Scalar>
   return y;
 }
 
-/// Noise of an IMU. Data sheets give the densities of an IMU that lies still; on a vehicle that
-/// vibrates, and to cover misalignment and scale, ten times as much is usual.
+/// Noise of an IMU. Data sheets give the densities of an IMU at rest. Ten times these values are
+/// usual on a vibrating vehicle, also to cover misalignment and scale errors.
 struct InertialNoise {
-  double gyro_density = 2.0e-3;             ///< [rad/s/sqrt(Hz)]
-  double accelerometer_density = 2.0e-2;    ///< [m/s^2/sqrt(Hz)]
-  double gyro_bias_walk = 2.0e-5;           ///< [rad/s^2/sqrt(Hz)]
-  double accelerometer_bias_walk = 1.0e-3;  ///< [m/s^3/sqrt(Hz)]
+  double gyro_density = 2.0e-3;  ///< noise density of the angular velocity [rad/s/sqrt(Hz)]
+  double accelerometer_density = 2.0e-2;  ///< noise density of the specific force [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;         ///< random walk of the bias [rad/s^2/sqrt(Hz)]
+  double accelerometer_bias_walk = 1.0e-3;  ///< random walk of the bias [m/s^3/sqrt(Hz)]
 };
 
 inline void validate(const InertialNoise& n) {
@@ -116,8 +120,8 @@ inline void validate(const InertialNoise& n) {
 
 /// Standard deviations of a MarkerPose, per axis.
 struct MarkerPoseNoise {
-  double position = 2.0e-3;     ///< world frame [m]
-  double orientation = 5.0e-3;  ///< marker frame [rad]
+  double position = 2.0e-3;     ///< of the position, world frame [m]
+  double orientation = 5.0e-3;  ///< of the orientation, marker frame [rad]
 };
 
 inline void validate(const MarkerPoseNoise& n) {
@@ -125,27 +129,29 @@ inline void validate(const MarkerPoseNoise& n) {
   require_in("MarkerPoseNoise.orientation [rad]", n.orientation, 1e-6, 10.0);
 }
 
-/// State and covariance of its error. A part of the state whose rows of the covariance are zero is
-/// known: it is used and stays as it is.
-template <typename Scalar = double>
+/// State and covariance of its error. If the covariance of a part of the state is zero, this part
+/// is known: the filter uses it and does not change it.
+template <typename Scalar>
 class ErrorStateFilter {
  public:
   using Covariance = Eigen::Matrix<Scalar, 21, 21>;
 
-  /// What a pose says that the state does not.
+  /// Difference between a measured pose and the state.
   struct Innovation {
-    Eigen::Matrix<Scalar, 6, 1> residual;      ///< position, world [m]; rotation vector, M [rad]
-    Eigen::Matrix<Scalar, 6, 6> covariance;    ///< S, of the residual
-    Scalar distance;                           ///< NIS, r' S^-1 r: chi-square of 6 degrees; the
-                                               ///< largest number if rounding has made S negative
-    Eigen::Matrix<Scalar, 21, 6> correlation;  ///< P H', of the state's error with the residual
+    Eigen::Matrix<Scalar, 6, 1> residual;    ///< position, world [m]; rotation vector, M [rad]
+    Eigen::Matrix<Scalar, 6, 6> covariance;  ///< S, covariance of the residual
+    /// NIS, r' S^-1 r: chi-square of 6 degrees of freedom. The largest number if rounding has made
+    /// S indefinite.
+    Scalar distance;
+    /// P H', cross-covariance of the state's error and the residual.
+    Eigen::Matrix<Scalar, 21, 6> correlation;
   };
 
-  /// Throws std::invalid_argument.
+  /// Throws std::invalid_argument if a noise value is out of range.
   ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose) {
     validate(inertial);
     validate(pose);
-    const auto square = [](double deviation) { return Scalar(deviation * deviation); };
+    const auto square = [](double stddev) { return Scalar(stddev * stddev); };
     const auto set_noise = [&](int start, double density) {
       process_noise_.template segment<3>(start - noisy).setConstant(square(density));
     };
@@ -163,7 +169,7 @@ class ErrorStateFilter {
     covariance_ = covariance;
   }
 
-  /// Moves state and covariance by `dt` > 0 [s] under `sample` (see propagate).
+  /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
   void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept {
     using I = InertialIndex;
     const Vector3<Scalar> turn = (sample.angular_velocity - state_.gyro_bias) * dt;
@@ -173,12 +179,12 @@ class ErrorStateFilter {
         (state_.orientation * quaternion_exp(turn / Scalar(2))).toRotationMatrix();
     const Matrix3<Scalar> half_rotation =
         quaternion_exp(turn / Scalar(2)).conjugate().toRotationMatrix();
-    // The acceleration's derivatives by orientation, gyro bias and accelerometer bias. An error of
-    // the orientation at the start reaches the middle of the step turned by half the way.
+    // Derivatives of the acceleration by orientation, gyro bias and accelerometer bias. In the
+    // middle of the step, an orientation error from the start is rotated by half the turn.
     const Matrix3<Scalar> by_middle = -rotation * skew(force);
 
-    // The nine rows of the transition matrix that are not the identity, without those columns, the
-    // marker's, that are zero.
+    // The nine rows of the transition matrix that differ from the identity, without the marker's
+    // columns, which are zero.
     Eigen::Matrix<Scalar, 9, 15> f = Eigen::Matrix<Scalar, 9, 15>::Zero();
     auto acceleration = f.template block<3, 9>(I::velocity, I::orientation);
     acceleration.template leftCols<3>().noalias() = dt * by_middle * half_rotation;
@@ -193,7 +199,7 @@ class ErrorStateFilter {
 
     const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
     const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
-    // An unsymmetric part left by rounding would grow from step to step.
+    // Rounding leaves an asymmetric part, which would grow from step to step.
     covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
     covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
     covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
@@ -201,7 +207,7 @@ class ErrorStateFilter {
     state_ = propagate(state_, sample, dt);
   }
 
-  /// Compares a pose, orientation of unit length, with the state; nothing is changed.
+  /// Compares a pose (orientation of unit length) with the state. Changes nothing.
   [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
     using I = InertialIndex;
     const PoseJacobian h = pose_jacobian();
@@ -226,10 +232,11 @@ class ErrorStateFilter {
     return in;
   }
 
-  /// Takes an innovation of the state as it is. The covariance is updated in Joseph's form, which
-  /// an error of the gain, or of rounding, does not make negative: (I - K H) P (I - K H)' + K R K'.
-  /// False, and nothing is changed, if S is not positive, as rounding could leave it where P is
-  /// larger than the pose's noise by more digits than a Scalar has.
+  /// Updates state and covariance with an innovation of the current state. The covariance is
+  /// updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An error of the gain, or of
+  /// rounding, does not make this form negative. Returns false and changes nothing if S is not
+  /// positive definite. Rounding can cause this if P is larger than the pose's noise by more digits
+  /// than a Scalar has.
   bool update(const Innovation& in) noexcept {
     const auto factor = in.covariance.llt();
     if (factor.info() != Eigen::Success) return false;
@@ -248,7 +255,8 @@ class ErrorStateFilter {
   [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
 
  private:
-  /// H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0], of a pose by the state's error.
+  /// Jacobian H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0] of a pose by the state's
+  /// error.
   struct PoseJacobian {
     Matrix3<Scalar> rotation, to_marker, by_turn;
   };
@@ -261,7 +269,7 @@ class ErrorStateFilter {
     return h;
   }
 
-  /// m H'.
+  /// Returns m H'.
   [[nodiscard]] static Eigen::Matrix<Scalar, 21, 6> times_transpose(
       const Covariance& m, const PoseJacobian& h) noexcept {
     using I = InertialIndex;
@@ -276,12 +284,14 @@ class ErrorStateFilter {
     return product;
   }
 
-  static constexpr int noisy = InertialIndex::velocity;  // where what the IMU's noise moves starts
+  static constexpr int noisy = InertialIndex::velocity;  // first state with process noise
 
   InertialState<Scalar> state_;
   Covariance covariance_ = Covariance::Zero();
-  Eigen::Matrix<Scalar, 12, 1> process_noise_;  ///< of velocity ... accelerometer bias [1/s]
+  /// Variance rates of velocity ... accelerometer bias [1/s].
+  Eigen::Matrix<Scalar, 12, 1> process_noise_;
   Eigen::Matrix<Scalar, 6, 1> pose_noise_;
 };
+using ErrorStateFilterd = ErrorStateFilter<double>;  ///< in double precision
 
 }  // namespace tilt_ropter

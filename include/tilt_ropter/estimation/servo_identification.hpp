@@ -16,20 +16,22 @@
 #include <vector>
 
 /// Identification of a servo from a recorded log: first-order lag with gain, offset and dead time
-/// (paper, Sec. External Wrench Estimation, which models the tilt angles by such a lag).
+/// (paper, Sec. External Wrench Estimation, which models the tilt angles by such a lag). This
+/// header is long because the functions are templates of the log's type, so their definitions must
+/// be in the header.
 namespace tilt_ropter {
 
-/// What was recorded: arrays of one length, stamps increasing but as unevenly spaced as they like.
-/// The functions below take any `Log` with these members, such as views into a larger record: they
-/// are templates so that only those who call them wait for the compiler.
+/// Recorded log: arrays of equal length. Stamps must increase; their spacing may be uneven. The
+/// functions below take any `Log` with these members, such as views into a larger record. They are
+/// templates so that only code that calls them pays for their compile time.
 struct ServoLog {
   std::vector<double> times;     ///< [s]
-  std::vector<double> commands;  ///< [rad], each held until the next
+  std::vector<double> commands;  ///< [rad], each held until the next command
   std::vector<double> angles;    ///< measured [rad]
 };
 
-/// d(angle)/dt = (gain * command(t - dead_time) + offset - angle) / time_constant. Before the first
-/// stamp of a log the command is taken to have been as at that stamp.
+/// Model d(angle)/dt = (gain * command(t - dead_time) + offset - angle) / time_constant. Before the
+/// first stamp of a log, the command is assumed equal to the command at that stamp.
 struct ServoModel {
   double time_constant = 0.0;  ///< [s]
   double dead_time = 0.0;      ///< [s]
@@ -38,18 +40,18 @@ struct ServoModel {
   double initial_angle = 0.0;  ///< at the first stamp of the log [rad]
 };
 
-/// Where identify_servo() searches and what it asks of a log.
+/// Search range and acceptance limits of identify_servo().
 struct ServoIdentificationSettings {
-  double min_time_constant = 0.002;  ///< shortest that is looked for [s]
-  double max_time_constant = 2.0;    ///< longest; never longer than the log [s]
-  double max_dead_time = 0.2;        ///< longest that is looked for; 0: there is none [s]
-  double min_excitation = 0.01;      ///< largest minus smallest command [rad]
-  double min_significance = 5.0;     ///< gain / its standard deviation
-  int min_samples = 20;
-  int max_iterations = 100;  ///< of Gauss-Newton, from each start
+  double min_time_constant = 0.002;  ///< shortest time constant of the search [s]
+  double max_time_constant = 2.0;    ///< longest time constant; never longer than the log [s]
+  double max_dead_time = 0.2;        ///< longest dead time of the search; 0: no dead time [s]
+  double min_excitation = 0.01;      ///< required largest minus smallest command [rad]
+  double min_significance = 5.0;     ///< required gain / standard deviation of the gain
+  int min_samples = 20;              ///< required number of samples, at least 6
+  int max_iterations = 100;          ///< largest number of Gauss-Newton iterations from each start
 };
 
-/// Whether the servo was identified and, if not, why.
+/// Whether the servo was identified and, if not, the reason.
 enum class ServoIdentificationStatus {
   identified,
   // Refused before the fit:
@@ -58,7 +60,8 @@ enum class ServoIdentificationStatus {
   not_finite,
   stamps_not_increasing,
   command_constant,
-  // Refused after it, which is reported, but not to be trusted:
+  // Refused after the fit, which is reported but not reliable. no_response and
+  // time_constant_too_long may also be found before the fit.
   no_convergence,
   no_response,
   time_constant_too_short,
@@ -66,21 +69,21 @@ enum class ServoIdentificationStatus {
   dead_time_too_long,
 };
 
-/// What identify_servo() found.
+/// Result of identify_servo().
 struct ServoIdentification {
   ServoIdentificationStatus status = ServoIdentificationStatus::no_convergence;
   ServoModel model;
   /// Half-widths of the 95 % confidence intervals around `model`.
   ServoModel half_width;
-  double residual_rms = 0.0;  ///< of measured minus fitted angle [rad]
-  double r_squared = 0.0;     ///< share of the angle's variance that the fit explains
-  /// Of each residual with the next: about 0 for white noise; towards 1 the residual has a shape
-  /// that the model has not, such as that of a rate limit.
+  double residual_rms = 0.0;  ///< root mean square of measured minus fitted angle [rad]
+  double r_squared = 0.0;     ///< fraction of the angle's variance that the fit explains
+  /// Correlation of each residual with the next residual. It is about 0 for white noise. Near 1 the
+  /// residual has a shape that the model does not have, such as the shape of a rate limit.
   double residual_correlation = 0.0;
   std::size_t samples = 0;
 };
 
-/// What the status says to whoever made the log.
+/// Explains the status to the user who recorded the log.
 [[nodiscard]] inline const char* to_string(ServoIdentificationStatus status) {
   switch (status) {
     case ServoIdentificationStatus::identified:
@@ -124,8 +127,9 @@ inline void validate(const ServoIdentificationSettings& s) {
 
 namespace detail {
 
-/// The response is linear in gain, offset and initial angle; these are its columns at each stamp
-/// for one time constant and dead time, exact for commands that are held, and their derivatives.
+/// Columns of the response at each stamp, for one time constant and dead time, and their
+/// derivatives. The response is linear in gain, offset and initial angle. Exact for commands that
+/// are held.
 struct ServoColumns {
   Eigen::Matrix<double, Eigen::Dynamic, 3> linear;  // n x 3: of gain, offset, initial angle
   Eigen::VectorXd gain_tau, gain_dead, decay_tau;   // d(linear) by time constant and dead time
@@ -167,8 +171,8 @@ struct ServoColumns {
 
 }  // namespace detail
 
-/// Angles [rad] of `model` at `stamps` [s] (increasing, from times[0] on) under the commands [rad]
-/// issued at `times` [s] (increasing, as many, at least one). Allocates.
+/// Angles [rad] of `model` at `stamps` [s], which increase from times[0] on. `commands` [rad] are
+/// issued at `times` [s], which increase; both have the same length, at least one. Allocates.
 template <typename Values = std::vector<double>>
 [[nodiscard]] std::vector<double> servo_response(const ServoModel& model, const Values& times,
                                                  const Values& commands, const Values& stamps) {
@@ -183,22 +187,22 @@ namespace detail {
 using Vector5d = Eigen::Matrix<double, 5, 1>;
 using Matrix5d = Eigen::Matrix<double, 5, 5>;
 
-/// The model at one time constant and dead time with the gain, offset and initial angle that fit
-/// best there.
+/// Model at one time constant and dead time, with the best gain, offset and initial angle.
 template <typename Log>
 struct ServoFit {
   ServoColumns columns;
   double time_constant, dead_time;
   Eigen::Vector3d linear;    // gain, offset, initial angle
   Eigen::VectorXd residual;  // measured - fitted
-  double cost;               // sum of its squares
+  double cost;               // sum of squared residuals
 
   ServoFit(const Log& log, double tau, double dead)
       : columns(log.times, log.commands, log.times, tau, dead),
         time_constant(tau),
         dead_time(dead) {
     const Eigen::Map<const Eigen::VectorXd> measured(log.angles.data(), columns.linear.rows());
-    // Filled up to the size that is factorised elsewhere: each size costs half a second to compile.
+    // Padded to the size that is factorised elsewhere, because each size costs half a second to
+    // compile.
     Matrix5d gram = Matrix5d::Identity();
     Vector5d image = Vector5d::Zero();
     gram.topLeftCorner<3, 3>() = columns.linear.transpose().lazyProduct(columns.linear);
@@ -209,8 +213,8 @@ struct ServoFit {
     cost = residual.squaredNorm();
   }
 
-  /// n x 5: of the angles by gain, offset, initial angle and, in units of the time constant, by
-  /// time constant and dead time.
+  /// Jacobian (n x 5) of the angles by gain, offset, initial angle, time constant and dead time.
+  /// The last two are in units of the time constant.
   [[nodiscard]] Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian() const {
     Eigen::Matrix<double, Eigen::Dynamic, 5> j(columns.linear.rows(), 5);
     j.leftCols<3>() = columns.linear;
@@ -221,7 +225,7 @@ struct ServoFit {
   }
 };
 
-/// Takes the dead time out of J'J.
+/// Removes the dead time from J'J.
 template <typename Gram>
 void hold_dead_time(Gram& gram) {
   gram.row(4).setZero();
@@ -229,16 +233,17 @@ void hold_dead_time(Gram& gram) {
   gram(4, 4) = 1.0;
 }
 
-/// One step of Gauss-Newton, shortened until the error decreases. False if it does so no more:
-/// `fit` is a minimum then.
+/// Takes one Gauss-Newton step, shortened until the error decreases. Returns false if the error
+/// does not decrease further; `fit` is then a minimum.
 template <typename Log>
 bool improve(ServoFit<Log>& fit, const Log& log, const ServoIdentificationSettings& settings,
              double longest) {
-  const auto jacobian = fit.jacobian();  // auto: of a type that no compiler knows without a log
+  const auto jacobian = fit.jacobian();  // auto: the type is resolved only when a log is given
   auto gram = jacobian.transpose().lazyProduct(jacobian).eval();
   auto slope = jacobian.transpose().lazyProduct(fit.residual).eval();
   Vector5d step = gram.ldlt().solve(slope);
-  // A dead time that would leave its range goes to the end of it, and the others follow that.
+  // A dead time that would leave its range is set to the end of the range. The other variables are
+  // solved for this dead time.
   const double dead_end = fit.dead_time + step(4) * fit.time_constant;
   if (dead_end < 0.0 || dead_end > settings.max_dead_time) {
     const double end = dead_end < 0.0 ? 0.0 : settings.max_dead_time;
@@ -261,9 +266,10 @@ bool improve(ServoFit<Log>& fit, const Log& log, const ServoIdentificationSettin
   return false;
 }
 
-/// Roots of the diagonal of (J'J)^-1, infinite if it has none: J of unit columns, scaled back.
+/// Square roots of the diagonal of (J'J)^-1, infinite if J'J has no inverse. Uses J with unit
+/// columns and scales the result back.
 template <typename Log>
-Vector5d deviations(const ServoFit<Log>& fit, bool dead_time_is_free) {
+Vector5d stddevs(const ServoFit<Log>& fit, bool dead_time_is_free) {
   const auto jacobian = fit.jacobian();
   auto gram = jacobian.transpose().lazyProduct(jacobian).eval();
   if (!dead_time_is_free) hold_dead_time(gram);
@@ -287,8 +293,9 @@ struct ServoMinimum {
   int iterations;
 };
 
-/// The least of the minima that Gauss-Newton finds from each dead time of a grid, 1/20 of the
-/// longest apart, and there from the best of time constants a factor of 1.5 apart.
+/// Best of the minima that Gauss-Newton finds. The starts are dead times on a grid with a spacing
+/// of 1/20 of the longest. Each start uses the best of time constants that are a factor of 1.5
+/// apart.
 template <typename Log>
 ServoMinimum<Log> least_minimum(const Log& log, const ServoIdentificationSettings& settings,
                                 double longest) {
@@ -309,7 +316,7 @@ ServoMinimum<Log> least_minimum(const Log& log, const ServoIdentificationSetting
   return *std::move(least);
 }
 
-/// Why `log` is not worth a fit, or `identified`.
+/// Returns the reason why `log` is not suitable for a fit, or `identified`.
 template <typename Log>
 ServoIdentificationStatus check(const Log& log, const ServoIdentificationSettings& settings) {
   using Status = ServoIdentificationStatus;
@@ -334,23 +341,25 @@ ServoIdentificationStatus check(const Log& log, const ServoIdentificationSetting
 
 }  // namespace detail
 
-/// The servo that fits `log` best: least squares over the output error, exact for commands that are
-/// held between their stamps. Gain, offset and initial angle follow linearly from time constant and
-/// dead time (variable projection: Golub & Pereyra 1973), which Gauss-Newton finds (Kaufman 1975).
-/// Over the dead time the error has many minima, from periodic commands and from kinks: the search
-/// starts from dead times all over the range, and the least minimum counts.
+/// Identifies the servo that fits `log` best, by least squares of the output error. The response is
+/// exact for commands that are held between their stamps. Gain, offset and initial angle follow
+/// linearly from time constant and dead time (variable projection: Golub & Pereyra 1973).
+/// Gauss-Newton finds time constant and dead time (Kaufman 1975). Over the dead time the error has
+/// many minima, from periodic commands and from kinks. The search therefore starts from dead times
+/// over the whole range and returns the best minimum.
 ///
-/// Anything that moves the servo will do, best several steps, each held for some time constants.
-/// They have to be small, below rate limit times time constant, for the model has no rate limit: a
-/// log with that limit in it gives too long a time constant and a residual_correlation near 1.
+/// Any motion of the servo is suitable. Several steps, each held for some time constants, are best.
+/// The steps must be small, below rate limit times time constant, because the model has no rate
+/// limit. A log with an active rate limit gives too long a time constant and a residual_correlation
+/// near 1.
 ///
-/// Confidence intervals are those of Gauss-Newton, 1.96 sqrt(diag(s^2 (J'J)^-1)), widened by
-/// sqrt((1 + c) / (1 - c)) where the residuals have a correlation c > 0 (Bartlett 1935). That of
-/// the dead time is approximate: where the command jumps the angle has a kink, and which samples
-/// lie behind it changes with the dead time.
+/// Confidence intervals follow from Gauss-Newton: 1.96 sqrt(diag(s^2 (J'J)^-1)). They are widened
+/// by sqrt((1 + c) / (1 - c)) if the residuals have a correlation c > 0 (Bartlett 1935). The
+/// interval of the dead time is approximate. The angle has a kink where the command jumps, and the
+/// dead time determines which samples lie behind the kink.
 ///
-/// Allocates, and takes about 10 us for each sample. Throws std::invalid_argument for settings out
-/// of range, and nothing for a bad log, which the status tells.
+/// Allocates. Takes about 10 us per sample. Throws std::invalid_argument if a setting is out of
+/// range. Does not throw for a bad log; the status reports it.
 template <typename Log = ServoLog>
 [[nodiscard]] ServoIdentification identify_servo(const Log& log,
                                                  const ServoIdentificationSettings& settings = {}) {
@@ -375,8 +384,8 @@ template <typename Log = ServoLog>
   const bool dead_time_is_free = settings.max_dead_time > 0.0;
   const double c = std::max(result.residual_correlation, 0.0);
   const double degrees = static_cast<double>(n - (dead_time_is_free ? 5 : 4));
-  const double deviation = std::sqrt(fit.cost / degrees * (1.0 + c) / (1.0 - c));
-  detail::Vector5d half_width = 1.96 * deviation * detail::deviations(fit, dead_time_is_free);
+  const double stddev = std::sqrt(fit.cost / degrees * (1.0 + c) / (1.0 - c));
+  detail::Vector5d half_width = 1.96 * stddev * detail::stddevs(fit, dead_time_is_free);
   result.half_width = {tau * half_width(3), tau * half_width(4), half_width(0), half_width(1),
                        half_width(2)};
 

@@ -17,24 +17,25 @@
 /// Eq. wrench_estimation; after Tomić, Ott & Haddadin 2017).
 namespace tilt_ropter {
 
-/// Vectors are by body axis. Dead band and limit shape what external() returns, not the filter.
+/// Vectors have one entry per body axis. A larger bandwidth gives a faster but noisier estimate.
+/// Dead band and limit change the result of external(), not the filter.
 struct WrenchObserverSettings {
-  Eigen::Vector3d force_bandwidth{15.0, 15.0, 15.0};           ///< K_f [1/s]
-  Eigen::Vector3d torque_bandwidth{15.0, 15.0, 15.0};          ///< K_m [1/s]
-  Eigen::Vector3d force_dead_band = Eigen::Vector3d::Zero();   ///< taken off the size [N]
-  Eigen::Vector3d torque_dead_band = Eigen::Vector3d::Zero();  ///< taken off the size [N m]
+  Eigen::Vector3d force_bandwidth{15.0, 15.0, 15.0};           ///< K_f, force bandwidth [1/s]
+  Eigen::Vector3d torque_bandwidth{15.0, 15.0, 15.0};          ///< K_m, torque bandwidth [1/s]
+  Eigen::Vector3d force_dead_band = Eigen::Vector3d::Zero();   ///< subtracted from the size [N]
+  Eigen::Vector3d torque_dead_band = Eigen::Vector3d::Zero();  ///< subtracted from the size [N m]
   Eigen::Vector3d force_limit = Eigen::Vector3d::Constant(
-      std::numeric_limits<double>::infinity());  ///< of the size, may be infinite [N]
+      std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N]
   Eigen::Vector3d torque_limit = Eigen::Vector3d::Constant(
-      std::numeric_limits<double>::infinity());  ///< of the size, may be infinite [N m]
-  double max_gap = 0.1;                          ///< between samples that belong together [s]
-  double min_calibration_time = 1.0;             ///< [s]
-  double max_force_deviation = 0.5;    ///< standard deviation of a calibration's blocks [N]
-  double max_torque_deviation = 0.05;  ///< standard deviation of a calibration's blocks [N m]
+      std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N m]
+  double max_gap = 0.1;               ///< longest time between samples without a restart [s]
+  double min_calibration_time = 1.0;  ///< shortest valid calibration [s]
+  double max_force_stddev = 0.5;      ///< largest standard deviation of a calibration's blocks [N]
+  double max_torque_stddev = 0.05;  ///< largest standard deviation of a calibration's blocks [N m]
 };
 
 /// Settings with one bandwidth [1/s] for force and torque in all axes. The default of 15 keeps the
-/// time constant within 10 % in a loop of 50 Hz; one of 100 Hz with an IMU of 1 kHz does better
+/// time constant within 10 % in a loop of 50 Hz. A loop of 100 Hz with an IMU of 1 kHz works better
 /// with 20 (measured: README, on the observer).
 [[nodiscard]] inline WrenchObserverSettings observer_settings(double bandwidth) {
   WrenchObserverSettings settings;
@@ -52,60 +53,68 @@ inline void validate(const WrenchObserverSettings& s) {
   require_positive_or_infinite("WrenchObserverSettings.torque_limit [N m]", s.torque_limit);
   require_positive("WrenchObserverSettings.max_gap [s]", s.max_gap);
   require_positive("WrenchObserverSettings.min_calibration_time [s]", s.min_calibration_time);
-  require_positive("WrenchObserverSettings.max_force_deviation [N]", s.max_force_deviation);
-  require_positive("WrenchObserverSettings.max_torque_deviation [N m]", s.max_torque_deviation);
+  require_positive("WrenchObserverSettings.max_force_stddev [N]", s.max_force_stddev);
+  require_positive("WrenchObserverSettings.max_torque_stddev [N m]", s.max_torque_stddev);
 }
 
-/// What became of a sample.
+/// Result of processing a sample.
 enum class ObserverStatus {
   updated,
-  started,  ///< the first sample: momentum is known now, the estimate is unchanged
-  gap,      ///< time jumped, forward or back, by more than max_gap: started anew, the estimate kept
-  rejected  ///< a number was not finite or beyond 1e6, which no sensor means, or time did not
-            ///< advance; nothing was changed
+  started,  ///< first sample: the momentum is now known, the estimate is unchanged
+  /// Time jumped forward or back by more than max_gap. The observer restarts and keeps the
+  /// estimate.
+  gap,
+  /// A number was not finite or above 1e6, which no valid sensor reports, or time did not advance.
+  /// Nothing was changed.
+  rejected
 };
 
-/// Whether the estimate can be relied on; of several reasons against it, the first.
+/// Reliability of the estimate. If several reasons against it apply, the value is the first of them
+/// in this order.
 enum class WrenchTrust {
   not_started,  ///< no sample yet
-  stale,        ///< no good sample within max_gap
-  settling,     ///< of what the estimate started from, more than 5 % (3 / K) may be left
-  limited,      ///< settled, but cut to a limit
+  stale,        ///< no valid sample within max_gap
+  settling,     ///< more than 5 % of the initial estimate may remain (time < 3 / K)
+  limited,      ///< settled, but clamped to a limit
   trusted
 };
 
-/// What became of a calibration.
+/// Result of a calibration.
 enum class CalibrationStatus {
   calibrated,
   not_begun,
-  too_short,  ///< fewer samples than min_calibration_time
-  moved,      ///< a deviation above its limit: not at rest
-  rejected    ///< the offset would not be finite or beyond 1e6
+  too_short,  ///< shorter than min_calibration_time
+  moved,      ///< a standard deviation is above its limit: not at rest
+  rejected    ///< the offset would not be finite or would exceed 1e6
 };
 
-/// Force from specific force, torque from angular momentum. Each axis is a first-order filter of
-/// the true external wrench with bandwidth K, discretised exactly: for a wrench that is constant
-/// between samples the estimate at the samples is that of the continuous filter for any dt * K.
-/// Over a gap the wrench was not constant and neither was the applied one, so none is estimated.
+/// Observes the external wrench: force from specific force, torque from angular momentum. Each axis
+/// is a first-order filter of the true external wrench with bandwidth K, discretised exactly. If
+/// the wrench is constant between samples, the estimate at the samples equals the estimate of the
+/// continuous filter for any dt * K. Over a gap neither the external nor the applied wrench was
+/// constant, so nothing is estimated there.
 ///
-/// A calibration at rest, where the external wrench is known, measures the raw residual's offset:
+/// A calibration at rest, where the external wrench is known, measures the offset of the raw
+/// residual:
 ///
 ///     observer.begin_calibration();  // from now on the vehicle stands on the ground, rotors off
 ///     ...                            // update() as ever, for a second or more
 ///     observer.end_calibration({Eigen::Vector3d(0, 0, mass * gravity), Eigen::Vector3d::Zero()});
 ///
-/// In free hover the known wrench is zero. The offset is kept in the body frame, where that of an
-/// accelerometer's bias is constant, and that of a shifted CoM while thrust is. That of a wrong
-/// mass is not: it is (believed / true - 1) times the applied force, which turns in the body when
-/// the vehicle leans and vanishes with the rotors off. So a calibration in hover holds near that
-/// attitude only, and takes from a controller what makes up for the mass; one on the ground, with
-/// the believed weight as the known force, leaves it in the estimate.
+/// In free hover the known wrench is zero. The offset is kept in the body frame. There the offset
+/// of an accelerometer bias is constant, and the offset of a shifted CoM is constant while the
+/// thrust is constant. The offset of a wrong mass is not constant: it is (believed / true - 1)
+/// times the applied force. It rotates in the body frame when the vehicle leans, and it vanishes
+/// with the rotors off. A calibration in hover is therefore valid only near that attitude. It also
+/// removes the mass error from the estimate, so a controller can no longer compensate it. A
+/// calibration on the ground, with the believed weight as the known force, keeps the mass error in
+/// the estimate.
 ///
-/// No function but the constructor throws, none allocates.
-template <typename Scalar = double>
+/// Only the constructor throws. Nothing allocates.
+template <typename Scalar>
 class WrenchObserver {
  public:
-  /// Throws std::invalid_argument for parameters out of range.
+  /// Throws std::invalid_argument if a parameter or setting is out of range.
   explicit WrenchObserver(const RigidBodyParameters& body,
                           const WrenchObserverSettings& settings = {})
       : settings_(validated(settings)) {
@@ -116,9 +125,9 @@ class WrenchObserver {
         3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
   }
 
-  /// Takes one sample at `time` [s], of an IMU at the CoM or taken there, less the biases, and the
-  /// wrench `applied` by the actuators since the last sample (from measured rotor speeds and
-  /// modelled tilt angles; body frame).
+  /// Processes one sample at `time` [s]. `sample` is from an IMU at the CoM, or converted to the
+  /// CoM, minus the biases. `applied` is the wrench of the actuators since the last sample (from
+  /// measured rotor speeds and modelled tilt angles; body frame).
   ObserverStatus update(double time, const InertialSample<Scalar>& sample,
                         const Wrench<Scalar>& applied) noexcept {
     const Vector3<Scalar>&specific_force = sample.specific_force,
@@ -136,13 +145,13 @@ class WrenchObserver {
       return status;
     }
     if (!(dt > 0.0)) return ObserverStatus::rejected;
-    // The momentum at the last sample is the initial value of the torque's integral; the mean of
+    // The momentum at the last sample is the initial value of the torque's integral. The mean of
     // both rates makes the gyroscopic term second order in dt.
     const Vector3<Scalar> rate = (angular_velocity + angular_velocity_) / Scalar(2);
     const Wrench<Scalar> residual{mass_ * specific_force - applied.force,
                                   inertia_ * (angular_velocity - angular_velocity_) / Scalar(dt) -
                                       applied.torque + rate.cross(inertia_ * rate)};
-    if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was next to nothing
+    if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was almost zero
     time_ = time;
     angular_velocity_ = angular_velocity;
     unfiltered_force_ = residual.force;
@@ -151,7 +160,7 @@ class WrenchObserver {
     filtered_.torque += gain(settings_.torque_bandwidth, dt)
                             .cwiseProduct(residual.torque - offset_.torque - filtered_.torque);
     shape();
-    constexpr int most = 1 << 20;  // where nobody takes the mean
+    constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
     if (samples_ == 0 || samples_ == most) {
       sum_ = external_;
       samples_ = 1;
@@ -164,12 +173,12 @@ class WrenchObserver {
     return ObserverStatus::updated;
   }
 
-  /// The estimate, at the CoM in the body frame [N; N m]: filtered() less the dead band, within the
-  /// limits. wrench.hpp takes it to other points and into the world frame.
+  /// Estimate of the external wrench at the CoM in the body frame [N; N m]: filtered() minus the
+  /// dead band, within the limits. wrench.hpp converts it to other points and to the world frame.
   [[nodiscard]] const Wrench<Scalar>& external() const noexcept { return external_; }
 
-  /// For a loop that is slower than the IMU: the mean of external() over all samples since the last
-  /// call, or external() if there was none. A rotor's vibration is aliased in a single sample.
+  /// For a loop slower than the IMU: mean of external() over all samples since the last call, or
+  /// external() if there was no sample. The vibration of a rotor is aliased in a single sample.
   [[nodiscard]] Wrench<Scalar> take_external() noexcept {
     if (samples_ == 0) return external_;
     const Scalar count(static_cast<Scalar>(samples_));
@@ -177,17 +186,18 @@ class WrenchObserver {
     return {sum_.force / count, sum_.torque / count};
   }
 
-  /// The filter's state: external() without dead band and limits.
+  /// State of the filter: external() without dead band and limits.
   [[nodiscard]] const Wrench<Scalar>& filtered() const noexcept { return filtered_; }
 
-  /// What the last sample says of the force, noise and all, body frame [N]; known from the first.
+  /// Force from the last sample, with all its noise, body frame [N]. Known from the first sample
+  /// on.
   [[nodiscard]] const Vector3<Scalar>& unfiltered_force() const noexcept {
     return unfiltered_force_;
   }
 
   [[nodiscard]] const WrenchObserverSettings& settings() const noexcept { return settings_; }
 
-  /// Whether external() can be relied on at `now` [s], the clock of update().
+  /// Reliability of external() at `now` [s], in the clock of update().
   [[nodiscard]] WrenchTrust trust(double now) const noexcept {
     if (!started_) return WrenchTrust::not_started;
     if (!(std::abs(now - time_) <= settings_.max_gap)) return WrenchTrust::stale;
@@ -195,19 +205,19 @@ class WrenchObserver {
     return limited_ ? WrenchTrust::limited : WrenchTrust::trusted;
   }
 
-  /// Averages the raw residual from the next sample on; begins anew if it was doing so.
+  /// Averages the raw residual from the next sample on. Restarts a calibration that has not ended.
   void begin_calibration() noexcept {
     average_ = {};
     calibrating_ = true;
   }
 
-  /// Ends the calibration. The offset is the average less the `known` external wrench (body frame,
-  /// at the CoM), or what it was before unless the status is calibrated.
+  /// Ends the calibration. If the status is calibrated, the offset becomes the average minus the
+  /// `known` external wrench (body frame, at the CoM). Otherwise the offset is unchanged.
   CalibrationStatus end_calibration(const Wrench<Scalar>& known = {}) noexcept {
     if (!calibrating_) return CalibrationStatus::not_begun;
     calibrating_ = false;
     if (average_.time < settings_.min_calibration_time) return CalibrationStatus::too_short;
-    if (!average_.deviates_less(settings_.max_force_deviation, settings_.max_torque_deviation))
+    if (!average_.deviates_less(settings_.max_force_stddev, settings_.max_torque_stddev))
       return CalibrationStatus::moved;
     const Wrench<Scalar> offset{average_.mean.template head<3>() - known.force,
                                 average_.mean.template tail<3>() - known.torque};
@@ -216,18 +226,19 @@ class WrenchObserver {
     return CalibrationStatus::calibrated;
   }
 
-  /// What is subtracted from the raw residual, body frame [N; N m].
+  /// Offset that is subtracted from the raw residual, body frame [N; N m].
   [[nodiscard]] const Wrench<Scalar>& offset() const noexcept { return offset_; }
 
-  /// An offset from an earlier calibration. It acts from the next sample on, so the estimate does
-  /// not jump. Ignored if not finite or beyond 1e6.
+  /// Sets an offset from an earlier calibration. It acts from the next sample on, so the estimate
+  /// does not jump. Ignored if not finite or above 1e6.
   void set_offset(const Wrench<Scalar>& offset) noexcept {
     if (!within(offset, 1e6)) return;
     offset_ = offset;
     settling_since_ = time_;
   }
 
-  /// Forgets estimate, time, momentum and a calibration that has not ended; keeps the offset.
+  /// Clears the estimate, the time, the momentum and a calibration that has not ended. Keeps the
+  /// offset.
   void reset() noexcept {
     filtered_ = external_ = {};
     samples_ = 0;
@@ -235,8 +246,8 @@ class WrenchObserver {
   }
 
  private:
-  /// Mean and spread of a wrench in blocks of 0.1 s. Within a block a gyroscope's noise cancels but
-  /// for its ends, whatever the rate of the samples, and a push of the vehicle does not.
+  /// Mean and spread of a wrench in blocks of 0.1 s. Within a block the noise of a gyroscope
+  /// cancels except at the ends, at any sample rate. A push of the vehicle does not cancel.
   struct BlockAverage {
     using Vector6 = Eigen::Matrix<Scalar, 6, 1>;
 
@@ -246,7 +257,7 @@ class WrenchObserver {
       block_sum += Scalar(dt) * packed;
       block_time += dt;
       if (block_time < 0.1) return;
-      // Recursively, after D. H. D. West, "Updating mean and variance estimates", 1979.
+      // Recursive update after D. H. D. West, "Updating mean and variance estimates", 1979.
       time += block_time;
       const Vector6 block = block_sum / Scalar(block_time), step = block - mean;
       mean += Scalar(block_time / time) * step;
@@ -261,10 +272,10 @@ class WrenchObserver {
     }
 
     Vector6 mean = Vector6::Zero(), squares = Vector6::Zero(), block_sum = Vector6::Zero();
-    double time = 0.0, block_time = 0.0;  ///< averaged so far, in the block [s]
+    double time = 0.0, block_time = 0.0;  ///< time of all blocks, of the current block [s]
   };
 
-  /// NaN is not within.
+  /// Returns false for NaN.
   static bool within(const Vector3<Scalar>& v, double bound) noexcept {
     using std::abs;
     return abs(v.x()) <= Scalar(bound) && abs(v.y()) <= Scalar(bound) &&
@@ -297,7 +308,7 @@ class WrenchObserver {
   Scalar mass_;
   Matrix3<Scalar> inertia_;
   Wrench<Scalar> filtered_, external_, offset_;
-  Wrench<Scalar> sum_;  // of external_, over samples_ since take_external()
+  Wrench<Scalar> sum_;  // sum of external_ over samples_ samples since take_external()
   int samples_ = 0;
   Vector3<Scalar> angular_velocity_ = Vector3<Scalar>::Zero();
   Vector3<Scalar> unfiltered_force_ = Vector3<Scalar>::Zero();
@@ -305,5 +316,6 @@ class WrenchObserver {
   bool started_ = false, limited_ = false, calibrating_ = false;
   BlockAverage average_;
 };
+using WrenchObserverd = WrenchObserver<double>;  ///< in double precision
 
 }  // namespace tilt_ropter

@@ -8,49 +8,56 @@
 #include <cmath>
 #include <limits>
 
-/// What is known of the ground under the vehicle: made by ContactEstimator or by a user who has a
-/// bumper switch or a load cell, taken by the controller.
+/// Estimate of the ground contact, an input of the controller. ContactEstimator computes it. A user
+/// with a bumper switch or a load cell can provide it instead.
 namespace tilt_ropter {
 
-/// A plane in the world frame, nowhere vertical.
+/// Ground plane in the world frame. It cannot be vertical.
 struct GroundPlane {
-  double height = 0.0;                              ///< of the point where x = y = 0 [m]
+  double height = 0.0;                              ///< height of the plane at x = y = 0 [m]
   Eigen::Vector2d slope = Eigen::Vector2d::Zero();  ///< dz/dx, dz/dy
 
-  /// Above or below `position` (world frame) [m].
+  /// Returns the height [m] of the plane at x and y of `position` (world frame).
   [[nodiscard]] double height_at(const Eigen::Vector3d& position) const noexcept {
-    return height + slope.x() * position.x() + slope.y() * position.y();
+    return height + rise(position);
   }
-  /// Unit vector upward.
+  /// Returns the change of height along `step`: the vertical component of a vector in the plane
+  /// with the x and y of `step` (world frame), in its unit.
+  [[nodiscard]] double rise(const Eigen::Vector3d& step) const noexcept {
+    return slope.x() * step.x() + slope.y() * step.y();
+  }
+  /// Returns the upward unit normal, world frame.
   [[nodiscard]] Eigen::Vector3d normal() const noexcept {
     return Eigen::Vector3d(-slope.x(), -slope.y(), 1.0) / std::sqrt(1.0 + slope.squaredNorm());
   }
 };
 
-/// Wrenches act at the CoM and are given in the body frame, as what the wrench observer finds is.
+/// Wrenches act at the CoM, in the body frame, like the output of the wrench observer.
 struct ContactEstimate {
-  bool on_ground = false;     ///< the ground carries a part of the weight, or has just done so
-  bool ground_known = false;  ///< `ground` was seen or told; false: only assumed, or nothing known
-  GroundPlane ground;         ///< without any, at height -infinity
-  /// What acts in the air; on the ground, what would act if the vehicle left it.
-  Wrench<> disturbance;
-  /// On the ground: what acts along it and turns the vehicle on it, such as wind, rolling and
-  /// turning resistance.
-  Wrench<> rolling;
-  /// On the ground: its force along its normal, its roll torque, and what else the Undercarriage
-  /// holds; in the air zero.
-  Wrench<> ground_reaction;
+  bool on_ground = false;     ///< the ground carries part of the weight, or did so recently
+  bool ground_known = false;  ///< `ground` is measured or given; false: assumed or unknown
+  GroundPlane ground;         ///< height -infinity: no ground
+  /// In the air: the external wrench. On the ground: the external wrench that would act if the
+  /// vehicle left the ground.
+  Wrenchd disturbance;
+  /// On the ground: the external force along the ground (zero if the vehicle does not roll) and the
+  /// external torque about the free axes of the Undercarriage. Examples are wind, rolling
+  /// resistance and turning resistance.
+  Wrenchd rolling;
+  /// On the ground: the ground's normal force, its roll torque, and its torque about every other
+  /// axis that is not free. If the vehicle does not roll: the whole force. In the air: zero.
+  Wrenchd ground_reaction;
 };
 
-/// Of a vehicle that is nowhere near the ground.
-[[nodiscard]] inline ContactEstimate in_the_air(const Wrench<>& disturbance) noexcept {
+/// Returns the estimate for a vehicle far from the ground. `disturbance` is the external wrench.
+[[nodiscard]] inline ContactEstimate in_the_air(const Wrenchd& disturbance) noexcept {
   ContactEstimate estimate;
   estimate.disturbance = disturbance;
   estimate.ground.height = -std::numeric_limits<double>::infinity();
   return estimate;
 }
 
-/// True if all numbers are finite; the ground's height may be -infinity.
+/// Returns true if all numbers are finite. The ground's height may be -infinity.
 [[nodiscard]] inline bool is_finite(const ContactEstimate& e) noexcept {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
          std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&

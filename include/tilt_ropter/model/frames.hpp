@@ -10,12 +10,12 @@
 
 #include <cstddef>
 
-/// The paper's eight frames (paper, Sec. Frame Definition): the world I (ENU) in which all is
-/// expressed, the body B, the rotors R1..R4 and the wheels W1, W2. A function a_in_b gives the pose
-/// of frame a in frame b: it maps coordinates in a to coordinates in b.
+/// The eight frames of the paper (paper, Sec. Frame Definition): the world I (ENU, the reference
+/// frame), the body B, the rotors R1..R4 and the wheels W1, W2. A function a_in_b returns the pose
+/// of frame a in frame b. The pose maps coordinates in a to coordinates in b.
 namespace tilt_ropter {
 
-/// B in I.
+/// Returns the pose of B in I.
 template <typename Scalar>
 [[nodiscard]] Eigen::Transform<Scalar, 3, Eigen::Isometry> body_in_world(
     const BodyState<Scalar>& body) {
@@ -25,8 +25,9 @@ template <typename Scalar>
   return pose;
 }
 
-/// Ri in B: origin where the propeller's axis meets the arm's, x along the arm outward. The frame
-/// belongs to the base and does not tilt. `rotor` counts from 0.
+/// Returns the pose of Ri in B. The origin is the intersection of the propeller axis and the arm
+/// axis; x points outward along the arm. The frame is fixed to the base and does not tilt. `rotor`
+/// counts from 0. Throws std::out_of_range if the vehicle has no such rotor.
 template <int Rotors>
 [[nodiscard]] Eigen::Isometry3d rotor_in_body(const Vehicle<Rotors>& vehicle, std::size_t rotor) {
   Eigen::Isometry3d pose;
@@ -35,9 +36,10 @@ template <int Rotors>
   return pose;
 }
 
-/// Wi in B: origin in the wheel's centre, x along body y (the axle), z up. Even wheels are right
-/// (arm 1, -y), odd ones left (arm 2, +y); of two axles the front one has 0 and 1, the rear one 2
-/// and 3. Throws std::bad_optional_access for a vehicle without wheels.
+/// Returns the pose of Wi in B. The origin is the wheel's centre; x points along body y (the axle),
+/// z up. `wheel` counts from 0. Even wheels are right (arm 1, -y), odd wheels are left (arm 2, +y).
+/// With two axles, the front axle has wheels 0 and 1, the rear axle has wheels 2 and 3. Throws
+/// std::bad_optional_access for a vehicle without wheels.
 template <int Rotors>
 [[nodiscard]] Eigen::Isometry3d wheel_in_body(const Vehicle<Rotors>& vehicle, std::size_t wheel) {
   Eigen::Isometry3d pose;
@@ -48,8 +50,8 @@ template <int Rotors>
   return pose;
 }
 
-/// Unit vector of a rotor's thrust at tilt angle alpha [rad], in its rotor frame: a right-handed
-/// rotation about the arm, zero is up.
+/// Returns the unit vector of a rotor's thrust in its rotor frame. `alpha` is the tilt angle [rad],
+/// a right-handed rotation about the arm. At zero the thrust points up.
 template <typename Scalar>
 [[nodiscard]] Vector3<Scalar> thrust_direction(const Scalar& alpha) {
   using std::cos;

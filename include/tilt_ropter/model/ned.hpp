@@ -8,14 +8,14 @@
 
 #include <cmath>
 
-/// To and from an autopilot's axes, such as PX4's: the world NED (x north, y east, z down) instead
-/// of ENU (x east, y north, z up), the body FRD (x forward, y right, z down) instead of FLU (x
-/// forward, y left, z up). Origins stay where they are. Each map is its own inverse; both ways have
-/// a name, for the reader. What is not finite stays so, which is_finite() of the result says.
-/// Nothing here throws or allocates.
+/// Conversions to and from the axes of an autopilot such as PX4. The world is NED (x north, y east,
+/// z down) instead of ENU (x east, y north, z up). The body is FRD (x forward, y right, z down)
+/// instead of FLU (x forward, y left, z up). Origins do not change. Each map is its own inverse;
+/// both directions have a name for readability. Non-finite numbers stay non-finite, so is_finite()
+/// of the result detects them. No function in this header throws or allocates.
 namespace tilt_ropter {
 
-/// Position, velocity or any other vector of the world, from ENU to NED axes.
+/// Converts a position, a velocity or another world-frame vector from ENU to NED axes.
 template <typename Scalar>
 [[nodiscard]] Vector3<Scalar> ned_from_enu(const Vector3<Scalar>& enu) noexcept {
   return {enu.y(), enu.x(), -enu.z()};
@@ -27,7 +27,8 @@ template <typename Scalar>
   return {ned.y(), ned.x(), -ned.z()};
 }
 
-/// Angular velocity, specific force or any other vector of the body, from FLU to FRD axes.
+/// Converts an angular velocity, a specific force or another body-frame vector from FLU to FRD
+/// axes.
 template <typename Scalar>
 [[nodiscard]] Vector3<Scalar> frd_from_flu(const Vector3<Scalar>& flu) noexcept {
   return {flu.x(), -flu.y(), -flu.z()};
@@ -39,7 +40,7 @@ template <typename Scalar>
   return {frd.x(), -frd.y(), -frd.z()};
 }
 
-/// Wrench at the CoM from FLU to FRD axes.
+/// Converts a wrench at the CoM from FLU to FRD axes.
 template <typename Scalar>
 [[nodiscard]] Wrench<Scalar> frd_from_flu(const Wrench<Scalar>& flu) noexcept {
   return {frd_from_flu(flu.force), frd_from_flu(flu.torque)};
@@ -51,24 +52,25 @@ template <typename Scalar>
   return {flu_from_frd(frd.force), flu_from_frd(frd.torque)};
 }
 
-/// Attitude FRD -> NED of the body whose attitude FLU -> ENU is `q`. Linear in q: neither its
-/// length nor, along a motion, its sign changes.
+/// Returns the attitude FRD -> NED of the body whose attitude FLU -> ENU is `q`. The map is linear
+/// in q. It keeps the norm of q and does not flip the sign along a motion.
 template <typename Scalar>
 [[nodiscard]] Eigen::Quaternion<Scalar> ned_from_enu(const Eigen::Quaternion<Scalar>& q) noexcept {
-  // (ENU -> NED) (x) q (x) (FRD -> FLU), two half turns: (0, 1, 1, 0) / sqrt(2) and (0, 1, 0, 0).
+  // (ENU -> NED) (x) q (x) (FRD -> FLU). The outer factors are half turns: (0, 1, 1, 0) / sqrt(2)
+  // and (0, 1, 0, 0).
   const Scalar c = Scalar(std::sqrt(0.5));
   return {Scalar(c * (q.w() + q.z())), Scalar(c * (q.x() + q.y())), Scalar(c * (q.x() - q.y())),
           Scalar(c * (q.w() - q.z()))};
 }
 
-/// Inverse of ned_from_enu(): attitude FLU -> ENU from FRD -> NED.
+/// Inverse of ned_from_enu(): returns the attitude FLU -> ENU from the attitude FRD -> NED.
 template <typename Scalar>
 [[nodiscard]] Eigen::Quaternion<Scalar> enu_from_ned(const Eigen::Quaternion<Scalar>& q) noexcept {
   return ned_from_enu(q);
 }
 
-/// A BodyState in an autopilot's axes.
-template <typename Scalar = double>
+/// BodyState in the axes of an autopilot.
+template <typename Scalar>
 struct NedBodyState {
   Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< CoM in the world frame (NED) [m]
   Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< CoM in the world frame [m/s]
@@ -76,8 +78,9 @@ struct NedBodyState {
       Eigen::Quaternion<Scalar>::Identity();                   ///< body (FRD) -> world, unit
   Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< body frame [rad/s]
 };
+using NedBodyStated = NedBodyState<double>;  ///< in double precision
 
-/// The same state in NED and FRD axes.
+/// Converts a body state to NED and FRD axes.
 template <typename Scalar>
 [[nodiscard]] NedBodyState<Scalar> ned_from_enu(const BodyState<Scalar>& body) noexcept {
   return {ned_from_enu(body.position), ned_from_enu(body.velocity), ned_from_enu(body.orientation),

@@ -12,36 +12,40 @@
 
 #include <type_traits>
 
-/// Rigid body driven by the wrench of its actuators and an external one (paper, Sec. Rigid Body
-/// Dynamics, Eqs. rb1-rb4), its discrete step and the analytic sensitivity of that step.
+/// Rigid body under an actuator wrench and an external wrench (paper, Sec. Rigid Body Dynamics,
+/// Eqs. rb1-rb4), with its discrete step and the analytic sensitivity of that step.
 namespace tilt_ropter {
 
-/// What a support leaves of an acceleration. Wheels on the ground take from it what is along the
-/// ground's normal, and that about body x; the reaction that does so needs no model then.
-template <typename Scalar = double>
+/// Accelerations that a support leaves free. Wheels on the ground remove the acceleration along the
+/// ground's normal and the angular acceleration about body x. The ground's reaction then needs no
+/// model.
+template <typename Scalar>
 struct Freedom {
-  Matrix3<Scalar> linear = Matrix3<Scalar>::Identity();  ///< a projection, world frame
-  Vector3<Scalar> angular = Vector3<Scalar>::Ones();     ///< body axes: 1 free, 0 held
+  Matrix3<Scalar> linear = Matrix3<Scalar>::Identity();  ///< projection matrix, world frame
+  Vector3<Scalar> angular = Vector3<Scalar>::Ones();     ///< per body axis: 1 free, 0 held
 };
+using Freedomd = Freedom<double>;  ///< in double precision
 
-/// Derivative of a BodyState with respect to time.
-template <typename Scalar = double>
+/// Time derivative of a BodyState.
+template <typename Scalar>
 struct BodyDerivative {
   Vector3<Scalar> velocity;               ///< dp/dt [m/s]
   Vector3<Scalar> acceleration;           ///< dv/dt, world frame [m/s^2]
   Eigen::Quaternion<Scalar> orientation;  ///< dq/dt, not a unit quaternion [1/s]
   Vector3<Scalar> angular_acceleration;   ///< body frame [rad/s^2]
 };
+using BodyDerivatived = BodyDerivative<double>;  ///< in double precision
 
-/// The model that the controller predicts with: F and M integrate their rates, the body follows.
-template <typename Scalar = double>
+/// Prediction model of the controller. The actuator wrench (F, M) is the integral of its rate and
+/// drives the body.
+template <typename Scalar>
 class RigidBody {
  public:
   using WrenchRate = Eigen::Matrix<Scalar, 6, 1>;
   using StateJacobian = Eigen::Matrix<Scalar, 18, 18>;
   using InputJacobian = Eigen::Matrix<Scalar, 18, 6>;
 
-  /// Throws std::invalid_argument if the parameters are not those of a rigid body.
+  /// Throws std::invalid_argument if no rigid body has these `parameters`.
   explicit RigidBody(const RigidBodyParameters& parameters) {
     validate(parameters);
     mass_ = Scalar(parameters.mass);
@@ -55,7 +59,8 @@ class RigidBody {
   [[nodiscard]] const Scalar& mass() const { return mass_; }
   [[nodiscard]] const Matrix3<Scalar>& inertia() const { return inertia_; }
 
-  /// Eqs. rb1-rb4 under the sum `wrench` of all wrenches at the CoM, body frame.
+  /// Returns the derivative by Eqs. rb1-rb4. `wrench` is the sum of all wrenches at the CoM, body
+  /// frame.
   [[nodiscard]] BodyDerivative<Scalar> derivative(const BodyState<Scalar>& body,
                                                   const Wrench<Scalar>& wrench) const {
     const Vector3<Scalar> w = body.angular_velocity;
@@ -70,8 +75,9 @@ class RigidBody {
     return d;
   }
 
-  /// One classical Runge-Kutta step of `dt` [s] with the wrench rate `u` (body frame, [N/s; N m/s])
-  /// and the external wrench (body frame) held constant; the quaternion is normalised at the end.
+  /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The wrench rate `u` (body
+  /// frame, [N/s; N m/s]) and the `external` wrench (body frame) are constant during the step. The
+  /// quaternion is normalised at the end.
   [[nodiscard]] State<Scalar> step(const State<Scalar>& x, const WrenchRate& u,
                                    const Wrench<Scalar>& external, Scalar dt,
                                    const Freedom<Scalar>& freedom = {}) const {
@@ -80,7 +86,7 @@ class RigidBody {
     return next;
   }
 
-  /// The same step and its exact derivative in tangent coordinates (dF, dM, dp, dv, dtheta, dw):
+  /// The same step with its exact derivative in tangent coordinates (dF, dM, dp, dv, dtheta, dw):
   /// dx+ = A dx + B du.
   [[nodiscard]] State<Scalar> step(const State<Scalar>& x, const WrenchRate& u,
                                    const Wrench<Scalar>& external, Scalar dt,
@@ -91,7 +97,7 @@ class RigidBody {
     return next;
   }
 
-  /// The same into `next`, as a part of the caller's own code.
+  /// The same, but inlined into the caller. Writes the state to `next`.
   [[gnu::always_inline]] inline void step_inline(const State<Scalar>& x, const WrenchRate& u,
                                                  const Wrench<Scalar>& external, const Scalar& dt,
                                                  const Freedom<Scalar>& freedom,
@@ -104,17 +110,17 @@ class RigidBody {
   using Triple = detail::Triple<Scalar>;
   using Square = detail::Square<Scalar>;
 
-  // What the derivative of a Runge-Kutta stage needs of it.
+  // Values of one Runge-Kutta stage that its derivative needs.
   struct Stage {
-    Square w_by_w, turned_by_v;  // of the rate of w by w, of the turned force by v
-    Triple half_w, half_v, turned_by_c;
+    Square w_by_w, turned_by_v;          // d(rate of w)/dw, d(rotated force)/dv
+    Triple half_w, half_v, turned_by_c;  // turned_by_c: d(rotated force)/dc
     Scalar half_c;
   };
 
-  // The attitude equation is linear in q from the left, so every stage of the Runge-Kutta step is
-  // q (x) (c, v) with (c, v) starting at identity and driven by w alone. That leaves a chain
-  // (M, dM, w) -> w stages -> (c, v) stages -> force stages -> (v, p), and makes the derivative
-  // with respect to the initial attitude the cross product with the integrated impulse.
+  // The attitude equation is linear in q from the left. Every stage of the Runge-Kutta step is
+  // therefore q (x) (c, v), where (c, v) starts at identity and depends on w only. The dependencies
+  // form a chain: (M, dM, w) -> w stages -> (c, v) stages -> force stages -> (v, p). The derivative
+  // with respect to the initial attitude is the cross product with the integrated impulse.
   template <bool WithSensitivity>
   [[gnu::always_inline]] inline void integrate(const State<Scalar>& x, const WrenchRate& rate,
                                                const Wrench<Scalar>& external, const Scalar& dt,
@@ -126,7 +132,7 @@ class RigidBody {
     using std::sqrt;
     const Scalar zero(0), one(1), two(2), half(0.5),
         half_dt = half * dt, sixth = dt / Scalar(6), third = dt / Scalar(3),
-        position_weight = dt * sixth;  // of the first three stages
+        position_weight = dt * sixth;  // weight of the first three stages
     const Scalar node[4] = {zero, half_dt, half_dt, dt};
     const Scalar velocity_weight[4] = {sixth, third, third, sixth};
 
@@ -228,8 +234,9 @@ class RigidBody {
     detail::put(detail::outer(c * c - dot(v, v), two * v, v, (-two * c) * v), *A, I::orientation,
                 I::orientation);
 
-    // One column of the derivatives by M, dM or w: `start` is that of w, `push` and `push_rate`
-    // those of the rate of w.
+    // Sets one column of the derivatives with respect to M, dM or w. `start` is the derivative of
+    // the initial w. `push` and `push_rate` are the constant and the linear part in time of the
+    // derivative of the rate of w.
     const auto set_column = [&](const Triple& start, const Triple& push, const Triple& push_rate,
                                 auto& jacobian, int column) __attribute__((always_inline)) {
       Triple dw_rate = none, dw_sum = start, dv_rate = none, dv_sum = none, by_velocity = none,
@@ -268,7 +275,8 @@ class RigidBody {
       }
     };
     if constexpr (std::is_arithmetic_v<Scalar>) {
-      // Nine calls, not nine copies: a tenth of what a program that uses Nmpc takes to compile.
+      // Nine calls instead of nine inlined copies save a tenth of the compile time of a program
+      // that uses Nmpc.
       set_columns([&](const Triple& start, const Triple& push, const Triple& push_rate,
                       auto& jacobian, int column) __attribute__((noinline)) {
         set_column(start, push, push_rate, jacobian, column);
@@ -281,5 +289,6 @@ class RigidBody {
   Scalar mass_;
   Matrix3<Scalar> inertia_, inverse_inertia_;
 };
+using RigidBodyd = RigidBody<double>;  ///< in double precision
 
 }  // namespace tilt_ropter

@@ -7,18 +7,19 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-/// What moves: wrench, body state and the NMPC's state, with their packed form.
+/// Wrench, actuator state, body state and the NMPC's state with its packed form.
 namespace tilt_ropter {
 
-/// Force [N] and torque [N m] that act at the CoM, both in the body frame; for other points and
-/// frames see wrench.hpp.
-template <typename Scalar = double>
+/// Force [N] and torque [N m] at the CoM, both in the body frame. wrench.hpp converts them to other
+/// points and frames.
+template <typename Scalar>
 struct Wrench {
   Vector3<Scalar> force = Vector3<Scalar>::Zero();
   Vector3<Scalar> torque = Vector3<Scalar>::Zero();
 };
+using Wrenchd = Wrench<double>;  ///< in double precision
 
-/// Speed and tilt angle of every rotor: as commanded, measured, modelled or true.
+/// Speed and tilt angle of every rotor: commanded, measured, modelled or true values.
 template <int Rotors, typename Scalar = double>
 struct ActuatorState {
   Eigen::Matrix<Scalar, Rotors, 1> rotor_speed =
@@ -27,8 +28,8 @@ struct ActuatorState {
       Eigen::Matrix<Scalar, Rotors, 1>::Zero();  ///< about the rotor frame's x [rad]
 };
 
-/// Pose and twist of the body frame: what a state estimator delivers.
-template <typename Scalar = double>
+/// Pose and twist of the body frame, the output of a state estimator.
+template <typename Scalar>
 struct BodyState {
   Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< CoM in the world frame (ENU) [m]
   Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< CoM in the world frame [m/s]
@@ -36,37 +37,42 @@ struct BodyState {
       Eigen::Quaternion<Scalar>::Identity();                   ///< body -> world, unit
   Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< body frame [rad/s]
 };
+using BodyStated = BodyState<double>;  ///< in double precision
 
-/// State of the paper's NMPC, x = (F, M, p, v, q, w) (paper, Sec. States and Inputs): the body and
-/// the wrench of its actuators.
-template <typename Scalar = double>
+/// State of the paper's NMPC, x = (F, M, p, v, q, w) (paper, Sec. States and Inputs): the actuator
+/// wrench and the body state.
+template <typename Scalar>
 struct State {
   Wrench<Scalar> wrench;
   BodyState<Scalar> body;
 };
+using Stated = State<double>;  ///< in double precision
 
-/// Tangent vector of a State: (dF, dM, dp, dv, dtheta, dw), dtheta in the body frame.
-template <typename Scalar = double>
+/// Tangent vector of a State: (dF, dM, dp, dv, dtheta, dw), with dtheta in the body frame.
+template <typename Scalar>
 using StateTangent = Eigen::Matrix<Scalar, 18, 1>;
+using StateTangentd = StateTangent<double>;  ///< in double precision
 
-/// Where each part of a StateTangent starts; those of a wrench and of its rate start likewise.
+/// First index of each part of a StateTangent. The parts of a wrench and of its rate have the same
+/// indices.
 struct TangentIndex {
   static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
                        angular_velocity = 15;
 };
 
-/// Where each part of a PackedState starts.
+/// First index of each part of a PackedState.
 struct PackedIndex {
   static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
                        angular_velocity = 16;
 };
 
-/// Packed State in the paper's order (F, M, p, v, q, w), q as (w, x, y, z).
-template <typename Scalar = double>
+/// Packed State in the paper's order (F, M, p, v, q, w), with q as (w, x, y, z).
+template <typename Scalar>
 using PackedState = Eigen::Matrix<Scalar, 19, 1>;
+using PackedStated = PackedState<double>;  ///< in double precision
 
-/// The one place where quaternions turn from Eigen's storage order (x, y, z, w) into the paper's
-/// (w, x, y, z).
+/// Packs a State. Only this function and unpack() convert quaternions between Eigen's storage order
+/// (x, y, z, w) and the paper's order (w, x, y, z).
 template <typename Scalar>
 [[nodiscard]] PackedState<Scalar> pack(const State<Scalar>& x) {
   PackedState<Scalar> packed;
@@ -76,7 +82,7 @@ template <typename Scalar>
   return packed;
 }
 
-/// Inverse of pack(). The quaternion is taken as it comes, not normalised.
+/// Inverse of pack(). Does not normalise the quaternion.
 template <typename Scalar>
 [[nodiscard]] State<Scalar> unpack(const PackedState<Scalar>& packed) {
   using I = PackedIndex;
@@ -91,7 +97,7 @@ template <typename Scalar>
   return x;
 }
 
-/// x (+) dx: the state reached from x along the tangent vector dx.
+/// Returns x (+) dx: the state reached from x along the tangent vector dx.
 template <typename Scalar>
 [[nodiscard]] State<Scalar> retract(const State<Scalar>& x, const StateTangent<Scalar>& dx) {
   using I = TangentIndex;
@@ -111,7 +117,7 @@ template <typename Scalar>
   return y;
 }
 
-/// y (-) x: the tangent vector at x that reaches y, so retract(x, difference(y, x)) = y.
+/// Returns y (-) x: the tangent vector from x to y, so that retract(x, difference(y, x)) = y.
 template <typename Scalar>
 [[nodiscard]] StateTangent<Scalar> difference(const State<Scalar>& y, const State<Scalar>& x) {
   using I = TangentIndex;
@@ -130,14 +136,14 @@ template <typename Scalar>
   return dx;
 }
 
-/// True if every number is finite and the quaternion can be normalised.
+/// Returns true if every number is finite and the quaternion can be normalised.
 template <typename Scalar>
 [[nodiscard]] bool is_finite(const BodyState<Scalar>& x) noexcept {
   return all_finite(x.position) && all_finite(x.velocity) && all_finite(x.orientation.coeffs()) &&
          x.orientation.squaredNorm() > Scalar(1e-6) && all_finite(x.angular_velocity);
 }
 
-/// True if every number is finite.
+/// Returns true if every number is finite.
 template <typename Scalar>
 [[nodiscard]] bool is_finite(const Wrench<Scalar>& w) noexcept {
   return all_finite(w.force) && all_finite(w.torque);

@@ -13,13 +13,13 @@
 #include <optional>
 #include <string>
 
-/// What the vehicle is: every parameter of it, plain data with units, and the reference vehicle.
+/// All parameters of a vehicle, as plain data with units, and the reference vehicle.
 namespace tilt_ropter {
 
-/// Acceleration of gravity [m/s^2], the paper's; it points along world -z.
+/// Gravitational acceleration [m/s^2], the paper's value. It points along world -z.
 inline constexpr double gravity = 9.81;
 
-/// Of the whole vehicle, with rotors and wheels.
+/// Mass and inertia of the whole vehicle, including rotors and wheels.
 struct RigidBodyParameters {
   double mass = 1.0;  ///< [kg]
   Eigen::Matrix3d inertia =
@@ -30,41 +30,43 @@ struct RigidBodyParameters {
 ///
 ///     T = thrust_coefficient Omega^2 + linear_thrust_coefficient Omega,
 ///
-/// and zero where that is negative. Without the linear term it is the paper's law. Where the thrust
-/// of a real propeller rises faster than the square of the speed, the linear term is negative; the
-/// thrust begins at the speed -linear_thrust_coefficient / thrust_coefficient then. Where it rises
-/// slower, the linear term is positive.
+/// or zero if this sum is negative. Without the linear term this is the paper's law. If the thrust
+/// of a real propeller rises faster than the squared speed, the linear term is negative. The thrust
+/// then begins at the speed -linear_thrust_coefficient / thrust_coefficient. If the thrust rises
+/// slower than the squared speed, the linear term is positive.
 struct RotorParameters {
-  double thrust_coefficient = 1.0e-6;  ///< of the speed's square [N s^2 / rad^2]
+  double thrust_coefficient = 1.0e-6;  ///< factor of the squared speed [N s^2 / rad^2]
   double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
-  double min_thrust = 0.0;             ///< [N]
-  double max_thrust = 10.0;            ///< at the battery's nominal voltage, if that is known [N]
-  double time_constant = 0.03;         ///< of the speed's first-order lag [s]
-  /// Of the speed, at least -sqrt(thrust_coefficient max_thrust / 2): the thrust begins at half of
-  /// the top speed there [N s / rad].
+  double min_thrust = 0.0;             ///< lower thrust limit [N]
+  double max_thrust = 10.0;  ///< upper limit, at the battery's nominal voltage if it is known [N]
+  double time_constant = 0.03;  ///< of the first-order lag of the speed [s]
+  /// Factor of the speed, at least -sqrt(thrust_coefficient max_thrust / 2) [N s / rad]. At this
+  /// lower bound the thrust begins at half of the top speed.
   double linear_thrust_coefficient = 0.0;
 };
 
-/// Direction in which a rotor turns, seen from where its thrust points to.
+/// Rotation direction of a rotor, seen from the side to which its thrust points.
 enum class Spin { counter_clockwise = 1, clockwise = -1 };
 
-/// Where a rotor sits. Its frame has its origin where the propeller's axis meets the arm's, x along
-/// the arm outward; at tilt angle alpha the thrust points along (0, -sin alpha, cos alpha) there.
+/// Mounting of a rotor. The origin of the rotor frame is the intersection of the propeller axis and
+/// the arm axis; x points outward along the arm. At tilt angle alpha the thrust points along
+/// (0, -sin alpha, cos alpha) in this frame.
 struct RotorGeometry {
-  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< origin in the body frame [m]
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< frame origin in the body frame [m]
   Eigen::Matrix3d orientation =
       Eigen::Matrix3d::Identity();  ///< rotor frame -> body frame, a rotation matrix
   Spin spin = Spin::counter_clockwise;
   bool tilts = true;  ///< false: alpha is always zero, thrust along the rotor frame's z
-  /// Share of RotorParameters' thrust that the rotor gives at a speed, and of its limits; 0: it is
-  /// lost.
+  /// Thrust at a given speed, and thrust limits, as a fraction of the values in RotorParameters.
+  /// Zero: the rotor is lost.
   double effectiveness = 1.0;
-  /// This rotor's own motor and propeller. Without a value the rotor has those of Vehicle::rotor;
-  /// rotor_parameters() returns the ones that hold.
+  /// Motor and propeller of this rotor. Without a value the rotor uses Vehicle::rotor.
+  /// rotor_parameters() returns the parameters that apply.
   std::optional<RotorParameters> parameters = std::nullopt;
 };
 
-/// A rotor at the end of an arm of `length` [m] in the body's xy plane at `azimuth` [rad] from x.
+/// Returns a rotor at the end of an arm of `length` [m] in the body's xy plane. `azimuth` [rad] is
+/// the angle of the arm from body x.
 [[nodiscard]] inline RotorGeometry rotor_on_arm(double azimuth, double length, Spin spin) {
   RotorGeometry rotor;
   const double c = std::cos(azimuth), s = std::sin(azimuth);
@@ -74,69 +76,71 @@ struct RotorGeometry {
   return rotor;
 }
 
-/// Servo that tilts an arm; the same for all arms of a vehicle.
+/// Servo that tilts an arm. All arms of a vehicle have the same servo.
 struct ServoParameters {
   double time_constant =
-      0.08;  ///< of the angle's first-order lag (paper, Sec. External Wrench Estimation) [s]
-  double max_rate = 8.0;   ///< [rad/s]
-  double min_angle = -pi;  ///< [rad]
-  double max_angle = pi;   ///< [rad]
-  double dead_time = 0.0;  ///< from command to first motion [s]
+      0.08;  ///< of the first-order lag of the angle (paper, Sec. External Wrench Estimation) [s]
+  double max_rate = 8.0;   ///< largest rate of the angle [rad/s]
+  double min_angle = -pi;  ///< lower end of the range [rad]
+  double max_angle = pi;   ///< upper end of the range [rad]
+  double dead_time = 0.0;  ///< time from a command to the first motion [s]
 };
 
-/// Passive wheels that turn about axes along body y.
+/// Passive wheels. Their axles are parallel to body y.
 struct WheelParameters {
   double radius = 0.1;      ///< [m]
-  double half_track = 0.2;  ///< CoM to wheel centre along body y [m]
-  /// Distance between a front and a rear axle with the CoM in the middle. Zero: one axle through
-  /// the CoM, on which the vehicle pitches freely [m].
+  double half_track = 0.2;  ///< distance from CoM to wheel centre along body y [m]
+  /// Distance between front and rear axle, with the CoM in the middle [m]. Zero: one axle through
+  /// the CoM, about which the vehicle pitches freely.
   double wheel_base = 0.0;
 };
 
-/// Four legs with stiff feet, at the corners of a rectangle under the CoM.
+/// Four legs with stiff feet at the corners of a rectangle under the CoM.
 struct LegParameters {
-  double height = 0.12;       ///< of the CoM above the feet [m]
-  double half_length = 0.15;  ///< CoM to foot along body x [m]
-  double half_width = 0.15;   ///< CoM to foot along body y [m]
+  double height = 0.12;       ///< height of the CoM above the feet [m]
+  double half_length = 0.15;  ///< distance from CoM to foot along body x [m]
+  double half_width = 0.15;   ///< distance from CoM to foot along body y [m]
 };
 
-/// How a vehicle on the ground can still move, whatever it stands on. Filters and controllers know
-/// nothing else of wheels and legs. The ground always holds the CoM's height, the roll about body x
-/// and the way along body y.
+/// Free motions of a vehicle on the ground, on wheels or on legs. Filters and controllers use no
+/// other property of wheels and legs. The ground always prevents vertical motion of the CoM, roll
+/// about body x and motion along body y.
 struct Undercarriage {
-  double height = 0.1;  ///< of the CoM above the ground [m]
-  bool rolls = true;    ///< moves along body x
-  bool turns = true;    ///< turns on the spot about body z
+  double height = 0.1;  ///< height of the CoM above the ground [m]
+  bool rolls = true;    ///< moves freely along body x
+  bool turns = true;    ///< turns freely on the spot about body z
   bool pitches = true;  ///< turns freely about body y
 };
 
-/// Electrical power P = electronics + c sum Omega^3, with c such that hover takes `hover`.
+/// Electrical power P = electronics + c sum Omega^3, with the factor c for which P in hover equals
+/// `hover`.
 struct PowerParameters {
-  double electronics = 20.0;  ///< drawn without any thrust [W]
-  double hover = 600.0;       ///< total in hover [W]
+  double electronics = 20.0;  ///< power without thrust [W]
+  double hover = 600.0;       ///< total power in hover [W]
 };
 
-/// Source of the rotors' power.
+/// Battery that supplies the rotors.
 struct BatteryParameters {
-  /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: not known,
-  /// and the voltage plays no part.
+  /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: unknown;
+  /// the voltage then has no effect.
   double nominal_voltage = 0.0;
 };
 
-/// All that is known of a vehicle with `Rotors` arms, tilting or not.
+/// All parameters of a vehicle with `Rotors` arms, tilting or fixed.
 template <int Rotors>
 struct Vehicle {
   RigidBodyParameters body;
   std::array<RotorGeometry, static_cast<std::size_t>(Rotors)> rotors;
-  RotorParameters rotor;  ///< of every rotor without parameters of its own
+  RotorParameters rotor;  ///< of every rotor without RotorGeometry::parameters
   ServoParameters servo;
-  std::optional<WheelParameters> wheels;  ///< none: it has legs or never touches the ground
-  std::optional<LegParameters> legs;      ///< only without wheels
+  std::optional<WheelParameters> wheels;  ///< none: legs instead, or never on the ground
+  std::optional<LegParameters> legs;      ///< allowed only without wheels
   PowerParameters power;
   BatteryParameters battery;
 };
 
-/// Motor and propeller of `rotor` (from 0): its own, or those that are common to all.
+/// Returns the parameters of `rotor` (from 0): its own parameters if it has them, otherwise the
+/// common parameters.
 template <int Rotors>
 [[nodiscard]] const RotorParameters& rotor_parameters(const Vehicle<Rotors>& vehicle,
                                                       std::size_t rotor) noexcept {
@@ -144,8 +148,8 @@ template <int Rotors>
   return own ? *own : vehicle.rotor;
 }
 
-/// Calls change(parameters) for the common rotor parameters and for those of each rotor that has
-/// its own, as where every rotor gives less thrust.
+/// Calls change(parameters) for the common rotor parameters and for the own parameters of each
+/// rotor that has them. Example: reduce the thrust of every rotor.
 template <int Rotors, typename Change>
 void change_rotor_parameters(Vehicle<Rotors>& vehicle, const Change& change) {
   change(vehicle.rotor);
@@ -153,7 +157,7 @@ void change_rotor_parameters(Vehicle<Rotors>& vehicle, const Change& change) {
     if (rotor.parameters) change(*rotor.parameters);
 }
 
-/// Largest max_thrust of all rotors, with their effectiveness left aside [N].
+/// Returns the largest max_thrust of all rotors [N]. Ignores their effectiveness.
 template <int Rotors>
 [[nodiscard]] double largest_max_thrust(const Vehicle<Rotors>& vehicle) noexcept {
   double largest = 0.0;
@@ -162,9 +166,9 @@ template <int Rotors>
   return largest;
 }
 
-/// Measured voltage [V] over the nominal voltage. Nothing where the nominal voltage is not known.
-/// No battery in use has less than half or more than 1.5 times its nominal voltage, so such a
-/// measurement gives nothing, too, and has to be ignored.
+/// Returns the measured `voltage` [V] divided by the nominal voltage. Returns std::nullopt if the
+/// nominal voltage is unknown or the ratio is below 0.5 or above 1.5. No battery in use has such a
+/// ratio, so the caller must ignore the measurement.
 [[nodiscard]] inline std::optional<double> voltage_ratio(const BatteryParameters& battery,
                                                          double voltage) noexcept {
   if (!(battery.nominal_voltage > 0.0)) return std::nullopt;
@@ -172,7 +176,8 @@ template <int Rotors>
   return ratio >= 0.5 && ratio <= 1.5 ? std::optional<double>(ratio) : std::nullopt;
 }
 
-// The ranges are beyond any vehicle. Without them products of two parameters can overflow.
+// The ranges are wider than the values of any vehicle. They prevent overflow in products of two
+// parameters.
 inline void validate(const RigidBodyParameters& p) {
   require_in("RigidBodyParameters.mass [kg]", p.mass, 1e-6, 1e6);
   require_inertia("RigidBodyParameters.inertia", p.inertia);
@@ -184,13 +189,13 @@ inline void validate(const RotorParameters& p, const std::string& field = "Rotor
   require_in(field + ".min_thrust [N]", p.min_thrust, 0.0, 1e6);
   require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, field + ".max_thrust [N]",
           p.max_thrust, "> min_thrust and <= 1e6");
-  // At the lower end the thrust begins at half of the top speed.
+  // At the lower bound the thrust begins at half of the top speed.
   require_in(field + ".linear_thrust_coefficient [N s]", p.linear_thrust_coefficient,
              -std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust), 1e3);
   require_in(field + ".time_constant [s]", p.time_constant, 1e-6, 1e3);
 }
 
-/// `field` is what the message calls the rotor.
+/// `field` is the name of the rotor in the message.
 inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
   require(detail::all_entries(p.position, [](double x) { return std::abs(x) <= 1e3; }),
           field + ".position [m]", p.position, "in [-1000, 1000] in every entry");
@@ -242,8 +247,8 @@ inline void validate(const BatteryParameters& p) {
           "in [0.1, 1e5], or zero where it is not known");
 }
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed. Whether the
-/// geometry can give every wrench is for Allocation to say, which needs its rank.
+/// Throws std::invalid_argument with the field, its value and the allowed values. Does not check
+/// whether the geometry can give every wrench; Allocation checks this by the rank of its matrix.
 template <int Rotors>
 void validate(const Vehicle<Rotors>& vehicle) {
   validate(vehicle.body);
@@ -260,7 +265,8 @@ void validate(const Vehicle<Rotors>& vehicle) {
   validate(vehicle.battery);
 }
 
-/// That of the vehicle's wheels or legs; none without either.
+/// Returns the Undercarriage of the vehicle's wheels or legs, or std::nullopt without wheels and
+/// legs.
 template <int Rotors>
 [[nodiscard]] std::optional<Undercarriage> undercarriage(const Vehicle<Rotors>& vehicle) noexcept {
   if (vehicle.wheels) {
@@ -271,8 +277,9 @@ template <int Rotors>
   return std::nullopt;
 }
 
-/// The same vehicle with the servo of `rotor` (from 0) stuck at `angle` [rad]: to allocation and
-/// controller a rotor that does not tilt, in a frame that does. Throws std::out_of_range.
+/// Returns the vehicle with the servo of `rotor` (from 0) stuck at `angle` [rad]. Allocation and
+/// controller then use a rotor that does not tilt, in a rotor frame that is tilted by `angle`.
+/// Throws std::out_of_range if the vehicle has no such rotor.
 template <int Rotors>
 [[nodiscard]] Vehicle<Rotors> with_stuck_servo(Vehicle<Rotors> vehicle, std::size_t rotor,
                                                double angle) {
@@ -285,8 +292,9 @@ template <int Rotors>
   return vehicle;
 }
 
-/// The same vehicle with `rotor` (from 0) giving the share `effectiveness`, in [0, 1], of the
-/// thrust that it gave: 0.5 a broken blade, 0 a rotor lost. Throws std::out_of_range.
+/// Returns the vehicle with the thrust of `rotor` (from 0) multiplied by `effectiveness`, a
+/// fraction in [0, 1]. Examples: 0.5 for a broken blade, 0 for a lost rotor. Throws
+/// std::out_of_range if the vehicle has no such rotor.
 template <int Rotors>
 [[nodiscard]] Vehicle<Rotors> with_weak_rotor(Vehicle<Rotors> vehicle, std::size_t rotor,
                                               double effectiveness) {
@@ -295,8 +303,8 @@ template <int Rotors>
 }
 
 /// The Tilt-Ropter of the paper: a plus frame numbered like PX4's "Quad +", 1 right (-y), 2 left
-/// (+y), 3 front (+x), 4 back (-x). Rotors 1 and 2 turn counter-clockwise seen from above and their
-/// arms carry the wheels. Each value is marked as the paper's or as our estimate.
+/// (+y), 3 front (+x), 4 back (-x). Rotors 1 and 2 turn counter-clockwise seen from above, and
+/// their arms carry the wheels. A comment marks each value as the paper's value or as our estimate.
 [[nodiscard]] inline Vehicle<4> tilt_ropter_vehicle() {
   Vehicle<4> v;
   v.body.mass = 1.5;  // paper, Sec. Hardware System Design
@@ -317,7 +325,7 @@ template <int Rotors>
   v.servo.max_angle = pi;                                           // estimate
   v.servo.dead_time = 0.0;                                          // estimate
   v.wheels = {0.11, 0.20};                                          // estimate
-  v.power.electronics = 20.0;  // estimate; known only to lie between 15 and 40
+  v.power.electronics = 20.0;  // estimate; only the range 15 to 40 is known
   v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
   return v;
 }

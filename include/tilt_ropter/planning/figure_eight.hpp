@@ -15,104 +15,109 @@
 /// Real-World Experiments).
 namespace tilt_ropter {
 
-/// Where the body x axis points on the way: always to the same yaw (in the air), or along the
-/// horizontal direction of motion (on the ground, whose wheels do not slip sideways).
+/// Heading of the body x axis: a fixed yaw (in the air), or the horizontal direction of motion (on
+/// the ground, because wheels do not slip sideways).
 enum class HeadingMode { fixed, along_velocity };
 
-/// A lemniscate of Gerono, p = center + Rz(direction) (a_x sin s, a_y sin 2s, a_z sin s), passed
-/// `laps` times from its crossing (s = 0) and back to it, from rest to rest. The default amplitude
-/// is an estimate, as the paper gives no size: with it both of the paper's limits are reached, to
-/// 1 %. With the heading along such a small eight it is the yaw rate that limits (to 1.2 m/s);
-/// (2.0, 0.6, 0) m keeps 1.5 m/s.
-struct FigureEightParameters {
-  Eigen::Vector3d center = Eigen::Vector3d::Zero();  ///< the crossing, world frame [m]
+/// Lemniscate of Gerono, p = center + Rz(direction) (a_x sin s, a_y sin 2s, a_z sin s). The motion
+/// starts at rest at the crossing (s = 0), covers `laps` eights and ends there at rest. The default
+/// amplitude is an estimate because the paper gives no size. With this amplitude, the motion
+/// reaches both limits of the paper (speed and acceleration) to 1 %. With
+/// HeadingMode::along_velocity, the yaw rate limits the speed on this small eight to 1.2 m/s; the
+/// amplitude (2.0, 0.6, 0) m allows 1.5 m/s.
+struct FigureEightSettings {
+  Eigen::Vector3d center = Eigen::Vector3d::Zero();  ///< position of the crossing, world frame [m]
   Eigen::Vector3d amplitude{
-      1.5, 0.5, 0.5};       ///< half the extent along the eight, across it and up (0: level) [m]
-  double direction = 0.0;   ///< of the long axis, about world z [rad]
-  int laps = 2;             ///< whole eights
-  double ramp_laps = 0.25;  ///< part of the way on which it speeds up, and slows down [laps]
-  double max_speed = 1.5;   ///< (paper, Sec. Aerial Flight) [m/s]
-  double max_acceleration = 1.5;  ///< (paper, Sec. Aerial Flight) [m/s^2]
+      1.5, 0.5, 0.5};       ///< half extent along the eight, across it and upward (0: level) [m]
+  double direction = 0.0;   ///< angle of the long axis about world z [rad]
+  int laps = 2;             ///< number of whole eights
+  double ramp_laps = 0.25;  ///< path length of the start ramp and of the end ramp [laps]
+  double max_speed = 1.5;   ///< limit (paper, Sec. Aerial Flight) [m/s]
+  double max_acceleration = 1.5;  ///< limit (paper, Sec. Aerial Flight) [m/s^2]
   HeadingMode heading = HeadingMode::fixed;
-  double yaw = 0.0;  ///< of the body, with HeadingMode::fixed [rad]
+  double yaw = 0.0;  ///< yaw of the body, used with HeadingMode::fixed [rad]
   double max_yaw_rate =
-      1.5;  ///< with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
-  double start_time = 0.0;  ///< [s]
+      1.5;  ///< limit with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
+  double start_time = 0.0;  ///< time at which the motion starts [s]
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
-inline void validate(const FigureEightParameters& p) {
-  require_finite("FigureEightParameters.center [m]", p.center);
+/// Throws std::invalid_argument with the field, its value and the allowed values.
+inline void validate(const FigureEightSettings& p) {
+  require_finite("FigureEightSettings.center [m]", p.center);
   const Eigen::Vector3d& a = p.amplitude;
-  require_in("FigureEightParameters.amplitude.x [m]", a.x(), 0.01, 1e4);
-  require(a.y() >= 0.05 * a.x() && a.y() <= 2.0 * a.x(), "FigureEightParameters.amplitude.y [m]",
+  require_in("FigureEightSettings.amplitude.x [m]", a.x(), 0.01, 1e4);
+  require(a.y() >= 0.05 * a.x() && a.y() <= 2.0 * a.x(), "FigureEightSettings.amplitude.y [m]",
           a.y(), "between 0.05 and 2 times amplitude.x");
-  require_in("FigureEightParameters.amplitude.z [m]", a.z(), -1e4, 1e4);
-  require_finite("FigureEightParameters.direction [rad]", p.direction);
-  require(p.laps >= 1, "FigureEightParameters.laps", p.laps, ">= 1");
+  require_in("FigureEightSettings.amplitude.z [m]", a.z(), -1e4, 1e4);
+  require_finite("FigureEightSettings.direction [rad]", p.direction);
+  require(p.laps >= 1, "FigureEightSettings.laps", p.laps, ">= 1");
   require(p.ramp_laps >= 0.05 && p.ramp_laps <= std::min(1.0, 0.5 * p.laps),
-          "FigureEightParameters.ramp_laps", p.ramp_laps,
+          "FigureEightSettings.ramp_laps", p.ramp_laps,
           ">= 0.05, <= 1 and no more than half of laps");
-  require_positive("FigureEightParameters.max_speed [m/s]", p.max_speed);
-  require_positive("FigureEightParameters.max_acceleration [m/s^2]", p.max_acceleration);
-  require_finite("FigureEightParameters.yaw [rad]", p.yaw);
-  require_positive("FigureEightParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
-  require_time("FigureEightParameters.start_time [s]", p.start_time);
+  require_positive("FigureEightSettings.max_speed [m/s]", p.max_speed);
+  require_positive("FigureEightSettings.max_acceleration [m/s^2]", p.max_acceleration);
+  require_finite("FigureEightSettings.yaw [rad]", p.yaw);
+  require_positive("FigureEightSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
+  require_time("FigureEightSettings.start_time [s]", p.start_time);
 }
 
-/// A reference along the eight: the phase s runs at a constant rate and is brought there and back
-/// to rest by a polynomial with zero slope and curvature at both ends, so the jerk is continuous.
-/// The rate is the highest that keeps every limit along the whole way (less 0.01 % for the
-/// sampling that finds it). Speed and acceleration are lengths of the three-dimensional vectors.
+/// Reference along the eight. The phase s has a constant rate between a start ramp and an end ramp.
+/// On the ramps the rate is a polynomial with zero slope and curvature at both ends, so the jerk is
+/// continuous. The constant rate is the highest rate that keeps every limit on the whole path,
+/// minus 0.01 % because the limits are checked at samples. The speed and acceleration limits apply
+/// to the norms of the three-dimensional vectors.
 class FigureEight {
  public:
-  /// Takes about a millisecond. Throws std::invalid_argument on bad parameters.
-  explicit FigureEight(const FigureEightParameters& parameters = {}) : parameters_(parameters) {
-    validate(parameters);
-    cos_direction_ = std::cos(parameters.direction);
-    sin_direction_ = std::sin(parameters.direction);
-    fixed_orientation_ = quaternion_from_yaw(parameters.yaw);
+  /// Takes about 1 ms. Throws std::invalid_argument if the settings are invalid.
+  explicit FigureEight(const FigureEightSettings& settings = {}) : settings_(settings) {
+    validate(settings);
+    cos_direction_ = std::cos(settings.direction);
+    sin_direction_ = std::sin(settings.direction);
+    fixed_orientation_ = quaternion_from_yaw(settings.yaw);
     set_phase_rate(1.0);
     set_phase_rate(0.9999 * allowed_phase_rate());
     require_in("FigureEight's duration within its limits [s]", duration_, 1e-3, 1e10);
   }
 
-  /// Defined for every time [s]; at rest before the start and after the end, a NaN counts as
-  /// before. The sign of the quaternion does not jump on the way. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
+  /// the end. NaN counts as a time before the start. The sign of the quaternion does not jump
+  /// during the motion. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    return at(time - parameters_.start_time);
+    return at(time - settings_.start_time);
   }
 
-  [[nodiscard]] double start_time() const noexcept { return parameters_.start_time; }
-  [[nodiscard]] double end_time() const noexcept { return parameters_.start_time + duration_; }
+  [[nodiscard]] double start_time() const noexcept { return settings_.start_time; }
+  [[nodiscard]] double end_time() const noexcept { return settings_.start_time + duration_; }
   [[nodiscard]] double duration() const noexcept { return duration_; }
-  [[nodiscard]] const FigureEightParameters& parameters() const noexcept { return parameters_; }
+  [[nodiscard]] const FigureEightSettings& settings() const noexcept { return settings_; }
 
-  /// Moves the whole motion in time. Throws std::invalid_argument for a time out of range.
+  /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
+  /// range.
   void set_start_time(double time) {
     require_time("FigureEight.start_time [s]", time);
-    parameters_.start_time = time;
+    settings_.start_time = time;
   }
 
  private:
-  static constexpr double one_lap = 2.0 * pi;  // of the phase: 2 pi
+  static constexpr double one_lap = 2.0 * pi;  // phase of one lap [rad]
 
   struct Phase {
     double angle, rate, acceleration;
   };
 
-  [[nodiscard]] double ramp_angle() const noexcept { return one_lap * parameters_.ramp_laps; }
+  [[nodiscard]] double ramp_angle() const noexcept { return one_lap * settings_.ramp_laps; }
 
   void set_phase_rate(double rate) noexcept {
     phase_rate_ = rate;
-    // On the ramp the mean rate is half of the final one.
+    // On a ramp the mean rate is half of the constant rate.
     ramp_duration_ = 2.0 * ramp_angle() / rate;
-    duration_ = (one_lap * parameters_.laps + 2.0 * ramp_angle()) / rate;
+    duration_ = (one_lap * settings_.laps + 2.0 * ramp_angle()) / rate;
   }
 
-  /// The phase rate at which the tightest limit is just reached, while the present one is 1.
+  /// Returns the phase rate at which the motion reaches the tightest limit. The current phase rate
+  /// must be 1.
   [[nodiscard]] double allowed_phase_rate() const noexcept {
-    // Slowing down mirrors speeding up, and all laps between are alike.
+    // The end ramp mirrors the start ramp, and all laps between are equal.
     const double horizon = std::min(0.5 * duration_, ramp_duration_ + one_lap);
     const double interval = 1e-3;
     double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0;
@@ -122,13 +127,14 @@ class FigureEight {
       acceleration = std::max(acceleration, point.acceleration.norm());
       yaw_rate = std::max(yaw_rate, std::abs(point.angular_velocity.z()));
     }
-    double rate = std::min(parameters_.max_speed / speed,
-                           std::sqrt(parameters_.max_acceleration / acceleration));
-    if (yaw_rate > 0.0) rate = std::min(rate, parameters_.max_yaw_rate / yaw_rate);
+    double rate =
+        std::min(settings_.max_speed / speed, std::sqrt(settings_.max_acceleration / acceleration));
+    if (yaw_rate > 0.0) rate = std::min(rate, settings_.max_yaw_rate / yaw_rate);
     return rate;
   }
 
-  /// Phase at `elapsed` seconds on the first ramp: its rate goes as 10 x^3 - 15 x^4 + 6 x^5.
+  /// Returns the phase on the start ramp after `elapsed` [s]. The rate is proportional to
+  /// 10 x^3 - 15 x^4 + 6 x^5.
   [[nodiscard]] Phase ramp(double elapsed) const noexcept {
     const double x = elapsed / ramp_duration_;
     const double x2 = x * x;
@@ -143,7 +149,7 @@ class FigureEight {
     if (elapsed < duration_ - ramp_duration_)
       return {ramp_angle() + phase_rate_ * (elapsed - ramp_duration_), phase_rate_, 0.0};
     const Phase mirrored = ramp(std::max(0.0, duration_ - elapsed));
-    return {one_lap * parameters_.laps - mirrored.angle, mirrored.rate, -mirrored.acceleration};
+    return {one_lap * settings_.laps - mirrored.angle, mirrored.rate, -mirrored.acceleration};
   }
 
   [[nodiscard]] Eigen::Vector3d to_world(const Eigen::Vector3d& v) const noexcept {
@@ -156,23 +162,24 @@ class FigureEight {
     const double sin_1 = std::sin(s.angle), cos_1 = std::cos(s.angle);
     const double sin_2 = 2.0 * sin_1 * cos_1, cos_2 = 1.0 - 2.0 * sin_1 * sin_1;
 
-    // The eight and its derivatives by the phase, in its own axes.
-    const Eigen::Vector3d& a = parameters_.amplitude;
+    // Position and its derivatives with respect to the phase, in the axes of the eight.
+    const Eigen::Vector3d& a = settings_.amplitude;
     const Eigen::Vector3d path(a.x() * sin_1, a.y() * sin_2, a.z() * sin_1);
     const Eigen::Vector3d d1(a.x() * cos_1, 2.0 * a.y() * cos_2, a.z() * cos_1);
     const Eigen::Vector3d d2(-a.x() * sin_1, -4.0 * a.y() * sin_2, -a.z() * sin_1);
 
     ReferencePoint point;
-    point.position = parameters_.center + to_world(path);
+    point.position = settings_.center + to_world(path);
     point.velocity = to_world(d1 * s.rate);
     point.acceleration = to_world(d2 * (s.rate * s.rate) + d1 * s.acceleration);
     point.orientation = fixed_orientation_;
-    if (parameters_.heading == HeadingMode::fixed) return point;
+    if (settings_.heading == HeadingMode::fixed) return point;
 
-    // The tangent swings about the eight's -y axis, by less than half a turn to either side:
-    // measured from there its angle never jumps. It is that of the path, so defined at rest too.
+    // The tangent swings about the eight's -y axis by less than half a turn to either side. Its
+    // angle from the -y axis therefore never jumps. It is the tangent of the path and not of the
+    // velocity, so it is defined at rest too.
     const double tangent = std::atan2(d1.x(), -d1.y()) - 0.25 * one_lap;
-    point.orientation = quaternion_from_yaw(parameters_.direction + tangent);
+    point.orientation = quaternion_from_yaw(settings_.direction + tangent);
     const double cross = d1.x() * d2.y() - d1.y() * d2.x();
     const double square = d1.x() * d1.x() + d1.y() * d1.y();
     const double turn_1 = cross / square;  // first and second derivative of the tangent's angle
@@ -184,7 +191,7 @@ class FigureEight {
     return point;
   }
 
-  FigureEightParameters parameters_;
+  FigureEightSettings settings_;
   double cos_direction_ = 1.0, sin_direction_ = 0.0;
   Eigen::Quaterniond fixed_orientation_;
   double phase_rate_ = 1.0;

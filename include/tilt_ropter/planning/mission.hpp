@@ -19,10 +19,11 @@
 #include <variant>
 #include <vector>
 
-/// A whole job: motions one after another, each with the phase of the job it belongs to.
+/// Mission: a sequence of motions, each with its mission phase.
 namespace tilt_ropter {
 
-/// What the vehicle is about; `rest` and `ground` are on the wheels, the others off them.
+/// Phase of a mission. In `rest` and `ground` the vehicle is on its wheels or legs. In all other
+/// phases it flies.
 enum class MissionPhase { rest, take_off, hover, air, landing, ground };
 
 [[nodiscard]] constexpr const char* to_string(MissionPhase phase) noexcept {
@@ -43,10 +44,11 @@ enum class MissionPhase { rest, take_off, hover, air, landing, ground };
   return "unknown";
 }
 
-/// Rest at one place.
+/// Reference at rest at one place.
 class Hold {
  public:
-  /// `duration` [s]. Throws std::invalid_argument for one out of range and a place not finite.
+  /// `duration` [s]. Throws std::invalid_argument if `duration` is out of range or `place` is not
+  /// finite.
   Hold(const Waypoint& place, double duration) : duration_(duration) {
     validate(place, "Hold.place");
     require_in("Hold.duration [s]", duration, 1e-3, 1e10);
@@ -58,7 +60,8 @@ class Hold {
   [[nodiscard]] double start_time() const noexcept { return start_time_; }
   [[nodiscard]] double end_time() const noexcept { return start_time_ + duration_; }
 
-  /// Moves the rest in time. Throws std::invalid_argument for a time out of range.
+  /// Shifts the rest to start at `time` [s]. Throws std::invalid_argument if `time` is out of
+  /// range.
   void set_start_time(double time) {
     require_time("Hold.start_time [s]", time);
     start_time_ = time;
@@ -85,13 +88,15 @@ struct MissionSegment {
   }
 };
 
-/// A reference made of segments, each from rest to rest, so that all of it is as smooth as they
-/// are. Where two meet the quaternion may change its sign, not its rotation.
+/// Reference that consists of segments. Each segment starts and ends at rest, so the whole
+/// reference has the smoothness of its segments. Where two segments meet, the quaternion may change
+/// its sign. The rotation does not change there.
 class Mission {
  public:
-  /// Lays the segments one after another from `start_time` [s] on, whatever start they had. Throws
-  /// std::invalid_argument if there is none, and naming the segment if one does not begin where
-  /// the last one ended, to 1e-6 m and 1e-6 rad.
+  /// Places the segments one after another, starting at `start_time` [s]. Replaces their own start
+  /// times. Each segment must start where the segment before it ends, within 1e-6 m and 1e-6 rad.
+  /// Throws std::invalid_argument with the name of the segment otherwise. Throws
+  /// std::invalid_argument if there is no segment.
   explicit Mission(std::vector<MissionSegment> segments, double start_time = 0.0)
       : segments_(std::move(segments)) {
     require(!segments_.empty(), "Mission.segments.size()", segments_.size(), ">= 1");
@@ -103,20 +108,21 @@ class Mission {
     }
   }
 
-  /// Defined for every time [s]; at rest before the start and after the end, a NaN counts as
-  /// before. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
+  /// the end. NaN counts as a time before the start. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return segment_at(time)(time);
   }
 
-  /// The phase at `time` [s]: before the start the first, after the end the last.
+  /// Returns the phase at `time` [s]: the first phase before the start, the last phase after the
+  /// end.
   [[nodiscard]] MissionPhase phase(double time) const noexcept { return segment_at(time).phase; }
 
   [[nodiscard]] double start_time() const noexcept { return segments_.front().start_time(); }
   [[nodiscard]] double end_time() const noexcept { return segments_.back().end_time(); }
   [[nodiscard]] double duration() const noexcept { return end_time() - start_time(); }
 
-  /// In the order of time.
+  /// Segments in the order of time.
   [[nodiscard]] const std::vector<MissionSegment>& segments() const noexcept { return segments_; }
 
  private:
@@ -141,54 +147,55 @@ class Mission {
   std::vector<MissionSegment> segments_;
 };
 
-/// The paper's job in one: an eight in the air, a similar one on the ground, and up again.
-struct HybridMissionParameters {
-  Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start, and crossing of the eights [m]
-  double yaw = 0.0;                                  ///< at the start and in the air [rad]
-  double direction = 0.0;                        ///< of the eights' long axis, about world z [rad]
-  double flight_height = 1.5;                    ///< height of the CoM in hover [m]
-  double rest_time = 1.0;                        ///< of each rest on the ground [s]
-  double hover_time = 2.0;                       ///< of each hover [s]
-  double climb_speed = 0.8;                      ///< [m/s]
-  double climb_acceleration = 1.0;               ///< [m/s^2]
-  double descent_speed = 0.5;                    ///< [m/s]
-  double descent_acceleration = 0.5;             ///< [m/s^2]
-  Eigen::Vector3d air_amplitude{1.5, 0.5, 0.5};  ///< see FigureEightParameters (estimate) [m]
-  Eigen::Vector2d ground_amplitude{2.0, 0.6};    ///< likewise, level (estimate) [m]
-  int laps = 2;                                  ///< of each eight
-  double max_speed = 1.5;             ///< of both eights (paper, Sec. Aerial Flight) [m/s]
-  double max_acceleration = 1.5;      ///< of both eights (paper, Sec. Aerial Flight) [m/s^2]
-  double max_yaw_rate = 1.5;          ///< on the ground and in the turn before landing [rad/s]
-  double max_yaw_acceleration = 1.5;  ///< in the turn before landing [rad/s^2]
-  double start_time = 0.0;            ///< [s]
+/// Settings of the paper's mission: an eight in the air, a similar eight on the ground, and a
+/// second take-off and landing.
+struct HybridMissionSettings {
+  Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start and crossing of the eights [m]
+  double yaw = 0.0;                                  ///< yaw at the start and in the air [rad]
+  double direction = 0.0;             ///< angle of the eights' long axis about world z [rad]
+  double flight_height = 1.5;         ///< height of the CoM in hover [m]
+  double rest_time = 1.0;             ///< duration of each rest on the ground [s]
+  double hover_time = 2.0;            ///< duration of each hover [s]
+  double climb_speed = 0.8;           ///< limit in take-offs [m/s]
+  double climb_acceleration = 1.0;    ///< limit in take-offs [m/s^2]
+  double descent_speed = 0.5;         ///< limit in landings [m/s]
+  double descent_acceleration = 0.5;  ///< limit in landings [m/s^2]
+  Eigen::Vector3d air_amplitude{1.5, 0.5, 0.5};  ///< see FigureEightSettings (estimate) [m]
+  Eigen::Vector2d ground_amplitude{2.0, 0.6};    ///< same on the ground, level (estimate) [m]
+  int laps = 2;                                  ///< number of laps of each eight
+  double max_speed = 1.5;         ///< limit in both eights (paper, Sec. Aerial Flight) [m/s]
+  double max_acceleration = 1.5;  ///< limit in both eights (paper, Sec. Aerial Flight) [m/s^2]
+  double max_yaw_rate = 1.5;      ///< limit on the ground and in the turn before landing [rad/s]
+  double max_yaw_acceleration = 1.5;  ///< limit in the turn before landing [rad/s^2]
+  double start_time = 0.0;            ///< time at which the mission starts [s]
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed. The shape of the
-/// eights is for FigureEight to check, and whether they stay off the ground for hybrid_mission().
-inline void validate(const HybridMissionParameters& p) {
-  require_finite("HybridMissionParameters.origin [m]", p.origin);
-  require_finite("HybridMissionParameters.yaw [rad]", p.yaw);
-  require_finite("HybridMissionParameters.direction [rad]", p.direction);
-  require_finite("HybridMissionParameters.flight_height [m]", p.flight_height);
-  require_in("HybridMissionParameters.rest_time [s]", p.rest_time, 1e-3, 1e10);
-  require_in("HybridMissionParameters.hover_time [s]", p.hover_time, 1e-3, 1e10);
-  require_positive("HybridMissionParameters.climb_speed [m/s]", p.climb_speed);
-  require_positive("HybridMissionParameters.climb_acceleration [m/s^2]", p.climb_acceleration);
-  require_positive("HybridMissionParameters.descent_speed [m/s]", p.descent_speed);
-  require_positive("HybridMissionParameters.descent_acceleration [m/s^2]", p.descent_acceleration);
-  require(p.laps >= 1, "HybridMissionParameters.laps", p.laps, ">= 1");
-  require_positive("HybridMissionParameters.max_speed [m/s]", p.max_speed);
-  require_positive("HybridMissionParameters.max_acceleration [m/s^2]", p.max_acceleration);
-  require_positive("HybridMissionParameters.max_yaw_rate [rad/s]", p.max_yaw_rate);
-  require_positive("HybridMissionParameters.max_yaw_acceleration [rad/s^2]",
-                   p.max_yaw_acceleration);
-  require_time("HybridMissionParameters.start_time [s]", p.start_time);
+/// Throws std::invalid_argument with the field, its value and the allowed values. FigureEight
+/// checks the shape of the eights. hybrid_mission() checks that the eight in the air stays off the
+/// ground.
+inline void validate(const HybridMissionSettings& p) {
+  require_finite("HybridMissionSettings.origin [m]", p.origin);
+  require_finite("HybridMissionSettings.yaw [rad]", p.yaw);
+  require_finite("HybridMissionSettings.direction [rad]", p.direction);
+  require_finite("HybridMissionSettings.flight_height [m]", p.flight_height);
+  require_in("HybridMissionSettings.rest_time [s]", p.rest_time, 1e-3, 1e10);
+  require_in("HybridMissionSettings.hover_time [s]", p.hover_time, 1e-3, 1e10);
+  require_positive("HybridMissionSettings.climb_speed [m/s]", p.climb_speed);
+  require_positive("HybridMissionSettings.climb_acceleration [m/s^2]", p.climb_acceleration);
+  require_positive("HybridMissionSettings.descent_speed [m/s]", p.descent_speed);
+  require_positive("HybridMissionSettings.descent_acceleration [m/s^2]", p.descent_acceleration);
+  require(p.laps >= 1, "HybridMissionSettings.laps", p.laps, ">= 1");
+  require_positive("HybridMissionSettings.max_speed [m/s]", p.max_speed);
+  require_positive("HybridMissionSettings.max_acceleration [m/s^2]", p.max_acceleration);
+  require_positive("HybridMissionSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
+  require_positive("HybridMissionSettings.max_yaw_acceleration [rad/s^2]", p.max_yaw_acceleration);
+  require_time("HybridMissionSettings.start_time [s]", p.start_time);
 }
 
 namespace detail {
 
-[[nodiscard]] inline FigureEightParameters air_eight(const HybridMissionParameters& p) {
-  FigureEightParameters air;
+[[nodiscard]] inline FigureEightSettings air_eight(const HybridMissionSettings& p) {
+  FigureEightSettings air;
   air.center << p.origin, p.flight_height;
   air.amplitude = p.air_amplitude;
   air.direction = p.direction;
@@ -201,17 +208,19 @@ namespace detail {
 
 }  // namespace detail
 
-/// All of the paper's job that a vehicle can do, from `undercarriage(vehicle)`:
-/// - rolling: rest, take-off, hover, an eight in the air, a turn into the ground eight's direction,
-///   hover, landing, rest, the eight on the ground with the heading along it, rest, take-off,
-///   hover, landing, rest;
-/// - standing: rest, take-off, hover, the eight in the air, hover, landing, rest;
-/// - without an undercarriage: hover, the eight in the air, hover.
-/// The ground is at height zero. Throws std::invalid_argument on bad parameters.
+/// Returns the part of the paper's mission that a vehicle can do. `undercarriage` is the result of
+/// undercarriage(vehicle).
+/// - Vehicle that rolls: rest, take-off, hover, an eight in the air, a turn into the ground eight's
+///   direction, hover, landing, rest, the eight on the ground with the heading along it, rest,
+///   take-off, hover, landing, rest. A vehicle that cannot turn on the spot drives straight ahead
+///   by ground_amplitude.x and back instead of the eight on the ground.
+/// - Vehicle that only stands: rest, take-off, hover, the eight in the air, hover, landing, rest.
+/// - Vehicle without an undercarriage: hover, the eight in the air, hover.
+/// The ground is at height zero. Throws std::invalid_argument if the settings are invalid.
 [[nodiscard]] inline Mission hybrid_mission(const std::optional<Undercarriage>& undercarriage,
-                                            const HybridMissionParameters& p = {}) {
+                                            const HybridMissionSettings& p = {}) {
   validate(p);
-  const FigureEightParameters air = detail::air_eight(p);
+  const FigureEightSettings air = detail::air_eight(p);
   const Waypoint above_start{air.center, p.yaw};
   const Hold hover_at_start(above_start, p.hover_time);
   if (!undercarriage)
@@ -222,10 +231,10 @@ namespace detail {
 
   validate(*undercarriage);
   const double standing = undercarriage->height;
-  require(p.flight_height > standing, "HybridMissionParameters.flight_height [m]", p.flight_height,
+  require(p.flight_height > standing, "HybridMissionSettings.flight_height [m]", p.flight_height,
           "more than Undercarriage.height, " + std::to_string(standing));
   require(std::abs(p.air_amplitude.z()) < p.flight_height - standing,
-          "HybridMissionParameters.air_amplitude.z [m]", p.air_amplitude.z(),
+          "HybridMissionSettings.air_amplitude.z [m]", p.air_amplitude.z(),
           "less than flight_height - Undercarriage.height to either side");
   const Waypoint start{{p.origin.x(), p.origin.y(), standing}, p.yaw};
   const auto up = [&p](const Waypoint& from) {
@@ -245,17 +254,17 @@ namespace detail {
                     {MissionPhase::rest, rest_at_start}},
                    p.start_time);
 
-  FigureEightParameters ground = air;
+  FigureEightSettings ground = air;
   ground.center.z() = standing;
   ground.amplitude << p.ground_amplitude, 0.0;
   ground.heading = HeadingMode::along_velocity;
   ground.max_yaw_rate = p.max_yaw_rate;
   const FigureEight ground_eight(ground);
 
-  // The places, on the ground and above it, after the turn.
+  // Places after the turn: on the ground and above it.
   const double ground_yaw = yaw_of(ground_eight(ground_eight.start_time()).orientation);
   const Waypoint turned{ground.center, ground_yaw}, above_turned{air.center, ground_yaw};
-  TransitionParameters turn;
+  TransitionSettings turn;
   turn.from = above_start;
   turn.to = above_turned;
   turn.max_yaw_rate = p.max_yaw_rate;
@@ -270,7 +279,7 @@ namespace detail {
   if (undercarriage->turns) {
     segments.push_back({MissionPhase::ground, ground_eight});
   } else {
-    TransitionParameters straight;
+    TransitionSettings straight;
     straight.max_speed = p.max_speed;
     straight.max_acceleration = p.max_acceleration;
     straight.from = straight.to = turned;
@@ -289,7 +298,7 @@ namespace detail {
 }
 template <int Rotors>
 [[nodiscard]] Mission hybrid_mission(const Vehicle<Rotors>& vehicle,
-                                     const HybridMissionParameters& p = {}) {
+                                     const HybridMissionSettings& p = {}) {
   return hybrid_mission(undercarriage(vehicle), p);
 }
 

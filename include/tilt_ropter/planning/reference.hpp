@@ -4,13 +4,13 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-/// Where the vehicle should be, as a function of time.
+/// Reference motion of the vehicle as a function of time.
 namespace tilt_ropter {
 
-/// One point of a time-parametrised reference. A reference is any callable that returns one:
-/// `ReferencePoint reference(double time)`, defined for every time (before its start and after its
-/// end it holds the first and last point), smooth enough that velocity and angular velocity are the
-/// derivatives of position and orientation.
+/// One point of a time-parametrised reference. A reference is any callable that returns a point:
+/// `ReferencePoint reference(double time)`. It must be defined for every time: it holds the first
+/// point before its start and the last point after its end. It must be smooth enough that velocity
+/// and angular velocity are the derivatives of position and orientation.
 struct ReferencePoint {
   Eigen::Vector3d position = Eigen::Vector3d::Zero();               ///< CoM, world frame [m]
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();               ///< world frame [m/s]

@@ -7,8 +7,9 @@
 
 namespace tilt_ropter::detail {
 
-/// First in, first out, each value when its time has come. Holds at most `capacity` values; one
-/// more replaces the newest, so nothing ever waits longer than it should.
+/// First-in-first-out queue that releases each value at its due time. Holds at most `capacity`
+/// values. In a full queue, a new value replaces the newest value and takes over its due time, so
+/// no value waits too long.
 template <typename Value>
 class DelayQueue {
  public:
@@ -21,7 +22,8 @@ class DelayQueue {
       entries_[(first_ + count_ - 1) % entries_.size()].value = value;
   }
 
-  /// The oldest value whose time has come, at most once each. A nanosecond of rounding is forgiven.
+  /// Removes and returns the oldest value if it is due at `time` [s]. Tolerates a rounding error of
+  /// 1 ns.
   [[nodiscard]] std::optional<Value> pop(double time) noexcept {
     if (count_ == 0 || !(entries_[first_].due <= time + 1e-9)) return std::nullopt;
     const std::size_t oldest = first_;

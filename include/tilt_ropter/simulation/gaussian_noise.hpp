@@ -9,13 +9,13 @@
 
 namespace tilt_ropter {
 
-/// White Gaussian noise by Marsaglia's polar method, because std::normal_distribution differs from
-/// one standard library to the other.
+/// White Gaussian noise by Marsaglia's polar method. The results of std::normal_distribution differ
+/// between standard libraries.
 class GaussianNoise {
  public:
   explicit GaussianNoise(std::uint64_t seed) : generator_(seed) {}
 
-  /// A draw of zero mean and unit variance.
+  /// Returns a sample with zero mean and unit variance.
   [[nodiscard]] double draw() noexcept {
     if (has_spare_) {
       has_spare_ = false;
@@ -33,16 +33,16 @@ class GaussianNoise {
     return scale * u;
   }
 
-  /// `Size` independent draws of standard deviation `deviation`.
+  /// Returns `Size` independent samples with standard deviation `stddev`.
   template <int Size>
-  [[nodiscard]] Eigen::Matrix<double, Size, 1> draw(double deviation) noexcept {
+  [[nodiscard]] Eigen::Matrix<double, Size, 1> draw(double stddev) noexcept {
     Eigen::Matrix<double, Size, 1> sample;
-    for (int i = 0; i < Size; ++i) sample(i) = deviation * draw();
+    for (int i = 0; i < Size; ++i) sample(i) = stddev * draw();
     return sample;
   }
 
  private:
-  /// In [-1, 1), 53 bits.
+  /// Uniform sample in [-1, 1) with 53 random bits.
   double uniform() noexcept { return static_cast<double>(generator_() >> 11U) * 0x1.0p-52 - 1.0; }
 
   std::mt19937_64 generator_;

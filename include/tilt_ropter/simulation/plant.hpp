@@ -20,21 +20,22 @@
 #include <optional>
 #include <vector>
 
-/// The vehicle to try a controller on: rigid body, rotors, tilt servos, and wheels or legs on flat
-/// ground. It shares parameter and state types with the controller's model but none of its code, so
-/// that each can be tested against the other, and its Vehicle is the true one, which the controller
-/// need not know exactly.
+/// Simulated vehicle for tests of a controller: rigid body, rotors, tilt servos, and wheels or legs
+/// on flat ground. It shares parameter and state types with the controller's model but no code, so
+/// each can be tested against the other. Its Vehicle is the true vehicle; the controller need not
+/// know the exact parameters. This header is long because it repeats the dynamics instead of
+/// including the controller's model.
 namespace tilt_ropter {
 
-/// What Plant has beyond its Vehicle.
+/// Parameters of Plant in addition to its Vehicle.
 struct PlantParameters {
   WheelContactParameters contact;
   Eigen::Vector3d linear_drag =
-      Eigen::Vector3d::Zero();  ///< drag force / CoM velocity along each body axis [N s/m]
-  double max_substep = 2.5e-4;  ///< of the integration [s]
+      Eigen::Vector3d::Zero();  ///< drag force / CoM velocity, per body axis [N s/m]
+  double max_substep = 2.5e-4;  ///< longest substep of the integration [s]
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
+/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const PlantParameters& p) {
   validate(p.contact);
   require_non_negative("PlantParameters.linear_drag [N s/m]", p.linear_drag);
@@ -42,19 +43,19 @@ inline void validate(const PlantParameters& p) {
           p.max_substep, "finite and >= 1e-7");
 }
 
-/// All that changes in a Plant, but commands on their way.
+/// State of a Plant, without the commands that wait for the servos' dead time.
 template <int Rotors>
 struct PlantState {
   double time = 0.0;  ///< [s]
-  BodyState<> body;
+  BodyStated body;
   ActuatorState<Rotors> actuators;
-  std::array<WheelState, 4> wheels;  ///< or feet, as PlantLoads has them
+  std::array<WheelState, 4> wheels;  ///< or feet, in the order of PlantLoads::wheels
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
+/// Throws std::invalid_argument with the field, its value and the allowed values.
 template <int Rotors>
 void validate(const PlantState<Rotors>& x) {
-  const BodyState<>& body = x.body;
+  const BodyStated& body = x.body;
   require_finite("PlantState.time [s]", x.time);
   require_finite("PlantState.body.position [m]", body.position);
   require_finite("PlantState.body.velocity [m/s]", body.velocity);
@@ -69,39 +70,40 @@ void validate(const PlantState<Rotors>& x) {
                    Eigen::Vector4d(wheel.angle, wheel.spin, wheel.bristle.x(), wheel.bristle.y()));
 }
 
-/// What acts on the body, in the body frame.
+/// Loads and accelerations of the body, in the body frame. Wrenches act at the CoM.
 struct PlantLoads {
-  Wrench<> actuators;  ///< of the rotors
-  Wrench<> contact;    ///< of the ground
-  Wrench<> external;   ///< all but rotors and gravity: contact, disturbance, drag, and the bearing
-                       ///< and gyroscopic torque of the spinning wheels
+  Wrenchd actuators;  ///< wrench of the rotors
+  Wrenchd contact;    ///< wrench of the ground
+  Wrenchd external;   ///< all loads except rotors and gravity: contact, disturbance, drag, and the
+                      ///< bearing and gyroscopic torque of the spinning wheels
   Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();        ///< at the CoM [m/s^2]
   Eigen::Vector3d angular_acceleration = Eigen::Vector3d::Zero();  ///< [rad/s^2]
-  /// Right and left (-y, +y) of the front axle or of the only one, of the rear axle. Feet likewise.
+  /// Right and left wheel (-y, +y) of the front axle or of the single axle, then of the rear axle.
+  /// Feet have the same order.
   std::array<WheelForces, 4> wheels;
 };
 
-/// The body obeys the paper's Eqs. rb1-rb4 with `actuators` and `external` of PlantLoads; its
-/// inertia is that of everything, the wheels' about their axle excepted. Rotor i pushes with
-/// its effectiveness times the thrust of its RotorParameters' curve along its axis at its position,
-/// tilted by its angle, and turns the body against its spin by torque_ratio times that; rotor
-/// inertia is neglected, as in the paper. Rotor speeds and tilt angles follow their commands by
-/// first-order lags, the servos within their rate and after their dead time; commands out of range
-/// are cut to it.
+/// Simulation of a vehicle. The body follows the paper's Eqs. rb1-rb4 with the wrenches `actuators`
+/// and `external` of PlantLoads. Its inertia includes all parts except the wheels' inertia about
+/// their axle. Rotor i applies a force at its position, along its axis tilted by its angle. The
+/// force is its effectiveness times the thrust curve of its RotorParameters. The reaction torque
+/// against its spin is torque_ratio times this force. Rotor inertia is neglected, as in the paper.
+/// Rotor speeds and tilt angles follow their commands with first-order lags. The servos also have a
+/// rate limit and a dead time. Commands out of range are clamped.
 ///
-/// A step is divided into equal substeps of a fourth-order Runge-Kutta method. They are no longer
-/// than max_substep or the inverse of the fastest rate of the parameters, so that stiff wheels and
-/// quick motors stay stable. Contact is not smooth, there the order is lower: at the default
-/// substep, energy rises at no step by more than rounding where the contact is dissipative.
+/// A step consists of equal substeps of a fourth-order Runge-Kutta method. A substep is not longer
+/// than max_substep or the inverse of the fastest rate of the parameters, so stiff wheels and fast
+/// motors stay stable. Contact is not smooth, so the order is lower in contact. If the contact is
+/// dissipative, no step at the default substep increases the energy by more than rounding errors.
 template <int Rotors>
 class Plant {
  public:
-  static constexpr double max_step = 10.0;    ///< longest that step() accepts [s]
-  static constexpr double max_speed = 1.0e4;  ///< of body and wheels [m/s, rad/s]
+  static constexpr double max_step = 10.0;    ///< longest dt that step() accepts [s]
+  static constexpr double max_speed = 1.0e4;  ///< limit for body and wheels [m/s, rad/s]
 
-  /// Starts at time zero, standing with stopped rotors; a vehicle without wheels or legs starts at
-  /// height zero and meets no ground. Allocates, and throws std::invalid_argument for a vehicle or
-  /// parameters that are not valid.
+  /// Starts at time zero, standing with stopped rotors. A vehicle without wheels or legs starts at
+  /// height zero and has no ground contact. Allocates. Throws std::invalid_argument if the vehicle
+  /// or the parameters are invalid, or if their fastest rate exceeds 1e7 1/s.
   explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {})
       : vehicle_(validated(vehicle)),
         parameters_(validated(parameters)),
@@ -119,9 +121,9 @@ class Plant {
     reset(standing);
   }
 
-  /// Sets the whole state; commands that wait for the servos' dead time are dropped and the servos
-  /// hold their angles. Normalises the quaternion and sets fixed rotors upright. Throws
-  /// std::invalid_argument for a state that is not valid.
+  /// Sets the whole state. Drops the commands that wait for the servos' dead time; the servos hold
+  /// their angles. Normalises the quaternion and sets the tilt angle of fixed rotors to zero.
+  /// Throws std::invalid_argument if the state is invalid.
   void reset(const PlantState<Rotors>& state) {
     validate(state);
     state_ = state;
@@ -134,26 +136,26 @@ class Plant {
     loads_ = loads(state_);
   }
 
-  /// The same at time zero, with wheels that do not turn.
-  void reset(const BodyState<>& body, const ActuatorState<Rotors>& actuators) {
+  /// The same, at time zero and with wheels that do not turn.
+  void reset(const BodyStated& body, const ActuatorState<Rotors>& actuators) {
     PlantState<Rotors> state;
     state.body = body;
     state.actuators = actuators;
     reset(state);
   }
 
-  /// Goes on by `dt` in (0, max_step] [s] with constant command and constant disturbance, a wrench
-  /// at the CoM in the body frame. Never throws or allocates. Returns false, with the state as it
-  /// was, if an argument is not finite, dt is out of range, or the body or a wheel would become
-  /// faster than max_speed.
-  bool step(const ActuatorState<Rotors>& command, const Wrench<>& disturbance, double dt) noexcept {
+  /// Simulates `dt` in (0, max_step] [s] with constant `command` and constant `disturbance`, a
+  /// wrench at the CoM in the body frame. Returns false and keeps the state if an argument is not
+  /// finite or `dt` is out of range. Does the same if the body or a wheel would exceed max_speed.
+  /// Does not throw or allocate.
+  bool step(const ActuatorState<Rotors>& command, const Wrenchd& disturbance, double dt) noexcept {
     if (!(dt > 0.0 && dt <= max_step) || !all_finite(command.rotor_speed) ||
         !all_finite(command.tilt_angle) || !is_finite(disturbance))
       return false;
     const PlantState<Rotors> before = state_;
     disturbance_ = disturbance;
     command_.rotor_speed = command.rotor_speed.cwiseMax(min_rotor_speed_)
-                               .cwiseMin(top_speed_share_ * max_rotor_speed_);
+                               .cwiseMin(top_speed_fraction_ * max_rotor_speed_);
     tilt_commands_.push(
         before.time + vehicle_.servo.dead_time,
         command.tilt_angle.cwiseMax(vehicle_.servo.min_angle).cwiseMin(vehicle_.servo.max_angle));
@@ -176,40 +178,42 @@ class Plant {
     return sound;
   }
 
-  /// The battery has `voltage` [V] from the next step on, also after a reset: commands are cut to
-  /// top speeds that fall with it in proportion, and do not rise above the nominal voltage. Returns
-  /// whether voltage_ratio() accepts it; if not, nothing changes.
+  /// Sets the battery voltage `voltage` [V] from the next step on. A reset keeps it. Below the
+  /// nominal voltage, the top rotor speeds fall in proportion to the voltage; above it, they stay
+  /// constant. Commands are clamped to the top speeds. Returns true if voltage_ratio() accepts the
+  /// voltage, otherwise false without a change.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
-    if (ratio) top_speed_share_ = std::min(*ratio, 1.0);
+    if (ratio) top_speed_fraction_ = std::min(*ratio, 1.0);
     return ratio.has_value();
   }
 
   [[nodiscard]] const PlantState<Rotors>& state() const noexcept { return state_; }
   [[nodiscard]] double time() const noexcept { return state_.time; }
-  [[nodiscard]] const BodyState<>& body() const noexcept { return state_.body; }
+  [[nodiscard]] const BodyStated& body() const noexcept { return state_.body; }
   [[nodiscard]] const ActuatorState<Rotors>& actuators() const noexcept { return state_.actuators; }
 
-  /// What acts on the body in state(), with the last step's disturbance.
+  /// Loads on the body in state(), including the disturbance of the last step.
   [[nodiscard]] const PlantLoads& loads() const noexcept { return loads_; }
-  [[nodiscard]] const Wrench<>& actuator_wrench() const noexcept { return loads_.actuators; }
-  [[nodiscard]] const Wrench<>& contact_wrench() const noexcept { return loads_.contact; }
-  [[nodiscard]] const Wrench<>& external_wrench() const noexcept { return loads_.external; }
-  /// What an ideal IMU at the CoM reports.
-  [[nodiscard]] InertialSample<> inertial_sample() const noexcept {
+  [[nodiscard]] const Wrenchd& actuator_wrench() const noexcept { return loads_.actuators; }
+  [[nodiscard]] const Wrenchd& contact_wrench() const noexcept { return loads_.contact; }
+  [[nodiscard]] const Wrenchd& external_wrench() const noexcept { return loads_.external; }
+  /// Measurement of an ideal IMU at the CoM.
+  [[nodiscard]] InertialSampled inertial_sample() const noexcept {
     return {state_.body.angular_velocity, loads_.specific_force};
   }
   [[nodiscard]] const Eigen::Vector3d& specific_force() const noexcept {
     return loads_.specific_force;
   }
 
-  /// Normal force of the ground on each wheel or foot of PlantLoads [N].
+  /// Normal force of the ground on each wheel or foot [N], in the order of PlantLoads::wheels.
   [[nodiscard]] Eigen::Vector4d normal_forces() const noexcept {
     return {loads_.wheels[0].normal_force, loads_.wheels[1].normal_force,
             loads_.wheels[2].normal_force, loads_.wheels[3].normal_force};
   }
 
-  /// Height of the CoM at which wheels or legs carry the whole upright vehicle, zero without [m].
+  /// Height of the CoM [m] at which wheels or legs carry the whole weight of the upright vehicle.
+  /// Zero without wheels and legs.
   [[nodiscard]] double standing_height() const noexcept {
     if (mounts_.empty()) return 0.0;
     return mounts_[0].radius - mounts_[0].centre.z() -
@@ -221,7 +225,8 @@ class Plant {
   [[nodiscard]] double substep() const noexcept { return substep_; }
 
  private:
-  /// The time derivative of a state, field by field; that of the quaternion is not a unit.
+  /// Time derivative of a state, field by field. The derivative of the quaternion is not a unit
+  /// quaternion.
   using Rate = PlantState<Rotors>;
 
   static constexpr double max_pending_commands = 1e5;
@@ -243,11 +248,12 @@ class Plant {
     return values;
   }
 
-  /// The speed [rad/s] at which the curve gives `thrust` [N], the larger root of a square.
+  /// Returns the speed [rad/s] at which the thrust curve gives `thrust` [N], the larger root of a
+  /// quadratic equation.
   [[nodiscard]] static double speed_at(double thrust, const RotorParameters& p) noexcept {
     const double middle = -0.5 * p.linear_thrust_coefficient / p.thrust_coefficient;
     const double square = thrust / p.thrust_coefficient, root = std::sqrt(middle * middle + square);
-    return middle < 0.0 ? square / (root - middle) : middle + root;  // without cancellation
+    return middle < 0.0 ? square / (root - middle) : middle + root;  // avoids cancellation
   }
 
   [[nodiscard]] std::vector<WheelMount> mounts() const {
@@ -274,7 +280,8 @@ class Plant {
     return all;
   }
 
-  /// At most max_substep; throws if that cannot be made stable in reasonable time.
+  /// Returns the longest stable substep [s], at most max_substep. Throws std::invalid_argument if
+  /// the substeps would be too short for a reasonable computation time.
   [[nodiscard]] double stable_substep() const {
     double fastest = 1.0 / vehicle_.servo.time_constant;
     for (int i = 0; i < Rotors; ++i)
@@ -297,8 +304,8 @@ class Plant {
     return sound;
   }
 
-  [[nodiscard]] Wrench<> rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept {
-    Wrench<> sum;
+  [[nodiscard]] Wrenchd rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept {
+    Wrenchd sum;
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& geometry = rotor(i);
       const RotorParameters& p = parameters_of(i);
@@ -321,7 +328,7 @@ class Plant {
     const Eigen::Vector3d axle = Eigen::Vector3d::UnitY();
     PlantLoads result;
     result.actuators = rotor_wrench(x.actuators);
-    Wrench<>& external = result.external;
+    Wrenchd& external = result.external;
     external = disturbance_;
     external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
     for (std::size_t i = 0; i < mounts_.size(); ++i) {
@@ -381,7 +388,7 @@ class Plant {
     }
   }
 
-  /// One substep of the classical Runge-Kutta method.
+  /// One substep of `h` [s] by the classical Runge-Kutta method.
   void integrate(double h) noexcept {
     const PlantLoads now = loads(state_);
     for (std::size_t i = 0; i < mounts_.size(); ++i)
@@ -402,14 +409,14 @@ class Plant {
   Vehicle<Rotors> vehicle_;
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
-  std::vector<WheelMount> mounts_;                 ///< none, two or four
+  std::vector<WheelMount> mounts_;                 ///< 0, 2 or 4 wheels or feet
   RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
   RotorVector rotor_time_constant_;                ///< [s]
-  double top_speed_share_ = 1.0;                   ///< that the voltage leaves of max_rotor_speed_
+  double top_speed_fraction_ = 1.0;                ///< of max_rotor_speed_, at the present voltage
   double substep_;
   detail::DelayQueue<Eigen::Matrix<double, Rotors, 1>> tilt_commands_;
-  ActuatorState<Rotors> command_;  ///< within range; its tilt angles after the dead time
-  Wrench<> disturbance_;
+  ActuatorState<Rotors> command_;  ///< clamped to the limits; tilt angles after the dead time
+  Wrenchd disturbance_;
   PlantState<Rotors> state_;
   PlantLoads loads_;
 };

@@ -18,23 +18,23 @@
 #include <optional>
 #include <string>
 
-/// Sensors to look at the plant with: noise, bias, rate and delay.
+/// Simulated sensors for the plant, with noise, bias, rate and delay.
 ///
 /// Every sensor is constructed from its parameters and a seed and has
 ///
 ///     std::optional<Measurement> sample(double time, <truth at that time>) noexcept
 ///
-/// to be called at every step of the plant, with absolute time [s] that does not run backwards. The
-/// first call takes a measurement and starts the grid of the sensor's rate; each later one takes
-/// one when the grid's next instant has come. A measurement is handed out once, `delay` after it
-/// was taken, and bears the time at which it was taken. The same seed and the same calls give the
-/// same bits, whatever the standard library. Memory is taken at construction only. A truth or time
-/// that is not finite is not measured.
+/// Call sample() at every step of the plant, with absolute time [s] that does not decrease. The
+/// first call takes a measurement and starts the sampling grid of the sensor's rate. A later call
+/// takes a measurement if the next instant of the grid is reached. sample() returns each
+/// measurement once, `delay` after it was taken, with the time at which it was taken. The same seed
+/// and the same calls give bitwise identical results with every standard library. Sensors allocate
+/// at construction only. They take no measurement if the truth or the time is not finite.
 namespace tilt_ropter {
 
 namespace detail {
 
-/// What all sensors share: parameters, noise, when to take a measurement and when to hand it out.
+/// Common part of all sensors: parameters, noise, sampling grid and delay.
 template <typename Parameters, typename Measurement>
 class SensorCore {
  public:
@@ -43,7 +43,8 @@ class SensorCore {
         noise(seed),
         queue_(static_cast<std::size_t>(given.rate * given.delay) + 4) {}
 
-  /// True if a measurement is to be taken now. A thousandth of a period of rounding is forgiven.
+  /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
+  /// of a period.
   [[nodiscard]] bool due(double time) noexcept {
     if (!std::isfinite(time)) return false;
     if (!started_) start_ = time;
@@ -74,16 +75,16 @@ inline void require_timing(const std::string& sensor, double rate, double delay)
 
 }  // namespace detail
 
-/// Gyroscope and accelerometer at the CoM. The defaults are those of a small MEMS unit.
+/// Gyroscope and accelerometer at the CoM. The defaults are typical of a small MEMS unit.
 struct ImuSensorParameters {
-  double rate = 200.0;                          ///< [Hz]
-  double delay = 0.0;                           ///< [s]
-  double gyro_noise_density = 2.0e-4;           ///< [rad/s/sqrt(Hz)]
-  double accelerometer_noise_density = 2.0e-3;  ///< [m/s^2/sqrt(Hz)]
+  double rate = 200.0;                          ///< measurements per second [Hz]
+  double delay = 0.0;                           ///< from measurement to output [s]
+  double gyro_noise_density = 2.0e-4;           ///< white noise [rad/s/sqrt(Hz)]
+  double accelerometer_noise_density = 2.0e-3;  ///< white noise [m/s^2/sqrt(Hz)]
   double gyro_bias_walk = 2.0e-5;               ///< random walk of the bias [rad/s^2/sqrt(Hz)]
   double accelerometer_bias_walk = 3.0e-4;      ///< random walk of the bias [m/s^3/sqrt(Hz)]
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< at the start [rad/s]
-  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< at the start [m/s^2]
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< initial bias [rad/s]
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< initial bias [m/s^2]
 };
 
 inline void validate(const ImuSensorParameters& p) {
@@ -99,15 +100,15 @@ inline void validate(const ImuSensorParameters& p) {
   require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
 }
 
-/// White noise, biases that walk at random, and a delay, at the rate of the parameters.
+/// Simulated IMU with white noise, random-walk biases, a rate and a delay.
 class ImuSensor {
  public:
-  /// What the sensor says.
-  struct Measurement : InertialSample<> {
-    double time = 0.0;  ///< when it was taken [s]
+  /// Measurement of this sensor.
+  struct Measurement : InertialSampled {
+    double time = 0.0;  ///< at which it was taken [s]
   };
 
-  /// Throws std::invalid_argument.
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   ImuSensor(const ImuSensorParameters& parameters, std::uint64_t seed)
       : core_(parameters, seed),
         gyro_bias_(parameters.gyro_bias),
@@ -132,7 +133,7 @@ class ImuSensor {
     return core_.pop(time);
   }
 
-  /// True biases, for comparison with an estimate: rad/s and m/s^2.
+  /// True biases for comparison with an estimate [rad/s], [m/s^2].
   [[nodiscard]] const Eigen::Vector3d& gyro_bias() const noexcept { return gyro_bias_; }
   [[nodiscard]] const Eigen::Vector3d& accelerometer_bias() const noexcept {
     return accelerometer_bias_;
@@ -143,10 +144,10 @@ class ImuSensor {
   Eigen::Vector3d gyro_bias_, accelerometer_bias_;
 };
 
-/// Pose of the body, as motion capture gives it.
+/// Pose sensor such as motion capture. It measures the pose of the body.
 struct PoseSensorParameters {
-  double rate = 100.0;                ///< [Hz]
-  double delay = 0.01;                ///< [s]
+  double rate = 100.0;                ///< measurements per second [Hz]
+  double delay = 0.01;                ///< from measurement to output [s]
   double position_noise = 5.0e-4;     ///< standard deviation per axis, world frame [m]
   double orientation_noise = 2.0e-3;  ///< standard deviation per axis, body frame [rad]
 };
@@ -157,19 +158,19 @@ inline void validate(const PoseSensorParameters& p) {
   require_non_negative("PoseSensorParameters.orientation_noise [rad]", p.orientation_noise);
 }
 
-/// White noise and a delay, at the rate of the parameters.
+/// Simulated pose sensor with white noise, a rate and a delay.
 class PoseSensor {
  public:
-  /// What the sensor says.
-  struct Measurement : MarkerPose<> {
-    double time = 0.0;  ///< when it was taken [s]
+  /// Measurement of this sensor.
+  struct Measurement : MarkerPosed {
+    double time = 0.0;  ///< at which it was taken [s]
   };
 
-  /// Throws std::invalid_argument.
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   PoseSensor(const PoseSensorParameters& parameters, std::uint64_t seed)
       : core_(parameters, seed) {}
 
-  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
+  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyStated& truth) noexcept {
     if (is_finite(truth) && core_.due(time)) {
       Measurement m;
       m.time = time;
@@ -186,10 +187,10 @@ class PoseSensor {
   detail::SensorCore<PoseSensorParameters, Measurement> core_;
 };
 
-/// Rotor speeds, as the motor controllers report them.
+/// Sensor of the rotor speeds, such as the motor controllers.
 struct RotorSpeedSensorParameters {
-  double rate = 500.0;  ///< [Hz]
-  double delay = 0.0;   ///< [s]
+  double rate = 500.0;  ///< measurements per second [Hz]
+  double delay = 0.0;   ///< from measurement to output [s]
   double noise = 5.0;   ///< standard deviation [rad/s]
 };
 
@@ -198,18 +199,18 @@ inline void validate(const RotorSpeedSensorParameters& p) {
   require_non_negative("RotorSpeedSensorParameters.noise [rad/s]", p.noise);
 }
 
-/// White noise and a delay, at the rate of the parameters.
+/// Simulated rotor speed sensor with white noise, a rate and a delay.
 template <int Rotors>
 class RotorSpeedSensor {
  public:
-  /// What the sensor says.
+  /// Measurement of this sensor.
   struct Measurement {
-    double time = 0.0;  ///< when it was taken [s]
+    double time = 0.0;  ///< at which it was taken [s]
     Eigen::Matrix<double, Rotors, 1> rotor_speed =
         Eigen::Matrix<double, Rotors, 1>::Zero();  ///< [rad/s], >= 0
   };
 
-  /// Throws std::invalid_argument.
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   RotorSpeedSensor(const RotorSpeedSensorParameters& parameters, std::uint64_t seed)
       : core_(parameters, seed) {}
 
@@ -229,14 +230,14 @@ class RotorSpeedSensor {
   detail::SensorCore<RotorSpeedSensorParameters, Measurement> core_;
 };
 
-/// The whole body state with white noise: in place of sensors and estimator, to try a controller.
+/// Sensor of the whole body state. It replaces sensors and estimator in tests of a controller.
 struct StateSensorParameters {
-  double rate = 1000.0;                  ///< [Hz]
-  double delay = 0.0;                    ///< [s]
-  double position_noise = 1.0e-3;        ///< standard deviations per axis: world frame [m]
-  double velocity_noise = 1.0e-2;        ///< world frame [m/s]
-  double orientation_noise = 3.0e-3;     ///< body frame [rad]
-  double angular_velocity_noise = 1e-2;  ///< body frame [rad/s]
+  double rate = 1000.0;                  ///< measurements per second [Hz]
+  double delay = 0.0;                    ///< from measurement to output [s]
+  double position_noise = 1.0e-3;        ///< standard deviation per axis, world frame [m]
+  double velocity_noise = 1.0e-2;        ///< standard deviation per axis, world frame [m/s]
+  double orientation_noise = 3.0e-3;     ///< standard deviation per axis, body frame [rad]
+  double angular_velocity_noise = 1e-2;  ///< standard deviation per axis, body frame [rad/s]
 };
 
 inline void validate(const StateSensorParameters& p) {
@@ -248,20 +249,20 @@ inline void validate(const StateSensorParameters& p) {
                        p.angular_velocity_noise);
 }
 
-/// White noise and a delay, at the rate of the parameters.
+/// Simulated sensor of the body state with white noise, a rate and a delay.
 class StateSensor {
  public:
-  /// What the sensor says.
+  /// Measurement of this sensor.
   struct Measurement {
-    double time = 0.0;  ///< when it was taken [s]
-    BodyState<> body;
+    double time = 0.0;  ///< at which it was taken [s]
+    BodyStated body;
   };
 
-  /// Throws std::invalid_argument.
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   StateSensor(const StateSensorParameters& parameters, std::uint64_t seed)
       : core_(parameters, seed) {}
 
-  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyState<>& truth) noexcept {
+  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyStated& truth) noexcept {
     if (is_finite(truth) && core_.due(time)) {
       const StateSensorParameters& p = core_.parameters;
       Measurement m;

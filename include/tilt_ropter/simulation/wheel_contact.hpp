@@ -22,34 +22,35 @@
 ///        \  |r /               tangential force f = -(k_t z + d_t slip), |f| <= mu N
 ///     ____\_|_/____ z = 0      bristle          dz/dt = slip, |z| <= mu N / k_t
 ///
-/// The normal force is Hunt and Crossley's (1975): it never pulls, starts from zero and only takes
-/// energy. The bristle z is the contact patch's elastic displacement, along the rolling direction
-/// and along the axle; below the friction circle it holds without creep, at the circle it slides.
+/// The normal force is Hunt and Crossley's (1975): it never pulls, starts from zero and only
+/// dissipates energy. The bristle z is the elastic displacement of the contact patch along the
+/// rolling direction and along the axle. Below the friction circle the patch sticks without creep.
+/// At the circle it slides.
 namespace tilt_ropter {
 
-/// Where a wheel or a foot sits. A foot is a small wheel that is locked.
+/// Mounting of a wheel or a foot. A foot is modelled as a small locked wheel.
 struct WheelMount {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< from the CoM, body frame [m]
   double radius = 0.1;                               ///< [m]
-  bool locked = false;                               ///< turns with the body
+  bool locked = false;                               ///< true: does not turn relative to the body
 };
 
-/// The ground and the wheels on it; the same for all wheels.
+/// Parameters of the ground and of the wheels. All wheels are equal.
 struct WheelContactParameters {
-  double stiffness = 3000.0;             ///< normal to the ground, one wheel [N/m]
-  double dissipation = 4.0;              ///< damping force / (spring force x speed) [s/m]
-  double friction = 0.8;                 ///< Coulomb coefficient, static and sliding
-  double bristle_stiffness = 1.0e4;      ///< of the contact patch along the ground, one wheel [N/m]
-  double bristle_damping = 20.0;         ///< of the contact patch along the ground [N s/m]
+  double stiffness = 3000.0;             ///< k: normal to the ground, one wheel [N/m]
+  double dissipation = 4.0;              ///< c: damping force / (spring force x speed) [s/m]
+  double friction = 0.8;                 ///< mu: Coulomb coefficient, static and sliding
+  double bristle_stiffness = 1.0e4;      ///< k_t: contact patch along the ground, one wheel [N/m]
+  double bristle_damping = 20.0;         ///< d_t: contact patch along the ground [N s/m]
   double rolling_resistance = 0.018;     ///< resisting torque / (normal force x radius)
-  double rolling_regularisation = 0.01;  ///< rim speed below which that torque fades to 0 [m/s]
-  double wheel_inertia = 4.0e-4;         ///< of one wheel about the axle [kg m^2]
+  double rolling_regularisation = 0.01;  ///< rim speed below which this torque fades to 0 [m/s]
+  double wheel_inertia = 4.0e-4;         ///< inertia of one wheel about the axle [kg m^2]
   double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - body pitch rate) [N m s]
-  Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();  ///< of the middle of the axles or of
-                                                            ///< the legs, from the CoM, body [m]
+  Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();  ///< middle of the axles or of the
+                                                            ///< legs, from the CoM, body frame [m]
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
+/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const WheelContactParameters& p) {
   require_positive("WheelContactParameters.stiffness [N/m]", p.stiffness);
   require_non_negative("WheelContactParameters.dissipation [s/m]", p.dissipation);
@@ -63,15 +64,16 @@ inline void validate(const WheelContactParameters& p) {
   require_finite("WheelContactParameters.axle_position [m]", p.axle_position);
 }
 
-/// Upper estimate of the rates [1/s] at which contact, wheel spin and body answer each other, at
-/// three times the vehicle's weight on one wheel: an explicit integration has to be quicker.
+/// Returns an upper estimate of the fastest rate [1/s] of the coupled contact, wheel spin and body.
+/// The load on the wheel is three times the vehicle's weight. The step of an explicit integration
+/// must not be longer than the inverse of this rate.
 [[nodiscard]] inline double fastest_contact_rate(const WheelContactParameters& p,
                                                  const WheelMount& mount,
                                                  const RigidBodyParameters& body) {
   const double lever =
       std::hypot(mount.centre.y(), std::hypot(mount.centre.x(), mount.centre.z()) + mount.radius);
   const double load = 3.0 * body.mass * gravity;
-  // Rim or contact point velocity per impulse [1/kg].
+  // Velocity of the rim or of the contact point per impulse [1/kg].
   const double of_body = 1.0 / body.mass + lever * lever * body.inertia.inverse().norm();
   const double of_spin = mount.locked ? 0.0 : mount.radius * mount.radius / p.wheel_inertia;
   return std::max({p.bearing_friction / p.wheel_inertia, p.bristle_damping * (of_spin + of_body),
@@ -81,29 +83,31 @@ inline void validate(const WheelContactParameters& p) {
                    std::sqrt(2.0 * p.stiffness * of_body)});
 }
 
-/// How a wheel turns, and how far its rim is bent where it touches the ground.
+/// Rotation of a wheel and elastic displacement of its contact patch.
 struct WheelState {
-  double angle = 0.0;  ///< turned about body y, relative to the world, not wrapped [rad]
-  double spin = 0.0;   ///< its rate: positive rolls along body x [rad/s]
-  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();  ///< along the rolling direction, axle [m]
+  double angle = 0.0;  ///< about body y, relative to the world, not wrapped [rad]
+  double spin = 0.0;   ///< rate of the angle; positive rolls along body x [rad/s]
+  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();  ///< along rolling direction and axle [m]
 };
 
-/// What one wheel does to the body and to itself.
+/// Forces and torques of one wheel on the body and on the wheel itself.
 struct WheelForces {
-  double normal_force = 0.0;    ///< of the ground, >= 0 [N]
+  double normal_force = 0.0;    ///< normal force of the ground, >= 0 [N]
   double axle_torque = 0.0;     ///< on the wheel about body y: friction, rolling, bearing [N m]
   double bearing_torque = 0.0;  ///< on the body about body y [N m]
-  Wrench<> ground;  ///< on the body at the CoM, body frame; the axle passes on no torque
-                    ///< about body y, which goes into axle_torque
-  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();  ///< the state's, cut to the friction circle
-  Eigen::Vector2d slip = Eigen::Vector2d::Zero();     ///< of the rim, as the bristle [m/s]
+  Wrenchd ground;  ///< on the body at the CoM, body frame; the axle transmits no torque
+                   ///< about body y, that torque is part of axle_torque
+  /// Bristle of the wheel's state, clamped to the friction circle [m].
+  Eigen::Vector2d bristle = Eigen::Vector2d::Zero();
+  Eigen::Vector2d slip = Eigen::Vector2d::Zero();  ///< slip of the rim, in the bristle's axes [m/s]
 };
 
-/// Forces of the wheel at `mount`. `rotation` is that of `body.orientation`. Never throws or
-/// allocates; finite for any finite state, a wheel that lies flat too.
+/// Returns the forces of the wheel at `mount`. `rotation` is the rotation matrix of
+/// body.orientation. The forces are finite for every finite state, also for a wheel that lies flat.
+/// Does not throw or allocate.
 template <typename Rotation>
 [[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p, const WheelMount& mount,
-                                        const BodyState<>& body,
+                                        const BodyStated& body,
                                         const Eigen::MatrixBase<Rotation>& rotation,
                                         const WheelState& state) noexcept {
   WheelForces result;
@@ -111,9 +115,10 @@ template <typename Rotation>
   result.bearing_torque = p.bearing_friction * relative_spin;
   result.axle_torque = -result.bearing_torque;
 
-  // All below in the world frame. Within 1e-3 rad of lying flat the lowest point has no sure
-  // direction any more and moves to the centre instead; the depth goes with it, so that the spring
-  // gives back what it was given: its derivative by the axle is the spoke's lever.
+  // All vectors below are in the world frame. Within 1e-3 rad of a flat wheel the direction to the
+  // lowest point is ill-conditioned. The contact point then moves to the centre instead. The depth
+  // changes accordingly, so that the spring conserves energy: the derivative of the depth with
+  // respect to the axle is the lever of the spoke.
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
   const Eigen::Vector3d axle = rotation.col(1);
   const double sine = std::hypot(axle.x(), axle.y()), upright = std::max(sine, 1e-3);
