@@ -5,13 +5,15 @@ usage() {
   cat <<'HELP'
 usage: examples/run.sh [--mujoco] [-- OPTION...]
 
-Installs what is missing (Debian packages, by apt-get), builds the main job for this processor into
-build-examples/ and runs it, hybrid_mission: take off, fly a figure eight, land, drive it,
-take off again, hover, land. Its figures are printed, its log and pictures are left in results/.
+Installs missing Debian packages with apt-get, builds hybrid_mission for this processor into
+build-examples/ and runs it: take off, fly a figure eight, land, drive a figure eight, take off
+again, hover, land. Prints its figures and writes log, pictures and
+report.html, a page about the flight, to results/.
 
-  --mujoco      the same job in MuJoCo, with a film of it, left in results/mujoco/ (mission_mujoco)
-  -- OPTION...  passed on to the program (-- --help lists them)
-  --help        this text
+  --mujoco      fly the same mission in MuJoCo (mission_mujoco) and write log, pictures and a film
+                to results/mujoco/
+  -- OPTION...  options for the program (-- --help lists them)
+  --help        print this text
 HELP
 }
 
@@ -29,7 +31,7 @@ esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann-json3-dev
-  gnuplot-nox fonts-dejavu-core)
+  gnuplot-nox fonts-dejavu-core libjs-three node-d3)
 if [[ $mujoco ]]; then
   packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)
 fi
@@ -44,9 +46,9 @@ cmake --build build-examples --parallel "$(nproc)" \
 if [[ $mujoco ]]; then
   echo "== Flying the hybrid mission in MuJoCo"
   build-examples/examples/mujoco/mission_mujoco --output results/mujoco --film "$@"
-  echo "== The logs, pictures and film are in $PWD/results/mujoco, unless told otherwise"
+  echo "== The logs, pictures, film and report.html are in $PWD/results/mujoco, unless told otherwise"
   exit 0
 fi
 echo "== Flying the hybrid mission"
 build-examples/examples/hybrid_mission --output results "$@"
-echo "== The logs, and the pictures if asked for, are in $PWD/results, unless told otherwise"
+echo "== The logs, the pictures and report.html are in $PWD/results, unless told otherwise"

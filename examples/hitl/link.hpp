@@ -1,5 +1,6 @@
 #pragma once
 
+#include "../support/statistics.hpp"
 #include "message.hpp"
 
 #include <arpa/inet.h>
@@ -37,7 +38,8 @@ using Clock = std::chrono::steady_clock;
           .count());
 }
 
-/// ADDRESS:PORT, an IPv4 address in digits. Throws std::runtime_error.
+/// Parses ADDRESS:PORT, where ADDRESS is an IPv4 address in digits. Throws std::runtime_error for
+/// other text.
 [[nodiscard]] inline sockaddr_in parse_address(const std::string& text) {
   const auto colon = text.find(':');
   sockaddr_in address{};
@@ -52,26 +54,25 @@ using Clock = std::chrono::steady_clock;
   return address;
 }
 
-/// How a bad line treats what is sent, to try what happens then.
+/// Model of a bad line for sent messages, to test its effects.
 struct BadLine {
-  double loss = 0.0;         ///< share of messages lost
-  double spike_share = 0.0;  ///< share of messages late by `spike`
-  double spike = 0.02;       ///< [s]
+  double loss = 0.0;            ///< fraction of the messages that are lost
+  double spike_fraction = 0.0;  ///< fraction of the messages that are late by `spike`
+  double spike = 0.02;          ///< delay of a late message [s]
 };
 
-/// What arrived in the messages of one type from one sender.
+/// Counts of the messages of one type from one sender.
 struct ArrivalCounts {
   long received = 0;
-  long lost = 0;      ///< gaps in the sequence that nothing filled later
-  long late = 0;      ///< overtaken by a younger one, or a copy: dropped
-  long sessions = 0;  ///< starts of the sender
+  long lost = 0;      ///< gaps in the sequence that no later message filled
+  long late = 0;      ///< overtaken by a newer message, or a copy: dropped
+  long sessions = 0;  ///< number of starts of the sender
 };
 
-/// A UDP socket that exchanges messages with known peers. Whatever else arrives is counted and
-/// dropped.
+/// A UDP socket that exchanges messages with known peers. Other datagrams are counted and dropped.
 class Link {
  public:
-  /// Listens at `own`. Throws std::runtime_error.
+  /// Listens at the address `own`. Throws std::runtime_error if this fails.
   Link(const std::string& own, const std::vector<std::string>& peers, const BadLine& line)
       : socket_(socket(AF_INET, SOCK_DGRAM, 0)), line_(line), random_(std::random_device{}()) {
     if (socket_ < 0) throw std::runtime_error("no socket: " + std::string(std::strerror(errno)));
@@ -89,16 +90,16 @@ class Link {
   Link(const Link&) = delete;
   Link& operator=(const Link&) = delete;
 
-  /// Sends to the peer of this number. A peer that does not listen is no error.
+  /// Sends `m` to the peer with this index. A peer that does not listen is not an error.
   void send(std::size_t peer, Message m) {
     m.session = session_;
     m.sequence = ++sequences_[{peer, m.type}];
-    const auto chance = [this](double share) {
-      return std::uniform_real_distribution<double>(0.0, 1.0)(random_) < share;
+    const auto chance = [this](double fraction) {
+      return std::uniform_real_distribution<double>(0.0, 1.0)(random_) < fraction;
     };
     if (chance(line_.loss)) return;
     const Datagram d = encode(m);
-    if (chance(line_.spike_share))
+    if (chance(line_.spike_fraction))
       held_back_.push_back({Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                                std::chrono::duration<double>(line_.spike)),
                             peer, d});
@@ -106,7 +107,7 @@ class Link {
       put(peer, d);
   }
 
-  /// Waits until something is there to receive, but not beyond `until`.
+  /// Waits until a message can be received, at most until `until`.
   void wait(Clock::time_point until) {
     release();
     const auto rest =
@@ -115,11 +116,11 @@ class Link {
     poll(&poller, 1, static_cast<int>(std::max<std::int64_t>(0, rest)));
   }
 
-  /// The next message, if there is one. Messages of a type and sender come in the order they were
-  /// sent in; overtaken ones are dropped.
+  /// Returns the next message, if there is one. Messages of one type and sender arrive in the order
+  /// in which they were sent; overtaken messages are dropped.
   std::optional<Message> receive() {
     release();
-    // One byte longer than any message, so that a longer datagram is seen to be one.
+    // One byte longer than any message, so that a longer datagram is detected.
     std::array<std::uint8_t, sizeof(Datagram::bytes) + 1> bytes{};
     for (;;) {
       sockaddr_in from{};
@@ -145,7 +146,7 @@ class Link {
 
   [[nodiscard]] long foreign() const { return foreign_; }
 
-  /// Over all senders of this type.
+  /// Sums the counts over all senders of this type.
   [[nodiscard]] ArrivalCounts counts(MessageType type) const {
     ArrivalCounts sum;
     for (const auto& [key, arrival] : arrivals_) {
@@ -158,7 +159,7 @@ class Link {
     return sum;
   }
 
-  /// "NAME_received: ..." and so on.
+  /// Prints "NAME_received: ..." and so on.
   void print(std::ostream& out, const std::string& name, MessageType type) const {
     const ArrivalCounts c = counts(type);
     out << name << "_received: " << c.received << '\n'
@@ -180,7 +181,8 @@ class Link {
 
   bool in_order(std::size_t peer, const Message& m) {
     Arrival& a = arrivals_[{peer, m.type}];
-    if (a.counts.sessions > 1 && m.session == a.last_session) {  // sent before the restart
+    // Sent before the restart of the sender.
+    if (a.counts.sessions > 1 && m.session == a.last_session) {
       ++a.counts.late;
       return false;
     }
@@ -192,7 +194,7 @@ class Link {
       ++a.counts.received;
       return true;
     }
-    // Differences modulo 2^32: a counter may run over.
+    // Differences modulo 2^32, because a counter may overflow.
     const auto ahead = static_cast<std::int32_t>(m.sequence - a.sequence);
     if (ahead <= 0) {
       ++a.counts.late;
@@ -207,7 +209,7 @@ class Link {
 
   void put(std::size_t peer, const Datagram& d) {
     const sockaddr_in& to = peers_[peer];
-    // What cannot be sent is lost, as on any line.
+    // A datagram that cannot be sent is lost, as on any line.
     (void)!sendto(socket_, d.bytes.data(), d.size, 0, reinterpret_cast<const sockaddr*>(&to),
                   sizeof to);
   }
@@ -230,20 +232,14 @@ class Link {
   long foreign_ = 0;
 };
 
-/// Times of one kind and their distribution.
+/// Collects times of one type and prints their distribution.
 class Times {
  public:
   void add(double microseconds) { values_.push_back(microseconds); }
 
-  /// "NAME_median_us: ..." and so on; jitter is the difference of the 99th percentile and the
-  /// median.
-  void print(std::ostream& out, const std::string& name) {
-    std::sort(values_.begin(), values_.end());
-    const auto at = [this](double share) {
-      return values_.empty() ? 0.0
-                             : values_[static_cast<std::size_t>(
-                                   share * static_cast<double>(values_.size() - 1))];
-    };
+  /// Prints "NAME_median_us: ..." and so on; jitter is the 99th percentile minus the median.
+  void print(std::ostream& out, const std::string& name) const {
+    const auto at = [this](double fraction) { return examples::percentile(values_, fraction); };
     out << std::fixed << std::setprecision(0) << name << "_median_us: " << at(0.5) << '\n'
         << name << "_p99_us: " << at(0.99) << '\n'
         << name << "_max_us: " << at(1.0) << '\n'

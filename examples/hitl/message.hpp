@@ -7,8 +7,8 @@
 #include <cstring>
 #include <optional>
 
-/// What the three programs of the hardware-in-the-loop simulation tell each other. One UDP datagram
-/// is one message, of a size fixed by its type; integers and IEEE 754 doubles with the least
+/// Messages between the three programs of the hardware-in-the-loop simulation. One UDP datagram is
+/// one message with a size fixed by its type. Integers and IEEE 754 doubles have the least
 /// significant byte first:
 ///
 ///     bytes   field
@@ -16,12 +16,12 @@
 ///     4       version, 1
 ///     5       type
 ///     6-7     size of the datagram
-///     8-11    session: drawn at the sender's start, so that a restart is seen
+///     8-11    session: random number from the start of the sender, to detect a restart
 ///     12-15   sequence: counts the sender's messages of this type from 1
-///     16-23   time of the simulated clock that the content belongs to [s]
+///     16-23   time of the simulated clock that belongs to the content [s]
 ///     24-31   stamp: the simulator's clock when it sent the sample that led to this message [ns]
 ///     32-35   CRC-32 (IEEE 802.3) of all other bytes
-///     36-     doubles, as many as the type says
+///     36-     doubles, as many as the type defines
 namespace hitl {
 
 enum class MessageType : std::uint8_t {
@@ -35,7 +35,7 @@ enum class MessageType : std::uint8_t {
 constexpr std::size_t max_values = 12;
 constexpr std::size_t header_size = 36;
 
-/// Doubles in a message of this type; none for an unknown type.
+/// Returns the number of doubles in a message of this type; no value for an unknown type.
 constexpr std::optional<std::size_t> value_count(MessageType type) {
   switch (type) {
     case MessageType::inertial:
@@ -57,7 +57,7 @@ struct Message {
   std::uint32_t session = 0, sequence = 0;
   double time = 0.0;
   std::uint64_t stamp = 0;
-  std::array<double, max_values> values{};  ///< the first value_count(type) mean something
+  std::array<double, max_values> values{};  ///< only the first value_count(type) values are used
 };
 
 struct Datagram {
@@ -94,7 +94,7 @@ inline double get_double(const std::uint8_t* from) {
   return value;
 }
 
-/// CRC-32 of the datagram but for the field that holds it.
+/// Returns the CRC-32 of the datagram without the field that contains it.
 inline std::uint32_t checksum(const std::uint8_t* bytes, std::size_t size) {
   std::uint32_t crc = 0xffffffffU;
   for (std::size_t i = 0; i < size; ++i) {
@@ -127,8 +127,8 @@ constexpr std::array<std::uint8_t, 5> greeting = {'T', 'R', 'H', 'L', 1};
   return d;
 }
 
-/// Nothing if it is not one of ours: another protocol or version, cut short, damaged, or holding a
-/// number that is not finite.
+/// Decodes a datagram. Returns nothing for an invalid datagram: another protocol or version,
+/// truncated, damaged, or with a number that is not finite.
 [[nodiscard]] inline std::optional<Message> decode(const std::uint8_t* bytes, std::size_t size) {
   using namespace detail;
   if (size < header_size || std::memcmp(bytes, greeting.data(), greeting.size()) != 0)

@@ -1,4 +1,4 @@
-// What our plant and MuJoCo make of the same vehicle under the same commands, without a controller.
+// Compares our plant with MuJoCo: the same vehicle under the same commands, without a controller.
 
 #include "../support/run_program.hpp"
 #include "../support/vehicle_file.hpp"
@@ -22,19 +22,19 @@ namespace {
 
 constexpr double step = 1e-3;  // [s]
 
-BodyState<> at_height(double height) {
-  BodyState<> body;
+BodyStated at_height(double height) {
+  BodyStated body;
   body.position.z() = height;
   return body;
 }
 
 template <typename AnyPlant>
-void go(AnyPlant& plant, const ActuatorState<4>& command, const Wrench<>& push = {}) {
-  if (!plant.step(command, push, step)) throw std::runtime_error("a plant broke");
+void go(AnyPlant& plant, const ActuatorState<4>& command, const Wrenchd& push = {}) {
+  if (!plant.step(command, push, step)) throw std::runtime_error("a plant rejected a step");
 }
 
-Wrench<> force(double x, double y) {
-  Wrench<> wrench;
+Wrenchd force(double x, double y) {
+  Wrenchd wrench;
   wrench.force << x, y, 0.0;
   return wrench;
 }
@@ -60,7 +60,7 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   for (int i = 0; i < 1000; ++i) go(plant, hover);
   r.hover_drift_mm = 1e3 * (plant.body().position.z() - 2.0);
 
-  // One arm's step by 0.5 rad while the others hold: the thrust turns the body, too, but slower.
+  // One arm steps by 0.5 rad, the others hold. The thrust also turns the body, but more slowly.
   plant.reset(at_height(2.0), hover);
   ActuatorState<4> tilted = hover;
   tilted.tilt_angle(2) = 0.5;
@@ -113,13 +113,14 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Prints what our plant and MuJoCo make of the same vehicle without a controller."};
+  CLI::App app{"Compares our plant with MuJoCo: the same vehicle and commands, no controller."};
   std::string path;
   app.add_option("--vehicle", path,
-                 "JSON file of the vehicle, of 4 rotors and with wheels; the Tilt-Ropter without");
+                 "JSON file of the vehicle (4 rotors, with wheels); default: the Tilt-Ropter");
   return examples::run_program(app, "compare_plants", argc, argv, [&path] {
     const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(path));
-    if (!vehicle.wheels) throw std::runtime_error("the vehicle has no wheels: it must roll here");
+    if (!vehicle.wheels)
+      throw std::runtime_error("the vehicle has no wheels: this program needs wheels");
     Plant<4> ours(vehicle);
     examples::MujocoPlant other(vehicle);
     const Results a = measure(ours, vehicle), b = measure(other, vehicle);

@@ -20,15 +20,16 @@
 #include <string>
 #include <vector>
 
-/// The flight as it looks: MuJoCo's renderer without a screen, ffmpeg for the files.
+/// Film of the flight: MuJoCo renders without a screen, ffmpeg writes the files.
 namespace examples {
 
-/// An OpenGL context that needs no screen: EGL's surfaceless platform, which Mesa has in software.
+/// An OpenGL context without a screen: the surfaceless platform of EGL, which Mesa provides in
+/// software.
 class OffscreenContext {
  public:
-  /// Throws std::runtime_error where there is none.
+  /// Throws std::runtime_error if there is no such context.
   OffscreenContext() {
-    // By name: not every EGL has it as a function.
+    // Looked up by name, because not every EGL exports it as a function.
     const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
         eglGetProcAddress("eglGetPlatformDisplayEXT"));
     if (get_display != nullptr)
@@ -61,20 +62,21 @@ class OffscreenContext {
   EGLContext context_ = EGL_NO_CONTEXT;
 };
 
-/// Writes mission.mp4 while the mission goes on, and a picture in the middle of each figure eight,
-/// air.png and ground.png; mission.gif when it is finished.
+/// Writes mission.mp4 during the mission and a picture in each figure eight, air.png and
+/// ground.png. finish() writes mission.gif.
 class Film {
  public:
   static constexpr int width = 960, height = 540;
-  static constexpr double speed = 5.0;             ///< of the film, against the clock
-  static constexpr double frames_per_second = 10;  ///< of the film
+  static constexpr double speed = 5.0;  ///< speed of the film relative to the simulated time
+  static constexpr double frames_per_second = 10;  ///< frame rate of the film
 
-  /// Throws std::runtime_error if nothing can be drawn here or there is no ffmpeg.
+  /// Throws std::runtime_error if rendering is impossible here or ffmpeg is missing.
   Film(const MujocoPlant& plant, const std::string& directory)
       : plant_(plant), directory_(directory), pixels_(3 * width * height) {
     if (std::system("ffmpeg -version > /dev/null 2>&1") != 0)
       throw std::runtime_error("ffmpeg is missing");
-    std::signal(SIGPIPE, SIG_IGN);  // an ffmpeg that ends is an error of writing, not our end
+    // The end of ffmpeg is a write error and must not end this program.
+    std::signal(SIGPIPE, SIG_IGN);
     mjv_defaultScene(&scene_);
     mjr_defaultContext(&renderer_);
     mjv_defaultOption(&options_);
@@ -82,7 +84,7 @@ class Film {
     mjv_makeScene(&plant.model(), &scene_, 5000);
     mjr_makeContext(&plant.model(), &renderer_, mjFONTSCALE_150);
     mjr_setBuffer(mjFB_OFFSCREEN, &renderer_);
-    options_.geomgroup[4] = 0;  // what touches the ground in the tyres' place
+    options_.geomgroup[4] = 0;  // hides the geoms that touch the ground instead of the tyres
     file_ = popen(
         ("ffmpeg -v error -y -f rawvideo -pix_fmt rgb24 -s " + std::to_string(width) + 'x' +
          std::to_string(height) + " -r " + std::to_string(frames_per_second) +
@@ -100,7 +102,7 @@ class Film {
     mjv_freeScene(&scene_);
   }
 
-  /// To be called after every step: adds a frame if it is time for one.
+  /// Call this after every step: adds a frame when one is due.
   void on_step(const tilt_ropter::Mission& mission) {
     const double time = plant_.time();
     if (time >= next_mark_) {
@@ -110,7 +112,7 @@ class Film {
     if (time < next_frame_) return;
     next_frame_ += speed / frames_per_second;
     if (path_.empty()) sample(mission);
-    // The camera moves only between air and ground: a moving one makes the GIF far larger.
+    // The camera moves only between air and ground: a moving camera makes the GIF much larger.
     const bool high = plant_.body().position.z() > 0.6;
     focus_.z() += 0.3 * ((high ? 1.25 : 0.25) - focus_.z());
     draw(4.6, 125.0, -22.0);
@@ -126,7 +128,7 @@ class Film {
     }
   }
 
-  /// Ends the film and makes mission.gif of it.
+  /// Ends the film and converts it to mission.gif.
   void finish() {
     const int closed = pclose(file_);
     file_ = nullptr;
@@ -143,7 +145,8 @@ class Film {
  private:
   using Colour = std::array<float, 4>;
 
-  /// A picture of now, from `distance` [m], seen towards `azimuth`, `elevation` [deg].
+  /// Writes a picture of the current state, from `distance` [m], with view direction `azimuth`,
+  /// `elevation` [deg].
   void picture(const std::string& name, double distance, double azimuth, double elevation) {
     const Eigen::Vector3d before = focus_;
     focus_ = plant_.body().position;
@@ -180,7 +183,7 @@ class Film {
     if (scene_.ngeom >= scene_.maxgeom) return;
     mjvGeom& geom = scene_.geoms[scene_.ngeom++];
     mjv_initGeom(&geom, type, nullptr, nullptr, nullptr, colour.data());
-    geom.category = mjCAT_DECOR;  // casts no shadow
+    geom.category = mjCAT_DECOR;  // no shadow
     mjv_makeConnector(&geom, type, thickness, from.x(), from.y(), from.z(), to.x(), to.y(), to.z());
   }
 
@@ -223,9 +226,10 @@ class Film {
   mjvOption options_;
   mjvCamera camera_;
   FILE* file_ = nullptr;
-  double next_frame_ = 0.0, next_mark_ = 0.0;       ///< [s]
-  std::vector<std::vector<Eigen::Vector3d>> path_;  ///< reference: the eights
-  std::vector<Eigen::Vector3d> trail_;              ///< flown
+  /// Times of the next frame and the next point of the trail [s].
+  double next_frame_ = 0.0, next_mark_ = 0.0;
+  std::vector<std::vector<Eigen::Vector3d>> path_;  ///< reference: the figure eights
+  std::vector<Eigen::Vector3d> trail_;              ///< flown path
   Eigen::Vector3d focus_ = Eigen::Vector3d::Zero();
 };
 

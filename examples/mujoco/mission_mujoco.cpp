@@ -1,11 +1,12 @@
-// The hybrid mission in a physics engine that is not ours: the same controller and sensors, the
-// vehicle as a tree of bodies in MuJoCo, with arms whose mass tilts and wheels that roll.
+// The hybrid mission in the independent physics engine MuJoCo: the same controller and sensors. The
+// vehicle is a tree of bodies, with arms whose mass tilts and wheels that roll.
 
 #include "../support/mission_loop.hpp"
 #include "../support/pictures.hpp"
+#include "../support/report.hpp"
 #include "../support/run_program.hpp"
 #include "plant.hpp"
-#ifdef MISSION_MUJOCO_FILM  // set by CMake where EGL is
+#ifdef MISSION_MUJOCO_FILM  // set by CMake if EGL is found
 #include "film.hpp"
 #endif
 
@@ -22,6 +23,7 @@
 #include <iomanip>
 #include <iostream>
 #include <memory>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 
@@ -52,7 +54,7 @@ struct Film {
 };
 #endif
 
-/// A film if it can be made. If not, the mission goes on and says why.
+/// Records a film if possible. Otherwise prints the reason, and the mission continues.
 class MaybeFilm {
  public:
   MaybeFilm(bool wanted, const examples::MujocoPlant& plant, const std::string& directory) {
@@ -79,18 +81,18 @@ class MaybeFilm {
   std::unique_ptr<Film> film_;
 };
 
-/// A wind along the world's y axis [N]: a mean force on the CoM and gusts of a third of it, which
-/// stay for about half a second.
+/// Wind as a force at the CoM [N]: a mean along the y axis of the world, and gusts in all axes with
+/// a standard deviation of a third of the mean and a correlation time of 0.5 s.
 class Wind {
  public:
   Wind(double mean, std::uint64_t seed) : mean_(mean), noise_(seed) {}
 
-  Wrench<> on(const BodyState<>& body, double dt) {
+  Wrenchd on(const BodyStated& body, double dt) {
     if (mean_ == 0.0) return {};
     constexpr double stay = 0.5;
     const double keep = std::exp(-dt / stay);
     gust_ = keep * gust_ + noise_.draw<3>(std::sqrt(1.0 - keep * keep) * mean_ / 3.0);
-    Wrench<> wrench;
+    Wrenchd wrench;
     wrench.force = body.orientation.conjugate() * (mean_ * Eigen::Vector3d::UnitY() + gust_);
     return wrench;
   }
@@ -118,8 +120,8 @@ void fly(Options& options) {
   Wind wind(options.wind, static_cast<std::uint64_t>(options.mission.seed) + 3000);
   std::filesystem::create_directories(options.mission.output);
   MaybeFilm film(options.film, plant, options.mission.output);
-  double upright = 1.0;  // the least cosine of the angle between body z and world z
-  examples::fly_mission(
+  double upright = 1.0;  // smallest cosine of the angle between body z and world z
+  const std::string flown = examples::fly_mission(  // the logs are closed when it returns
       options.mission, file, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
       [&](const Mission& mission) {
         upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
@@ -127,67 +129,73 @@ void fly(Options& options) {
       },
       options.mujoco.ground_height != 0.0 || options.mujoco.slope != 0.0);
   film.finish();
-  std::cout << "lean_max_deg: " << std::setprecision(2) << std::acos(upright) * 180.0 / pi << '\n'
-            << "tipped_over: " << (upright < 0.5) << '\n';
+  std::ostringstream attitude;
+  attitude << "lean_max_deg: " << std::fixed << std::setprecision(2)
+           << std::acos(upright) * 180.0 / pi << '\n'
+           << "tipped_over: " << (upright < 0.5) << '\n';
+  std::cout << attitude.str();
+  if (options.mission.no_pictures) return;
+  examples::write_report(options.mission.output, file, flown + attitude.str());
+  examples::draw_pictures("missions/hybrid_mission.gp", options.mission.output);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Flies the hybrid mission in MuJoCo, on any ground and against disturbances."};
+  CLI::App app{"Flies the hybrid mission in MuJoCo, with any ground and disturbances."};
   Options options;
   options.mission.output = "results/mujoco";
   examples::add_options(app, options.mission);
-  app.add_option("--slope", options.slope_deg, "of the ground [deg]")
+  app.add_option("--slope", options.slope_deg, "slope of the ground [deg]")
       ->check(CLI::Range(-20.0, 20.0))
       ->capture_default_str();
   app.add_option("--slope-direction", options.slope_direction_deg,
-                 "azimuth in which the ground rises, 0 is along x [deg]")
+                 "azimuth of the direction in which the ground rises; 0: along x [deg]")
       ->check(CLI::Range(-360.0, 360.0))
       ->capture_default_str();
   app.add_option("--ground-height", options.mujoco.ground_height,
-                 "of the ground, which the controller's mission takes for zero [m]")
+                 "height of the ground; the mission assumes zero [m]")
       ->check(CLI::Range(-2.0, 2.0))
       ->capture_default_str();
   app.add_option("--tyre-scrub", options.tyre_scrub,
-                 "torque that resists a wheel's turning on the spot / normal force [mm]")
+                 "torque / normal force of a wheel that turns on the spot [mm]")
       ->check(CLI::Range(0.0, 20.0))
       ->capture_default_str();
   app.add_option("--com-x", options.mujoco.com_x,
-                 "of the true CoM, ahead of where the controller takes it to be [m]")
+                 "position of the true CoM ahead of the CoM that the controller assumes [m]")
       ->check(CLI::Range(-0.05, 0.05))
       ->capture_default_str();
-  app.add_option("--friction", options.mujoco.contact.friction, "of wheels and ground")
+  app.add_option("--friction", options.mujoco.contact.friction,
+                 "friction coefficient of wheels and ground")
       ->check(CLI::Range(0.01, 2.0))
       ->capture_default_str();
   app.add_option("--step", options.mujoco.step_height,
-                 "height of a plank across the way on the ground [m]")
+                 "height of a plank across the track on the ground; 0: no plank [m]")
       ->check(CLI::Range(0.0, 0.1))
       ->capture_default_str();
-  app.add_option("--wind", options.wind, "mean force along world y; gusts of a third of it [N]")
+  app.add_option("--wind", options.wind,
+                 "mean wind force along world y; gusts have a third of it as stddev [N]")
       ->check(CLI::Range(0.0, 10.0))
       ->capture_default_str();
   app.add_option("--payload", options.mujoco.payload,
-                 "5 cm below the CoM, of which the controller does not know [kg]")
+                 "mass 5 cm below the CoM that the controller does not know [kg]")
       ->check(CLI::Range(0.0, 2.0))
       ->capture_default_str();
   app.add_option("--slow-servo", options.slow_servo,
-                 "the arm, 1 to 4, whose servo has --slow-factor times the time constant and as "
-                 "much less speed; 0: none")
+                 "arm (1 to 4) whose servo has the time constant times --slow-factor and the "
+                 "speed divided by it; 0: none")
       ->check(CLI::Range(0, 4))
       ->capture_default_str();
-  app.add_option("--slow-factor", options.slow_factor, "see --slow-servo")
+  app.add_option("--slow-factor", options.slow_factor, "factor for --slow-servo")
       ->check(CLI::Range(0.1, 20.0))
       ->capture_default_str();
-  app.add_option("--time-step", options.mujoco.time_step, "of MuJoCo [s]")
+  app.add_option("--time-step", options.mujoco.time_step, "time step of MuJoCo [s]")
       ->check(CLI::Range(1e-5, 2e-3))
       ->capture_default_str();
   app.add_flag("--film,!--no-film", options.film,
-               "draw mission.mp4, mission.gif, air.png and ground.png too (EGL, ffmpeg)");
+               "also record mission.mp4, mission.gif, air.png, ground.png (needs EGL, ffmpeg)");
   return examples::run_program(app, "mission_mujoco", argc, argv, [&options] {
-    fly(options);  // the logs are closed when it returns
-    if (!options.mission.no_pictures)
-      examples::draw_pictures("hybrid_mission.gp", options.mission.output);
+    fly(options);
     return 0;
   });
 }

@@ -13,45 +13,52 @@
 #include <sstream>
 #include <string>
 
-/// The Tilt-Ropter as an MJCF model, written from a Vehicle's parameters: base on a free joint,
-/// four arms on hinges with rotors and servos, wheels on free hinges or legs, and the ground.
+/// The Tilt-Ropter as an MJCF model, written from the parameters of a Vehicle: base on a free
+/// joint, four arms on hinges with rotors and servos, wheels on free hinges or legs, and the
+/// ground. This header is long because it contains the complete text of the model.
 namespace examples {
 
-/// What MuJoCo needs to know beyond the Vehicle. With all the vehicle's mass where it belongs, the
-/// whole at zero tilt has the Vehicle's mass, CoM and inertia.
+/// Parameters that MuJoCo needs beyond the Vehicle. The base gets the remaining mass, so the
+/// complete model at zero tilt has the mass, CoM and inertia of the Vehicle.
 struct MujocoParameters {
-  double time_step = 5e-4;  ///< [s]
-  double arm_mass = 0.08;   ///< that tilts with one arm: motor, propeller, mount (estimate) [kg]
-  /// Of the arm's CoM over the hinge at zero tilt (estimate: half of the arm's mass is a motor, 1
-  /// cm above it, the rest is on it) [m].
+  double time_step = 5e-4;  ///< time step [s]
+  /// Mass that tilts with one arm: motor, propeller, mount (estimate) [kg].
+  double arm_mass = 0.08;
+  /// Height of the arm's CoM over the hinge at zero tilt [m] (estimate: half of the arm's mass is
+  /// the motor, 1 cm above the hinge, and the rest is on the hinge).
   double arm_height = 0.005;
-  Eigen::Vector3d arm_inertia{3e-5, 3e-5, 2e-5};  ///< about its CoM (estimate) [kg m^2]
-  double servo_armature = 5e-4;         ///< gears and motor, felt at the arm (estimate) [kg m^2]
-  double servo_damping = 0.2;           ///< torque / error of the speed loop (estimate) [N m s]
-  double servo_torque = 1.5;            ///< largest (estimate) [N m]
-  double wheel_mass = 0.04;             ///< of one wheel (estimate) [kg]
-  double wheel_half_width = 0.015;      ///< of the ellipsoid that rolls (estimate) [m]
-  double torsional_friction = 1e-3;     ///< torque / normal force, wheel turning on the spot [m]
-  double contact_time_constant = 0.01;  ///< MuJoCo's solref: how fast a contact settles [s]
-  /// MuJoCo's solimp, below 1: the larger, the harder. A tyre that sinks in by 0.6 mm; at 0.95 it
-  /// is so hard that the wheels lose touch in between while they roll.
+  /// Inertia of the arm about its CoM (estimate) [kg m^2].
+  Eigen::Vector3d arm_inertia{3e-5, 3e-5, 2e-5};
+  double servo_armature = 5e-4;  ///< inertia of gears and motor at the arm (estimate) [kg m^2]
+  double servo_damping = 0.2;  ///< gain of the speed loop: torque / speed error (estimate) [N m s]
+  double servo_torque = 1.5;   ///< maximum torque of the servo (estimate) [N m]
+  double wheel_mass = 0.04;    ///< mass of one wheel (estimate) [kg]
+  double wheel_half_width = 0.015;  ///< half width of the rolling ellipsoid (estimate) [m]
+  /// Torque / normal force of a wheel that turns on the spot [m].
+  double torsional_friction = 1e-3;
+  double contact_time_constant = 0.01;  ///< solref of MuJoCo: time in which a contact settles [s]
+  /// solimp of MuJoCo, below 1: a larger value is harder. The tyre is compressed by 0.6 mm; at 0.95
+  /// it is so hard that rolling wheels lose contact from time to time.
   double contact_impedance = 0.6;
-  /// Friction, rolling resistance, bearing friction and wheel inertia are taken from our own plant.
+  /// Friction, rolling resistance, bearing friction and wheel inertia, as in our own plant.
   tilt_ropter::WheelContactParameters contact;
 
-  double ground_height = 0.0;    ///< where x = y = 0 [m]
-  double slope = 0.0;            ///< of the ground about the axis below [rad]
-  double slope_direction = 0.0;  ///< in which it rises: azimuth from x [rad]
-  double step_height = 0.0;      ///< of a plank across the ground eight, 0: none [m]
-  double step_position = 1.0;    ///< of its middle along x [m]
-  double step_width = 0.3;       ///< [m]
-  double payload = 0.0;          ///< below the body, which the controller does not know of [kg]
-  Eigen::Vector3d payload_position{0.0, 0.0, -0.05};  ///< [m]
-  double com_x = 0.0;  ///< of the true CoM ahead of the body frame's origin [m]
-  bool seen = false;   ///< with what is only there for pictures, which takes time and moves nothing
+  double ground_height = 0.0;  ///< height of the ground at x = y = 0 [m]
+  double slope = 0.0;          ///< slope of the ground [rad]
+  /// Azimuth from x of the direction in which the ground rises [rad].
+  double slope_direction = 0.0;
+  /// Height of a plank across the figure eight on the ground; 0: no plank [m].
+  double step_height = 0.0;
+  double step_position = 1.0;  ///< position of the middle of the plank along x [m]
+  double step_width = 0.3;     ///< width of the plank [m]
+  double payload = 0.0;        ///< mass below the body that the controller does not know [kg]
+  Eigen::Vector3d payload_position{0.0, 0.0, -0.05};  ///< position of the payload, body frame [m]
+  double com_x = 0.0;  ///< offset of the true CoM ahead of the origin of the body frame [m]
+  /// Adds geoms for pictures only; they cost time and have no effect on the motion.
+  bool seen = false;
 };
 
-/// Throws std::invalid_argument naming the field, its value and what is allowed.
+/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const MujocoParameters& p) {
   using namespace tilt_ropter;
   require(p.time_step >= 1e-5 && p.time_step <= 2e-3, "MujocoParameters.time_step [s]", p.time_step,
@@ -83,39 +90,40 @@ inline void validate(const MujocoParameters& p) {
   require_finite("MujocoParameters.payload_position [m]", p.payload_position);
 }
 
-/// Orientation of the sloping ground: its z axis is the normal.
+/// Returns the orientation of the sloping ground: its z axis is the normal.
 [[nodiscard]] inline Eigen::Quaterniond ground_orientation(const MujocoParameters& p) {
   const Eigen::Vector3d level(std::sin(p.slope_direction), -std::cos(p.slope_direction), 0.0);
   return Eigen::Quaterniond(Eigen::AngleAxisd(p.slope, level));
 }
 
-/// How many wheels it has.
+/// Returns the number of wheels.
 [[nodiscard]] inline std::size_t wheel_count(const tilt_ropter::Vehicle<4>& vehicle) {
   if (!vehicle.wheels) return 0;
   return vehicle.wheels->wheel_base > 0.0 ? 4 : 2;
 }
 
-/// What is left for the base when arms and wheels are taken from the vehicle.
+/// Mass and inertia of the base: the vehicle without arms and wheels.
 struct BaseInertia {
-  double mass = 0.0;                                  ///< [kg]
-  Eigen::Vector3d com = Eigen::Vector3d::Zero();      ///< in the body frame [m]
-  Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  ///< about `com`, body axes [kg m^2]
+  double mass = 0.0;                                  ///< mass [kg]
+  Eigen::Vector3d com = Eigen::Vector3d::Zero();      ///< CoM in the body frame [m]
+  Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  ///< inertia about `com`, body axes [kg m^2]
 };
 
 namespace detail {
 
-/// Inertia of a mass point at `r`.
+/// Returns the inertia of a point mass at `r`.
 inline Eigen::Matrix3d point_inertia(double mass, const Eigen::Vector3d& r) {
   return mass * (r.squaredNorm() * Eigen::Matrix3d::Identity() - r * r.transpose());
 }
 
-inline Eigen::Vector3d wheel_inertia(const MujocoParameters& p) {  // in the wheel frame, a ring's
+// Inertia of a ring in the wheel frame.
+inline Eigen::Vector3d wheel_inertia(const MujocoParameters& p) {
   const double across =
       0.5 * p.contact.wheel_inertia + p.wheel_mass * p.wheel_half_width * p.wheel_half_width / 3.0;
   return {p.contact.wheel_inertia, across, across};
 }
 
-/// Numbers for an attribute, as exact as doubles are.
+/// Returns numbers for an attribute with the full precision of doubles.
 template <typename... Numbers>
 std::string numbers(const Numbers&... values) {
   std::ostringstream text;
@@ -132,7 +140,7 @@ inline std::string numbers(const Eigen::Quaterniond& q) {
   return numbers(q.w(), q.x(), q.y(), q.z());
 }
 
-/// The attributes pos and quat of a frame.
+/// Returns the attributes pos and quat of a frame.
 inline std::string placed(const Eigen::Isometry3d& pose) {
   return " pos=\"" + numbers(Eigen::Vector3d(pose.translation())) + "\" quat=\"" +
          numbers(Eigen::Quaterniond(pose.linear())) + "\" ";
@@ -140,12 +148,13 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
 
 }  // namespace detail
 
-/// Throws std::invalid_argument if arms and wheels are heavier or more inert than the vehicle.
+/// Returns the inertia of the base. Throws std::invalid_argument if arms and wheels have more mass
+/// or inertia than the vehicle.
 [[nodiscard]] inline BaseInertia base_inertia(const tilt_ropter::Vehicle<4>& vehicle,
                                               const MujocoParameters& p) {
   BaseInertia base;
   base.mass = vehicle.body.mass;
-  base.inertia = vehicle.body.inertia;  // about the CoM of all, for now
+  base.inertia = vehicle.body.inertia;  // about the CoM of the vehicle at this point
   const auto take = [&base](double mass, const Eigen::Vector3d& at, const Eigen::Matrix3d& own) {
     base.mass -= mass;
     base.com -= mass * at;
@@ -159,7 +168,8 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   for (std::size_t i = 0; i < wheel_count(vehicle); ++i) {
     const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
     Eigen::Vector3d own = detail::wheel_inertia(p);
-    own.x() = 0.0;  // the vehicle's inertia is without the wheels' about their axle
+    // The inertia of the vehicle excludes the inertia of the wheels about their axle.
+    own.x() = 0.0;
     take(p.wheel_mass, wheel.translation(),
          wheel.linear() * own.asDiagonal() * wheel.linear().transpose());
   }
@@ -170,10 +180,11 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   return base;
 }
 
-/// The model. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`.. as wheel_in_body
-/// counts them; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the CoM at zero
-/// tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction torque act at
-/// the rotor's site, which tilts with its arm. A servo is a speed loop. Geoms weigh nothing.
+/// Returns the MJCF text. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`.. with the
+/// index of wheel_in_body; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the
+/// CoM at zero tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction
+/// torque act at the site of the rotor, which tilts with its arm. A servo is a speed loop. Geoms
+/// have no mass.
 [[nodiscard]] inline std::string mujoco_model(const tilt_ropter::Vehicle<4>& vehicle,
                                               const MujocoParameters& p = {}) {
   using detail::numbers;
@@ -224,7 +235,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
                         p.contact.rolling_resistance * radius))
       << R"(/></default>
   <default class="ground"><geom contype="1" conaffinity="0" condim="6" )"
-      // Of two geoms MuJoCo takes the larger friction; these are below any of the wheels'.
+      // MuJoCo uses the larger friction of two geoms; the ground has less friction than the wheels.
       << R"(friction="1e-5 1e-5 1e-5" solref=)" << quoted(numbers(p.contact_time_constant, 1.0))
       << " solimp=" << quoted(numbers(p.contact_impedance, p.contact_impedance, 1e-3))
       << R"(/></default>
@@ -301,7 +312,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
       <geom type="cylinder" size="0.012 0.01" quat="0.70710678118654757 0 0.70710678118654757 0"
         material="metal"/>
 )";
-    constexpr int segments = 36, spokes = 6;  // a rim, in short capsules: MJCF has no torus
+    constexpr int segments = 36, spokes = 6;  // a rim of short capsules, because MJCF has no torus
     constexpr double tau = 2.0 * tilt_ropter::pi;
     const double rim = radius - 0.007;
     const auto on_rim = [rim](double angle) {

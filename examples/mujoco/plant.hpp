@@ -29,15 +29,15 @@
 
 namespace examples {
 
-/// The model of model.hpp in MuJoCo, behind the interface of tilt_ropter::Plant. MuJoCo moves the
-/// bodies and works out the contacts; the lag of rotors and servos, which it does not know, is
-/// advanced here. A servo turns its arm through MuJoCo's joint: the body feels the reaction, and
-/// the thrust, the arm's weight and its inertia turn against it.
+/// The model of model.hpp in MuJoCo, with the interface of tilt_ropter::Plant. MuJoCo moves the
+/// bodies and computes the contacts. This class computes the lag of rotors and servos, which MuJoCo
+/// does not model. A servo turns its arm through the joint of MuJoCo: the reaction acts on the
+/// body, and the thrust, the weight and the inertia of the arm act against the servo.
 class MujocoPlant {
  public:
-  /// Starts at time zero, standing with stopped rotors; without wheels or legs in the ground's
-  /// height. Throws std::invalid_argument for parameters that are not valid, std::runtime_error if
-  /// MuJoCo does not take the model.
+  /// Starts at time zero, on the ground with stopped rotors; a vehicle without wheels or legs
+  /// starts at the height of the ground. Throws std::invalid_argument for invalid parameters, and
+  /// std::runtime_error if MuJoCo rejects the model.
   explicit MujocoPlant(const tilt_ropter::Vehicle<4>& vehicle,
                        const MujocoParameters& parameters = {})
       : vehicle_(vehicle), model_(load(mujoco_model(vehicle, parameters))) {
@@ -61,7 +61,7 @@ class MujocoPlant {
     accelerometer_ = model_->sensor_adr[id(mjOBJ_SENSOR, "imu")];
 
     const Eigen::Quaterniond ground = ground_orientation(parameters);
-    tilt_ropter::BodyState<> standing;
+    tilt_ropter::BodyStated standing;
     standing.orientation = ground;
     const auto stands = tilt_ropter::undercarriage(vehicle);
     standing.position = ground * Eigen::Vector3d(0.0, 0.0, stands ? stands->height : 0.0);
@@ -69,8 +69,8 @@ class MujocoPlant {
     reset(standing, {});
   }
 
-  /// Sets body and actuators; wheels stand still, time is zero.
-  void reset(const tilt_ropter::BodyState<>& body, const tilt_ropter::ActuatorState<4>& actuators) {
+  /// Sets body and actuators; the wheels stand still and the time is zero.
+  void reset(const tilt_ropter::BodyStated& body, const tilt_ropter::ActuatorState<4>& actuators) {
     mj_resetData(model_.get(), data_.get());
     Eigen::Map<Eigen::Matrix<mjtNum, 7, 1>> q(data_->qpos + model_->jnt_qposadr[root_]);
     Eigen::Map<Twist> v(data_->qvel + model_->jnt_dofadr[root_]);
@@ -86,16 +86,16 @@ class MujocoPlant {
     observe();
   }
 
-  /// Another servo on one arm: `arm` counts from 0.
+  /// Sets the parameters of the servo of one arm; `arm` counts from 0.
   void set_servo(std::size_t arm, const tilt_ropter::ServoParameters& servo) {
     tilt_ropter::validate(servo);
     servos_.at(arm) = servo;
   }
 
-  /// Goes on by `dt` [s] with constant command and constant disturbance, a wrench at the CoM in the
-  /// body frame. Returns false if an argument is not finite, dt is out of range, or MuJoCo lost its
-  /// way, after which the plant is of no use.
-  bool step(const tilt_ropter::ActuatorState<4>& command, const tilt_ropter::Wrench<>& disturbance,
+  /// Advances the plant by `dt` [s] with constant command and constant disturbance, a wrench at the
+  /// CoM in the body frame. Returns false if an argument is not finite, if dt is out of range, or
+  /// if MuJoCo reports an invalid state. After an invalid state the plant must not be used.
+  bool step(const tilt_ropter::ActuatorState<4>& command, const tilt_ropter::Wrenchd& disturbance,
             double dt) {
     if (!(dt > 0.0 && dt <= 10.0) || !tilt_ropter::all_finite(command.rotor_speed) ||
         !tilt_ropter::all_finite(command.tilt_angle) || !tilt_ropter::is_finite(disturbance))
@@ -112,11 +112,11 @@ class MujocoPlant {
       passed(k) = -std::expm1(-dt / steps / rotor.time_constant);
       const double least = tilt_ropter::speed_from_thrust(rotor.min_thrust, rotor),
                    most = tilt_ropter::speed_from_thrust(rotor.max_thrust, rotor);
-      speed(k) = std::min(std::max(command.rotor_speed(k), least), top_speed_share_ * most);
+      speed(k) = std::min(std::max(command.rotor_speed(k), least), top_speed_fraction_ * most);
     }
     for (int i = 0; i < steps; ++i) {
       const Eigen::Vector4d change = passed.cwiseProduct(speed - actuators_.rotor_speed);
-      actuators_.rotor_speed += 0.5 * change;  // that of the step's middle, but for its square
+      actuators_.rotor_speed += 0.5 * change;  // value in the middle of the step, to first order
       apply();
       mj_step(model_.get(), data_.get());
       actuators_.rotor_speed += 0.5 * change;
@@ -125,20 +125,20 @@ class MujocoPlant {
     forget_old_commands();
     apply();
     observe();
-    // On a state that is not sound MuJoCo starts anew and counts a warning.
+    // For an invalid state MuJoCo resets itself and counts a warning.
     return data_->warning[mjWARN_BADQPOS].number + data_->warning[mjWARN_BADQVEL].number +
                data_->warning[mjWARN_BADQACC].number ==
            0;
   }
 
-  /// As tilt_ropter::Plant::set_voltage().
+  /// Same as tilt_ropter::Plant::set_voltage().
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = tilt_ropter::voltage_ratio(vehicle_.battery, voltage);
-    if (ratio) top_speed_share_ = std::min(*ratio, 1.0);
+    if (ratio) top_speed_fraction_ = std::min(*ratio, 1.0);
     return ratio.has_value();
   }
 
-  /// Of `rotor` (from 0) now [N].
+  /// Returns the current thrust of `rotor` (from 0) [N].
   [[nodiscard]] double thrust(std::size_t rotor) const {
     return vehicle_.rotors[rotor].effectiveness *
            tilt_ropter::thrust_from_speed(actuators_.rotor_speed(static_cast<Eigen::Index>(rotor)),
@@ -146,28 +146,29 @@ class MujocoPlant {
   }
 
   [[nodiscard]] double time() const { return data_->time; }
-  [[nodiscard]] const tilt_ropter::BodyState<>& body() const { return body_; }
+  [[nodiscard]] const tilt_ropter::BodyStated& body() const { return body_; }
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& actuators() const { return actuators_; }
 
-  /// Of the ground and the disturbance on the body, at the body frame's origin, in the body frame,
-  /// but for what the ground turns the wheels with; bearings and wheel momentum are left out.
-  [[nodiscard]] const tilt_ropter::Wrench<>& external_wrench() const { return external_; }
-  /// What an ideal IMU in the body frame's origin reports.
-  [[nodiscard]] tilt_ropter::InertialSample<> inertial_sample() const {
+  /// Wrench of the ground and the disturbance on the body, at the origin of the body frame, in the
+  /// body frame. Excludes the torque of the ground that turns the wheels, and also bearings and
+  /// wheel momentum.
+  [[nodiscard]] const tilt_ropter::Wrenchd& external_wrench() const { return external_; }
+  /// The sample of an ideal IMU at the origin of the body frame.
+  [[nodiscard]] tilt_ropter::InertialSampled inertial_sample() const {
     return {body_.angular_velocity, specific_force_};
   }
-  /// What an accelerometer in the body frame's origin measures, free of errors [m/s^2].
+  /// Specific force at the origin of the body frame, without sensor errors [m/s^2].
   [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
-  /// Normal force of the ground on each wheel or foot, as Plant counts them [N].
+  /// Normal force of the ground on each wheel or foot, in the order of Plant [N].
   [[nodiscard]] const Eigen::Vector4d& normal_forces() const { return normal_forces_; }
-  /// Of the right and the left wheel relative to the body [rad/s]. Throws std::out_of_range for a
-  /// vehicle without wheels.
+  /// Speed of the right and the left wheel relative to the body [rad/s]. Throws std::out_of_range
+  /// for a vehicle without wheels.
   [[nodiscard]] Eigen::Vector2d wheel_speeds() const {
     return {data_->qvel[wheel_dof_.at(0)], data_->qvel[wheel_dof_.at(1)]};
   }
 
   [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
-  /// MuJoCo's own, for pictures and tests.
+  /// Model and data of MuJoCo, for pictures and tests.
   [[nodiscard]] const mjModel& model() const { return *model_; }
   [[nodiscard]] mjData& data() const { return *data_; }
 
@@ -177,11 +178,13 @@ class MujocoPlant {
     void operator()(mjData* data) const { mj_deleteData(data); }
   };
   using Model = std::unique_ptr<mjModel, Delete>;
-  /// Of the free joint: linear in the world frame, angular in the body's. Its forces likewise.
+  /// Velocity or force of the free joint: linear part in the world frame, angular part in the body
+  /// frame.
   using Twist = Eigen::Matrix<mjtNum, 6, 1>;
 
   static Model load(const std::string& xml) {
-    mju_user_warning = [](const char*) {};  // else it writes a file; step() looks at the counts
+    // Otherwise it writes a file; step() checks the warning counts.
+    mju_user_warning = [](const char*) {};
     const auto files = std::make_unique<mjVFS>();
     mj_defaultVFS(files.get());
     const int length = static_cast<int>(xml.size());
@@ -200,15 +203,15 @@ class MujocoPlant {
   }
   [[nodiscard]] int joint(const std::string& name) const { return id(mjOBJ_JOINT, name); }
 
-  /// What the servo of one arm has heard of, its dead time ago.
+  /// Returns the command that the servo of one arm receives now, after its dead time.
   [[nodiscard]] double heard(std::size_t arm) const {
     const double time = data_->time - servos_[arm].dead_time + 1e-9;
     auto command = tilt_commands_.rbegin();
-    while (command->first > time) ++command;  // the first one is older than all
+    while (command->first > time) ++command;  // the first command is older than all times
     return command->second(static_cast<Eigen::Index>(arm));
   }
 
-  /// Commands that a later one has replaced for every servo.
+  /// Removes commands that a later command has replaced for every servo.
   void forget_old_commands() {
     double longest = 0.0;
     for (const tilt_ropter::ServoParameters& servo : servos_)
@@ -218,7 +221,7 @@ class MujocoPlant {
     tilt_commands_.front().first = -std::numeric_limits<double>::infinity();
   }
 
-  /// Hands rotor thrusts, servo speeds and disturbance to MuJoCo.
+  /// Passes rotor thrusts, servo speeds and disturbance to MuJoCo.
   void apply() {
     for (std::size_t i = 0; i < 4; ++i) {
       const tilt_ropter::ServoParameters& servo = servos_[i];
@@ -233,7 +236,7 @@ class MujocoPlant {
     applied << Eigen::Quaterniond(q[0], q[1], q[2], q[3]) * disturbance_.force, disturbance_.torque;
   }
 
-  /// Everything that the state determines.
+  /// Updates all outputs that follow from the state.
   void observe() {
     mj_forward(model_.get(), data_.get());
     const mjtNum* q = data_->qpos + model_->jnt_qposadr[root_];
@@ -265,14 +268,16 @@ class MujocoPlant {
   Model model_;
   std::unique_ptr<mjData, Delete> data_;
   int base_ = 0, root_ = 0, accelerometer_ = 0;
-  std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< where MuJoCo keeps them
+  std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< indices in the arrays of MuJoCo
   std::vector<int> wheel_dof_, contact_;
   double longest_step_ = model_->opt.timestep;
-  double top_speed_share_ = 1.0;  ///< that the voltage leaves of the rotors' top speeds
-  tilt_ropter::Wrench<> disturbance_, external_;
-  tilt_ropter::BodyState<> body_;
+  /// Fraction of the top speed of the rotors at the present voltage.
+  double top_speed_fraction_ = 1.0;
+  tilt_ropter::Wrenchd disturbance_, external_;
+  tilt_ropter::BodyStated body_;
   tilt_ropter::ActuatorState<4> actuators_;
-  std::deque<std::pair<double, Eigen::Vector4d>> tilt_commands_;  ///< time given [s], angles [rad]
+  /// Time of the command [s], angles [rad].
+  std::deque<std::pair<double, Eigen::Vector4d>> tilt_commands_;
   Eigen::Vector3d specific_force_ = Eigen::Vector3d::Zero();
   Eigen::Vector4d normal_forces_ = Eigen::Vector4d::Zero();
 };

@@ -13,26 +13,26 @@
 #include <utility>
 #include <vector>
 
-/// Logs of numbers as CSV: a header line that names the columns, under it one row a line, separated
-/// by commas. Numbers are as std::from_chars reads them, a `+` before them is allowed; blanks
-/// around a field do not count. There is no quoting. Blank lines and lines that start with `#` are
-/// passed over; lines may end in CR LF, the last one need not end at all.
+/// Logs of numbers as CSV: a header line that names the columns, then one row per line, separated
+/// by commas. Numbers have the format of std::from_chars; a `+` before them is allowed. Blanks
+/// around a field are ignored. There is no quoting. Blank lines and lines that start with `#` are
+/// skipped. Lines may end in CR LF; the last line need not end.
 namespace examples {
 
-enum class CsvNumbers { finite, any };  ///< any: `nan` and `inf` are taken, too
+enum class CsvNumbers { finite, any };  ///< any: `nan` and `inf` are accepted too
 
-/// The columns that were read, one vector each, all of one length.
+/// The columns that were read: one vector for each column, all of the same length.
 struct CsvTable {
-  std::string file;                          ///< as messages call it
-  std::vector<std::string> names;            ///< of the columns
+  std::string file;                          ///< name of the file in messages
+  std::vector<std::string> names;            ///< names of the columns
   std::vector<std::vector<double>> columns;  ///< values, in the order of `names`
-  std::vector<std::size_t> lines;            ///< of the file, from 1, in which each row stands
+  std::vector<std::size_t> lines;            ///< line number in the file of each row, from 1
 
   [[nodiscard]] std::size_t rows() const { return lines.size(); }
   [[nodiscard]] bool has(const std::string& name) const {
     return std::find(names.begin(), names.end(), name) != names.end();
   }
-  /// Throws std::runtime_error if there is none of that name.
+  /// Returns this column. Throws std::runtime_error if there is no such column.
   [[nodiscard]] const std::vector<double>& operator[](const std::string& name) const {
     const auto found = std::find(names.begin(), names.end(), name);
     if (found == names.end()) throw std::runtime_error(file + ": no column " + name);
@@ -59,7 +59,7 @@ inline std::vector<std::string_view> csv_fields(std::string_view line) {
   return fields;
 }
 
-/// Reads a whole field into `value`; what is wrong with it, or nothing.
+/// Reads a complete field into `value`. Returns the error, or an empty text.
 inline std::string csv_number(std::string_view text, CsvNumbers allowed, double& value) {
   const bool plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
   const std::string_view number = plus ? text.substr(1) : text;
@@ -69,7 +69,7 @@ inline std::string csv_number(std::string_view text, CsvNumbers allowed, double&
   return std::isfinite(value) || allowed == CsvNumbers::any ? "" : "is not finite";
 }
 
-/// For messages on a terminal: short, and no control characters.
+/// For messages on a terminal: short and without control characters.
 inline std::string csv_quoted(std::string_view text) {
   constexpr std::size_t longest = 40;
   std::string shown(text.substr(0, longest));
@@ -80,16 +80,16 @@ inline std::string csv_quoted(std::string_view text) {
 
 }  // namespace detail
 
-/// Reads the columns `wanted`, in that order, then those of `optional` that are there, and does not
-/// look at others; without `wanted` all of them. Throws std::runtime_error that says `file`, line,
-/// column's name and number (both from 1) and what is wrong there: "log.csv:7: column angle_rad
-/// (3): 'x' is not a number".
+/// Reads the columns `wanted` in this order, then the available columns of `optional`, and ignores
+/// all others. An empty `wanted` means all columns. Throws std::runtime_error with `file`, line,
+/// name and number of the column (both from 1) and the error: "log.csv:7: column angle_rad (3): 'x'
+/// is not a number".
 [[nodiscard]] inline CsvTable read_csv(std::istream& in, const std::string& file,
                                        const std::vector<std::string>& wanted = {},
                                        CsvNumbers allowed = CsvNumbers::finite,
                                        const std::vector<std::string>& optional = {}) {
   CsvTable table{file, wanted, {}, {}};
-  std::vector<std::size_t> numbers;  // from 0, in the file, of the table's columns
+  std::vector<std::size_t> numbers;  // column numbers in the file, from 0
   std::size_t width = 0, line_number = 0;
   const auto wrong = [&](const std::string& what) {
     throw std::runtime_error(file + ':' + std::to_string(std::max<std::size_t>(line_number, 1)) +
@@ -150,7 +150,7 @@ inline std::string csv_quoted(std::string_view text) {
   return table;
 }
 
-/// The same from the file at `path`. Throws std::runtime_error if it cannot be read.
+/// The same for the file at `path`. Throws std::runtime_error if it cannot be read.
 [[nodiscard]] inline CsvTable read_csv(const std::string& path,
                                        const std::vector<std::string>& wanted = {},
                                        CsvNumbers allowed = CsvNumbers::finite,

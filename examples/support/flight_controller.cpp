@@ -24,27 +24,27 @@ void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) 
 
 template <int Rotors>
 ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
-  Wrench<> wrench;
+  Wrenchd wrench;
   wrench.force.z() = force;
   return allocation_.allocate(wrench, {}).command;
 }
 
 template <int Rotors>
-void FlightController<Rotors>::on_imu(double time, const InertialSample<>& sample) {
+void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample) {
   applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);
   observer_.update(time, ekf_.corrected(sample), allocation_.wrench(applied_));
 }
 
 template <int Rotors>
-void FlightController<Rotors>::on_pose(double time, const MarkerPose<>& pose) {
+void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
   ekf_.on_pose(time, pose);
 }
 
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
-  (void)nmpc_.prepare(time, reference, contact_.estimate());  // control() says what became of it
+  (void)nmpc_.prepare(time, reference, contact_.estimate());  // control() reports the status
 }
 
 template <int Rotors>
@@ -53,7 +53,7 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   if (!started_) return sent_.command;
   result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.take_state()) : nmpc_.hold(time);
   sent_ = allocation_.allocate(time, result_.wrench, result_.rate, sent_);
-  actuators_.update(time, sent_.command);  // acts from now on
+  actuators_.update(time, sent_.command);  // the command acts from now on
   return sent_.command;
 }
 

@@ -2,6 +2,7 @@
 
 #include "csv.hpp"
 #include "spread_flight.hpp"
+#include "statistics.hpp"
 #include "vehicle_spread.hpp"
 
 #include <algorithm>
@@ -17,10 +18,10 @@
 #include <utility>
 #include <vector>
 
-/// The flights of a Monte Carlo run as rows of numbers: written, read, merged and summed up.
+/// The flights of a Monte Carlo run as rows of numbers: writes, reads, merges and summarises them.
 namespace examples {
 
-/// What a row holds: which vehicle, what it is, how it flew.
+/// Returns one row: the vehicle number, its parameters and the result of its flight.
 [[nodiscard]] inline std::vector<std::pair<std::string, double>> flight_row(std::uint64_t seed,
                                                                             std::uint64_t index,
                                                                             const VehicleDraw& d,
@@ -68,14 +69,14 @@ namespace examples {
   return names;
 }
 
-/// True for what a count or number can be: a whole number that a double holds exactly.
+/// True if `value` can be a count or an index: a whole number that a double represents exactly.
 [[nodiscard]] inline bool is_count(double value) {
   return value >= 0.0 && value <= 9007199254740992.0 && value == std::floor(value);
 }
 
-/// The rows of several files as one table, sorted by index. Throws std::runtime_error naming file
-/// and line if a file cannot be read, is of another seed, has a vehicle a second time, or a seed,
-/// index or verdict that is none.
+/// Merges the rows of several files into one table, sorted by index. Throws std::runtime_error with
+/// file and line if a file cannot be read or has another seed. Throws it also if a vehicle occurs
+/// twice, or if a seed, index or verdict is invalid.
 [[nodiscard]] inline CsvTable merge_flights(const std::vector<std::string>& files) {
   CsvTable all{"", flight_columns(), {}, {}};
   struct Row {
@@ -113,17 +114,9 @@ namespace examples {
   return all;
 }
 
-/// The least value that at least `share` of the values do not exceed. NaN counts as the largest.
-[[nodiscard]] inline double quantile(std::vector<double> values, double share) {
-  const double rank = std::ceil(share * static_cast<double>(values.size())) - 1.0;
-  const auto place = static_cast<std::ptrdiff_t>(std::max(rank, 0.0));
-  std::nth_element(values.begin(), values.begin() + place, values.end(),
-                   [](double a, double b) { return a < b || (std::isnan(b) && !std::isnan(a)); });
-  return values[static_cast<std::size_t>(place)];
-}
-
-/// Row numbers from the worst vehicle on: divergences first, then by the larger of the RMSEs'
-/// shares of what is allowed, 6 cm in the air and 10 cm on the ground.
+/// Returns the row numbers from the worst vehicle to the best. Divergences come first. Other
+/// flights are ordered by the larger ratio of an RMSE to its limit: 6 cm in the air, 10 cm on the
+/// ground.
 [[nodiscard]] inline std::vector<std::size_t> worst_first(const CsvTable& flights) {
   const auto badness = [&flights](std::size_t i) {
     const double rmse =
@@ -137,7 +130,8 @@ namespace examples {
   return order;
 }
 
-/// Percentiles of all flights, the worst five and how `program` flies each of them again.
+/// Prints percentiles of all flights, the worst five, and the command of `program` to repeat each
+/// of these.
 inline void print_flights(std::ostream& out, const CsvTable& flights, const std::string& program) {
   const std::vector<double>& verdicts = flights["verdict"];
   out << "vehicles: " << flights.rows() << '\n';
@@ -145,14 +139,15 @@ inline void print_flights(std::ostream& out, const CsvTable& flights, const std:
       << std::count_if(verdicts.begin(), verdicts.end(), [](double v) { return v != 0.0; }) << '\n';
   out << std::fixed << std::setprecision(4);
   out << std::left << std::setw(22) << "percentile" << std::right;
-  const std::vector<double> shares = {0.05, 0.5, 0.95, 0.99, 1.0};
-  for (const double share : shares) out << std::setw(10) << std::lround(100.0 * share);
+  const std::vector<double> fractions = {0.05, 0.5, 0.95, 0.99, 1.0};
+  for (const double fraction : fractions) out << std::setw(10) << std::lround(100.0 * fraction);
   out << '\n';
   for (const char* name :
        {"air_rmse_m", "ground_rmse_m", "mission_rmse_m", "max_error_m", "flight_power_w",
         "ground_power_w", "touchdown_speed_mps", "mode_changes", "solver_failures"}) {
     out << std::left << std::setw(22) << name << std::right;
-    for (const double share : shares) out << std::setw(10) << quantile(flights[name], share);
+    for (const double fraction : fractions)
+      out << std::setw(10) << percentile(flights[name], fraction);
     out << '\n';
   }
   const std::vector<std::size_t> order = worst_first(flights);

@@ -18,21 +18,22 @@
 #include <utility>
 #include <vector>
 
-/// Instances of the benchmark's optimal-control problem as CSV, one a line under a header line that
-/// names every column. Numbers are as std::from_chars reads them, a `+` before them is allowed;
-/// blanks around a field do not count. There is no quoting. Blank lines are passed over; lines may
-/// end in CR LF, the last one need not end at all.
+/// Instances of the optimal-control problem of the benchmark as CSV, one per line below a header
+/// line that names every column. Numbers have the format of std::from_chars; a `+` before them is
+/// allowed. Blanks around a field are ignored. There is no quoting. Blank lines are skipped. Lines
+/// may end in CR LF; the last line need not end.
 namespace examples {
 
 enum class InstanceBounds { paper, wide };
 
 struct Instance {
-  std::string id;  ///< any text without comma or control characters
+  std::string id;  ///< any text without commas or control characters
   InstanceBounds bounds = InstanceBounds::wide;
-  tilt_ropter::Wrench<> external;  ///< Fe, Me: known to the controller, constant, body frame
-  tilt_ropter::State<> start;      ///< x_0
-  tilt_ropter::BodyState<>
-      reference;  ///< constant over the horizon; its angular velocity is always zero
+  /// Fe, Me: known to the controller, constant, body frame [N; N m].
+  tilt_ropter::Wrenchd external;
+  tilt_ropter::Stated start;  ///< x_0
+  tilt_ropter::BodyStated
+      reference;  ///< constant over the horizon; the angular velocity is always zero
 };
 
 inline constexpr std::array<std::string_view, 37> instance_columns = {
@@ -42,7 +43,7 @@ inline constexpr std::array<std::string_view, 37> instance_columns = {
     "w_x",     "w_y",     "w_z",     "ref_p_x", "ref_p_y", "ref_p_z", "ref_v_x", "ref_v_y",
     "ref_v_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"};
 
-/// What is wrong with a file, and where; both count from 1, columns in characters of UTF-8.
+/// An error in a file with its position; both start at 1, columns in UTF-8 characters.
 struct InstanceError {
   std::size_t line = 1;
   std::size_t column = 1;
@@ -50,13 +51,13 @@ struct InstanceError {
 };
 
 struct InstanceFile {
-  std::vector<Instance> instances;    ///< all lines that are right
-  std::vector<InstanceError> errors;  ///< one for each line that is not
+  std::vector<Instance> instances;    ///< all valid lines
+  std::vector<InstanceError> errors;  ///< one for each invalid line
 };
 
 namespace detail {
 
-/// Where each part of InstanceNumbers starts; `start` is a PackedState.
+/// Index of each part of InstanceNumbers; `start` is a PackedState.
 struct InstanceIndex {
   static constexpr int external_force = 0, external_torque = 3, start = 6, reference_position = 25,
                        reference_velocity = 28, reference_orientation = 31;
@@ -65,7 +66,7 @@ struct InstanceIndex {
 using InstanceNumbers = Eigen::Matrix<double, 35, 1>;  // the columns after id and bounds, in order
 
 struct Field {
-  std::string_view text;  // without the blanks around it
+  std::string_view text;  // without surrounding blanks
   std::size_t offset;     // in the line, in bytes
 };
 
@@ -89,7 +90,7 @@ inline bool is_control(char c) {
   return byte < 0x20 || byte == 0x7f;
 }
 
-/// For messages on a terminal: short, and no control characters.
+/// For messages on a terminal: short and without control characters.
 inline std::string quoted(std::string_view text) {
   constexpr std::size_t longest = 40;
   std::string shown(text.substr(0, longest));
@@ -105,7 +106,7 @@ inline std::size_t column_of(std::string_view line, std::size_t offset) {
   return 1 + static_cast<std::size_t>(std::count_if(line.begin(), end, starts_character));
 }
 
-/// Reads a whole field into `value`; what is wrong with it, or nothing.
+/// Reads a complete field into `value`. Returns the error, or an empty text.
 inline std::string read_number(std::string_view text, double& value) {
   const bool plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
   const std::string_view number = plus ? text.substr(1) : text;
@@ -115,7 +116,7 @@ inline std::string read_number(std::string_view text, double& value) {
   return std::isfinite(value) ? "" : "is not finite";
 }
 
-/// Normalises; false if there is no direction to keep.
+/// Normalises q. Returns false if q has no usable direction.
 inline bool normalise(Eigen::Quaterniond& q) {
   const double norm = q.coeffs().stableNorm();
   if (!(norm > 1e-3) || !std::isfinite(norm)) return false;
@@ -125,14 +126,14 @@ inline bool normalise(Eigen::Quaterniond& q) {
 
 }  // namespace detail
 
-/// The header line, without its end.
+/// Returns the header line without its line end.
 [[nodiscard]] inline std::string instance_header() {
   std::string line;
   for (const std::string_view name : instance_columns) (line += line.empty() ? "" : ",") += name;
   return line;
 }
 
-/// True if `line` is the header line; else `error` says what its first difference is.
+/// Returns true if `line` is the header line. Otherwise `error` describes the first difference.
 [[nodiscard]] inline bool check_instance_header(std::string_view line, InstanceError& error) {
   const std::vector<detail::Field> fields = detail::split(line);
   const std::string expected = "; the header line must be " + instance_header();
@@ -152,8 +153,8 @@ inline bool normalise(Eigen::Quaterniond& q) {
   return false;
 }
 
-/// The instance that `line` (without its end) holds, quaternions normalised; or nothing, and
-/// `error` says what is wrong at which column.
+/// Returns the instance in `line` (without its line end) with normalised quaternions. Returns
+/// nothing on an error, which `error` then describes with its column.
 [[nodiscard]] inline std::optional<Instance> parse_instance(std::string_view line,
                                                             InstanceError& error) {
   const std::vector<detail::Field> fields = detail::split(line);
@@ -199,14 +200,14 @@ inline bool normalise(Eigen::Quaterniond& q) {
   return instance;
 }
 
-/// Shortest text that reads back as the same double.
+/// Returns the shortest text that reads back as the same double.
 [[nodiscard]] inline std::string to_csv(double value) {
   std::array<char, 32> text{};
   const auto result = std::to_chars(text.data(), text.data() + text.size(), value);
   return {text.data(), result.ptr};
 }
 
-/// The line, without its end, that parse_instance() reads.
+/// Returns the line, without its line end, that parse_instance() reads.
 [[nodiscard]] inline std::string to_csv(const Instance& instance) {
   const Eigen::Quaterniond& q = instance.reference.orientation;
   detail::InstanceNumbers n;
@@ -218,7 +219,7 @@ inline bool normalise(Eigen::Quaterniond& q) {
   return line;
 }
 
-/// Reads a whole file. Without a right header line nothing else is read.
+/// Reads a complete file. After an invalid header line it reads nothing else.
 [[nodiscard]] inline InstanceFile read_instances(std::istream& in) {
   InstanceFile file;
   InstanceError error;
@@ -240,7 +241,7 @@ inline bool normalise(Eigen::Quaterniond& q) {
     else
       file.errors.push_back(error);
   }
-  // A first line of no text at all ends the loop before it begins.
+  // An empty file ends the loop at once.
   if (error.line == 1) {
     (void)check_instance_header("", error);
     file.errors.push_back(error);

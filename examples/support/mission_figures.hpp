@@ -1,5 +1,7 @@
 #pragma once
 
+#include "statistics.hpp"
+
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
@@ -12,25 +14,31 @@
 #include <ostream>
 #include <vector>
 
-/// The figures by which a flown mission is judged, beside those of the paper.
+/// The performance figures of a flown mission, next to the figures of the paper.
 namespace examples {
 
 class MissionFigures {
  public:
-  /// `of_the_paper`: the vehicle is that of the paper, whose figures are printed beside.
+  /// `of_the_paper`: the vehicle is the one of the paper, and its figures are printed next to ours.
   explicit MissionFigures(double flight_height, bool of_the_paper = true)
       : flight_height_(flight_height), of_the_paper_(of_the_paper) {}
 
-  /// One step of the plant: phase, where the CoM is and should be [m], its vertical speed [m/s],
-  /// power [W], and whether a wheel touches the ground.
+  /// Call this after each step of the plant. Arguments: phase, position and reference of the CoM
+  /// [m], its vertical speed [m/s], power [W], and whether a wheel touches the ground.
   void on_plant(tilt_ropter::MissionPhase phase, const Eigen::Vector3d& position,
                 const Eigen::Vector3d& reference, double vertical_speed, double power,
                 bool touching) {
     using tilt_ropter::MissionPhase;
     const double square = (position - reference).squaredNorm();
-    all_.add(square, power);
-    if (phase == MissionPhase::air) air_.add(square, power);
-    if (phase == MissionPhase::ground) ground_.add(square, power);
+    all_.add_square(square);
+    if (phase == MissionPhase::air) {
+      air_.add_square(square);
+      air_power_.add(power);
+    }
+    if (phase == MissionPhase::ground) {
+      ground_.add_square(square);
+      ground_power_.add(power);
+    }
     if (phase == MissionPhase::take_off || phase == MissionPhase::hover)
       takeoff_overshoot_ = std::max(takeoff_overshoot_, position.z() - flight_height_);
     if (phase == MissionPhase::take_off)
@@ -39,24 +47,23 @@ class MissionFigures {
     was_touching_ = touching;
   }
 
-  /// What the observer says and what acts on the vehicle, force in the body frame [N].
+  /// Compares the estimated external force with the true one, both in the body frame [N].
   void on_external_force(tilt_ropter::MissionPhase phase, const Eigen::Vector3d& estimated,
                          const Eigen::Vector3d& truth) {
-    if (phase == tilt_ropter::MissionPhase::air)
-      force_error_.add((estimated - truth).squaredNorm(), 0.0);
+    if (phase == tilt_ropter::MissionPhase::air) force_error_.add((estimated - truth).norm());
   }
 
-  /// One tick of the controller.
+  /// Call this after each tick of the controller.
   void on_control(bool solved, double total_us, double feedback_us) {
     if (!solved) ++failures_;
     total_us_.push_back(total_us);
     feedback_us_.push_back(feedback_us);
   }
 
-  /// One tick of the controller, `tick` [s] after the last: tilt angles commanded and true [rad]
-  /// and the greatest tilt rate of the wrench that is commanded [rad/s]. What a servo is asked for
-  /// is the speed at which it has to start towards its command, (command - true angle) / time
-  /// constant, before its own limit cuts it.
+  /// Call this after each tick of the controller, `tick` [s] after the last one. Arguments:
+  /// commanded and true tilt angles [rad], and the largest tilt rate of the commanded wrench
+  /// [rad/s]. The demand on a servo is its initial speed towards the command, (command - true
+  /// angle) / time constant. It does not include the rate limit of the servo.
   template <int Rotors>
   void on_servos(const Eigen::Matrix<double, Rotors, 1>& command,
                  const Eigen::Matrix<double, Rotors, 1>& angle, double planned,
@@ -71,7 +78,7 @@ class MissionFigures {
     if (demanded > servo.max_rate) ++exceeded_;
   }
 
-  /// What the plant tells, beside the paper's figures.
+  /// Prints the figures from the plant, next to the figures of the paper.
   void print_flight(std::ostream& out) const {
     const auto line = [&out](const char* key, double value, int digits) {
       print_line(out, key, value, digits);
@@ -79,18 +86,19 @@ class MissionFigures {
     const auto paper = [&](const char* key, double value, int digits) {
       if (of_the_paper_) line(key, value, digits);
     };
-    const bool both = air_.count > 0 && ground_.count > 0;  // a flight can be cut short
-    if (air_.count > 0) line("air_rmse_m", air_.rmse(), 4);
+    const bool both = air_.count() > 0 && ground_.count() > 0;  // a flight can end early
+    if (air_.count() > 0) line("air_rmse_m", air_.value(), 4);
     paper("paper_air_rmse_m", 0.052, 4);
-    if (ground_.count > 0) line("ground_rmse_m", ground_.rmse(), 4);
+    if (ground_.count() > 0) line("ground_rmse_m", ground_.value(), 4);
     paper("paper_ground_rmse_m", 0.145, 4);
-    line("mission_rmse_m", all_.rmse(), 4);
+    line("mission_rmse_m", all_.value(), 4);
     paper("paper_mission_rmse_m", 0.125, 4);
-    if (air_.count > 0) line("flight_power_w", air_.power(), 2);
+    if (air_.count() > 0) line("flight_power_w", air_power_.value(), 2);
     paper("paper_flight_power_w", 653.64, 2);
-    if (ground_.count > 0) line("ground_power_w", ground_.power(), 2);
+    if (ground_.count() > 0) line("ground_power_w", ground_power_.value(), 2);
     paper("paper_ground_power_w", 47.38, 2);
-    if (both) line("power_saved_percent", 100.0 * (1.0 - ground_.power() / air_.power()), 2);
+    if (both)
+      line("power_saved_percent", 100.0 * (1.0 - ground_power_.value() / air_power_.value()), 2);
     paper("paper_power_saved_percent", 92.8, 2);
     line("touchdown_speed_mps", touchdown_speed_, 3);
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
@@ -103,7 +111,7 @@ class MissionFigures {
       print_line(out, key, value, digits);
     };
     line("contact_mode_changes", contact_mode_changes, 0);
-    if (force_error_.count > 0) line("external_force_error_n", force_error_.rmse(), 3);
+    if (force_error_.count() > 0) line("external_force_error_n", force_error_.value(), 3);
     line("servo_speed_radps", servo_speed_, 2);
     line("tilt_rate_max_radps", demanded_max_, 2);
     line("tilt_rate_exceeded_share",
@@ -122,28 +130,10 @@ class MissionFigures {
     out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
   }
 
-  struct Means {
-    double squares = 0.0, powers = 0.0;
-    long count = 0;
-    void add(double square, double power_now) {
-      squares += square;
-      powers += power_now;
-      ++count;
-    }
-    [[nodiscard]] double rmse() const { return std::sqrt(squares / static_cast<double>(count)); }
-    [[nodiscard]] double power() const { return powers / static_cast<double>(count); }
-  };
-
-  static double percentile(std::vector<double>& values, double share) {
-    if (values.empty()) return 0.0;
-    const auto index = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-    std::nth_element(values.begin(), values.begin() + index, values.end());
-    return values[static_cast<std::size_t>(index)];
-  }
-
   double flight_height_;
   bool of_the_paper_;
-  Means all_, air_, ground_, force_error_;
+  Rmse all_, air_, ground_, force_error_;
+  Mean air_power_, ground_power_;
   double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0;
   double servo_speed_ = 0.0, demanded_max_ = 0.0, planned_max_ = 0.0, slope_max_ = 0.0;
   Eigen::VectorXd last_command_;

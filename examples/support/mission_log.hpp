@@ -10,7 +10,7 @@
 
 namespace examples {
 
-/// A CSV file with a header line, one row a time: PlotJuggler and gnuplot open it.
+/// Writes a CSV file with a header line, row by row. PlotJuggler and gnuplot can open it.
 class MissionLog {
  public:
   /// Throws std::runtime_error if the file cannot be written.
@@ -33,8 +33,8 @@ class MissionLog {
     return *this;
   }
 
-  /// Ends the row. Throws std::logic_error if it is not as wide as the header, std::runtime_error
-  /// if the disk is full.
+  /// Ends the row. Throws std::logic_error if the row has a different number of values than the
+  /// header, and std::runtime_error if writing fails, for example because the disk is full.
   void end_row() {
     if (count_ != columns_.size())
       throw std::logic_error(path_ + ": row of " + std::to_string(count_) + " values under " +

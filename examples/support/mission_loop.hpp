@@ -19,78 +19,82 @@
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
-/// The main job on any plant: sensors, controller, log and figures of the hybrid mission.
+/// The mission loop on any plant: sensors, controller, log and figures of the hybrid mission.
 namespace examples {
 
 struct MissionOptions {
   std::string output = "results";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
-  double height_offset = 0.0, height_drift = 0.0;  // of motion capture [m]
-  double vibration = 0.0;                          // of the gyroscope [rad/s]
-  double observer_bandwidth = 20.0;                // [1/s]
+  double height_offset = 0.0, height_drift = 0.0;  // height error of motion capture [m]
+  double vibration = 0.0;                          // rms of the gyroscope vibration [rad/s]
+  double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path;
-  double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;  // as the vehicle has
-  bool no_actuator_rows = false;
+  // Defaults mean: the values of the vehicle.
+  double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
+  bool no_actuator_constraints = false;
   bool no_pictures = false;
 };
 
-/// Tells `app` of the options; `options` is filled when it parses.
+/// Adds the options to `app`; parsing fills `options`.
 inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_option("-o,--output", options.output, "directory for the logs and the pictures")
       ->take_last()
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle_path,
-                 "JSON file of the vehicle to fly; the Tilt-Ropter without");
-  app.add_option("--seed", options.seed, "of the sensors' noise")
+                 "JSON file of the vehicle to fly; default: the Tilt-Ropter");
+  app.add_option("--seed", options.seed, "seed of the sensor noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  app.add_option("--mass-error", options.mass_error, "true mass / believed mass - 1")
+  app.add_option("--mass-error", options.mass_error, "true mass / mass in the model - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
-  app.add_option("--inertia-error", options.inertia_error, "true inertia / believed inertia - 1")
+  app.add_option("--inertia-error", options.inertia_error,
+                 "true inertia / inertia in the model - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
-  app.add_option("--thrust-error", options.thrust_error, "true thrust / believed thrust - 1")
+  app.add_option("--thrust-error", options.thrust_error, "true thrust / thrust in the model - 1")
       ->check(CLI::Range(-0.5, 1.0))
       ->capture_default_str();
   app.add_option("--height-offset", options.height_offset,
-                 "by which motion capture is too high, from the start [m]")
+                 "constant error of the height from motion capture [m]")
       ->check(CLI::Range(-2.0, 2.0))
       ->capture_default_str();
   app.add_option("--height-drift", options.height_drift,
-                 "by which it gets too high, evenly over the mission [m]")
+                 "error of that height at the end of the mission; it grows evenly [m]")
       ->check(CLI::Range(-2.0, 2.0))
       ->capture_default_str();
   app.add_option(
          "--vibration", options.vibration,
-         "of the IMU at 97 Hz: rms of each rate [rad/s]; ten times as much in each specific "
-         "force [m/s^2]")
+         "vibration of the IMU at 97 Hz: rms of each angular velocity [rad/s]; ten times this "
+         "number in each specific force [m/s^2]")
       ->check(CLI::Range(0.0, 10.0));
   app.add_option("--observer-bandwidth", options.observer_bandwidth,
-                 "of the wrench observer in all axes [1/s]")
+                 "bandwidth of the wrench observer in all axes [1/s]")
       ->check(CLI::Range(0.1, 1000.0))
       ->capture_default_str();
   app.add_option("--servo-speed", options.servo_speed,
-                 "of the servos, true and believed, instead of the vehicle's [rad/s]")
+                 "largest speed of the servos, in plant and model; default: the vehicle's [rad/s]")
       ->check(CLI::Range(0.1, 100.0));
   app.add_option("--servo-time-constant", options.servo_time_constant,
-                 "of the servos, believed, such as identify_servo finds it; the true one stays the "
-                 "vehicle's [s]")
+                 "time constant of the servos in the model, such as identify_servo finds it; the "
+                 "plant keeps the vehicle's [s]")
       ->check(CLI::Range(0.001, 1.0));
   app.add_option("--ground-thrust", options.ground_thrust,
-                 "vertical, asked for on the ground, instead of what suits weight and servos [N]")
+                 "vertical force commanded on the ground; default: by weight and servo speed [N]")
       ->check(CLI::Range(0.0, 1000.0));
-  app.add_flag("--no-actuator-rows", options.no_actuator_rows,
-               "bound the wrench and its rate by boxes alone, as in the paper");
-  app.add_flag("--no-pictures", options.no_pictures, "write the log only");
+  app.add_flag("--no-actuator-rows", options.no_actuator_constraints,
+               "bound the wrench and its rate by boxes only, as in the paper");
+  app.add_flag("--no-pictures", options.no_pictures,
+               "write the log only: no pictures and no page report.html");
 }
 
-/// The vehicle to simulate and the one that the controller believes in.
+/// The simulated vehicle and the vehicle that the controller assumes.
 template <int Rotors>
 struct MissionVehicles {
   tilt_ropter::Vehicle<Rotors> truth, believed;
@@ -138,6 +142,10 @@ inline std::vector<std::string> mission_columns(int rotor_count) {
   add("tilt_true_rad", rotors);
   add("rotor_speed_radps", rotors);
   for (const char* name : {"power_w", "active_rows", "kkt"}) names.emplace_back(name);
+  add("reference_orientation", {"w", "x", "y", "z"});
+  for (const char* name : {"status", "filter_running", "filter_age_s", "observer_trust",
+                           "allocation_status", "ground_height_m", "ground_force_n"})
+    names.emplace_back(name);
   return names;
 }
 
@@ -145,7 +153,7 @@ template <typename Plant, int Rotors>
 void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& plant,
              const FlightController<Rotors>& controller, double power) {
   const double time = plant.time();
-  const tilt_ropter::BodyState<>& body = plant.body();
+  const tilt_ropter::BodyStated& body = plant.body();
   const tilt_ropter::NmpcResult& result = controller.result();
   const Eigen::Quaterniond& q = body.orientation;
   log.add(time).add(static_cast<int>(mission.phase(time))).add(result.on_ground);
@@ -156,25 +164,33 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add_all(plant.external_wrench().force).add_all(plant.external_wrench().torque);
   log.add_all(controller.command().tilt_angle).add_all(controller.applied().tilt_angle);
   log.add_all(plant.actuators().tilt_angle).add_all(plant.actuators().rotor_speed);
-  log.add(power).add(result.report.active_rows).add(result.report.kkt);
+  log.add(power).add(result.report.active_constraints).add(result.report.kkt);
+  const Eigen::Quaterniond reference = mission(time).orientation;
+  log.add(reference.w()).add(reference.x()).add(reference.y()).add(reference.z());
+  const tilt_ropter::ContactEstimate& contact = controller.contact().estimate();
+  log.add(static_cast<int>(result.status)).add(controller.ekf().running());
+  log.add(time - controller.ekf().filter_time());
+  log.add(static_cast<int>(controller.observer().trust(time)));
+  log.add(static_cast<int>(controller.allocated().status));
+  log.add(contact.ground.height_at(body.position)).add(contact.ground_reaction.force.norm());
   log.end_row();
 }
 
 }  // namespace detail
 
-/// Flies the hybrid mission on `plant`, prints its figures and leaves hybrid_mission.csv and
-/// solve_times.csv in the output directory. Plant has the interface of tilt_ropter::Plant.
-/// `disturbance()` gives the wrench on the body during the next step; `on_step(mission)` is called
-/// after every step. `ground_is_off`: it is not where the mission takes it to be.
-/// Figures are relative to what motion capture says; on the ground they are horizontal where the
-/// height is off. A vehicle without wheels or legs begins in hover. Throws std::runtime_error if
-/// the plant refuses a step.
+/// Flies the hybrid mission on `plant`, prints and returns its figures, and writes
+/// hybrid_mission.csv and solve_times.csv to the output directory. Plant has the interface of
+/// tilt_ropter::Plant. `disturbance()` returns the wrench on the body during the next step;
+/// `on_step(mission)` is called after every step. `ground_is_off`: the ground is not where the
+/// mission assumes it. The figures are relative to the output of motion capture. If the height is
+/// wrong, the figures on the ground contain only horizontal errors. A vehicle without wheels or
+/// legs starts in hover. Throws std::runtime_error if the plant rejects a step.
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
-void fly_mission(const MissionOptions& options, const VehicleFile& file,
-                 const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
-                 OnStep&& on_step, bool ground_is_off = false) {
+std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
+                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
+                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
   using namespace tilt_ropter;
-  constexpr double step = 1e-3;       // of the plant [s]
+  constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
 
   const Mission mission = hybrid_mission(vehicles.believed);
@@ -182,7 +198,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   VehicleFile believed = file;
   believed.vehicle = vehicles.believed;
   NmpcSettings settings = examples::in_simulated_time(believed.settings());
-  settings.actuator_rows = !options.no_actuator_rows;
+  settings.actuator_constraints = !options.no_actuator_constraints;
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
@@ -200,16 +216,17 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   if (!undercarriage(vehicles.believed)) {
     command = controller.lift(vehicles.believed.body.mass * gravity);
     controller.start_with(command);
-    BodyState<> start;
+    BodyStated start;
     start.position = mission(0.0).position;
     plant.reset(start, command);
   }
 
   std::filesystem::create_directories(options.output);
   MissionLog log(options.output + "/hybrid_mission.csv", detail::mission_columns(Rotors));
-  // Apart, because the same seed gives the same log bit for bit, and not the same wall times.
+  // A separate file, because the same seed gives exactly the same log, but not the same wall-clock
+  // times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
-  MissionFigures figures(HybridMissionParameters{}.flight_height, options.vehicle_path.empty());
+  MissionFigures figures(HybridMissionSettings{}.flight_height, options.vehicle_path.empty());
   const auto height_error_at = [&](double time) {
     return options.height_offset + options.height_drift * time / mission.duration();
   };
@@ -222,7 +239,7 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
     const double time = plant.time();
     const double height_error = height_error_at(time);
     sensors.sense(plant, controller, height_error);
-    if (i % steps_per_tick == 0 && controller.started()) {  // from the first pose on
+    if (i % steps_per_tick == 0 && controller.started()) {  // after the first pose
       controller.prepare(time, reference);
       command = controller.control(time);
       const NmpcResult& result = controller.result();
@@ -238,7 +255,8 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
       detail::log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
     }
     if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
-    if (!plant.step(command, disturbance(), step)) throw std::runtime_error("the plant broke");
+    if (!plant.step(command, disturbance(), step))
+      throw std::runtime_error("the plant rejected a step");
     const MissionPhase phase = mission.phase(plant.time());
     const Eigen::Vector3d wanted = mission(plant.time()).position;
     Eigen::Vector3d seen = plant.body().position;
@@ -250,9 +268,12 @@ void fly_mission(const MissionOptions& options, const VehicleFile& file,
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   progress.finish();
-  figures.print(std::cout, controller.contact().mode_changes());
-  std::cout << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
-            << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
+  std::ostringstream printed;
+  figures.print(printed, controller.contact().mode_changes());
+  printed << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
+          << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
+  std::cout << printed.str();
+  return printed.str();
 }
 
 }  // namespace examples

@@ -9,9 +9,9 @@
 
 namespace examples {
 
-/// What the vehicle of the mission senses: an IMU with biases at 1 kHz, rotor speeds, and motion
-/// capture at 100 Hz that is 20 ms late.
-template <int Rotors = 4>
+/// The sensors of the vehicle in the mission: an IMU with biases at 1 kHz, rotor speeds, and motion
+/// capture at 100 Hz with a delay of 20 ms.
+template <int Rotors>
 struct MissionSensors {
   explicit MissionSensors(std::uint64_t seed)
       : imu(imu_parameters(), seed),
@@ -34,7 +34,7 @@ struct MissionSensors {
     return p;
   }
 
-  /// What the estimator is told of them.
+  /// Returns the settings of the estimator for these sensors.
   static tilt_ropter::EkfSettings estimation() {
     const tilt_ropter::PoseSensorParameters p = pose_parameters();
     tilt_ropter::EkfSettings settings;
@@ -42,14 +42,16 @@ struct MissionSensors {
     return settings;
   }
 
-  /// What they say of `plant` now, to `controller`; motion capture is `height_error` [m] too high.
+  /// Passes the current measurements of `plant` to `controller`. Motion capture is `height_error`
+  /// [m] too high.
   template <typename Plant, typename Controller>
   void sense(const Plant& plant, Controller& controller, double height_error = 0.0) {
     const double time = plant.time();
     if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
     if (auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force())) {
-      // Near the frequency of a 100 Hz loop, where a single sample a tick makes it a slow swing.
+      // Near 100 Hz: a loop with a single sample per tick sees this vibration as a slow
+      // oscillation.
       constexpr double frequency = 97.0;  // [Hz]
       const double now =
           vibration * std::sqrt(2.0) * std::sin(2.0 * tilt_ropter::pi * frequency * time);
@@ -57,13 +59,13 @@ struct MissionSensors {
       m->specific_force.array() += 10.0 * now;
       controller.on_imu(m->time, *m);
     }
-    tilt_ropter::BodyState<> seen = plant.body();
+    tilt_ropter::BodyStated seen = plant.body();
     seen.position.z() += height_error;
     if (const auto m = poses.sample(time, seen)) controller.on_pose(m->time, *m);
   }
 
-  double vibration =
-      0.0;  ///< rms of each rate [rad/s]; ten times as much in specific force [m/s^2]
+  /// Rms of each angular rate [rad/s]; the specific force has ten times this value in [m/s^2].
+  double vibration = 0.0;
   tilt_ropter::ImuSensor imu;
   tilt_ropter::RotorSpeedSensor<Rotors> rotor_speeds;
   tilt_ropter::PoseSensor poses;

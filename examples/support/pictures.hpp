@@ -7,8 +7,9 @@
 
 namespace examples {
 
-/// Runs a gnuplot script of the examples in `directory`, where it reads its data and leaves its
-/// pictures. Says so on standard error if that fails; a program's result does not hang on pictures.
+/// Runs a gnuplot script of the examples in `directory`. The script reads its data there and writes
+/// its pictures there. A failure prints a message on standard error but does not change the result
+/// of the program.
 inline void draw_pictures(const std::string& script, const std::string& directory) {
   std::cout << "drawing pictures in " << directory << " (gnuplot)" << std::endl;
   const std::string path = TILT_ROPTER_EXAMPLES_DIR "/" + script;

@@ -12,21 +12,23 @@
 #include <utility>
 #include <vector>
 
-/// The residual of a real-time iteration's quadratic program counted again from the problem's own
-/// functions, by nothing that the solver has computed but its plan and its multipliers.
+/// Independent check of the residual of a quadratic program in a real-time iteration: it is
+/// recomputed from the functions of the problem. It uses nothing computed by the solver but its
+/// plan and multipliers.
 namespace examples {
 
-/// For problems without equalities in force.
+/// For problems without active equalities.
 template <typename Problem>
 class ProgramAudit {
  public:
-  using Solver = tilt_ropter::MultipleShooting<Problem>;
-  using D = tilt_ropter::ProblemDimensions<Problem>;
+  using Solver = tilt_ropter::optimal_control::MultipleShooting<Problem>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<Problem>;
   using State = typename Problem::State;
 
-  /// Remembers where `solver` has linearised, problem and plan: between prepare() and feedback().
+  /// Stores the problem and the plan at which `solver` has linearised. Call it between prepare()
+  /// and feedback().
   void before(const Solver& solver) {
-    if (solver.goes_on()) return;  // with the program of the tick before
+    if (solver.goes_on()) return;  // continues with the program of the tick before
     problem_ = solver.problem();
     states_.clear();
     inputs_.clear();
@@ -36,9 +38,11 @@ class ProgramAudit {
     }
   }
 
-  /// After feedback(): largest of stationarity (relative to its largest term), continuity,
-  /// violation (relative to the bound, where no multiplier at its price explains it) and
-  /// complementarity. The solver may have started cold instead: then from its first state.
+  /// Call this after feedback(). Returns the largest of stationarity (relative to its largest
+  /// term), continuity, violation (relative to the bound, unless a multiplier at its price explains
+  /// it) and complementarity. A residual of 1e-3 or more can result from a cold start of the
+  /// solver. The function then also checks from the first state of the solver and returns the
+  /// smaller value.
   [[nodiscard]] double after(const Solver& solver) {
     const double warm = residual(solver);
     if (warm < 1e-3) return warm;
@@ -50,7 +54,8 @@ class ProgramAudit {
   }
 
  private:
-  // Steps follow from the inputs: a difference of states does not know of turns beyond a half.
+  // Steps are computed from the inputs: a difference of states does not represent rotations above
+  // half a turn.
   [[nodiscard]] double residual(const Solver& solver) {
     const Problem& problem = *problem_;
     const int horizon = solver.horizon();
@@ -60,7 +65,7 @@ class ProgramAudit {
     for (int k = 0; k <= horizon; ++k) {
       const auto i = static_cast<std::size_t>(k);
       largest_multiplier =
-          std::max(largest_multiplier, solver.row_multipliers(k).cwiseAbs().maxCoeff());
+          std::max(largest_multiplier, solver.constraint_multipliers(k).cwiseAbs().maxCoeff());
       worst = std::max(worst,
                        problem.difference(solver.state(k), problem.retract(states_[i], steps_[i]))
                            .cwiseAbs()
@@ -76,14 +81,14 @@ class ProgramAudit {
       const auto i = static_cast<std::size_t>(k);
       const typename D::Tangent& dx = steps_[i];
       const typename D::Input du = solver.input(k) - inputs_[i];
-      typename Solver::Rows multipliers = solver.row_multipliers(k);
-      tilt_ropter::QuadraticModel<D::nx, D::nu> model;
+      typename Solver::Constraints multipliers = solver.constraint_multipliers(k);
+      tilt_ropter::optimal_control::QuadraticModel<D::nx, D::nu> model;
       problem.cost_model(k, states_[i], inputs_[i], model);
-      typename D::RowsX C = D::RowsX::Zero();
-      typename D::RowsU E = D::RowsU::Zero();
-      problem.row_derivatives(k, states_[i], inputs_[i], C, E);
-      const typename D::Rows value = problem.row_values(k, states_[i], inputs_[i]);
-      typename D::Rows predicted = value + C * dx;
+      typename D::ConstraintsX C = D::ConstraintsX::Zero();
+      typename D::ConstraintsU E = D::ConstraintsU::Zero();
+      problem.constraint_derivatives(k, states_[i], inputs_[i], C, E);
+      const typename D::Constraints value = problem.constraint_values(k, states_[i], inputs_[i]);
+      typename D::Constraints predicted = value + C * dx;
       if (k < horizon) {
         predicted += E * du;
         const auto& [A, B] = derivatives_[i];
@@ -104,7 +109,7 @@ class ProgramAudit {
         const double outside = std::max(over, under);
         const double unit =
             1.0 + std::abs(over > under ? problem.upper(k)(r) : problem.lower(k)(r));
-        if (outside > 0.0 && !solver.given_up(k, r)) worst = std::max(worst, outside / unit);
+        if (outside > 0.0 && !solver.relaxed(k, r)) worst = std::max(worst, outside / unit);
         if (m != 0.0)
           worst = std::max(worst, std::min(std::abs(m) / (1.0 + largest_multiplier),
                                            -(m > 0.0 ? over : under) / unit));

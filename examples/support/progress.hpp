@@ -8,14 +8,14 @@
 
 namespace examples {
 
-/// How far a long run is: a bar on a terminal; elsewhere a line whenever what is being done
-/// changes. On standard error, for results to be piped.
+/// Shows the progress of a long run on standard error, so that results can be piped: a bar on a
+/// terminal, otherwise a line whenever the current activity changes.
 class Progress {
  public:
-  /// `share` of the run is done, from 0 to 1; `doing` says what is being done now.
-  void show(double share, const std::string& doing) {
-    const auto done = static_cast<std::size_t>(25.0 * share);
-    const int percent = static_cast<int>(100.0 * share);
+  /// `fraction` of the run that is done, 0 to 1. `doing`: the current activity.
+  void show(double fraction, const std::string& doing) {
+    const auto done = static_cast<std::size_t>(25.0 * fraction);
+    const int percent = static_cast<int>(100.0 * fraction);
     if (terminal_)
       std::cerr << "\r[" << std::string(done, '#') << std::string(25 - done, '.') << "] " << percent
                 << " %  " << doing << "        " << std::flush;

@@ -7,50 +7,52 @@
 #include <optional>
 #include <vector>
 
-/// Least squares for a rotor on a thrust stand: thrust and torque go with the square of the speed,
-/// power with its cube; the thrust also with a linear term beside the square. Intervals are of 95
-/// %, for noise that is the same at all speeds.
+/// Least-squares fits for a rotor on a thrust stand. Thrust and torque are proportional to the
+/// square of the speed, power to its cube. A second fit of the thrust has an additional linear
+/// term. The intervals are 95 % confidence intervals, for noise that is the same at all speeds.
 namespace examples {
 
-/// A number and the half width of its interval.
+/// A value and the half width of its interval.
 struct Estimate {
   double value = 0.0, half_width = 0.0;
 };
 
-/// How well a law fits.
+/// Quality of a fit.
 struct Goodness {
   double residual_rms = 0.0, r_squared = 0.0;
 };
 
-/// Thrust and exponent: thrust = coefficient speed^2, and how it goes if the exponent is free.
+/// Fit of thrust = coefficient speed^2, and the exponent of the speed if it is free.
 struct ThrustFit {
   Estimate coefficient, exponent;
   Goodness goodness;
 };
 
-/// thrust = quadratic speed^2 + linear speed.
+/// Fit of thrust = quadratic speed^2 + linear speed.
 struct CurveFit {
   Estimate quadratic, linear;
   Goodness goodness;
-  double linear_share = 0.0;  ///< of the linear term in the thrust at the fastest speed
+  /// Fraction of the thrust from the linear term, at the highest speed.
+  double linear_fraction = 0.0;
 
   [[nodiscard]] double thrust(double speed) const {
     return (quadratic.value * speed + linear.value) * speed;
   }
-  /// Whether the interval of the linear term leaves zero out and the term matters: with a share
-  /// below 3 %, the thrust without it is off by less than 1 % of the largest thrust.
+  /// True if the interval of the linear term does not contain zero and the term matters. With a
+  /// fraction below 3 %, the thrust without this term is wrong by less than 1 % of the largest
+  /// thrust.
   [[nodiscard]] bool linear_is_significant() const {
-    return std::abs(linear.value) > linear.half_width && std::abs(linear_share) >= 0.03;
+    return std::abs(linear.value) > linear.half_width && std::abs(linear_fraction) >= 0.03;
   }
 };
 
-/// torque = ratio thrust; the residual is that from ratio coefficient speed^2.
+/// Fit of torque = ratio thrust; the residual is torque - ratio coefficient speed^2.
 struct TorqueFit {
   Estimate ratio;
   Goodness goodness;
 };
 
-/// power = idle + coefficient speed^3.
+/// Fit of power = idle + coefficient speed^3.
 struct PowerFit {
   Estimate idle, coefficient;
   Goodness goodness;
@@ -58,9 +60,9 @@ struct PowerFit {
 
 namespace detail {
 
-/// Student's t: of so many degrees of freedom, 95 % lie within +- this. For more than two by
-/// G. W. Hill's expansion about the normal distribution ("Student's t-quantiles", Algorithm 396,
-/// 1970), good to 0.2 %.
+/// Student's t distribution with `freedom` degrees of freedom: 95 % of the values are within +- the
+/// returned number. Above two degrees of freedom it uses G. W. Hill's expansion about the normal
+/// distribution ("Student's t-quantiles", Algorithm 396, 1970), which is accurate to 0.2 %.
 inline double student_95(std::size_t freedom) {
   if (freedom == 0) return std::numeric_limits<double>::infinity();
   if (freedom == 1) return 12.7062;
@@ -85,7 +87,7 @@ inline double mean(const std::vector<double>& a) {
   return sum / static_cast<double>(a.size());
 }
 
-/// y - factor x.
+/// Returns y - factor x.
 inline std::vector<double> left(const std::vector<double>& y, double factor,
                                 const std::vector<double>& x) {
   std::vector<double> rest = y;
@@ -110,8 +112,8 @@ inline Goodness goodness(const std::vector<double>& residuals, const std::vector
           1.0 - dot(residuals, residuals) / dot(spread, spread)};
 }
 
-/// Half width for `residuals` after `parameters` were fitted, of what has the variance
-/// noise^2 / information.
+/// Returns the half width of the interval of a value with the variance noise^2 / information, from
+/// the `residuals` after a fit of this number of `parameters`.
 inline double half_width(const std::vector<double>& residuals, std::size_t parameters,
                          double information) {
   const std::size_t freedom = residuals.size() - parameters;
@@ -119,7 +121,8 @@ inline double half_width(const std::vector<double>& residuals, std::size_t param
          std::sqrt(dot(residuals, residuals) / static_cast<double>(freedom) / information);
 }
 
-/// b of y = a x^b, x in [0, 1], for the best a; looked for between 0.1 and 10 by golden sections.
+/// Returns b of y = a x^b, x in [0, 1], for the best a. Searches between 0.1 and 10 by
+/// golden-section search.
 inline Estimate free_exponent(const std::vector<double>& x, const std::vector<double>& y) {
   const auto residuals = [&](double b) {
     const std::vector<double> law = power_of(x, b);
@@ -136,7 +139,7 @@ inline Estimate free_exponent(const std::vector<double>& x, const std::vector<do
       low = high - step;
   }
   const double b = 0.5 * (low + high);
-  // What a step of b does that no step of a undoes.
+  // The effect of a step of b that no step of a compensates.
   const std::vector<double> law = power_of(x, b);
   const double a = dot(law, y) / dot(law, law);
   std::vector<double> by_exponent = law;
@@ -148,7 +151,7 @@ inline Estimate free_exponent(const std::vector<double>& x, const std::vector<do
 
 }  // namespace detail
 
-/// Speeds >= 0 [rad/s], not all of them the same, at least three.
+/// Fits the thrust. Needs at least three speeds >= 0 [rad/s] that are not all equal.
 inline ThrustFit fit_thrust(const std::vector<double>& speeds, const std::vector<double>& thrusts) {
   const std::vector<double> squares = detail::power_of(speeds, 2.0);
   const double information = detail::dot(squares, squares);
@@ -157,17 +160,18 @@ inline ThrustFit fit_thrust(const std::vector<double>& speeds, const std::vector
   const std::vector<double> residuals = detail::left(thrusts, fit.coefficient.value, squares);
   fit.coefficient.half_width = detail::half_width(residuals, 1, information);
   fit.goodness = detail::goodness(residuals, thrusts);
-  std::vector<double> shares = speeds;
+  std::vector<double> fractions = speeds;
   const double fastest = *std::max_element(speeds.begin(), speeds.end());
-  for (double& share : shares) share /= fastest;
-  fit.exponent = detail::free_exponent(shares, thrusts);
+  for (double& fraction : fractions) fraction /= fastest;
+  fit.exponent = detail::free_exponent(fractions, thrusts);
   return fit;
 }
 
-/// The same speeds; nothing where all that turn are equal, which leaves the two terms one.
+/// The same with a linear term. Returns nothing if all non-zero speeds are equal, because the two
+/// terms cannot then be separated.
 inline std::optional<CurveFit> fit_curve(const std::vector<double>& speeds,
                                          const std::vector<double>& thrusts) {
-  // In parts of the fastest speed, so that the two terms are of one size.
+  // Speeds as fractions of the highest speed, so that both terms have the same magnitude.
   const double fastest = *std::max_element(speeds.begin(), speeds.end());
   std::vector<double> x = speeds;
   for (double& part : x) part /= fastest;
@@ -186,12 +190,13 @@ inline std::optional<CurveFit> fit_curve(const std::vector<double>& speeds,
   fit.linear = {linear / fastest,
                 detail::half_width(residuals, 2, determinant / of_square) / fastest};
   fit.goodness = detail::goodness(residuals, thrusts);
-  fit.linear_share = linear / (quadratic + linear);
+  fit.linear_fraction = linear / (quadratic + linear);
   return fit;
 }
 
-/// The ratio by which torque - ratio thrust has nothing left that goes with the square of the
-/// speed: noise of the thrust does not pull it down, as it would a fit of torque over thrust.
+/// Fits the ratio such that torque - ratio thrust has no part proportional to the square of the
+/// speed. Noise in the thrust does not bias this ratio towards zero, as it would bias a fit of
+/// torque over thrust.
 inline TorqueFit fit_torque(const std::vector<double>& speeds, const std::vector<double>& thrusts,
                             const std::vector<double>& torques) {
   const std::vector<double> squares = detail::power_of(speeds, 2.0);

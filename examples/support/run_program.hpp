@@ -9,10 +9,12 @@
 
 namespace examples {
 
-/// What is left of main(): parses the options that `app` knows, runs, tells errors. Returns what
-/// `run()` does, 1 after an error, 2 for a vehicle that cannot be, above 100 for wrong options.
+/// The common part of main(): parses the options in `app`, runs the program and prints errors.
+/// Returns the result of run(), `error_code` after an error, 2 for an invalid vehicle, and above
+/// 100 for wrong options.
 template <typename Run>
-int run_program(CLI::App& app, const char* name, int argc, char** argv, const Run& run) {
+int run_program(CLI::App& app, const char* name, int argc, char** argv, const Run& run,
+                int error_code = 1) {
   CLI11_PARSE(app, argc, argv);
   try {
     return run();
@@ -21,7 +23,7 @@ int run_program(CLI::App& app, const char* name, int argc, char** argv, const Ru
     return 2;
   } catch (const std::exception& error) {
     std::cerr << name << ": " << error.what() << '\n';
-    return 1;
+    return error_code;
   }
 }
 

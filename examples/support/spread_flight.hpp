@@ -1,6 +1,7 @@
 #pragma once
 
 #include "flight_controller.hpp"
+#include "statistics.hpp"
 #include "vehicle_spread.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
@@ -17,16 +18,16 @@
 #include <optional>
 #include <utility>
 
-/// The hybrid mission flown by one vehicle of a Monte Carlo run and what came of it.
+/// The hybrid mission flown by one vehicle of a Monte Carlo run, and the result of the flight.
 namespace examples {
 
-/// How a flight ended; all but the first are divergences.
+/// Result of a flight; all values but the first are divergences.
 enum class Verdict {
   ok,
-  not_finite,  ///< the plant broke
+  not_finite,  ///< the plant failed: a number was not finite
   lost,        ///< more than 2 m from the reference
-  tipped,      ///< leaned more than 60 degrees
-  grounded     ///< touched the ground where it should fly, or ended more than 5 cm above the ground
+  tipped,      ///< tilted by more than 60 degrees
+  grounded     ///< contact where it should fly, or ended more than 5 cm above the ground
 };
 
 [[nodiscard]] constexpr const char* to_string(Verdict verdict) noexcept {
@@ -45,18 +46,18 @@ enum class Verdict {
   return "unknown";
 }
 
-/// Errors are those of the point that the controller takes for the CoM.
+/// Errors refer to the point that the controller assumes to be the CoM.
 struct FlightRecord {
   Verdict verdict = Verdict::ok;
-  double time = 0.0;                                             ///< flown [s]
+  double time = 0.0;                                             ///< flight time [s]
   double air_rmse = 0.0, ground_rmse = 0.0, mission_rmse = 0.0;  ///< [m]
   double max_error = 0.0;                                        ///< [m]
-  double flight_power = 0.0, ground_power = 0.0;                 ///< mean [W]
-  double touchdown_speed = 0.0;                                  ///< the worse of two [m/s]
+  double flight_power = 0.0, ground_power = 0.0;                 ///< mean power [W]
+  double touchdown_speed = 0.0;  ///< largest of all touchdowns [m/s]
   int mode_changes = 0, solver_failures = 0;
 };
 
-/// Wind that gusts: a mean and a first-order Gauss-Markov process, cut to 1.5 N.
+/// Wind with gusts: a mean and a first-order Gauss-Markov process, limited to 1.5 N.
 class Wind {
  public:
   Wind(const VehicleDraw& draw, std::uint64_t seed)
@@ -64,7 +65,7 @@ class Wind {
               Eigen::Vector3d(std::cos(draw.wind_direction), std::sin(draw.wind_direction), 0.0)),
         noise_(seed) {}
 
-  /// The force on the vehicle, world frame [N], `dt` [s] after the last.
+  /// Returns the force on the vehicle, world frame [N], `dt` [s] after the last call.
   [[nodiscard]] Eigen::Vector3d next(double dt) {
     constexpr double correlation_time = 1.0, strongest = 1.5;
     const double kept = std::exp(-dt / correlation_time);
@@ -78,15 +79,15 @@ class Wind {
   tilt_ropter::GaussianNoise noise_;
 };
 
-/// Flies the vehicle of `draw` on a hybrid mission while the controller takes it for `believed`.
-/// The same arguments give the same record bit for bit.
+/// Flies a hybrid mission with the vehicle of `draw`, while the controller assumes the vehicle
+/// `believed`. The same arguments give exactly the same record.
 template <typename OnTick>
 [[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random,
                                       const tilt_ropter::Vehicle<4>& believed,
                                       const tilt_ropter::NmpcSettings& settings,
                                       const tilt_ropter::Mission& mission, OnTick&& on_tick) {
   using namespace tilt_ropter;
-  constexpr double step = 1e-3;       // of the plant [s]
+  constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
   const Vehicle<4> truth = true_vehicle(draw, believed);
   const Reference reference = [&mission](double time) { return mission(time); };
@@ -129,9 +130,10 @@ template <typename OnTick>
   start.body.position.head<2>() += draw.com_offset.head<2>();
   plant.reset(start);
 
-  const Eigen::Vector3d centre = -draw.com_offset;  // of the believed vehicle, from the CoM
+  // CoM of the assumed vehicle relative to the true CoM.
+  const Eigen::Vector3d centre = -draw.com_offset;
   const auto body_at_centre = [&] {
-    BodyState<> body = plant.body();
+    BodyStated body = plant.body();
     body.velocity += body.orientation * body.angular_velocity.cross(centre);
     body.position += body.orientation * centre;
     return body;
@@ -139,9 +141,8 @@ template <typename OnTick>
   FlightRecord record;
   std::deque<std::pair<double, ActuatorState<4>>> under_way;
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
-  double squares = 0.0, air_squares = 0.0, ground_squares = 0.0;
-  double air_power = 0.0, ground_power = 0.0;
-  long count = 0, air_count = 0, ground_count = 0;
+  Rmse error, air_error, ground_error;
+  Mean air_power, ground_power;
   bool was_touching = stands.has_value();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps && record.verdict == Verdict::ok; ++i) {
@@ -169,8 +170,8 @@ template <typename OnTick>
       acting = under_way.front().second;
       under_way.pop_front();
     }
-    const Wrench<> disturbance{plant.body().orientation.conjugate() * force,
-                               Eigen::Vector3d::Zero()};
+    const Wrenchd disturbance{plant.body().orientation.conjugate() * force,
+                              Eigen::Vector3d::Zero()};
     if (!plant.step(acting, disturbance, step)) {
       record.verdict = Verdict::not_finite;
       break;
@@ -179,17 +180,14 @@ template <typename OnTick>
     const double square =
         (body_at_centre().position - mission(plant.time()).position).squaredNorm();
     const double power_now = power.power(plant.actuators().rotor_speed);
-    squares += square;
-    ++count;
+    error.add_square(square);
     if (phase == MissionPhase::air) {
-      air_squares += square;
-      air_power += power_now;
-      ++air_count;
+      air_error.add_square(square);
+      air_power.add(power_now);
     }
     if (phase == MissionPhase::ground) {
-      ground_squares += square;
-      ground_power += power_now;
-      ++ground_count;
+      ground_error.add_square(square);
+      ground_power.add(power_now);
     }
     record.max_error = std::max(record.max_error, std::sqrt(square));
     const bool touching = plant.normal_forces().sum() > 0.0;
@@ -206,12 +204,11 @@ template <typename OnTick>
       record.verdict = Verdict::grounded;
   }
   record.time = plant.time();
-  const auto mean = [](double sum, long n) { return n > 0 ? sum / static_cast<double>(n) : 0.0; };
-  record.mission_rmse = std::sqrt(mean(squares, count));
-  record.air_rmse = std::sqrt(mean(air_squares, air_count));
-  record.ground_rmse = std::sqrt(mean(ground_squares, ground_count));
-  record.flight_power = mean(air_power, air_count);
-  record.ground_power = mean(ground_power, ground_count);
+  record.mission_rmse = error.value();
+  record.air_rmse = air_error.value();
+  record.ground_rmse = ground_error.value();
+  record.flight_power = air_power.value();
+  record.ground_power = ground_power.value();
   record.mode_changes = controller.contact().mode_changes();
   return record;
 }

@@ -21,7 +21,8 @@
 #include <string>
 #include <vector>
 
-/// Flights that begin with something bad: what a controller recovers from, and what its ticks cost.
+/// Flights that start with a large disturbance: they show which disturbances a controller recovers
+/// from and the processor time of its ticks.
 namespace examples {
 
 enum class Scenario { step, yaw, knocked, thrown, inverted, random };
@@ -34,7 +35,8 @@ enum class Scenario { step, yaw, knocked, thrown, inverted, random };
   return all;
 }
 
-/// Sizes that the checks of the controller ask for: m, degrees, rad/s, m/s, degrees, and a factor.
+/// Returns the size of a scenario in the checks of the controller. Units: step m, yaw and inverted
+/// degrees, knocked rad/s, thrown m/s; random is a factor.
 [[nodiscard]] inline double usual_size(Scenario scenario) {
   switch (scenario) {
     case Scenario::step:
@@ -51,19 +53,20 @@ enum class Scenario { step, yaw, knocked, thrown, inverted, random };
   }
   return 1.0;
 }
-/// Where the vehicle hovers before it [m]: high enough for physics to allow a recovery.
+/// Returns the height at which the vehicle hovers before the disturbance [m]. It is high enough for
+/// a physically possible recovery.
 [[nodiscard]] inline double usual_height(Scenario scenario) {
   return scenario == Scenario::random ? 20.0 : 10.0;
 }
 
-/// What a flight begins with: the reference, and the state the vehicle is put into.
+/// Start of a flight: the reference, and the state into which the vehicle is put.
 struct StressStart {
   tilt_ropter::ReferencePoint reference;
-  tilt_ropter::BodyState<> body;
+  tilt_ropter::BodyStated body;
 };
 
-/// Flight 0 has the plainest direction (forward, left, about (8, 6, 4)), others any; in a step
-/// every horizontal one.
+/// Returns the start of flight `index`. Flight 0 has the simplest direction (forward, left, about
+/// (8, 6, 4)). The other flights have random directions; a step has a random horizontal direction.
 [[nodiscard]] inline StressStart stress_start(Scenario scenario, double size, double height,
                                               std::uint64_t seed, std::uint64_t index) {
   using tilt_ropter::quaternion_exp;
@@ -116,23 +119,28 @@ struct StressStart {
   return start;
 }
 
-/// How far off a vehicle is at one time.
+/// Deviation of a vehicle from the reference at one time.
 struct StressSample {
-  double time = 0.0;                                ///< since it began [s]
-  double distance = 0.0, angle = 0.0, speed = 0.0;  ///< from the reference [m, rad, m/s]
-  double height = 0.0;                              ///< of the CoM [m]
+  double time = 0.0;  ///< since the disturbance [s]
+  /// Distance, angle and speed relative to the reference [m, rad, m/s].
+  double distance = 0.0, angle = 0.0, speed = 0.0;
+  double height = 0.0;  ///< height of the CoM [m]
 };
 
 struct StressRecord {
   bool recovered = false;
-  double recovery_time = 0.0;      ///< after which it stayed within 0.1 m, 0.1 rad, 0.2 m/s [s]
-  double lowest = 0.0;             ///< height [m]
-  double worst_bound_ratio = 0.0;  ///< largest command or rate over its bound
-  double worst_solved = 0.0;       ///< largest residual of a tick called solved, counted again
-  int unsolved_called_solved = 0;  ///< ticks
-  int approximate = 0, failures = 0, most_passes = 0;  ///< ticks, ticks, Riccati passes in a tick
-  std::vector<double> hover_us, tick_us;  ///< processor time of ticks, before and after it began
-  std::vector<StressSample> samples;      ///< ten a second
+  /// Time after which the vehicle stayed within 0.1 m, 0.1 rad, 0.2 m/s [s].
+  double recovery_time = 0.0;
+  double lowest = 0.0;             ///< lowest height [m]
+  double worst_bound_ratio = 0.0;  ///< largest ratio of a command or rate to its bound
+  double worst_solved = 0.0;       ///< largest recomputed residual of a tick with the status solved
+  /// Number of ticks with the status solved and a residual above the limit.
+  int unsolved_called_solved = 0;
+  /// Numbers of approximate and failed ticks; largest number of Riccati passes in a tick.
+  int approximate = 0, failures = 0, most_passes = 0;
+  /// Processor time of ticks before and after the disturbance [us].
+  std::vector<double> hover_us, tick_us;
+  std::vector<StressSample> samples;  ///< ten samples per second
   [[nodiscard]] double worst_us() const {
     return tick_us.empty() ? 0.0 : *std::max_element(tick_us.begin(), tick_us.end());
   }
@@ -144,7 +152,7 @@ struct StressRecord {
   return 1e6 * static_cast<double>(now.tv_sec) + 1e-3 * static_cast<double>(now.tv_nsec);
 }
 
-/// The largest of |x| / bound, where the bound is lower or upper.
+/// Returns the largest |x| / bound, where the bound is the lower or the upper one.
 [[nodiscard]] inline double bound_ratio(const Eigen::Vector3d& x, const Eigen::Vector3d& lower,
                                         const Eigen::Vector3d& upper) {
   double largest = 0.0;
@@ -156,8 +164,8 @@ struct StressRecord {
   return largest;
 }
 
-/// Hovers for two seconds, is put into what `start` says, and flies on for `duration` [s] under
-/// controller, observer and allocation at the period of `settings`, on true states.
+/// Hovers for two seconds, is then put into the state of `start`, and flies on for `duration` [s].
+/// Runs controller, observer and allocation at the period of `settings`, with true states.
 template <int Rotors>
 [[nodiscard]] StressRecord fly_stress(const tilt_ropter::Vehicle<Rotors>& vehicle,
                                       const tilt_ropter::NmpcSettings& settings,
@@ -172,15 +180,15 @@ template <int Rotors>
   Plant<Rotors> plant(vehicle);
   Allocation<Rotors> allocation(vehicle);
   ActuatorModel<Rotors> actuators(vehicle);
-  WrenchObserver<> observer(vehicle.body);
+  WrenchObserverd observer(vehicle.body);
   Nmpc<Rotors> nmpc(vehicle, settings);
   ProgramAudit<typename Nmpc<Rotors>::Problem> audit;
   const NmpcBounds& bounds = settings.problem.bounds;
 
-  Wrench<> hover;
+  Wrenchd hover;
   hover.force.z() = vehicle.body.mass * gravity;
   AllocationResult<Rotors> sent = allocation.allocate(hover, ActuatorState<Rotors>{});
-  BodyState<> hovering;
+  BodyStated hovering;
   hovering.position = reference.position;
   plant.reset(hovering, sent.command);
   actuators.reset(sent.command, 0.0);
@@ -205,7 +213,7 @@ template <int Rotors>
     const ActuatorState<Rotors> applied{plant.actuators().rotor_speed,
                                         actuators.update(time, sent.command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
-    if (i == before) observer.reset();  // it has been put elsewhere
+    if (i == before) observer.reset();  // the vehicle has been moved
     const double began = thread_microseconds();
     (void)nmpc.prepare(
         time, [&](double) { return reference; }, in_the_air(observer.external()));
@@ -218,7 +226,7 @@ template <int Rotors>
     if (result.status == NmpcStatus::solved) {
       const double residual = audit.after(nmpc.solver());
       record.worst_solved = std::max(record.worst_solved, residual);
-      // Twice: the solver's units differ a little from those of the audit.
+      // Factor 2: the units of the solver differ slightly from those of the audit.
       if (!(residual <= 2.0 * settings.solver.program.tolerance)) ++record.unsolved_called_solved;
     } else if (result.status == NmpcStatus::approximate) {
       ++record.approximate;

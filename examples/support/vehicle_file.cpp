@@ -24,7 +24,7 @@ namespace {
 using namespace tilt_ropter;
 using Json = nlohmann::ordered_json;
 
-/// For a message: one line, and not all of a file.
+/// Text of a value for messages: one line, at most 60 characters.
 std::string shown(const Json& value) {
   constexpr std::size_t longest = 60;
   const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
@@ -51,8 +51,8 @@ struct Range {
   }
 };
 
-/// One JSON object, whose fields are asked for by name. Those that nobody asked for are refused,
-/// since a name that is spelt wrong would otherwise be a parameter that silently does nothing.
+/// One JSON object whose fields are read by name. refuse_unknown() rejects all other fields,
+/// because a misspelt name would otherwise be ignored without a message.
 class Fields {
  public:
   Fields(const Json& object, std::string path) : object_(object), path_(std::move(path)) {
@@ -63,7 +63,7 @@ class Fields {
     return path_.empty() ? key : path_ + '.' + key;
   }
 
-  /// The field, or null if there is none.
+  /// Returns the field, or nullptr if it does not exist.
   const Json* find(const std::string& key) {
     asked_.insert(key);
     const auto found = object_.find(key);
@@ -106,7 +106,7 @@ class Fields {
     return vector(get(key, allowed), name(key), range, allowed);
   }
 
-  /// Leaves `value` as it is where there is no such field.
+  /// Does not change `value` if the field does not exist.
   void vector_if_there(const std::string& key, const Range& range, Eigen::Vector3d& value) {
     if (find(key) != nullptr) value = vector(key, range);
   }
@@ -129,7 +129,7 @@ class Fields {
       std::string known;
       for (const std::string& other : asked_) known += (known.empty() ? "" : ", ") + other;
       throw VehicleFileError(name(key) + " = " + shown(value) +
-                             ": there is no such field; here are " + known);
+                             ": there is no such field; known fields are " + known);
     }
   }
 
@@ -157,7 +157,7 @@ class Fields {
 
 constexpr double degree = pi / 180.0;
 
-/// Whether `fields` has at least one of those of `rotor`.
+/// Returns true if `fields` has at least one rotor parameter.
 bool has_rotor_parameters(Fields& fields) {
   bool has = false;
   for (const char* key :
@@ -167,8 +167,8 @@ bool has_rotor_parameters(Fields& fields) {
   return has;
 }
 
-/// Those of the object `path`. A field that is not there is that of `common`, or missing where
-/// there is nothing in common.
+/// Reads the rotor parameters of the object `path`. A missing field takes the value of `common`; if
+/// `common` is nullptr, a missing field is an error.
 RotorParameters read_rotor_parameters(Fields& fields, const std::string& path,
                                       const RotorParameters* common) {
   const auto number = [&](const char* key, const Range& range, double RotorParameters::*field) {
@@ -219,7 +219,7 @@ RotorGeometry read_rotor(const Json& object, const std::string& path,
     if (std::abs(up.dot(out)) > 1e-3)
       refuse(fields.name("arm_axis"),
              shown(std::acos(up.dot(out)) / degree) + " deg from thrust_axis",
-             "at a right angle to it, to 0.06 deg");
+             "at a right angle to it, within 0.06 deg");
     rotor.spin = spin;
     rotor.orientation.col(2) = up;
     rotor.orientation.col(1) = up.cross(out).normalized();
@@ -310,7 +310,7 @@ void for_allowed_errors(Errors& e, const Action& action) {
          e.torque_rate);
 }
 
-/// The same for NmpcBounds.
+/// Calls action(key, range, field) for each field of NmpcBounds.
 template <typename Bounds, typename Action>
 void for_limits(Bounds& b, const Action& action) {
   const auto up_to = [](const char* unit) { return Range{1e-6, 1e6, unit}; };
@@ -347,17 +347,17 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   for (std::size_t i = 0; i < Rotors; ++i)
     vehicle.rotors[i] = read_rotor(list[i], "rotors[" + std::to_string(i) + ']', vehicle.rotor);
   const double weight = vehicle.body.mass * gravity;
-  // No more lift than all thrusts upward; whether they can be had together is for check_vehicle.
-  const double share = weight / Rotors;
+  // Necessary condition: the sum of all thrusts exceeds the weight. check_vehicle checks more.
+  const double per_rotor = weight / Rotors;
   double lift = 0.0;
   bool alike = true;
   for (std::size_t i = 0; i < Rotors; ++i) {
     lift += rotor_parameters(vehicle, i).max_thrust;
     alike = alike && !vehicle.rotors[i].parameters;
   }
-  if (alike && vehicle.rotor.max_thrust <= share)
+  if (alike && vehicle.rotor.max_thrust <= per_rotor)
     refuse("rotor.max_thrust_n", shown(vehicle.rotor.max_thrust),
-           "more than " + shown(share) + " N, a share of the weight, " + shown(weight) + " N");
+           "more than " + shown(per_rotor) + " N per rotor: the weight is " + shown(weight) + " N");
   if (!alike && lift <= weight)
     refuse("sum of max_thrust_n of all rotors", shown(lift),
            "more than the weight, " + shown(weight) + " N");
@@ -366,7 +366,7 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   return vehicle;
 }
 
-/// Everything but the rotors, which say of what type the vehicle is.
+/// Reads the whole file. The number of rotors determines the type of the vehicle.
 VehicleFile read(const Json& root) {
   Fields fields(root, "");
   const std::string object = "an object";
@@ -376,7 +376,7 @@ VehicleFile read(const Json& root) {
   common.body = read_body(fields.get("body", object));
   common.rotor = read_rotor_parameters(fields.get("rotor", object));
   common.servo = read_servo(fields.get("servo", object));
-  const auto there = [&fields](const char* key) -> const Json* {  // null is as good as nothing
+  const auto there = [&fields](const char* key) -> const Json* {  // null counts as missing
     const Json* value = fields.find(key);
     return value == nullptr || value->is_null() ? nullptr : value;
   };
@@ -437,8 +437,8 @@ VehicleFile read(const Json& root) {
   return file;
 }
 
-/// As nlohmann::json reads it, but a name that stands twice in an object is refused, of which that
-/// would take the last one.
+/// Parses JSON. Rejects repeated names in an object: nlohmann::json would silently use the last
+/// value.
 Json parse(std::istream& in) {
   std::vector<std::set<std::string>> names;
   std::string twice;
@@ -454,7 +454,7 @@ Json parse(std::istream& in) {
   return root;
 }
 
-/// To 12 digits: 0.1 rather than 0.10000000000000001.
+/// Rounds to 12 digits, to write 0.1 instead of 0.10000000000000001.
 double rounded(double value) {
   std::ostringstream text;
   text.precision(12);
@@ -466,8 +466,8 @@ std::array<double, 3> list_of(const Eigen::Vector3d& v) {
   return {rounded(v.x()), rounded(v.y()), rounded(v.z())};
 }
 
-/// The fields of `rotor` that differ from those of `common`; all that have to be there where there
-/// is nothing in common.
+/// Returns the fields of `rotor` that differ from `common`. If `common` is nullptr: all required
+/// fields, and optional fields that differ from the default.
 Json json_of(const RotorParameters& rotor, const RotorParameters* common) {
   Json object = Json::object();
   const auto add = [&](const char* key, double RotorParameters::*field, bool needed) {
@@ -537,8 +537,8 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
                      [&](const char* key, const Range&, const Eigen::Vector3d& value) {
                        root["allowed_errors"][key] = list_of(value);
                      });
-  // Only what is not the default, which goes with mass and size: whoever changes those in the file
-  // should not have to change these.
+  // Writes only limits that differ from the defaults. The defaults scale with mass and size, so
+  // that changes of mass and size in the file need no new limits.
   std::vector<Eigen::Vector3d> defaults;
   const NmpcBounds usual = nmpc_settings(v).problem.bounds;
   for_limits(usual, [&](const char*, const Range&, const Eigen::Vector3d& value) {
@@ -551,7 +551,7 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
   return root;
 }
 
-/// As text, lists of numbers in one line each.
+/// Returns JSON text with each list of numbers on one line.
 std::string text_of(const Json& root) {
   const std::string spread = root.dump(2);
   std::string text;
@@ -573,7 +573,7 @@ VehicleFile read_vehicle(std::istream& in, const std::string& file) {
   try {
     return read(parse(in));
   } catch (const Json::exception& error) {
-    const std::string text = error.what();  // behind the library's own number of the error
+    const std::string text = error.what();  // starts with the error number of the library
     throw VehicleFileError(file + ": " + text.substr(text.find("] ") + 2));
   } catch (const std::exception& error) {
     throw VehicleFileError(file + ": " + error.what());
@@ -597,7 +597,7 @@ Vehicle<4> quadrotor(const VehicleFile& file) {
   const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
   if (vehicle == nullptr)
     throw VehicleFileError(file.name +
-                           ": this program takes a vehicle of 4 rotors; hybrid_mission takes any");
+                           ": this program needs a vehicle of 4 rotors; hybrid_mission takes any");
   return *vehicle;
 }
 

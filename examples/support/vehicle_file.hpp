@@ -10,7 +10,7 @@
 #include <string>
 #include <variant>
 
-/// A vehicle of one's own as a JSON file: every parameter by name, the unit in the name.
+/// A user-defined vehicle in a JSON file: every parameter has a name with its unit.
 ///
 ///     { "name": "my vehicle",
 ///       "body": { "mass_kg": 1.5,
@@ -19,31 +19,31 @@
 ///                  "min_thrust_n": 0, "max_thrust_n": 12, "time_constant_s": 0.03 },
 ///       "servo": { "time_constant_s": 0.08, "max_rate_radps": 8, "min_angle_deg": -180,
 ///                  "max_angle_deg": 180, "dead_time_s": 0 },
-///       "rotors": [ { "azimuth_deg": -90, "length_m": 0.17,      on an arm in the plane of the
-///       CoM,
+///       "rotors": [ { "azimuth_deg": -90, "length_m": 0.17,      on an arm in the CoM's plane,
 ///                     "spin": "counter_clockwise", "tilts": true },
 ///                   { "position_m": [0.1, 0.1, 0.1],             or anywhere
-///                     "thrust_axis": [0, 0, 1],                  of the thrust at zero tilt
-///                     "arm_axis": [1, 0, 0],                     that the servo turns it about
-///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 of them
+///                     "thrust_axis": [0, 0, 1],                  direction of thrust at zero tilt
+///                     "arm_axis": [1, 0, 0],                     axis of the servo
+///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 rotors
 ///       "power": { "electronics_w": 20, "hover_w": 653.64 },
 ///
 ///                                                                optional from here on
-///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2,       without wheels and legs it
-///                   "wheel_base_m": 0 },                         stays in the air
+///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2,       without wheels or legs the
+///                   "wheel_base_m": 0 },                         vehicle stays in the air
 ///       "legs": { "height_m": 0.12, "half_length_m": 0.15,       instead of wheels
 ///                 "half_width_m": 0.15 },
 ///       "battery_wh": 100,
 ///       "battery_nominal_v": 22.2,      under load, at which the rotors reach max_thrust_n
-///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  any of AllowedErrors
-///       "limits": { "force_max_n": [6, 6, 30] } }                any of NmpcBounds
+///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  fields of AllowedErrors
+///       "limits": { "force_max_n": [6, 6, 30] } }                fields of NmpcBounds
 ///
-/// All in the body frame, x forward, y left, z up, from the CoM. `thrust_axis` and `arm_axis` need
-/// not have length one; a rotor that does not tilt needs no `arm_axis`.
+/// All values are in the body frame (x forward, y left, z up) with the CoM as its origin.
+/// `thrust_axis` and `arm_axis` need not be unit vectors. A rotor that does not tilt needs no
+/// `arm_axis`.
 ///
-/// `rotor` may also hold `linear_thrust_coefficient_n_s_per_rad`, zero by default: thrust =
-/// thrust_coefficient speed^2 + linear_thrust_coefficient speed. An entry of `rotors` may hold any
-/// field of `rotor`, which holds for this rotor instead of the common one.
+/// `rotor` may also contain `linear_thrust_coefficient_n_s_per_rad` (default zero): thrust =
+/// thrust_coefficient speed^2 + linear_thrust_coefficient speed. An entry of `rotors` may contain
+/// any field of `rotor`; the value then replaces the common one for this rotor.
 namespace examples {
 
 using AnyVehicle =
@@ -52,54 +52,55 @@ using AnyVehicle =
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
   AnyVehicle vehicle = tilt_ropter::tilt_ropter_vehicle();
-  double battery_wh = 0.0;  ///< 0: not known
+  double battery_wh = 0.0;  ///< 0: unknown
   tilt_ropter::AllowedErrors allowed_errors;
   tilt_ropter::NmpcBounds limits;
 
-  /// What the vehicle stands on.
+  /// Returns the undercarriage (wheels or legs), if there is one.
   [[nodiscard]] std::optional<tilt_ropter::Undercarriage> undercarriage() const {
     return std::visit([](const auto& v) { return tilt_ropter::undercarriage(v); }, vehicle);
   }
 
-  /// The controller's settings for this vehicle.
+  /// Returns the settings of the controller for this vehicle.
   [[nodiscard]] tilt_ropter::NmpcSettings settings() const {
     auto s = std::visit(
         [this](const auto& v) { return tilt_ropter::nmpc_settings(v, allowed_errors); }, vehicle);
     s.problem.bounds = limits;
-    s.ground.planned_height = 0.0;  // as the missions have it
+    s.ground.planned_height = 0.0;  // as in the missions
     return s;
   }
 };
 
-/// The same without a limit on time: in a simulation it stands still while the controller computes,
-/// and results are the same on every machine.
+/// Returns the same settings without a time limit: in a simulation, time stands still while the
+/// controller computes, and the results are the same on every machine.
 [[nodiscard]] inline tilt_ropter::NmpcSettings in_simulated_time(
     tilt_ropter::NmpcSettings settings) {
   settings.time_limit = std::numeric_limits<double>::infinity();
   return settings;
 }
 
-/// A vehicle that cannot be: the message names file, field, value and what is allowed.
+/// An invalid vehicle: the message contains file, field, value and the allowed values.
 class VehicleFileError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// Reads and checks every field, and whether they fit together: a body that can exist, a geometry
-/// that gives every wrench, rotors that carry the weight, limits that hold it. `file` is what
-/// messages call it. Throws VehicleFileError.
+/// Reads and checks every field, and checks that the fields fit together: a physically possible
+/// body, a geometry that gives every wrench, rotors that carry the weight, limits that allow hover.
+/// `file` is the name in messages. Throws VehicleFileError.
 [[nodiscard]] VehicleFile read_vehicle(std::istream& in, const std::string& file);
 [[nodiscard]] VehicleFile read_vehicle(const std::string& path);
 
-/// Writes what read_vehicle() takes, to at least 12 digits. Throws std::runtime_error if it cannot.
+/// Writes a file that read_vehicle() reads, with at least 12 digits. Throws std::runtime_error if
+/// the file cannot be written.
 void write_vehicle(const VehicleFile& file, const std::string& path);
 
-/// The Tilt-Ropter where `path` is empty.
+/// Returns the Tilt-Ropter if `path` is empty, otherwise the vehicle in this file.
 [[nodiscard]] inline VehicleFile vehicle_or_default(const std::string& path) {
   return path.empty() ? VehicleFile{} : read_vehicle(path);
 }
 
-/// For programs that take four rotors. Throws VehicleFileError on others.
+/// For programs that need four rotors. Throws VehicleFileError for any other vehicle.
 [[nodiscard]] tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file);
 
 }  // namespace examples

@@ -12,33 +12,38 @@
 #include <cstdint>
 #include <random>
 
-/// The vehicles of a Monte Carlo run: what may differ from the vehicle that the controller believes
-/// in, and by how much.
+/// The vehicles of a Monte Carlo run: the parameters that may differ from the vehicle that the
+/// controller assumes, and the ranges of the differences.
 namespace examples {
 
-/// One vehicle, its sensors and its weather. Factors multiply the believed vehicle's value.
+/// One vehicle, its sensors and its wind. Factors multiply the value of the assumed vehicle.
 struct VehicleDraw {
-  double mass = 1.0;                                     ///< factor, 0.8 to 1.2
-  Eigen::Vector3d inertia = Eigen::Vector3d::Ones();     ///< factors by axis, 0.7 to 1.3
-  Eigen::Vector3d com_offset = Eigen::Vector3d::Zero();  ///< each axis to 1 cm, body frame [m]
-  double thrust = 1.0;                                   ///< factor, 0.85 to 1.15
-  double servo_time_constant = 1.0;                      ///< factor, 0.5 to 2
-  double rotor_time_constant = 1.0;                      ///< factor, 0.5 to 2
-  double command_delay = 0.0;                            ///< to rotors and servos, to 20 ms [s]
-  double capture_delay = 0.0;                            ///< of motion capture, to 20 ms [s]
-  double noise = 1.0;                                    ///< factor of all sensors', 0.5 to 2
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< to 0.02 by axis [rad/s]
-  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< to 0.1 by axis [m/s^2]
-  double wind = 0.0;            ///< size of the mean, to 1 N; with gusts to 1.5 N [N]
-  double wind_direction = 0.0;  ///< it blows to, about world z, -pi to pi [rad]
-  double friction = 0.8;        ///< of wheels and ground, 0.3 to 1
+  double mass = 1.0;  ///< factor of the mass, 0.8 to 1.2
+  /// Factors of the inertia per axis, 0.7 to 1.3.
+  Eigen::Vector3d inertia = Eigen::Vector3d::Ones();
+  /// Offset of the CoM, up to 1 cm per axis, body frame [m].
+  Eigen::Vector3d com_offset = Eigen::Vector3d::Zero();
+  double thrust = 1.0;               ///< factor of the thrust, 0.85 to 1.15
+  double servo_time_constant = 1.0;  ///< factor of the servo time constant, 0.5 to 2
+  double rotor_time_constant = 1.0;  ///< factor of the rotor time constant, 0.5 to 2
+  double command_delay = 0.0;        ///< delay of commands to rotors and servos, up to 20 ms [s]
+  double capture_delay = 0.0;        ///< delay of motion capture, up to 20 ms [s]
+  double noise = 1.0;                ///< factor of the noise of all sensors, 0.5 to 2
+  /// Gyroscope bias, up to 0.02 per axis [rad/s].
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();
+  /// Accelerometer bias, up to 0.1 per axis [m/s^2].
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();
+  double wind = 0.0;  ///< mean wind force, up to 1 N; with gusts up to 1.5 N [N]
+  /// Direction into which the wind blows, about world z, -pi to pi [rad].
+  double wind_direction = 0.0;
+  double friction = 0.8;  ///< friction coefficient of wheels on the ground, 0.3 to 1
 };
 
-/// A stream of random numbers that is the same on every machine.
+/// A stream of random numbers that is identical on every machine.
 class RandomStream {
  public:
-  /// Streams of one seed do not overlap in practice: seed and index go through a mixing of all bits
-  /// into 2^19937 - 1 numbers.
+  /// Streams of one seed do not overlap in practice: all bits of seed and index are mixed to seed a
+  /// generator with a period of 2^19937 - 1 numbers.
   RandomStream(std::uint64_t seed, std::uint64_t index) {
     std::seed_seq mixed{low(seed), high(seed), low(index), high(index)};
     generator_.seed(mixed);
@@ -46,11 +51,12 @@ class RandomStream {
 
   [[nodiscard]] std::uint64_t bits() { return generator_(); }
 
-  /// In [from, to), 53 bits.
+  /// Returns a number in [from, to) with 53 random bits.
   [[nodiscard]] double uniform(double from, double to) {
     return from + (to - from) * static_cast<double>(generator_() >> 11U) * 0x1.0p-53;
   }
-  /// From `from` to `to`, as likely to be half the middle as to be twice it.
+  /// Returns a number between `from` and `to` whose logarithm is uniform: half and twice the
+  /// geometric mean are equally likely.
   [[nodiscard]] double log_uniform(double from, double to) {
     return std::exp(uniform(std::log(from), std::log(to)));
   }
@@ -68,14 +74,15 @@ class RandomStream {
   std::mt19937_64 generator_;
 };
 
-/// False for factors that no body has: the sum of two moments is at least the third.
+/// False if no body can have this inertia: the sum of two principal moments must be at least the
+/// third.
 [[nodiscard]] inline bool is_physical(const Eigen::Matrix3d& inertia) {
   const Eigen::Vector3d moments = inertia.diagonal();
   return 2.0 * moments.maxCoeff() <= moments.sum();
 }
 
-/// Vehicle number `index` of the run with `seed`; uniform in the ranges above, time constants in
-/// their logarithm. Factors of the moments of `inertia` that no body has are drawn again.
+/// Draws a vehicle from `random`: uniform in the ranges above, time constants and noise uniform in
+/// their logarithm. Factors that make `inertia` physically impossible are drawn again.
 [[nodiscard]] inline VehicleDraw draw_vehicle(RandomStream& random,
                                               const Eigen::Matrix3d& inertia) {
   VehicleDraw draw;
@@ -98,8 +105,9 @@ class RandomStream {
   return draw;
 }
 
-/// The vehicle that flies. All that the believed one has at its CoM (arms, axle, the point that is
-/// tracked) is off the true one by the offset; a weaker rotor reaches the same speed.
+/// Returns the vehicle that really flies. Everything that the assumed vehicle has at its CoM (arms,
+/// axle, tracked point) is offset from the true CoM. A rotor with less thrust reaches the same
+/// speed.
 [[nodiscard]] inline tilt_ropter::Vehicle<4> true_vehicle(const VehicleDraw& draw,
                                                           tilt_ropter::Vehicle<4> vehicle) {
   vehicle.body.mass *= draw.mass;

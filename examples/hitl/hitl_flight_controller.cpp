@@ -1,0 +1,165 @@
+// Hardware in the loop, the flight controller: computes rotor speeds and tilt angles at 500 Hz from
+// the wrench that hitl_onboard commands. It also receives the gyroscope and holds the attitude if
+// no wrench arrives.
+
+#include "link.hpp"
+#include "options.hpp"
+
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdint>
+#include <exception>
+#include <iostream>
+#include <optional>
+#include <string>
+#include <thread>
+
+using namespace tilt_ropter;
+
+namespace {
+
+constexpr double period = 0.002;       // period of the actuator commands [s]
+constexpr double hold = 0.05;          // largest age of a wrench that is followed [s]
+constexpr double descend_after = 2.0;  // time without a wrench until the force fades [s]
+
+/// Wrench while no wrench arrives. The force is the low-pass filtered force of the wrenches so far,
+/// whose mean carries the vehicle. The torque holds the attitude of the last wrench with the
+/// gyroscope only, with a bandwidth of 6 rad/s and strong damping. After 2 s the force fades, so
+/// that the vehicle descends.
+class SafeWrench {
+ public:
+  explicit SafeWrench(const Eigen::Matrix3d& inertia) : inertia_(inertia) {}
+
+  void on_gyro(double time, const Eigen::Vector3d& rate) {
+    const double dt = std::clamp(time - time_, 0.0, 0.1);
+    turned_ = (turned_ * quaternion_exp(dt * rate)).normalized();
+    rate_ = rate;
+    time_ = time;
+  }
+
+  /// Call for every wrench that is followed: filters its force and takes the attitude as reference.
+  void follow(const Wrenchd& wrench) {
+    force_ += 0.05 * (wrench.force - force_);
+    turned_.setIdentity();
+  }
+
+  [[nodiscard]] Wrenchd wrench(double silent_for) const {
+    constexpr double bandwidth = 6.0;
+    const Eigen::Vector3d turn = turned_.conjugate() * quaternion_log(turned_);
+    Wrenchd safe;
+    safe.force = force_ * std::clamp(1.0 - 0.05 * (silent_for - descend_after), 0.0, 1.0);
+    safe.torque = -inertia_ * (bandwidth * bandwidth * turn + 1.8 * bandwidth * rate_);
+    return safe;
+  }
+
+ private:
+  Eigen::Matrix3d inertia_;
+  Eigen::Vector3d force_ = Eigen::Vector3d::Zero(), rate_ = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond turned_ = Eigen::Quaterniond::Identity();
+  double time_ = 0.0;
+};
+
+void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
+         const std::string& vehicle_path) {
+  const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(vehicle_path));
+  const Allocation<4> allocation(vehicle);
+  hitl::Link link(addresses.flight_controller, {addresses.simulator, addresses.onboard}, line);
+  SafeWrench safe(vehicle.body.inertia);
+  hitl::Times lateness;
+  AllocationResult<4> sent;
+  std::optional<hitl::Message> asked;  // the last wrench
+  auto asked_at = hitl::Clock::now();
+  std::uint32_t vehicle_session = 0;
+  long cycles = 0, misses = 0, silences = 0;
+  bool silent = false;
+  std::cerr << "hitl_flight_controller: waiting for a wrench\n";
+  const auto start = hitl::Clock::now();
+  bool over = false;
+  for (long i = 0; !over && hitl::interrupted == 0; ++i) {
+    const auto due = start + i * std::chrono::milliseconds(2);
+    std::this_thread::sleep_until(due);
+    const auto now = hitl::Clock::now();
+    const std::chrono::duration<double, std::micro> late = now - due;
+    lateness.add(late.count());
+    if (late.count() > 1e6 * period) ++misses;
+
+    while (const auto m = link.receive()) {
+      if (m->type == hitl::MessageType::end) over = asked.has_value();
+      if (m->type == hitl::MessageType::inertial) {
+        if (m->session != vehicle_session) {  // simulator restarted: a new vehicle on the ground
+          vehicle_session = m->session;
+          asked.reset();
+          sent = {};
+          safe = SafeWrench(vehicle.body.inertia);
+        }
+        safe.on_gyro(m->time, {m->values[0], m->values[1], m->values[2]});
+      }
+      if (m->type == hitl::MessageType::wrench) {
+        asked = m;
+        asked_at = now;
+      }
+    }
+    if (!asked) continue;
+
+    const double age = std::chrono::duration<double>(now - asked_at).count();
+    const bool was_silent = silent;
+    silent = age > hold;
+    if (silent && !was_silent) ++silences;
+    Wrenchd wrench, rate;
+    if (silent) {
+      wrench = safe.wrench(age);
+    } else {
+      const auto part = [&asked](int index) {
+        return Eigen::Map<const Eigen::Vector3d>(asked->values.data() + 3 * index);
+      };
+      rate = {part(2), part(3)};
+      const double ahead = std::min(age, 0.01);  // the rate is valid for one tick
+      wrench = {part(0) + ahead * rate.force, part(1) + ahead * rate.torque};
+      safe.follow(wrench);
+    }
+    const double time = std::chrono::duration<double>(now - start).count();
+    sent = allocation.allocate(time, wrench, rate, sent);
+    hitl::Message m;
+    m.type = hitl::MessageType::actuators;
+    m.time = asked->time;
+    m.stamp = asked->stamp;
+    Eigen::Map<Eigen::Matrix<double, 8, 1>>(m.values.data()) << sent.command.rotor_speed,
+        sent.command.tilt_angle;
+    link.send(0, m);
+    link.send(1, m);
+    ++cycles;
+  }
+  lateness.print(std::cout, "flight_controller_lateness");
+  std::cout << "flight_controller_cycles: " << cycles
+            << "\nflight_controller_deadline_misses: " << misses
+            << "\nwrench_silences: " << silences << '\n';
+  link.print(std::cout, "wrench", hitl::MessageType::wrench);
+  std::cout << "flight_controller_foreign_datagrams: " << link.foreign() << '\n';
+}
+
+constexpr const char* footer = R"(
+Between two wrenches it extrapolates the last wrench with its rate, for at most 10 ms. After 50 ms
+without a wrench it keeps the mean force and holds the attitude with the gyroscope. After 2 s the
+force fades by 5 % per second. If restarted in flight, it sends nothing until a wrench arrives, and
+the simulator holds the last command. It ends when the simulator reports the end of the flight.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Hardware in the loop: allocation and actuator commands at 500 Hz."};
+  hitl::Addresses addresses;
+  hitl::BadLine line;
+  std::string vehicle;
+  hitl::add_options(app, addresses, line, vehicle);
+  app.footer(footer);
+  return hitl::run_program(app, "hitl_flight_controller", argc, argv, [&] {
+    run(addresses, line, vehicle);
+    return 0;
+  });
+}

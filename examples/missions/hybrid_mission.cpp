@@ -1,0 +1,47 @@
+// The hybrid mission: take off, fly the figure eight of the paper, land, drive a similar figure
+// eight, take off again, hover, land. The plant runs at 1 kHz. Its vehicle differs from the one
+// that the controller assumes.
+
+#include "../support/mission_loop.hpp"
+#include "../support/pictures.hpp"
+#include "../support/report.hpp"
+#include "../support/run_program.hpp"
+
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <string>
+#include <variant>
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Simulates the hybrid mission: take off, figure eight, land, drive, take off, land.\n"
+      "A vehicle with legs skips the drive; a vehicle without wheels or legs only flies the figure "
+      "eight."};
+  examples::MissionOptions options;
+  examples::add_options(app, options);
+  std::string write_path;
+  app.add_option("--write-vehicle", write_path,
+                 "write the vehicle to this JSON file as a template, without flying");
+  return examples::run_program(app, "hybrid_mission", argc, argv, [&] {
+    const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle_path);
+    if (!write_path.empty()) {
+      examples::write_vehicle(file, write_path);
+      return 0;
+    }
+    const std::string figures = std::visit(
+        [&](const auto& vehicle) {
+          const auto vehicles = examples::vehicles(options, vehicle);
+          tilt_ropter::Plant plant(vehicles.truth);
+          return examples::fly_mission(
+              options, file, vehicles, plant, [] { return tilt_ropter::Wrenchd{}; },
+              [](const tilt_ropter::Mission&) {});  // closes the logs when it returns
+        },
+        file.vehicle);
+    if (options.no_pictures) return 0;
+    examples::write_report(options.output, file, figures);
+    examples::draw_pictures("missions/hybrid_mission.gp", options.output);
+    return 0;
+  });
+}

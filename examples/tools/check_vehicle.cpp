@@ -1,0 +1,298 @@
+// Checks a vehicle before it flies: the forces and torques of its actuators, intact and with each
+// rotor lost; whether limits and mission fit the actuators; and how long the battery lasts.
+
+#include "../support/mission_log.hpp"
+#include "../support/pictures.hpp"
+#include "../support/run_program.hpp"
+#include "../support/vehicle_file.hpp"
+
+#include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/power.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <filesystem>
+#include <iomanip>
+#include <iostream>
+#include <sstream>
+#include <string>
+#include <variant>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  std::string input, output = "results";
+  double usable = 0.8;
+  bool no_pictures = false;
+};
+
+constexpr std::array<const char*, 6> axes = {"F_x", "F_y", "F_z", "M_x", "M_y", "M_z"};
+
+/// Collects errors and warnings.
+class Findings {
+ public:
+  void error(const std::string& text) { add("error", text, errors_); }
+  void warning(const std::string& text) { add("warning", text, warnings_); }
+
+  void print() const {
+    for (const std::string& line : lines_) std::cout << line << '\n';
+    std::cout << "errors: " << errors_ << "\nwarnings: " << warnings_
+              << "\nverdict: " << (errors_ > 0 ? "does not fly" : "flies") << '\n';
+  }
+  [[nodiscard]] bool any_error() const { return errors_ > 0; }
+
+ private:
+  void add(const std::string& kind, const std::string& text, int& count) {
+    lines_.push_back(kind + ": " + text);
+    ++count;
+  }
+
+  std::vector<std::string> lines_;
+  int errors_ = 0, warnings_ = 0;
+};
+
+/// Returns a number with three significant digits, and at least all digits before the point.
+std::string digits(double value) {
+  std::ostringstream text;
+  const bool large = std::abs(value) >= 1000.0 && std::isfinite(value);
+  text << std::setprecision(3)
+       << (std::abs(value) < 1e-9 ? 0.0
+           : large                ? std::round(value)
+                                  : value);
+  if (!large) return text.str();
+  return std::to_string(std::lround(value));
+}
+
+void line(const std::string& key, double value) {
+  std::cout << key << ": " << digits(value) << '\n';
+}
+
+template <int Rotors>
+Wrenchd weight_of(const Vehicle<Rotors>& vehicle) {
+  Wrenchd wrench;
+  wrench.force.z() = vehicle.body.mass * gravity;
+  return wrench;
+}
+
+/// Returns false if a tilting arm has almost no thrust in level hover. To reverse its force such an
+/// arm must turn by half a revolution; the vehicle must lean instead.
+template <int Rotors>
+bool is_level(const Vehicle<Rotors>& vehicle, const ControlAuthority& authority) {
+  const double lift = vehicle.body.mass * gravity / Rotors;
+  for (std::size_t i = 0; i < Rotors; ++i)
+    if (vehicle.rotors[i].tilts &&
+        authority.least_thrust < rotor_parameters(vehicle, i).min_thrust + 0.05 * lift)
+      return false;
+  return authority.hovers;
+}
+
+/// Writes envelope.csv: the largest force without torque and the largest torque in hover, in
+/// directions of the coordinate planes.
+template <int Rotors>
+void write_envelope(const Vehicle<Rotors>& vehicle, const NmpcBounds& limits,
+                    const std::string& path) {
+  const Allocation<Rotors> allocation(vehicle);
+  const Wrenchd hover = weight_of(vehicle);
+  const double most = 2.0 * Rotors * largest_max_thrust(vehicle);
+  examples::MissionLog log(
+      path, {"plane", "angle_rad", "force_a_n", "force_b_n", "torque_a_nm", "torque_b_nm",
+             "force_a_min_n", "force_a_max_n", "force_b_min_n", "force_b_max_n", "torque_a_min_nm",
+             "torque_a_max_nm", "torque_b_min_nm", "torque_b_max_nm"});
+  for (int plane = 0; plane < 3; ++plane) {
+    const int a = plane == 2 ? 1 : 0, b = plane == 0 ? 1 : 2;  // xy, xz, yz
+    for (int i = 0; i <= 120; ++i) {
+      const double angle = 2.0 * pi * i / 120;
+      Wrenchd force, torque;
+      force.force(a) = torque.torque(a) = std::cos(angle);
+      force.force(b) = torque.torque(b) = std::sin(angle);
+      const double f = reach(allocation, hover, force, most),
+                   m = reach(allocation, hover, torque, most * size_of(vehicle));
+      log.add(plane).add(angle);
+      log.add(hover.force(a) + f * force.force(a)).add(hover.force(b) + f * force.force(b));
+      log.add(m * torque.torque(a)).add(m * torque.torque(b));
+      log.add(limits.force_min(a)).add(limits.force_max(a));
+      log.add(limits.force_min(b)).add(limits.force_max(b));
+      log.add(limits.torque_min(a)).add(limits.torque_max(a));
+      log.add(limits.torque_min(b)).add(limits.torque_max(b));
+      log.end_row();
+    }
+  }
+}
+
+/// Warns of limits that exceed what the actuators give in addition to hover.
+void compare(const NmpcBounds& limits, const ControlAuthority& authority, double weight,
+             Findings& findings) {
+  const auto wider = [&](const std::string& field, double limit, double given) {
+    if (std::abs(limit) > std::abs(given) + 1e-9)
+      findings.warning("limits." + field + " = " + digits(limit) +
+                       " is more than the actuators give in hover, " + digits(given));
+  };
+  for (Eigen::Index i = 0; i < 3; ++i) {
+    const std::string at = '[' + std::to_string(i) + ']';
+    const double hover = i == 2 ? weight : 0.0;
+    wider("force_max_n" + at, limits.force_max(i), hover + authority.forward(i));
+    if (limits.force_min(i) < 0.0)
+      wider("force_min_n" + at, limits.force_min(i), hover - authority.backward(i));
+    wider("torque_max_nm" + at, limits.torque_max(i), authority.forward(3 + i));
+    wider("torque_min_nm" + at, limits.torque_min(i), -authority.backward(3 + i));
+  }
+}
+
+/// Warns if the mission exceeds the limits or the actuators.
+template <int Rotors>
+void check_mission(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
+                   Findings& findings) {
+  const Mission mission = hybrid_mission(vehicle);
+  const NmpcSettings settings = file.settings();
+  for (const BoundViolation& v :
+       check_reference(mission, mission.start_time(), mission.end_time(), vehicle, settings))
+    findings.warning("the mission asks for " + std::string(v.bound) + '[' + std::to_string(v.axis) +
+                     "] = " + digits(v.required) + " at " + digits(v.time) +
+                     " s, the limits allow " + digits(v.allowed));
+  const Allocation<Rotors> allocation(vehicle);
+  for (double time = mission.start_time(); time < mission.end_time(); time += 0.05) {
+    const ReferencePoint p = mission(time);
+    const MissionPhase phase = mission.phase(time);
+    if (phase == MissionPhase::rest || phase == MissionPhase::ground) continue;
+    const Eigen::Vector3d& w = p.angular_velocity;
+    Wrenchd wrench;
+    wrench.force = vehicle.body.mass * (p.orientation.conjugate() *
+                                        (p.acceleration + Eigen::Vector3d(0.0, 0.0, gravity)));
+    wrench.torque =
+        vehicle.body.inertia * p.angular_acceleration + w.cross(vehicle.body.inertia * w);
+    if (allocation.allocate(wrench, {}).status != AllocationStatus::limited) continue;
+    findings.warning("the mission asks for more than the actuators give, first at " + digits(time) +
+                     " s");
+    return;
+  }
+}
+
+/// Prints one line for each lost rotor.
+template <int Rotors>
+void print_losses(const Vehicle<Rotors>& vehicle) {
+  std::cout << "\nwith a rotor lost, at rest:\nrotor  rank  condition  hovers  level  least thrust "
+               "[N]  torque left in hover, least of +- [N m]\n";
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const ControlAuthority left = control_authority(with_weak_rotor(vehicle, i, 0.0));
+    std::cout << std::setw(5) << i + 1 << std::setw(6) << left.rank << std::setw(11)
+              << digits(left.condition) << std::setw(8) << (left.hovers ? "yes" : "no")
+              << std::setw(7) << (is_level(vehicle, left) ? "yes" : "no") << std::setw(18)
+              << digits(left.least_thrust) << ' ';
+    for (Eigen::Index axis = 3; axis < 6; ++axis)
+      std::cout << ' ' << axes[static_cast<std::size_t>(axis)] << ' '
+                << digits(std::min(left.forward(axis), left.backward(axis)));
+    std::cout << '\n';
+  }
+  std::cout << "(not level: a tilting arm would have almost no thrust, and the vehicle must "
+               "lean)\n\n";
+}
+
+template <int Rotors>
+void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
+                     double usable) {
+  const Allocation<Rotors> allocation(vehicle);
+  const PowerModel power(vehicle.power,
+                         allocation.allocate(weight_of(vehicle), {}).command.rotor_speed);
+  line("hover_power_w", vehicle.power.hover);
+  Wrenchd pressed;
+  pressed.force.z() = file.settings().ground.down_force;
+  const double driving = power.power(allocation.allocate(pressed, {}).command.rotor_speed);
+  if (vehicle.wheels) line("driving_power_w", driving);
+  if (!(file.battery_wh > 0.0)) {
+    std::cout << "hover_min: not known, the file has no battery_wh\n";
+    return;
+  }
+  line("hover_min", 60.0 * usable * file.battery_wh / vehicle.power.hover);
+  if (vehicle.wheels) line("driving_min", 60.0 * usable * file.battery_wh / driving);
+}
+
+template <int Rotors>
+bool check(const Options& options, const examples::VehicleFile& file,
+           const Vehicle<Rotors>& vehicle) {
+  Findings findings;
+  const double weight = vehicle.body.mass * gravity;
+  const ControlAuthority authority = control_authority(vehicle);
+  std::cout << "name: " << file.name << "\nrotors: " << Rotors << '\n';
+  line("weight_n", weight);
+  line("rank", authority.rank);
+  line("condition", authority.condition);
+  std::cout << "hovers: " << (authority.hovers ? "yes" : "no") << '\n';
+  line("lift_per_weight", 1.0 + authority.forward(2) / weight);
+  line("least_thrust_in_hover_n", authority.least_thrust);
+  for (std::size_t i = 0; i < 6; ++i) {
+    const auto axis = static_cast<Eigen::Index>(i);
+    std::cout << axes[i] << "_on_top_of_hover: +" << digits(authority.forward(axis)) << " -"
+              << digits(authority.backward(axis)) << (i < 3 ? " N\n" : " N m\n");
+  }
+  if (!authority.hovers) {
+    findings.error("the rotors do not carry the weight in level attitude without torque");
+  } else {
+    if (authority.forward(2) < 0.1 * weight)
+      findings.error("the lift beyond hover is less than a tenth of the weight");
+    else if (authority.forward(2) < 0.5 * weight)
+      findings.warning("lift of less than 1.5 times the weight: slow recovery from a descent");
+    if (!is_level(vehicle, authority))
+      findings.warning(
+          "an arm has almost no thrust in hover: to reverse its force it must first turn by "
+          "half a revolution");
+    compare(file.limits, authority, weight, findings);
+    check_mission(file, vehicle, findings);
+  }
+  if (authority.condition > 20.0)
+    findings.warning(
+        "condition of the allocation above 20: some wrenches need 20 times the thrust "
+        "of others");
+  print_losses(vehicle);
+  if (authority.hovers) {
+    print_endurance(file, vehicle, options.usable);
+    std::filesystem::create_directories(options.output);
+    write_envelope(vehicle, file.limits, options.output + "/envelope.csv");
+  }
+  findings.print();
+  return authority.hovers && !findings.any_error();
+}
+
+constexpr const char* footer = R"(
+hybrid_mission --write-vehicle writes a vehicle file as a template. Files in the output directory:
+envelope.csv and check_vehicle.png. They show the largest force without torque and the largest
+torque in hover, in the planes of the body axes.
+
+Exit code: 0 the vehicle flies, 1 it does not fly or another error, 2 an invalid vehicle file, above
+100 wrong options.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Checks a vehicle before it flies: force and torque of its actuators, intact and with a\n"
+      "rotor lost; whether limits and mission fit the actuators; how long the battery lasts."};
+  Options options;
+  app.add_option("FILE.json", options.input, "JSON file of the vehicle; default: the Tilt-Ropter");
+  app.add_option("-o,--output", options.output, "directory for the envelope and the picture")
+      ->capture_default_str();
+  app.add_option("--usable", options.usable, "usable fraction of the battery energy")
+      ->check(CLI::Range(0.1, 1.0))
+      ->capture_default_str();
+  app.add_flag("--no-pictures", options.no_pictures, "write only the envelope");
+  app.footer(footer);
+  return examples::run_program(app, "check_vehicle", argc, argv, [&options] {
+    const examples::VehicleFile file = examples::vehicle_or_default(options.input);
+    const bool flies = std::visit(
+        [&](const auto& vehicle) { return check(options, file, vehicle); }, file.vehicle);
+    if (flies && !options.no_pictures)
+      examples::draw_pictures("tools/check_vehicle.gp", options.output);
+    return flies ? 0 : 1;
+  });
+}

@@ -1,0 +1,444 @@
+// Replays a recorded flight through the state estimator. Reads IMU and motion capture from CSV
+// files, calibrates clocks and marker frame on request, and compares the estimate with the ground
+// truth if it is given.
+
+#include "../support/csv.hpp"
+#include "../support/mission_log.hpp"
+#include "../support/pictures.hpp"
+#include "../support/progress.hpp"
+#include "../support/statistics.hpp"
+
+#include <tilt_ropter/estimation/clock_calibration.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+
+#include <CLI/CLI.hpp>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <exception>
+#include <filesystem>
+#include <iomanip>
+#include <iostream>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+using Imu = std::vector<Timed<InertialSampled>>;
+using Poses = std::vector<Timed<MarkerPosed>>;
+using States = std::vector<Timed<BodyStated>>;
+
+struct Options {
+  std::string imu, poses, truth, output = "results";
+  std::vector<double> marker_rotation = {1.0, 0.0, 0.0, 0.0}, marker_lever = {0.0, 0.0, 0.0};
+  bool calibrate_clock = false, estimate_marker_pose = false, no_pictures = false;
+  double judge_from = 3.0;
+  EkfSettings filter;
+};
+
+// ---- Files
+
+/// Reads a log whose first column is the time stamp. Warns if the time stamps do not increase.
+examples::CsvTable read_log(const std::string& path, std::size_t columns, const std::string& form) {
+  examples::CsvTable table = examples::read_csv(path);
+  if (table.columns.size() < columns)
+    throw std::runtime_error(path + ":1: " + std::to_string(table.columns.size()) +
+                             " columns, expected are " + form);
+  if (table.rows() < 2) throw std::runtime_error(path + ": fewer than two samples");
+  const std::vector<double>& times = table.columns[0];
+  const auto back = std::adjacent_find(times.begin(), times.end(), std::greater_equal<>());
+  if (back != times.end())
+    std::cerr << path << ':' << table.lines[static_cast<std::size_t>(back - times.begin()) + 1]
+              << ": column " << table.names[0] << " (1) does not increase\n";
+  return table;
+}
+
+Eigen::Vector3d vector(const examples::CsvTable& table, std::size_t row, std::size_t column) {
+  return {table.columns[column][row], table.columns[column + 1][row],
+          table.columns[column + 2][row]};
+}
+
+/// Reads w, x, y, z from `column` on. Throws std::runtime_error if the length is not 1 within 10 %.
+Eigen::Quaterniond rotation(const examples::CsvTable& table, std::size_t row, std::size_t column) {
+  const Eigen::Vector3d v = vector(table, row, column + 1);
+  const Eigen::Quaterniond q(table.columns[column][row], v.x(), v.y(), v.z());
+  if (std::abs(q.norm() - 1.0) > 0.1)
+    throw std::runtime_error(table.file + ':' + std::to_string(table.lines[row]) + ": columns " +
+                             table.names[column] + " (" + std::to_string(column + 1) + ") to " +
+                             table.names[column + 3] + ": a quaternion of length " +
+                             std::to_string(q.norm()));
+  return q.normalized();
+}
+
+Imu read_imu(const std::string& path) {
+  const examples::CsvTable table = read_log(path, 7, "t, wx, wy, wz, ax, ay, az");
+  Imu imu;
+  for (std::size_t i = 0; i < table.rows(); ++i)
+    imu.push_back({table.columns[0][i], {vector(table, i, 1), vector(table, i, 4)}});
+  return imu;
+}
+
+Poses read_poses(const std::string& path) {
+  const examples::CsvTable table = read_log(path, 8, "t, px, py, pz, qw, qx, qy, qz");
+  Poses poses;
+  for (std::size_t i = 0; i < table.rows(); ++i)
+    poses.push_back({table.columns[0][i], {vector(table, i, 1), rotation(table, i, 4)}});
+  return poses;
+}
+
+States read_truth(const std::string& path) {
+  const examples::CsvTable table = read_log(path, 11, "t, px, py, pz, qw, qx, qy, qz, vx, vy, vz");
+  States truth;
+  for (std::size_t i = 0; i < table.rows(); ++i)
+    truth.push_back({table.columns[0][i],
+                     {vector(table, i, 1), vector(table, i, 8), rotation(table, i, 4),
+                      Eigen::Vector3d::Zero()}});
+  return truth;
+}
+
+// ---- Flight
+
+std::vector<std::string> columns(bool with_errors) {
+  std::vector<std::string> names = {"time_s"};
+  const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
+    for (const std::string& part : parts) names.push_back(name + "_" + part);
+  };
+  const std::vector<std::string> axes = {"x", "y", "z"};
+  add("position_m", axes);
+  add("velocity_mps", axes);
+  add("orientation", {"w", "x", "y", "z"});
+  add("angular_velocity_radps", axes);
+  add("gyro_bias_radps", axes);
+  add("accelerometer_bias_mps2", axes);
+  add("marker_position_m", axes);
+  add("marker_orientation", {"w", "x", "y", "z"});
+  for (const char* part :
+       {"position_m", "velocity_mps", "orientation_rad", "gyro_bias_radps",
+        "accelerometer_bias_mps2", "marker_orientation_rad", "marker_position_m"})
+    add(std::string("deviation_") + part, axes);
+  names.emplace_back("nis");
+  if (with_errors)
+    for (const char* part : {"position_m", "velocity_mps", "orientation_rad"})
+      add(std::string("error_") + part, axes);
+  return names;
+}
+
+/// Start index of each part of error().
+struct ErrorIndex {
+  static constexpr int position = 0, velocity = 3, attitude = 6;
+};
+
+/// Returns the errors of position, velocity and orientation: the tangent vector from `estimate` to
+/// `truth`.
+Eigen::Matrix<double, 9, 1> error(const BodyStated& truth, const BodyStated& estimate) {
+  Eigen::Matrix<double, 9, 1> e;
+  e << truth.position - estimate.position, truth.velocity - estimate.velocity,
+      quaternion_log(Eigen::Quaterniond(estimate.orientation.conjugate() * truth.orientation));
+  return e;
+}
+
+/// The ground truth, interpolated between samples. at() returns nullptr outside the samples and
+/// between samples that are more than 50 ms apart.
+class Truth {
+ public:
+  explicit Truth(States states) : states_(std::move(states)) {}
+
+  [[nodiscard]] bool empty() const { return states_.empty(); }
+
+  [[nodiscard]] const BodyStated* at(double time) {
+    const auto after =
+        std::upper_bound(states_.begin(), states_.end(), time,
+                         [](double t, const Timed<BodyStated>& s) { return t < s.time; });
+    if (after == states_.begin() || after == states_.end()) return nullptr;
+    const Timed<BodyStated>&a = *(after - 1), &b = *after;
+    if (b.time - a.time > 0.05) return nullptr;
+    const double fraction = (time - a.time) / (b.time - a.time);
+    const auto blend = [fraction](const Eigen::Vector3d& from, const Eigen::Vector3d& to) {
+      return Eigen::Vector3d(from + fraction * (to - from));
+    };
+    now_.position = blend(a.value.position, b.value.position);
+    now_.velocity = blend(a.value.velocity, b.value.velocity);
+    now_.orientation = a.value.orientation.slerp(fraction, b.value.orientation);
+    return &now_;
+  }
+
+ private:
+  States states_;
+  BodyStated now_;
+};
+
+struct Errors {
+  examples::Rmse position, velocity, attitude;  // [m], [m/s], [rad]
+};
+
+Errors judge(const States& estimate, Truth& truth, double from, double shift) {
+  Errors r;
+  for (const Timed<BodyStated>& s : estimate) {
+    if (s.time < from) continue;
+    const BodyStated* t = truth.at(s.time + shift);
+    if (t == nullptr) continue;
+    const Eigen::Matrix<double, 9, 1> e = error(*t, s.value);
+    r.position.add_square(e.segment<3>(ErrorIndex::position).squaredNorm());
+    r.velocity.add_square(e.segment<3>(ErrorIndex::velocity).squaredNorm());
+    r.attitude.add_square(e.segment<3>(ErrorIndex::attitude).squaredNorm());
+  }
+  return r;
+}
+
+/// Returns the time shift of the truth for which the positions fit best [s]; positive: truth read
+/// later.
+double best_shift(const States& estimate, Truth& truth, double from) {
+  double best = 0.0;
+  for (double step = 4e-3; step > 4e-5; step /= 4.0) {
+    const double middle = best;
+    double lowest = std::numeric_limits<double>::infinity();
+    for (int i = -8; i <= 8; ++i) {
+      const double position = judge(estimate, truth, from, middle + i * step).position.value();
+      if (position < lowest) {
+        lowest = position;
+        best = middle + i * step;
+      }
+    }
+  }
+  return best;
+}
+
+void log_row(examples::MissionLog& log, const Ekfd& filter, Truth& truth) {
+  const BodyStated body = filter.state();
+  const InertialStated& x = filter.filter().state();
+  const auto add_rotation = [&log](const Eigen::Quaterniond& q) {
+    log.add(q.w()).add(q.x()).add(q.y()).add(q.z());
+  };
+  log.add(filter.time()).add_all(body.position).add_all(body.velocity);
+  add_rotation(body.orientation);
+  log.add_all(body.angular_velocity).add_all(x.gyro_bias).add_all(x.accelerometer_bias);
+  log.add_all(x.marker_position);
+  add_rotation(x.marker_orientation);
+  log.add_all(filter.filter().covariance().diagonal().cwiseMax(0.0).cwiseSqrt().eval());
+  log.add(filter.nis());
+  if (!truth.empty()) {
+    const BodyStated* t = truth.at(filter.time());
+    constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
+    log.add_all(t != nullptr ? error(*t, body)
+                             : Eigen::Matrix<double, 9, 1>::Constant(unknown).eval());
+  }
+  log.end_row();
+}
+
+/// Runs the filter through the logs in the order of the time stamps. Writes the estimate to `log`
+/// and `estimate` if they are not null.
+Ekfd fly(const Imu& imu, const Poses& poses, const EkfSettings& settings, const std::string& doing,
+         Truth& truth, examples::MissionLog* log, States* estimate) {
+  Ekfd filter(settings);
+  examples::Progress progress;
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < imu.size(); ++i) {
+    if (i % 500 == 0)
+      progress.show(static_cast<double>(i) / static_cast<double>(imu.size()), doing);
+    filter.on_imu(imu[i].time, imu[i].value);
+    for (; next < poses.size() && poses[next].time + settings.clock_offset <= imu[i].time; ++next)
+      filter.on_pose(poses[next].time, poses[next].value);
+    if (!filter.running()) continue;
+    if (estimate != nullptr) estimate->push_back({filter.time(), filter.state()});
+    if (log != nullptr) log_row(*log, filter, truth);
+  }
+  progress.finish();
+  return filter;
+}
+
+// ---- Options and report
+
+Eigen::Quaterniond marker_rotation(const std::vector<double>& numbers) {
+  if (numbers.size() == 4) {
+    const Eigen::Quaterniond q(numbers[0], numbers[1], numbers[2], numbers[3]);
+    if (std::abs(q.norm() - 1.0) > 0.01)
+      throw std::runtime_error("--marker-rotation: the length of the quaternion is not 1");
+    return q.normalized();
+  }
+  const Eigen::Matrix3d m =
+      Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(numbers.data());
+  if ((m * m.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 0.01 ||
+      m.determinant() < 0.0)
+    throw std::runtime_error("--marker-rotation: the matrix is not a rotation matrix");
+  return Eigen::Quaterniond(m).normalized();
+}
+
+void print(const char* key, double value, int digits) {
+  std::cout << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
+}
+
+void replay(const Options& options) {
+  const Imu imu = read_imu(options.imu);
+  const Poses poses = read_poses(options.poses);
+  Truth truth(options.truth.empty() ? States() : read_truth(options.truth));
+
+  EkfSettings settings = options.filter;
+  const Eigen::Quaterniond given = marker_rotation(options.marker_rotation);
+  settings.marker_orientation = given;
+  settings.marker_position << options.marker_lever[0], options.marker_lever[1],
+      options.marker_lever[2];
+  const Eigen::Vector3d given_lever = settings.marker_position;
+
+  if (options.calibrate_clock || options.estimate_marker_pose) {
+    const ClockCalibration found = calibrate_clock(imu, poses);
+    const bool ok = found.status == ClockCalibrationStatus::calibrated;
+    if (options.calibrate_clock) {
+      if (!ok)
+        throw std::runtime_error(std::string("the clocks cannot be calibrated: ") +
+                                 to_string(found.status));
+      settings.clock_offset = found.offset;
+      print("clock_offset_deviation_s", found.stddev, 5);
+    }
+    // The clock calibration also gives the rotation and needs no initial guess for it.
+    if (options.estimate_marker_pose && ok) settings.marker_orientation = found.marker_orientation;
+  }
+  if (options.estimate_marker_pose) {
+    // A first pass estimates the marker frame; the second pass uses it.
+    settings.marker_orientation_stddev = 0.1;
+    settings.marker_position_stddev = 0.3;
+    const Ekfd first =
+        fly(imu, poses, settings, "looking for the marker frame", truth, nullptr, nullptr);
+    settings.marker_orientation = first.filter().state().marker_orientation;
+    settings.marker_position = first.filter().state().marker_position;
+    settings.marker_orientation_stddev = settings.marker_position_stddev = 0.0;
+  }
+
+  std::filesystem::create_directories(options.output);
+  examples::MissionLog log(options.output + "/replay_flight.csv", columns(!truth.empty()));
+  States estimate;
+  const Ekfd filter = fly(imu, poses, settings, "replaying the flight", truth, &log, &estimate);
+  if (filter.counts().used == 0)
+    throw std::runtime_error("no pose of " + options.poses + " was used during " + options.imu +
+                             ": see --calibrate-clock and --clock-offset");
+  const InertialStated& x = filter.filter().state();
+
+  std::cout << "samples: " << imu.size() << "\nposes: " << poses.size()
+            << "\nused: " << filter.counts().used << "\nrejected: " << filter.counts().gated
+            << "\nunused: " << filter.counts().unused << "\nrestarts: " << filter.counts().restarts
+            << '\n';
+  print("clock_offset_s", settings.clock_offset, 5);
+  print("marker_rotation_deg", given.angularDistance(x.marker_orientation) * 180.0 / pi, 3);
+  print("marker_lever_m", (x.marker_position - given_lever).norm(), 5);
+  std::cout << "marker_orientation_wxyz: " << std::setprecision(5) << x.marker_orientation.w()
+            << ' ' << x.marker_orientation.x() << ' ' << x.marker_orientation.y() << ' '
+            << x.marker_orientation.z() << "\nmarker_position_m: " << x.marker_position.transpose()
+            << '\n';
+  if (5 * (filter.counts().gated + filter.counts().restarts) > filter.counts().used)
+    std::cerr << "replay_flight: the gate rejected many poses: are clock and marker frame right "
+                 "(--calibrate-clock, --estimate-marker-pose)?\n";
+  if (truth.empty()) return;
+  const double from = imu.front().time + options.judge_from;
+  const Errors plain = judge(estimate, truth, from, 0.0);
+  if (plain.position.count() == 0) {
+    std::cerr << "replay_flight: the truth has no samples at the times of the estimate\n";
+    return;
+  }
+  print("position_rmse_m", plain.position.value(), 5);
+  print("attitude_rmse_deg", plain.attitude.value() * 180.0 / pi, 3);
+  print("velocity_rmse_mps", plain.velocity.value(), 5);
+  const double shift = best_shift(estimate, truth, from);
+  const Errors shifted = judge(estimate, truth, from, shift);
+  print("truth_shift_s", shift, 5);
+  print("shifted_position_rmse_m", shifted.position.value(), 5);
+  print("shifted_attitude_rmse_deg", shifted.attitude.value() * 180.0 / pi, 3);
+  print("shifted_velocity_rmse_mps", shifted.velocity.value(), 5);
+}
+
+constexpr const char* footer = R"(
+Each file has a header line, then one sample per line. Times are in seconds, quantities in SI units.
+Quaternions w, x, y, z rotate from the frame to the world. The order of the columns matters, their
+names do not:
+  IMU.csv    t, angular velocity (3), specific force (3), in the body frame (the frame of the IMU)
+  POSE.csv   t, position (3), orientation (4) of the marker frame, with motion capture's clock
+  TRUTH.csv  t, position (3), orientation (4), velocity (3) of the body frame, with the IMU's clock
+
+Files in the output directory: replay_flight.csv, the estimate at every IMU sample with standard
+deviations and errors, and replay_flight.png.
+
+Printed, among others:
+  marker_rotation_deg, marker_lever_m  difference of the marker frame from the given marker frame
+  rejected                             poses that the gate rejected
+  unused                               poses that were late, repeated or invalid
+With TRUTH.csv, also the RMS errors, and the same errors with the truth read truth_shift_s later. At
+this shift the positions fit best; it shows whether the truth has a different clock.
+
+Exit code: 0 success, 1 invalid file or failed calibration, above 100 wrong options.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Replays a recorded flight through the state estimator."};
+  Options o;
+  app.add_option("IMU.csv", o.imu, "angular velocity and specific force")->required();
+  app.add_option("POSE.csv", o.poses, "poses of the marker frame")->required();
+  app.add_option("TRUTH.csv", o.truth, "ground truth, for the errors of the estimate");
+  app.add_option("-o,--output", o.output, "directory for the estimate and its picture")
+      ->take_last()
+      ->capture_default_str();
+  app.add_flag("--calibrate-clock", o.calibrate_clock,
+               "estimate the clock offset of motion capture from rotations");
+  app.add_option("--clock-offset", o.filter.clock_offset,
+                 "offset to add to the time stamps of motion capture [s]")
+      ->check(CLI::Range(-1e6, 1e6))
+      ->excludes("--calibrate-clock")
+      ->capture_default_str();
+  app.add_flag("--estimate-marker-pose", o.estimate_marker_pose,
+               "estimate rotation and lever arm of the marker frame");
+  app.add_option("--marker-rotation", o.marker_rotation,
+                 "rotation from marker frame to body: quaternion w x y z, or matrix row by row")
+      ->expected(4, 9)
+      ->check(CLI::Number)
+      ->capture_default_str();
+  app.add_option("--marker-lever", o.marker_lever,
+                 "origin of the marker frame in the body frame [m]")
+      ->expected(3)
+      ->check(CLI::Number)
+      ->capture_default_str();
+  const auto positive = CLI::PositiveNumber;
+  const auto add = [&app](const char* name, double& value, const char* text) {
+    return app.add_option(name, value, text)->capture_default_str();
+  };
+  EkfSettings& f = o.filter;
+  add("--gyro-noise", f.imu_noise.gyro_density, "noise density [rad/s/sqrt(Hz)]")->check(positive);
+  add("--accelerometer-noise", f.imu_noise.accelerometer_density, "noise density [m/s^2/sqrt(Hz)]")
+      ->check(positive);
+  add("--gyro-walk", f.imu_noise.gyro_bias_walk, "bias walk [rad/s^2/sqrt(Hz)]")->check(positive);
+  add("--accelerometer-walk", f.imu_noise.accelerometer_bias_walk, "bias walk [m/s^3/sqrt(Hz)]")
+      ->check(positive);
+  add("--position-noise", f.pose_noise.position, "standard deviation of the position of a pose [m]")
+      ->check(positive);
+  add("--orientation-noise", f.pose_noise.orientation,
+      "standard deviation of the orientation of a pose [rad]")
+      ->check(positive);
+  add("--gate", f.gate, "reject a pose if r' S^-1 r is larger than this")->check(positive);
+  app.add_option("--max-rejections", f.max_rejections,
+                 "restart the filter after this number of consecutive rejections")
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  add("--judge-from", o.judge_from, "compute errors from this time after the start on [s]")
+      ->check(CLI::NonNegativeNumber);
+  app.add_flag("--no-pictures", o.no_pictures, "write only the estimate");
+  app.footer(footer);
+  CLI11_PARSE(app, argc, argv);
+  if (o.marker_rotation.size() != 4 && o.marker_rotation.size() != 9) {
+    std::cerr << "--marker-rotation: needs 4 or 9 numbers\n";
+    return 105;
+  }
+  try {
+    replay(o);
+    if (!o.no_pictures) examples::draw_pictures("tools/replay_flight.gp", o.output);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "replay_flight: " << error.what() << '\n';
+    return 1;
+  }
+}
