@@ -1,5 +1,5 @@
-# Finds NLopt by the package it installs itself and, where a distribution left that out, by header
-# and library, whose version cannot be told. Gives the target NLopt::nlopt.
+# Finds NLopt by its own CMake package. If a distribution does not have this package, finds header
+# and library, without a check of the version. Defines the target NLopt::nlopt.
 find_package(NLopt ${NLopt_FIND_VERSION} CONFIG QUIET)
 if(NOT TARGET NLopt::nlopt AND NOT NLopt_CONSIDERED_CONFIGS)
   find_path(NLopt_INCLUDE_DIR nlopt.h)

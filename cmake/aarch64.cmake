@@ -1,6 +1,6 @@
-# Toolchain file: compiles for aarch64 with Debian's g++-aarch64-linux-gnu and runs the programs
-# under qemu-user, CMake's calls of them while it builds included. Libraries for aarch64 are looked
-# for in CMAKE_PREFIX_PATH; headers that are the same for every processor are those of this system.
+# Toolchain file: compiles for aarch64 with g++-aarch64-linux-gnu of Debian. Programs run with
+# qemu-user, also when CMake calls them during the build. Libraries for aarch64 are found in
+# CMAKE_PREFIX_PATH; headers that do not depend on the processor come from this system.
 set(CMAKE_SYSTEM_NAME Linux)
 set(CMAKE_SYSTEM_PROCESSOR aarch64)
 set(CMAKE_CXX_COMPILER aarch64-linux-gnu-g++)

@@ -1,6 +1,6 @@
-# tilt_ropter::compiled, what <tilt_ropter/compiled.hpp> declares: built where a program links to it,
-# with the flags of the project that does, so that both are compiled for one processor. Read by this
-# project and, installed, by find_package(tilt_ropter).
+# tilt_ropter::compiled has the instances that <tilt_ropter/compiled.hpp> declares. A project that
+# links to it builds it with its own flags, so that both are compiled for the same processor. This
+# project includes this file, and the installed file is included by find_package(tilt_ropter).
 if(TARGET tilt_ropter_compiled)
   return()
 endif()

@@ -1,5 +1,6 @@
-# Headers, licence and what find_package() and pkg-config look for; all of it can be moved.
-# `cpack -G DEB` packs it up, `cpack --config CPackSourceConfig.cmake` the sources.
+# Installs headers, licence, and the files for find_package() and pkg-config; all are relocatable.
+# `cpack -G DEB` makes a package, `cpack --config CPackSourceConfig.cmake` an archive of the
+# sources.
 include(CMakePackageConfigHelpers)
 set(package_dir "${CMAKE_INSTALL_DATADIR}/cmake/tilt_ropter")
 
@@ -14,7 +15,7 @@ configure_file(cmake/tilt_ropter.pc.in "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.
 install(FILES "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.pc"
   DESTINATION "${CMAKE_INSTALL_DATADIR}/pkgconfig")
 install(FILES LICENSE DESTINATION "${CMAKE_INSTALL_DOCDIR}")
-# Apart, so that the core can be found where there is no NLopt.
+# Separate export, so that the core can be found without NLopt.
 install(TARGETS tilt_ropter_core EXPORT tilt_ropterCoreTargets)
 install(EXPORT tilt_ropterCoreTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
 install(TARGETS tilt_ropter EXPORT tilt_ropterTargets)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # install_missing.sh PACKAGE...
-# Installs the Debian packages that are not there yet; asks nothing, downloads nothing otherwise.
+# Installs missing Debian packages without questions. Downloads nothing if all are installed.
 set -euo pipefail
 
 if [[ ${1-} == --help || ${1-} == -h || $# -eq 0 ]]; then

@@ -1,18 +1,18 @@
-# What our own tests, examples and benchmarks are compiled with. None of it reaches a user's target.
+# Compiler options of our own tests, examples and benchmarks. They do not affect targets of users.
 set(TILT_ROPTER_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion
   -Wdouble-promotion -Wold-style-cast)
 if(TILT_ROPTER_WERROR)
   list(APPEND TILT_ROPTER_WARNINGS -Werror)
 endif()
 
-# For this very processor, on request. All that a program is linked from is compiled for the same one:
-# Eigen lays out its matrices by it.
+# Optional: compile for this processor. All files of a program must be compiled for the same
+# processor, because it determines the memory layout of matrices in Eigen.
 set(TILT_ROPTER_PROCESSOR)
 if(TILT_ROPTER_NATIVE)
   set(TILT_ROPTER_PROCESSOR -march=native)
   if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-    # GCC 12 sees uninitialised registers and short arrays in its own AVX-512 intrinsics. Builds for
-    # no particular processor, the tests' among them, keep these warnings.
+    # GCC 12 warns of uninitialised registers and short arrays in its own AVX-512 intrinsics. Builds
+    # without -march=native, such as the tests, keep these warnings.
     list(APPEND TILT_ROPTER_PROCESSOR -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds)
   endif()
 endif()
@@ -20,37 +20,91 @@ endif()
 target_compile_options(tilt_ropter_compiled PRIVATE
   ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
 
+# Compiling takes most of the time of a test run. Therefore the headers that many files include are
+# precompiled once. Clang also generates their code once, optimised, in shared libraries that
+# contain the code that flies and solves. The own code of the files is then not optimised. Functions
+# in these libraries call each other, never the copies of the same functions in a program.
+set(TILT_ROPTER_COMPILES_ONCE FALSE)
+set(TILT_ROPTER_QUICKLY $<$<CONFIG:Release>:-O1>)
+if(TILT_ROPTER_BUILD_QUICKLY AND CMAKE_BUILD_TYPE STREQUAL "Release"
+    AND CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
+  set(TILT_ROPTER_COMPILES_ONCE TRUE)
+  set(TILT_ROPTER_QUICKLY -fPIC -DTILT_ROPTER_NOT_OPTIMISED
+    "SHELL:-Xclang -fno-validate-pch")
+endif()
+
+# Makes a shared library of object files; ARGN: libraries that they need.
+function(tilt_ropter_library_of name objects)
+  add_library(${name} SHARED ${objects})
+  set_target_properties(${name} PROPERTIES LINKER_LANGUAGE CXX)
+  target_link_options(${name} PRIVATE -Wl,-Bsymbolic-functions)
+  target_link_libraries(${name} PUBLIC ${ARGN})
+endfunction()
+if(TILT_ROPTER_COMPILES_ONCE)
+  tilt_ropter_library_of(compiled_library $<TARGET_OBJECTS:tilt_ropter_compiled>
+    tilt_ropter::tilt_ropter)
+  set(TILT_ROPTER_COMPILED compiled_library)
+else()
+  set(TILT_ROPTER_COMPILED tilt_ropter::compiled)
+endif()
+
 function(tilt_ropter_own_target target)
-  target_link_libraries(${target} PRIVATE tilt_ropter::compiled)
+  target_link_libraries(${target} PRIVATE ${TILT_ROPTER_COMPILED})
   target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
   set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 endfunction()
 
-# Compiling takes most of a test run's time. What many files include is read once, for all of them, and
-# the optimiser's part is cut, clang's inlining too; what flies and solves is in
-# tilt_ropter::compiled, with all of it.
-set(TILT_ROPTER_QUICKLY $<$<CONFIG:Release>:-O1>)
-if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
-  list(APPEND TILT_ROPTER_QUICKLY "$<$<CONFIG:Release>:SHELL:-mllvm -inline-threshold=20>")
-endif()
-function(tilt_ropter_precompile name header)
-  file(GENERATE OUTPUT "${CMAKE_CURRENT_BINARY_DIR}/${name}.cpp" CONTENT "")
-  add_library(${name} OBJECT "${CMAKE_CURRENT_BINARY_DIR}/${name}.cpp")
-  tilt_ropter_own_target(${name})
-  target_link_libraries(${name} PRIVATE ${ARGN})
-  target_compile_options(${name} PRIVATE ${TILT_ROPTER_QUICKLY})
-  target_precompile_headers(${name} PRIVATE "${header}")
+# Precompiles `header` for all targets of tilt_ropter_quickly(); ARGN: libraries that it needs.
+function(tilt_ropter_precompile header)
+  set(source "${CMAKE_CURRENT_BINARY_DIR}/precompiled.cpp")
+  file(GENERATE OUTPUT "${source}" CONTENT "")
+  add_library(precompiled OBJECT "${source}")
+  tilt_ropter_own_target(precompiled)
+  target_link_libraries(precompiled PRIVATE ${ARGN})
+  target_compile_options(precompiled PRIVATE ${TILT_ROPTER_QUICKLY})
+  target_precompile_headers(precompiled PRIVATE "${header}")
+  if(TILT_ROPTER_COMPILES_ONCE)
+    # Functions with protected visibility can be inlined, although programs also contain copies.
+    set(how -O1 -fvisibility=protected)
+    target_compile_definitions(precompiled PRIVATE TILT_ROPTER_COMPILES_ONCE)
+    target_compile_options(precompiled PRIVATE ${how} -fpch-codegen)
+    set(read_once "${CMAKE_CURRENT_BINARY_DIR}/CMakeFiles/precompiled.dir/cmake_pch.hxx.pch")
+    set(object "${CMAKE_CURRENT_BINARY_DIR}/precompiled.o")
+    add_custom_command(OUTPUT "${object}"
+      COMMAND "${CMAKE_CXX_COMPILER}" ${how} -fPIC -c -o "${object}" "${read_once}"
+      DEPENDS $<TARGET_OBJECTS:precompiled> VERBATIM)
+    tilt_ropter_library_of(precompiled_library "${object}" ${TILT_ROPTER_COMPILED} ${ARGN})
+    set_target_properties(precompiled_library PROPERTIES
+      LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}")
+    # Flags for checks that only parse a source.
+    set(TILT_ROPTER_READ_ONCE -Xclang -include-pch -Xclang "${read_once}" -Xclang -fno-validate-pch
+      PARENT_SCOPE)
+  endif()
 endfunction()
-function(tilt_ropter_quickly target precompiled)
+# Makes a target use the precompiled header. If the code of the header is compiled once, `level` is
+# the optimisation of the target's own code.
+function(tilt_ropter_quickly target level)
   target_compile_options(${target} PRIVATE ${TILT_ROPTER_QUICKLY})
-  target_precompile_headers(${target} REUSE_FROM ${precompiled})
+  target_precompile_headers(${target} REUSE_FROM precompiled)
+  if(TILT_ROPTER_COMPILES_ONCE)
+    target_compile_options(${target} PRIVATE ${level})
+    # Links by path: with a target name, compiling would wait until the library is linked. The
+    # library has unused inline functions of the standard library that call hidden symbols of it.
+    target_link_libraries(${target} PRIVATE "${PROJECT_BINARY_DIR}/libprecompiled_library.so"
+      -fuse-ld=gold -Wl,--allow-shlib-undefined)
+  endif()
 endfunction()
 
-# The same for programs whose speed counts: all optimisation.
+# The same for programs whose speed matters: full optimisation, or, with the precompiled header,
+# optimisation only where it saves more time than it takes.
 function(tilt_ropter_fast_target target)
   tilt_ropter_own_target(${target})
-  if(TARGET precompiled_for_examples)
-    tilt_ropter_quickly(${target} precompiled_for_examples)
+  if(TARGET precompiled)
+    set(level -O0)
+    if(target MATCHES "^(identify_servo|mission_support|replay_flight|stress_flights)$")
+      set(level -O1)
+    endif()
+    tilt_ropter_quickly(${target} ${level})
   else()
     target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O3>)
   endif()

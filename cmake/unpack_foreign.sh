@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # unpack_foreign.sh ARCHITECTURE DIRECTORY PACKAGE...
-# Unpacks Debian packages of another architecture, such as arm64, into DIRECTORY. Nothing is
-# installed and apt's own lists stay as they are: needs no root. Packages that these depend on are
-# not followed. Done once: with the same packages a second call returns at once.
+# Unpacks Debian packages of another architecture, such as arm64, into DIRECTORY. Does not install
+# anything, does not change the lists of apt, and needs no root. Does not unpack dependencies. A
+# second call with the same packages returns at once.
 set -euo pipefail
 
 if [[ ${1-} == --help || ${1-} == -h || $# -lt 3 ]]; then
