@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # compare_missions.sh DIRECTORY DIRECTORY LIMIT
-# Compares two runs of hybrid_mission, each a directory with its standard output, figures.txt, and
-# its log, hybrid_mission.csv: what is printed, but for computing times, and the root mean square of
-# each column of the log. Prints the largest relative difference; fails if it is above LIMIT.
+# Compares two runs of hybrid_mission. Each directory has the standard output, figures.txt, and the
+# log, hybrid_mission.csv. Compares the printed figures, except computing times, and the RMS of each
+# column of the log. Prints the largest relative difference; fails if it is above LIMIT.
 set -euo pipefail
 
 if [[ ${1-} == --help || ${1-} == -h || $# -ne 3 ]]; then

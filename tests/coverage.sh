@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # coverage.sh BUILD_DIRECTORY PERCENT
-# What the tests in BUILD_DIRECTORY, built with clang's coverage mapping and run with
-# LLVM_PROFILE_FILE below its profiles/, executed of include/: a table per header, the lines that
-# nothing reached, and every line as HTML, all in BUILD_DIRECTORY/report/. A line of a template
-# counts as reached if one of its instantiations reached it. Fails under PERCENT of all lines.
+# Reports which lines of include/ the tests in BUILD_DIRECTORY executed. The tests must be built
+# with clang's coverage mapping and run with LLVM_PROFILE_FILE below BUILD_DIRECTORY/profiles/.
+# Writes to BUILD_DIRECTORY/report/: a table per header, the lines not reached, and all lines as
+# HTML. A template line counts as reached if one instantiation reached it. Fails below PERCENT of
+# all lines.
 set -euo pipefail
 
 build=$1

@@ -6,37 +6,37 @@ usage() {
 usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
                     --variants | --aarch64 | --docs]
 
-Installs what is missing (Debian packages, by apt-get), builds tests and examples with warnings as
-errors into build-tests/ and runs every test. The last lines are the summary. Built by clang, which
-takes a third of GCC's time; what users do, examples/run.sh, the installed package and the
-benchmarks, is built by GCC.
+Installs missing Debian packages with apt-get, builds tests and examples into build-tests/ with
+warnings as errors, and runs every test. The last lines are the summary. Uses clang, which takes a
+third of the time of GCC. GCC builds what users build: examples/run.sh, the installed package and
+the benchmarks.
 
-  --full       built by GCC, with the long forms of the tests too (TILT_ROPTER_FULL=1), every test
-               and example read by clang as C++20, and clang-tidy; ends with a table of what was
-               asked and measured. Three quarters of an hour
+  --full       build with GCC; also run the long forms of the tests (TILT_ROPTER_FULL=1), compile
+               every test and example with clang as C++20, run clang-tidy, build the reference as
+               --docs does, and open the page about a flight in Chromium. Ends with a table of
+               required and measured values. 45 minutes
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --fuzz SECONDS
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
-               build-fuzz/ and run each of them for so long, one a processor; fails if one finds
-               something. About 5 minutes to build
-  --sanitize   the tests under ASan and UBSan in build-sanitize/, the program that has threads under
-               TSan in build-sanitize-threads/, some tests of the plain build under valgrind. Three
-               quarters of an hour
-  --coverage   the tests, with a table of the lines of include/ that they reach and the lines
-               themselves as HTML in build-coverage/report/; fails under 95 %. Three quarters of an
-               hour
-  --tidy       instead of the tests, clang-tidy over every header, test, example, benchmark and fuzz
-               target. A quarter of an hour
-  --variants   the library's tests, compiled in other ways into build-variants/: for this processor,
-               with -ffast-math, with clang's libc++, not optimised. One and a half hours, five
-               minutes for each but the last
-  --aarch64    the library's tests, compiled by GCC for aarch64 into build-aarch64/ and run under
-               qemu-user; fails also where the hybrid mission's figures differ from this processor's
-               by more than 1e-9, relative. One and a half hours
-  --docs       instead of the tests, the reference as HTML in build-docs/html/, by Doxygen from the
-               headers' comments; fails where a comment names what is not there. Seconds
-  --help       this text
+               build-fuzz/ and run each target for this time, one per processor; fails if there is
+               a finding. The build takes about 5 minutes
+  --sanitize   run the tests with ASan and UBSan in build-sanitize/, the program with threads with
+               TSan in build-sanitize-threads/, and some tests of the normal build with valgrind.
+               45 minutes
+  --coverage   run the tests and write a table of the lines of include/ that they reach, and the
+               lines as HTML, to build-coverage/report/; fails below 95 %. 45 minutes
+  --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
+               fuzz target. 15 minutes
+  --variants   run the tests of the library with other compiler options in build-variants/: for this
+               processor, with -ffast-math, with clang's libc++, and without optimisation. 90
+               minutes; 5 minutes for each variant except the last
+  --aarch64    run the tests of the library, compiled by GCC for aarch64 into build-aarch64/, with
+               qemu-user. Also fails if a figure of the hybrid mission differs from that on this
+               processor by more than 1e-9 (relative). 90 minutes
+  --docs       instead of the tests, build the reference as HTML in build-docs/html/ with Doxygen;
+               fails if a comment names something that does not exist. Seconds
+  --help       print this text
 HELP
 }
 
@@ -83,20 +83,20 @@ build() {  # directory, CMake options
 
 benchmark_packages=(libbenchmark-dev)
 test_packages=(clang clang-format libgtest-dev "${benchmark_packages[@]}" libcli11-dev
-  nlohmann-json3-dev gnuplot-nox fonts-dejavu-core libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri
-  pkgconf time)
+  nlohmann-json3-dev gnuplot-nox fonts-dejavu-core libjs-three node-d3 libmujoco-dev libegl-dev libgl1
+  libgl1-mesa-dri pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
-# No build type, which leaves Eigen's assertions in.
+# Without a build type, so that the assertions of Eigen stay active.
 instrumented() {  # directory, flags
   build "$1" "${with_clang[@]}" "${with_tests[@]}" \
     -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$2"
 }
-# What these tests show is not changed by how the tests are built.
+# The results of these tests do not depend on how the tests are built.
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|format|readme_.*|without_nlopt)$'
-# Their three programs fly in real time, which instrumented ones do not keep up with.
+# These tests fly three programs in real time; instrumented programs are too slow for this.
 real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)'
 
 if [[ $instead == fuzz ]]; then
@@ -137,7 +137,8 @@ if [[ $instead == sanitize ]]; then
     --output build-sanitize-threads/results
 
   configure build-tests "${with_clang[@]}" "${with_tests[@]}"
-  quick=(allocation_matrix_test frames_test rigid_body_test riccati_test multipliers_test)
+  quick=(allocation_matrix_test frames_test rigid_body_test riccati_test riccati_equation_test
+    multipliers_test)
   cmake --build build-tests --parallel "$(nproc)" --target "${quick[@]}"
   for test in "${quick[@]}"; do
     echo "== Running $test under valgrind"
@@ -148,7 +149,7 @@ fi
 
 if [[ $instead == coverage ]]; then
   bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" libclang-rt-dev llvm
-  # While it builds, CMake asks each test for its names, which is no run of it.
+  # During the build, CMake asks each test program for its test names; this must write no profile.
   LLVM_PROFILE_FILE=/dev/null instrumented build-coverage \
     "-O1 -fprofile-instr-generate -fcoverage-mapping"
   rm -rf build-coverage/profiles
@@ -183,7 +184,7 @@ if [[ $instead == variants ]]; then
   variant native "-O3 -march=native"
   variant fast_math "-O2 -ffast-math -fno-finite-math-only"
   variant libcxx "-O1 -stdlib=libc++" -DTILT_ROPTER_GTEST_SOURCE=/usr/src/googletest
-  variant plain -O0  # by far the longest
+  variant plain -O0  # takes by far the longest time
   [[ ! $failed ]] || { echo "tests failed in:$failed" && exit 1; }
   exit 0
 fi
@@ -231,7 +232,7 @@ timeout=300
 directory=build-tests
 options=("${with_clang[@]}" -DTILT_ROPTER_BUILD_QUICKLY=ON)
 if [[ $full ]]; then
-  test_packages+=(clang-tidy)
+  test_packages+=(clang-tidy chromium doxygen)
   timeout=7200
   directory=build-full
   options=(-DTILT_ROPTER_FULL_TESTS=ON)

@@ -11,12 +11,12 @@ namespace {
 
 using namespace tilt_ropter;
 
-TEST(ActuatorModel, IsItsRotorsAndServos) {
+TEST(ActuatorModel, MatchesSeparateRotorsAndServos) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.servo.dead_time = 0.015;
   ActuatorModel<4> model(vehicle);
-  Rotor<> rotor(vehicle.rotor);
-  Servo<> servo(vehicle.servo);
+  Rotord rotor(vehicle.rotor);
+  Servod servo(vehicle.servo);
   test_support::Random random(1);
   ActuatorState<4> command;
   for (int i = 0; i < 200; ++i) {
@@ -57,7 +57,7 @@ TEST(ActuatorModel, FixedRotorsKeepAngleZero) {
   EXPECT_GT(model.state().tilt_angle(0), 0.9);
 }
 
-TEST(ActuatorModel, RefusesParametersThatValidateRefuses) {
+TEST(ActuatorModel, RejectsInvalidParameters) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.servo.max_rate = 0.0;
   EXPECT_THROW(ActuatorModel<4>{vehicle}, std::invalid_argument);

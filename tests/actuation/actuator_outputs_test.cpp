@@ -37,22 +37,22 @@ Vehicle<4> vehicle() {
   return v;
 }
 
-TEST(MotorOutput, KeepsPx4sThrustModel) {
+TEST(MotorOutput, SatisfiesPx4ThrustModel) {
   Random random(91);
   const RotorParameters rotor = tilt_ropter_vehicle().rotor;
   for (int i = 0; i < 10000; ++i) {
     const double f = i % 3 == 0 ? 0.0 : i % 3 == 1 ? 1.0 : random.uniform(0.0, 1.0);
-    const double share = random.uniform(0.0, 1.0);
-    const double speed = std::sqrt(share * rotor.max_thrust / rotor.thrust_coefficient);
+    const double fraction = random.uniform(0.0, 1.0);
+    const double speed = std::sqrt(fraction * rotor.max_thrust / rotor.thrust_coefficient);
     const double u = motor_output(speed, rotor, f);
     EXPECT_GE(u, 0.0);
     EXPECT_LE(u, 1.0);
-    EXPECT_NEAR(f * u * u + (1.0 - f) * u, share, 1e-14);
+    EXPECT_NEAR(f * u * u + (1.0 - f) * u, fraction, 1e-14);
     EXPECT_NEAR(speed_from_motor_output(u, rotor, f), speed, 1e-10 * speed);
   }
 }
 
-TEST(MotorOutput, TheFactorsEndsAreThrustAndSpeed) {
+TEST(MotorOutput, FactorZeroGivesThrustAndFactorOneGivesSpeed) {
   const RotorParameters rotor = tilt_ropter_vehicle().rotor;
   const double full = std::sqrt(rotor.max_thrust / rotor.thrust_coefficient);
   EXPECT_NEAR(motor_output(full / 2, rotor, 0.0), 0.25, 1e-15);
@@ -62,7 +62,7 @@ TEST(MotorOutput, TheFactorsEndsAreThrustAndSpeed) {
   EXPECT_NEAR(speed_from_motor_output(7.0, rotor, 0.3), full, 1e-10);
 }
 
-TEST(MotorOutput, WhatIsNoSpeedOrOutputStops) {
+TEST(MotorOutput, InvalidSpeedOrOutputGivesZero) {
   const RotorParameters rotor = tilt_ropter_vehicle().rotor;
   for (const double f : {0.0, 0.5, 1.0})
     for (const double bad : {nan, inf, -inf, -1.0, -0.0, 0.0, 1e300}) {
@@ -73,7 +73,7 @@ TEST(MotorOutput, WhatIsNoSpeedOrOutputStops) {
     }
 }
 
-TEST(ServoOutput, IsLinearBetweenTheRangesEnds) {
+TEST(ServoOutput, IsLinearOverServoRange) {
   const ServoParameters servo = vehicle().servo;
   for (const bool reversed : {false, true}) {
     const double sign = reversed ? -1.0 : 1.0;
@@ -83,19 +83,19 @@ TEST(ServoOutput, IsLinearBetweenTheRangesEnds) {
     EXPECT_NEAR(servo_output(0.5, servo, {0.2, reversed}), 0.2, 1e-15);
     EXPECT_NEAR(servo_output(1.1, servo, {0.2, reversed}), 0.2 + sign * 0.4, 1e-15);
   }
-  EXPECT_EQ(servo_output(2.0, servo, {0.1, false}), 1.0);  // cut
+  EXPECT_EQ(servo_output(2.0, servo, {0.1, false}), 1.0);  // clamped
   EXPECT_EQ(servo_output(-inf, servo, {}), -1.0);
   EXPECT_EQ(servo_output(inf, servo, {0.0, true}), -1.0);
   EXPECT_TRUE(std::isnan(servo_output(nan, servo, {})));
   EXPECT_TRUE(std::isnan(angle_from_servo_output(nan, servo, {})));
-  // With a trim, one end of the output lies beyond the range, and the angle is cut.
+  // With a trim, one end of the output range lies beyond the servo range, and the angle is clamped.
   EXPECT_EQ(angle_from_servo_output(-1.0, servo, {0.1, false}), servo.min_angle);
   EXPECT_EQ(angle_from_servo_output(-1.0, servo, {0.1, true}), servo.max_angle);
   EXPECT_NEAR(angle_from_servo_output(1.0, servo, {0.1, false}), 2.0 - 0.15, 1e-15);
   EXPECT_EQ(angle_from_servo_output(inf, servo, {}), servo.max_angle);
 }
 
-TEST(OutputScaling, ThereAndBackIsTheSame) {
+TEST(OutputScaling, RoundTripIsIdentity) {
   Random random(92);
   const OutputScaling<4> scaling(vehicle(), settings());
   const double full = std::sqrt(vehicle().rotor.max_thrust / vehicle().rotor.thrust_coefficient);
@@ -103,7 +103,7 @@ TEST(OutputScaling, ThereAndBackIsTheSame) {
     ActuatorState<4> command;
     for (int k = 0; k < 4; ++k) {
       command.rotor_speed(k) = random.uniform(0.0, full);
-      command.tilt_angle(k) = random.uniform(-0.8, 1.8);  // away from what the trims cut
+      command.tilt_angle(k) = random.uniform(-0.8, 1.8);  // where no trim causes clamping
     }
     const auto outputs = scaling.outputs(command);
     ASSERT_TRUE(outputs.has_value());
@@ -122,7 +122,7 @@ TEST(OutputScaling, EachServoHasItsOwnTrimAndDirection) {
   EXPECT_LT((outputs->servo - Vector4d(0.4, 0.45, -0.4, -0.5)).norm(), 1e-15);
 }
 
-TEST(OutputScaling, RandomCommandsStayInRangeAndBadOnesAreRefused) {
+TEST(OutputScaling, KeepsRangeForRandomCommandsAndRejectsNonFinite) {
   Random random(93);
   const OutputScaling<4> scaling(vehicle(), settings());
   const double extremes[] = {nan, inf, -inf, 0.0, -0.0, 1e-310, 1e300, -1e300, 1.0, -5.0};
@@ -160,7 +160,7 @@ TEST(OutputScaling, RandomCommandsStayInRangeAndBadOnesAreRefused) {
   EXPECT_GT(refused, 1000);
 }
 
-TEST(OutputScaling, ADisarmedMotorStandsStill) {
+TEST(OutputScaling, DisarmedMotorHasZeroSpeed) {
   ActuatorOutputs<4> outputs;
   outputs.motor << nan, 0.5, nan, 1.0;
   const auto command = OutputScaling<4>(vehicle()).command(outputs);
@@ -170,14 +170,15 @@ TEST(OutputScaling, ADisarmedMotorStandsStill) {
   EXPECT_GT(command->rotor_speed(1), 0.0);
 }
 
-// The motor's thrust at duty cycle d, as a share of that at full duty cycle and nominal voltage, by
-// the motors' factor m: a motor sees d times the voltage.
-double thrust_share(double duty, double ratio, double m) {
+// Thrust of the motor at duty cycle `duty`, as a fraction of the thrust at full duty cycle and
+// nominal voltage. `m` is the motors' thrust model factor. The motor sees `duty` times the
+// battery's voltage.
+double thrust_fraction(double duty, double ratio, double m) {
   const double seen = duty * ratio;
   return m * seen * seen + (1.0 - m) * seen;
 }
 
-TEST(OutputScaling, RaisesTheOutputsWhereTheVoltageSags) {
+TEST(OutputScaling, RaisesOutputsIfVoltageSags) {
   Random random(94);
   Vehicle<4> v = vehicle();
   v.battery.nominal_voltage = 22.2;
@@ -197,14 +198,14 @@ TEST(OutputScaling, RaisesTheOutputsWhereTheVoltageSags) {
     ASSERT_TRUE(back.has_value());
     for (int k = 0; k < 4; ++k) {
       const double wanted = std::pow(command.rotor_speed(k) / full, 2);
-      // The autopilot looks for the duty cycle by bisection.
+      // The autopilot computes the duty cycle from its own thrust model, here by bisection.
       double duty = 0.0, most = 1.0;
       for (int step = 0; step < 60; ++step) {
         const double middle = 0.5 * (duty + most);
         (p * middle * middle + (1.0 - p) * middle < outputs->motor(k) ? duty : most) = middle;
       }
-      if (wanted < thrust_share(1.0, ratio, m)) {
-        EXPECT_NEAR(thrust_share(duty, ratio, m), wanted, 1e-12);
+      if (wanted < thrust_fraction(1.0, ratio, m)) {
+        EXPECT_NEAR(thrust_fraction(duty, ratio, m), wanted, 1e-12);
         EXPECT_NEAR(back->rotor_speed(k), command.rotor_speed(k), 1e-8 * full);
       } else {
         EXPECT_EQ(outputs->motor(k), 1.0);
@@ -214,11 +215,11 @@ TEST(OutputScaling, RaisesTheOutputsWhereTheVoltageSags) {
   }
 }
 
-TEST(OutputScaling, VoltagesOutOfRangeAreIgnored) {
+TEST(OutputScaling, IgnoresVoltagesOutOfRange) {
   Vehicle<4> v = vehicle();
   ActuatorState<4> command;
   command.rotor_speed.setConstant(1000.0);
-  EXPECT_FALSE(OutputScaling<4>(v, settings()).set_voltage(20.0));  // of a battery not known
+  EXPECT_FALSE(OutputScaling<4>(v, settings()).set_voltage(20.0));  // nominal voltage unknown
   v.battery.nominal_voltage = 20.0;
   OutputScaling<4> scaling(v, settings());
   EXPECT_EQ(scaling.outputs(command)->motor,

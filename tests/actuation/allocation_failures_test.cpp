@@ -38,19 +38,19 @@ std::vector<Case> cases() {
            with_weak_rotor(with_stuck_servo(idling, 3, 0.35), 1, 0.7)}};
 }
 
-Vector6 packed(const Wrench<>& w) {
+Vector6 packed(const Wrenchd& w) {
   Vector6 v;
   v << w.force, w.torque;
   return v;
 }
 
-Wrench<> around_hover(Random& random, double force, double torque) {
-  Wrench<> w{random.vector(force), random.vector(torque)};
+Wrenchd around_hover(Random& random, double force, double torque) {
+  Wrenchd w{random.vector(force), random.vector(torque)};
   w.force.z() += 14.7;
   return w;
 }
 
-/// What the plant, which shares no code with the allocation, makes of a command.
+/// Wrench of a command by the plant, which shares no code with the allocation.
 Vector6 on_plant(Plant<4>& plant, const ActuatorState<4>& command) {
   PlantState<4> x = plant.state();
   x.actuators = command;
@@ -58,7 +58,7 @@ Vector6 on_plant(Plant<4>& plant, const ActuatorState<4>& command) {
   return packed(plant.actuator_wrench());
 }
 
-TEST(AllocationFailures, StuckServoIsAServoHeldThere) {
+TEST(AllocationFailures, StuckServoGivesSameWrenchAsHeldServo) {
   Random random(1);
   for (int i = 0; i < 200; ++i) {
     const auto arm = static_cast<std::size_t>(i % 4);
@@ -78,7 +78,7 @@ TEST(AllocationFailures, StuckServoIsAServoHeldThere) {
   }
 }
 
-TEST(AllocationFailures, EveryWrenchIsReachedOrSaidToBeLostWithinLimits) {
+TEST(AllocationFailures, GivesWrenchOrReportsLossWithinLimits) {
   const int wrenches = test_support::quick_or_full(20000, 200000);
   for (const Case& failure : cases()) {
     SCOPED_TRACE(failure.name);
@@ -92,7 +92,7 @@ TEST(AllocationFailures, EveryWrenchIsReachedOrSaidToBeLostWithinLimits) {
     Eigen::Vector4d least = Eigen::Vector4d::Constant(fastest);
     std::vector<int> count(7, 0);
     for (int i = 0; i < wrenches; ++i) {
-      const Wrench<> wanted =
+      const Wrenchd wanted =
           i % 2 == 0 ? around_hover(random, 4.0, 0.3) : around_hover(random, 15.0, 1.5);
       const auto result = allocation.allocate(wanted, last);
       const ActuatorState<4>& command = result.command;
@@ -122,7 +122,7 @@ TEST(AllocationFailures, EveryWrenchIsReachedOrSaidToBeLostWithinLimits) {
       least = least.cwiseMin(command.rotor_speed);
       last = command;
     }
-    // A weak rotor may idle as slowly as the others, at its share of min_thrust.
+    // A weak rotor may idle at the same speed as the others, with its fraction of min_thrust.
     if (v.rotor.min_thrust > 0.0) {
       EXPECT_LT(least.maxCoeff(), 1.001 * slowest);
     }
@@ -136,17 +136,17 @@ TEST(AllocationFailures, EveryWrenchIsReachedOrSaidToBeLostWithinLimits) {
 TEST(AllocationFailures, CommandsAreContinuous) {
   const auto draw = [](Random& random) { return around_hover(random, 5.0, 0.4); };
   for (const Case& failure : cases()) {
-    if (failure.vehicle.rotor.min_thrust > 0.0) continue;  // jumps from one side to the other
+    if (failure.vehicle.rotor.min_thrust > 0.0) continue;  // with min_thrust the thrusts jump
     SCOPED_TRACE(failure.name);
     EXPECT_LT(test_support::steepest(failure.vehicle, 20, 8000, draw),
               1.2 * test_support::steepest(failure.vehicle, 20, 500, draw));
   }
 }
 
-TEST(AllocationFailures, WeakRotorTurnsFasterForTheSameThrustAndItsRateIsThatOfItsCommands) {
+TEST(AllocationFailures, WeakRotorTurnsFasterAndRatesMatchCommands) {
   const Vehicle<4> vehicle = with_weak_rotor(tilt_ropter_vehicle(), 1, 0.5);
   const Allocation<4> allocation(vehicle), whole(tilt_ropter_vehicle());
-  const Wrench<> now{{1.0, -0.5, 13.0}, {0.1, -0.05, 0.1}}, rate{{3.0, 2.0, -4.0}, {0.1, 0.2, 0.3}};
+  const Wrenchd now{{1.0, -0.5, 13.0}, {0.1, -0.05, 0.1}}, rate{{3.0, 2.0, -4.0}, {0.1, 0.2, 0.3}};
   const double h = 1e-6;
   const auto command = allocation.allocate(now, {}).command;
   Eigen::Vector4d expected = whole.allocate(now, {}).command.rotor_speed;
@@ -158,7 +158,7 @@ TEST(AllocationFailures, WeakRotorTurnsFasterForTheSameThrustAndItsRateIsThatOfI
   EXPECT_LT((allocation.rates(now, rate).rotor_acceleration - difference).norm(), 1e-2);
 }
 
-TEST(AllocationFailures, LostRotorLeavesTheRatesOfTheOthers) {
+TEST(AllocationFailures, LostRotorHasZeroRatesAndOthersKeepTheirs) {
   const Allocation<4> allocation(with_weak_rotor(tilt_ropter_vehicle(), 2, 0.0));
   const auto rates =
       allocation.rates({{0.0, 2.0, 14.7}, {0.0, 0.0, 0.1}}, {{1.0, 0.0, 5.0}, {0.1, 0.0, 0.0}});

@@ -33,7 +33,7 @@ void expect_moore_penrose(const Vehicle<Rotors>& vehicle, int nullity) {
   }
 }
 
-TEST(AllocationMatrix, PseudoinverseAndNullSpaceAreThoseOfTheMatrix) {
+TEST(AllocationMatrix, PseudoinverseAndNullSpaceMatchTheMatrix) {
   expect_moore_penrose(tilt_ropter_vehicle(), 2);
   expect_moore_penrose(tilting_hexacopter(), 6);
   expect_moore_penrose(omnidirectional_octocopter(), 2);
@@ -42,14 +42,14 @@ TEST(AllocationMatrix, PseudoinverseAndNullSpaceAreThoseOfTheMatrix) {
   expect_moore_penrose(mixed, 4);
 }
 
-TEST(AllocationMatrix, ColumnsAreForceTimesLeverAndReactionTorque) {
+TEST(AllocationMatrix, ColumnsContainForceLeverArmAndReactionTorque) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const AllocationMatrix<4> allocation(vehicle);
   for (std::size_t i = 0; i < 4; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
     for (const double alpha : {0.0, 0.4, pi / 2.0, -2.5}) {
       const Eigen::Vector3d force = rotor.orientation * thrust_direction(alpha);
-      // A rotor that turns counter-clockwise pushes the body round clockwise.
+      // A rotor that turns counter-clockwise exerts a clockwise torque on the body.
       const double reaction = rotor.spin == Spin::counter_clockwise ? -0.016 : 0.016;
       Eigen::Matrix<double, 6, 1> expected;
       expected << force, rotor.position.cross(force) + reaction * force;
@@ -72,7 +72,7 @@ std::string complaint(const Vehicle<Rotors>& vehicle) {
   return {};
 }
 
-TEST(AllocationMatrix, FlatQuadrotorIsRefusedWithWhatItCannotDo) {
+TEST(AllocationMatrix, RejectsFlatQuadrotorAndNamesMissingDirections) {
   const std::string text = complaint(flat_quadrotor());
   EXPECT_NE(text.find("rank of the allocation matrix = 4: must be 6"), std::string::npos) << text;
   EXPECT_NE(text.find("2 direction(s)"), std::string::npos) << text;
@@ -80,7 +80,7 @@ TEST(AllocationMatrix, FlatQuadrotorIsRefusedWithWhatItCannotDo) {
   EXPECT_EQ(text.find("torque"), std::string::npos) << text;
 }
 
-TEST(AllocationMatrix, TooFewColumnsAndCoincidentRotorsAreRefused) {
+TEST(AllocationMatrix, RejectsTooFewColumnsAndCoincidentRotors) {
   Vehicle<4> one_tilts = flat_quadrotor();
   one_tilts.rotors[2].tilts = true;
   EXPECT_NE(complaint(one_tilts).find("= 5: must be 6"), std::string::npos);
@@ -89,14 +89,14 @@ TEST(AllocationMatrix, TooFewColumnsAndCoincidentRotorsAreRefused) {
   EXPECT_NE(complaint(no_arms).find("torque"), std::string::npos);
 }
 
-TEST(AllocationMatrix, AVehicleOfASizeThatOverflowsIsRefused) {
+TEST(AllocationMatrix, RejectsVehicleSizeThatOverflows) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.rotors[1] = rotor_on_arm(pi / 4, 1.0, Spin::clockwise);
-  vehicle.rotors[1].position << 1.7e308, 1.7e308, 0.0;  // finite, its torques are not
+  vehicle.rotors[1].position << 1.7e308, 1.7e308, 0.0;  // finite, but its torques overflow
   EXPECT_NE(complaint(vehicle).find("size of the vehicle"), std::string::npos);
 }
 
-TEST(AllocationMatrix, RankDoesNotDependOnTheSizeOfTheVehicle) {
+TEST(AllocationMatrix, RankIsIndependentOfVehicleSize) {
   for (const double scale : {1e-8, 1.0, 1e8}) {
     Vehicle<4> vehicle = tilt_ropter_vehicle(), flat = flat_quadrotor();
     vehicle.rotor.torque_ratio *= scale;

@@ -18,33 +18,33 @@ using test_support::Random;
 using test_support::with_tilt_range;
 using Status = AllocationStatus;
 
-/// The fraction of each group that a result keeps, NaN for one that is not wanted; in the order of
-/// WrenchGroup.
-std::array<double, 4> fractions(const Wrench<>& wanted, const Wrench<>& given) {
+/// Returns the fraction of each group that a result keeps, in the order of WrenchGroup. The
+/// fraction of a group that is not wanted is NaN.
+std::array<double, 4> fractions(const Wrenchd& wanted, const Wrenchd& given) {
   const auto of = [](const auto& a, const auto& b) { return b.dot(a) / a.squaredNorm(); };
   return {of(wanted.torque.head<2>(), given.torque.head<2>()), given.force.z() / wanted.force.z(),
           of(wanted.force.head<2>(), given.force.head<2>()), given.torque.z() / wanted.torque.z()};
 }
 
-TEST(AllocationPriorities, KeepLiftWhileSidewaysForceIsBeyondReach) {
+TEST(AllocationPriorities, KeepLiftIfSidewaysForceIsUnreachable) {
   const Allocation allocation(tilt_ropter_vehicle());
   const auto result = allocation.allocate({Vector3d(0.0, 30.0, 14.7), Vector3d::Zero()}, {});
   EXPECT_EQ(result.status, Status::limited);
   EXPECT_NEAR(result.achieved.force.z(), 14.7, 1e-9);
   EXPECT_LT(result.achieved.torque.norm(), 1e-9);
-  // Front and back arm push sideways with all that the balance of torques leaves them: 24 N
+  // The front and the back arm push sideways with the thrust that the torque balance leaves: 24 N
   // without reaction torque.
   EXPECT_GT(result.achieved.force.y(), 23.8);
   EXPECT_LT(result.achieved.force.y(), 24.0);
 }
 
-TEST(AllocationPriorities, KeepLiftWhileYawIsBeyondReach) {
+TEST(AllocationPriorities, KeepLiftIfYawTorqueIsUnreachable) {
   const Allocation allocation(tilt_ropter_vehicle());
   const auto result = allocation.allocate({Vector3d(0.0, 0.0, 14.7), Vector3d(0.0, 0.0, 8.0)}, {});
   EXPECT_EQ(result.status, Status::limited);
   EXPECT_NEAR(result.achieved.force.z(), 14.7, 1e-6);
   EXPECT_LT(result.achieved.torque.head<2>().norm(), 1e-6);
-  // All arms slant alike: T = (lateral, vertical) of 12 N with 14.7 / 4 N up.
+  // All arms tilt alike: T = (lateral, vertical) has a norm of 12 N and vertical = 14.7 / 4 N.
   const double vertical = 14.7 / 4.0, lateral = std::sqrt(144.0 - vertical * vertical);
   EXPECT_NEAR(result.achieved.torque.z(), 4.0 * 0.17 * lateral, 0.3);
   EXPECT_GT(result.achieved.torque.z(), 7.7);
@@ -52,7 +52,7 @@ TEST(AllocationPriorities, KeepLiftWhileYawIsBeyondReach) {
 
 TEST(AllocationPriorities, KeepLevelBeforeLift) {
   const Allocation allocation(tilt_ropter_vehicle());
-  // 48 N are all that there is.
+  // The largest total thrust is 48 N.
   const auto result = allocation.allocate({Vector3d(0.0, 0.0, 47.0), Vector3d(0.5, -0.3, 0.0)}, {});
   EXPECT_EQ(result.status, Status::limited);
   EXPECT_NEAR(result.achieved.torque.x(), 0.5, 1e-6);
@@ -60,12 +60,12 @@ TEST(AllocationPriorities, KeepLevelBeforeLift) {
   EXPECT_GT(result.achieved.force.z(), 42.0);
 }
 
-TEST(AllocationPriorities, KeepLightGroundContactWhileDrivingForceIsBeyondReach) {
-  // A short range: the side arms push forward as far as their little lift lets them.
+TEST(AllocationPriorities, KeepLightGroundContactIfDrivingForceIsUnreachable) {
+  // With a small servo range the forward force of the side arms is limited by their small lift.
   const double half = 0.5;
   const Allocation allocation(with_tilt_range(-half, half));
   for (const double lift : {1.0, 2.0}) {
-    const Wrench<> wanted{Vector3d(5.0, 0.0, lift), Vector3d::Zero()};
+    const Wrenchd wanted{Vector3d(5.0, 0.0, lift), Vector3d::Zero()};
     const auto result = allocation.allocate(wanted, {});
     EXPECT_EQ(result.status, Status::limited);
     EXPECT_NEAR(result.achieved.force.z(), lift, 1e-6);
@@ -75,23 +75,23 @@ TEST(AllocationPriorities, KeepLightGroundContactWhileDrivingForceIsBeyondReach)
   }
 }
 
-TEST(AllocationPriorities, OrderIsThatOfTheParameters) {
-  const Wrench<> wanted{Vector3d(20.0, 15.0, 40.0), Vector3d(2.0, 1.5, 4.0)};
+TEST(AllocationPriorities, FollowOrderOfSettings) {
+  const Wrenchd wanted{Vector3d(20.0, 15.0, 40.0), Vector3d(2.0, 1.5, 4.0)};
   std::array<WrenchGroup, 4> order{WrenchGroup::level, WrenchGroup::lift, WrenchGroup::sideways,
                                    WrenchGroup::yaw};
   std::array<double, 4> best{};
   do {
-    AllocationParameters parameters;
-    parameters.priorities = order;
-    const Allocation allocation(tilt_ropter_vehicle(), parameters);
+    AllocationSettings settings;
+    settings.priorities = order;
+    const Allocation allocation(tilt_ropter_vehicle(), settings);
     const auto kept = fractions(wanted, allocation.allocate(wanted, {}).achieved);
-    // Each alone is within reach, so the first is kept whole.
+    // Each group alone is reachable, so the first group is kept in full.
     EXPECT_NEAR(kept[static_cast<std::size_t>(order[0])], 1.0, 1e-6);
     for (std::size_t g = 0; g < 4; ++g) {
       EXPECT_GT(kept[g], -1e-6);
       EXPECT_LT(kept[g], 1.0 + 1e-6);
     }
-    // Nothing is whole that comes last.
+    // The last group is never kept in full.
     EXPECT_LT(kept[static_cast<std::size_t>(order[3])], 0.95);
     best[static_cast<std::size_t>(order[1])] = std::max(best[static_cast<std::size_t>(order[1])],
                                                         kept[static_cast<std::size_t>(order[1])]);
@@ -99,15 +99,15 @@ TEST(AllocationPriorities, OrderIsThatOfTheParameters) {
   for (const double fraction : best) EXPECT_GT(fraction, 0.5);
 }
 
-// The wrench that is given is within reach by itself; a little more of the first group that is not
-// whole is not, whatever the later groups have of theirs.
-TEST(AllocationPriorities, GiveAsMuchOfTheFirstGroupAsSomeThrustsGive) {
+// The achieved wrench is reachable. A larger fraction of the first reduced group is not reachable,
+// for any fractions of the later groups.
+TEST(AllocationPriorities, MaximiseTheFirstReducedGroup) {
   for (const double half : {0.4, 1.0, 0.5 * pi, 2.2, pi}) {
     const Allocation allocation(with_tilt_range(-half, half));
     Random random(41);
     int limited = 0, improvable = 0;
     for (int i = 0; i < 300; ++i) {
-      const Wrench<> wanted{random.vector(25.0) + Vector3d(0.0, 0.0, 12.0), random.vector(2.0)};
+      const Wrenchd wanted{random.vector(25.0) + Vector3d(0.0, 0.0, 12.0), random.vector(2.0)};
       const auto result = allocation.allocate(wanted, {});
       if (result.status != Status::limited) continue;
       ++limited;
@@ -116,8 +116,8 @@ TEST(AllocationPriorities, GiveAsMuchOfTheFirstGroupAsSomeThrustsGive) {
       while (first < 4 && kept[first] > 1.0 - 1e-5) ++first;
       ASSERT_LT(first, 4U);
       const auto scaled = [&](const std::array<double, 4>& f) {
-        return Wrench<>{wanted.force.cwiseProduct(Vector3d(f[2], f[2], f[1])),
-                        wanted.torque.cwiseProduct(Vector3d(f[0], f[0], f[3]))};
+        return Wrenchd{wanted.force.cwiseProduct(Vector3d(f[2], f[2], f[1])),
+                       wanted.torque.cwiseProduct(Vector3d(f[0], f[0], f[3]))};
       };
       std::array<double, 4> less = kept;
       for (double& f : less) f *= 1.0 - 1e-5;
@@ -134,7 +134,7 @@ TEST(AllocationPriorities, GiveAsMuchOfTheFirstGroupAsSomeThrustsGive) {
       }
     }
     EXPECT_GT(limited, 30);
-    // Only where a rotor's thrusts are not convex may something be left.
+    // Only if the set of a rotor's thrusts is not convex may the result be improvable.
     EXPECT_LE(improvable, half > 0.5 * pi && half < pi ? limited / 50 : 0) << half;
   }
 }

@@ -21,23 +21,23 @@ using test_support::Random;
 using test_support::with_tilt_range;
 using Status = AllocationStatus;
 
-Wrench<> push(double x, double y, double z) {
+Wrenchd push(double x, double y, double z) {
   return {Vector3d(x, y, z), Vector3d::Zero()};
 }
 
-TEST(AllocationRangeEnd, SmallPushesToAndFroTurnNoArmOver) {
-  // Front and back arm are at +-pi; half of 0.05 N is 0.0125 rad of an arm of 2 N.
+TEST(AllocationRangeEnd, SmallAlternatingPushesTurnNoArmOver) {
+  // The front and the back arm are at +-pi. Half of 0.05 N turns an arm of 2 N by 0.0125 rad.
   const Allocation allocation(tilt_ropter_vehicle());
   ActuatorState<4> last;
   for (int i = 0; i < 100; ++i) {
-    const Wrench<> wanted = push(0.0, i % 2 == 0 ? 0.05 : -0.05, -8.0);
+    const Wrenchd wanted = push(0.0, i % 2 == 0 ? 0.05 : -0.05, -8.0);
     const auto result = allocation.allocate(wanted, last);
     EXPECT_EQ(result.turned_over, 0);
     if (i > 0) {
       EXPECT_LT((result.command.tilt_angle - last.tilt_angle).cwiseAbs().maxCoeff(), 0.02);
       EXPECT_EQ(result.status, i % 2 == 0 ? Status::ok : Status::range_end_held);
-      // Reported: what speeds and angles make, and what is missing.
-      const Wrench<> given = allocation.wrench(result.command);
+      // The reported wrench is the wrench of speeds and angles; `lost` is the missing wrench.
+      const Wrenchd given = allocation.wrench(result.command);
       EXPECT_LT((given.force + result.lost.force - wanted.force).norm(), 1e-12);
       EXPECT_NEAR(result.lost.force.norm(), i % 2 == 0 ? 0.0 : 0.05, 1e-3);
     }
@@ -45,7 +45,7 @@ TEST(AllocationRangeEnd, SmallPushesToAndFroTurnNoArmOver) {
   }
 }
 
-TEST(AllocationRangeEnd, PushesBeyondTheMarginTurnOverOnceAndThenStay) {
+TEST(AllocationRangeEnd, PushesBeyondTheMarginTurnArmsOverOnce) {
   const Allocation allocation(tilt_ropter_vehicle());
   ActuatorState<4> last;
   int turned_over = 0;
@@ -57,7 +57,7 @@ TEST(AllocationRangeEnd, PushesBeyondTheMarginTurnOverOnceAndThenStay) {
     EXPECT_EQ((turn.array() > pi + 1e-5).count(), result.turned_over);
     if (result.turned_over > 0) {
       EXPECT_EQ(result.status, Status::turned_over);
-      // The arms are where the null space serves pushes to both sides from then on.
+      // From then on the arms are at angles where the null space serves pushes to both sides.
       EXPECT_LT(i, 3);
     }
     turned_over += result.turned_over;
@@ -67,14 +67,14 @@ TEST(AllocationRangeEnd, PushesBeyondTheMarginTurnOverOnceAndThenStay) {
   EXPECT_LE(turned_over, 2);
 }
 
-TEST(AllocationRangeEnd, MarginIsThatOfTheParameters) {
+TEST(AllocationRangeEnd, FollowsMarginOfSettings) {
   ActuatorState<4> last;
   last.tilt_angle << pi, pi, -3.1, 3.1;
   for (const double margin : {0.0, 0.05, 0.3}) {
-    AllocationParameters parameters;
-    parameters.range_end_margin = margin;
-    const Allocation allocation(tilt_ropter_vehicle(), parameters);
-    // The front arm's 2 N would point `beyond` the end.
+    AllocationSettings settings;
+    settings.range_end_margin = margin;
+    const Allocation allocation(tilt_ropter_vehicle(), settings);
+    // The 2 N of the front arm would point `beyond` [rad] past the end of the range.
     for (const double beyond : {0.04, 0.06, 0.2, 0.4}) {
       const auto result = allocation.allocate(push(0.0, -4.0 * std::tan(beyond), -8.0), last);
       EXPECT_EQ(result.status == Status::range_end_held, beyond < margin) << margin << beyond;
@@ -86,13 +86,13 @@ TEST(AllocationRangeEnd, MarginIsThatOfTheParameters) {
   }
 }
 
-TEST(AllocationRangeEnd, NothingChangesFarFromTheEnd) {
-  // With last angles within a quarter of a turn of the middle, the least thrusts are taken.
+TEST(AllocationRangeEnd, UsesMinimumNormThrustsFarFromTheEnd) {
+  // With the last angles within a quarter turn of the middle, the minimum-norm thrusts are used.
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation allocation(vehicle);
   Random random(31);
   for (int i = 0; i < 20000; ++i) {
-    const Wrench<> wanted{random.vector(6.0), random.vector(0.3)};
+    const Wrenchd wanted{random.vector(6.0), random.vector(0.3)};
     ActuatorState<4> last;
     for (int k = 0; k < 4; ++k) last.tilt_angle(k) = random.uniform(-1.5, 1.5);
     const auto result = allocation.allocate(wanted, last);
@@ -108,16 +108,17 @@ TEST(AllocationRangeEnd, NothingChangesFarFromTheEnd) {
 }
 
 struct Walk {
-  int jumps = 0;      ///< of an angle by more than half a turn in a tick
-  int reported = 0;   ///< of these
-  double lost = 0.0;  ///< largest loss of force that is not reported [N]
+  int jumps = 0;      ///< changes of an angle by more than half a turn in a tick
+  int reported = 0;   ///< jumps reported in turned_over
+  double lost = 0.0;  ///< largest loss of force with a status that reports no loss [N]
 };
 
-/// A random walk of the wrench through zero thrust, by up to `step` [N] per component and tick.
+/// Random walk of the wrench through zero thrust. Each component changes by up to `step` [N] per
+/// tick.
 Walk walk(const Vehicle<4>& vehicle, double step, bool timed) {
   const Allocation allocation(vehicle);
   Random random(32);
-  Wrench<> wanted;
+  Wrenchd wanted;
   AllocationResult<4> last;
   Walk walk;
   const auto bounded = [](Vector3d& v, double limit) {
@@ -140,7 +141,7 @@ Walk walk(const Vehicle<4>& vehicle, double step, bool timed) {
   return walk;
 }
 
-TEST(AllocationRangeEnd, RandomWalksThroughZeroThrustTurnNextToNoArmOver) {
+TEST(AllocationRangeEnd, RandomWalksThroughZeroThrustRarelyTurnArmsOver) {
   const double ticks = test_support::quick_or_full(40000, 200000);
   for (const bool timed : {false, true}) {
     const Walk through = walk(tilt_ropter_vehicle(), 0.05, timed);

@@ -28,7 +28,8 @@ Vehicle<Rotors> with_range(Vehicle<Rotors> vehicle, double lower, double upper) 
   return vehicle;
 }
 
-/// Thrusts and angles within limits; of every other kind some are at the very limit.
+/// Random thrusts and angles within limits. For odd `kind`, about 60 % of them are exactly at a
+/// limit.
 template <int Rotors>
 ActuatorState<Rotors> within_limits(const Vehicle<Rotors>& vehicle, Random& random, int kind) {
   const auto between = [&](double low, double high) {
@@ -46,9 +47,9 @@ ActuatorState<Rotors> within_limits(const Vehicle<Rotors>& vehicle, Random& rand
   return state;
 }
 
-/// Largest error [N, N m] of the wrench that the command's speeds and angles make, where `wanted`
-/// is what some speeds and angles within limits make. Arms that wait at the end of their range are
-/// left out; `waiting` is their fraction.
+/// Returns the largest error [N, N m] of the wrench that the command's speeds and angles give.
+/// Every wanted wrench is reachable. Arms that wait at the end of their range are left out;
+/// `waiting` is the fraction of wrenches with such arms.
 template <int Rotors>
 double worst_error(const Vehicle<Rotors>& vehicle, int wrenches, double& waiting) {
   const Allocation<Rotors> allocation(vehicle);
@@ -60,7 +61,7 @@ double worst_error(const Vehicle<Rotors>& vehicle, int wrenches, double& waiting
   for (int i = 0; i < wrenches; ++i) {
     const auto truth = within_limits(vehicle, random, i);
     const Eigen::Matrix<double, 6, 1> wanted = matrix * test_support::thrusts_of(vehicle, truth);
-    // From rest, from the last command, from anywhere.
+    // Start from rest, from a random command, or from the last command.
     if (i % 3 == 0) last = {};
     if (i % 3 == 1) last = within_limits(vehicle, random, 0);
     const auto result = allocation.allocate({wanted.head<3>(), wanted.tail<3>()}, last);
@@ -88,7 +89,7 @@ void expect_all_given(const std::string& name, const Vehicle<Rotors>& vehicle, i
   EXPECT_LE(waiting, most_waiting);
 }
 
-TEST(AllocationReach, GivesEveryWrenchWithinReachForEveryServoRange) {
+TEST(AllocationReach, GivesAllReachableWrenchesForAllServoRanges) {
   for (const double range :
        {10.0,  15.0,  20.0,  30.0,  45.0,  60.0,  75.0,  90.0,  90.5,  100.0, 110.0,
         120.0, 135.0, 150.0, 160.0, 170.0, 175.0, 179.0, 180.0, 190.0, 200.0})
@@ -96,7 +97,7 @@ TEST(AllocationReach, GivesEveryWrenchWithinReachForEveryServoRange) {
                      2000, range > 90.0 ? 0.05 : 0.0);
 }
 
-TEST(AllocationReach, GivesEveryWrenchWithinReachForUnsymmetricRanges) {
+TEST(AllocationReach, GivesAllReachableWrenchesForAsymmetricRanges) {
   for (const auto& [lower, upper] : {std::pair{-20.0, 70.0},
                                      {5.0, 80.0},
                                      {-10.0, 170.0},
@@ -107,7 +108,7 @@ TEST(AllocationReach, GivesEveryWrenchWithinReachForUnsymmetricRanges) {
                      with_range(tilt_ropter_vehicle(), lower, upper), 2000, 0.05);
 }
 
-TEST(AllocationReach, GivesEveryWrenchWithinReachOfSixAndEightRotors) {
+TEST(AllocationReach, GivesAllReachableWrenchesWithSixAndEightRotors) {
   Vehicle<8> tilting = test_support::omnidirectional_octocopter();
   Vehicle<8> mixed = tilting;
   for (std::size_t i = 0; i < 8; ++i) {
@@ -124,7 +125,7 @@ TEST(AllocationReach, GivesEveryWrenchWithinReachOfSixAndEightRotors) {
   }
 }
 
-TEST(AllocationReach, GivesEveryWrenchWithinReachOfWeakLostAndStuckActuators) {
+TEST(AllocationReach, GivesAllReachableWrenchesWithActuatorFailures) {
   for (const double range : {20.0, 60.0, 120.0, 180.0}) {
     const Vehicle<4> v = with_range(tilt_ropter_vehicle(), -range, range);
     expect_all_given("weak", with_weak_rotor(v, 3, 0.3), 2000, 0.05);
@@ -138,15 +139,15 @@ TEST(AllocationReach, GivesEveryWrenchWithinReachOfWeakLostAndStuckActuators) {
   }
 }
 
-TEST(AllocationReach, GivesEveryWrenchWithinReachWithMinThrustOfFixedRotors) {
+TEST(AllocationReach, GivesAllReachableWrenchesWithFixedRotorMinThrust) {
   Vehicle<8> v = test_support::omnidirectional_octocopter();
   v.rotor.min_thrust = 0.5;
   expect_all_given("8 fixed that idle", v, 2000, 0.0);
 }
 
-// A tilting rotor's thrusts of at least min_thrust are not convex. What is given is exact, and
-// almost everything is given.
-TEST(AllocationReach, GivesAlmostEveryWrenchWithinReachWithMinThrustOfTiltingRotors) {
+// The thrusts of a tilting rotor with min_thrust above zero are not a convex set. If the status
+// says that the wrench is given, the wrench is exact. Almost every wrench is given.
+TEST(AllocationReach, GivesMostReachableWrenchesWithTiltingRotorMinThrust) {
   for (const double range : {20.0, 60.0, 120.0, 180.0}) {
     Vehicle<4> v = with_range(tilt_ropter_vehicle(), -range, range);
     v.rotor.min_thrust = 0.3;
@@ -155,9 +156,9 @@ TEST(AllocationReach, GivesAlmostEveryWrenchWithinReachWithMinThrustOfTiltingRot
     const int wrenches = test_support::quick_or_full(3000, 100000);
     int lost = 0;
     for (int i = 0; i < wrenches; ++i) {
-      const Wrench<> wanted = allocation.wrench(within_limits(v, random, 0));
+      const Wrenchd wanted = allocation.wrench(within_limits(v, random, 0));
       const auto result = allocation.allocate(wanted, {});
-      const Wrench<> given = allocation.wrench(result.command);
+      const Wrenchd given = allocation.wrench(result.command);
       const double error =
           (given.force - wanted.force).norm() + (given.torque - wanted.torque).norm();
       if (gives_wrench(result.status)) {

@@ -13,7 +13,7 @@ namespace {
 using namespace tilt_ropter;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 
-/// Without reaction torque, for which there are closed forms.
+/// The vehicle without reaction torque, for which closed forms exist.
 Vehicle<4> plain_vehicle() {
   Vehicle<4> v = tilt_ropter_vehicle();
   v.rotor.torque_ratio = 0.0;
@@ -22,16 +22,16 @@ Vehicle<4> plain_vehicle() {
 
 constexpr double weight = 1.5 * gravity, most = 12.0, arm = 0.17;
 
-TEST(ControlAuthority, IsThatOfTheClosedFormsForTheWholeVehicle) {
+TEST(ControlAuthority, MatchesClosedFormsForIntactVehicle) {
   const ControlAuthority a = control_authority(plain_vehicle());
   EXPECT_EQ(a.rank, 6);
-  // In units of the arm: forces along x and y come from two rotors, all else from two or four; A is
-  // orthogonal with squares 2, 2, 4, 2, 2, 4.
+  // In units of the arm length: forces along x and y use two rotors, all other components use two
+  // or four. A A' is diagonal with the squares 2, 2, 4, 2, 2, 4.
   EXPECT_NEAR(a.condition, std::sqrt(2.0), 1e-9);
   EXPECT_TRUE(a.hovers);
   EXPECT_NEAR(a.least_thrust, weight / 4.0, 1e-9);
-  // Two rotors push sideways or turn the body while the other two carry the weight; all share a
-  // yaw torque.
+  // Two rotors push sideways or turn the body while the other two carry the weight. All four rotors
+  // contribute to a yaw torque.
   const double yaw = 4.0 * arm * std::sqrt(most * most - weight * weight / 16.0);
   Vector6 forward, backward;
   forward << 2.0 * most, 2.0 * most, 4.0 * most - weight, 2.0 * most * arm, 2.0 * most * arm, yaw;
@@ -41,29 +41,29 @@ TEST(ControlAuthority, IsThatOfTheClosedFormsForTheWholeVehicle) {
   EXPECT_LT((a.backward - backward).cwiseAbs().maxCoeff(), 1e-5) << a.backward.transpose();
 }
 
-TEST(ControlAuthority, ReactionTorqueTakesItsShareOfASideForce) {
-  // Arms that push along x turn the body about it, which costs them torque_ratio / arm of their
-  // thrust up and down.
+TEST(ControlAuthority, ReactionTorqueReducesSideForce) {
+  // Arms that push along x also exert a reaction torque about x. To balance it, they need a
+  // vertical thrust of torque_ratio / arm of their lateral thrust, one up and one down.
   const ControlAuthority a = control_authority(tilt_ropter_vehicle());
   const double slant = 0.016 / arm;
   EXPECT_NEAR(a.forward(0), 2.0 * most / std::sqrt(1.0 + slant * slant), 1e-5);
 }
 
-TEST(ControlAuthority, OfAStuckServoAWeakRotorAndALostOne) {
-  // Stuck upright, an arm gives its vertical thrust only: nothing downward, nothing sideways.
+TEST(ControlAuthority, MatchesClosedFormsForStuckServoWeakAndLostRotor) {
+  // An arm stuck upright gives only vertical thrust upwards, and no sideways force.
   const ControlAuthority stuck = control_authority(with_stuck_servo(plain_vehicle(), 0, 0.0));
   EXPECT_EQ(stuck.rank, 6);
   EXPECT_NEAR(stuck.forward(0), most, 1e-5);
-  EXPECT_NEAR(stuck.backward(2), 2.0 * most + weight, 1e-5);  // the opposite arm keeps the balance
+  EXPECT_NEAR(stuck.backward(2), 2.0 * most + weight, 1e-5);  // the opposite arm must give nothing
 
-  // Two arms at most at half thrust, for the balance.
+  // For balance, two arms give at most half thrust.
   const ControlAuthority weak = control_authority(with_weak_rotor(plain_vehicle(), 0, 0.5));
   EXPECT_NEAR(weak.forward(2), 3.0 * most - weight, 1e-5);
   EXPECT_NEAR(weak.forward(3), 1.5 * most * arm, 1e-5);
   EXPECT_NEAR(weak.least_thrust, weight / 4.0, 1e-9);
 
-  // Two rotors carry all, and the one opposite the lost one nothing: to push the other way its
-  // servo has to turn half round.
+  // Two rotors carry the weight. The rotor opposite the lost rotor gives no thrust: to push the
+  // other way, its servo must turn by half a turn.
   const ControlAuthority lost = control_authority(with_weak_rotor(plain_vehicle(), 2, 0.0));
   EXPECT_EQ(lost.rank, 6);
   EXPECT_TRUE(lost.hovers);
@@ -71,7 +71,7 @@ TEST(ControlAuthority, OfAStuckServoAWeakRotorAndALostOne) {
   EXPECT_NEAR(lost.forward(2), 2.0 * most - weight, 1e-5);
 }
 
-TEST(ControlAuthority, TooHeavyDoesNotHoverAndBelowRankSixIsSaid) {
+TEST(ControlAuthority, ReportsNoHoverIfTooHeavyOrRankBelowSix) {
   Vehicle<4> heavy = plain_vehicle();
   heavy.body.mass = 4.9;
   const ControlAuthority a = control_authority(heavy);
@@ -92,14 +92,14 @@ TEST(ControlAuthority, TooHeavyDoesNotHoverAndBelowRankSixIsSaid) {
   EXPECT_THROW((void)control_authority(two), std::invalid_argument);
 }
 
-TEST(ControlAuthority, OfAnyNumberOfRotors) {
+TEST(ControlAuthority, WorksForSixRotorsAndWithOneLost) {
   const auto hexacopter = test_support::tilting_hexacopter();
   const ControlAuthority a = control_authority(hexacopter);
   EXPECT_EQ(a.rank, 6);
   EXPECT_NEAR(a.forward(2), 6.0 * 12.0 - hexacopter.body.mass * gravity, 1e-5);
   const ControlAuthority five = control_authority(with_weak_rotor(hexacopter, 2, 0.0));
   EXPECT_EQ(five.rank, 6);
-  EXPECT_GT(five.least_thrust, 0.5);  // of those that are left
+  EXPECT_GT(five.least_thrust, 0.5);  // of the remaining rotors
 }
 
 }  // namespace

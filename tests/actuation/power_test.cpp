@@ -16,18 +16,18 @@ double hover_speed(const Vehicle<4>& v) {
   return std::sqrt(v.body.mass * gravity / 4.0 / v.rotor.thrust_coefficient);
 }
 
-TEST(Power, HoverTakesThePapersPower) {
+TEST(Power, HoverPowerMatchesPaper) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const PowerModel model(vehicle);
   EXPECT_NEAR(model.power(Eigen::Vector4d::Constant(hover_speed(vehicle))), 653.64, 1e-9);
 }
 
-TEST(Power, StandstillTakesTheElectronicsOnly) {
+TEST(Power, PowerAtRestIsElectronicsOnly) {
   const PowerModel model(tilt_ropter_vehicle());
   EXPECT_EQ(model.power(Eigen::Vector4d::Zero()), 20.0);
 }
 
-TEST(Power, GrowsWithTheCubeOfTheSpeed) {
+TEST(Power, GrowsWithCubeOfRotorSpeed) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const PowerModel model(vehicle);
   const double once = model.power(Eigen::Vector4d::Constant(400.0)) - 20.0;
@@ -36,7 +36,7 @@ TEST(Power, GrowsWithTheCubeOfTheSpeed) {
   EXPECT_NEAR(once, 4.0 * model.coefficient() * 400.0 * 400.0 * 400.0, 1e-12);
 }
 
-TEST(Power, NonsenseSpeedsCountAsZero) {
+TEST(Power, InvalidSpeedsCountAsZero) {
   const PowerModel model(tilt_ropter_vehicle());
   for (const double bad : {std::numeric_limits<double>::quiet_NaN(),
                            std::numeric_limits<double>::infinity(), 1e300, -500.0})
@@ -44,7 +44,7 @@ TEST(Power, NonsenseSpeedsCountAsZero) {
               model.power(Eigen::Vector4d(0.0, 700.0, 0.0, 0.0)));
 }
 
-TEST(Power, FloatAndDerivative) {
+TEST(Power, FloatMatchesDoubleAndDerivativeIsCorrect) {
   using Dual = test_support::Dual<1>;
   const PowerModel model(tilt_ropter_vehicle());
   EXPECT_NEAR(model.power(Eigen::Vector4f::Constant(1600.0F)),
@@ -54,7 +54,7 @@ TEST(Power, FloatAndDerivative) {
               1e-12);
 }
 
-TEST(Power, RefusesParametersThatValidateRefuses) {
+TEST(Power, RejectsInvalidParameters) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.power.hover = vehicle.power.electronics;
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
@@ -64,7 +64,7 @@ TEST(Power, RefusesParametersThatValidateRefuses) {
   vehicle = tilt_ropter_vehicle();
   vehicle.rotor.thrust_coefficient = 0.0;
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  vehicle.rotor.thrust_coefficient = 1e300;  // hover at 2e-150 rad/s: the coefficient overflows
+  vehicle.rotor.thrust_coefficient = 1e300;  // hover at 2e-150 rad/s: overflow of the coefficient
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
 }
 

@@ -38,7 +38,7 @@ TEST(Rotor, ThrustAndSpeedInvertEachOther) {
   EXPECT_NEAR(speed_from_thrust(1.4F, coefficient), 1000.0F, 1e-3F);
 }
 
-TEST(Rotor, ThrustAndSpeedOfNonsenseAreZero) {
+TEST(Rotor, ThrustAndSpeedOfInvalidInputAreZero) {
   for (const double bad : {-1.0, 0.0, -0.0, nan, infinity, -infinity, 1e300 * 1e300}) {
     EXPECT_EQ(thrust_from_speed(bad, coefficient), 0.0);
     EXPECT_EQ(speed_from_thrust(bad, coefficient), 0.0);
@@ -47,7 +47,7 @@ TEST(Rotor, ThrustAndSpeedOfNonsenseAreZero) {
   EXPECT_TRUE(std::isfinite(speed_from_thrust(1e308, coefficient)));
 }
 
-TEST(Rotor, DerivativesAreRightAndFiniteAtZero) {
+TEST(Rotor, DerivativesAreCorrectAndFiniteAtZero) {
   using Dual = test_support::Dual<1>;
   const Dual speed = thrust_from_speed(Dual(500.0, 1, 0), coefficient);
   EXPECT_NEAR(speed.derivatives()(0), 2.0 * coefficient * 500.0, 1e-15);
@@ -58,7 +58,8 @@ TEST(Rotor, DerivativesAreRightAndFiniteAtZero) {
     EXPECT_EQ(zero.derivatives()(i), 0.0);
 }
 
-// Both signs of the linear coefficient, from next to none to the most that validate() accepts.
+// Linear thrust coefficients of both signs, from almost zero to the largest magnitude that
+// validate() accepts.
 RotorParameters curved(test_support::Random& random) {
   RotorParameters p = parameters();
   p.thrust_coefficient = std::pow(10.0, random.uniform(-8.0, -4.0));
@@ -70,7 +71,7 @@ RotorParameters curved(test_support::Random& random) {
   return p;
 }
 
-TEST(ThrustCurve, IsThePolynomialAndItsInverse) {
+TEST(ThrustCurve, IsPolynomialWithExactInverse) {
   test_support::Random random(4);
   for (int i = 0; i < 10000; ++i) {
     const RotorParameters p = curved(random);
@@ -79,7 +80,7 @@ TEST(ThrustCurve, IsThePolynomialAndItsInverse) {
     const auto w = static_cast<long double>(speed),
                c = static_cast<long double>(p.thrust_coefficient),
                b = static_cast<long double>(p.linear_thrust_coefficient);
-    // What a relative error of the speed of 1e-15 does to the thrust.
+    // Change of the thrust for a relative error of 1e-15 in the speed.
     const auto rounding = static_cast<double>(1e-15L * w * (2.0L * c * w + std::abs(b)));
     EXPECT_NEAR(static_cast<double>(c * w * w + b * w), thrust, 4.0 * rounding);
     EXPECT_NEAR(thrust_from_speed(speed, p), thrust, 8.0 * rounding);
@@ -91,7 +92,7 @@ TEST(ThrustCurve, IsThePolynomialAndItsInverse) {
   EXPECT_NEAR(thrust_from_speed(1000.0F, p), 2.4F, 1e-6F);
 }
 
-TEST(ThrustCurve, DerivativesAreTheSlope) {
+TEST(ThrustCurve, DerivativesEqualThrustSlope) {
   using Dual = test_support::Dual<1>;
   test_support::Random random(5);
   for (int i = 0; i < 1000; ++i) {
@@ -106,19 +107,19 @@ TEST(ThrustCurve, DerivativesAreTheSlope) {
   }
 }
 
-TEST(ThrustCurve, BeginsWhereTheLinearTermLetsIt) {
+TEST(ThrustCurve, ZeroThrustSpeedFollowsLinearTerm) {
   RotorParameters p = parameters();
   p.linear_thrust_coefficient = -1.4e-4;  // 100 rad/s without thrust
   for (const double bad : {-1.0, 0.0, nan, infinity})
     EXPECT_NEAR(speed_from_thrust(bad, p), 100.0, 1e-12);
-  EXPECT_NEAR(speed_from_thrust(1e-12, p), 100.0, 1e-6);  // without a jump
+  EXPECT_NEAR(speed_from_thrust(1e-12, p), 100.0, 1e-6);  // continuous
   EXPECT_EQ(thrust_from_speed(99.0, p), 0.0);
   EXPECT_NEAR(thrust_from_speed(200.0, p), 0.028, 1e-15);
   p.linear_thrust_coefficient = 1.4e-4;
   for (const double bad : {-1.0, 0.0, nan, infinity}) EXPECT_EQ(speed_from_thrust(bad, p), 0.0);
 }
 
-TEST(ThrustCurve, WithoutALinearTermIsThePapersLawToTheBit) {
+TEST(ThrustCurve, WithoutLinearTermEqualsQuadraticLawBitForBit) {
   test_support::Random random(6);
   for (int i = 0; i < 10000; ++i) {
     const double x = std::pow(10.0, random.uniform(-8.0, 4.0));
@@ -128,22 +129,22 @@ TEST(ThrustCurve, WithoutALinearTermIsThePapersLawToTheBit) {
   }
 }
 
-TEST(Rotor, FollowsItsCurve) {
+TEST(Rotor, MaxSpeedAndThrustFollowThrustCurve) {
   RotorParameters p = parameters();
   p.linear_thrust_coefficient = 2e-3;
-  Rotor<> rotor(p);
+  Rotord rotor(p);
   rotor.reset(1e9, 0.0);
   const double top = rotor.max_speed();
   EXPECT_NEAR(coefficient * top * top + 2e-3 * top, 12.0, 1e-12);
   EXPECT_NEAR(rotor.thrust(), 12.0, 1e-12);
-  EXPECT_LT(top, Rotor<>(parameters()).max_speed());
+  EXPECT_LT(top, Rotord(parameters()).max_speed());
 }
 
-TEST(Rotor, TopSpeedFallsWithTheVoltage) {
+TEST(Rotor, MaxSpeedIsProportionalToVoltage) {
   test_support::Random random(7);
   for (int i = 0; i < 1000; ++i) {
     const RotorParameters p = curved(random);
-    Rotor<> rotor(p);
+    Rotord rotor(p);
     const double full = rotor.max_speed();
     rotor.reset(full, 0.0);
     rotor.set_voltage_ratio(0.8);
@@ -161,18 +162,18 @@ TEST(Rotor, TopSpeedFallsWithTheVoltage) {
   EXPECT_EQ(max_thrust_at(idling, 0.5), 10.0);
 }
 
-TEST(Rotor, StepResponseIsTheExponential) {
-  Rotor<> rotor(parameters());
+TEST(Rotor, StepResponseIsExponential) {
+  Rotord rotor(parameters());
   rotor.reset(500.0, 2.0);
   EXPECT_EQ(rotor.update(2.0, 1500.0), 500.0);
   for (const double time : {2.001, 2.01, 2.05, 2.3})
     EXPECT_NEAR(rotor.update(time, 1500.0), 1500.0 - 1000.0 * std::exp(-(time - 2.0) / 0.03), 1e-9);
 }
 
-TEST(Rotor, ResultDoesNotDependOnHowTimeIsDivided) {
+TEST(Rotor, ResultIsIndependentOfUpdateInterval) {
   test_support::Random random(2);
   for (int run = 0; run < 100; ++run) {
-    Rotor<> coarse(parameters()), fine(parameters());
+    Rotord coarse(parameters()), fine(parameters());
     double time = random.uniform(-5.0, 5.0);
     coarse.reset(900.0, time);
     fine.reset(900.0, time);
@@ -187,7 +188,7 @@ TEST(Rotor, ResultDoesNotDependOnHowTimeIsDivided) {
 }
 
 TEST(Rotor, StaysBetweenTheSpeedsOfMinAndMaxThrust) {
-  Rotor<> rotor(parameters());
+  Rotord rotor(parameters());
   EXPECT_NEAR(rotor.thrust(), 0.1, 1e-12);
   rotor.update(0.0, 1e300);
   rotor.update(10.0, -1e300);
@@ -198,9 +199,9 @@ TEST(Rotor, StaysBetweenTheSpeedsOfMinAndMaxThrust) {
   EXPECT_GE(rotor.speed(), rotor.min_speed());
 }
 
-TEST(Rotor, NonsenseChangesNothing) {
-  Rotor<> rotor(parameters()), undisturbed(parameters());
-  for (Rotor<>* r : {&rotor, &undisturbed}) {
+TEST(Rotor, IgnoresNonFiniteAndLateInput) {
+  Rotord rotor(parameters()), undisturbed(parameters());
+  for (Rotord* r : {&rotor, &undisturbed}) {
     r->reset(500.0, 0.0);
     r->update(0.0, 1000.0);
     r->update(0.01, 1500.0);
@@ -214,12 +215,12 @@ TEST(Rotor, NonsenseChangesNothing) {
   EXPECT_EQ(rotor.update(0.03, 800.0), undisturbed.update(0.03, 800.0));
 }
 
-TEST(Rotor, RandomInputNeverLeavesTheLimits) {
+TEST(Rotor, KeepsLimitsForRandomInput) {
   test_support::Random random(3);
   const std::vector<double> pool{nan,    infinity, -infinity, 0.0,  5e-324, 1e300,
                                  -1e300, 10.0,     -1.0,      1e-9, 1000.0};
   const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 10.999))]; };
-  Rotor<> rotor(parameters());
+  Rotord rotor(parameters());
   const int calls = test_support::quick_or_full(200000, 1000000);
   for (int i = 0; i < calls; ++i) {
     if (i % 1000 == 0) rotor.reset(pick(), pick());
@@ -228,9 +229,9 @@ TEST(Rotor, RandomInputNeverLeavesTheLimits) {
   }
 }
 
-TEST(Rotor, FloatAndDualFollowDouble) {
+TEST(Rotor, FloatAndDualMatchDouble) {
   using Dual = test_support::Dual<1>;
-  Rotor<> rotor(parameters());
+  Rotord rotor(parameters());
   Rotor<float> single(parameters());
   Rotor<Dual> dual(parameters());
   dual.update(0.0, Dual(1000.0, 1, 0));
@@ -243,10 +244,10 @@ TEST(Rotor, FloatAndDualFollowDouble) {
   EXPECT_NEAR(speed.derivatives()(0), 1.0 - std::exp(-0.02 / 0.03), 1e-14);
 }
 
-TEST(Rotor, RefusesParametersThatValidateRefuses) {
+TEST(Rotor, RejectsInvalidParameters) {
   RotorParameters bad;
   bad.time_constant = 0.0;
-  EXPECT_THROW(Rotor<>{bad}, std::invalid_argument);
+  EXPECT_THROW(Rotord{bad}, std::invalid_argument);
 }
 
 }  // namespace

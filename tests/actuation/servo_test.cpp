@@ -30,7 +30,8 @@ ServoParameters parameters(double dead_time) {
   return p;
 }
 
-/// The same servo by tiny Euler steps, from (time, command) pairs.
+/// Returns the angle of the same servo at `end` [s], integrated with tiny Euler steps. `commands`
+/// are pairs of time and command.
 double simulate(const ServoParameters& p, const std::vector<std::pair<double, double>>& commands,
                 double end) {
   double angle = 0.0;
@@ -45,8 +46,8 @@ double simulate(const ServoParameters& p, const std::vector<std::pair<double, do
   return angle;
 }
 
-TEST(Servo, SmallStepIsTheExponential) {
-  Servo<> servo(parameters(0.0));
+TEST(Servo, SmallStepResponseIsExponential) {
+  Servod servo(parameters(0.0));
   servo.update(1.0, 0.5);
   for (const double time : {1.001, 1.05, 1.4}) {
     EXPECT_NEAR(servo.update(time, 0.5), 0.5 * -std::expm1(-(time - 1.0) / 0.08), 1e-14);
@@ -54,8 +55,8 @@ TEST(Servo, SmallStepIsTheExponential) {
   }
 }
 
-TEST(Servo, LargeStepIsARampAndThenTheExponential) {
-  Servo<> servo(parameters(0.0));
+TEST(Servo, LargeStepResponseIsRampThenExponential) {
+  Servod servo(parameters(0.0));
   servo.update(0.0, 2.0);
   EXPECT_NEAR(servo.rate(), 8.0, 1e-15);
   EXPECT_NEAR(servo.update(0.1, 2.0), 0.8, 1e-14);
@@ -64,11 +65,11 @@ TEST(Servo, LargeStepIsARampAndThenTheExponential) {
   EXPECT_NEAR(servo.update(0.30, 2.0), 2.0 - 0.64 * std::exp(-0.13 / 0.08), 1e-14);
 }
 
-TEST(Servo, ResultDoesNotDependOnHowTimeIsDivided) {
+TEST(Servo, ResultIsIndependentOfUpdateInterval) {
   test_support::Random random(1);
   for (const double dead_time : {0.0, 0.03}) {
     for (int run = 0; run < 200; ++run) {
-      Servo<> coarse(parameters(dead_time)), fine(parameters(dead_time));
+      Servod coarse(parameters(dead_time)), fine(parameters(dead_time));
       double time = random.uniform(0.0, 100.0);
       for (int step = 0; step < 15; ++step) {
         const double command = random.uniform(-3.0, 3.0), end = time + random.uniform(0.01, 0.3);
@@ -81,12 +82,12 @@ TEST(Servo, ResultDoesNotDependOnHowTimeIsDivided) {
   }
 }
 
-TEST(Servo, AgreesWithTinyEulerSteps) {
+TEST(Servo, MatchesTinyEulerSteps) {
   test_support::Random random(2);
   for (const double dead_time : {0.0, 0.0371}) {
     for (int run = 0; run < 4; ++run) {
       std::vector<std::pair<double, double>> commands;
-      Servo<> servo(parameters(dead_time));
+      Servod servo(parameters(dead_time));
       for (int i = 0; i < 6; ++i) {
         commands.emplace_back(0.05 * i, random.uniform(-3.0, 3.0));
         servo.update(commands.back().first, commands.back().second);
@@ -98,32 +99,32 @@ TEST(Servo, AgreesWithTinyEulerSteps) {
 }
 
 TEST(Servo, MovesOnlyAfterTheDeadTime) {
-  Servo<> servo(parameters(0.02));
+  Servod servo(parameters(0.02));
   servo.update(0.0, 0.5);
   EXPECT_EQ(servo.update(0.0199, 0.5), 0.0);
   EXPECT_NEAR(servo.update(0.05, 0.5), 0.5 * -std::expm1(-0.03 / 0.08), 1e-14);
 }
 
-TEST(Servo, DeadTimeIsExactForUpdatesAsFarApartAsDocumented) {
-  // 63 commands in flight, each as exact as if it were alone.
+TEST(Servo, DeadTimeIsExactDownToDocumentedUpdateInterval) {
+  // 63 commands wait for their dead time. Each command is exact.
   const double dead_time = 0.063, period = 0.001001;
   ServoParameters ideal = parameters(0.0);
-  Servo<> delayed(parameters(dead_time)), prompt(ideal);
+  Servod delayed(parameters(dead_time)), prompt(ideal);
   const auto command = [](int i) { return 2.0 * std::sin(0.05 * i); };
   for (int i = 0; i < 1000; ++i) {
     delayed.update(i * period, command(i));
     prompt.update(i * period + dead_time, command(i));
     if (i * period > dead_time) {
-      Servo<> copy = delayed;
+      Servod copy = delayed;
       EXPECT_NEAR(copy.update(i * period + dead_time, 0.0), prompt.angle(), 1e-12);
     }
   }
 }
 
-TEST(Servo, FasterCommandsShiftTheDeadTimeByLessThanOneEntry) {
-  // 2 kHz with 0.2 s: 400 commands wait in 64 entries.
+TEST(Servo, FasterCommandsShortenDeadTimeByLessThanOneEntry) {
+  // At 2 kHz with a dead time of 0.2 s, 400 commands share 64 entries.
   const double dead_time = 0.2, period = 0.0005;
-  Servo<> delayed(parameters(dead_time)), late(parameters(0.0)), early(parameters(0.0));
+  Servod delayed(parameters(dead_time)), late(parameters(0.0)), early(parameters(0.0));
   const double spacing = dead_time / 63.0 + period;
   const auto command = [](double time) {
     return time < 0.0 ? 0.0 : 1.5 * std::min(1.0, 2.0 * time);
@@ -139,9 +140,9 @@ TEST(Servo, FasterCommandsShiftTheDeadTimeByLessThanOneEntry) {
   EXPECT_NEAR(delayed.angle(), 1.5, 0.02);
 }
 
-TEST(Servo, StaysInRangeAndBelowItsRate) {
+TEST(Servo, KeepsRangeAndRateLimit) {
   test_support::Random random(3);
-  Servo<> servo(parameters(0.01));
+  Servod servo(parameters(0.01));
   servo.reset(9.0, 0.0);
   EXPECT_EQ(servo.angle(), 2.5);
   double time = 0.0;
@@ -156,15 +157,15 @@ TEST(Servo, StaysInRangeAndBelowItsRate) {
   }
 }
 
-TEST(Servo, RangeWithoutZeroStartsAtItsNearestEnd) {
+TEST(Servo, StartsAtNearestEndOfRangeWithoutZero) {
   ServoParameters p;
   p.min_angle = 0.5;
-  EXPECT_EQ(Servo<>(p).angle(), 0.5);
+  EXPECT_EQ(Servod(p).angle(), 0.5);
 }
 
-TEST(Servo, NonsenseChangesNothing) {
-  Servo<> servo(parameters(0.01)), undisturbed(parameters(0.01));
-  for (Servo<>* s : {&servo, &undisturbed}) {
+TEST(Servo, IgnoresNonFiniteAndLateInput) {
+  Servod servo(parameters(0.01)), undisturbed(parameters(0.01));
+  for (Servod* s : {&servo, &undisturbed}) {
     s->update(0.0, 1.0);
     s->update(0.05, 0.3);
   }
@@ -177,12 +178,12 @@ TEST(Servo, NonsenseChangesNothing) {
   EXPECT_EQ(servo.update(0.2, 0.1), undisturbed.update(0.2, 0.1));
 }
 
-TEST(Servo, RandomInputNeverLeavesTheRange) {
+TEST(Servo, KeepsRangeForRandomInput) {
   test_support::Random random(4);
   const std::vector<double> pool{nan,    infinity, -infinity, 0.0,  5e-324, 1e300,
                                  -1e300, 10.0,     -1.0,      1e-9, 0.5};
   const auto pick = [&] { return pool[static_cast<std::size_t>(random.uniform(0.0, 10.999))]; };
-  Servo<> servo(parameters(0.1));
+  Servod servo(parameters(0.1));
   const int calls = test_support::quick_or_full(200000, 1000000);
   for (int i = 0; i < calls; ++i) {
     if (i % 1000 == 0) servo.reset(pick(), pick());
@@ -192,16 +193,16 @@ TEST(Servo, RandomInputNeverLeavesTheRange) {
   }
 }
 
-TEST(Servo, ResetForgetsWaitingCommands) {
-  Servo<> servo(parameters(0.1));
+TEST(Servo, ResetDiscardsWaitingCommands) {
+  Servod servo(parameters(0.1));
   servo.update(0.0, 1.0);
   servo.reset(0.2, 0.05);
   EXPECT_EQ(servo.update(1.0, 0.2), 0.2);
 }
 
-TEST(Servo, FloatAndDualFollowDouble) {
+TEST(Servo, FloatAndDualMatchDouble) {
   using Dual = test_support::Dual<1>;
-  Servo<> servo(parameters(0.0));
+  Servod servo(parameters(0.0));
   Servo<float> single(parameters(0.0));
   Servo<Dual> dual(parameters(0.0));
   servo.update(0.0, 1.0);
@@ -210,15 +211,15 @@ TEST(Servo, FloatAndDualFollowDouble) {
   EXPECT_NEAR(single.update(0.2, 1.0F), servo.update(0.2, 1.0), 1e-6);
   const Dual angle = dual.update(0.2, Dual(1.0));
   EXPECT_NEAR(angle.value(), servo.angle(), 1e-15);
-  Servo<> more(parameters(0.0));
+  Servod more(parameters(0.0));
   more.update(0.0, 1.0 + 1e-6);
   EXPECT_NEAR(angle.derivatives()(0), (more.update(0.2, 0.0) - servo.angle()) / 1e-6, 1e-5);
 }
 
-TEST(Servo, RefusesParametersThatValidateRefuses) {
+TEST(Servo, RejectsInvalidParameters) {
   ServoParameters bad;
   bad.max_rate = -1.0;
-  EXPECT_THROW(Servo<>{bad}, std::invalid_argument);
+  EXPECT_THROW(Servod{bad}, std::invalid_argument);
 }
 
 }  // namespace

@@ -15,7 +15,7 @@ namespace {
 using namespace tilt_ropter;
 using Limits = detail::ThrustLimits<4, double>;
 
-TEST(ThrustLimits, NearestAngleIsEquivalentInRangeAndTheNearestOfThese) {
+TEST(ThrustLimits, NearestAngleIsNearestEquivalentInRange) {
   test_support::Random random(1);
   for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-10.0, 9.0}, {-1.0, 2.0}, {0.5, 6.0}}) {
     const Limits limits(test_support::with_tilt_range(lower, upper));
@@ -41,7 +41,7 @@ TEST(ThrustLimits, NearestAngleIsEquivalentInRangeAndTheNearestOfThese) {
   }
 }
 
-/// Whether one rotor can give (lateral, vertical), written the plain way.
+/// Returns true if one rotor can give the thrust (lateral, vertical), computed by brute force.
 bool reachable(const Vehicle<4>& vehicle, double lateral, double vertical, double slack) {
   if (std::hypot(lateral, vertical) > vehicle.rotor.max_thrust + slack) return false;
   const double angle = std::atan2(lateral, vertical);
@@ -52,7 +52,7 @@ bool reachable(const Vehicle<4>& vehicle, double lateral, double vertical, doubl
   return false;
 }
 
-TEST(ThrustLimits, ContainsWhatRotorsAndServosCanGive) {
+TEST(ThrustLimits, ContainsExactlyTheReachableThrusts) {
   test_support::Random random(2);
   for (const auto& [lower, upper] :
        {std::pair{-pi, pi}, {-0.5 * pi, 0.5 * pi}, {-2.0, 2.2}, {0.5, 1.5}, {2.5, 4.0}}) {
@@ -65,7 +65,7 @@ TEST(ThrustLimits, ContainsWhatRotorsAndServosCanGive) {
   }
 }
 
-/// Whether a thrust, in units of the largest, is in a region, by at least `margin`.
+/// Returns true if thrust `t`, in units of max_thrust, is inside the region by at least `margin`.
 bool inside(const detail::ThrustRegion& region, const Eigen::Vector2d& t, double margin) {
   bool in = region.radius <= 0.0 || t.norm() <= region.radius - margin;
   for (std::size_t p = 0; p < static_cast<std::size_t>(region.half_planes); ++p)
@@ -73,7 +73,7 @@ bool inside(const detail::ThrustRegion& region, const Eigen::Vector2d& t, double
   return in;
 }
 
-TEST(ThrustLimits, PartsLieWithinTheSetAndCoverItUpToAWholeTurn) {
+TEST(ThrustLimits, PartsLieInTheSetAndCoverRangesUpToAWholeTurn) {
   test_support::Random random(4);
   for (const auto& [lower, upper] : {std::pair{-pi, pi},
                                      {-0.5 * pi, 0.5 * pi},
@@ -104,7 +104,7 @@ TEST(ThrustLimits, PartsLieWithinTheSetAndCoverItUpToAWholeTurn) {
   }
 }
 
-TEST(ThrustLimits, FloorKeepsMinThrustAlongItsDirection) {
+TEST(ThrustLimits, FloorKeepsMinThrustAndReachability) {
   test_support::Random random(5);
   for (const auto& [lower, upper] : {std::pair{-pi, pi}, {-1.0, 0.3}, {-2.0, 2.2}}) {
     for (const double min_thrust : {0.01, 3.0, 11.5}) {

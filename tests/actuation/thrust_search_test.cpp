@@ -16,7 +16,7 @@ using namespace tilt_ropter;
 using Search = detail::ThrustSearch<4>;
 using Limits = detail::ThrustLimits<4, double>;
 
-/// All of the thrusts in one group.
+/// Request with all thrusts in one group.
 Search::Request request_of(const Search::Thrusts& base) {
   Search::Request request;
   request.groups.setZero();
@@ -33,7 +33,7 @@ Search::Parts whole() {
   return parts;
 }
 
-TEST(ThrustSearch, FindsThrustsWheneverAGridDoesAndTheLeastChange) {
+TEST(ThrustSearch, FindsThrustsIfAGridDoesAndMinimisesChange) {
   test_support::Random random(3);
   const AllocationMatrix<4> allocation(tilt_ropter_vehicle());
   const Search::Directions directions = allocation.null_space;
@@ -74,7 +74,7 @@ TEST(ThrustSearch, FindsThrustsWheneverAGridDoesAndTheLeastChange) {
   }
 }
 
-TEST(ThrustSearch, LimitsAreKeptHoweverManyTimesTooMuchIsWanted) {
+TEST(ThrustSearch, KeepsLimitsForWrenchesFarBeyondReach) {
   const AllocationMatrix<4> allocation(tilt_ropter_vehicle());
   test_support::Random random(6);
   for (const double range : {0.2, 1.0, 2.0, pi}) {

@@ -1,11 +1,12 @@
-// Rotors with parameters of their own and a battery whose voltage sags, in all that uses rotors.
+// Rotors with individual parameters and a battery with variable voltage, in all classes that use
+// rotors.
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
@@ -48,24 +49,24 @@ Vehicle<4> unlike(Random& random) {
   return vehicle;
 }
 
-Wrench<> some_wrench(Random& random, double size) {
+Wrenchd some_wrench(Random& random, double size) {
   return {random.vector(size * 5.0) + Vector3d(0.0, 0.0, size * 14.0), random.vector(size * 0.8)};
 }
 
-Wrench<> upward(double force) {
-  Wrench<> wrench;
+Wrenchd upward(double force) {
+  Wrenchd wrench;
   wrench.force.z() = force;
   return wrench;
 }
 
-/// c Omega^2 + b Omega of rotor i, by hand.
+/// Returns c Omega^2 + b Omega of rotor i times its effectiveness, computed independently [N].
 double thrust_of(const Vehicle<4>& vehicle, std::size_t i, double speed) {
   const RotorParameters& p = i == 3 ? vehicle.rotor : *vehicle.rotors[i].parameters;
   return vehicle.rotors[i].effectiveness *
          std::max(0.0, p.thrust_coefficient * speed * speed + p.linear_thrust_coefficient * speed);
 }
 
-TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
+TEST(UnlikeRotors, EqualOwnParametersMatchCommonParametersBitForBit) {
   Random random(1);
   for (int run = 0; run < 20; ++run) {
     RotorParameters parameters = some_rotor(random);
@@ -73,13 +74,13 @@ TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
     Vehicle<4> common = tilt_ropter_vehicle(), own = tilt_ropter_vehicle();
     common.rotor = parameters;
     for (RotorGeometry& rotor : own.rotors) rotor.parameters = parameters;
-    own.rotor = {1.0, 3.0, run % 2 == 0 ? 1e5 : 0.0, 1e6, 0.7, 0.5};  // which nobody uses
+    own.rotor = {1.0, 3.0, run % 2 == 0 ? 1e5 : 0.0, 1e6, 0.7, 0.5};  // unused
 
     const Allocation<4> a(common), b(own);
     EXPECT_EQ(a.matrix(), b.matrix());
     for (int i = 0; i < 50; ++i) {
-      const Wrench<> wanted = some_wrench(random, random.uniform(0.0, 4.0)),
-                     rate = some_wrench(random, 0.2);
+      const Wrenchd wanted = some_wrench(random, random.uniform(0.0, 4.0)),
+                    rate = some_wrench(random, 0.2);
       const auto x = a.allocate(0.0, wanted, rate, {}), y = b.allocate(0.0, wanted, rate, {});
       EXPECT_EQ(x.status, y.status);
       EXPECT_EQ(x.command.rotor_speed, y.command.rotor_speed);
@@ -91,7 +92,7 @@ TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
     EXPECT_EQ(c.forward, d.forward);
     EXPECT_EQ(c.least_thrust, d.least_thrust);
     EXPECT_EQ(PowerModel(common).coefficient(), PowerModel(own).coefficient());
-    EXPECT_EQ(ActuatorRows<4>(common).upper(), ActuatorRows<4>(own).upper());
+    EXPECT_EQ(ActuatorConstraints<4>(common).upper(), ActuatorConstraints<4>(own).upper());
 
     ActuatorModel<4> model(common), own_model(own);
     Plant<4> plant(common), own_plant(own);
@@ -109,17 +110,17 @@ TEST(UnlikeRotors, OwnParametersOfAllAreTheCommonOnesToTheBit) {
   }
 }
 
-TEST(UnlikeRotors, CommandsGiveTheWantedWrenchInTheSimulation) {
+TEST(UnlikeRotors, CommandsGiveWantedWrenchInSimulation) {
   Random random(2);
   int reached = 0;
   for (int run = 0; run < 300; ++run) {
     const Vehicle<4> vehicle = unlike(random);
     const Allocation<4> allocation(vehicle);
     Plant<4> plant(vehicle);
-    const Wrench<> wanted = some_wrench(random, 1.0);
+    const Wrenchd wanted = some_wrench(random, 1.0);
     const auto result = allocation.allocate(wanted, {});
-    plant.reset(BodyState<>{}, result.command);
-    const Wrench<>& given = plant.actuator_wrench();
+    plant.reset(BodyStated{}, result.command);
+    const Wrenchd& given = plant.actuator_wrench();
     EXPECT_LT((given.force - result.achieved.force).norm(), 1e-10);
     EXPECT_LT((given.torque - result.achieved.torque).norm(), 1e-10);
     if (result.status != AllocationStatus::ok) continue;
@@ -130,7 +131,7 @@ TEST(UnlikeRotors, CommandsGiveTheWantedWrenchInTheSimulation) {
   EXPECT_GT(reached, 200);
 }
 
-TEST(UnlikeRotors, EachKeepsToItsOwnLimits) {
+TEST(UnlikeRotors, EachRotorKeepsItsOwnLimits) {
   Random random(3);
   std::array<int, 4> at_limit{};
   for (int run = 0; run < 300; ++run) {
@@ -152,16 +153,16 @@ TEST(UnlikeRotors, EachKeepsToItsOwnLimits) {
   for (const int count : at_limit) EXPECT_GT(count, 10);
 }
 
-TEST(UnlikeRotors, CommandsRunAheadByEachRotorsOwnLag) {
+TEST(UnlikeRotors, LagCompensationUsesEachRotorsOwnTimeConstant) {
   Random random(4);
   for (int run = 0; run < 100; ++run) {
     Vehicle<4> vehicle = unlike(random);
     vehicle.rotors[1].effectiveness = 1.0;
     const Allocation<4> allocation(vehicle);
-    const Wrench<> now{Vector3d(1.0, -1.0, 15.0), Vector3d(0.1, 0.1, 0.05)};
-    const Wrench<> rate{random.vector(5.0), random.vector(0.5)};
+    const Wrenchd now{Vector3d(1.0, -1.0, 15.0), Vector3d(0.1, 0.1, 0.05)};
+    const Wrenchd rate{random.vector(5.0), random.vector(0.5)};
     const double h = 1e-5;
-    const Wrench<> next{now.force + h * rate.force, now.torque + h * rate.torque};
+    const Wrenchd next{now.force + h * rate.force, now.torque + h * rate.torque};
     const auto still = allocation.allocate(now, {}), later = allocation.allocate(next, {}),
                moving = allocation.allocate(0.0, now, rate, {});
     ASSERT_EQ(still.status, AllocationStatus::ok);
@@ -174,7 +175,7 @@ TEST(UnlikeRotors, CommandsRunAheadByEachRotorsOwnLag) {
   }
 }
 
-TEST(UnlikeRotors, PowerInHoverIsTheOneThatIsGiven) {
+TEST(UnlikeRotors, HoverPowerMatchesParameter) {
   Random random(5);
   const Vehicle<4> vehicle = unlike(random);
   Eigen::Vector4d speeds;
@@ -185,18 +186,18 @@ TEST(UnlikeRotors, PowerInHoverIsTheOneThatIsGiven) {
   EXPECT_GT(speeds.maxCoeff() - speeds.minCoeff(), 10.0);
 }
 
-// The truth: top speeds are those at the nominal voltage times the ratio of voltages.
-TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
+// Reference: the top speeds at the nominal voltage times the voltage ratio.
+TEST(Voltage, LowersSpeedAndThrustLimitsInAllClasses) {
   Random random(6);
   for (int run = 0; run < 50; ++run) {
     const Vehicle<4> vehicle = unlike(random);
     Allocation<4> allocation(vehicle);
     ActuatorModel<4> model(vehicle);
-    ActuatorRows<4> rows(vehicle);
+    ActuatorConstraints<4> constraints(vehicle);
     Plant<4> plant(vehicle);
     ActuatorState<4> fastest;
     fastest.rotor_speed.setConstant(1e6);
-    const Wrench<> lift = upward(1000.0);
+    const Wrenchd lift = upward(1000.0);
     const auto tops = [&](double time) {
       model.update(time, fastest);
       model.update(time + 10.0, fastest);
@@ -209,11 +210,11 @@ TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
       const double left = std::min(ratio, 1.0);
       for (const bool taken :
            {allocation.set_voltage(22.2 * ratio), model.set_voltage(22.2 * ratio),
-            rows.set_voltage(22.2 * ratio), plant.set_voltage(22.2 * ratio)})
+            constraints.set_voltage(22.2 * ratio), plant.set_voltage(22.2 * ratio)})
         EXPECT_TRUE(taken);
       const auto refused = [&](double voltage) {
         return !allocation.set_voltage(voltage) && !model.set_voltage(voltage) &&
-               !rows.set_voltage(voltage) && !plant.set_voltage(voltage);
+               !constraints.set_voltage(voltage) && !plant.set_voltage(voltage);
       };
       for (const double bad : {nan, 0.0, -22.2, 11.0, 34.0, 1e300}) EXPECT_TRUE(refused(bad));
 
@@ -222,34 +223,35 @@ TEST(Voltage, LimitsFallWithItInAllThatHasThem) {
       const auto result = allocation.allocate(lift, {});
       EXPECT_EQ(result.status, AllocationStatus::limited);
       EXPECT_LE((result.command.rotor_speed - left * full).maxCoeff(), 1e-6);
-      EXPECT_GT((result.command.rotor_speed - left * full).maxCoeff(), -1e-2);  // one is at its top
+      // At least one rotor is at its top speed.
+      EXPECT_GT((result.command.rotor_speed - left * full).maxCoeff(), -1e-2);
       if (left < 1.0) {
         EXPECT_LT(result.achieved.force.z(), left * full_lift);
       }
-      // A command that runs ahead stays below the top, too.
+      // A command with lag compensation also stays below the top speed.
       const auto ahead = allocation.allocate(0.0, lift, upward(1e4), {});
       EXPECT_LE((ahead.command.rotor_speed - left * full).maxCoeff(), 1e-6);
 
       ASSERT_TRUE(plant.step(fastest, {}, 1.0));
       EXPECT_LT((plant.actuators().rotor_speed - left * full).norm(), 1e-4 * full.norm());
       PlantState<4> start = plant.state();
-      start.body = BodyState<>{};
+      start.body = BodyStated{};
       plant.reset(start);
       for (std::size_t i = 0; i < 4; ++i)
-        EXPECT_NEAR(rows.upper()(8 + static_cast<Eigen::Index>(i)),
+        EXPECT_NEAR(constraints.upper()(8 + static_cast<Eigen::Index>(i)),
                     thrust_of(vehicle, i, left * full(static_cast<Eigen::Index>(i))), 1e-8);
     }
   }
 }
 
-TEST(Voltage, PlaysNoPartWhereTheNominalOneIsNotKnown) {
+TEST(Voltage, IsIgnoredIfNominalVoltageIsUnknown) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Allocation<4> allocation(vehicle);
   ActuatorModel<4> model(vehicle);
-  ActuatorRows<4> rows(vehicle), none;
+  ActuatorConstraints<4> constraints(vehicle), none;
   Plant<4> plant(vehicle);
-  EXPECT_FALSE(allocation.set_voltage(20.0) || model.set_voltage(20.0) || rows.set_voltage(20.0) ||
-               none.set_voltage(20.0) || plant.set_voltage(20.0));
+  EXPECT_FALSE(allocation.set_voltage(20.0) || model.set_voltage(20.0) ||
+               constraints.set_voltage(20.0) || none.set_voltage(20.0) || plant.set_voltage(20.0));
 }
 
 TEST(Voltage, LostRotorsStayLost) {
@@ -258,21 +260,21 @@ TEST(Voltage, LostRotorsStayLost) {
   vehicle.battery.nominal_voltage = 20.0;
   vehicle.rotors[2].effectiveness = 0.0;
   Allocation<6> allocation(vehicle);
-  ActuatorRows<6> rows(vehicle);
-  ASSERT_TRUE(allocation.set_voltage(18.0) && rows.set_voltage(18.0));
-  EXPECT_EQ(rows.upper()(14), std::numeric_limits<double>::infinity());
-  const Wrench<> wanted = upward(25.0);
+  ActuatorConstraints<6> constraints(vehicle);
+  ASSERT_TRUE(allocation.set_voltage(18.0) && constraints.set_voltage(18.0));
+  EXPECT_EQ(constraints.upper()(14), std::numeric_limits<double>::infinity());
+  const Wrenchd wanted = upward(25.0);
   const auto result = allocation.allocate(wanted, {});
   EXPECT_NE(result.status, AllocationStatus::limited);
   EXPECT_EQ(result.command.rotor_speed(2), 0.0);
   EXPECT_LT(result.lost.force.norm(), 1e-9);
 }
 
-TEST(Voltage, BoundsThePlansThrustsBehindTheFirstNode) {
+TEST(Voltage, BoundsPlannedThrustsAfterFirstNode) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.battery.nominal_voltage = 20.0;
   using Problem = WheeledFlightProblem<4>;
-  Problem problem(vehicle.body, {}, ActuatorRows<4>(vehicle));
+  Problem problem(vehicle.body, {}, ActuatorConstraints<4>(vehicle));
   const auto before = problem.upper(1);
   EXPECT_FALSE(problem.set_voltage(nan));
   EXPECT_EQ(problem.upper(1), before);
@@ -280,7 +282,8 @@ TEST(Voltage, BoundsThePlansThrustsBehindTheFirstNode) {
   const int last = problem.horizon();
   for (const int k : {1, last})
     for (int i = 0; i < 4; ++i) EXPECT_NEAR(problem.upper(k).tail<4>()(i), 0.64 * 12.0, 1e-12);
-  EXPECT_EQ(problem.upper(1).head<Problem::rows - 4>(), before.head<Problem::rows - 4>());
+  EXPECT_EQ(problem.upper(1).head<Problem::constraints - 4>(),
+            before.head<Problem::constraints - 4>());
   EXPECT_EQ(problem.upper(0).tail<4>().minCoeff(), std::numeric_limits<double>::infinity());
   Problem unbounded(vehicle.body);
   EXPECT_FALSE(unbounded.set_voltage(16.0));

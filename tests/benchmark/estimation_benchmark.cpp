@@ -20,10 +20,10 @@ namespace {
 using namespace tilt_ropter;
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
-const Wrench<> applied{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.01, 0.0, 0.0)};
+const Wrenchd applied{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.01, 0.0, 0.0)};
 const Eigen::Vector3d specific_force(0.1, -0.2, 9.7);
 
-void update(benchmark::State& state, WrenchObserver<>& observer) {
+void update(benchmark::State& state, WrenchObserverd& observer) {
   Eigen::Vector3d angular_velocity(0.1, 0.2, 0.3);
   double time = 0.0;
   for (auto _ : state) {
@@ -35,7 +35,7 @@ void update(benchmark::State& state, WrenchObserver<>& observer) {
 }
 
 void observer_update(benchmark::State& state) {
-  WrenchObserver<> observer(vehicle.body);
+  WrenchObserverd observer(vehicle.body);
   update(state, observer);
 }
 
@@ -45,7 +45,7 @@ void observer_update_with_everything(benchmark::State& state) {
   settings.torque_dead_band.setConstant(0.01);
   settings.force_limit.setConstant(10.0);
   settings.torque_limit.setConstant(1.0);
-  WrenchObserver<> observer(vehicle.body, settings);
+  WrenchObserverd observer(vehicle.body, settings);
   observer.set_offset({Eigen::Vector3d(0.1, 0.1, 0.1), Eigen::Vector3d(0.01, 0.01, 0.01)});
   observer.begin_calibration();
   update(state, observer);
@@ -54,7 +54,7 @@ void observer_update_with_everything(benchmark::State& state) {
 BENCHMARK(observer_update);
 BENCHMARK(observer_update_with_everything);
 
-// Ten seconds of a flight, marker frame estimated.
+// Measurements of ten seconds of a flight.
 struct Log {
   Log() {
     const test_support::Flight flight(1);
@@ -63,8 +63,8 @@ struct Log {
       poses.push_back(flight.pose(1e-3 * i));
     }
   }
-  std::vector<InertialSample<>> imu;
-  std::vector<MarkerPose<>> poses;
+  std::vector<InertialSampled> imu;
+  std::vector<MarkerPosed> poses;
 };
 
 const Log& log() {
@@ -72,35 +72,36 @@ const Log& log() {
   return flight;
 }
 
+// Settings with which the marker frame is estimated, too.
 EkfSettings settings() {
   EkfSettings s;
-  s.marker_position_deviation = 0.01;
-  s.marker_orientation_deviation = 0.02;
+  s.marker_position_stddev = 0.01;
+  s.marker_orientation_stddev = 0.02;
   return s;
 }
 
-ErrorStateFilter<> started_filter() {
-  ErrorStateFilter<> filter(settings().imu_noise, settings().pose_noise);
-  filter.reset({}, ErrorStateFilter<>::Covariance::Identity() * 1e-4);
+ErrorStateFilterd started_filter() {
+  ErrorStateFilterd filter(settings().imu_noise, settings().pose_noise);
+  filter.reset({}, ErrorStateFilterd::Covariance::Identity() * 1e-4);
   return filter;
 }
 
 void filter_predict(benchmark::State& state) {
-  ErrorStateFilter<> filter = started_filter();
-  InertialSample<> sample = log().imu.front();
+  ErrorStateFilterd filter = started_filter();
+  InertialSampled sample = log().imu.front();
   for (auto _ : state) {
     benchmark::DoNotOptimize(sample);
-    filter.predict(sample, 1e-9);  // so short that the covariance stays in range
+    filter.predict(sample, 1e-9);  // short, to keep the covariance in range
     benchmark::DoNotOptimize(filter);
   }
 }
 
 void filter_innovation_and_update(benchmark::State& state) {
-  const ErrorStateFilter<> before = started_filter();
-  MarkerPose<> pose;
+  const ErrorStateFilterd before = started_filter();
+  MarkerPosed pose;
   pose.position.x() = 1e-3;
   for (auto _ : state) {
-    ErrorStateFilter<> filter = before;  // some 30 ns
+    ErrorStateFilterd filter = before;  // about 30 ns
     benchmark::DoNotOptimize(pose);
     filter.update(filter.innovation(pose));
     benchmark::DoNotOptimize(filter);
@@ -114,12 +115,12 @@ double seconds(const Function& function) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-// Ten samples of the IMU and a pose that is `delay` samples late, over and over; one of the two is
-// timed.
+// Repeats ten IMU samples and one pose that is `delay` samples late. Times the mean IMU sample if
+// `Imu` is true, else the pose.
 template <bool Imu>
 void ekf(benchmark::State& state) {
   const auto delay = static_cast<std::size_t>(state.range(0));
-  Ekf<> filter(settings());
+  Ekfd filter(settings());
   std::size_t i = 0;
   for (auto _ : state) {
     if (i + 10 >= log().imu.size()) {

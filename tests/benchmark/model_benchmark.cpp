@@ -1,4 +1,4 @@
-// The model and the plant, and what the machine does with a plain dense Riccati pass.
+// The model, the plant, and a plain dense Riccati pass as a measure of the machine's speed.
 
 #include "dense_riccati.hpp"
 
@@ -19,17 +19,17 @@ namespace {
 using namespace tilt_ropter;
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
-const RigidBody<> body(vehicle.body);
-const Wrench<> external{Eigen::Vector3d(0.1, -0.2, 0.3), Eigen::Vector3d(0.01, 0.02, -0.03)};
+const RigidBodyd body(vehicle.body);
+const Wrenchd external{Eigen::Vector3d(0.1, -0.2, 0.3), Eigen::Vector3d(0.01, 0.02, -0.03)};
 
-RigidBody<>::WrenchRate wrench_rate() {
-  RigidBody<>::WrenchRate u;
+RigidBodyd::WrenchRate wrench_rate() {
+  RigidBodyd::WrenchRate u;
   u << 1.0, -2.0, 3.0, 0.1, -0.2, 0.3;
   return u;
 }
 
 void rigid_body_step(benchmark::State& state) {
-  State<> x = test_support::step_start();
+  Stated x = test_support::step_start();
   const auto u = wrench_rate();
   for (auto _ : state) {
     benchmark::DoNotOptimize(x);
@@ -38,10 +38,10 @@ void rigid_body_step(benchmark::State& state) {
 }
 
 void rigid_body_step_with_sensitivity(benchmark::State& state) {
-  State<> x = test_support::step_start();
+  Stated x = test_support::step_start();
   const auto u = wrench_rate();
-  RigidBody<>::StateJacobian A;
-  RigidBody<>::InputJacobian B;
+  RigidBodyd::StateJacobian A;
+  RigidBodyd::InputJacobian B;
   for (auto _ : state) {
     benchmark::DoNotOptimize(x);
     benchmark::DoNotOptimize(body.step(x, u, external, 0.1, {}, A, B));
@@ -57,10 +57,10 @@ ActuatorState<4> hovering() {
   return state;
 }
 
-void allocate(benchmark::State& state, const Wrench<>& wanted, AllocationStatus expected) {
+void allocate(benchmark::State& state, const Wrenchd& wanted, AllocationStatus expected) {
   const Allocation<4> allocation(vehicle);
   const ActuatorState<4> last = hovering();
-  Wrench<> input = wanted;
+  Wrenchd input = wanted;
   AllocationResult<4> result;
   for (auto _ : state) {
     benchmark::DoNotOptimize(input);
@@ -71,7 +71,7 @@ void allocate(benchmark::State& state, const Wrench<>& wanted, AllocationStatus 
 }
 
 void servo_update(benchmark::State& state) {
-  Servo<> servo(vehicle.servo);
+  Servod servo(vehicle.servo);
   double time = 0.0, command = 0.5;
   for (auto _ : state) {
     time += 1e-3;
@@ -80,12 +80,12 @@ void servo_update(benchmark::State& state) {
   }
 }
 
-/// With commands that run ahead, as in a loop.
+/// Allocation with commands that lead the actuators, as in a control loop.
 void allocate_moving(benchmark::State& state) {
   const Allocation<4> allocation(vehicle);
-  Wrench<> input{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.1, -0.1, 0.05)};
+  Wrenchd input{Eigen::Vector3d(0.0, 0.0, 14.7), Eigen::Vector3d(0.1, -0.1, 0.05)};
   const AllocationResult<4> sent = allocation.allocate(0.0, input, {}, {});
-  const Wrench<> rate{Eigen::Vector3d(1.0, -2.0, 3.0), Eigen::Vector3d(0.1, -0.2, 0.3)};
+  const Wrenchd rate{Eigen::Vector3d(1.0, -2.0, 3.0), Eigen::Vector3d(0.1, -0.2, 0.3)};
   for (auto _ : state) {
     benchmark::DoNotOptimize(input);
     benchmark::DoNotOptimize(allocation.allocate(0.01, input, rate, sent));
@@ -105,14 +105,14 @@ void actuator_model_update(benchmark::State& state) {
   }
 }
 
-/// 1 ms, from the same state each time.
+/// Steps of 1 ms. The plant returns to `start` after 0.5 s of simulated time.
 void plant_step(benchmark::State& state, const PlantState<4>& start,
                 const ActuatorState<4>& command) {
   Plant<4> plant(vehicle);
   plant.reset(start);
   for (auto _ : state) {
     if (plant.time() > 0.5) plant.reset(start);
-    if (!plant.step(command, {}, 1e-3)) state.SkipWithError("the plant broke");
+    if (!plant.step(command, {}, 1e-3)) state.SkipWithError("the plant rejected a step");
   }
 }
 

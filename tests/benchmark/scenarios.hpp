@@ -13,15 +13,15 @@
 /// The closed loops of the benchmark's optimal-control problem, AIR and GROUND, 10 s at 50 Hz.
 namespace benchmarks {
 
-using tilt_ropter::State;
+using tilt_ropter::Stated;
 using tilt_ropter::WheeledFlightProblem;
-using Solver = tilt_ropter::MultipleShooting<WheeledFlightProblem<>>;
+using Solver = tilt_ropter::optimal_control::MultipleShooting<WheeledFlightProblem<0>>;
 
 struct Scenario {
-  WheeledFlightProblem<> problem;
-  void (*set_reference)(WheeledFlightProblem<>&, double time);
-  State<> start;
-  tilt_ropter::Wrench<> plant_wrench;  ///< external wrench on the true body, body frame
+  WheeledFlightProblem<0> problem;
+  void (*set_reference)(WheeledFlightProblem<0>&, double time);
+  Stated start;
+  tilt_ropter::Wrenchd plant_wrench;  ///< external wrench on the true body, body frame
 };
 
 /// Figure eight in the air; a force acts that the controller does not know.
@@ -30,7 +30,7 @@ inline Scenario air(int intervals = 20,
   tilt_ropter::WheeledFlightSettings settings;
   settings.intervals = intervals;
   settings.bounds = bounds;
-  return {WheeledFlightProblem<>(test_support::benchmark_body(), settings),
+  return {WheeledFlightProblem<0>(test_support::benchmark_body(), settings),
           test_support::set_air_reference,
           test_support::air_start(),
           {Eigen::Vector3d(0.15, -0.10, 0.20), Eigen::Vector3d::Zero()}};
@@ -43,8 +43,8 @@ namespace ground_data {
 inline constexpr double wheel_radius = 0.12;  // [m]
 inline const double weight = 1.5 * tilt_ropter::gravity;
 
-inline tilt_ropter::BodyState<> reference(double t) {
-  tilt_ropter::BodyState<> r;
+inline tilt_ropter::BodyStated reference(double t) {
+  tilt_ropter::BodyStated r;
   r.position << 1.6 * std::sin(0.5 * t), 0.8 * std::sin(t), wheel_radius;
   r.velocity << 0.8 * std::cos(0.5 * t), 0.8 * std::cos(t), 0.0;
   const Eigen::Vector2d v = r.velocity.head<2>();
@@ -54,7 +54,7 @@ inline tilt_ropter::BodyState<> reference(double t) {
   return r;
 }
 
-inline void set_reference(WheeledFlightProblem<>& problem, double time) {
+inline void set_reference(WheeledFlightProblem<0>& problem, double time) {
   for (int k = 0; k <= problem.horizon(); ++k) {
     tilt_ropter::WheeledFlightNode& node = problem.node(k);
     node.reference = reference(time + 0.1 * k);
@@ -72,10 +72,10 @@ inline Scenario ground() {
   settings.bounds = tilt_ropter::paper_bounds();
   settings.bounds.force_min.head<2>().setConstant(-3.0);
   settings.bounds.force_max.head<2>().setConstant(3.0);
-  State<> start;
+  Stated start;
   start.wrench.force << 0.0, 0.0, 0.2 * ground_data::weight;
   start.body = ground_data::reference(0.0);
-  return {WheeledFlightProblem<>(test_support::benchmark_body(), settings),
+  return {WheeledFlightProblem<0>(test_support::benchmark_body(), settings),
           ground_data::set_reference,
           start,
           {Eigen::Vector3d(0.0, 0.0, 0.8 * ground_data::weight), Eigen::Vector3d(0.0, 0.0, 0.01)}};
@@ -97,7 +97,7 @@ class ClosedLoop {
   /// One real-time iteration and what follows it in the plant; wall time of the former [us].
   double iterate() {
     return tick([this] {
-      sound_ = solver_.prepare() == tilt_ropter::PrepareStatus::prepared &&
+      sound_ = solver_.prepare() == tilt_ropter::optimal_control::PrepareStatus::prepared &&
                solver_.feedback(x_).status == Status::iterated && sound_;
     });
   }
@@ -107,18 +107,20 @@ class ClosedLoop {
     return tick([this] { sound_ = solver_.solve(x_).status == Status::converged && sound_; });
   }
 
-  [[nodiscard]] const tilt_ropter::SolveReport& report() const { return solver_.report(); }
+  [[nodiscard]] const tilt_ropter::optimal_control::SolveReport& report() const {
+    return solver_.report();
+  }
   /// False after a solve that did not do as asked.
   [[nodiscard]] bool sound() const { return sound_; }
   /// Of the position, over all ticks so far [m].
   [[nodiscard]] double rmse() const { return std::sqrt(squares_ / count_); }
 
  private:
-  using Status = tilt_ropter::SolveStatus;
+  using Status = tilt_ropter::optimal_control::SolveStatus;
   using Clock = std::chrono::steady_clock;
 
-  static tilt_ropter::SolverSettings settings() {
-    tilt_ropter::SolverSettings s;
+  static tilt_ropter::optimal_control::SolverSettings settings() {
+    tilt_ropter::optimal_control::SolverSettings s;
     s.update_multipliers = false;  // the benchmark has the ground's conditions by weight alone
     return s;
   }
@@ -148,9 +150,9 @@ class ClosedLoop {
   }
 
   Scenario scenario_;
-  tilt_ropter::RigidBody<> plant_;
+  tilt_ropter::RigidBodyd plant_;
   Solver solver_;
-  State<> x_;
+  Stated x_;
   int tick_ = 0;
   double squares_ = 0.0, count_ = 0.0;
   bool sound_ = true;

@@ -1,6 +1,7 @@
-// The three scenarios of the benchmark's optimal-control problem in one table, beside the figures
-// that other solvers reached on them.
+// The three scenarios of the benchmark's optimal-control problem in one table, beside published
+// results of other solvers.
 
+#include "../../examples/support/statistics.hpp"
 #include "dense_riccati.hpp"
 #include "scenarios.hpp"
 
@@ -19,8 +20,8 @@ namespace {
 using benchmarks::ClosedLoop;
 using benchmarks::Scenario;
 using benchmarks::Solver;
-using tilt_ropter::SolveReport;
-using tilt_ropter::SolveStatus;
+using tilt_ropter::optimal_control::SolveReport;
+using tilt_ropter::optimal_control::SolveStatus;
 
 constexpr const char* usage = R"(usage: scenarios_benchmark [--repeat R]
 
@@ -44,30 +45,25 @@ and what was published for it: acados tuned by hand and as it comes, an experime
 Exit code 1 if a solve did not converge or STEP's optimum is not the known one.
 )";
 
-double quantile(std::vector<double> values, double share) {
-  const auto at =
-      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
-}
-
 class Row {
  public:
   void add(double us, const SolveReport& report) {
     total_.push_back(us);
     linearise_.push_back(report.linearise_us);
     factorise_.push_back(report.factorise_us);
-    rows_.push_back(report.rows_us);
+    rows_.push_back(report.gradients_us);
     feedback_.push_back(report.feedback_us / std::max(report.iterations, 1));
     iterations_.push_back(report.iterations);
-    active_.push_back(report.active_rows);
+    active_.push_back(report.active_constraints);
   }
 
   void print(const char* name, const std::string& result, const char* published) const {
     std::printf("%-29s %7.0f %6.0f %9.1f %9.1f %6.1f %8.1f %10.0f %6.0f  %-11s %s\n", name,
-                quantile(total_, 0.5), quantile(total_, 0.99), quantile(linearise_, 0.5),
-                quantile(factorise_, 0.5), quantile(rows_, 0.5), quantile(feedback_, 0.5),
-                quantile(iterations_, 0.5), quantile(active_, 0.5), result.c_str(), published);
+                examples::percentile(total_, 0.5), examples::percentile(total_, 0.99),
+                examples::percentile(linearise_, 0.5), examples::percentile(factorise_, 0.5),
+                examples::percentile(rows_, 0.5), examples::percentile(feedback_, 0.5),
+                examples::percentile(iterations_, 0.5), examples::percentile(active_, 0.5),
+                result.c_str(), published);
     std::fflush(stdout);
   }
 
@@ -86,7 +82,7 @@ bool run_step(int repeat) {
   Solver solver(test_support::step_problem());
   Row row;
   bool sound = true;
-  for (int i = -2; i < 100 * repeat; ++i) {  // the first two fault pages in
+  for (int i = -2; i < 100 * repeat; ++i) {  // two warm-up runs: page faults
     const auto start = Clock::now();
     solver.reset(test_support::step_start());
     const SolveReport& report = solver.solve(test_support::step_start());
@@ -94,7 +90,7 @@ bool run_step(int repeat) {
     sound = report.status == SolveStatus::converged && sound;
     if (i >= 0) row.add(us, report);
   }
-  // By IPOPT, with the quaternion normalised and R(q) as it is here.
+  // Result of IPOPT with a normalised quaternion and the same R(q) as here.
   constexpr double known = 2074.1813;
   const double cost = solver.report().cost;
   row.print("STEP   cold, to KKT 1e-6", text("%.4f", cost),
@@ -125,8 +121,8 @@ void run_yardstick(int repeat) {
     us.push_back(std::chrono::duration<double, std::micro>(Clock::now() - start).count());
   }
   std::printf("%-29s %7.1f %6.1f   (18 states, 6 inputs, N = 20; trace %.6g)\n",
-              "plain dense Riccati in Eigen", quantile(us, 0.5), quantile(us, 0.99),
-              sum / static_cast<double>(us.size()));
+              "plain dense Riccati in Eigen", examples::percentile(us, 0.5),
+              examples::percentile(us, 0.99), sum / static_cast<double>(us.size()));
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
-// The solver and its parts. AIR flies its whole figure eight, with some 30 active rows; the
-// counters are means over it.
+// The solver and its parts. AIR flies its whole figure eight, with about 30 active constraints. The
+// counters are means over the flight, except the medians.
 
+#include "../../examples/support/statistics.hpp"
 #include "scenarios.hpp"
 
 #include <tilt_ropter/optimal_control/multipliers.hpp>
@@ -20,14 +21,14 @@ namespace {
 using benchmarks::ClosedLoop;
 using benchmarks::Scenario;
 using benchmarks::Solver;
-using tilt_ropter::DualAlgorithm;
-using tilt_ropter::DualSettings;
-using tilt_ropter::DualSolver;
-using tilt_ropter::SolveReport;
-using tilt_ropter::SolveStatus;
+using tilt_ropter::optimal_control::DualAlgorithm;
+using tilt_ropter::optimal_control::DualSettings;
+using tilt_ropter::optimal_control::DualSolver;
+using tilt_ropter::optimal_control::SolveReport;
+using tilt_ropter::optimal_control::SolveStatus;
 
-/// Flies the loop; `part_us` says which part of a tick counts, from its wall time and report. The
-/// median, over all ticks, is what a machine shared with others leaves untouched.
+/// Flies the loop. `part_us` returns the time of the measured part of a tick [us], from the tick's
+/// wall time and report. The median over all ticks is robust against other load on the machine.
 template <typename Part>
 void fly(benchmark::State& state, const Scenario& scenario, double (ClosedLoop::*control)(),
          const Part& part_us) {
@@ -39,17 +40,16 @@ void fly(benchmark::State& state, const Scenario& scenario, double (ClosedLoop::
     const SolveReport& report = loop.report();
     times_us.push_back(part_us(all_us, report));
     state.SetIterationTime(1e-6 * times_us.back());
-    active += report.active_rows;
+    active += report.active_constraints;
     iterations += report.iterations;
   }
   if (!loop.sound()) state.SkipWithError("a solve did not do as asked");
-  const auto middle = times_us.begin() + static_cast<std::ptrdiff_t>(times_us.size() / 2);
-  std::nth_element(times_us.begin(), middle, times_us.end());
+  const double median_us = examples::percentile(times_us, 0.5);
   using benchmark::Counter;
   state.counters["active_rows"] = Counter(active, Counter::kAvgIterations);
   state.counters["iterations"] = Counter(iterations, Counter::kAvgIterations);
-  state.counters["median_us"] = *middle;
-  state.counters["median_us_per_node"] = *middle / scenario.problem.horizon();
+  state.counters["median_us"] = median_us;
+  state.counters["median_us_per_node"] = median_us / scenario.problem.horizon();
 }
 
 double all(double us, const SolveReport&) {
@@ -64,8 +64,8 @@ double in_linearise(double, const SolveReport& report) {
 double in_factorise(double, const SolveReport& report) {
   return report.factorise_us;
 }
-double in_rows(double, const SolveReport& report) {
-  return report.rows_us;
+double with_constraints(double, const SolveReport& report) {
+  return report.gradients_us;
 }
 double in_feedback(double, const SolveReport& report) {
   return report.feedback_us;
@@ -80,7 +80,8 @@ void air_to_convergence(benchmark::State& state) {
   fly(state, benchmarks::air(), &ClosedLoop::converge, all);
 }
 
-/// AIR within bounds so wide that few rows are ever active: what grows with the horizon alone.
+/// AIR within wide bounds, where few constraints are ever active: shows the growth with the horizon
+/// alone.
 void free_iteration(benchmark::State& state) {
   fly(state, benchmarks::air(static_cast<int>(state.range(0)), tilt_ropter::NmpcBounds{}),
       &ClosedLoop::iterate, all);
@@ -100,8 +101,8 @@ void step_from_cold(benchmark::State& state) {
   state.counters["iterations"] = solver.report().iterations;
 }
 
-/// A dual of 40 rows; as in AIR, the gradients of neighbours are much alike and about half of the
-/// rows end up with a multiplier.
+/// A dual of 40 constraints. As in AIR, the gradients of neighbours are similar, and about half of
+/// the constraints have a multiplier at the solution.
 struct Dual {
   static constexpr int rows = 40;
   Eigen::MatrixXd hessian{rows, rows};
@@ -126,7 +127,7 @@ void solve_dual(benchmark::State& state, DualAlgorithm algorithm, bool warm) {
   settings.algorithm = algorithm;
   DualSolver solver(Dual::rows, settings);
   Eigen::VectorXd lambda = Eigen::VectorXd::Zero(Dual::rows);
-  // The start is the solution of a slightly different problem, as it is in a control loop.
+  // A warm start is the solution of a slightly different problem, as in a control loop.
   Eigen::VectorXd start = Eigen::VectorXd::Zero(Dual::rows);
   if (warm && !solver.solve(dual.hessian, 1.02 * dual.offsets, dual.bounds, start))
     state.SkipWithError("no solution");
@@ -152,7 +153,7 @@ BENCHMARK_CAPTURE(air, iteration, all)
 BENCHMARK_CAPTURE(air, prepare, in_prepare)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, linearise, in_linearise)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, factorise, in_factorise)->Arg(20)->UseManualTime();
-BENCHMARK_CAPTURE(air, rows, in_rows)->Arg(20)->UseManualTime();
+BENCHMARK_CAPTURE(air, rows, with_constraints)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, feedback, in_feedback)->Arg(20)->UseManualTime();
 BENCHMARK(air_to_convergence)->UseManualTime();
 BENCHMARK(free_iteration)->Arg(10)->Arg(20)->Arg(50)->Arg(100)->Arg(200)->UseManualTime();

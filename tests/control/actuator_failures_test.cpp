@@ -13,8 +13,9 @@
 #include "support/control_loop.hpp"
 #include "support/full_run.hpp"
 
-// An actuator fails in hover, 0.1 s later it is known, 3 s later the landing begins. One line per
-// flight is printed, from which comes the table of examples/README.md.
+// An actuator fails in hover. The controller is informed 0.1 s later, and the landing begins 3 s
+// after the failure. Each flight prints one line. The table of examples/README.md comes from these
+// lines.
 
 namespace {
 
@@ -25,17 +26,18 @@ constexpr double degree = pi / 180.0;
 struct Flight {
   Vehicle<4> failed;
   bool known = true;
-  double height = 1.5;                             ///< of the hover [m]
-  Eigen::Vector3d lean = Eigen::Vector3d::Zero();  ///< rotation vector of the reference in the air
+  double height = 1.5;  ///< height of the hover [m]
+  /// Rotation vector of the reference in the air [rad].
+  Eigen::Vector3d lean = Eigen::Vector3d::Zero();
 };
 
 struct Landing {
   bool touched = false, stands = false;
-  double speed = 0.0, lean = 0.0;  ///< of the body when the first wheel touches [m/s, rad]
-  double largest_lean = 0.0;       ///< before that [rad]
+  double speed = 0.0, lean = 0.0;  ///< speed and tilt of the body at the first touch [m/s, rad]
+  double largest_lean = 0.0;       ///< largest tilt of the body before the first touch [rad]
 };
 
-double lean_of(const BodyState<>& body) {
+double lean_of(const BodyStated& body) {
   return std::acos(std::min(1.0, (body.orientation * Eigen::Vector3d::UnitZ()).z()));
 }
 
@@ -43,7 +45,7 @@ void expect_within_limits(const NmpcResult& result, const NmpcBounds& bounds,
                           const ActuatorState<4>& command, const Vehicle<4>& vehicle) {
   const double fastest =
       speed_from_thrust(vehicle.rotor.max_thrust, vehicle.rotor.thrust_coefficient);
-  const Wrench<>& w = result.wrench;
+  const Wrenchd& w = result.wrench;
   ASSERT_TRUE(is_finite(w) && is_finite(result.rate));
   ASSERT_TRUE((w.force.array() >= bounds.force_min.array()).all() &&
               (w.force.array() <= bounds.force_max.array()).all());
@@ -54,8 +56,9 @@ void expect_within_limits(const NmpcResult& result, const NmpcBounds& bounds,
   ASSERT_LE(command.tilt_angle.cwiseAbs().maxCoeff(), vehicle.servo.max_angle);
 }
 
-/// Hover, failure at 1 s, known at 1.1 s, landing from 4 s on. A lean is taken up within 0.2 s of
-/// the failure's being known and left over the last 0.3 m.
+/// Flies a hover with a failure at 1 s and a landing from 4 s on. The controller is informed of the
+/// failure at 1.1 s if flight.known is true. From 1.1 s on the reference takes up the lean within
+/// 0.2 s. It removes the lean over the last 0.3 m of height.
 Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
   test_support::ControlLoop<Plant<4>> loop(seed);
   const double radius = flight.failed.wheels->radius;
@@ -64,9 +67,9 @@ Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
   down.set_start_time(4.0);
   const auto reference = [&](double time) {
     ReferencePoint point = down(time);
-    const double share = std::clamp((time - 1.1) / 0.2, 0.0, 1.0) *
-                         std::clamp((point.position.z() - radius) / 0.3, 0.0, 1.0);
-    point.orientation = quaternion_exp(Eigen::Vector3d(share * flight.lean));
+    const double fraction = std::clamp((time - 1.1) / 0.2, 0.0, 1.0) *
+                            std::clamp((point.position.z() - radius) / 0.3, 0.0, 1.0);
+    point.orientation = quaternion_exp(Eigen::Vector3d(fraction * flight.lean));
     return point;
   };
 
@@ -75,7 +78,7 @@ Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
   for (int i = 0; i < ticks; ++i) {
     if (i == 100) loop.fail(flight.failed);
     if (i == 110 && flight.known) loop.tell(flight.failed);
-    const BodyState<> before = loop.plant().body();
+    const BodyStated before = loop.plant().body();
     const NmpcResult& output = loop.tick(reference);
     expect_within_limits(output, loop.nmpc().settings().problem.bounds, loop.command(),
                          flight.failed);
@@ -86,7 +89,7 @@ Landing land(const std::string& name, const Flight& flight, unsigned seed = 1) {
       result.touched = true;
       result.speed = before.velocity.norm();
       result.lean = lean_of(before);
-      if (!(result.speed < 0.5)) ticks = std::min(ticks, i + 30);  // a crash, watched to its end
+      if (!(result.speed < 0.5)) ticks = std::min(ticks, i + 30);  // watch a crash for 0.3 s more
     }
   }
   result.stands = result.speed < 0.5 && lean_of(loop.plant().body()) < 30.0 * degree &&
@@ -116,16 +119,17 @@ std::string arm_name(const char* what, std::size_t arm) {
   return std::string(what) + " " + std::to_string(arm + 1);
 }
 
-/// The lean in which a lost rotor can be done without: 30 degrees about its own arm, so that the
-/// rotor opposite has to push sideways, its servo stands across, and a few degrees of it are a
-/// torque either way. To the side on which the reaction of the other two rotors helps.
+/// Lean in which the vehicle can fly without the rotor `arm`, as a rotation vector [rad]: 30
+/// degrees about this rotor's arm. The opposite rotor must then push sideways with its servo near
+/// 90 degrees. A few degrees of this servo give a torque of either sign. The lean is to the side on
+/// which the reaction torques of the other two rotors help.
 Eigen::Vector3d lean_about(std::size_t arm) {
   const RotorGeometry rotor = tilt_ropter_vehicle().rotors[arm];
   return 30.0 * degree * static_cast<int>(rotor.spin) * rotor.orientation.col(0);
 }
 
-// Near upright almost as if nothing were; at 60 degrees it is recovered in the air.
-TEST(ActuatorFailures, ServoStuckUpToSixtyDegreesLands) {
+// Up to 30 degrees the flight is almost normal. At 60 degrees the vehicle recovers in the air.
+TEST(ActuatorFailures, LandsWithServoStuckUpTo60Degrees) {
   for (unsigned seed = 1; seed <= seeds(); ++seed)
     for (std::size_t arm = 0; arm < 4; ++arm)
       for (const int angle : {0, 30, -30, 60, -60}) {
@@ -142,7 +146,7 @@ TEST(ActuatorFailures, ServoStuckUpToSixtyDegreesLands) {
       }
 }
 
-TEST(ActuatorFailures, RotorAtHalfThrustLandsKnownOrNot) {
+TEST(ActuatorFailures, LandsWithRotorAtHalfThrustKnownOrUnknown) {
   for (unsigned seed = 1; seed <= seeds(); ++seed)
     for (std::size_t arm = 0; arm < 4; ++arm)
       for (const bool known : {true, false}) {
@@ -158,7 +162,7 @@ TEST(ActuatorFailures, RotorAtHalfThrustLandsKnownOrNot) {
       }
 }
 
-TEST(ActuatorFailures, ServoStuckUprightNeedNotBeKnown) {
+TEST(ActuatorFailures, LandsWithServoStuckUprightIfFailureIsUnknown) {
   for (std::size_t arm = 0; arm < 4; ++arm) {
     const std::string name = arm_name("servo", arm) + " stuck at 0 deg, unknown";
     SCOPED_TRACE(name);
@@ -170,8 +174,9 @@ TEST(ActuatorFailures, ServoStuckUprightNeedNotBeKnown) {
   }
 }
 
-// The observer takes for a constant force and torque what changes with the arm's thrust.
-TEST(ActuatorFailures, ServoStuckAtThirtyDegreesUnknownOnlyTheOutputsStaySound) {
+// The observer assumes a constant external force and torque, but the error of the stuck servo
+// changes with the arm's thrust. The vehicle may crash; the test checks the outputs only.
+TEST(ActuatorFailures, OutputsStayWithinLimitsIfServoStuckAt30DegreesIsUnknown) {
   for (std::size_t arm = 0; arm < 4; ++arm) {
     const std::string name = arm_name("servo", arm) + " stuck at 30 deg, unknown";
     SCOPED_TRACE(name);
@@ -181,12 +186,14 @@ TEST(ActuatorFailures, ServoStuckAtThirtyDegreesUnknownOnlyTheOutputsStaySound) 
   }
 }
 
-// A is of rank 6 and every thrust of level hover is within limits. But the weight then hangs on the
-// two rotors beside, and the one opposite gives next to nothing: a torque about their line takes it
-// from pushing up to pushing down, half a turn of a servo, 0.4 s, in which the vehicle turns over.
-// A thrust that goes straight through zero keeps to the rows that bound the tilt rates
-// (ActuatorRows), so the NMPC, whose model knows wrenches and no angles, counts on that.
-TEST(ActuatorFailures, LevelWithoutTheThrustOfAnArmOnlyTheOutputsStaySound) {
+// The allocation matrix A has rank 6 and all thrusts of level hover are within limits. But the two
+// neighbouring rotors then carry the weight, and the opposite rotor has almost no thrust. A torque
+// about the line through the neighbours reverses the opposite rotor's thrust from up to down. This
+// needs half a turn of the servo, 0.4 s, and in this time the vehicle turns over. A thrust that
+// goes straight through zero satisfies the tilt-rate constraints (ActuatorConstraints). The model
+// of the NMPC contains wrenches but no tilt angles. The NMPC therefore plans with such a reversal.
+// The test checks the outputs only.
+TEST(ActuatorFailures, OutputsStayWithinLimitsWhenLevelWithoutThrustOfOneArm) {
   for (std::size_t arm = 0; arm < 4; ++arm) {
     for (const int angle : {90, -90}) {
       const std::string name =
@@ -204,9 +211,10 @@ TEST(ActuatorFailures, LevelWithoutTheThrustOfAnArmOnlyTheOutputsStaySound) {
   }
 }
 
-// With the front or the back rotor gone nothing can pitch both ways once the vehicle is level on
-// its wheels, so there it is the touch that counts; with a side rotor gone it stands.
-TEST(ActuatorFailures, RotorLostLandsByAReferenceThatLeans) {
+// Without the front or the back rotor (arm >= 2) no pitch torque of both signs is available once
+// the vehicle is level on its wheels. For these rotors only the touch-down is checked. Without a
+// side rotor the vehicle must also stand in the end.
+TEST(ActuatorFailures, LandsWithLostRotorIfReferenceLeans) {
   for (unsigned seed = 1; seed <= seeds(); ++seed)
     for (std::size_t arm = 0; arm < 4; ++arm) {
       const std::string name = arm_name("rotor", arm) + " lost, leaning";
@@ -219,7 +227,7 @@ TEST(ActuatorFailures, RotorLostLandsByAReferenceThatLeans) {
     }
 }
 
-TEST(ActuatorFailures, ServoStuckAcrossLandsByAReferenceThatLeans) {
+TEST(ActuatorFailures, LandsWithServoStuckAt90DegreesIfReferenceLeans) {
   for (unsigned seed = 1; seed <= seeds(); ++seed)
     for (std::size_t arm = 0; arm < 4; ++arm)
       for (const int angle : {90, -90}) {
@@ -228,8 +236,8 @@ TEST(ActuatorFailures, ServoStuckAcrossLandsByAReferenceThatLeans) {
         SCOPED_TRACE(name);
         Flight flight{with_stuck_servo(tilt_ropter_vehicle(), arm, angle * degree)};
         flight.lean = lean_about(arm);
-        // Where the stuck arm pushes against the lean, the vehicle swings far beyond it first. Of
-        // ten seeds most recover within 2 m, the last within 7 m.
+        // If the stuck arm pushes against the lean, the vehicle first swings far beyond the lean.
+        // Most of the ten seeds recover within 2 m, the worst within 7 m.
         const bool against = angle * static_cast<int>(flight.failed.rotors[arm].spin) > 0;
         if (against) flight.height = 8.0;
         const Landing landing = land(name, flight, seed);

@@ -1,6 +1,6 @@
-// Numbers that nobody means (CHECKS 2), into the controller: it says so, gives a wrench within its
-// bounds, and flies on as before as soon as the numbers are good again; and into the functions
-// around it whose own tests do not do the same.
+// Arbitrary input numbers (check 2), for example NaN, infinity and huge numbers. The controller
+// must report them, return a wrench within its bounds, and fly as before once the inputs are good
+// again. The other tests cover functions around the controller whose own tests lack this check.
 
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
@@ -37,8 +37,8 @@ class AnyNumber {
  public:
   explicit AnyNumber(unsigned seed) : random_(seed) {}
 
-  /// `good`, or with the likelihood `share` one of the others.
-  double operator()(double good, double share) {
+  /// Returns `good`, or with the probability `fraction` one of the other numbers.
+  double operator()(double good, double fraction) {
     using Limits = std::numeric_limits<double>;
     constexpr std::array<double, 12> others = {Limits::quiet_NaN(),
                                                Limits::infinity(),
@@ -52,40 +52,40 @@ class AnyNumber {
                                                1e3,
                                                -10.0,
                                                1.0};
-    if (random_.uniform(0.0, 1.0) >= share) return good;
+    if (random_.uniform(0.0, 1.0) >= fraction) return good;
     return others[static_cast<std::size_t>(random_.uniform(0.0, others.size()))];
   }
-  Eigen::Vector3d operator()(const Eigen::Vector3d& good, double share) {
-    return good.unaryExpr([&](double x) { return (*this)(x, share); });
+  Eigen::Vector3d operator()(const Eigen::Vector3d& good, double fraction) {
+    return good.unaryExpr([&](double x) { return (*this)(x, fraction); });
   }
-  Eigen::Quaterniond operator()(const Eigen::Quaterniond& good, double share) {
+  Eigen::Quaterniond operator()(const Eigen::Quaterniond& good, double fraction) {
     Eigen::Quaterniond q = good;
-    for (int i = 0; i < 4; ++i) q.coeffs()(i) = (*this)(q.coeffs()(i), share);
+    for (int i = 0; i < 4; ++i) q.coeffs()(i) = (*this)(q.coeffs()(i), fraction);
     return q;
   }
-  BodyState<> operator()(const BodyState<>& good, double share) {
-    BodyState<> x;
-    x.position = (*this)(good.position, share);
-    x.velocity = (*this)(good.velocity, share);
-    x.orientation = (*this)(good.orientation, share);
-    x.angular_velocity = (*this)(good.angular_velocity, share);
+  BodyStated operator()(const BodyStated& good, double fraction) {
+    BodyStated x;
+    x.position = (*this)(good.position, fraction);
+    x.velocity = (*this)(good.velocity, fraction);
+    x.orientation = (*this)(good.orientation, fraction);
+    x.angular_velocity = (*this)(good.angular_velocity, fraction);
     return x;
   }
-  Wrench<> operator()(const Wrench<>& good, double share) {
-    const Eigen::Vector3d force = (*this)(good.force, share);
-    return {force, (*this)(good.torque, share)};
+  Wrenchd operator()(const Wrenchd& good, double fraction) {
+    const Eigen::Vector3d force = (*this)(good.force, fraction);
+    return {force, (*this)(good.torque, fraction)};
   }
 
  private:
   test_support::Random random_;
 };
 
-/// Of bad numbers, in turn: hardly one that is good, some, a single one now and then.
-double share_of(int call) {
+/// Fraction of bad numbers in this call. The calls cycle through 50 %, 5 % and 0.5 %.
+double fraction_of(int call) {
   return call % 3 == 0 ? 0.5 : call % 3 == 1 ? 0.05 : 0.005;
 }
 
-TEST(AnyInput, ToTheControllerIsSurvived) {
+TEST(AnyInput, ControllerSurvivesArbitraryInput) {
   const int ticks = test_support::quick_or_full(200, 10000);
   AnyNumber any(2);
   NmpcSettings settings;
@@ -94,25 +94,25 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
   const NmpcBounds& bounds = settings.problem.bounds;
   int rejected = 0, not_finite = 0, out_of_bounds = 0;
   double longest = 0.0, time = 0.0, worst_way = 0.0, worst_error = 0.0;
-  const RigidBody<> plant(tilt_ropter_vehicle().body);
+  const RigidBodyd plant(tilt_ropter_vehicle().body);
   for (int i = 0; i < ticks; ++i) {
-    const double share = share_of(i);
-    const double now = any(time, share);
+    const double fraction = fraction_of(i);
+    const double now = any(time, fraction);
     const auto reference = [&](double t) {
       ReferencePoint point = hover(t);
-      point.position = any(point.position, share);
-      point.velocity = any(point.velocity, share);
-      point.acceleration = any(point.acceleration, share);
-      point.orientation = any(point.orientation, share);
-      point.angular_velocity = any(point.angular_velocity, share);
-      point.angular_acceleration = any(point.angular_acceleration, share);
+      point.position = any(point.position, fraction);
+      point.velocity = any(point.velocity, fraction);
+      point.acceleration = any(point.acceleration, fraction);
+      point.orientation = any(point.orientation, fraction);
+      point.angular_velocity = any(point.angular_velocity, fraction);
+      point.angular_acceleration = any(point.angular_acceleration, fraction);
       return point;
     };
-    const BodyState<> state = any(hovering(), share);
-    const Wrench<> external = any(Wrench<>{}, share);
+    const BodyStated state = any(hovering(), fraction);
+    const Wrenchd external = any(Wrenchd{}, fraction);
     const auto begin = std::chrono::steady_clock::now();
     (void)nmpc.prepare(now, reference, in_the_air(external));
-    const NmpcResult result = nmpc.feedback(any(time, share), state);
+    const NmpcResult result = nmpc.feedback(any(time, fraction), state);
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
     longest = std::max(longest, took.count());
     not_finite += !is_finite(result.wrench) || !is_finite(result.rate);
@@ -123,8 +123,8 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
     }
     time += 0.01;
     if (i % 10 != 0) continue;
-    // Good numbers again, from a vehicle that hovers and gets what is commanded from now on.
-    State<> x;
+    // Good inputs again, from a vehicle that hovers and receives the commanded wrench from now on.
+    Stated x;
     x.body = hovering();
     double worst = 0.0;
     for (int k = 0; k < 300; ++k) {
@@ -148,24 +148,24 @@ TEST(AnyInput, ToTheControllerIsSurvived) {
   RecordProperty("longest_tick_ms", std::to_string(1e3 * longest));
 }
 
-TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
+TEST(AnyInput, ContactEstimatorSurvivesArbitraryInput) {
   const int calls = test_support::quick_or_full(100000, 1000000);
   AnyNumber any(3);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   ContactEstimator contact(vehicle);
   const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
-  Wrench<> weight;
+  Wrenchd weight;
   weight.force.z() = vehicle.body.mass * gravity;
   int rejected = 0;
   double now = 0.0;
   for (int i = 0; i < calls; ++i) {
-    const double share = share_of(i);
-    const BodyState<> state = any(hovering(), share);
-    const Wrench<> external = any(Wrench<>{}, share);
+    const double fraction = fraction_of(i);
+    const BodyStated state = any(hovering(), fraction);
+    const Wrenchd external = any(Wrenchd{}, fraction);
     const ContactEstimate before = contact.estimate();
     now += 0.01;
     const ContactEstimate& after =
-        contact.update(any(now, share), state, external, k, k, external.force);
+        contact.update(any(now, fraction), state, external, k, k, external.force);
     ASSERT_TRUE(is_finite(after));
     if (!is_finite(state) || !is_finite(external)) {
       ++rejected;
@@ -174,13 +174,13 @@ TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
       ASSERT_EQ(after.disturbance.force, before.disturbance.force);
     }
     if (i % 1000 != 0) continue;
-    // Good numbers again, in the air and on the wheels.
-    now += 10.0;  // or the clock has been set
-    BodyState<> good = hovering();
-    const auto feed = [&](const Wrench<>& shown) {
+    // Good inputs again, in the air and on the wheels.
+    now += 10.0;  // later than the last time, or the clock was set
+    BodyStated good = hovering();
+    const auto feed = [&](const Wrenchd& shown) {
       for (int j = 0; j < 300; ++j) contact.update(now += 0.01, good, shown, k, k, shown.force);
     };
-    good.position.z() = 50.0;  // where no number was
+    good.position.z() = 50.0;  // not one of the bad numbers
     feed({});
     ASSERT_FALSE(contact.estimate().on_ground);
     good.position.z() = vehicle.wheels->radius;
@@ -191,18 +191,18 @@ TEST(AnyInput, ToTheContactEstimatorIsSurvived) {
   EXPECT_GT(rejected, calls / 10);
 }
 
-TEST(AnyInput, ToTheActuatorModelIsSurvived) {
+TEST(AnyInput, ActuatorModelSurvivesArbitraryInput) {
   const int calls = test_support::quick_or_full(100000, 1000000);
   AnyNumber any(4);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const Rotor<> rotor(vehicle.rotor);
+  const Rotord rotor(vehicle.rotor);
   ActuatorModel<4> actuators(vehicle);
   ActuatorState<4> command;
   for (int i = 0; i < calls; ++i) {
     const double time = 0.001 * i;
     for (int k = 0; k < 4; ++k) {
-      command.rotor_speed(k) = any(1000.0, share_of(i));
-      command.tilt_angle(k) = any(0.3, share_of(i));
+      command.rotor_speed(k) = any(1000.0, fraction_of(i));
+      command.tilt_angle(k) = any(0.3, fraction_of(i));
     }
     if (i % 1000 == 0) actuators.reset(command, any(time, 0.5));
     const ActuatorState<4>& state = actuators.update(any(time, 0.01), command);
@@ -213,7 +213,7 @@ TEST(AnyInput, ToTheActuatorModelIsSurvived) {
   }
 }
 
-TEST(AnyInput, TimesToAMissionGiveFinitePoints) {
+TEST(AnyInput, MissionReturnsFinitePointsForArbitraryTimes) {
   const int calls = test_support::quick_or_full(100000, 1000000);
   AnyNumber any(5);
   const Mission mission = hybrid_mission(tilt_ropter_vehicle());

@@ -1,4 +1,4 @@
-// Numbers at the edge of use: periods from 0.1 to 50 ms, horizons from 2 to 200 intervals, vehicles
+// Limits of the usual range: periods from 0.1 to 50 ms, horizons from 2 to 200 intervals, vehicles
 // from 30 g to 100 kg.
 
 #include "support/hovering.hpp"
@@ -26,8 +26,9 @@ namespace {
 
 using test_support::hover;
 
-/// The Tilt-Ropter `scale` times as long: mass with the cube of it, inertia with the fifth power,
-/// thrust with the mass, lags and servo speeds as they are.
+/// The Tilt-Ropter, scaled in length so that it has this `mass` [kg]. The mass grows with the cube
+/// of the length, the inertia with the fifth power and the thrust with the mass. Lags and servo
+/// speeds stay the same.
 Vehicle<4> scaled_vehicle(double mass) {
   Vehicle<4> v = tilt_ropter_vehicle();
   const double by_mass = mass / v.body.mass, scale = std::cbrt(by_mass);
@@ -42,21 +43,22 @@ Vehicle<4> scaled_vehicle(double mass) {
   return v;
 }
 
-/// Hover against a pull of a tenth of the weight; returns the distance after 4 s [m].
+/// Hovers for 4 s against an external force of a tenth of the weight. Returns the position error
+/// [m].
 double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, double period) {
   const double by_mass = vehicle.body.mass / tilt_ropter_vehicle().body.mass;
   PlantParameters world;
-  world.contact.wheel_inertia *= std::pow(by_mass, 5.0 / 3.0);  // or tiny substeps are needed
+  world.contact.wheel_inertia *= std::pow(by_mass, 5.0 / 3.0);  // avoids tiny substeps
   Plant<4> plant(vehicle, world);
-  AllocationParameters parameters;
-  parameters.hold_thrust *= by_mass;
-  const Allocation<4> allocation(vehicle, parameters);
+  AllocationSettings of_allocation;
+  of_allocation.hold_thrust *= by_mass;
+  const Allocation<4> allocation(vehicle, of_allocation);
   ActuatorModel<4> actuators(vehicle);
-  WrenchObserver<> observer(vehicle.body);
+  WrenchObserverd observer(vehicle.body);
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time(settings));
   PlantState<4> start = plant.state();
   start.body.position << 0.1, -0.1, 1.5;
-  Wrench<> pull;
+  Wrenchd pull;
   pull.force.x() = 0.1 * vehicle.body.mass * gravity;
   AllocationResult<4> sent = test_support::level_hover(allocation, vehicle);
   start.actuators = sent.command;
@@ -84,14 +86,14 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   return (plant.body().position - hover(0.0).position).norm();
 }
 
-TEST(EdgeOfUse, Periods) {
+TEST(EdgeOfUse, HoversWithPeriodsFrom100usTo50ms) {
   for (const double period : {1e-4, 1e-3, 5e-3, 0.02, 0.05}) {
     SCOPED_TRACE(period);
     EXPECT_LT(hover_error(tilt_ropter_vehicle(), {}, period), 0.01);
   }
 }
 
-TEST(EdgeOfUse, Horizons) {
+TEST(EdgeOfUse, HoversWithHorizonsFrom2To200Intervals) {
   for (const int intervals : {2, 5, 20, 60, 200}) {
     SCOPED_TRACE(intervals);
     NmpcSettings settings;
@@ -101,14 +103,14 @@ TEST(EdgeOfUse, Horizons) {
   }
 }
 
-TEST(EdgeOfUse, Masses) {
+TEST(EdgeOfUse, HoversWithMassesFrom30gTo100kg) {
   for (const double mass : {0.03, 0.3, 5.0, 100.0}) {
     SCOPED_TRACE(mass);
     EXPECT_LT(hover_error(scaled_vehicle(mass), nmpc_settings(scaled_vehicle(mass)), 0.01), 0.01);
   }
 }
 
-TEST(EdgeOfUse, AllocationInFloatServesEveryMass) {
+TEST(EdgeOfUse, SinglePrecisionAllocationWorksForEveryMass) {
   test_support::Random random(6);
   for (const double mass : {0.03, 1.5, 100.0}) {
     const Vehicle<4> vehicle = scaled_vehicle(mass);

@@ -1,5 +1,5 @@
-// Every rung of the ladder that Nmpc documents, on the plant: what leaves the controller, for how
-// long, and how the vehicle comes back (CHECKS 5).
+// Every step of the failure handling that Nmpc documents, on the plant: the controller's output,
+// how long this output lasts, and how the vehicle recovers (check 5).
 
 #include "support/check_table.hpp"
 #include "support/control_loop.hpp"
@@ -26,7 +26,7 @@ using Loop = test_support::ControlLoop<Plant<4>>;
 using test_support::check_at_most;
 using test_support::expect_within_bounds;
 using test_support::hover;
-using Measured = std::optional<BodyState<>>;
+using Measured = std::optional<BodyStated>;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
@@ -36,14 +36,14 @@ ReferencePoint lost(double time) {
   return point;
 }
 
-void untouched(Wrench<>&, Measured&) {}
-void blind(Wrench<>&, Measured& measured) {
+void untouched(Wrenchd&, Measured&) {}
+void blind(Wrenchd&, Measured& measured) {
   measured->velocity.x() = nan;
 }
-void nothing(Wrench<>&, Measured& measured) {
+void nothing(Wrenchd&, Measured& measured) {
   measured.reset();
 }
-void no_observer(Wrench<>& external, Measured&) {
+void no_observer(Wrenchd& external, Measured&) {
   external.torque.y() = nan;
 }
 
@@ -51,7 +51,7 @@ double distance(const Loop& loop) {
   return (loop.plant().body().position - hover(0.0).position).norm();
 }
 
-// A hover that has settled, against a pull and a torque that the controller has to find out.
+// A settled hover against an external force and torque that the observer must estimate.
 Loop settled() {
   Loop loop(1);
   loop.disturbance.force << 0.5, -0.3, -1.5;
@@ -63,10 +63,10 @@ Loop settled() {
 }
 
 struct Outcome {
-  int continued = 0, safe = 0;  // ticks with the last plan, with the safe wrench
-  double error = 0.0;           // when it was over, and at worst within the second after it [m]
-  double worst = 0.0;
-  double after = 0.0;  // a second after it [m]
+  int continued = 0, safe = 0;  // number of ticks with the last plan and with the safe wrench
+  double error = 0.0;           // position error at the end of the failure [m]
+  double worst = 0.0;           // largest position error in the second after the failure [m]
+  double after = 0.0;           // position error one second after the failure [m]
 };
 
 template <typename Reference, typename Tamper>
@@ -90,7 +90,7 @@ Outcome fail_for(int ticks, const Reference& reference, const Tamper& tamper, Nm
   return outcome;
 }
 
-// For max_plan_age, 20 ticks, the last plan; then the safe wrench.
+// Expects the last plan for max_plan_age (20 ticks), then the safe wrench.
 template <typename Reference, typename Tamper>
 void goes_down_the_ladder(const Reference& reference, const Tamper& tamper, NmpcStatus status) {
   for (const int ticks : {1, 5, 50}) {
@@ -99,7 +99,7 @@ void goes_down_the_ladder(const Reference& reference, const Tamper& tamper, Nmpc
     if (ticks <= 5) {
       EXPECT_EQ(outcome.continued, ticks);
     } else {
-      EXPECT_NEAR(outcome.continued, 20, 1);  // the plan is 0.2 s old but for rounding
+      EXPECT_NEAR(outcome.continued, 20, 1);  // rounding of the plan's age, 0.2 s
     }
     EXPECT_EQ(outcome.continued + outcome.safe, ticks);
     EXPECT_LT(outcome.worst, ticks <= 5 ? 0.03 : 0.3);
@@ -128,64 +128,64 @@ TEST(FailureLadder, LostObserver) {
     ASSERT_EQ(loop.tick(hover, no_observer).status, NmpcStatus::solved);
     worst = std::max(worst, distance(loop));
   }
-  EXPECT_LT(worst, 0.03);  // the pull is what it was
+  EXPECT_LT(worst, 0.03);  // the disturbance has not changed
 }
 
-TEST(FailureLadder, MissedBudget) {
+TEST(FailureLadder, FliesWhenFeedbackExceedsItsTimeLimit) {
   NmpcSettings settings;
   settings.solver.max_feedback_time = 1e-9;
-  settings.problem.bounds.force_max.z() = 15.5;  // of 14.7: rows hold all the way up
+  settings.problem.bounds.force_max.z() = 15.5;  // weight 14.7: active during the whole climb
   Loop loop(1, settings);
   loop.start(0.89, Eigen::Vector3d::Zero(), 0.0);
   int late = 0;
   for (int i = 0; i < 50; ++i) {
     const NmpcResult& result = loop.tick(hover);
     expect_within_bounds(result, settings.problem.bounds);
-    if (result.status == NmpcStatus::solved) continue;  // nothing to find out
+    if (result.status == NmpcStatus::solved) continue;  // no active set to find
     ++late;
     EXPECT_EQ(result.status, NmpcStatus::approximate);
-    EXPECT_EQ(result.report.status, SolveStatus::time_limit);
+    EXPECT_EQ(result.report.status, optimal_control::SolveStatus::time_limit);
   }
   EXPECT_GT(late, 5);
-  loop.run(3.0, hover);  // one pass a tick, and no more, brings it there
+  loop.run(3.0, hover);  // one pass per tick is enough
   EXPECT_LT(distance(loop), 0.05);
 }
 
-TEST(FailureLadder, OneEvaluationOfTheDualStillFlies) {
+TEST(FailureLadder, FliesWithOneEvaluationOfTheDual) {
   NmpcSettings settings;
   settings.solver.program.dual.max_evaluations = 1;
-  settings.problem.bounds.force_max.z() = 15.5;  // of 14.7: active all the way up
+  settings.problem.bounds.force_max.z() = 15.5;  // weight 14.7: active during the whole climb
   Loop loop(1, settings);
   loop.start(0.89, Eigen::Vector3d::Zero(), 0.0);
   int active = 0;
   for (int i = 0; i < 300; ++i) {
     const NmpcResult& result = loop.tick(hover);
     expect_within_bounds(result, settings.problem.bounds);
-    active += result.report.active_rows > 0;
+    active += result.report.active_constraints > 0;
   }
   EXPECT_GT(active, 20);
   EXPECT_LT(distance(loop), 0.05);
 }
 
-TEST(FailureLadder, BoundsThatContradictTheStateAreGivenUpNotFailed) {
+TEST(FailureLadder, RelaxesBoundsThatContradictTheState) {
   Loop loop(1);
-  BodyState<> body;
+  BodyStated body;
   loop.start(1.39, Eigen::Vector3d::Zero(), 0.0);
-  int given_up = 0;
+  int relaxed = 0;
   for (int i = 0; i < 50; ++i) {
-    // Turning six times as fast as the bounds allow: no plan keeps to them.
-    const NmpcResult& result = loop.tick(hover, [&](Wrench<>&, Measured& measured) {
+    // The yaw rate is six times the bound: no plan can satisfy the bound.
+    const NmpcResult& result = loop.tick(hover, [&](Wrenchd&, Measured& measured) {
       measured->angular_velocity.z() =
           6.0 * loop.nmpc().settings().problem.bounds.angular_velocity.z();
     });
     ASSERT_TRUE(has_plan(result.status));
     expect_within_bounds(result, loop.nmpc().settings().problem.bounds);
-    given_up += result.report.given_up_rows > 0;
+    relaxed += result.report.relaxed_constraints > 0;
   }
-  EXPECT_GT(given_up, 0);
+  EXPECT_GT(relaxed, 0);
 }
 
-TEST(FailureLadder, BeforeTheFirstGoodMeasurementItIsTheSafeWrench) {
+TEST(FailureLadder, CommandsSafeWrenchUntilFirstGoodMeasurement) {
   Loop loop(1);
   loop.start(1.39, Eigen::Vector3d::Zero(), 0.0);
   for (int i = 0; i < 10; ++i) {

@@ -37,8 +37,8 @@ ContactEstimate standing_at(double ground) {
   return contact;
 }
 
-BodyState<> measured_at(double height) {
-  BodyState<> state;
+BodyStated measured_at(double height) {
+  BodyStated state;
   state.position.z() = height;
   return state;
 }
@@ -51,7 +51,7 @@ WheeledFlightNode node_of(const ContactEstimate& contact, const ReferencePoint& 
   return node;
 }
 
-TEST(GroundContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
+TEST(GroundContact, ReferenceAtOrBelowGroundCountsAsOnGround) {
   const GroundContact axle = axle_with();
   for (const double ground : {-0.5, 0.0, 0.5}) {
     const ContactEstimate contact = standing_at(ground);
@@ -61,7 +61,7 @@ TEST(GroundContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
           << above;
     EXPECT_FALSE(axle.is_ground_reference(contact, Eigen::Vector3d::Zero(),
                                           at_height(ground + 0.11 + 0.04)));
-    // One that takes off or lands is followed for all of its way.
+    // A reference that takes off or lands is in the air for its whole path.
     EXPECT_FALSE(
         axle.is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(ground + 0.112, 0.1)));
     EXPECT_TRUE(axle.is_ground_reference(contact, Eigen::Vector3d::Zero(),
@@ -71,7 +71,7 @@ TEST(GroundContact, AReferenceAtOrBelowTheGroundIsOneOnIt) {
       axle.is_ground_reference(in_the_air({}), Eigen::Vector3d::Zero(), at_height(-100.0)));
 }
 
-TEST(GroundContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
+TEST(GroundContact, OnSlopeTheLocalGroundHeightCounts) {
   ContactEstimate contact = standing_at(0.0);
   contact.ground.slope << 0.1, 0.0;
   ReferencePoint point = at_height(0.11);
@@ -81,14 +81,14 @@ TEST(GroundContact, OnASlopeTheGroundIsAsHighAsItIsThere) {
   const WheeledFlightNode node = node_of(contact, point);
   EXPECT_DOUBLE_EQ(node.reference.position.z(), 0.31);
   EXPECT_DOUBLE_EQ(node.reference.velocity.z(), 0.1);
-  // Where it falls away, the ground under the vehicle counts.
+  // Where the ground falls away, the height of the ground under the vehicle counts.
   point.position.x() = -2.0;
   EXPECT_TRUE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
   point.position.z() += 0.05;
   EXPECT_FALSE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), point));
 }
 
-TEST(GroundContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
+TEST(GroundContact, DrivesOnGroundThatIsLowerThanPlanned) {
   GroundContactSettings settings;
   settings.planned_height = 0.0;
   const ContactEstimate contact = standing_at(-0.5);
@@ -99,7 +99,7 @@ TEST(GroundContact, GroundThatTurnsOutLowerThanPlannedIsDrivenOnAsPlanned) {
                    -0.39);
 }
 
-TEST(GroundContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
+TEST(GroundContact, HoldsVerticalAndRollAndGivesForcesAlongTheGround) {
   const ContactEstimate contact = standing_at(0.0);
   ReferencePoint curve = at_height(0.11);
   curve.acceleration.y() = 1.5;
@@ -107,14 +107,14 @@ TEST(GroundContact, HoldsVerticalRollAndSideAndTellsWhatActsAlongTheGround) {
   EXPECT_TRUE(ground.on_ground);
   EXPECT_EQ(ground.freedom.linear, along_level_ground);
   EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
-  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 3.0, 0.0));  // the wheels give the side's
+  EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 3.0, 0.0));  // lateral: from the wheels
   EXPECT_EQ(ground.external.torque, contact.rolling.torque);
   EXPECT_FALSE(air.on_ground);
   EXPECT_EQ(air.freedom.linear, Eigen::Matrix3d::Identity());
   EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
-TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
+TEST(GroundContact, HoldsTheMotionsThatTheUndercarriagePrevents) {
   const ContactEstimate contact = standing_at(0.0);
   const auto node_on = [&](const std::optional<Undercarriage>& undercarriage) {
     WheeledFlightNode node;
@@ -123,12 +123,12 @@ TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
     return node;
   };
   const auto released_on = [&](const std::optional<Undercarriage>& undercarriage) {
-    Wrench<> wrench{Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d(4.0, 5.0, 6.0)};
+    Wrenchd wrench{Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d(4.0, 5.0, 6.0)};
     GroundContact(body, undercarriage).release(wrench);
     return wrench;
   };
   const auto stopped_on = [&](const std::optional<Undercarriage>& undercarriage) {
-    BodyState<> state = measured_at(0.11);
+    BodyStated state = measured_at(0.11);
     state.velocity.setConstant(0.1);
     state.angular_velocity.setConstant(0.2);
     GroundContact(body, undercarriage).stop_held(state);
@@ -149,7 +149,7 @@ TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
   EXPECT_EQ(stopped_on(four_wheels).velocity, Eigen::Vector3d::Constant(0.1));
   EXPECT_EQ(stopped_on(legs).velocity, Eigen::Vector3d::Zero());
 
-  // Nothing to stand on, no ground.
+  // Without an undercarriage no node is on the ground.
   const WheeledFlightNode air = node_on(std::nullopt);
   EXPECT_FALSE(air.on_ground);
   EXPECT_EQ(air.freedom.linear, Eigen::Matrix3d::Identity());
@@ -158,9 +158,9 @@ TEST(GroundContact, HoldsWhatTheUndercarriageDoes) {
   EXPECT_EQ(stopped_on(std::nullopt).angular_velocity, Eigen::Vector3d::Constant(0.2));
 }
 
-// The whole of a vehicle that stands on the slope is turned with it: its axle and its way lie in
-// the ground, and seen from above it heads where the reference does.
-TEST(GroundContact, OnASlopeAVehicleStandsAsTheGroundDoes) {
+// A vehicle on a slope is rotated with the ground. Its axle and its path lie in the ground plane.
+// Seen from above, its heading equals the heading of the reference.
+TEST(GroundContact, AlignsReferenceAttitudeWithSlope) {
   ContactEstimate contact = standing_at(0.0);
   contact.ground.slope << 0.1, -0.2;
   const Eigen::Vector3d normal = Eigen::Vector3d(-0.1, 0.2, 1.0).normalized();
@@ -176,13 +176,13 @@ TEST(GroundContact, OnASlopeAVehicleStandsAsTheGroundDoes) {
                            std::cos(yaw - std::atan2(ahead.y(), ahead.x()))),
                 0.0, 1e-12);
     EXPECT_LT((node.freedom.linear * normal).norm(), 1e-12);
-    // The wheels give what keeps it from sliding downhill; with that the model accelerates sideways
-    // as the reference does.
-    State<> start;
+    // The wheels give the force that prevents sliding downhill. With this force the model has the
+    // same lateral acceleration as the reference.
+    Stated start;
     start.body = node.reference;
     start.wrench = {};
-    const State<> end = RigidBody<>(body).step(start, Eigen::Matrix<double, 6, 1>::Zero(),
-                                               node.external, 0.01, node.freedom);
+    const Stated end = RigidBodyd(body).step(start, Eigen::Matrix<double, 6, 1>::Zero(),
+                                             node.external, 0.01, node.freedom);
     Eigen::Vector3d wanted = point.acceleration;
     wanted.z() = contact.ground.slope.dot(wanted.head<2>());
     const Eigen::Vector3d gained = (end.body.velocity - start.body.velocity) / 0.01;
@@ -190,7 +190,7 @@ TEST(GroundContact, OnASlopeAVehicleStandsAsTheGroundDoes) {
   }
 }
 
-TEST(GroundContact, AnAttitudeIsRelativeToTheGround) {
+TEST(GroundContact, ReferenceAttitudeIsRelativeToTheGround) {
   const GroundPlane ground{0.0, {0.1, -0.2}};
   ReferencePoint level, pitched;
   level.orientation = quaternion_from_yaw(0.7);
@@ -208,17 +208,17 @@ TEST(GroundContact, AnAttitudeIsRelativeToTheGround) {
                   .orientation.isApprox(level.orientation));
 }
 
-TEST(GroundContact, GroundThatIsNotMetIsLookedForSlowly) {
-  ContactEstimate contact;  // ground at height zero, taken for granted, and the vehicle in the air
+TEST(GroundContact, DescendsSlowlyUntilTheGroundIsMet) {
+  ContactEstimate contact;  // ground assumed at height zero, vehicle in the air
   const double speed = GroundContactSettings{}.settling_speed;
-  // At the height where it should stand, and below: on down.
+  // At or below the expected height of contact: continue downward.
   for (const double height : {0.11, 0.0}) {
     const WheeledFlightNode node = node_of(contact, at_height(0.11), height, 0.5);
     EXPECT_FALSE(node.on_ground);
     EXPECT_DOUBLE_EQ(node.reference.position.z(), height - 0.5 * speed);
     EXPECT_DOUBLE_EQ(node.reference.velocity.z(), -speed);
   }
-  // From above: fast at first, and never more slowly than settling_speed.
+  // From above: fast at first, and never slower than settling_speed.
   double last = 1.11;
   for (double ahead = 0.1; ahead <= 2.0; ahead += 0.1) {
     const WheeledFlightNode node = node_of(contact, at_height(0.0), 1.11, ahead);
@@ -229,7 +229,7 @@ TEST(GroundContact, GroundThatIsNotMetIsLookedForSlowly) {
   EXPECT_EQ(node_of(contact, at_height(0.5), 1.0).reference.position.z(), 0.5);
 }
 
-TEST(GroundContact, SettingsOutOfRangeAreRefused) {
+TEST(GroundContact, RejectsSettingsOutOfRange) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](void (*spoil)(GroundContactSettings&)) {
     GroundContactSettings s;
@@ -246,22 +246,22 @@ TEST(GroundContact, SettingsOutOfRangeAreRefused) {
                std::invalid_argument);
 }
 
-TEST(ReferenceWrench, IsWhatTheControllerAndTheCheckOfReferencesAskFor) {
+TEST(ReferenceWrench, AcceleratesAndCompensatesDisturbanceInAirAndOnGround) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const ReferenceWrench<4> wrench(vehicle, {});
   ReferencePoint point;
   point.acceleration << 1.0, 2.0, 0.0;
-  const Wrench<> wind{Eigen::Vector3d(0.5, 0.0, 0.0), Eigen::Vector3d(0.0, 0.05, 0.0)};
-  const Wrench<> air = wrench(point, wind, false), ground = wrench(point, wind, true);
+  const Wrenchd wind{Eigen::Vector3d(0.5, 0.0, 0.0), Eigen::Vector3d(0.0, 0.05, 0.0)};
+  const Wrenchd air = wrench(point, wind, false), ground = wrench(point, wind, true);
   EXPECT_LT((air.force - Eigen::Vector3d(1.0, 3.0, 1.5 * gravity)).norm(), 1e-12);
   EXPECT_EQ(air.torque, Eigen::Vector3d(0.0, -0.05, 0.0));
   EXPECT_EQ(ground.force.y(), 0.0);
   EXPECT_EQ(ground.force.z(), GroundThrust<4>(vehicle, {})(ground));
-  EXPECT_GT(ground.force.z(), 0.75);  // for the torque
+  EXPECT_GT(ground.force.z(), 0.75);  // above down_force, because of the torque
 }
 
-// What a wrench with this vertical force takes or leaves each rotor, upward [N].
-Eigen::Vector4d vertical_thrusts(Wrench<> wrench, double force) {
+// Upward component of each rotor's thrust for `wrench` with this vertical force [N].
+Eigen::Vector4d vertical_thrusts(Wrenchd wrench, double force) {
   wrench.force.z() = force;
   Eigen::Matrix<double, 6, 1> packed;
   packed << wrench.force, wrench.torque;
@@ -270,18 +270,18 @@ Eigen::Vector4d vertical_thrusts(Wrench<> wrench, double force) {
   return {thrusts(1), thrusts(3), thrusts(5), thrusts(7)};
 }
 
-TEST(GroundThrust, IsTheDownForceWithoutATorque) {
+TEST(GroundThrust, EqualsDownForceWithoutTorque) {
   const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
   EXPECT_EQ(thrust({}), 0.75);
   EXPECT_EQ(thrust({Eigen::Vector3d(0.5, 0.0, 7.0), Eigen::Vector3d::Zero()}), 0.75);
-  // Noise of the estimate, or a CoM that is half a millimetre off the axle.
+  // Torque from noise of the estimate, or from a CoM that is half a millimetre off the axle.
   EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0075, 0.0)}), 0.75);
 }
 
-TEST(GroundThrust, LeavesEveryRotorPushingUpwardUnderTorques) {
+TEST(GroundThrust, KeepsEveryRotorPushingUpwardUnderTorque) {
   const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
-  for (const double torque : {-0.18, -0.1, 0.05, 0.147}) {  // the last: a CoM 1 cm off the axle
-    const Wrench<> wrench{Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d(0.0, torque, 0.02)};
+  for (const double torque : {-0.18, -0.1, 0.05, 0.147}) {  // last: CoM 1 cm off the axle
+    const Wrenchd wrench{Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d(0.0, torque, 0.02)};
     const double force = thrust(wrench);
     const Eigen::Vector4d before = vertical_thrusts(wrench, 0.0);
     const double taken = -before.minCoeff();
@@ -291,8 +291,8 @@ TEST(GroundThrust, LeavesEveryRotorPushingUpwardUnderTorques) {
   }
 }
 
-TEST(GroundThrust, RotorThrustActsAndHalfTheWeightIsTheMost) {
-  const Wrench<> pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
+TEST(GroundThrust, RotorThrustTakesEffectUpToHalfTheWeight) {
+  const Wrenchd pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
   GroundContactSettings settings;
   settings.rotor_thrust = 0.0;
   const double none = GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched);
@@ -300,9 +300,9 @@ TEST(GroundThrust, RotorThrustActsAndHalfTheWeightIsTheMost) {
   settings.rotor_thrust = 0.5;
   EXPECT_NEAR(GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched), none + 4.0 * 0.5, 1e-9);
   settings.rotor_thrust = 100.0;
-  const Wrench<> tipping{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 5.0, 0.0)};
+  const Wrenchd tipping{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 5.0, 0.0)};
   EXPECT_DOUBLE_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 0.5 * 1.5 * gravity);
-  settings.down_force = 10.0;  // asked for by the user, who may know better
+  settings.down_force = 10.0;  // the user's down_force is not limited
   EXPECT_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 10.0);
   settings.rotor_thrust = -0.1;
   EXPECT_THROW(validate(settings), std::invalid_argument);

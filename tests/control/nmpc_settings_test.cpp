@@ -19,7 +19,7 @@ void expect_close(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double rel
   EXPECT_TRUE(a.isApprox(b, relative)) << a.transpose() << " and " << b.transpose();
 }
 
-TEST(NmpcSettings, OfTheReferenceVehicleAreTheDefaults) {
+TEST(NmpcSettings, ReferenceVehicleGivesTheDefaults) {
   const NmpcSettings own = nmpc_settings(tilt_ropter_vehicle()), usual;
   const NmpcWeights &w = own.problem.weights, &v = usual.problem.weights;
   expect_close(w.force, v.force, 1e-3);
@@ -39,8 +39,8 @@ TEST(NmpcSettings, OfTheReferenceVehicleAreTheDefaults) {
   EXPECT_NEAR(own.ground.down_force, usual.ground.down_force, 1e-12);
 }
 
-// Bryson's rule: whatever the vehicle's size, an error that is allowed costs one.
-TEST(NmpcSettings, AnAllowedErrorCostsOne) {
+// Bryson's rule: an allowed error has a cost of 1, for a vehicle of any size.
+TEST(NmpcSettings, AllowedErrorHasCostOne) {
   AllowedErrors errors;
   errors.position << 0.1, 0.2, 0.3;
   errors.torque_rate << 0.5, 1.0, 2.0;
@@ -57,7 +57,7 @@ TEST(NmpcSettings, AnAllowedErrorCostsOne) {
   }
 }
 
-TEST(NmpcSettings, SlowerServosGetMoreThrustOnTheGround) {
+TEST(NmpcSettings, SlowerServosGiveMoreThrustOnTheGround) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   const double usual = nmpc_settings(vehicle).ground.down_force;
   const auto of_servo = [&](double max_rate) {
@@ -71,11 +71,11 @@ TEST(NmpcSettings, SlowerServosGetMoreThrustOnTheGround) {
   EXPECT_NEAR(of_servo(1.0), 1.0, 1e-12);
 }
 
-TEST(NmpcSettings, BoundsAndGroundThrustGoWithWeightAndSize) {
+TEST(NmpcSettings, BoundsAndGroundThrustScaleWithWeightAndSize) {
   Vehicle<4> big = tilt_ropter_vehicle();
   big.body.mass *= 3.0;
   for (RotorGeometry& rotor : big.rotors) rotor.position *= 2.0;
-  big.rotors[0].effectiveness = 0.0;  // a lost one does not count
+  big.rotors[0].effectiveness = 0.0;  // a lost rotor does not count
   big.rotors[0].position *= 10.0;
   const NmpcSettings s = nmpc_settings(big), usual;
   expect_close(s.problem.bounds.force_max, 3.0 * usual.problem.bounds.force_max, 1e-12);
@@ -86,7 +86,7 @@ TEST(NmpcSettings, BoundsAndGroundThrustGoWithWeightAndSize) {
   EXPECT_NEAR(s.ground.rotor_thrust, 3.0 * usual.ground.rotor_thrust, 1e-12);
 }
 
-TEST(NmpcSettings, RefusesErrorsThatAreNone) {
+TEST(NmpcSettings, RejectsNonPositiveAllowedErrorsAndVehicleWithoutSize) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   for (const double wrong : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()}) {
     for (Eigen::Vector3d AllowedErrors::*field :
@@ -103,7 +103,7 @@ TEST(NmpcSettings, RefusesErrorsThatAreNone) {
   EXPECT_THROW((void)nmpc_settings(point), std::invalid_argument);
 }
 
-TEST(NmpcSettings, TimesOutOfRangeAreRefusedByName) {
+TEST(NmpcSettings, RejectsTimesOutOfRangeByName) {
   const auto message = [](const NmpcSettings& settings) -> std::string {
     try {
       validate(settings);

@@ -1,5 +1,5 @@
-// Where the world's origin is changes no flight: nothing happens near height zero but where the
-// ground is.
+// The position of the world's origin does not change a flight. Height zero has no special meaning;
+// only the height of the ground matters.
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -29,21 +29,21 @@ struct Flight {
   bool on_ground = false;
 };
 
-// Flies `reference` in the plant's world, in which the ground is at height zero, for `duration` [s]
-// on board of a vehicle whose own world has its origin `up` [m] higher.
+// Flies `reference` for `duration` [s]. The reference is in the plant's world frame, where the
+// ground is at height zero. The world frame of the controller has its origin `up` [m] higher.
 template <typename Reference>
 Flight fly(const Reference& reference, double up, double duration, bool from_hover) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Plant<4> plant(vehicle);
   const Allocation allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
-  WrenchObserver<> observer(vehicle.body);
+  WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
   AllocationResult<4> sent;
   if (from_hover) {
     sent = test_support::level_hover(allocation, vehicle);
-    BodyState<> hovering;
+    BodyStated hovering;
     hovering.position = reference(0.0).position;
     plant.reset(hovering, sent.command);
     actuators.reset(sent.command, 0.0);
@@ -53,7 +53,7 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
     point.position.z() -= up;
     return point;
   };
-  const Wrench<> wind{Eigen::Vector3d(0.3, -0.2, 0.1), Eigen::Vector3d::Zero()};
+  const Wrenchd wind{Eigen::Vector3d(0.3, -0.2, 0.1), Eigen::Vector3d::Zero()};
   Flight flight;
   double squares = 0.0;
   const long ticks = std::lround(duration / 0.01);
@@ -62,10 +62,11 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
     const ActuatorState<4> applied{plant.actuators().rotor_speed,
                                    actuators.update(time, sent.command).tilt_angle};
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
-    BodyState<> measured = plant.body();
+    BodyStated measured = plant.body();
     measured.position.z() -= up;
     contact.update(time, measured, observer);
-    EXPECT_EQ(nmpc.prepare(time, on_board, contact.estimate()), PrepareStatus::prepared);
+    EXPECT_EQ(nmpc.prepare(time, on_board, contact.estimate()),
+              optimal_control::PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(time, measured);
     sent = allocation.allocate(time, result.wrench, result.rate, sent);
     actuators.update(time, sent.command);
@@ -95,7 +96,7 @@ double largest_difference(const Flight& a, const Flight& b) {
   return largest;
 }
 
-TEST(Origin, AFlightInTheAirDoesNotDependOnIt) {
+TEST(Origin, FlightInTheAirDoesNotDependOnTheOrigin) {
   const Flight here = fly(sway, 0.0, 10.0, true);
   EXPECT_EQ(here.mode_changes, 0);
   for (const double up : {1.5, 2.0, 3.0, -40.0}) {
@@ -107,7 +108,7 @@ TEST(Origin, AFlightInTheAirDoesNotDependOnIt) {
   }
 }
 
-TEST(Origin, AMissionDoesNotDependOnIt) {
+TEST(Origin, MissionDoesNotDependOnTheOrigin) {
   const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   const auto reference = [&](double time) { return mission(time); };
   const Flight here = fly(reference, 0.0, mission.duration(), false);
@@ -122,10 +123,10 @@ TEST(Origin, AMissionDoesNotDependOnIt) {
   }
 }
 
-// From a roof down to the street: the reference goes below the ground that was left, and is
-// followed there. The plant's ground is the street; the roof is told by an estimator that has stood
-// on it.
-TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
+// Flight from a roof down to the street. The reference goes below the ground of the take-off, and
+// the vehicle must follow it. The plant's ground is the street. The contact estimator knows the
+// roof, because its first updates show a vehicle that stands on the roof.
+TEST(Origin, FliesBelowTheGroundOfTheTakeOff) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Eigen::Vector3d k = Eigen::Vector3d::Constant(15.0);
   Plant<4> plant(vehicle);
@@ -133,9 +134,9 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   ActuatorModel<4> actuators(vehicle);
   ContactEstimator contact(vehicle);
   Nmpc<4> nmpc(vehicle, test_support::in_simulated_time());
-  Wrench<> weight;
+  Wrenchd weight;
   weight.force.z() = vehicle.body.mass * gravity;
-  BodyState<> x;
+  BodyStated x;
   x.position.z() = 3.0 + vehicle.wheels->radius;
   double time = -2.0;
   for (; time < -1.0; time += 0.01) contact.update(time, x, weight, k, k, weight.force);
@@ -148,7 +149,7 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   AllocationResult<4> sent = test_support::level_hover(allocation, vehicle);
   plant.reset(x, sent.command);
   actuators.reset(sent.command, 0.0);
-  const auto street = [](double now) {  // down by 2.5 m in 5 s, there to stay
+  const auto street = [](double now) {  // 2.5 m down in 5 s, then constant
     ReferencePoint point;
     point.position.z() = 3.5 - 0.5 * std::min(now, 5.0);
     point.velocity.z() = now < 5.0 ? -0.5 : 0.0;
@@ -156,7 +157,8 @@ TEST(Origin, AFlightBelowTheGroundThatItLeftIsFlown) {
   };
   for (int i = 0; i < 1500; ++i) {
     contact.update(plant.time() + 0.01, plant.body(), {}, k, k, Eigen::Vector3d::Zero());
-    EXPECT_EQ(nmpc.prepare(plant.time(), street, contact.estimate()), PrepareStatus::prepared);
+    EXPECT_EQ(nmpc.prepare(plant.time(), street, contact.estimate()),
+              optimal_control::PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(plant.time(), plant.body());
     sent = allocation.allocate(plant.time(), result.wrench, result.rate, sent);
     ASSERT_TRUE(plant.step(sent.command, {}, 0.01));

@@ -11,7 +11,7 @@ namespace {
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 
-// Accelerates along x as sin(t), level, in the air.
+// Level reference in the air, with the acceleration sin(t) along x.
 ReferencePoint swing(double t) {
   ReferencePoint point;
   point.position << -std::sin(t), 0.0, 1.5;
@@ -23,14 +23,14 @@ ReferencePoint swing(double t) {
 TEST(CheckReference, HybridMissionFitsTheDefaultBounds) {
   const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   EXPECT_TRUE(check_reference(mission, mission.start_time(), mission.end_time(), vehicle).empty());
-  Vehicle<4> heavy = vehicle;  // whose bounds are larger
+  Vehicle<4> heavy = vehicle;  // has larger default bounds
   heavy.body.mass *= 3.0;
   EXPECT_TRUE(check_reference(mission, mission.start_time(), mission.end_time(), heavy).empty());
   EXPECT_FALSE(
       check_reference(mission, mission.start_time(), mission.end_time(), heavy, {}).empty());
 }
 
-TEST(CheckReference, HybridMissionDoesNotFitThePapersBounds) {
+TEST(CheckReference, HybridMissionViolatesThePapersBounds) {
   const Mission mission = hybrid_mission(tilt_ropter_vehicle());
   const auto violations = check_reference(mission, mission.start_time(), mission.end_time(),
                                           vehicle, paper_nmpc_settings());
@@ -42,7 +42,7 @@ TEST(CheckReference, HybridMissionDoesNotFitThePapersBounds) {
       EXPECT_GT(std::abs(v.required), 1.0);
       EXPECT_EQ(mission.phase(v.time), MissionPhase::air);
     }
-    // 14 N more within the horizon of 2 s is about 7 N/s; the paper's table gives 2.
+    // A rise by 14 N within the horizon of 2 s needs about 7 N/s. The paper's table allows 2 N/s.
     if (std::string(v.bound) == "force_rate" && v.axis == 2) {
       spin_up = true;
       EXPECT_NEAR(std::abs(v.required), 7.1, 0.2);
@@ -52,7 +52,7 @@ TEST(CheckReference, HybridMissionDoesNotFitThePapersBounds) {
   EXPECT_TRUE(spin_up);
 }
 
-TEST(CheckReference, SaysWhichBoundWhenAndByHowMuch) {
+TEST(CheckReference, ReportsBoundTimeRequiredAndAllowedValue) {
   NmpcSettings settings;
   settings.problem.bounds.force_max.x() = 1.0;  // needed: 1.5 N sin(t)
   const auto violations = check_reference(swing, 0.0, 3.0, vehicle, settings, 1e-3);
@@ -64,7 +64,7 @@ TEST(CheckReference, SaysWhichBoundWhenAndByHowMuch) {
   EXPECT_NEAR(violations[0].allowed, 1.0, 1e-12);
 }
 
-TEST(CheckReference, SeesStepsThatNoVehicleFollows) {
+TEST(CheckReference, ReportsStepsInPositionAndOrientation) {
   const auto jump = [](double t) {
     ReferencePoint point;
     point.position << (t < 1.0 ? 0.0 : 8.0), 0.0, 1.5;
@@ -89,7 +89,7 @@ TEST(CheckReference, SeesStepsThatNoVehicleFollows) {
   EXPECT_NEAR(std::abs(spins[0].required), pi, 1e-9);
 }
 
-TEST(CheckReference, SeesRates) {
+TEST(CheckReference, ReportsForceRate) {
   NmpcSettings settings;
   settings.problem.bounds.force_rate.x() = 1.2;  // needed: 1.5 N/s cos(t)
   const auto violations = check_reference(swing, 0.0, 3.0, vehicle, settings, 1e-3);
@@ -98,7 +98,7 @@ TEST(CheckReference, SeesRates) {
   EXPECT_NEAR(std::abs(violations[0].required), 1.5, 1e-3);
 }
 
-TEST(CheckReference, OnASlopeTheDriveHoldsAgainstThePull) {
+TEST(CheckReference, ReportsForceAgainstGravityOnASlope) {
   const auto drive = [](double t) {
     ReferencePoint point;
     point.position << t, 0.0, vehicle.wheels->radius;
@@ -117,7 +117,7 @@ TEST(CheckReference, OnASlopeTheDriveHoldsAgainstThePull) {
   EXPECT_NEAR(violations[0].required, vehicle.body.mass * gravity * std::sin(0.1), 1e-9);
 }
 
-TEST(CheckReference, BadArgumentsAreRefused) {
+TEST(CheckReference, RejectsBadArguments) {
   EXPECT_THROW((void)check_reference(swing, 0.0, 0.0, vehicle, {}), std::invalid_argument);
   EXPECT_THROW((void)check_reference(swing, 0.0, 1.0, vehicle, {}, 0.0), std::invalid_argument);
   GroundPlane nowhere;

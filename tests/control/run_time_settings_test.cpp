@@ -1,4 +1,4 @@
-// Nmpc takes other settings between two ticks: they act at once, and nothing starts cold.
+// Nmpc accepts new settings between two ticks. They act in the next tick and keep the warm start.
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
@@ -17,7 +17,7 @@ namespace {
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 
-// On its way to a place a metre off, or standing.
+// Closed loop: the vehicle flies to a point 1 m away, or stands on the ground.
 class Loop {
  public:
   explicit Loop(bool standing) : standing_(standing) {
@@ -28,7 +28,7 @@ class Loop {
       return;
     }
     sent_ = test_support::level_hover(allocation_, vehicle);
-    BodyState<> start;
+    BodyStated start;
     start.position.z() = 2.0;
     plant_.reset(start, sent_.command);
   }
@@ -40,7 +40,7 @@ class Loop {
       point.position << (standing_ ? 0.0 : 1.0), 0.0, (standing_ ? vehicle.wheels->radius : 2.0);
       return point;
     };
-    EXPECT_EQ(nmpc.prepare(time, reference, contact_), PrepareStatus::prepared);
+    EXPECT_EQ(nmpc.prepare(time, reference, contact_), optimal_control::PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(time, plant_.body());
     EXPECT_EQ(result.status, NmpcStatus::solved);
     sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
@@ -61,14 +61,14 @@ class Loop {
   ContactEstimate contact_;
 };
 
-TEST(RunTimeSettings, TheSameAgainChangeNothing) {
+TEST(RunTimeSettings, SameSettingsChangeNothing) {
   Loop kept(false), set(false);
   for (int i = 0; i < 50; ++i) {
     set.nmpc.set_settings(set.nmpc.settings());
     const NmpcResult &a = kept.tick(), &b = set.tick();
     ASSERT_EQ(a.wrench.force, b.wrench.force) << i;
     ASSERT_EQ(a.rate.torque, b.rate.torque) << i;
-    ASSERT_EQ(a.report.passes, b.report.passes) << i;  // none is a cold start
+    ASSERT_EQ(a.report.passes, b.report.passes) << i;  // no cold start
   }
 }
 
@@ -82,7 +82,7 @@ TEST(RunTimeSettings, WeightsAndBoundsActInTheNextTick) {
   settings.problem.bounds.force_rate.setConstant(0.5);
   bounded.nmpc.set_settings(settings);
   settings = kept.nmpc.settings();
-  settings.actuator_rows = false;
+  settings.actuator_constraints = false;
   free.nmpc.set_settings(settings);
   const double usual = kept.tick().rate.force.norm();
   EXPECT_GT((heavy.tick().rate.force - kept.nmpc.result().rate.force).norm(), 0.01 * usual);
@@ -94,19 +94,19 @@ TEST(RunTimeSettings, WeightsAndBoundsActInTheNextTick) {
   EXPECT_GT(upper(free), 1e300);
 
   settings = kept.nmpc.settings();
-  settings.actuators.tilt_rate_share = 0.1;
+  settings.actuators.tilt_rate_fraction = 0.1;
   const auto row = [](const Loop& loop) {
-    State<> hover;
+    Stated hover;
     hover.wrench.force.z() = vehicle.body.mass * gravity;
-    return loop.nmpc.solver().problem().row_values(1, hover,
-                                                   Eigen::Matrix<double, 6, 1>::Zero())(15);
+    return loop.nmpc.solver().problem().constraint_values(1, hover,
+                                                          Eigen::Matrix<double, 6, 1>::Zero())(15);
   };
   const double before = row(kept);
   kept.nmpc.set_settings(settings);
   EXPECT_NEAR(row(kept) / before, 0.1 / 0.85, 1e-9);
 }
 
-TEST(RunTimeSettings, ThrustOnTheGroundFollows) {
+TEST(RunTimeSettings, ThrustOnTheGroundFollowsDownForce) {
   Loop loop(true);
   loop.run(800);
   EXPECT_NEAR(loop.tick().wrench.force.z(), 0.75, 0.02);
@@ -117,13 +117,13 @@ TEST(RunTimeSettings, ThrustOnTheGroundFollows) {
   EXPECT_NEAR(loop.tick().wrench.force.z(), 3.0, 0.02);
 }
 
-TEST(RunTimeSettings, TheCostToGoIsMadeAnew) {
+TEST(RunTimeSettings, RiccatiTerminalCostIsRecomputed) {
   Loop loop(false);
   NmpcSettings settings = loop.nmpc.settings();
   settings.problem.terminal_cost = TerminalCost::riccati;
   loop.nmpc.set_settings(settings);
   const Nmpc<4> built(vehicle, settings);
-  State<> off;
+  Stated off;
   off.wrench.force.z() = vehicle.body.mass * gravity;
   off.body.position.x() = 0.3;
   const auto last_cost = [&off](const Nmpc<4>& nmpc) {
@@ -135,7 +135,7 @@ TEST(RunTimeSettings, TheCostToGoIsMadeAnew) {
   loop.run(20);
 }
 
-TEST(RunTimeSettings, WhatCannotChangeIsRefusedAndNothingChanges) {
+TEST(RunTimeSettings, RejectedSettingsChangeNothing) {
   Loop kept(false), refused(false);
   kept.run(5);
   refused.run(5);
@@ -162,30 +162,32 @@ TEST(RunTimeSettings, WhatCannotChangeIsRefusedAndNothingChanges) {
   for (int i = 0; i < 20; ++i) ASSERT_EQ(kept.tick().rate.force, refused.tick().rate.force);
 }
 
-TEST(RunTimeSettings, TheVoltageOutlastsThem) {
+TEST(RunTimeSettings, VoltageIsKeptWithNewSettings) {
   Vehicle<4> sagging = vehicle;
   sagging.battery.nominal_voltage = 20.0;
   NmpcSettings settings = test_support::in_simulated_time();
-  settings.actuator_rows = false;
+  settings.actuator_constraints = false;
   Nmpc<4> nmpc(sagging, settings);
   const auto bound = [&nmpc] {
-    return nmpc.solver().problem().upper(1)(WheeledFlightProblem<4>::Row::actuators + 8);
+    return nmpc.solver().problem().upper(1)(WheeledFlightProblem<4>::Part::actuators + 8);
   };
   EXPECT_TRUE(nmpc.set_voltage(16.0));
   EXPECT_GT(bound(), 1e300);
-  settings.actuator_rows = true;
+  settings.actuator_constraints = true;
   nmpc.set_settings(settings);
   EXPECT_NEAR(bound(), 0.8 * 0.8 * vehicle.rotor.max_thrust, 1e-9);
 }
 
-TEST(RunTimeSettings, AfterPrepareTheNextPrepareIsNeeded) {
+TEST(RunTimeSettings, SettingsAfterPrepareNeedAnotherPrepare) {
   Loop loop(false);
   loop.run(5);
   const auto hover = [](double) { return ReferencePoint{}; };
-  EXPECT_EQ(loop.nmpc.prepare(0.05, hover, in_the_air({})), PrepareStatus::prepared);
+  EXPECT_EQ(loop.nmpc.prepare(0.05, hover, in_the_air({})),
+            optimal_control::PrepareStatus::prepared);
   loop.nmpc.set_settings(loop.nmpc.settings());
   EXPECT_EQ(loop.nmpc.feedback(0.05, {}).status, NmpcStatus::solver_failed);
-  EXPECT_EQ(loop.nmpc.prepare(0.06, hover, in_the_air({})), PrepareStatus::prepared);
+  EXPECT_EQ(loop.nmpc.prepare(0.06, hover, in_the_air({})),
+            optimal_control::PrepareStatus::prepared);
   EXPECT_EQ(loop.nmpc.feedback(0.06, {}).status, NmpcStatus::solved);
 }
 

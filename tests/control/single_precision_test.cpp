@@ -1,4 +1,4 @@
-// Model and estimation in single precision, as on a microcontroller, in the loop with NMPC and
+// Model and estimation in single precision, as on a microcontroller, in closed loop with NMPC and
 // plant.
 
 #include "support/simulated_time.hpp"
@@ -43,8 +43,9 @@ ActuatorState<4, To> cast(const ActuatorState<4, From>& a) {
   return {a.rotor_speed.template cast<To>(), a.tilt_angle.template cast<To>()};
 }
 
-/// All on board that is templated on its scalar, around the Nmpc, which is not. The command of a
-/// tick acts from the next one on: the rigid body predicts the state there.
+/// All onboard classes with a scalar template parameter, around the Nmpc, which has none. The
+/// command of a tick acts from the next tick on. The rigid-body model predicts the state for that
+/// time.
 template <typename Scalar>
 class OnBoard {
  public:
@@ -74,7 +75,7 @@ class OnBoard {
     ekf_.on_pose(m.time, {m.position.cast<Scalar>(), m.orientation.cast<Scalar>()});
   }
 
-  /// Returns what acts from `time` on; what it computes acts a period later.
+  /// Returns the command that acts from `time` on. The newly computed command acts a period later.
   ActuatorState<4> tick(double time, const Mission& mission) {
     acting_ = next_.command;
     actuators_.update(time, acting_);
@@ -99,8 +100,8 @@ class OnBoard {
     return cast<double>(acting_);
   }
 
-  [[nodiscard]] BodyState<> state() const { return cast<double>(ekf_.state()); }
-  [[nodiscard]] Wrench<> external() const { return cast<double>(observer_.external()); }
+  [[nodiscard]] BodyStated state() const { return cast<double>(ekf_.state()); }
+  [[nodiscard]] Wrenchd external() const { return cast<double>(observer_.external()); }
   [[nodiscard]] int mode_changes() const { return contact_.mode_changes(); }
 
  private:
@@ -126,31 +127,32 @@ struct Rms {
   [[nodiscard]] double value() const { return std::sqrt(squares / count); }
 };
 
-/// A flight, tick by tick, with the errors of tracking and, while the wind blows, of the estimates.
+/// Data of a flight at each tick, the tracking errors, and the estimation errors during the wind.
 struct Flight {
-  std::vector<Eigen::Vector3d> positions;  ///< true
-  std::vector<Wrench<>> external;          ///< estimated
+  std::vector<Eigen::Vector3d> positions;  ///< true positions [m]
+  std::vector<Wrenchd> external;           ///< estimated external wrenches
   Rms air, ground, position, force, torque;
   int mode_changes = 0;
 };
 
-/// Take-off, an eight in the air in wind, landing, an eight on the ground, take-off and landing:
-/// `distance` [m] from the origin in x and in y, at times that a float resolves to 1/16 s.
+/// Flies a mission: take-off, figure eight in the air in wind, landing, figure eight on the ground,
+/// take-off and landing. The mission is `distance` [m] from the origin in x and in y. A float
+/// resolves its times to 1/16 s only.
 template <typename Scalar>
 Flight fly(double distance) {
-  HybridMissionParameters parameters;
-  parameters.laps = 1;
-  parameters.flight_height = 1.0;
-  parameters.hover_time = 0.5;
-  parameters.descent_acceleration = 1.0;
-  parameters.origin << distance, -distance;
-  parameters.start_time = 1e6;
-  const Mission mission = hybrid_mission(tilt_ropter_vehicle(), parameters);
+  HybridMissionSettings settings;
+  settings.laps = 1;
+  settings.flight_height = 1.0;
+  settings.hover_time = 0.5;
+  settings.descent_acceleration = 1.0;
+  settings.origin << distance, -distance;
+  settings.start_time = 1e6;
+  const Mission mission = hybrid_mission(tilt_ropter_vehicle(), settings);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Plant<4> plant(vehicle);
   PlantState<4> start = plant.state();
   start.time = mission.start_time();
-  start.body.position.head<2>() = parameters.origin;
+  start.body.position.head<2>() = settings.origin;
   plant.reset(start);
 
   ImuSensorParameters imu_parameters;
@@ -175,7 +177,7 @@ Flight fly(double distance) {
     if (i % 10 == 0) {
       command = on_board.tick(time, mission);
       const Eigen::Vector3d position = plant.body().position;
-      const Wrench<> external = on_board.external();
+      const Wrenchd external = on_board.external();
       flight.positions.push_back(position);
       flight.external.push_back(external);
       if (mission.phase(time) == MissionPhase::ground)
@@ -187,7 +189,7 @@ Flight fly(double distance) {
         flight.torque.add(external.torque - plant.external_wrench().torque);
       }
     }
-    Wrench<> wind;  // in the body frame, whose yaw is constant then
+    Wrenchd wind;  // in the body frame; its yaw is constant in the air
     if (in_the_air) wind = {{1.0, -1.5, 0.5}, {0.02, 0.03, -0.02}};
     EXPECT_TRUE(plant.step(command, wind, 1e-3));
   }
@@ -195,7 +197,7 @@ Flight fly(double distance) {
   return flight;
 }
 
-/// The greatest differences of two flights.
+/// Largest differences between two flights.
 struct Differences {
   double position = 0.0, force = 0.0, torque = 0.0;  // [m], [N], [N m]
 
@@ -208,9 +210,10 @@ struct Differences {
   }
 };
 
-// Measured in five builds (GCC, clang, -march=native, -ffast-math): rmse 33.4 mm in the air and
-// 6.9 mm on the ground; the estimated wrench off by 0.17 N and 0.0039 N m rms, mostly where it
-// still follows the sudden wind; between the two flights at most 6 um, 0.0005 N and 0.00002 N m.
+// Measured in five builds (GCC, clang, -march=native, -ffast-math): tracking RMSE 33.4 mm in the
+// air and 6.9 mm on the ground. The RMS error of the estimated wrench is 0.17 N and 0.0039 N m,
+// mostly from the time when the estimate still follows the sudden wind. The two flights differ by
+// at most 6 um, 0.0005 N and 0.00002 N m.
 TEST(SinglePrecision, FliesAndDrivesLikeDoublePrecision) {
   const Flight exact = fly<double>(0.0), single = fly<float>(0.0);
   EXPECT_LT(exact.air.value(), 0.04);
@@ -228,9 +231,10 @@ TEST(SinglePrecision, FliesAndDrivesLikeDoublePrecision) {
   EXPECT_LT(differences.torque, 6e-4);
 }
 
-// A float resolves 0.06 mm at a kilometre, and the filter rounds its position to that at every IMU
-// sample: at 1 kHz the estimate is off by 0.9 mm rms, at the origin by 0.3 mm. Measured in five
-// builds: rmse 35 mm in the air and 7.7 to 8.3 mm on the ground.
+// At one kilometre a float resolves 0.06 mm, and the filter rounds its position to this resolution
+// at every IMU sample. At 1 kHz the RMS error of the estimated position is 0.9 mm; at the origin it
+// is 0.3 mm. Measured in five builds: tracking RMSE 35 mm in the air and 7.7 to 8.3 mm on the
+// ground.
 TEST(SinglePrecision, FliesAndDrivesAKilometreFromTheOrigin) {
   const Flight single = fly<float>(1000.0);
   EXPECT_LT(single.air.value(), 0.04);

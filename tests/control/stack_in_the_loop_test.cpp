@@ -1,5 +1,5 @@
-// How much of the stack the functions of the loop take at most, for threads whose stack is small or
-// has to be touched before the loop begins.
+// Largest stack use of the functions of the loop. It matters for threads with a small stack, and
+// for threads that must touch their stack before the loop starts.
 
 #include "support/sanitizer.hpp"
 #include "support/simulated_time.hpp"
@@ -34,7 +34,8 @@ void* call(void* function) {
   return nullptr;
 }
 
-/// Bytes of the stack that a call takes, by a thread whose stack was painted before.
+/// Returns the stack use of a call [bytes]. The call runs in a thread whose stack is filled with a
+/// known byte first.
 std::size_t stack_of(const std::function<void()>& function) {
   constexpr std::size_t size = 1 << 21;
   constexpr unsigned char paint = 0xA5;
@@ -54,7 +55,7 @@ std::size_t stack_of(const std::function<void()>& function) {
   return static_cast<std::size_t>(memory.get() + size - deepest);
 }
 
-TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
+TEST(StackInTheLoop, StaysWithinDocumentedLimit) {
   if (test_support::under_address_sanitizer()) GTEST_SKIP() << "sanitizers make frames larger";
   const std::size_t thread_itself = stack_of([] {});
   const auto most = [&](const std::function<void()>& function) {
@@ -63,17 +64,18 @@ TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
-  WrenchObserver<> observer(vehicle.body);
-  Ekf<> ekf;
+  WrenchObserverd observer(vehicle.body);
+  Ekfd ekf;
   double controller = 0.0;
   for (const auto method :
-       {ProgramMethod::automatic, ProgramMethod::dual, ProgramMethod::interior_point}) {
+       {optimal_control::ProgramMethod::automatic, optimal_control::ProgramMethod::dual,
+        optimal_control::ProgramMethod::interior_point}) {
     NmpcSettings settings = test_support::in_simulated_time();
     settings.solver.program.method = method;
-    settings.problem.bounds.force_rate.setConstant(3.0);  // many rows hold
+    settings.problem.bounds.force_rate.setConstant(3.0);  // many active constraints
     Nmpc<4> nmpc(vehicle, settings);
     for (int tick = 0; tick < 20; ++tick) {
-      BodyState<> state;
+      BodyStated state;
       state.position << 0.3 * tick, 0.0, tick < 10 ? 1.0 : 0.05;
       controller = std::max(controller, most([&] {
                               const double time = 0.01 * tick;
@@ -87,8 +89,8 @@ TEST(StackInTheLoop, StaysWithinWhatIsDocumented) {
     }
   }
   const double allocating = most([&] {
-    Wrench<> wanted;
-    wanted.force << 10.0, 5.0, 300.0;  // beyond what there is
+    Wrenchd wanted;
+    wanted.force << 10.0, 5.0, 300.0;  // beyond the actuator limits
     (void)allocation.allocate(0.0, wanted, {}, {});
   });
   const double estimating = most([&] {

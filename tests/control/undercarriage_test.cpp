@@ -1,5 +1,5 @@
-// Vehicles on four fixed wheels, on legs and on nothing, in closed loop: the same controller, told
-// apart by their Undercarriage alone.
+// Vehicles with four fixed wheels, with legs and without undercarriage, in closed loop. The
+// controller is the same; only the Undercarriage of the vehicle differs.
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -26,18 +26,18 @@ struct Flight {
   int mode_changes = 0;
 };
 
-// The hybrid mission, with a true mass that is 10 % larger than believed.
+// Flies the hybrid mission. The true mass is 10 % larger than the controller's model.
 Flight fly(const Vehicle<4>& vehicle) {
   Vehicle<4> truth = vehicle;
   truth.body.mass *= 1.1;
-  HybridMissionParameters job;
+  HybridMissionSettings job;
   job.rest_time = 4.0;
   const Mission mission = hybrid_mission(vehicle, job);
   const auto reference = [&mission](double time) { return mission(time); };
   Plant<4> plant(truth);
   const Allocation allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
-  WrenchObserver<> observer(vehicle.body);
+  WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
   NmpcSettings settings = test_support::in_simulated_time(nmpc_settings(vehicle));
   Nmpc<4> nmpc(vehicle, settings);
@@ -45,12 +45,12 @@ Flight fly(const Vehicle<4>& vehicle) {
   const bool stands = undercarriage(vehicle).has_value();
   if (!stands) {
     sent = test_support::level_hover(allocation, vehicle);
-    BodyState<> hovering;
+    BodyStated hovering;
     hovering.position = mission(0.0).position;
     plant.reset(hovering, sent.command);
     actuators.reset(sent.command, 0.0);
   }
-  const Wrench<> wind{Eigen::Vector3d(0.3, -0.2, 0.0), Eigen::Vector3d::Zero()};
+  const Wrenchd wind{Eigen::Vector3d(0.3, -0.2, 0.0), Eigen::Vector3d::Zero()};
   Flight flight;
   double air = 0.0, ground = 0.0, rest = 0.0;
   long in_air = 0, on_ground = 0, at_rest = 0;
@@ -62,7 +62,8 @@ Flight fly(const Vehicle<4>& vehicle) {
     observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     if (i % 10 == 0) {
       contact.update(time, plant.body(), observer);
-      EXPECT_EQ(nmpc.prepare(time, reference, contact.estimate()), PrepareStatus::prepared);
+      EXPECT_EQ(nmpc.prepare(time, reference, contact.estimate()),
+                optimal_control::PrepareStatus::prepared);
       const NmpcResult& result = nmpc.feedback(time, plant.body());
       EXPECT_TRUE(has_plan(result.status));
       sent = allocation.allocate(time, result.wrench, result.rate, sent);
@@ -100,7 +101,7 @@ Flight fly(const Vehicle<4>& vehicle) {
   return flight;
 }
 
-TEST(Undercarriage, FourFixedWheelsLandDriveStraightAndTakeOff) {
+TEST(Undercarriage, FourFixedWheelsLandDriveAndTakeOff) {
   Vehicle<4> car = tilt_ropter_vehicle();
   car.wheels->wheel_base = 0.30;
   const Flight flight = fly(car);
@@ -125,7 +126,7 @@ TEST(Undercarriage, LegsTakeOffAndLand) {
   EXPECT_NEAR(flight.final_height, bird.legs->height, 0.005);
 }
 
-TEST(Undercarriage, WithoutOneNothingHappensAtHeightZero) {
+TEST(Undercarriage, WithoutUndercarriageHeightZeroHasNoEffect) {
   Vehicle<4> kite = tilt_ropter_vehicle();
   kite.wheels.reset();
   const Flight flight = fly(kite);

@@ -21,18 +21,18 @@ namespace {
 using test_support::Dual;
 using test_support::Random;
 using test_support::random_state;
-using D = WheeledFlightProblem<>::D;
+using D = WheeledFlightProblem<0>::D;
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-WheeledFlightProblem<> random_problem(Random& random,
-                                      TerminalCost terminal = TerminalCost::weights) {
+WheeledFlightProblem<0> random_problem(Random& random,
+                                       TerminalCost terminal = TerminalCost::weights) {
   WheeledFlightSettings settings;
   settings.terminal_cost = terminal;
   if (terminal == TerminalCost::weights) settings.weights.orientation << 30.0, 20.0, 10.0;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
-    const State<> r = random_state(random);
+    const Stated r = random_state(random);
     problem.node(k).reference = r.body;
     problem.node(k).wrench_reference = r.wrench;
     problem.node(k).external = {random.vector(1.0), random.vector(0.1)};
@@ -60,7 +60,7 @@ Eigen::Matrix<Scalar, 18, 1> paper_error(const State<Scalar>& x, const WheeledFl
 }
 
 template <typename Scalar>
-State<Scalar> moved(const State<>& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
+State<Scalar> moved(const Stated& x, const Eigen::Matrix<Scalar, 18, 1>& d) {
   return retract<Scalar>(test_support::cast<Scalar>(x), d);
 }
 
@@ -69,14 +69,14 @@ double relative(const Value& value, const Truth& truth) {
   return (value - truth).cwiseAbs().maxCoeff() / truth.cwiseAbs().maxCoeff();
 }
 
-TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
+TEST(WheeledFlightProblem, CostModelIsGaussNewtonModelOfThePapersCost) {
   Random random(41);
   double worst = 0.0;
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
-    const WheeledFlightProblem<> problem = random_problem(random);
+    const WheeledFlightProblem<0> problem = random_problem(random);
     const int k = i % 2 == 0 ? 3 : problem.horizon();
     const NmpcWeights& w = problem.settings().weights;
-    const State<> x = random_state(random);
+    const Stated x = random_state(random);
     D::Input u;
     u << random.vector(10.0), random.vector(2.0);
 
@@ -90,7 +90,7 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
     q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
     if (k == problem.horizon()) q *= w.terminal;
 
-    WheeledFlightProblem<>::Model model;
+    WheeledFlightProblem<0>::Model model;
     problem.cost_model(k, x, u, model);
     const Eigen::Matrix<double, 18, 18> hessian =
         2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
@@ -108,20 +108,20 @@ TEST(WheeledFlightProblem, CostModelIsTheGaussNewtonModelOfThePapersCost) {
   test_support::check_at_most(7, "cost: model's relative error", worst, 1e-12);
 }
 
-// In tangent coordinates, at the node's reference.
-Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<>& problem, int k) {
-  State<> x;
+// Hessian of the cost at the node's reference, in tangent coordinates.
+Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<0>& problem, int k) {
+  Stated x;
   x.wrench = problem.node(k).wrench_reference;
   x.body = problem.node(k).reference;
-  WheeledFlightProblem<>::Model model;
+  WheeledFlightProblem<0>::Model model;
   problem.cost_model(k, x, D::Input::Zero(), model);
   return model.lxx();
 }
 
-WheeledFlightProblem<> hovering_problem(double yaw) {
+WheeledFlightProblem<0> hovering_problem(double yaw) {
   WheeledFlightSettings settings;
   settings.terminal_cost = TerminalCost::riccati;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 1.0, 2.0, 3.0;
     problem.node(k).reference.orientation = quaternion_from_yaw(yaw);
@@ -130,16 +130,16 @@ WheeledFlightProblem<> hovering_problem(double yaw) {
   return problem;
 }
 
-TEST(WheeledFlightProblem, TheRiccatiCostIsTheCostToGoInHoverAtEveryHeading) {
+TEST(WheeledFlightProblem, RiccatiCostIsCostToGoOfHoverAtEveryHeading) {
   for (const double yaw : {0.0, 0.4, 1.9, -2.5, pi}) {
-    const WheeledFlightProblem<> problem = hovering_problem(yaw);
-    State<> x;
+    const WheeledFlightProblem<0> problem = hovering_problem(yaw);
+    Stated x;
     x.wrench = problem.node(0).wrench_reference;
     x.body = problem.node(0).reference;
     D::A A;
     D::B B;
     (void)problem.step(0, x, D::Input::Zero(), A, B);
-    WheeledFlightProblem<>::Model model;
+    WheeledFlightProblem<0>::Model model;
     problem.cost_model(0, x, D::Input::Zero(), model);
     const Eigen::Matrix<double, 18, 18> P = hessian_at_reference(problem, problem.horizon());
     const Eigen::Matrix<double, 6, 6> by_input = model.luu() + B.transpose() * P * B;
@@ -152,14 +152,14 @@ TEST(WheeledFlightProblem, TheRiccatiCostIsTheCostToGoInHoverAtEveryHeading) {
   }
 }
 
-TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
+TEST(WheeledFlightProblem, RiccatiCostHasExactDerivatives) {
   Random random(46);
   double worst = 0.0;
   const Eigen::Matrix<double, 18, 18> level = 0.5 * hessian_at_reference(hovering_problem(0.0), 20);
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
-    const WheeledFlightProblem<> problem = random_problem(random, TerminalCost::riccati);
+    const WheeledFlightProblem<0> problem = random_problem(random, TerminalCost::riccati);
     const int k = problem.horizon();
-    const State<> x = random_state(random);
+    const Stated x = random_state(random);
     Eigen::Matrix<double, 18, 18> turn = Eigen::Matrix<double, 18, 18>::Identity();
     const double yaw = yaw_of(problem.node(k).reference.orientation);
     for (const int axes : {6, 9, 12})
@@ -173,7 +173,7 @@ TEST(WheeledFlightProblem, TheRiccatiCostHasExactDerivatives) {
           return paper_error<S>(moved<S>(x, d), problem.node(k));
         });
     const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
-    WheeledFlightProblem<>::Model model;
+    WheeledFlightProblem<0>::Model model;
     problem.cost_model(k, x, D::Input::Zero(), model);
     const Eigen::Matrix<double, 18, 18> hessian = 2.0 * jacobian.transpose() * P * jacobian;
     const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * P * e;
@@ -188,8 +188,8 @@ TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
   Random random(42);
   double worst = 0.0;
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
-    const WheeledFlightProblem<> problem = random_problem(random);
-    const State<> x = random_state(random);
+    const WheeledFlightProblem<0> problem = random_problem(random);
+    const Stated x = random_state(random);
     using S = Dual<18>;
     const Eigen::Matrix<double, 3, 18> truth = test_support::jacobian_at_zero<3, 18>(
         [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 3, 1> {
@@ -209,23 +209,25 @@ TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
   test_support::check_at_most(7, "ground conditions: derivatives' relative error", worst, 1e-12);
 }
 
-TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
+TEST(WheeledFlightProblem, ConstraintsArePapersBoundsWithExactDerivatives) {
   Random random(43);
   WheeledFlightSettings settings;
   settings.bounds = paper_bounds();
-  const WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
-  const State<> x = random_state(random);
+  const WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
+  const Stated x = random_state(random);
   const D::Input u = D::Input::Ones();
-  D::RowsX C = D::RowsX::Zero();
-  D::RowsU E = D::RowsU::Zero();
-  problem.row_derivatives(2, x, u, C, E);
-  const D::Rows before = problem.row_values(2, x, u);
+  D::ConstraintsX C = D::ConstraintsX::Zero();
+  D::ConstraintsU E = D::ConstraintsU::Zero();
+  problem.constraint_derivatives(2, x, u, C, E);
+  const D::Constraints before = problem.constraint_values(2, x, u);
   for (int i = 0; i < 18; ++i) {
     const D::Tangent d = 1e-3 * D::Tangent::Unit(i);
-    EXPECT_LT((problem.row_values(2, problem.retract(x, d), u) - before - C * d).norm(), 1e-12);
+    EXPECT_LT((problem.constraint_values(2, problem.retract(x, d), u) - before - C * d).norm(),
+              1e-12);
   }
   for (int i = 0; i < 6; ++i)
-    EXPECT_LT((problem.row_values(2, x, u + D::Input::Unit(i)) - before - E.col(i)).norm(), 1e-12);
+    EXPECT_LT((problem.constraint_values(2, x, u + D::Input::Unit(i)) - before - E.col(i)).norm(),
+              1e-12);
 
   EXPECT_DOUBLE_EQ(problem.upper(2)(0), 0.2);    // F_x
   EXPECT_DOUBLE_EQ(problem.lower(2)(2), 0.0);    // F_z
@@ -233,41 +235,43 @@ TEST(WheeledFlightProblem, RowsAreThePapersBoundsAndTheirDerivatives) {
   EXPECT_DOUBLE_EQ(problem.lower(2)(14), -2.0);  // dM_z
   EXPECT_TRUE(std::isinf(problem.upper(0)(0)));  // the measured state is not bounded
   EXPECT_DOUBLE_EQ(problem.upper(0)(9), 2.0);
-  EXPECT_TRUE(std::isinf(problem.upper(20)(9)));  // and the last node has no input
+  EXPECT_TRUE(std::isinf(problem.upper(20)(9)));  // the last node has no input
 }
 
-TEST(WheeledFlightProblem, WithRotorsTheActuatorRowsFollowThePapers) {
+TEST(WheeledFlightProblem, ActuatorConstraintsFollowThePapersConstraints) {
   Random random(45);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const ActuatorRows<4> actuators(vehicle);
+  const ActuatorConstraints<4> actuators(vehicle);
   using Problem = WheeledFlightProblem<4>;
-  using Rows = ProblemDimensions<Problem>;
+  using Constraints = optimal_control::ProblemDimensions<Problem>;
   const Problem problem(vehicle.body, {}, actuators);
-  const WheeledFlightProblem<> paper(vehicle.body);
-  Rows::RowsX C = Rows::RowsX::Zero();
-  Rows::RowsU E = Rows::RowsU::Zero();
+  const WheeledFlightProblem<0> paper(vehicle.body);
+  Constraints::ConstraintsX C = Constraints::ConstraintsX::Zero();
+  Constraints::ConstraintsU E = Constraints::ConstraintsU::Zero();
   for (int i = 0; i < 100; ++i) {
-    // The matrices keep what an earlier call has set.
-    const State<> x = random_state(random);
+    // C and E keep the entries of earlier calls.
+    const Stated x = random_state(random);
     D::Input u, w;
     u << random.vector(20.0), random.vector(4.0);
     w << x.wrench.force, x.wrench.torque;
-    const Rows::Rows values = problem.row_values(2, x, u);
-    EXPECT_EQ(values.head<15>(), paper.row_values(2, x, u));
+    const Constraints::Constraints values = problem.constraint_values(2, x, u);
+    EXPECT_EQ(values.head<15>(), paper.constraint_values(2, x, u));
     EXPECT_EQ(values.tail<12>(), actuators.values(w, u));
-    problem.row_derivatives(2, x, u, C, E);
+    problem.constraint_derivatives(2, x, u, C, E);
     const double h = 1e-6;
     for (int j = 0; j < 18; ++j) {
       const D::Tangent d = h * D::Tangent::Unit(j);
-      const Rows::Rows slope = (problem.row_values(2, problem.retract(x, d), u) -
-                                problem.row_values(2, problem.retract(x, -d), u)) /
-                               (2.0 * h);
+      const Constraints::Constraints slope =
+          (problem.constraint_values(2, problem.retract(x, d), u) -
+           problem.constraint_values(2, problem.retract(x, -d), u)) /
+          (2.0 * h);
       EXPECT_LT((slope - C.col(j)).norm(), 1e-6 * (1.0 + slope.norm()));
     }
     for (int j = 0; j < 6; ++j) {
       const D::Input d = h * D::Input::Unit(j);
-      const Rows::Rows slope =
-          (problem.row_values(2, x, u + d) - problem.row_values(2, x, u - d)) / (2.0 * h);
+      const Constraints::Constraints slope =
+          (problem.constraint_values(2, x, u + d) - problem.constraint_values(2, x, u - d)) /
+          (2.0 * h);
       EXPECT_LT((slope - E.col(j)).norm(), 1e-6 * (1.0 + slope.norm()));
     }
   }
@@ -275,8 +279,8 @@ TEST(WheeledFlightProblem, WithRotorsTheActuatorRowsFollowThePapers) {
     EXPECT_EQ(problem.upper(k).head<15>(), paper.upper(k));
     EXPECT_EQ(problem.lower(k).head<15>(), paper.lower(k));
     EXPECT_TRUE((problem.lower(k).tail<12>().array() == -infinity).all());
-    // The last node has no input, the first one's thrust is measured.
-    EXPECT_TRUE((problem.upper(k).segment<8>(Problem::Row::actuators).array() ==
+    // The last node has no input. The thrust at the first node is measured.
+    EXPECT_TRUE((problem.upper(k).segment<8>(Problem::Part::actuators).array() ==
                  (k == problem.horizon() ? infinity : 0.0))
                     .all());
     EXPECT_TRUE(
@@ -289,16 +293,16 @@ TEST(WheeledFlightProblem, WithRotorsTheActuatorRowsFollowThePapers) {
 
 TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
   Random random(44);
-  WheeledFlightProblem<> problem = random_problem(random);
+  WheeledFlightProblem<0> problem = random_problem(random);
   problem.node(4).on_ground = false;
   EXPECT_EQ(problem.equality_weights(4), Eigen::Vector3d::Zero());
   EXPECT_EQ(problem.equality_weights(5), Eigen::Vector3d(2.0 * problem.settings().weights.ground));
 }
 
-TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
+TEST(WheeledFlightProblem, RejectsSettingsOutOfRangeByName) {
   const auto message = [](const WheeledFlightSettings& settings) -> std::string {
     try {
-      WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+      WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
@@ -337,7 +341,7 @@ TEST(WheeledFlightProblem, SettingsOutOfRangeAreRefusedByName) {
                  "NmpcWeights.position [1/m^2] = (61, 60, 80): must be the same for x and y");
   expect_refused([&](auto& s) { riccati(s).velocity.y() = 5.0; }, "NmpcWeights.velocity [s^2/m^2]");
   expect_refused([&](auto& s) { riccati(s).orientation.y() = 5.0; }, "NmpcWeights.orientation [1/");
-  WheeledFlightSettings enough;  // that x and y lean, and how fast anything moves, position shows
+  WheeledFlightSettings enough;  // position and yaw observe roll, pitch and all velocities
   for (Eigen::Vector3d* weight : {&riccati(enough).velocity, &enough.weights.angular_velocity})
     weight->setZero();
   enough.weights.orientation << 0.0, 0.0, 30.0;

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # bite.sh INCLUDE_DIR
-# names.sh and equations.sh find what is wrong, one fault at a time.
+# Checks that names.sh and equations.sh find planted faults, one at a time.
 set -euo pipefail
 
 here=$(dirname "${BASH_SOURCE[0]}")
 copy=$(mktemp -d)
 trap 'rm -rf "$copy"' EXIT
 
-finds() {  # what is said, sed expression that makes the fault, file, script and arguments
+finds() {  # expected message, sed expression that plants the fault, file, script and arguments
   rm -rf "$copy/include" "$copy/equations.md"
   cp -r "$include_dir" "$copy/include"
   cp "$here/equations.md" "$copy"

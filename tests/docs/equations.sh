@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
 # equations.sh INCLUDE_DIR PAGE
-# Every place of the paper that a header below INCLUDE_DIR/tilt_ropter refers to has a row of that
-# header in PAGE, and every row's header has the row's name. Prints what is not so, and then fails.
+# Checks the table in PAGE: every reference to the paper in a header below INCLUDE_DIR/tilt_ropter
+# has a row for that header, and the name in every row exists in its header. Prints errors; then
+# fails.
 set -euo pipefail
 shopt -s inherit_errexit
 
 page=$(realpath "$2")
 cd "$1/tilt_ropter"
 
-# Lines like "model/frames.hpp|Sec. Frame Definition". A comment goes on over lines that are
-# nothing but comment, and a reference to its bracket or the next comma.
+# Lines like "model/frames.hpp|Sec. Frame Definition". A comment continues over all adjacent comment
+# lines, and a reference ends at the closing bracket or the next comma.
 references=$(
   find . -name '*.hpp' -printf '%P\n' | while read -r header; do
     awk '/^ *\/\/\// { sub(/^ *\/\/\/ ?/, ""); printf "%s ", $0; next } { print $0 ";" }' "$header" |

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # names.sh INCLUDE_DIR
-# Every `name` between backticks in a comment of a header below INCLUDE_DIR/tilt_ropter, such as
-# that of a parameter, is one in the code of that header: Doxygen does not look at these. Prints
-# what is not so, and then fails.
+# Checks that every `name` between backticks in a comment of a header below INCLUDE_DIR/tilt_ropter,
+# such as a parameter, exists in the code of that header. Doxygen does not check these names. Prints
+# errors; then fails.
 set -euo pipefail
 shopt -s inherit_errexit
 

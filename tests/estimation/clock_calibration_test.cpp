@@ -32,16 +32,16 @@ using Status = ClockCalibrationStatus;
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
 struct Logs {
-  std::vector<Timed<InertialSample<>>> imu;
-  std::vector<Timed<MarkerPose<>>> poses;
+  std::vector<Timed<InertialSampled>> imu;
+  std::vector<Timed<MarkerPosed>> poses;
 };
 
 struct Recording {
   double duration = 20.0, imu_rate = 200.0, pose_rate = 100.0;
-  double offset = 0.0;  // of the clocks: what has to be added to the stamps of the poses
+  double offset = 0.0;  // clock offset to add to the stamps of the poses
 };
 
-// With the noise and the bias of a cheap IMU.
+// With the noise and biases of a cheap IMU.
 Logs record(const Flight& flight, const Recording& r, unsigned seed) {
   Logs logs;
   Random random(seed + 500);
@@ -68,7 +68,7 @@ double marker_error(const ClockCalibration& c, const Flight& flight) {
   return c.marker_orientation.angularDistance(flight.state(0.0).marker_orientation);
 }
 
-TEST(ClockCalibration, FindsTheOffsetAndTheMarkersRotation) {
+TEST(ClockCalibration, FindsClockOffsetAndMarkerOrientation) {
   double worst = 0.0, worst_turn = 0.0;
   unsigned seed = 0;
   for (const double offset : {0.0, 0.004, -0.0123, 0.1, -0.1, 0.2817, -0.2817, 0.45, -0.45})
@@ -79,10 +79,10 @@ TEST(ClockCalibration, FindsTheOffsetAndTheMarkersRotation) {
       const Logs logs = record(flight, r, seed);
       const ClockCalibration c = calibrate_clock(logs.imu, logs.poses);
       EXPECT_EQ(c.status, Status::calibrated);
-      EXPECT_GT(c.deviation, 0.0);
+      EXPECT_GT(c.stddev, 0.0);
       worst = std::max(worst, std::abs(c.offset - offset));
       worst_turn = std::max(worst_turn, marker_error(c, flight));
-      EXPECT_GT(c.residual, 2e-3);  // two poses of 5 mrad each, and the gyro
+      EXPECT_GT(c.residual, 2e-3);  // noise of two poses, 5 mrad each, and of the gyro
       EXPECT_LT(c.residual, 2e-2);
     }
   EXPECT_LT(worst, 1e-3);
@@ -112,7 +112,7 @@ TEST(ClockCalibration, WorksAtDifferentRates) {
   RecordProperty("worst_offset_error", std::to_string(worst));
 }
 
-TEST(ClockCalibration, GapsOutliersAndSignsDoNoHarm) {
+TEST(ClockCalibration, ToleratesGapsOutliersAndQuaternionSigns) {
   double worst = 0.0;
   for (unsigned seed = 200; seed < (full_run() ? 240U : 206U); ++seed) {
     Random random(seed);
@@ -137,7 +137,7 @@ TEST(ClockCalibration, GapsOutliersAndSignsDoNoHarm) {
   RecordProperty("worst_offset_error", std::to_string(worst));
 }
 
-TEST(ClockCalibration, TheDeviationSaysHowFarOffItIs) {
+TEST(ClockCalibration, StandardDeviationIsConsistentWithError) {
   const unsigned runs = full_run() ? 200 : 40;
   unsigned within_one = 0, within_three = 0;
   double squares = 0.0;
@@ -151,33 +151,34 @@ TEST(ClockCalibration, TheDeviationSaysHowFarOffItIs) {
     s.max_offset = 0.25;
     const ClockCalibration c = calibrate_clock(logs.imu, logs.poses, s);
     EXPECT_EQ(c.status, Status::calibrated);
-    const double share = std::abs(c.offset - r.offset) / c.deviation;
-    if (share < 1.0) ++within_one;
-    if (share < 3.0) ++within_three;
-    squares += share * share;
+    const double fraction = std::abs(c.offset - r.offset) / c.stddev;
+    if (fraction < 1.0) ++within_one;
+    if (fraction < 3.0) ++within_three;
+    squares += fraction * fraction;
   }
   EXPECT_GE(within_three, runs * 19 / 20);
-  EXPECT_GT(squares / runs, 0.1 * 0.1);  // nor is it far too large
+  EXPECT_GT(squares / runs, 0.1 * 0.1);  // the standard deviation is not far too large
   RecordProperty("within_one", std::to_string(1.0 * within_one / runs));
   RecordProperty("within_three", std::to_string(1.0 * within_three / runs));
   RecordProperty("rms", std::to_string(std::sqrt(squares / runs)));
 }
 
-// Found and told as out of range, never read from beyond the log.
-TEST(ClockCalibration, AnOffsetAtTheEndOfTheSearchIsToldOrFound) {
+// An offset near the end of the search range is found or reported as out_of_range. Samples beyond
+// the log are never read.
+TEST(ClockCalibration, OffsetAtEndOfSearchRangeIsFoundOrReported) {
   for (const double most : {0.1, 0.123})
     for (const double sign : {-1.0, 1.0})
-      for (const double share : {0.93, 0.97, 0.99, 0.999, 1.001, 1.03, 1.5}) {
+      for (const double fraction : {0.93, 0.97, 0.99, 0.999, 1.001, 1.03, 1.5}) {
         Recording r;
-        r.offset = sign * share * most;
+        r.offset = sign * fraction * most;
         const Logs logs = record(any_flight(7), r, 7);
         ClockCalibrationSettings s;
         s.max_offset = most;
         const ClockCalibration c = calibrate_clock(logs.imu, logs.poses, s);
-        if (share < 0.94) {
+        if (fraction < 0.94) {
           EXPECT_EQ(c.status, Status::calibrated);
         }
-        if (share > 1.02) {
+        if (fraction > 1.02) {
           EXPECT_EQ(c.status, Status::out_of_range);
         }
         if (c.status == Status::calibrated) {
@@ -189,12 +190,12 @@ TEST(ClockCalibration, AnOffsetAtTheEndOfTheSearchIsToldOrFound) {
       }
 }
 
-TEST(ClockCalibration, TooLittleTurningIsUncertain) {
+TEST(ClockCalibration, TooLittleRotationIsUncertain) {
   Random random(20);
   Logs rest, one_axis;
   for (int i = 0; i <= 4000; ++i) {
     const double t = 0.005 * i;
-    InertialSample<> s;
+    InertialSampled s;
     s.angular_velocity = test_support::normal_vector(random, 0.03);
     rest.imu.push_back({t, s});
     s.angular_velocity.z() += std::sin(2.0 * t) + std::cos(5.0 * t);
@@ -210,8 +211,8 @@ TEST(ClockCalibration, TooLittleTurningIsUncertain) {
   EXPECT_EQ(calibrate_clock(one_axis.imu, one_axis.poses).status, Status::uncertain);
 }
 
-// Not a number of noise: nothing to divide by.
-TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
+// Without noise there must be no division by zero.
+TEST(ClockCalibration, ToleratesLogsWithoutNoiseOrMotion) {
   Logs still, exact;
   const Flight flight = any_flight(21);
   for (int i = 0; i <= 4000; ++i) {
@@ -223,7 +224,7 @@ TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
   }
   const ClockCalibration none = calibrate_clock(still.imu, still.poses);
   EXPECT_NE(none.status, Status::calibrated);
-  EXPECT_FALSE(std::isnan(none.deviation));
+  EXPECT_FALSE(std::isnan(none.stddev));
   EXPECT_TRUE(all_finite(none.marker_orientation.coeffs()));
   const ClockCalibration c = calibrate_clock(exact.imu, exact.poses);
   EXPECT_EQ(c.status, Status::calibrated);
@@ -231,7 +232,7 @@ TEST(ClockCalibration, LogsWithoutAnyNoiseOrMotionAreSafe) {
   EXPECT_LT(marker_error(c, flight), 1e-4);
 }
 
-TEST(ClockCalibration, LogsOfFloatWillDo) {
+TEST(ClockCalibration, AcceptsFloatLogs) {
   const Flight flight = any_flight(22);
   Recording r;
   r.offset = 0.04;
@@ -248,7 +249,7 @@ TEST(ClockCalibration, LogsOfFloatWillDo) {
   EXPECT_NEAR(c.offset, calibrate_clock(logs.imu, logs.poses).offset, 1e-5);
 }
 
-TEST(ClockCalibration, BadDataAreRefused) {
+TEST(ClockCalibration, RejectsInvalidData) {
   const Logs logs = record(any_flight(22), {}, 22);
   ASSERT_EQ(calibrate_clock(logs.imu, logs.poses).status, Status::calibrated);
   const auto refused = [&logs](const auto& change) {
@@ -256,7 +257,7 @@ TEST(ClockCalibration, BadDataAreRefused) {
     change(changed);
     const ClockCalibration c = calibrate_clock(changed.imu, changed.poses);
     EXPECT_EQ(c.offset, 0.0);
-    EXPECT_TRUE(std::isinf(c.deviation));
+    EXPECT_TRUE(std::isinf(c.stddev));
     return c.status == Status::bad_data;
   };
   EXPECT_TRUE(refused([](Logs& l) { l.imu[100].time = nan; }));
@@ -270,20 +271,20 @@ TEST(ClockCalibration, BadDataAreRefused) {
   EXPECT_TRUE(refused([](Logs& l) { l.poses[50].value.orientation.coeffs().setZero(); }));
 }
 
-TEST(ClockCalibration, ShortLogsAreRefused) {
+TEST(ClockCalibration, RejectsShortLogs) {
   const Logs logs = record(any_flight(23), {}, 23);
   EXPECT_EQ(calibrate_clock({}, {}).status, Status::too_short);
   EXPECT_EQ(calibrate_clock(logs.imu, {}).status, Status::too_short);
   EXPECT_EQ(calibrate_clock({}, logs.poses).status, Status::too_short);
   EXPECT_EQ(calibrate_clock({logs.imu[0]}, logs.poses).status, Status::too_short);
   const auto head = [&logs](std::ptrdiff_t count) {
-    return std::vector<Timed<MarkerPose<>>>(logs.poses.begin(), logs.poses.begin() + count);
+    return std::vector<Timed<MarkerPosed>>(logs.poses.begin(), logs.poses.begin() + count);
   };
   EXPECT_EQ(calibrate_clock(logs.imu, head(140)).status, Status::too_short);
   EXPECT_NE(calibrate_clock(logs.imu, head(200)).status, Status::too_short);
 }
 
-TEST(ClockCalibration, SettingsAct) {
+TEST(ClockCalibration, EachSettingActs) {
   Recording r;
   r.offset = 0.3;
   const Logs logs = record(any_flight(24), r, 24);
@@ -293,15 +294,15 @@ TEST(ClockCalibration, SettingsAct) {
   s = {};
   const ClockCalibration usual = calibrate_clock(logs.imu, logs.poses, s);
   EXPECT_EQ(usual.status, Status::calibrated);
-  s.max_deviation = usual.deviation * 0.99;
+  s.max_stddev = usual.stddev * 0.99;
   EXPECT_EQ(calibrate_clock(logs.imu, logs.poses, s).status, Status::uncertain);
-  s.max_deviation = usual.deviation * 1.01;
+  s.max_stddev = usual.stddev * 1.01;
   EXPECT_EQ(calibrate_clock(logs.imu, logs.poses, s).status, Status::calibrated);
   s = {};
-  s.window = 0.2;  // longer turns, the same noise
+  s.window = 0.2;  // larger rotations, same noise
   const ClockCalibration wide = calibrate_clock(logs.imu, logs.poses, s);
   EXPECT_EQ(wide.status, Status::calibrated);
-  EXPECT_LT(wide.deviation, 0.6 * usual.deviation);
+  EXPECT_LT(wide.stddev, 0.6 * usual.stddev);
 }
 
 TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
@@ -321,7 +322,7 @@ TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
   EXPECT_EQ(complaint({0.5, 1e-9, 2e-3}),
             "ClockCalibrationSettings.window [s] = 1e-09: must be finite and >= 0.001");
   EXPECT_EQ(complaint({0.5, 0.05, nan}),
-            "ClockCalibrationSettings.max_deviation [s] = nan: must be finite and > 0");
+            "ClockCalibrationSettings.max_stddev [s] = nan: must be finite and > 0");
   EXPECT_STREQ(to_string(Status::calibrated), "calibrated");
   EXPECT_STREQ(to_string(Status::bad_data), "bad_data");
   EXPECT_STREQ(to_string(Status::too_short), "too_short");
@@ -329,7 +330,7 @@ TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
   EXPECT_STREQ(to_string(Status::uncertain), "uncertain");
 }
 
-// Rows of a CSV file behind its header.
+// Returns the rows of a CSV file after its header.
 std::vector<std::vector<double>> read_rows(const std::string& path) {
   std::ifstream file(path);
   std::vector<std::vector<double>> rows;
@@ -344,9 +345,9 @@ std::vector<std::vector<double>> read_rows(const std::string& path) {
   return rows;
 }
 
-// TILT_ROPTER_DATA names a directory with euroc_v203/{imu,pose,truth}.csv: a flight of the EuRoC
+// TILT_ROPTER_DATA names a directory with euroc_v203/{imu,pose,truth}.csv: a flight from the EuRoC
 // data set (Burri et al., IJRR 2016).
-TEST(ClockCalibration, OfARecordedFlightAgreesWithItsGroundTruth) {
+TEST(ClockCalibration, RecordedFlightAgreesWithGroundTruth) {
   const char* directory = std::getenv("TILT_ROPTER_DATA");
   if (directory == nullptr) GTEST_SKIP() << "TILT_ROPTER_DATA is not set: no recorded flight";
   const std::string path = std::string(directory) + "/euroc_v203/";
@@ -354,26 +355,26 @@ TEST(ClockCalibration, OfARecordedFlightAgreesWithItsGroundTruth) {
              truth_rows = read_rows(path + "truth.csv");
   if (imu_rows.empty() || pose_rows.empty() || truth_rows.empty())
     GTEST_SKIP() << "no recorded flight in TILT_ROPTER_DATA";
-  std::vector<Timed<InertialSample<>>> imu, truth;
+  std::vector<Timed<InertialSampled>> imu, truth;
   imu.reserve(imu_rows.size());
   for (const auto& row : imu_rows) {
-    InertialSample<> sample;
+    InertialSampled sample;
     sample.angular_velocity << row.at(1), row.at(2), row.at(3);
     imu.push_back({row[0], sample});
   }
-  std::vector<Timed<MarkerPose<>>> poses;
+  std::vector<Timed<MarkerPosed>> poses;
   poses.reserve(pose_rows.size());
   for (const auto& row : pose_rows)
     poses.push_back({row.at(0),
                      {{row.at(1), row.at(2), row.at(3)},
                       Eigen::Quaterniond(row.at(4), row.at(5), row.at(6), row.at(7))}});
-  // The gyro that the true attitudes would have shown, in the middle of each interval.
+  // The gyro measurement that the true attitudes imply, in the middle of each interval.
   for (std::size_t i = 0; i + 1 < truth_rows.size(); ++i) {
     const auto attitude = [](const std::vector<double>& row) {
       return Eigen::Quaterniond(row.at(4), row.at(5), row.at(6), row.at(7)).normalized();
     };
     const auto &from = truth_rows[i], &to = truth_rows[i + 1];
-    InertialSample<> sample;
+    InertialSampled sample;
     sample.angular_velocity =
         quaternion_log(Eigen::Quaterniond(attitude(from).conjugate() * attitude(to))) /
         (to[0] - from[0]);
@@ -388,7 +389,7 @@ TEST(ClockCalibration, OfARecordedFlightAgreesWithItsGroundTruth) {
   EXPECT_LT(apart, 2.0 * pi / 180.0);
   RecordProperty("offset_by_gyro", std::to_string(by_gyro.offset));
   RecordProperty("offset_by_truth", std::to_string(by_truth.offset));
-  RecordProperty("deviation", std::to_string(by_gyro.deviation));
+  RecordProperty("deviation", std::to_string(by_gyro.stddev));
   RecordProperty("marker_degrees", std::to_string(apart * 180.0 / pi));
 }
 

@@ -14,20 +14,21 @@ namespace {
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
 const Undercarriage wheels{0.11, true, true, true};
 constexpr double weight = 2.0 * gravity, infinity = std::numeric_limits<double>::infinity();
-const Wrench<> breeze{Eigen::Vector3d(0.4, 0.2, 0.0), Eigen::Vector3d(0.01, 0.02, 0.03)};
+const Wrenchd breeze{Eigen::Vector3d(0.4, 0.2, 0.0), Eigen::Vector3d(0.01, 0.02, 0.03)};
 
-// Feeds true wrenches, as an observer with bandwidth K shows them, at 100 Hz.
+// Passes wrenches at 100 Hz, filtered to first order with bandwidth K, as an observer estimates
+// them.
 class Feed {
  public:
   explicit Feed(const ContactEstimatorSettings& settings = {},
                 const std::optional<Undercarriage>& on = wheels)
       : contact(body, on, settings) {}
 
-  const ContactEstimate& operator()(double height, const Wrench<>& truth, double duration = 0.01) {
+  const ContactEstimate& operator()(double height, const Wrenchd& truth, double duration = 0.01) {
     state.position.z() = height;
     return stay(truth, duration);
   }
-  const ContactEstimate& stay(const Wrench<>& truth, double duration = 0.01) {
+  const ContactEstimate& stay(const Wrenchd& truth, double duration = 0.01) {
     for (double t = 0.0; t < duration - 1e-9; t += 0.01) {
       time += 0.01;
       state.position += 0.01 * state.velocity;
@@ -41,25 +42,25 @@ class Feed {
   }
 
   ContactEstimator contact;
-  BodyState<> state;
-  Wrench<> shown;
+  BodyStated state;
+  Wrenchd shown;
   double time = 0.0, bandwidth = 5.0;
 };
 
-Wrench<> with_lift(double lift, Wrench<> wrench = {}) {
+Wrenchd with_lift(double lift, Wrenchd wrench = {}) {
   wrench.force.z() += lift;
   return wrench;
 }
 
-// In the air at a height, with nothing but `air` acting.
-Feed flying(double height, const Wrench<>& air = {}) {
+// Flies at a height [m] while only `air` acts on the vehicle.
+Feed flying(double height, const Wrenchd& air = {}) {
   Feed feed;
   feed(height, air, 5.0);
   EXPECT_FALSE(feed.contact.estimate().on_ground);
   return feed;
 }
 
-TEST(ContactEstimator, ALoadIsGroundWhereverItIs) {
+TEST(ContactEstimator, LoadMeansGroundAtAnyHeight) {
   for (const double ground : {-0.5, 0.0, 0.3, 7.0}) {
     Feed feed = flying(ground + 0.2);
     feed(ground + 0.11, with_lift(0.9 * weight), 0.1);
@@ -71,10 +72,10 @@ TEST(ContactEstimator, ALoadIsGroundWhereverItIs) {
   }
 }
 
-TEST(ContactEstimator, WithNothingToStandOnAllIsADisturbanceEverywhere) {
+TEST(ContactEstimator, WithoutUndercarriageTheWholeWrenchIsDisturbance) {
   Feed feed({}, std::nullopt);
   for (const double height : {3.0, 0.11, 0.0, -0.5}) {
-    const Wrench<> load = with_lift(0.5 * weight, breeze);
+    const Wrenchd load = with_lift(0.5 * weight, breeze);
     feed(height, load, 2.0);
     const ContactEstimate& e = feed.contact.estimate();
     EXPECT_FALSE(e.on_ground || e.ground_known);
@@ -85,10 +86,10 @@ TEST(ContactEstimator, WithNothingToStandOnAllIsADisturbanceEverywhere) {
   EXPECT_EQ(feed.contact.mode_changes(), 0);
 }
 
-// Who does not pitch on the ground learns no pitch torque there, and who does not roll is held in
-// every direction.
-TEST(ContactEstimator, TheReactionIsWhatTheUndercarriageHolds) {
-  const Wrench<> standing{Eigen::Vector3d(0.3, 0.1, 0.9 * weight), Eigen::Vector3d(0.2, 0.4, 0.1)};
+// An undercarriage that does not pitch hides the pitch torque of the air. An undercarriage that
+// does not roll holds the vehicle in every direction.
+TEST(ContactEstimator, GroundReactionFollowsUndercarriage) {
+  const Wrenchd standing{Eigen::Vector3d(0.3, 0.1, 0.9 * weight), Eigen::Vector3d(0.2, 0.4, 0.1)};
   const auto on = [&standing](const Undercarriage& undercarriage) {
     Feed feed({}, undercarriage);
     feed(0.5, {}, 5.0);
@@ -109,7 +110,7 @@ TEST(ContactEstimator, TheReactionIsWhatTheUndercarriageHolds) {
   EXPECT_NEAR(legs.ground_reaction.torque.z(), 0.1, 1e-3);
 }
 
-TEST(ContactEstimator, StandingBodiesShowTheSlopeThatTheyStandOn) {
+TEST(ContactEstimator, LearnsSlopeFromAttitudeOfStandingBody) {
   const Eigen::Vector2d slope(0.1, -0.05);
   Feed feed({}, Undercarriage{0.11, false, false, false});
   feed(0.5, {}, 2.0);
@@ -119,18 +120,18 @@ TEST(ContactEstimator, StandingBodiesShowTheSlopeThatTheyStandOn) {
   EXPECT_LT((feed.contact.estimate().ground.slope - slope).norm(), 1e-3);
 }
 
-TEST(ContactEstimator, HeightAloneIsNoGround) {
+TEST(ContactEstimator, HeightAloneIsNotContact) {
   Feed feed = flying(0.3);
-  feed(0.11, {}, 1.0);  // where the ground should be, and nothing carries
+  feed(0.11, {}, 1.0);  // at the expected ground, without load
   EXPECT_FALSE(feed.contact.estimate().on_ground);
-  feed(0.05, {}, 1.0);  // it is not there
+  feed(0.05, {}, 1.0);  // the ground is not there
   EXPECT_EQ(feed.contact.estimate().ground.height, -infinity);
   feed(-0.4, with_lift(0.5 * weight), 0.2);
   EXPECT_TRUE(feed.contact.estimate().on_ground);
   EXPECT_NEAR(feed.contact.estimate().ground.height, -0.51, 1e-9);
 }
 
-TEST(ContactEstimator, AtTheStartItStandsWhereTheGroundIsTakenToBe) {
+TEST(ContactEstimator, StartsOnAssumedGround) {
   Feed feed;
   EXPECT_TRUE(feed(0.11, {}).on_ground);
   EXPECT_EQ(feed.contact.mode_changes(), 0);
@@ -143,17 +144,17 @@ TEST(ContactEstimator, AtTheStartItStandsWhereTheGroundIsTakenToBe) {
   EXPECT_FALSE(nowhere(0.11, {}).on_ground);
 }
 
-TEST(ContactEstimator, GustsAreNoGround) {
+TEST(ContactEstimator, GustsAreNotContact) {
   Feed feed = flying(1.0);
   feed(1.0, with_lift(0.25 * weight), 0.5);
   EXPECT_FALSE(feed.contact.estimate().on_ground);
-  feed.state.velocity.z() = 0.5;  // a strong one lifts
+  feed.state.velocity.z() = 0.5;  // a strong gust lifts the vehicle
   feed.stay(with_lift(0.6 * weight), 0.5);
   EXPECT_FALSE(feed.contact.estimate().on_ground);
   EXPECT_EQ(feed.contact.mode_changes(), 0);
 }
 
-TEST(ContactEstimator, NearTheGroundASmallerLoadIsEnough) {
+TEST(ContactEstimator, SmallerLoadIsContactNearTheGround) {
   Feed feed = flying(1.0);
   feed(0.13, {}, 1.0);
   feed(0.13, with_lift(0.15 * weight), 0.3);
@@ -161,23 +162,24 @@ TEST(ContactEstimator, NearTheGroundASmallerLoadIsEnough) {
   EXPECT_NEAR(feed.contact.estimate().ground.height, 0.02, 1e-9);
 }
 
-TEST(ContactEstimator, SplitsTheWrenchIntoTheGroundsAndTheRest) {
+TEST(ContactEstimator, SplitsWrenchIntoGroundReactionAndRest) {
   Feed feed = flying(0.3, breeze);
-  const Wrench<> on_it{Eigen::Vector3d(-0.3, 0.1, weight), Eigen::Vector3d(0.2, 0.05, -0.1)};
+  const Wrenchd on_it{Eigen::Vector3d(-0.3, 0.1, weight), Eigen::Vector3d(0.2, 0.05, -0.1)};
   feed(0.11, on_it, 5.0);
   const ContactEstimate& e = feed.contact.estimate();
   EXPECT_LT((e.rolling.force - Eigen::Vector3d(-0.3, 0.1, 0.0)).norm(), 1e-6);
   EXPECT_LT((e.rolling.torque - Eigen::Vector3d(0.0, 0.05, -0.1)).norm(), 1e-6);
   EXPECT_NEAR(e.ground_reaction.force.z(), weight, 1e-6);
   EXPECT_NEAR(e.ground_reaction.torque.x(), 0.2 - 0.01, 1e-3);
-  // What the air did stays known, but for the pitch torque, which the ground cannot give.
+  // The disturbance in the air is kept, except for the pitch torque. The ground gives no pitch
+  // torque, so this part is measured on the ground.
   EXPECT_NEAR(e.disturbance.force.x(), 0.4, 1e-3);
   EXPECT_NEAR(e.disturbance.torque.x(), 0.01, 1e-3);
   EXPECT_NEAR(e.disturbance.torque.y(), 0.05, 1e-6);
   EXPECT_NEAR(e.disturbance.force.z(), 0.0, 1e-9);
 }
 
-TEST(ContactEstimator, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
+TEST(ContactEstimator, SplitsWrenchAlongWorldVerticalIfBodyIsPitched) {
   Feed feed = flying(0.3);
   feed.state.orientation = Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitY());
   const Eigen::Matrix3d to_body = feed.state.orientation.conjugate().toRotationMatrix();
@@ -186,10 +188,10 @@ TEST(ContactEstimator, TheVerticalIsTheWorldsHoweverTheBodyIsPitched) {
   EXPECT_LT((e.rolling.force - to_body * Eigen::Vector3d(0.3, 0.0, 0.0)).norm(), 1e-6);
 }
 
-TEST(ContactEstimator, LiftThatIsMissingOnTheGroundIsMissingInTheAir) {
+TEST(ContactEstimator, MissingLiftOnTheGroundIsDisturbance) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
-  // Thrust rises to 15 % more than the weight believed, and the vehicle still stands.
+  // The thrust rises to 115 % of the believed weight, and the vehicle still stands.
   for (double thrust = 0.0; thrust < 1.15; thrust += 0.02)
     feed(0.11, with_lift((1.0 - thrust) * weight));
   feed(0.11, with_lift(-0.15 * weight), 0.2);
@@ -197,17 +199,17 @@ TEST(ContactEstimator, LiftThatIsMissingOnTheGroundIsMissingInTheAir) {
   EXPECT_NEAR(feed.contact.estimate().disturbance.force.z(), -0.15 * weight, 0.01 * weight);
 }
 
-TEST(ContactEstimator, AfterTakeOffWhatTheGroundDidIsGoneAtOnce) {
+TEST(ContactEstimator, RemovesGroundReactionAtOnceAfterTakeOff) {
   Feed feed;
   feed(0.11, with_lift(weight, breeze), 1.0);
   const double air_lift = -0.1 * weight;
-  for (int i = 0; i < 20; ++i)  // within 0.2 s, faster than the observer
+  for (int i = 0; i < 20; ++i)  // in 0.2 s, faster than the observer
     feed(0.11, with_lift(weight + (air_lift - weight) * i / 20.0, breeze));
   feed.state.velocity.z() = 0.3;
   feed.stay(with_lift(air_lift, breeze), 0.12);
   const ContactEstimate& e = feed.contact.estimate();
   ASSERT_FALSE(e.on_ground);
-  EXPECT_GT(feed.shown.force.z(), 0.1 * weight);  // what the observer shows
+  EXPECT_GT(feed.shown.force.z(), 0.1 * weight);  // estimate of the observer
   EXPECT_NEAR(e.disturbance.force.z(), air_lift, 0.02 * weight);
   feed.stay(with_lift(air_lift, breeze), 2.0);
   EXPECT_NEAR(e.disturbance.force.z(), air_lift, 1e-3 * weight);
@@ -215,19 +217,19 @@ TEST(ContactEstimator, AfterTakeOffWhatTheGroundDidIsGoneAtOnce) {
   EXPECT_EQ(feed.contact.mode_changes(), 1);
 }
 
-TEST(ContactEstimator, AVehicleMuchLighterThanBelievedLeavesTheGround) {
+TEST(ContactEstimator, DetectsTakeOffOfVehicleLighterThanBelieved) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
   feed(0.11, with_lift(0.25 * weight), 0.5);
-  feed.state.velocity.z() = 0.3;  // on the thrust that carries it, an apparent lift of a quarter
+  feed.state.velocity.z() = 0.3;  // the apparent lift is a quarter of the weight
   feed.stay(with_lift(0.25 * weight), 0.2);
   EXPECT_FALSE(feed.contact.estimate().on_ground);
   EXPECT_NEAR(feed.contact.estimate().disturbance.force.z(), 0.25 * weight, 0.02 * weight);
 }
 
-// Long not carried, as in a take-off, it leaves where its speed will take it; in a hop over a plank
-// it does not.
-TEST(ContactEstimator, ATakeOffIsSeenBeforeTheHeightAloneShowsIt) {
+// After a long time without load (take-off) the estimator predicts the height from the speed. After
+// a short time without load (hop over a plank) it does not.
+TEST(ContactEstimator, DetectsTakeOffBeforeLeaveHeight) {
   const auto rise = [](double unloaded) {
     Feed feed;
     feed.bandwidth = 1e3;  // no lag
@@ -244,7 +246,7 @@ TEST(ContactEstimator, ATakeOffIsSeenBeforeTheHeightAloneShowsIt) {
   EXPECT_TRUE(rise(0.1));
 }
 
-TEST(ContactEstimator, FollowsAnEstimateOfTheHeightThatJumpsOrDrifts) {
+TEST(ContactEstimator, FollowsJumpsAndDriftOfHeightEstimate) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
   feed(0.21, with_lift(weight), 1.0);
@@ -255,13 +257,13 @@ TEST(ContactEstimator, FollowsAnEstimateOfTheHeightThatJumpsOrDrifts) {
   EXPECT_EQ(feed.contact.mode_changes(), 0);
 }
 
-TEST(ContactEstimator, GroundThatWasTakenOffFromIsForgottenFarBelowIt) {
+TEST(ContactEstimator, ForgetsGroundFarBelowIt) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);  // a roof
   feed(0.11, {}, 1.0);
   feed(2.0, {}, 2.0);
   EXPECT_TRUE(feed.contact.estimate().ground_known);
-  feed(-0.05, {}, 1.0);  // a little lower than it seemed, and not yet met
+  feed(-0.05, {}, 1.0);  // the ground is lower than estimated, without contact
   EXPECT_TRUE(feed.contact.estimate().ground_known);
   EXPECT_NEAR(feed.contact.estimate().ground.height, 0.0, 1e-6);
   feed(-0.3, {}, 0.1);
@@ -272,7 +274,7 @@ TEST(ContactEstimator, GroundThatWasTakenOffFromIsForgottenFarBelowIt) {
   EXPECT_EQ(feed.contact.mode_changes(), 2);
 }
 
-TEST(ContactEstimator, LearnsTheSlopeFromTheAxleAndFromTheWay) {
+TEST(ContactEstimator, LearnsSlopeFromAxleAndDirectionOfMotion) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
   feed.state.orientation = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitX());
@@ -285,26 +287,26 @@ TEST(ContactEstimator, LearnsTheSlopeFromTheAxleAndFromTheWay) {
   EXPECT_EQ(feed.contact.mode_changes(), 0);
 }
 
-// A slope pushes downhill, which is the ground's doing; what is left is what resists the wheels.
-TEST(ContactEstimator, TheSlopesPullIsTheGrounds) {
+// The slope's downhill force belongs to the ground. The remaining force is the rolling resistance.
+TEST(ContactEstimator, DownhillForceIsGroundReaction) {
   Feed feed;
   feed(0.11, with_lift(weight), 1.0);
   feed.state.velocity << 1.0, 0.0, 0.1;
-  const Wrench<> pushed{Eigen::Vector3d(-0.1 * weight - 0.3, 0.0, weight - 0.03),
-                        Eigen::Vector3d::Zero()};
+  const Wrenchd pushed{Eigen::Vector3d(-0.1 * weight - 0.3, 0.0, weight - 0.03),
+                       Eigen::Vector3d::Zero()};
   feed.stay(pushed, 5.0);
   const ContactEstimate& e = feed.contact.estimate();
   EXPECT_LT((e.ground_reaction.force - Eigen::Vector3d(-0.1 * weight, 0.0, weight)).norm(), 1e-3);
   EXPECT_LT((e.rolling.force - Eigen::Vector3d(-0.3, 0.0, -0.03)).norm(), 1e-3);
 }
 
-TEST(ContactEstimator, WhatIsNotFiniteOrOutOfOrderChangesNothing) {
+TEST(ContactEstimator, IgnoresNonFiniteAndOutOfOrderInput) {
   Feed feed;
   feed(0.11, with_lift(weight), 0.5);
   const ContactEstimate before = feed.contact.estimate();
   const double nan = std::nan("");
   const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
-  BodyState<> lost = feed.state;
+  BodyStated lost = feed.state;
   lost.position.z() = nan;
   feed.contact.update(feed.time + 0.01, lost, feed.shown, k, k, feed.shown.force);
   feed.contact.update(feed.time + 0.01, feed.state, {k * nan, k}, k, k, k);

@@ -1,5 +1,5 @@
-// After construction and a few measurements the estimator does not touch the heap, whatever
-// becomes of what it is given.
+// After construction and a few measurements the estimator does not use the heap, for any status of
+// its measurements.
 
 #include <tilt_ropter/estimation/ekf.hpp>
 
@@ -24,7 +24,7 @@ using test_support::HeapUse;
 using test_support::HeapUser;
 using test_support::Random;
 
-// Compilers may leave out memory whose address nobody sees.
+// Stores an address, so that the compiler does not remove the allocation.
 const void* volatile seen = nullptr;
 
 template <typename Call>
@@ -47,8 +47,8 @@ TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
 
   const int ticks = test_support::quick_or_full(2000, 10000);
   EkfSettings settings;
-  settings.marker_position_deviation = 0.01;
-  settings.marker_orientation_deviation = 0.01;
+  settings.marker_position_stddev = 0.01;
+  settings.marker_orientation_stddev = 0.01;
   Ekf<Scalar> ekf(settings);
   const Flight flight(1);
   Random random(301);
@@ -64,8 +64,8 @@ TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
   for (int i = 0; i < ticks; ++i) {
     if (i % 500 == 499) jump += 0.5;  // a gap of the IMU
     const double t = 0.005 * i + jump;
-    const InertialSample<> sample = flight.imu(t);
-    MarkerPose<> pose = flight.pose(t);
+    const InertialSampled sample = flight.imu(t);
+    MarkerPosed pose = flight.pose(t);
     if (i % 400 > 340) pose.position.x() += 5.0;  // gated, then restarted
     if (i % 100 == 50) pose.position.y() = std::numeric_limits<double>::quiet_NaN();
     const InertialSample<Scalar> s{sample.angular_velocity.template cast<Scalar>(),

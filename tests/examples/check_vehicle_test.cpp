@@ -1,4 +1,4 @@
-// The check before flight, as a user runs it.
+// Runs the program check_vehicle as a user does.
 
 #include "support/program.hpp"
 
@@ -19,7 +19,7 @@ std::string shipped(const std::string& name) {
   return VEHICLES_DIR "/" + name + ".json";
 }
 
-/// The shipped vehicle with `from` replaced by `to`.
+/// Checks a shipped vehicle whose file has the text `from` replaced by `to`.
 test_support::Outcome check_changed(const std::string& name, const std::string& from,
                                     const std::string& to) {
   const test_support::Directory directory("check_vehicle_changed");
@@ -39,24 +39,24 @@ TEST(CheckVehicle, ShippedVehiclesFly) {
   }
 }
 
-// Four rotors of 12 N on arms of 17 cm, one below the other's torque of 0.016 m.
-TEST(CheckVehicle, FiguresOfTheTiltRopter) {
+// The Tilt-Ropter has four rotors of 12 N and a mass of 1.5 kg.
+TEST(CheckVehicle, ReportsTheFiguresOfTheTiltRopter) {
   const auto told = check("");
   EXPECT_NEAR(told["weight_n"], 1.5 * 9.81, 0.05);
   EXPECT_NEAR(told["lift_per_weight"], 48.0 / 14.715, 0.01);
   EXPECT_NEAR(told["least_thrust_in_hover_n"], 14.715 / 4.0, 0.01);
   EXPECT_TRUE(told.says("hover_min: not known")) << told.output;
-  EXPECT_TRUE(told.says("    1     6")) << told.output;  // with rotor 1 lost
+  EXPECT_TRUE(told.says("    1     6")) << told.output;  // rank 6 with rotor 1 lost
 }
 
-TEST(CheckVehicle, FlightTimeFromTheBattery) {
+TEST(CheckVehicle, ComputesFlightTimeFromBatteryEnergy) {
   const auto told = check(shipped("five_kilograms"), "--no-pictures --usable 0.5");
   EXPECT_NEAR(told["hover_min"], 60.0 * 0.5 * 355.0 / 1900.0, 0.01);
   EXPECT_GT(told["driving_min"], 10.0 * told["hover_min"]);
 }
 
-TEST(CheckVehicle, WarnsOfWhatDoesNotFit) {
-  // Limits beyond the actuators: 24 N and 4.1 N m are what they give.
+TEST(CheckVehicle, WarnsOfLimitsBeyondActuatorsAndOfLittleLift) {
+  // Limits beyond the actuators, which give 24 N and 4.1 N m.
   auto told = check_changed("tilt_ropter", "\"power\"",
                             "\"limits\": {\"force_max_n\": [30, 6, 30], "
                             "\"torque_min_nm\": [-1, -5, -1]}, \"power\"");
@@ -64,21 +64,21 @@ TEST(CheckVehicle, WarnsOfWhatDoesNotFit) {
   EXPECT_EQ(told["warnings"], 2) << told.output;
   EXPECT_TRUE(told.says("limits.force_max_n[0] = 30 is more")) << told.output;
   EXPECT_TRUE(told.says("limits.torque_min_nm[1] = -5 is more")) << told.output;
-  // Limits within which the mission cannot be flown.
+  // Limits that are too small for the mission.
   told = check_changed("tilt_ropter", "\"power\"",
                        "\"limits\": {\"force_max_n\": [0.2, 6, 30]}, \"power\"");
   EXPECT_TRUE(told.says("the mission asks for force[0]")) << told.output;
-  // Little lift.
+  // Maximum lift below 1.5 times the weight.
   told = check_changed("tilt_ropter", "\"max_thrust_n\": 12.0", "\"max_thrust_n\": 5.0");
   EXPECT_EQ(told.exit_code, 0);
   EXPECT_TRUE(told.says("lift of less than 1.5 times")) << told.output;
 }
 
-TEST(CheckVehicle, RefusesWhatDoesNotFly) {
+TEST(CheckVehicle, RejectsVehiclesThatCannotHover) {
   auto told = check_changed("tilt_ropter", "\"max_thrust_n\": 12.0", "\"max_thrust_n\": 3.7");
   EXPECT_EQ(told.exit_code, 1);
   EXPECT_TRUE(told.says("verdict: does not fly")) << told.output;
-  // By the sum of all thrusts it could hover, but the rotors push against each other.
+  // The sum of all thrusts exceeds the weight, but the rotors push against each other.
   told = check_changed("octocopter", "\"max_thrust_n\": 12", "\"max_thrust_n\": 1.5");
   EXPECT_EQ(told.exit_code, 1);
   EXPECT_TRUE(told.says("do not carry the weight")) << told.output;

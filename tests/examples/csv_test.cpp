@@ -1,4 +1,4 @@
-// The examples' reader of logs.
+// The CSV reader of the examples.
 
 #include "../../examples/support/csv.hpp"
 
@@ -27,7 +27,7 @@ CsvTable read(const std::string& text, const std::vector<std::string>& wanted = 
   return read_csv(in, "log.csv", wanted, allowed);
 }
 
-/// What reading `text` is refused with.
+/// Error message of reading `text`; "not refused" if there is no error.
 std::string refusal(const std::string& text, const std::vector<std::string>& wanted = {},
                     CsvNumbers allowed = CsvNumbers::finite) {
   try {
@@ -38,7 +38,7 @@ std::string refusal(const std::string& text, const std::vector<std::string>& wan
   return "not refused";
 }
 
-TEST(Csv, ReadsColumnsByNameInTheOrderAskedFor) {
+TEST(Csv, ReadsColumnsByNameInRequestedOrder) {
   const std::string text = "time_s,note,angle_rad\n0.5,first,-1e-3\n1,,+2.25\n";
   const CsvTable table = read(text, {"angle_rad", "time_s"});
   EXPECT_EQ(table.names, (std::vector<std::string>{"angle_rad", "time_s"}));
@@ -50,14 +50,14 @@ TEST(Csv, ReadsColumnsByNameInTheOrderAskedFor) {
   EXPECT_THROW((void)table["note"], std::runtime_error);
 }
 
-TEST(Csv, ReadsAllColumnsIfNoneIsAskedFor) {
+TEST(Csv, ReadsAllColumnsIfNoneIsRequested) {
   const CsvTable table = read("a,b\n1,2\n3,4\n");
   EXPECT_EQ(table.names, (std::vector<std::string>{"a", "b"}));
   EXPECT_EQ(table["a"], (Column{1.0, 3.0}));
   EXPECT_EQ(table["b"], (Column{2.0, 4.0}));
 }
 
-TEST(Csv, ReadsOptionalColumnsIfTheyAreThere) {
+TEST(Csv, ReadsOptionalColumnsIfPresent) {
   std::istringstream with("x,b,a\nnote,2,1\n"), without("x,a\nnote,1\n");
   const std::vector<std::string> wanted = {"a"}, optional = {"c", "b"};
   const CsvTable both = examples::read_csv(with, "log.csv", wanted, CsvNumbers::finite, optional);
@@ -68,7 +68,7 @@ TEST(Csv, ReadsOptionalColumnsIfTheyAreThere) {
             wanted);
 }
 
-TEST(Csv, PassesOverWhatSaysNothing) {
+TEST(Csv, IgnoresCommentsBlankLinesAndByteOrderMark) {
   const CsvTable table = read(
       "\xEF\xBB\xBF# a comment\r\n\r\n  # another\r\n a ,\tb\r\n1 , 2\r\n# in between\r\n  \r\n"
       "3,4\r\n\r\n\n\n");
@@ -80,12 +80,12 @@ TEST(Csv, PassesOverWhatSaysNothing) {
             (Column{1.0}));
 }
 
-TEST(Csv, AHeaderLineAloneIsAnEmptyTable) {
+TEST(Csv, HeaderLineAloneGivesAnEmptyTable) {
   EXPECT_EQ(read("a,b").rows(), 0u);
   EXPECT_TRUE(read("a,b")["b"].empty());
 }
 
-TEST(Csv, RefusesByFileLineAndColumn) {
+TEST(Csv, ErrorsNameFileLineAndColumn) {
   const std::string head = "# log\ntime_s,angle_rad\n0,1\n";
   EXPECT_EQ(refusal(head + "1,two\n"), "log.csv:4: column angle_rad (2): 'two' is not a number");
   EXPECT_EQ(refusal(head + "\n,2\n"), "log.csv:5: column time_s (1): '' is not a number");
@@ -104,7 +104,7 @@ TEST(Csv, RefusesByFileLineAndColumn) {
   EXPECT_EQ(refusal("\n# nothing\n"), "log.csv:2: no header line");
 }
 
-TEST(Csv, NumbersThatAreNotFiniteAreReadIfAllowed) {
+TEST(Csv, ReadsNonFiniteNumbersOnlyIfAllowed) {
   EXPECT_EQ(refusal("a\nnan\n"), "log.csv:2: column a (1): 'nan' is not finite");
   EXPECT_EQ(refusal("a\n-inf\n"), "log.csv:2: column a (1): '-inf' is not finite");
   const CsvTable table = read("a\nnan\n-inf\n", {}, CsvNumbers::any);
@@ -114,13 +114,13 @@ TEST(Csv, NumbersThatAreNotFiniteAreReadIfAllowed) {
             "log.csv:2: column a (1): 'none' is not a number");
 }
 
-TEST(Csv, MessagesAreFitForATerminal) {
+TEST(Csv, ErrorsMaskControlCharactersAndAreShort) {
   EXPECT_EQ(refusal("a\n1\x1b[2J\n"), "log.csv:2: column a (1): '1?[2J' is not a number");
   EXPECT_EQ(refusal("a\n" + std::string(1000, 'x') + "\n"),
             "log.csv:2: column a (1): '" + std::string(40, 'x') + "...' is not a number");
 }
 
-TEST(Csv, ReadsFilesAndSaysWhichItCannot) {
+TEST(Csv, ReadsFilesAndNamesUnreadableOnes) {
   namespace fs = std::filesystem;
   const fs::path path = fs::path(testing::TempDir()) / ("csv_" + std::to_string(getpid()) + ".csv");
   std::ofstream(path) << "a\n1\n";

@@ -1,4 +1,4 @@
-// A rotor's fit by the example program as a user runs it.
+// Runs the program fit_rotor as a user does.
 
 #include "support/program.hpp"
 
@@ -25,7 +25,7 @@ class FitRotor : public test_support::FittingProgram {
   FitRotor() : FittingProgram("fit_rotor", FIT_ROTOR_PROGRAM) {}  // set by CMake
 };
 
-TEST_F(FitRotor, FindsTheRotorThatItSimulated) {
+TEST_F(FitRotor, FitsTheSimulatedRotor) {
   const Outcome found = fit(generate("stand.csv"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
   EXPECT_EQ(found.figures.at("status"), "fitted");
@@ -52,7 +52,7 @@ TEST_F(FitRotor, FindsTheRotorThatItSimulated) {
   EXPECT_EQ(ratio, found["torque_ratio_m"]);
 }
 
-TEST_F(FitRotor, FindsTheLinearTermOfTheCurve) {
+TEST_F(FitRotor, FitsTheLinearThrustTerm) {
   for (const double linear : {2e-3, 4e-4, -4e-4, -8e-4}) {
     const Outcome found =
         fit(generate("stand.csv", "--linear-thrust-coefficient " + std::to_string(linear)));
@@ -79,11 +79,11 @@ TEST_F(FitRotor, FindsTheLinearTermOfTheCurve) {
   const Outcome square = fit(generate("stand.csv"));
   EXPECT_EQ(square.figures.at("linear_significant"), "no");
   EXPECT_FALSE(square.says("\"linear_thrust_coefficient")) << square.output;
-  // Of two speeds the two terms are one.
+  // One speed besides zero cannot separate the two terms.
   const Outcome two = fit_text("speed_radps,thrust_n\n1000,1\n0,0\n1000,1.01\n0,0.01\n");
   EXPECT_EQ(two.exit_code, 0);
   EXPECT_EQ(two.figures.count("linear_significant"), 0u) << two.output;
-  // A thrust that begins beyond half of the fastest speed.
+  // The thrust is zero at 500 rad/s, above half of the fastest speed (800 rad/s).
   std::string beyond = "speed_radps,thrust_n\n";
   for (double speed = 500.0; speed < 850.0; speed += 50.0)
     beyond += std::to_string(speed) + ',' + std::to_string(1e-5 * speed * (speed - 500.0)) + '\n';
@@ -92,7 +92,7 @@ TEST_F(FitRotor, FindsTheLinearTermOfTheCurve) {
   EXPECT_FALSE(late.says("\"linear_thrust_coefficient")) << late.output;
 }
 
-TEST_F(FitRotor, FitsOneRotorOfAFileOfSeveral) {
+TEST_F(FitRotor, FitsOneOfSeveralRotorsInAFile) {
   std::string all = "speed_radps,rotor,thrust_n\n", second = "speed_radps,thrust_n\n";
   for (int i = 0; i < 36; ++i) {
     const double speed = 300.0 + 70.0 * i;
@@ -107,7 +107,7 @@ TEST_F(FitRotor, FitsOneRotorOfAFileOfSeveral) {
   ASSERT_EQ(one.exit_code, 0) << one.output;
   EXPECT_EQ(one.output, fit_text(second).output);
   EXPECT_EQ(one["points"], 12);
-  EXPECT_EQ(fit(file)["points"], 36);  // without the option, the column plays no part
+  EXPECT_EQ(fit(file)["points"], 36);  // without the option, the column is ignored
   const Outcome none = fit(file, "--rotor 7");
   EXPECT_EQ(none.exit_code, 2);
   EXPECT_TRUE(none.says("no rotor 7 in column rotor, which has 0, 1, 2")) << none.output;
@@ -117,7 +117,7 @@ TEST_F(FitRotor, FitsOneRotorOfAFileOfSeveral) {
   EXPECT_GT(fit(file, "--rotor-column rotor").exit_code, 100);
 }
 
-TEST_F(FitRotor, TakesTheVoltageOfTheFastestPoint) {
+TEST_F(FitRotor, ReportsVoltageAtTheFastestPoint) {
   const std::string text =
       "speed_radps,volts,thrust_n\n1000,16.5,1\n3000,15.8,9.001\n2000,16.2,4\n500,16.7,0.25\n";
   const Outcome found = fit(write("stand.csv", text), "--voltage volts");
@@ -135,9 +135,9 @@ TEST_F(FitRotor, TakesTheVoltageOfTheFastestPoint) {
   EXPECT_EQ(fit(write("stand.csv", named))["fastest_voltage_v"], 15.8);
 }
 
-// With few points the intervals are as wide as Student's distribution has them, three times those
-// of the normal one.
-TEST_F(FitRotor, TheIntervalsHoldTheTruthInNineteenOfTwentyStands) {
+// With few points the intervals must follow Student's t distribution, which is wider than the
+// normal distribution.
+TEST_F(FitRotor, ConfidenceIntervalsContainTheTruthIn95Percent) {
   const std::map<std::string, double> truth = {{"thrust_coefficient", 1.4e-6},
                                                {"curve_thrust_coefficient", 1.4e-6},
                                                {"linear_thrust_coefficient", 0.0},
@@ -170,7 +170,7 @@ TEST_F(FitRotor, TheIntervalsHoldTheTruthInNineteenOfTwentyStands) {
   }
 }
 
-TEST_F(FitRotor, EveryOptionOfTheSimulatedStandActs) {
+TEST_F(FitRotor, EverySimulationOptionTakesEffect) {
   const Outcome found =
       fit(generate("stand.csv",
                    "--seed 2 --thrust-coefficient 2e-5 --torque-ratio 0.02 --idle-power 30 "
@@ -196,13 +196,13 @@ TEST_F(FitRotor, EveryOptionOfTheSimulatedStandActs) {
   EXPECT_EQ(run(program, "--generate '" + path("a.csv") + "' --slowest 3000").exit_code, 2);
 }
 
-TEST_F(FitRotor, TellsOfAThrustThatDoesNotGoWithTheSquare) {
+TEST_F(FitRotor, WarnsIfThrustIsNotProportionalToSpeedSquared) {
   const Outcome other = fit(generate("stand.csv", "--exponent 1.8"));
   ASSERT_EQ(other.exit_code, 0) << other.output;
   EXPECT_NEAR(other["exponent"], 1.8, 0.03);
   EXPECT_TRUE(other.says("thrust goes with speed to the 1.")) << other.output;
   EXPECT_FALSE(fit(generate("stand.csv")).says("thrust goes with speed"));
-  // A scale that shows 0.3 N at rest.
+  // A scale with an offset of 0.3 N.
   std::string text = head;
   for (int i = 0; i <= 20; ++i) {
     const double speed = 300.0 + 130.0 * i;
@@ -213,7 +213,7 @@ TEST_F(FitRotor, TellsOfAThrustThatDoesNotGoWithTheSquare) {
   EXPECT_TRUE(offset.says("a scale that is not at zero")) << offset.output;
 }
 
-TEST_F(FitRotor, TellsOfTooFewPointsAndTooLittleRange) {
+TEST_F(FitRotor, WarnsOfFewPointsAndNarrowSpeedRange) {
   const Outcome few = fit(generate("stand.csv", "--points 6"));
   EXPECT_EQ(few.exit_code, 0);
   EXPECT_TRUE(few.says("so few points (6)")) << few.output;
@@ -222,13 +222,13 @@ TEST_F(FitRotor, TellsOfTooFewPointsAndTooLittleRange) {
   EXPECT_EQ(narrow.exit_code, 0);
   EXPECT_TRUE(narrow.says("the fastest speed is less than twice the slowest")) << narrow.output;
   EXPECT_FALSE(narrow.says("so few"));
-  // A point at rest is none of the range.
+  // A point at rest does not widen the speed range.
   std::string text = read_file(path("stand.csv"));
   text += "0,0,0,5\n";
   EXPECT_TRUE(fit_text(text).says("less than twice the slowest"));
 }
 
-TEST_F(FitRotor, DoesWithoutTorqueAndPower) {
+TEST_F(FitRotor, FitsWithoutTorqueAndPower) {
   const Outcome thrust =
       fit_text("note,thrust_n,speed_radps\nslow,1,1000\n,4,2000\nfast,9.1,3000\n");
   ASSERT_EQ(thrust.exit_code, 0) << thrust.output;
@@ -255,12 +255,12 @@ TEST_F(FitRotor, ReadsOtherColumnNames) {
   const Outcome right = fit(file, names);
   EXPECT_EQ(right.exit_code, 0);
   EXPECT_NEAR(right["torque_ratio_m"], 0.016, 0.0002);
-  // What is asked for by name has to be there.
+  // A column that an option names must exist.
   EXPECT_EQ(fit(file, "--speed w --thrust T --torque M").exit_code, 2);
   EXPECT_EQ(fit(file, "--speed w --thrust T --power M").exit_code, 2);
 }
 
-TEST_F(FitRotor, RefusesPointsThatCannotTell) {
+TEST_F(FitRotor, RejectsPointsThatDoNotDetermineTheFit) {
   const auto status = [&](const std::string& text) {
     const Outcome refused = fit_text(text);
     EXPECT_EQ(refused.exit_code, 1) << refused.output;
@@ -290,7 +290,7 @@ TEST_F(FitRotor, RefusesPointsThatCannotTell) {
             "the power does not follow the speed");
 }
 
-TEST_F(FitRotor, SaysWhereAFileIsWrong) {
+TEST_F(FitRotor, ErrorsNameFileLineAndColumn) {
   const auto refusal = [&](const std::string& text) {
     const Outcome refused = fit_text(text);
     EXPECT_EQ(refused.exit_code, 2) << refused.output;
@@ -307,7 +307,7 @@ TEST_F(FitRotor, SaysWhereAFileIsWrong) {
   EXPECT_EQ(fit(path("nowhere.csv")).exit_code, 2);
 }
 
-TEST_F(FitRotor, LeavesItsPictureWithoutAWarning) {
+TEST_F(FitRotor, DrawsPictureWithoutWarnings) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const std::string thrust_alone =

@@ -1,4 +1,4 @@
-// Hardware in the loop: the messages, the link, and three programs in flight over loopback.
+// Hardware in the loop: messages, link, and a flight of the three programs over loopback.
 
 #include "../../examples/hitl/link.hpp"
 #include "../../examples/hitl/message.hpp"
@@ -42,7 +42,7 @@ Message sample(MessageType type, std::uint32_t sequence = 0) {
 constexpr MessageType types[] = {MessageType::inertial, MessageType::pose, MessageType::wrench,
                                  MessageType::actuators, MessageType::end};
 
-TEST(HitlMessage, ArrivesAsItWasSent) {
+TEST(HitlMessage, DecodingRestoresTheEncodedMessage) {
   for (const MessageType type : types) {
     const Message sent = sample(type, 77);
     const Datagram d = hitl::encode(sent);
@@ -58,7 +58,7 @@ TEST(HitlMessage, ArrivesAsItWasSent) {
   }
 }
 
-TEST(HitlMessage, LiesOnTheWireAsDocumented) {
+TEST(HitlMessage, ByteLayoutMatchesTheDocumentation) {
   Message m = sample(MessageType::end, 0x01020304U);
   m.time = 1.0;  // 0x3ff0000000000000
   const Datagram d = hitl::encode(m);
@@ -67,13 +67,13 @@ TEST(HitlMessage, LiesOnTheWireAsDocumented) {
   for (std::size_t i = 0; i < head.size(); ++i) EXPECT_EQ(d.bytes[i], head[i]) << i;
   EXPECT_EQ(d.bytes[24], 0xef);
   EXPECT_EQ(d.bytes[31], 0x01);
-  // The check value that every description of CRC-32 gives.
+  // The standard check value of CRC-32.
   const std::string digits = "123456789";
   EXPECT_EQ(hitl::detail::checksum(reinterpret_cast<const std::uint8_t*>(digits.data()), 9),
             0xcbf43926U);
 }
 
-TEST(HitlMessage, EveryFlippedBitAndEveryOtherSizeIsRefused) {
+TEST(HitlMessage, RejectsEveryFlippedBitAndEveryWrongSize) {
   for (const MessageType type : types) {
     const Datagram good = hitl::encode(sample(type));
     for (std::size_t bit = 0; bit < 8 * good.size; ++bit) {
@@ -86,7 +86,7 @@ TEST(HitlMessage, EveryFlippedBitAndEveryOtherSizeIsRefused) {
   }
 }
 
-TEST(HitlMessage, NumbersThatAreNotFiniteAreRefused) {
+TEST(HitlMessage, RejectsNonFiniteNumbers) {
   for (const double bad :
        {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
     Message m = sample(MessageType::wrench);
@@ -100,7 +100,7 @@ TEST(HitlMessage, NumbersThatAreNotFiniteAreRefused) {
   }
 }
 
-TEST(HitlMessage, RandomBytesAreRefused) {
+TEST(HitlMessage, RejectsRandomBytes) {
   std::mt19937 random(3);
   std::vector<std::uint8_t> bytes(200);
   for (int i = 0; i < 100000; ++i) {
@@ -109,7 +109,7 @@ TEST(HitlMessage, RandomBytesAreRefused) {
   }
 }
 
-// ---- The link. Ports differ between processes that may run at the same time.
+// ---- Link. The ports depend on the process id, so that test processes can run at the same time.
 
 std::string address(int offset) {
   return "127.0.0.1:" + std::to_string(25000 + 7 * (getpid() % 4000) + offset);
@@ -122,7 +122,7 @@ std::vector<Message> all(hitl::Link& link) {
   return messages;
 }
 
-TEST(HitlLink, CountsWhatIsLostAndDropsWhatIsLate) {
+TEST(HitlLink, CountsSessionsReceivedAndLostMessages) {
   hitl::Link b(address(1), {address(0)}, {});
   {
     hitl::Link a(address(0), {address(1)}, {});
@@ -134,13 +134,13 @@ TEST(HitlLink, CountsWhatIsLostAndDropsWhatIsLate) {
   const auto got = all(b).size();
   EXPECT_NEAR(static_cast<double>(got), 210.0, 40.0);
   const hitl::ArrivalCounts counts = b.counts(MessageType::pose);
-  EXPECT_EQ(counts.sessions, 2);  // the sender started anew
+  EXPECT_EQ(counts.sessions, 2);  // the sender was restarted
   EXPECT_EQ(counts.received, static_cast<long>(10 + got));
   EXPECT_NEAR(static_cast<double>(counts.lost), 300.0 - static_cast<double>(got), 10.0);
   EXPECT_EQ(counts.late, 0);
 }
 
-TEST(HitlLink, MessagesHeldBackComeLaterAndAreDroppedWhenOvertaken) {
+TEST(HitlLink, DropsDelayedMessagesThatNewerOnesOvertook) {
   hitl::Link b(address(1), {address(0)}, {});
   hitl::Link a(address(0), {address(1)}, {0.0, 0.5, 0.05});
   for (int i = 0; i < 100; ++i) a.send(0, sample(MessageType::pose));
@@ -155,13 +155,13 @@ TEST(HitlLink, MessagesHeldBackComeLaterAndAreDroppedWhenOvertaken) {
   EXPECT_LE(counts.lost, 0);
 }
 
-TEST(HitlLink, StrangersAndForeignDatagramsAreCountedAndDropped) {
+TEST(HitlLink, CountsAndDropsForeignDatagrams) {
   hitl::Link b(address(1), {address(0)}, {});
   hitl::Link stranger(address(2), {address(1)}, {});
   stranger.send(0, sample(MessageType::pose));
   EXPECT_TRUE(all(b).empty());
   EXPECT_EQ(b.foreign(), 1);
-  // From a peer, but not a message.
+  // Datagrams from the address of a peer that are not messages.
   const sockaddr_in own = hitl::parse_address(address(0)), to = hitl::parse_address(address(1));
   const int raw = socket(AF_INET, SOCK_DGRAM, 0);
   ASSERT_EQ(bind(raw, reinterpret_cast<const sockaddr*>(&own), sizeof own), 0);
@@ -173,7 +173,7 @@ TEST(HitlLink, StrangersAndForeignDatagramsAreCountedAndDropped) {
   EXPECT_EQ(b.foreign(), 5);
 }
 
-TEST(HitlLink, AddressesThatAreNoneAreRefusedByName) {
+TEST(HitlLink, RejectsInvalidAndTakenAddresses) {
   for (const char* bad :
        {"", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000", "localhost:24001",
         "1.2.3:24001", "127.0.0.1:24001x", "127.0.0.1: 24001", "127.0.0.1:+24001"})
@@ -182,9 +182,9 @@ TEST(HitlLink, AddressesThatAreNoneAreRefusedByName) {
   EXPECT_THROW(hitl::Link(address(3), {}, {}), std::runtime_error);
 }
 
-// ---- In flight
+// ---- Flights
 
-/// A program in the background; its report when it ends.
+/// Runs a program in the background. wait() returns its exit code and its output.
 class Background {
  public:
   Background(const std::string& program, const std::string& arguments, std::string report)
@@ -233,8 +233,8 @@ class HitlFlight : public testing::Test {
   test_support::Directory directory_{"hitl"};
 };
 
-// The mission in full, its first 12 s (take-off and hover) otherwise. Machines that run tests are
-// busy: deadlines are judged in the full form alone.
+// A full run flies the whole mission; otherwise the flight ends after 8 s (take-off and hover).
+// Test machines are busy, so that only a full run checks deadlines.
 TEST_F(HitlFlight, FliesOverLoopback) {
   Background onboard(HITL_ONBOARD_PROGRAM, common(""), report("onboard"));
   Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, common(""), report("flight"));
@@ -299,7 +299,7 @@ TEST_F(HitlFlight, SurvivesABadLineAndTheRestartOfEachProgram) {
   }
 }
 
-TEST_F(HitlFlight, SaysWhenNobodyAnswersAndWhenAnAddressIsTaken) {
+TEST_F(HitlFlight, ReportsMissingProgramsAndTakenAddress) {
   const auto alone = test_support::run(HITL_SIMULATOR_PROGRAM, common(""));
   EXPECT_EQ(alone.exit_code, 1);
   EXPECT_TRUE(alone.says("hitl_onboard and hitl_flight_controller running?")) << alone.output;

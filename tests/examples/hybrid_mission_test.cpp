@@ -1,4 +1,4 @@
-// The main job flown by the example program as a user runs it, judged by what it prints.
+// Runs the program hybrid_mission as a user does and checks the figures that it prints.
 
 #include "support/program.hpp"
 
@@ -31,7 +31,7 @@ const Flight& flown() {
   return result;
 }
 
-TEST(HybridMission, TracksBetterThanAskedAndThanThePaper) {
+TEST(HybridMission, TrackingErrorIsBelowTheLimitsAndThePaper) {
   ASSERT_EQ(flown().exit_code, 0) << flown().output;
   EXPECT_LE(flown()["air_rmse_m"], 0.0025);
   EXPECT_LE(flown()["ground_rmse_m"], 0.005);
@@ -41,27 +41,27 @@ TEST(HybridMission, TracksBetterThanAskedAndThanThePaper) {
   EXPECT_DOUBLE_EQ(flown()["paper_mission_rmse_m"], 0.125);
 }
 
-TEST(HybridMission, SavesThePowerThatThePaperSaves) {
+TEST(HybridMission, SavesAtLeastThePowerSavedInThePaper) {
   EXPECT_GE(flown()["power_saved_percent"], 92.8);
   EXPECT_NEAR(flown()["flight_power_w"], 653.64, 20.0);
-  EXPECT_GT(flown()["ground_power_w"], 20.0);  // the electronics at least
+  EXPECT_GT(flown()["ground_power_w"], 20.0);  // at least the electronics
 }
 
-TEST(HybridMission, LandsAndTakesOffOnceEachAndGently) {
+TEST(HybridMission, LandsAndTakesOffTwiceAndGently) {
   EXPECT_LE(flown()["touchdown_speed_mps"], 0.3);
   EXPECT_GT(flown()["touchdown_speed_mps"], 0.0);
   EXPECT_LE(flown()["takeoff_overshoot_m"], 0.05);
   EXPECT_EQ(flown()["contact_mode_changes"], 4);  // two take-offs, two landings
 }
 
-TEST(HybridMission, NeverFailsToSolve) {
+TEST(HybridMission, SolverNeverFails) {
   EXPECT_EQ(flown()["solver_failures"], 0);
   EXPECT_GT(flown()["nmpc_median_us"], 0.0);
 }
 
-// What is asked of the servos: the tilt rate of the commanded wrench, and the speed at which they
-// have to start towards their commands.
-TEST(HybridMission, AsksTheServosForNoMoreThanTheyCanAndTracksAsWell) {
+// Two rates are checked: the tilt rate of the commanded wrench (planned), and the speed at which
+// the servos must start towards their commands.
+TEST(HybridMission, ServoRatesStayWithinLimitWithoutWorseTracking) {
   EXPECT_LE(flown()["planned_tilt_rate_max_radps"], 0.85 * 8.0 + 0.005);
   EXPECT_LE(flown()["tilt_rate_max_radps"], flown()["servo_speed_radps"]);
   EXPECT_EQ(flown()["tilt_rate_exceeded_share"], 0.0);
@@ -69,15 +69,16 @@ TEST(HybridMission, AsksTheServosForNoMoreThanTheyCanAndTracksAsWell) {
   Flight boxes = run("--no-pictures --no-actuator-rows");
   ASSERT_EQ(boxes.exit_code, 0) << boxes.output;
   EXPECT_GT(boxes["planned_tilt_rate_max_radps"], 12.0);
-  // Estimated states are calm enough for these servos to follow all the same; slower ones are not.
+  // With estimated states these servos can follow even without the actuator constraints; slower
+  // servos cannot.
   EXPECT_GT(boxes["tilt_rate_max_radps"], flown()["tilt_rate_max_radps"]);
   for (const char* rmse : {"air_rmse_m", "ground_rmse_m", "mission_rmse_m"})
     EXPECT_LE(flown()[rmse], 1.05 * boxes[rmse]) << rmse;
 }
 
-// A quarter as fast as the reference vehicle's; thrust on the ground takes the turns off the arms,
-// and the settings ask for as much of it as such servos need.
-TEST(HybridMission, AsksVerySlowServosForNoMoreEither) {
+// The servos have a quarter of the speed of the reference vehicle's servos (8 rad/s). Thrust on the
+// ground reduces the tilt rates; the settings choose the ground thrust that such servos need.
+TEST(HybridMission, ServoRatesStayWithinLimitOfSlowServos) {
   const Flight rows = run("--no-pictures --servo-speed 2");
   const Flight boxes = run("--no-pictures --servo-speed 2 --ground-thrust 1.5 --no-actuator-rows");
   EXPECT_LE(rows["planned_tilt_rate_max_radps"], 0.85 * 2.0 + 0.005);
@@ -85,18 +86,18 @@ TEST(HybridMission, AsksVerySlowServosForNoMoreEither) {
   EXPECT_EQ(rows["tilt_rate_exceeded_share"], 0.0);
   EXPECT_GT(boxes["tilt_rate_max_radps"], 2.0 * 2.0);
   EXPECT_GT(boxes["tilt_rate_exceeded_share"], 0.02);
-  EXPECT_LE(rows["ground_rmse_m"], 0.015);  // the price: 0.009 without the rows
+  EXPECT_LE(rows["ground_rmse_m"], 0.015);  // 0.009 without the actuator constraints
   EXPECT_EQ(rows["contact_mode_changes"], 4);
   EXPECT_EQ(rows["solver_failures"], 0);
 }
 
-TEST(HybridMission, SameSeedGivesTheSameLogBitForBitAndAnotherSeedDoesNot) {
+TEST(HybridMission, LogIsBitIdenticalForTheSameSeedOnly) {
   EXPECT_GT(flown().csv.size(), 1000000u);
   EXPECT_TRUE(run("--no-pictures --seed 1").csv == flown().csv);
   EXPECT_FALSE(run("--no-pictures --seed 2").csv == flown().csv);
 }
 
-TEST(HybridMission, LeavesItsPicturesWithoutAWarning) {
+TEST(HybridMission, DrawsEightPicturesWithoutWarnings) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const Flight drawn = run("");

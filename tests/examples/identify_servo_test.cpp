@@ -1,5 +1,5 @@
-// Servo identification by the example program as a user runs it, and the mission flown with what it
-// finds.
+// Runs the program identify_servo as a user does, and flies the mission with the identified time
+// constant.
 
 #include "support/program.hpp"
 
@@ -22,7 +22,7 @@ class IdentifyServo : public test_support::FittingProgram {
   IdentifyServo() : FittingProgram("identify_servo", IDENTIFY_SERVO_PROGRAM) {}  // set by CMake
 };
 
-TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
+TEST_F(IdentifyServo, IdentifiesTheSimulatedServo) {
   const Outcome found = fit(generate("log.csv"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
   EXPECT_EQ(found.figures.at("status"), "identified");
@@ -41,7 +41,7 @@ TEST_F(IdentifyServo, FindsTheServoThatItSimulated) {
   EXPECT_LT(found["gain_95"], 0.002);
 }
 
-TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
+TEST_F(IdentifyServo, EverySimulationOptionTakesEffect) {
   const Outcome found = fit(generate("log.csv",
                                      "--seed 2 --time-constant 0.05 --dead-time 0.03 --gain 1.1 "
                                      "--offset -0.1 --noise 0.01 --resolution 0 --rate 500 "
@@ -62,7 +62,7 @@ TEST_F(IdentifyServo, EveryOptionOfTheSimulatedServoActs) {
   EXPECT_TRUE(too_many.says("--dead-time")) << too_many.output;
 }
 
-TEST_F(IdentifyServo, WritesTheFitBesideTheLog) {
+TEST_F(IdentifyServo, WritesCsvWithLogAndFit) {
   ASSERT_EQ(fit(generate("log.csv", "--noise 0 --resolution 0")).exit_code, 0);
   std::ifstream csv(path("out") + "/identify_servo.csv");
   std::string line;
@@ -72,7 +72,7 @@ TEST_F(IdentifyServo, WritesTheFitBesideTheLog) {
   for (; std::getline(csv, line); ++rows) {
     double time = 0.0, command = 0.0, angle = 0.0, fit = 0.0;
     ASSERT_EQ(std::sscanf(line.c_str(), "%lf,%lf,%lf,%lf", &time, &command, &angle, &fit), 4);
-    EXPECT_NEAR(angle, fit, 5e-6);  // stamps are to the microsecond, at up to 7 rad/s
+    EXPECT_NEAR(angle, fit, 5e-6);  // time stamps are rounded to 1 us; up to 7 rad/s
   }
   EXPECT_GT(rows, 2000);
 }
@@ -87,7 +87,7 @@ TEST_F(IdentifyServo, ReadsOtherColumnNames) {
   EXPECT_EQ(fit(log, names).exit_code, 0);
 }
 
-TEST_F(IdentifyServo, ADeadTimeBeyondTheLongestIsRefused) {
+TEST_F(IdentifyServo, RejectsDeadTimeAboveMaxDeadTime) {
   const std::string log = generate("log.csv", "--dead-time 0.04");
   EXPECT_EQ(fit(log).exit_code, 0);
   const Outcome refused = fit(log, "--max-dead-time 0.02");
@@ -96,7 +96,7 @@ TEST_F(IdentifyServo, ADeadTimeBeyondTheLongestIsRefused) {
   EXPECT_FALSE(refused.says("fly with it"));
 }
 
-TEST_F(IdentifyServo, RefusesLogsThatCannotTell) {
+TEST_F(IdentifyServo, RejectsLogsWithoutExcitationOrSamples) {
   std::string still = "time_s,command_rad,angle_rad\n";
   for (int i = 0; i < 100; ++i) still += std::to_string(0.01 * i) + ",0.2,0.1\n";
   const Outcome constant = fit(write("still.csv", still));
@@ -108,7 +108,7 @@ TEST_F(IdentifyServo, RefusesLogsThatCannotTell) {
   EXPECT_EQ(empty.figures.at("status"), "too few samples");
 }
 
-TEST_F(IdentifyServo, SaysWhereALogIsWrong) {
+TEST_F(IdentifyServo, ErrorsNameFileLineAndColumn) {
   const std::string head = "time_s,command_rad,angle_rad\n0,0,0\n0.1,0,0\n";
   const auto refusal = [&](const std::string& text) {
     const Outcome refused = fit(write("bad.csv", text));
@@ -123,7 +123,7 @@ TEST_F(IdentifyServo, SaysWhereALogIsWrong) {
   EXPECT_EQ(fit(path("nowhere.csv")).exit_code, 2);
 }
 
-TEST_F(IdentifyServo, TellsOfARateLimitInTheLog) {
+TEST_F(IdentifyServo, WarnsOfRateLimitInTheLog) {
   EXPECT_FALSE(fit(generate("small.csv", "--step 0.5")).says("smaller"));
   const Outcome large = fit(generate("large.csv", "--step 1.5 --time-constant 0.05"));
   EXPECT_TRUE(large.says("make them smaller")) << large.output;
@@ -131,7 +131,7 @@ TEST_F(IdentifyServo, TellsOfARateLimitInTheLog) {
   EXPECT_GT(large["time_constant_s"], 0.06);
 }
 
-TEST_F(IdentifyServo, LeavesItsPictureWithoutAWarning) {
+TEST_F(IdentifyServo, DrawsPictureWithoutWarnings) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const Outcome drawn = run(program, "'" + generate("log.csv") + "' -o '" + path("out") + "'");
@@ -151,11 +151,11 @@ TEST_F(IdentifyServo, HelpAndBadArguments) {
   EXPECT_EQ(run(program, "'" + generate("log.csv") + "' -o /proc/nowhere").exit_code, 2);
 }
 
-// The mission's servos have 0.08 s, no dead time, and no error of gain or offset.
-TEST_F(IdentifyServo, TheMissionFliesBetterWithTheConstantFoundThanWithOneOffByTwo) {
+// The servos of the mission have a time constant of 0.08 s, no dead time, gain 1 and offset 0.
+TEST_F(IdentifyServo, MissionTracksBestWithTheIdentifiedTimeConstant) {
   const Outcome found = fit(generate("log.csv", "--dead-time 0 --gain 1 --offset 0"));
   ASSERT_EQ(found.exit_code, 0) << found.output;
-  const std::string options = found.figures.at("fly with it").substr(15);  // after hybrid_mission
+  const std::string options = found.figures.at("fly with it").substr(15);  // after the program
   EXPECT_EQ(options.find("--servo-time-constant 0.0"), 0u) << options;
   const auto fly = [&](const std::string& believed) {
     return run(HYBRID_MISSION_PROGRAM, believed + " --no-pictures --output '" + path("out") + "'");
@@ -167,7 +167,7 @@ TEST_F(IdentifyServo, TheMissionFliesBetterWithTheConstantFoundThanWithOneOffByT
   EXPECT_NEAR(right["mission_rmse_m"], unsaid["mission_rmse_m"], 0.0003);
   EXPECT_GT(twice["air_rmse_m"], 2.0 * right["air_rmse_m"]);
   EXPECT_GT(twice["ground_rmse_m"], 1.1 * right["ground_rmse_m"]);
-  EXPECT_GT(half["air_rmse_m"], 1.05 * right["air_rmse_m"]);  // the observer makes up for most
+  EXPECT_GT(half["air_rmse_m"], 1.05 * right["air_rmse_m"]);  // the observer compensates most
 }
 
 }  // namespace

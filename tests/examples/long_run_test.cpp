@@ -1,5 +1,5 @@
-// Mission after mission without a break, on one controller and one clock: what creeps, grows or
-// overflows shows. Five minutes of flight and driving; an hour in a full run.
+// Repeats the mission without a break, with one controller and one clock, to find drift, growing
+// memory and overflow. Five minutes of flight and driving; one hour in a full run.
 
 #include "../../examples/support/flight_controller.hpp"
 #include "../../examples/support/mission_sensors.hpp"
@@ -23,7 +23,7 @@ namespace {
 
 using namespace tilt_ropter;
 
-/// Of the program [kB].
+/// Resident memory of this program [kB].
 double resident_memory() {
   std::ifstream status("/proc/self/status");
   for (std::string line; std::getline(status, line);)
@@ -31,10 +31,10 @@ double resident_memory() {
   return 0.0;
 }
 
-TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
+TEST(LongRun, LastMissionMatchesTheSecondInRmseAndMemory) {
   constexpr double step = 1e-3;
   const Mission mission = hybrid_mission(tilt_ropter_vehicle());
-  const double lap = mission.duration() + 2.0;  // with a rest between
+  const double lap = mission.duration() + 2.0;  // plus a rest between missions
   const int asked = test_support::quick_or_full(300, 3600);
   const int laps = static_cast<int>(std::ceil(asked / lap));
   const examples::Reference reference = [&](double time) { return mission(std::fmod(time, lap)); };
@@ -43,8 +43,8 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
   truth.body.mass *= 1.03;
   truth.body.inertia *= 1.1;
   Plant<4> plant(truth);
-  MissionSensors<> sensors(1);
-  FlightController<> controller(tilt_ropter_vehicle(), {}, MissionSensors<>::estimation());
+  MissionSensors<4> sensors(1);
+  FlightController<4> controller(tilt_ropter_vehicle(), {}, MissionSensors<4>::estimation());
   ActuatorState<4> command;
   std::vector<double> rmse, memory;
   int failures = 0;
@@ -67,7 +67,7 @@ TEST(LongRun, MissionAfterMissionIsLikeTheFirst) {
     rmse.push_back(std::sqrt(squares / static_cast<double>(count)));
     memory.push_back(resident_memory());
   }
-  const double grown = memory.back() - memory[1];  // the first lap fills what is filled once
+  const double grown = memory.back() - memory[1];  // the first lap has allocations that occur once
   test_support::check_at_most(0, "long run: RMSE of the last mission / of the second",
                               rmse.back() / rmse[1], 1.1);
   if (!test_support::under_address_sanitizer())

@@ -1,5 +1,5 @@
-// The hybrid mission in MuJoCo, flown by the example program as a user runs it; and MuJoCo's model
-// of the vehicle against the vehicle.
+// Runs the program mission_mujoco as a user does, and compares the MuJoCo model of the vehicle with
+// the parameters of the vehicle and with our plant.
 
 #include "../../examples/mujoco/plant.hpp"
 #include "support/check_table.hpp"
@@ -41,8 +41,8 @@ Flight run(const std::string& arguments) {
   return result;
 }
 
-// Mass matrix of the base's six degrees of freedom with arms held and wheels free, about the body
-// frame's origin: linear in the world's axes, angular in the body's.
+// Mass matrix of the six degrees of freedom of the base, about the origin of the body frame, with
+// fixed arms and free wheels. Linear part in world axes, angular part in body axes.
 Eigen::Matrix<double, 6, 6> mass_matrix(const MujocoPlant& plant) {
   const mjModel& model = plant.model();
   Eigen::MatrixXd m(model.nv, model.nv);
@@ -71,13 +71,13 @@ Vehicle<4> unlike_rotors() {
   return vehicle;
 }
 
-BodyState<> high() {
-  BodyState<> body;
+BodyStated high() {
+  BodyStated body;
   body.position << 0.0, 0.0, 5.0;
   return body;
 }
 
-// Without what our plant does not have: arms without mass, and so on.
+// Parameters without the effects that our plant lacks: arms and wheels have almost no mass.
 MujocoParameters light_arms() {
   MujocoParameters p;
   p.arm_mass = 1e-4;
@@ -87,7 +87,7 @@ MujocoParameters light_arms() {
   return p;
 }
 
-TEST(MujocoModel, HasMassCentreAndInertiaOfTheVehicleAtZeroTilt) {
+TEST(MujocoModel, HasMassAndInertiaOfTheVehicleAtZeroTilt) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.body.mass = 1.62;
   vehicle.body.inertia << 0.0154, 4e-4, -7e-4, 4e-4, 0.0161, 3e-4, -7e-4, 3e-4, 0.0275;
@@ -106,20 +106,20 @@ TEST(MujocoModel, HasMassCentreAndInertiaOfTheVehicleAtZeroTilt) {
   EXPECT_NEAR(mass_matrix(laden)(0, 4), p.payload * p.payload_position.z(), 1e-9);
 }
 
-TEST(MujocoModel, MovesItsCentreWithTheArms) {
+TEST(MujocoModel, CentreOfMassMovesWithArmTilt) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const MujocoParameters p;
   MujocoPlant plant(vehicle, p);
   ActuatorState<4> tilted;
-  tilted.tilt_angle << 0.5, 0.0, 0.0, 0.0;  // of the right arm: thrust goes to -x
+  tilted.tilt_angle << 0.5, 0.0, 0.0, 0.0;  // the right arm: its thrust tilts to -x
   plant.reset(high(), tilted);
   const Eigen::Map<const Eigen::Vector3d> centre(plant.data().subtree_com + 3);  // of the base
-  const double share = p.arm_mass * p.arm_height / vehicle.body.mass;
-  EXPECT_NEAR(centre.x(), -share * std::sin(0.5), 1e-12);
-  EXPECT_NEAR(centre.z(), 5.0 - share * (1.0 - std::cos(0.5)), 1e-12);
+  const double fraction = p.arm_mass * p.arm_height / vehicle.body.mass;
+  EXPECT_NEAR(centre.x(), -fraction * std::sin(0.5), 1e-12);
+  EXPECT_NEAR(centre.z(), 5.0 - fraction * (1.0 - std::cos(0.5)), 1e-12);
 }
 
-TEST(MujocoModel, GroundRisesTheWayItIsTold) {
+TEST(MujocoModel, GroundRisesInTheSlopeDirection) {
   MujocoParameters p;
   p.slope = 0.1;
   p.slope_direction = 2.0;
@@ -129,17 +129,17 @@ TEST(MujocoModel, GroundRisesTheWayItIsTold) {
   EXPECT_NEAR(normal.dot(uphill), 0.0, 1e-12);
   EXPECT_GT(normal.z(), 0.99);
 
-  MujocoPlant plant(tilt_ropter_vehicle(), p);  // stands on it
+  MujocoPlant plant(tilt_ropter_vehicle(), p);  // stands on the slope
   EXPECT_NEAR(normal.dot(plant.body().position), tilt_ropter_vehicle().wheels->radius, 1e-12);
   ASSERT_TRUE(plant.step({}, {}, 0.3));
   EXPECT_GT(plant.normal_forces().head<2>().minCoeff(), 1.0);
-  EXPECT_LT(plant.body().velocity.dot(uphill), -0.01);  // and rolls off or slides
+  EXPECT_LT(plant.body().velocity.dot(uphill), -0.01);  // rolls or slides downhill
 }
 
-TEST(MujocoModel, RefusesWhatItCannotBuild) {
+TEST(MujocoModel, RejectsInvalidParameters) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoParameters p;
-  p.arm_mass = 0.5;  // four of them weigh more than all
+  p.arm_mass = 0.5;  // four arms weigh more than the vehicle
   EXPECT_THROW(MujocoPlant(vehicle, p), std::invalid_argument);
   p = {};
   p.time_step = 0.0;
@@ -149,7 +149,7 @@ TEST(MujocoModel, RefusesWhatItCannotBuild) {
   EXPECT_THROW(MujocoPlant(vehicle, p), std::invalid_argument);
 }
 
-TEST(MujocoPlant, ServosHearCommandsAfterTheirDeadTime) {
+TEST(MujocoPlant, ServosFollowCommandsAfterTheirDeadTime) {
   Vehicle<4> late = tilt_ropter_vehicle();
   late.servo.dead_time = 0.05;
   MujocoPlant plant(late);
@@ -159,7 +159,7 @@ TEST(MujocoPlant, ServosHearCommandsAfterTheirDeadTime) {
   plant.reset(high(), hover(late));
   ActuatorState<4> tilted = hover(late);
   tilted.tilt_angle << 0.0, 0.0, 0.5, 0.5;
-  Eigen::Vector4d moved = Eigen::Vector4d::Zero();  // when [s]
+  Eigen::Vector4d moved = Eigen::Vector4d::Zero();  // time of first motion [s]
   for (int i = 0; i < 200; ++i) {
     ASSERT_TRUE(plant.step(tilted, {}, 1e-3));
     for (Eigen::Index k = 2; k < 4; ++k)
@@ -170,7 +170,7 @@ TEST(MujocoPlant, ServosHearCommandsAfterTheirDeadTime) {
   EXPECT_NEAR(moved(3) - moved(2), 0.05, 0.0021);
 }
 
-TEST(MujocoPlant, HoversAtTheVehiclesThrust) {
+TEST(MujocoPlant, HoversWithHoverThrust) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoPlant plant(vehicle);
   plant.reset(high(), hover(vehicle));
@@ -180,7 +180,7 @@ TEST(MujocoPlant, HoversAtTheVehiclesThrust) {
   EXPECT_LT(plant.external_wrench().force.norm(), 1e-12);
 }
 
-TEST(MujocoPlant, StandsOnItsWheelsWithItsWeight) {
+TEST(MujocoPlant, WheelsCarryTheWeightAtRest) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoPlant plant(vehicle);
   for (int i = 0; i < 1000; ++i) ASSERT_TRUE(plant.step({}, {}, 1e-3));
@@ -192,9 +192,9 @@ TEST(MujocoPlant, StandsOnItsWheelsWithItsWeight) {
   EXPECT_LT(plant.external_wrench().torque.norm(), 1e-3);
 }
 
-// Two engines with nothing in common, one motion: with arms and wheels too light to matter they
-// agree, and with the mass where it belongs they do not.
-TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
+// Two independent engines simulate the same motion. They agree if arms and wheels have negligible
+// mass, and differ if the arms are heavy.
+TEST(MujocoPlant, MatchesOurPlantInFlightWhenArmsAreLight) {
   const Vehicle<4> vehicle = unlike_rotors();
   const auto distance = [&vehicle](MujocoParameters p) {
     PlantParameters ours_parameters;
@@ -208,7 +208,7 @@ TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
     ours.reset(start);
     MujocoPlant other(vehicle, p);
     other.reset(start.body, start.actuators);
-    const Wrench<> wind{Eigen::Vector3d(0.5, -0.3, 0.2), Eigen::Vector3d(0.005, 0.01, -0.01)};
+    const Wrenchd wind{Eigen::Vector3d(0.5, -0.3, 0.2), Eigen::Vector3d(0.005, 0.01, -0.01)};
     ActuatorState<4> command = start.actuators;
     for (int i = 0; i < 500; ++i) {
       if (i == 100) command.tilt_angle << 0.6, -0.4, 0.5, -0.2;
@@ -232,7 +232,7 @@ TEST(MujocoPlant, FliesLikeOurPlantWhenArmsAreLight) {
   EXPECT_GT(distance(heavy), 10.0 * without_arms);
 }
 
-TEST(MujocoPlant, TopSpeedsAreTheRotorsOwnAndFallWithTheVoltage) {
+TEST(MujocoPlant, TopSpeedsArePerRotorAndFallWithVoltage) {
   const Vehicle<4> vehicle = unlike_rotors();
   MujocoPlant plant(vehicle);
   ActuatorState<4> fastest;
@@ -249,7 +249,7 @@ TEST(MujocoPlant, TopSpeedsAreTheRotorsOwnAndFallWithTheVoltage) {
   }
 }
 
-TEST(MujocoPlant, OneServoCanBeSlow) {
+TEST(MujocoPlant, SetServoSlowsOneServo) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoPlant plant(vehicle);
   plant.reset(high(), hover(vehicle));
@@ -263,7 +263,7 @@ TEST(MujocoPlant, OneServoCanBeSlow) {
   EXPECT_NEAR(plant.actuators().tilt_angle(2), 0.1 * (1.0 - std::exp(-1.0 / 3.0)), 0.005);
 }
 
-TEST(MujocoPlant, ServosAreNoFasterThanTheirSpeed) {
+TEST(MujocoPlant, ServosKeepTheirMaxRate) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoPlant plant(vehicle);
   plant.reset(high(), hover(vehicle));
@@ -273,16 +273,16 @@ TEST(MujocoPlant, ServosAreNoFasterThanTheirSpeed) {
   EXPECT_NEAR(plant.actuators().tilt_angle(0), 0.2 * vehicle.servo.max_rate, 0.05);
 }
 
-TEST(MujocoPlant, RollsOutLikeOurs) {
+TEST(MujocoPlant, MatchesOurPlantWhenRollingOut) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Plant<4> ours(vehicle);
   MujocoPlant other(vehicle);
-  Wrench<> push;
+  Wrenchd push;
   push.force.x() = 1.5;
   for (int i = 0; i < 500; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
   for (int i = 0; i < 1000; ++i)
     ASSERT_TRUE(ours.step({}, push, 1e-3) && other.step({}, push, 1e-3));
-  // What spins the wheels up does not turn the body.
+  // The torque that spins up the wheels does not act on the body.
   EXPECT_GT(4e-4 * std::abs(other.wheel_speeds()(0)), 2e-3);
   EXPECT_LT(std::abs(other.external_wrench().torque.y()), 5e-4);
   for (int i = 0; i < 1000; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
@@ -290,7 +290,7 @@ TEST(MujocoPlant, RollsOutLikeOurs) {
   EXPECT_NEAR(other.body().velocity.x() / ours.body().velocity.x(), 1.0, 6e-3);
 }
 
-TEST(MujocoPlant, RefusesBadSteps) {
+TEST(MujocoPlant, RejectsInvalidSteps) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   MujocoPlant plant(vehicle);
   ActuatorState<4> bad = hover(vehicle);
@@ -298,15 +298,15 @@ TEST(MujocoPlant, RefusesBadSteps) {
   EXPECT_FALSE(plant.step(bad, {}, 1e-3));
   EXPECT_FALSE(plant.step({}, {}, 0.0));
   EXPECT_FALSE(plant.step({}, {}, -1.0));
-  Wrench<> wrench;
+  Wrenchd wrench;
   wrench.force.x() = std::nan("");
   EXPECT_FALSE(plant.step({}, wrench, 1e-3));
   EXPECT_DOUBLE_EQ(plant.time(), 0.0);
   EXPECT_TRUE(plant.step({}, {}, 1e-3));
 }
 
-// The long form flies five seeds.
-TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
+// Flies one seed; five in a full run.
+TEST(MissionMujoco, TracksWithHybridMissionSettings) {
   const int seeds = test_support::quick_or_full(1, 5);
   for (int seed = 1; seed <= seeds; ++seed) {
     Flight flight = run("--seed " + std::to_string(seed));
@@ -323,8 +323,8 @@ TEST(MissionMujoco, TracksWithTheSettingsOfTheHybridMission) {
   }
 }
 
-// The long form tries all of them.
-TEST(MissionMujoco, EveryOptionActs) {
+// Tries one option; all in a full run.
+TEST(MissionMujoco, EveryOptionTakesEffect) {
   std::vector<const char*> options = {"--wind 1.5"};
   if (test_support::full_run())
     for (const char* more :
@@ -343,8 +343,9 @@ TEST(MissionMujoco, EveryOptionActs) {
   EXPECT_NE(run("--slope 99").exit_code, 0);
 }
 
-// Ground, height, mass, thrust and CoM are not what the controller believes, one at a time.
-TEST(MissionMujoco, LandsDrivesAndTakesOffWhereverTheGroundIs) {
+// One of ground, height, mass, thrust and tyre scrub at a time differs from what the controller
+// assumes.
+TEST(MissionMujoco, LandsDrivesAndTakesOffWithWrongGroundOrVehicle) {
   std::vector<std::string> cases = {"--ground-height -0.5", "--height-drift 0.1",
                                     "--mass-error 0.15", "--slope 7"};
   if (test_support::full_run())
@@ -366,7 +367,7 @@ TEST(MissionMujoco, LandsDrivesAndTakesOffWhereverTheGroundIs) {
   }
 }
 
-TEST(MissionMujoco, LeavesAFilmWhereItCan) {
+TEST(MissionMujoco, RecordsFilmIfRenderingIsAvailable) {
   if (!test_support::full_run()) GTEST_SKIP() << "takes a minute: --full";
   const Flight flight = run("--film");
   EXPECT_EQ(flight.exit_code, 0);

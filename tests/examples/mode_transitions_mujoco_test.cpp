@@ -5,14 +5,14 @@
 
 namespace examples {
 
-static void place(MujocoPlant& plant, const tilt_ropter::BodyState<>& body,
+static void place(MujocoPlant& plant, const tilt_ropter::BodyStated& body,
                   const tilt_ropter::ActuatorState<4>& actuators) {
   plant.reset(body, actuators);
 }
 
 namespace {
 
-TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeEachAndNoBounce) {
+TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeAndNoBounce) {
   test_support::land_and_take_off<MujocoPlant>("MuJoCo", 10);
 }
 

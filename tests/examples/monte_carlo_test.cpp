@@ -1,4 +1,4 @@
-// The Monte Carlo program as a user runs it. In a full run a thousand vehicles.
+// Runs the program monte_carlo as a user does. A full run flies a thousand vehicles.
 
 #include "../../examples/support/flight_table.hpp"
 #include "support/check_table.hpp"
@@ -62,8 +62,8 @@ std::string table(const std::string& directory) {
   return "'" + (scratch() / directory / "monte_carlo.csv").string() + "'";
 }
 
-/// Vehicles 21 to 26 by two threads: 23 has slow actuators and tipped over on the ground while a
-/// rotor without thrust might turn through the end of its servo's range.
+/// Flies vehicles 21 to 26 with two threads. Vehicle 23 has slow actuators. It tipped over on the
+/// ground when a rotor without thrust was still allowed to turn across the end of its servo range.
 const Outcome& whole() {
   static const Outcome result = run("whole", "--first 21 --count 6 --threads 2");
   return result;
@@ -71,7 +71,7 @@ const Outcome& whole() {
 
 const Eigen::Matrix3d the_inertia = tilt_ropter::tilt_ropter_vehicle().body.inertia;
 
-TEST(MonteCarlo, VehiclesThatTheControllerDoesNotKnowComeThrough) {
+TEST(MonteCarlo, FliesVehiclesWithUnknownParameters) {
   ASSERT_EQ(whole().exit_code, 0) << whole().errors;
   std::istringstream csv(whole().csv);
   const examples::CsvTable flights = examples::read_csv(csv, "whole");
@@ -88,7 +88,7 @@ TEST(MonteCarlo, VehiclesThatTheControllerDoesNotKnowComeThrough) {
   EXPECT_NE(whole().output.find("divergences: 0\n"), std::string::npos) << whole().output;
 }
 
-TEST(MonteCarlo, PartsByOtherThreadsMergeToTheWholeBitForBit) {
+TEST(MonteCarlo, MergedPartsEqualTheWholeRunBitForBit) {
   ASSERT_EQ(run("one", "--first 21 --count 2 --threads 1").exit_code, 0);
   ASSERT_EQ(run("two", "--first 23 --count 4 --threads 3").exit_code, 0);
   const Outcome merged = run("merged", "--merge " + table("two") + " " + table("one"));
@@ -97,7 +97,7 @@ TEST(MonteCarlo, PartsByOtherThreadsMergeToTheWholeBitForBit) {
   EXPECT_EQ(merged.csv, whole().csv);
 }
 
-TEST(MonteCarlo, ReplaysAVehicleAsItFlew) {
+TEST(MonteCarlo, ReplayRepeatsTheFlightExactly) {
   const Outcome replayed = run("replayed", "--replay 23");
   ASSERT_EQ(replayed.exit_code, 0) << replayed.errors;
   std::istringstream csv(whole().csv);
@@ -112,7 +112,7 @@ TEST(MonteCarlo, ReplaysAVehicleAsItFlew) {
   EXPECT_GT(fs::file_size(scratch() / "replayed" / "hybrid_mission.csv"), 1000000u);
 }
 
-TEST(MonteCarlo, AnotherSeedIsAnotherVehicle) {
+TEST(MonteCarlo, SeedAndIndexDetermineTheVehicle) {
   examples::RandomStream a(1, 5), b(1, 5), seed(2, 5), index(1, 6);
   const double mass = examples::draw_vehicle(a, the_inertia).mass;
   EXPECT_EQ(examples::draw_vehicle(b, the_inertia).mass, mass);
@@ -120,7 +120,7 @@ TEST(MonteCarlo, AnotherSeedIsAnotherVehicle) {
   EXPECT_NE(examples::draw_vehicle(index, the_inertia).mass, mass);
 }
 
-TEST(MonteCarlo, DrawsTheWholeOfEveryRangeAndNothingBeyond) {
+TEST(MonteCarlo, DrawsCoverEveryRangeAndStayInside) {
   struct Range {
     double from, to, least = 1e9, most = -1e9;
     void add(double x) { least = std::min(least, x), most = std::max(most, x); }
@@ -144,7 +144,7 @@ TEST(MonteCarlo, DrawsTheWholeOfEveryRangeAndNothingBeyond) {
   }
 }
 
-TEST(MonteCarlo, TheTrueVehicleHasItsPartsAroundTheShiftedCom) {
+TEST(MonteCarlo, TrueRotorPositionsAreRelativeToTheShiftedCom) {
   examples::VehicleDraw draw;
   draw.com_offset << 0.01, -0.005, 0.002;
   const auto believed = tilt_ropter::tilt_ropter_vehicle();
@@ -153,7 +153,7 @@ TEST(MonteCarlo, TheTrueVehicleHasItsPartsAroundTheShiftedCom) {
     EXPECT_TRUE(truth.rotors[i].position.isApprox(believed.rotors[i].position - draw.com_offset));
 }
 
-TEST(MonteCarlo, AWeakerRotorReachesTheSameSpeedAlsoByItsOwnParameters) {
+TEST(MonteCarlo, ThrustFactorKeepsTheTopSpeedOfEachRotor) {
   examples::VehicleDraw draw;
   draw.thrust = 0.9;
   draw.rotor_time_constant = 1.5;
@@ -169,7 +169,7 @@ TEST(MonteCarlo, AWeakerRotorReachesTheSameSpeedAlsoByItsOwnParameters) {
   }
 }
 
-TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
+TEST(MonteCarlo, SortsDivergedFlightsFirstThenWorstRmse) {
   examples::CsvTable flights{"", examples::flight_columns(), {}, {}};
   flights.columns.resize(flights.names.size());
   const auto add = [&flights](std::uint64_t index, examples::Verdict verdict, double air,
@@ -186,15 +186,15 @@ TEST(MonteCarlo, TheWorstComeFirstAndDivergedOnesBeforeAll) {
   add(2, examples::Verdict::tipped, 0.001, 0.0);
   add(3, examples::Verdict::ok, 0.01, 0.09);
   EXPECT_EQ(examples::worst_first(flights), (std::vector<std::size_t>{2, 3, 1, 0}));
-  EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 0.5), 2.0);
-  EXPECT_EQ(examples::quantile({4.0, 1.0, 3.0, 2.0}, 1.0), 4.0);
-  EXPECT_EQ(examples::quantile({4.0}, 0.05), 4.0);
+  EXPECT_EQ(examples::percentile({4.0, 1.0, 3.0, 2.0}, 0.5), 2.0);
+  EXPECT_EQ(examples::percentile({4.0, 1.0, 3.0, 2.0}, 1.0), 4.0);
+  EXPECT_EQ(examples::percentile({4.0}, 0.05), 4.0);
   const double none = std::nan("");
-  EXPECT_EQ(examples::quantile({none, 1.0, none, 2.0}, 0.5), 2.0);
-  EXPECT_TRUE(std::isnan(examples::quantile({none, 1.0, none, 2.0}, 1.0)));
+  EXPECT_EQ(examples::percentile({none, 1.0, none, 2.0}, 0.5), 2.0);
+  EXPECT_TRUE(std::isnan(examples::percentile({none, 1.0, none, 2.0}, 1.0)));
 }
 
-TEST(MonteCarlo, NamesWhatIsWrongWithAFile) {
+TEST(MonteCarlo, ErrorsNameFileLineAndReason) {
   const auto refused = [](const std::string& files, const std::string& why) {
     const Outcome merged = run("refused", "--merge " + files);
     EXPECT_NE(merged.exit_code, 0) << why;
@@ -237,7 +237,7 @@ TEST(MonteCarlo, HelpAndBadArguments) {
   EXPECT_NE(run("bad", "--output /proc/nowhere --count 1").exit_code, 0);
 }
 
-TEST(MonteCarlo, AThousandVehiclesWithoutADivergence) {
+TEST(MonteCarlo, ThousandVehiclesFlyWithoutDivergence) {
   if (!test_support::full_run()) GTEST_SKIP() << "takes minutes: --full";
   const Outcome thousand = run("thousand", "--count 1000");
   ASSERT_EQ(thousand.exit_code, 0) << thousand.errors;
@@ -251,9 +251,9 @@ TEST(MonteCarlo, AThousandVehiclesWithoutADivergence) {
                                         [](double verdict) { return verdict != 0.0; })),
       0);
   test_support::check_at_most(13, "1000 vehicles: 95 % of air runs [m]",
-                              examples::quantile(flights["air_rmse_m"], 0.95), 0.06);
+                              examples::percentile(flights["air_rmse_m"], 0.95), 0.06);
   test_support::check_at_most(13, "1000 vehicles: 95 % of ground runs [m]",
-                              examples::quantile(flights["ground_rmse_m"], 0.95), 0.10);
+                              examples::percentile(flights["ground_rmse_m"], 0.95), 0.10);
 }
 
 }  // namespace

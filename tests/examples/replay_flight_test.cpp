@@ -1,5 +1,5 @@
-// Logs replayed by the example program as a user runs it: of a simulated flight, whose clock and
-// marker frame are known, and of a real one where that is at hand.
+// Runs the program replay_flight as a user does: with logs of a simulated flight, whose clock
+// offset and marker frame are known, and with logs of a real flight if these are available.
 
 #include "support/flights.hpp"
 #include "support/program.hpp"
@@ -21,13 +21,13 @@ using test_support::Flight;
 using test_support::Outcome;
 using test_support::run;
 
-constexpr double clock_offset = -0.137;  // to be added to the poses' stamps
+constexpr double clock_offset = -0.137;  // added to the time stamps of poses [s]
 const Eigen::Vector3d marker_position(0.05, -0.08, 0.12);
 const Eigen::Quaterniond marker_orientation(Eigen::AngleAxisd(2.5, Eigen::Vector3d(1, 2, 2) / 3.0));
 
 class ReplayFlight : public testing::Test {
  protected:
-  /// 30 s that start upside down; every pose of 1000 goes wrong that `outliers` says.
+  /// Simulates 30 s that start upside down. On average, `outliers` of 1000 poses are outliers.
   void fly(int outliers = 0) {
     const Flight flight(3, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), marker_position,
                         marker_orientation);
@@ -84,7 +84,7 @@ class ReplayFlight : public testing::Test {
   test_support::Directory directory_{"replay_flight"};
 };
 
-TEST_F(ReplayFlight, FindsClockMarkerFrameAndStateFromTheLogsAlone) {
+TEST_F(ReplayFlight, EstimatesClockMarkerFrameAndStateFromLogs) {
   fly();
   const Outcome found = replay(logs() + " --calibrate-clock --estimate-marker-pose");
   ASSERT_EQ(found.exit_code, 0) << found.output;
@@ -100,7 +100,7 @@ TEST_F(ReplayFlight, FindsClockMarkerFrameAndStateFromTheLogsAlone) {
   EXPECT_NEAR(found["truth_shift_s"], 0.0, 0.002);
 }
 
-TEST_F(ReplayFlight, WhatIsGivenIsNotLookedFor) {
+TEST_F(ReplayFlight, UsesGivenClockOffsetAndMarkerFrame) {
   fly();
   std::ostringstream given;
   const Eigen::Quaterniond& q = marker_orientation;
@@ -115,11 +115,11 @@ TEST_F(ReplayFlight, WhatIsGivenIsNotLookedFor) {
   const Outcome ten_ms_off = replay(logs() + " --clock-offset=-0.127" + given.str());
   EXPECT_GT(ten_ms_off["position_rmse_m"], 2.0 * plain["position_rmse_m"]) << ten_ms_off.output;
   EXPECT_NEAR(ten_ms_off["truth_shift_s"], -0.01, 0.003);
-  const Outcome lost = replay(logs() + " --clock-offset=-0.137");  // 143 degrees off
+  const Outcome lost = replay(logs() + " --clock-offset=-0.137");  // marker frame 143 degrees off
   EXPECT_TRUE(lost.says("marker frame right")) << lost.output;
 }
 
-TEST_F(ReplayFlight, OutliersAreRefused) {
+TEST_F(ReplayFlight, RejectsOutliers) {
   fly(50);
   const Outcome found = replay(logs() + " --calibrate-clock --estimate-marker-pose");
   ASSERT_EQ(found.exit_code, 0) << found.output;
@@ -127,7 +127,7 @@ TEST_F(ReplayFlight, OutliersAreRefused) {
   EXPECT_LT(found["position_rmse_m"], 0.003);
 }
 
-TEST_F(ReplayFlight, OptionsOfTheFilterAct) {
+TEST_F(ReplayFlight, FilterOptionsTakeEffect) {
   fly(50);
   const std::string common = logs() + " --calibrate-clock --estimate-marker-pose";
   const Outcome plain = replay(common);
@@ -140,7 +140,7 @@ TEST_F(ReplayFlight, OptionsOfTheFilterAct) {
   EXPECT_GT(replay(common + " --gate 2 --max-rejections 2")["restarts"], 10);
 }
 
-TEST_F(ReplayFlight, WritesTheEstimateWithDeviationsAndErrors) {
+TEST_F(ReplayFlight, WritesEstimateWithStddevAndErrors) {
   fly();
   ASSERT_EQ(replay(logs() + " --calibrate-clock --estimate-marker-pose").exit_code, 0);
   std::ifstream csv(directory_.file("out") + "/replay_flight.csv");
@@ -158,7 +158,7 @@ TEST_F(ReplayFlight, WritesTheEstimateWithDeviationsAndErrors) {
   EXPECT_EQ(header.find("error"), std::string::npos);
 }
 
-TEST_F(ReplayFlight, LeavesItsPictureWithoutAWarning) {
+TEST_F(ReplayFlight, DrawsPictureWithoutWarnings) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   fly();
@@ -173,7 +173,7 @@ TEST_F(ReplayFlight, LeavesItsPictureWithoutAWarning) {
   }
 }
 
-TEST_F(ReplayFlight, SaysWhereAFileIsWrong) {
+TEST_F(ReplayFlight, ErrorsNameFileLineAndColumn) {
   fly();
   const std::string imu = " '" + directory_.file("imu.csv") + "'";
   const auto refusal = [&](const std::string& head, const std::string& text) {
@@ -196,7 +196,7 @@ TEST_F(ReplayFlight, SaysWhereAFileIsWrong) {
   EXPECT_TRUE(backwards.says("bad.csv:3: column t (1) does not increase")) << backwards.output;
 }
 
-TEST_F(ReplayFlight, LogsThatDoNotFitAreRefusedWithAHint) {
+TEST_F(ReplayFlight, RejectsMismatchedLogsWithAHint) {
   fly();
   const Outcome apart = replay(logs() + " --clock-offset 500");
   EXPECT_EQ(apart.exit_code, 1);
@@ -222,8 +222,8 @@ TEST_F(ReplayFlight, HelpAndBadArguments) {
   EXPECT_EQ(replay(logs() + " --output /proc/nowhere").exit_code, 1);
 }
 
-// A real flight: TILT_ROPTER_DATA names the directory that holds euroc_v203.
-TEST_F(ReplayFlight, ARecordedFlight) {
+// A real flight: TILT_ROPTER_DATA names the directory that contains euroc_v203.
+TEST_F(ReplayFlight, EstimatesARecordedFlight) {
   const char* data = std::getenv("TILT_ROPTER_DATA");
   if (data == nullptr || !std::filesystem::exists(std::string(data) + "/euroc_v203/imu.csv"))
     GTEST_SKIP() << "TILT_ROPTER_DATA does not name a directory with euroc_v203";
@@ -236,8 +236,8 @@ TEST_F(ReplayFlight, ARecordedFlight) {
   EXPECT_EQ(found["restarts"], 0);
   EXPECT_LT(found["attitude_rmse_deg"], 0.5);
   EXPECT_LT(found["velocity_rmse_mps"], 0.028);
-  // The truth's positions and attitudes are 8 ms apart, at up to 2 m/s; IMU and motion capture
-  // agree with its attitudes.
+  // In the truth, positions and attitudes differ by 8 ms, at speeds of up to 2 m/s. IMU and motion
+  // capture agree with the attitudes of the truth.
   EXPECT_LT(found["position_rmse_m"], 0.008);
   EXPECT_LT(found["shifted_position_rmse_m"], 0.003);
   EXPECT_NEAR(found["truth_shift_s"], -0.008, 0.002);

@@ -1,11 +1,12 @@
-// The batch tool: its parser by itself, and the program as a user runs it.
+// Runs the program solve_instances as a user does.
 
 #include "../../examples/support/instances.hpp"
 
-#include "support/benchmark_problem.hpp"
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
-#include "support/random.hpp"
+#include "support/instance_files.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/wait.h>
@@ -20,7 +21,6 @@
 #include <map>
 #include <sstream>
 #include <string>
-#include <utility>
 #include <vector>
 
 namespace {
@@ -30,249 +30,16 @@ using examples::Instance;
 using examples::instance_columns;
 using examples::instance_header;
 using examples::InstanceBounds;
-using examples::InstanceError;
 using examples::InstanceFile;
-using examples::parse_instance;
-using examples::read_instances;
 using examples::to_csv;
+using test_support::at_rest;
+using test_support::file_of;
+using test_support::line_with;
+using test_support::read;
+using test_support::split;
+using test_support::step_instance;
 
 const std::string program = SOLVE_INSTANCES_PROGRAM;  // set by CMake
-
-Instance step_instance() {
-  Instance instance;
-  instance.id = "step";
-  instance.start = test_support::step_start();
-  instance.reference.position << 0.0, 0.0, 1.5;
-  return instance;
-}
-
-Instance at_rest(const std::string& id) {
-  Instance instance;
-  instance.id = id;
-  instance.start.wrench.force = test_support::benchmark_hover_force();
-  return instance;
-}
-
-std::vector<std::string> split(const std::string& line) {
-  std::vector<std::string> fields;
-  std::istringstream in(line);
-  for (std::string field; std::getline(in, field, ',');) fields.push_back(field);
-  return fields;
-}
-
-/// A line of STEP with the field of one column replaced.
-std::string line_with(const std::string& column, const std::string& value) {
-  std::string line;
-  const std::vector<std::string> fields = split(to_csv(step_instance()));
-  for (std::size_t i = 0; i < fields.size(); ++i)
-    line += (i ? "," : "") + (instance_columns[i] == column ? value : fields[i]);
-  return line;
-}
-
-InstanceFile read(const std::string& text) {
-  std::istringstream in(text);
-  return read_instances(in);
-}
-
-std::string file_of(const std::vector<std::string>& lines) {
-  std::string text = instance_header() + '\n';
-  for (const std::string& line : lines) text += line + '\n';
-  return text;
-}
-
-TEST(Instances, WhatIsWrittenIsReadBack) {
-  test_support::Random random(1);
-  for (int i = 0; i < 1000; ++i) {
-    Instance in = step_instance();
-    in.id = "run " + std::to_string(i);
-    in.bounds = i % 2 == 0 ? InstanceBounds::paper : InstanceBounds::wide;
-    in.external = {random.vector(3.0), random.vector(1e-300)};
-    in.start.wrench = {random.vector(1e300), random.vector(0.1)};
-    in.start.body.position = random.vector(2.0);
-    in.start.body.velocity = random.vector(2.0);
-    in.start.body.orientation = random.orientation();
-    in.start.body.angular_velocity = random.vector(3.0);
-    in.reference.position = random.vector(1.0);
-    in.reference.velocity = random.vector(1.0);
-    in.reference.orientation = random.orientation();
-    InstanceError error;
-    const auto out = parse_instance(to_csv(in), error);
-    ASSERT_TRUE(out) << error.message;
-    EXPECT_EQ(out->id, in.id);
-    EXPECT_EQ(out->bounds, in.bounds);
-    EXPECT_EQ(out->external.force, in.external.force);
-    EXPECT_EQ(out->external.torque, in.external.torque);
-    EXPECT_EQ(out->start.wrench.force, in.start.wrench.force);
-    EXPECT_EQ(out->start.wrench.torque, in.start.wrench.torque);
-    EXPECT_EQ(out->start.body.position, in.start.body.position);
-    EXPECT_EQ(out->start.body.velocity, in.start.body.velocity);
-    EXPECT_EQ(out->start.body.angular_velocity, in.start.body.angular_velocity);
-    EXPECT_EQ(out->reference.position, in.reference.position);
-    EXPECT_EQ(out->reference.velocity, in.reference.velocity);
-    const auto apart = [](const Eigen::Quaterniond& a, const Eigen::Quaterniond& b) {
-      return (a.coeffs() - b.coeffs()).norm();
-    };
-    EXPECT_LT(apart(out->start.body.orientation, in.start.body.orientation), 1e-15);
-    EXPECT_LT(apart(out->reference.orientation, in.reference.orientation), 1e-15);
-  }
-}
-
-TEST(Instances, NumbersAreReadAsAWholeOrNotAtAll) {
-  InstanceError error;
-  const std::map<std::string, double> good = {{"+1.5", 1.5}, {" 2 ", 2.0}, {"\t1e3", 1e3},
-                                              {".5", 0.5},   {"5.", 5.0},  {"-0", 0.0}};
-  for (const auto& [text, value] : good) {
-    const auto instance = parse_instance(line_with("v_y", text), error);
-    ASSERT_TRUE(instance) << text << ": " << error.message;
-    EXPECT_EQ(instance->start.body.velocity.y(), value) << text;
-  }
-  const std::map<std::string, std::string> bad = {{"", "is not a number"},
-                                                  {" ", "is not a number"},
-                                                  {"1.0x", "is not a number"},
-                                                  {"x1", "is not a number"},
-                                                  {"1 2", "is not a number"},
-                                                  {"0x10", "is not a number"},
-                                                  {"--1", "is not a number"},
-                                                  {"+-1", "is not a number"},
-                                                  {"++1", "is not a number"},
-                                                  {"+", "is not a number"},
-                                                  {"1e", "is not a number"},
-                                                  {std::string("1\0", 2), "is not a number"},
-                                                  {"\"1\"", "is not a number"},
-                                                  {"nan", "is not finite"},
-                                                  {"-nan", "is not finite"},
-                                                  {"inf", "is not finite"},
-                                                  {"-Infinity", "is not finite"},
-                                                  {"1e999", "is out of the range of a double"},
-                                                  {"1e-999", "is out of the range of a double"}};
-  for (const auto& [text, message] : bad) {
-    error = {};
-    EXPECT_FALSE(parse_instance(line_with("v_y", text), error)) << text;
-    EXPECT_NE(error.message.find(message), std::string::npos) << error.message;
-    EXPECT_NE(error.message.find("v_y = "), std::string::npos) << error.message;
-  }
-}
-
-TEST(Instances, ErrorsNameLineAndColumnAndTheRestIsRead) {
-  const std::string good = to_csv(step_instance());
-  const std::string nan = line_with("Fe_y", "NaN");
-  const std::string zero = line_with("q_w", "0");
-  std::string no_turn = zero;  // all four components of q
-  for (const char* name : {"q_x", "q_y", "q_z"}) {
-    std::vector<std::string> fields = split(no_turn);
-    for (std::size_t i = 0; i < fields.size(); ++i)
-      if (instance_columns[i] == name) fields[i] = "0";
-    no_turn.clear();
-    for (const std::string& field : fields) no_turn += (no_turn.empty() ? "" : ",") + field;
-  }
-  const InstanceFile file = read(file_of({
-      good,                           // 2
-      nan,                            // 3: "step,wide,0,NaN"
-      line_with("bounds", "wied"),    // 4
-      "",                             // 5
-      "short,wide,1",                 // 6
-      good + ",1",                    // 7
-      no_turn,                        // 8
-      line_with("id", ""),            // 9
-      line_with("id", "a\x1b[2J"),    // 10
-      "\xC3\xA9\xC3\xA9,wied",        // 11: two characters, four bytes
-      line_with("bounds", " x"),      // 12: the blank is not the error
-      line_with("ref_q_z", "1e200"),  // 13: can be normalised
-      good,                           // 14
-  }));
-  ASSERT_EQ(file.instances.size(), 3u);
-  EXPECT_NEAR(file.instances[1].reference.orientation.z(), 1.0, 1e-15);
-  const std::vector<std::pair<std::size_t, std::size_t>> expected = {
-      {3, 13}, {4, 6},  {6, 13}, {7, good.size() + 2}, {8, no_turn.find("0,0,0,0,0.5") + 1}, {9, 1},
-      {10, 1}, {11, 8}, {12, 7}};
-  ASSERT_EQ(file.errors.size(), expected.size());
-  for (std::size_t i = 0; i < expected.size(); ++i) {
-    EXPECT_EQ(file.errors[i].line, expected[i].first);
-    EXPECT_EQ(file.errors[i].column, expected[i].second) << file.errors[i].message;
-    EXPECT_EQ(file.errors[i].message.find('\x1b'), std::string::npos);
-  }
-}
-
-TEST(Instances, QuaternionsAreNormalised) {
-  InstanceError error;
-  const auto instance = parse_instance(line_with("ref_q_w", "7"), error);
-  ASSERT_TRUE(instance);
-  EXPECT_EQ(instance->reference.orientation.w(), 1.0);
-  EXPECT_FALSE(parse_instance(line_with("ref_q_w", "1e-9"), error));
-  EXPECT_NE(error.message.find("ref_q"), std::string::npos);
-}
-
-TEST(Instances, LineEndsBlankLinesAndByteOrderMarkDoNotMatter) {
-  const std::string a = to_csv(step_instance()), b = to_csv(at_rest("rest"));
-  const std::string h = instance_header();
-  for (const std::string& text :
-       {h + "\n" + a + "\n" + b + "\n", h + "\r\n" + a + "\r\n" + b + "\r\n",
-        h + "\n" + a + "\n" + b, h + "\n\n" + a + "\r\n \t\r\n\n" + b + "\n\n\n",
-        "\xEF\xBB\xBF" + h + "\n" + a + "\n" + b}) {
-    const InstanceFile file = read(text);
-    EXPECT_TRUE(file.errors.empty()) << file.errors[0].message;
-    ASSERT_EQ(file.instances.size(), 2u) << text;
-    EXPECT_EQ(to_csv(file.instances[1]), b);
-  }
-}
-
-TEST(Instances, AHeaderThatIsNotRightIsRefusedWithItsFirstDifference) {
-  const std::string h = instance_header();
-  const auto error = [](const std::string& header) {
-    const InstanceFile file = read(header + "\n" + to_csv(step_instance()) + "\n");
-    EXPECT_TRUE(file.instances.empty());
-    EXPECT_EQ(file.errors.size(), 1u);
-    return file.errors.empty() ? InstanceError{} : file.errors[0];
-  };
-  std::string renamed = h;
-  renamed.replace(renamed.find("Fe_z"), 4, "Fz");
-  EXPECT_EQ(error(renamed).column, h.find("Fe_z") + 1);
-  EXPECT_NE(error(renamed).message.find("\"Fz\", must be \"Fe_z\""), std::string::npos);
-  EXPECT_EQ(error(h + ",more").column, h.size() + 2);
-  EXPECT_NE(error(h + ",more").message.find("38 columns, must have 37"), std::string::npos);
-  EXPECT_EQ(error("id,bounds").column, 10u);
-  EXPECT_NE(error(to_csv(step_instance())).message.find("\"step\", must be \"id\""),
-            std::string::npos);
-  EXPECT_EQ(read("").errors.size(), 1u);
-  EXPECT_EQ(read("\n").errors.size(), 1u);
-  EXPECT_EQ(read("\n").errors[0].line, 1u);
-}
-
-TEST(Instances, WhateverTheTextSomethingSensibleComesOut) {
-  test_support::Random random(3);
-  const std::string good = to_csv(step_instance());
-  std::string alphabet = "0123456789.,-+eEnaif \t\r\n\"\x80\xff;";
-  alphabet.push_back('\0');
-  int accepted = 0;
-  for (int i = 0; i < 20000; ++i) {
-    std::string line = good;
-    const int changes = static_cast<int>(random.uniform(0.0, 4.0));
-    for (int j = 0; j < changes; ++j) {
-      const auto at =
-          static_cast<std::size_t>(random.uniform(0.0, static_cast<double>(line.size())));
-      const auto c =
-          static_cast<std::size_t>(random.uniform(0.0, static_cast<double>(alphabet.size())));
-      if (random.uniform(0.0, 1.0) < 0.5)
-        line[at] = alphabet[c];
-      else
-        line.erase(at, static_cast<std::size_t>(random.uniform(1.0, 5.0)));
-    }
-    InstanceError error;
-    if (const auto instance = parse_instance(line, error)) {
-      ++accepted;
-      EXPECT_TRUE(is_finite(instance->start.body) && is_finite(instance->start.wrench));
-      EXPECT_NEAR(instance->start.body.orientation.norm(), 1.0, 1e-12);
-    } else {
-      EXPECT_FALSE(error.message.empty());
-      EXPECT_GE(error.column, 1u);
-      EXPECT_LE(error.column, line.size() + 1);
-    }
-  }
-  EXPECT_GT(accepted, 1000);
-  EXPECT_LT(accepted, 19000);
-}
-
-// ---- the program ----
 
 class SolveInstances : public testing::Test {
  protected:
@@ -361,13 +128,13 @@ TEST_F(SolveInstances, StepReachesItsKnownOptimum) {
   EXPECT_GT(std::abs(result.number(0, "u0_3")), 1.0);
 }
 
-TEST_F(SolveInstances, EveryColumnOfAnInstanceCounts) {
-  // At rest on the reference nothing is to be done; each change makes work.
+TEST_F(SolveInstances, EveryInstanceColumnAffectsTheCost) {
+  // At rest on the reference the cost is zero; a change of any column makes it positive.
   std::vector<std::string> lines = {to_csv(at_rest("rest"))};
   for (std::size_t i = 2; i < instance_columns.size(); ++i) {
     std::vector<std::string> fields = split(lines[0]);
     const double value = std::atof(fields[i].c_str());
-    // The first component of a quaternion only scales it, so it changes sides instead.
+    // For a quaternion along its first component, w only scales it: change w and x together.
     const bool scale = instance_columns[i] == "q_w" || instance_columns[i] == "ref_q_w";
     if (scale) fields[i + 1] = "1";
     fields[0] = instance_columns[i];
@@ -385,7 +152,7 @@ TEST_F(SolveInstances, EveryColumnOfAnInstanceCounts) {
     EXPECT_GT(result.number(i, "cost"), 1e-3) << result.rows[i].at("id");
 }
 
-TEST_F(SolveInstances, BoundsAreTheOnesAskedFor) {
+TEST_F(SolveInstances, AppliesThePaperAndWideBounds) {
   Instance far = at_rest("wide");
   far.start.body.position << 2.0, 0.0, 0.0;
   Instance paper = far;
@@ -399,7 +166,7 @@ TEST_F(SolveInstances, BoundsAreTheOnesAskedFor) {
   EXPECT_NEAR(std::abs(result.number(1, "u0_5")), 2.0, 1e-6);
 }
 
-TEST_F(SolveInstances, MalformedLinesAreReportedAndTheOthersSolved) {
+TEST_F(SolveInstances, ReportsMalformedLinesAndSolvesTheOthers) {
   write("in.csv", file_of({to_csv(at_rest("first")), line_with("Fe_y", "zero"), "two,fields",
                            to_csv(at_rest("last"))}));
   const Run result = run("in.csv");
@@ -414,7 +181,7 @@ TEST_F(SolveInstances, MalformedLinesAreReportedAndTheOthersSolved) {
   EXPECT_EQ(result.rows[1].at("status"), "converged");
 }
 
-TEST_F(SolveInstances, WhatWasSolvedBeforeDoesNotMatter) {
+TEST_F(SolveInstances, ResultsDoNotDependOnEarlierInstances) {
   Instance impossible = at_rest("impossible");
   impossible.start.body.position.x() = 1e200;
   Instance hard = at_rest("hard");
@@ -433,9 +200,9 @@ TEST_F(SolveInstances, WhatWasSolvedBeforeDoesNotMatter) {
       EXPECT_EQ(result.rows[again].at(column), value) << column;
 }
 
-TEST_F(SolveInstances, AViolationThatCannotBeAvoidedIsWritten) {
+TEST_F(SolveInstances, ReportsUnavoidableViolation) {
   Instance beyond = at_rest("beyond");
-  beyond.start.wrench.force.x() = 9.0;  // the bound is 6, and the rate 20 N/s: 7 after 0.1 s
+  beyond.start.wrench.force.x() = 9.0;  // bound 6 N, rate 20 N/s: 7 N after 0.1 s
   write("in.csv", file_of({to_csv(beyond)}));
   const Run result = run("in.csv");
   ASSERT_EQ(result.rows.size(), 1u) << result.err;
@@ -443,7 +210,7 @@ TEST_F(SolveInstances, AViolationThatCannotBeAvoidedIsWritten) {
   EXPECT_LT(result.number(0, "max_defect"), 1e-6);
 }
 
-TEST_F(SolveInstances, OptionsAct) {
+TEST_F(SolveInstances, OptionsTakeEffect) {
   write("in.csv", file_of({to_csv(step_instance())}));
   const Run exact = run("in.csv"), rough = run("in.csv --tolerance 10"),
             few = run("in.csv --max-iterations 2");
@@ -452,7 +219,7 @@ TEST_F(SolveInstances, OptionsAct) {
   EXPECT_LT(rough.number(0, "iterations"), exact.number(0, "iterations"));
   EXPECT_EQ(few.rows[0].at("status"), "iteration_limit");
   EXPECT_EQ(few.number(0, "iterations"), 2);
-  // What is recomputed shows that this is no plan yet.
+  // The recomputed defect shows that the iterate is not yet a feasible plan.
   EXPECT_GT(few.number(0, "max_defect"), 1e-3);
   const Run to_file = run("in.csv --output written.csv");
   EXPECT_EQ(to_file.exit_code, 0);
@@ -462,7 +229,7 @@ TEST_F(SolveInstances, OptionsAct) {
   EXPECT_EQ(piped.rows.size(), 1u);
 }
 
-TEST_F(SolveInstances, GeneratedInstancesLieWhereSaid) {
+TEST_F(SolveInstances, GeneratedInstancesLieWithinDocumentedRanges) {
   ASSERT_EQ(run("--generate 300 --seed 7 -o seven.csv").exit_code, 0);
   const InstanceFile file = read(text("seven.csv"));
   ASSERT_TRUE(file.errors.empty());
@@ -487,7 +254,7 @@ TEST_F(SolveInstances, GeneratedInstancesLieWhereSaid) {
   EXPECT_NE(run("--generate 300 --seed 8").out, text("seven.csv"));
 }
 
-TEST_F(SolveInstances, NearlyAllRandomInstancesConvergeAndReportsAreHonest) {
+TEST_F(SolveInstances, RandomInstancesConvergeAndReportsMatchRecomputation) {
   const bool full = test_support::full_run();
   const int count = full ? 10000 : 300;
   ASSERT_EQ(run("--generate " + std::to_string(count) + " -o in.csv").exit_code, 0);
@@ -507,8 +274,8 @@ TEST_F(SolveInstances, NearlyAllRandomInstancesConvergeAndReportsAreHonest) {
   test_support::check_at_least(6, "solver: share of wild instances that converge",
                                static_cast<double>(converged) / count, full ? 0.995 : 0.99);
 
-  // The summary says the same. Report and recomputation differ by the rounding of a step at most:
-  // the solver takes it together with its derivative.
+  // The summary must agree. Report and recomputation differ by rounding of one step at most, since
+  // the solver computes a step together with its derivative.
   EXPECT_EQ(result.summary("instances"), count);
   EXPECT_EQ(result.summary("converged"), converged);
   test_support::check_at_most(6, "solver: violation, report against recomputation",
@@ -528,8 +295,8 @@ TEST_F(SolveInstances, NearlyAllRandomInstancesConvergeAndReportsAreHonest) {
   EXPECT_EQ(total, converged) << result.err;
 }
 
-TEST_F(SolveInstances, PlansWorseThanTheirGuessAreCountedAndNamed) {
-  // A first step pays with defects for a lower cost, and the price of a defect is not yet known.
+TEST_F(SolveInstances, CountsAndNamesPlansWorseThanTheInitialGuess) {
+  // A first iteration may accept larger defects for a lower cost: their penalty is not known yet.
   ASSERT_EQ(run("--generate 100 -o in.csv").exit_code, 0);
   const Run first = run("in.csv --max-iterations 1");
   EXPECT_EQ(first.exit_code, 0);
@@ -542,7 +309,7 @@ TEST_F(SolveInstances, PlansWorseThanTheirGuessAreCountedAndNamed) {
   EXPECT_EQ(static_cast<double>(std::count(names.begin(), names.end(), '\n')), 1.0 + worse);
 }
 
-TEST_F(SolveInstances, FilesThatCannotBeUsedAreNamed) {
+TEST_F(SolveInstances, ErrorsNameUnusableFiles) {
   write("in.csv", file_of({to_csv(at_rest("rest"))}));
   const Run missing = run("nowhere.csv");
   EXPECT_EQ(missing.exit_code, 2);
@@ -559,7 +326,7 @@ TEST_F(SolveInstances, FilesThatCannotBeUsedAreNamed) {
   EXPECT_TRUE(headless.rows.empty());
 }
 
-TEST_F(SolveInstances, HelpNamesEveryColumnAndBadOptionsAreRefused) {
+TEST_F(SolveInstances, HelpNamesEveryColumnAndBadOptionsAreRejected) {
   const Run help = run("--help");
   EXPECT_EQ(help.exit_code, 0);
   EXPECT_NE(help.out.find(instance_header()), std::string::npos);

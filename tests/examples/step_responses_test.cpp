@@ -1,4 +1,4 @@
-// What tuning does, as a user sees it.
+// Runs the program step_responses as a user does and checks the effect of tuning.
 
 #include "support/program.hpp"
 
@@ -11,11 +11,12 @@
 
 namespace {
 
-/// Rise time, overshoot and lean with a field halved, as it is, and doubled.
+/// One line of the printed table: rise time [s], overshoot [%] and largest lean [deg].
 struct Row {
   double rise, overshoot, lean;
 };
 
+/// Returns the rows of `field`: halved, unchanged and doubled.
 std::array<Row, 3> rows(const std::string& table, const std::string& field) {
   std::array<Row, 3> found{};
   std::istringstream lines(table);
@@ -32,7 +33,7 @@ std::array<Row, 3> rows(const std::string& table, const std::string& field) {
   return found;
 }
 
-TEST(StepResponses, AnErrorThatIsAllowedLessIsCorrectedFaster) {
+TEST(StepResponses, AllowedErrorsAndLimitsChangeTheResponse) {
   const test_support::Directory directory("step_responses");
   const auto told =
       test_support::run(STEP_RESPONSES_PROGRAM, "--no-pictures -o '" + directory.file("") + "'");
@@ -48,14 +49,14 @@ TEST(StepResponses, AnErrorThatIsAllowedLessIsCorrectedFaster) {
     EXPECT_GT(r[0].rise, 1.2 * r[1].rise) << field;
     EXPECT_GT(r[1].rise, 1.1 * r[2].rise) << field;
   }
-  // A force that may not change fast is made up for by leaning.
+  // With a lower limit of the force rate the vehicle leans more.
   const auto force_rate = rows(told.output, "limit of force rate");
   EXPECT_GT(force_rate[0].lean, force_rate[1].lean + 1.0);
   const auto turn = rows(told.output, "limit of angular velocity");
-  EXPECT_GE(turn[0].rise, turn[1].rise);  // not met in a turn of 60 degrees
+  EXPECT_GE(turn[0].rise, turn[1].rise);  // a turn of 60 degrees does not reach the limit
 }
 
-TEST(StepResponses, DrawsThePictureOfAnyVehicle) {
+TEST(StepResponses, DrawsPictureOfAnotherVehicle) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const test_support::Directory directory("step_responses");

@@ -1,4 +1,4 @@
-// What a vehicle recovers from, as a user asks for it.
+// Runs the program stress_flights as a user does: scenarios, output files and options.
 
 #include "support/program.hpp"
 
@@ -35,7 +35,7 @@ TEST(StressFlights, EveryScenarioRecoversWithinBounds) {
   }
 }
 
-TEST(StressFlights, TheWorstFlightIsRepeatedByTheCommandItNames) {
+TEST(StressFlights, PrintedCommandRepeatsTheWorstFlight) {
   const Directory directory("stress_flights");
   const Outcome told = fly(directory, "--scenario knocked --size 60 --height 1 --count 4 --seed 2");
   ASSERT_EQ(told.exit_code, 0) << told.output;
@@ -49,7 +49,7 @@ TEST(StressFlights, TheWorstFlightIsRepeatedByTheCommandItNames) {
   EXPECT_EQ(again.figures.at("worst_flight"), told.figures.at("worst_flight"));
 }
 
-TEST(StressFlights, ATableOfFlightsAndALog) {
+TEST(StressFlights, WritesFlightTableAndLog) {
   const Directory directory("stress_flights");
   const Outcome told = fly(directory, "--scenario yaw --size 90 --count 2 --duration 4");
   ASSERT_EQ(told.exit_code, 0) << told.output;
@@ -67,7 +67,7 @@ TEST(StressFlights, ATableOfFlightsAndALog) {
   EXPECT_EQ(rows, 80);
 }
 
-TEST(StressFlights, AnyVehicleAndATimeLimit) {
+TEST(StressFlights, RecoversWithOtherVehicleAndTimeLimit) {
   const Directory directory("stress_flights");
   const Outcome told = fly(
       directory, "--scenario step --size 3 --count 1 --time-limit-us 2000 --vehicle " VEHICLES_DIR

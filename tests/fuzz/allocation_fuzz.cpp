@@ -36,7 +36,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     last.command.tilt_angle(i) = input.number(3.0);
   }
   for (int tick = 0; tick < 20 && !input.empty(); ++tick) {
-    const Wrench<> wanted = input.wrench(40.0, 4.0), rate = input.wrench(40.0, 4.0);
+    const Wrenchd wanted = input.wrench(40.0, 4.0), rate = input.wrench(40.0, 4.0);
     const bool bad = !is_finite(wanted);
     const auto result = allocation.allocate(input.number(10.0), wanted, rate, last);
     fuzz::expect((result.status == AllocationStatus::rejected) == bad, "the status is honest");

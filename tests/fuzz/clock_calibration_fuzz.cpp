@@ -1,4 +1,4 @@
-// Calibration of the clocks from any logs under any settings.
+// Calibration of the clocks from any logs with any settings.
 
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 
@@ -13,13 +13,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   ClockCalibrationSettings s;
   s.max_offset = 0.05;
   s.window = 0.02;
-  if (input.coin()) input.vary_all(s.max_offset, s.window, s.max_deviation);
+  if (input.coin()) input.vary_all(s.max_offset, s.window, s.max_stddev);
 
-  // A vehicle that turns to and fro, with some samples as the bytes have them.
+  // A vehicle that turns back and forth. The input bytes replace some samples.
   const double rate = input.number(3.0), shift = input.uniform(-0.1, 0.1);
   const int samples = input.integer(0, 300);
-  std::vector<Timed<InertialSample<>>> imu;
-  std::vector<Timed<MarkerPose<>>> poses;
+  std::vector<Timed<InertialSampled>> imu;
+  std::vector<Timed<MarkerPosed>> poses;
   Eigen::Quaterniond turned = Eigen::Quaterniond::Identity();
   for (int i = 0; i < samples; ++i) {
     const double time = 0.005 * i;
@@ -36,7 +36,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   if (!fuzz::accepted([&] { found = calibrate_clock(imu, poses, s); })) return 0;
   if (found.status != ClockCalibrationStatus::calibrated) return 0;
   fuzz::expect(std::abs(found.offset) <= s.max_offset, "the offset is one that was looked for");
-  fuzz::expect(found.deviation >= 0.0 && found.deviation <= s.max_deviation,
+  fuzz::expect(found.stddev >= 0.0 && found.stddev <= s.max_stddev,
                "the offset is as certain as asked");
   fuzz::expect(
       std::isfinite(found.residual) && std::abs(found.marker_orientation.norm() - 1.0) < 1e-6,

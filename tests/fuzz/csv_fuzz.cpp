@@ -1,4 +1,4 @@
-// The reader of logs: any bytes are a table of one width or refused with file and line.
+// Reader of logs: any bytes give a table with equally long columns, or an error with file and line.
 
 #include "../../examples/support/csv.hpp"
 #include "fuzz/input.hpp"

@@ -1,4 +1,4 @@
-// The state estimator under any samples, poses and time stamps.
+// The state estimator with any samples, poses and time stamps.
 
 #include <tilt_ropter/estimation/ekf.hpp>
 
@@ -13,19 +13,19 @@ namespace {
 
 EkfSettings any_settings(fuzz::Input& input) {
   EkfSettings s;
-  if (input.coin()) s.marker_position_deviation = 0.01, s.marker_orientation_deviation = 0.02;
+  if (input.coin()) s.marker_position_stddev = 0.01, s.marker_orientation_stddev = 0.02;
   if (input.coin()) return s;
-  input.vary_all(
-      s.imu_noise.gyro_density, s.imu_noise.accelerometer_density, s.imu_noise.gyro_bias_walk,
-      s.imu_noise.accelerometer_bias_walk, s.pose_noise.position, s.pose_noise.orientation,
-      s.marker_position, s.marker_orientation.coeffs(), s.marker_position_deviation,
-      s.marker_orientation_deviation, s.clock_offset, s.velocity_deviation, s.gyro_bias_deviation,
-      s.accelerometer_bias_deviation, s.gate, s.max_rejections, s.max_delay, s.max_imu_gap);
+  input.vary_all(s.imu_noise.gyro_density, s.imu_noise.accelerometer_density,
+                 s.imu_noise.gyro_bias_walk, s.imu_noise.accelerometer_bias_walk,
+                 s.pose_noise.position, s.pose_noise.orientation, s.marker_position,
+                 s.marker_orientation.coeffs(), s.marker_position_stddev,
+                 s.marker_orientation_stddev, s.clock_offset, s.velocity_stddev, s.gyro_bias_stddev,
+                 s.accelerometer_bias_stddev, s.gate, s.max_rejections, s.max_delay, s.max_imu_gap);
   return s;
 }
 
-void expect_sound(const Ekf<>& ekf) {
-  const InertialState<>& x = ekf.filter().state();
+void expect_sound(const Ekfd& ekf) {
+  const InertialStated& x = ekf.filter().state();
   fuzz::expect(is_finite(ekf.state()) && std::isfinite(ekf.time()) &&
                    std::isfinite(ekf.filter_time()) && std::isfinite(ekf.nis()),
                "state and times are finite");
@@ -42,7 +42,7 @@ void expect_sound(const Ekf<>& ekf) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
   fuzz::Input input(bytes, size);
   const EkfSettings settings = any_settings(input);
-  std::optional<Ekf<>> ekf;
+  std::optional<Ekfd> ekf;
   if (!fuzz::accepted([&] { ekf.emplace(settings); })) return 0;
   double time = 0.0;
   for (int tick = 0; tick < 200 && !input.empty(); ++tick) {
@@ -50,7 +50,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     const int kind = input.integer(0, 15);
     const double stamp = kind == 0 ? input.number(10.0) : time + (kind == 1 ? -0.03 : 0.0);
     if (kind < 12) {
-      const InertialSample<> sample{input.vector(10.0), input.vector(30.0)};
+      const InertialSampled sample{input.vector(10.0), input.vector(30.0)};
       const EkfStatus status = ekf->on_imu(stamp, sample);
       fuzz::expect(status == EkfStatus::rejected ||
                        (std::isfinite(stamp) && all_finite(sample.specific_force)),

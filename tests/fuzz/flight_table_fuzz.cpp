@@ -1,4 +1,4 @@
-// Tables of the Monte Carlo program: what merge_flights() takes can be summed up and printed.
+// Monte Carlo tables: any table that merge_flights() accepts can be ranked and printed.
 
 #include "../../examples/support/flight_table.hpp"
 #include "fuzz/input.hpp"

@@ -101,7 +101,7 @@ class Input {
     const double x = number(usual), y = number(usual);
     return {x, y, number(usual)};
   }
-  tilt_ropter::Wrench<> wrench(double force, double torque) {
+  tilt_ropter::Wrenchd wrench(double force, double torque) {
     const Eigen::Vector3d f = vector(force);
     return {f, vector(torque)};
   }

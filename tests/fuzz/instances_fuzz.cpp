@@ -1,5 +1,5 @@
-// Instances of the benchmark's problem: what is read is finite, of unit quaternions, and comes back
-// when it is written and read again.
+// Instances of the benchmark's problem: every instance that is read is finite, has unit
+// quaternions, and stays the same when it is written and read again.
 
 #include "../../examples/support/instances.hpp"
 #include "fuzz/input.hpp"
@@ -14,7 +14,7 @@ void expect_the_same(const examples::Instance& instance) {
   const auto again = examples::parse_instance(examples::to_csv(instance), error);
   fuzz::expect(again.has_value() && again->id == instance.id && again->bounds == instance.bounds,
                "what is written can be read");
-  // But for another rounding of the quaternions, which are normalised a second time.
+  // Quaternions may be rounded differently, because they are normalised a second time.
   fuzz::expect(again->start.body.position == instance.start.body.position &&
                    again->reference.velocity == instance.reference.velocity &&
                    again->external.torque == instance.external.torque,

@@ -1,4 +1,4 @@
-// Addresses of the programs that talk UDP: four numbers and a port, or refused.
+// Addresses of the programs that use UDP: any text is four numbers and a port, or it is rejected.
 
 #include "../../examples/hitl/link.hpp"
 #include "fuzz/input.hpp"
@@ -6,7 +6,7 @@
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
   fuzz::Input input(bytes, size);
   const std::string text = (input.coin() ? "127.0.0.1:" : "") + input.rest();
-  if (text.find('\0') != std::string::npos) return 0;  // no program gets such an argument
+  if (text.find('\0') != std::string::npos) return 0;  // arguments contain no null character
   try {
     const sockaddr_in address = hitl::parse_address(text);
     std::array<char, INET_ADDRSTRLEN> shown{};

@@ -1,4 +1,4 @@
-// Datagrams: whatever decode() takes is finite and encodes to the same bytes.
+// Datagrams: every message that decode() accepts is finite and encodes to the same bytes.
 
 #include "../../examples/hitl/message.hpp"
 #include "fuzz/input.hpp"
@@ -25,7 +25,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   std::vector<std::uint8_t> datagram(bytes, bytes + size);
   try_to_decode(datagram);
   if (size < hitl::header_size) return 0;
-  // Again with what no fuzzer guesses put right: greeting, size and checksum.
+  // Second try with the correct greeting, size and checksum, which a fuzzer cannot guess.
   std::copy(hitl::detail::greeting.begin(), hitl::detail::greeting.end(), datagram.begin());
   const auto count = hitl::value_count(static_cast<hitl::MessageType>(datagram[5]));
   if (count && datagram[31] < 0xf0) datagram.resize(hitl::header_size + 8 * *count);

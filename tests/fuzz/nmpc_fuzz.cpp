@@ -1,4 +1,4 @@
-// The controller in one long loop: any measurements, references and estimates, then good ones.
+// The controller in one long loop: any measurements, references and estimates, then good inputs.
 
 #include <tilt_ropter/control/nmpc.hpp>
 
@@ -10,7 +10,7 @@ using namespace tilt_ropter;
 
 namespace {
 
-// A short horizon, and no time limit that a slow machine would reach.
+// A short horizon, and the default time limit of half a period.
 NmpcSettings settings() {
   NmpcSettings s;
   s.problem.intervals = 5;
@@ -56,7 +56,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     contact.ground.slope = input.vector(1.0).head<2>();
     if (input.coin()) contact.disturbance = input.wrench(3.0, 0.3);
     if (input.coin()) contact.rolling = input.wrench(3.0, 0.3);
-    BodyState<> measured;
+    BodyStated measured;
     measured.position = input.vector(2.0);
     measured.velocity = input.vector(2.0);
     measured.orientation = input.orientation();
@@ -70,8 +70,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     fuzz::expect(!has_plan(result.status) || (std::isfinite(stamp) && is_finite(measured)),
                  "no plan is made from what is not finite");
   }
-  // A few good measurements bring it back, whatever was before.
-  BodyState<> level;
+  // After any earlier inputs, a few good measurements must give a plan again.
+  BodyStated level;
   level.position.z() = 1.5;
   NmpcStatus status = NmpcStatus::no_plan;
   for (int tick = 0; tick < 5; ++tick) {

@@ -1,4 +1,4 @@
-// References from any parameters: refused, or finite at all times.
+// References from any settings: rejected, or finite at all times.
 
 #include <tilt_ropter/planning/mission.hpp>
 
@@ -15,8 +15,8 @@ template <typename Reference>
 void expect_finite(const Reference& reference) {
   const double start = reference.start_time(), duration = reference.end_time() - start;
   fuzz::expect(duration > 0.0 && std::isfinite(duration), "it lasts for some time");
-  for (const double share : {-1.0, 0.0, 1e-9, 0.1, 0.37, 0.5, 0.77, 0.999, 1.0, 2.0}) {
-    const ReferencePoint p = reference(start + share * duration);
+  for (const double fraction : {-1.0, 0.0, 1e-9, 0.1, 0.37, 0.5, 0.77, 0.999, 1.0, 2.0}) {
+    const ReferencePoint p = reference(start + fraction * duration);
     fuzz::expect(all_finite(p.position) && all_finite(p.velocity) && all_finite(p.acceleration) &&
                      all_finite(p.angular_velocity) && all_finite(p.angular_acceleration) &&
                      std::abs(p.orientation.norm() - 1.0) < 1e-9,
@@ -30,21 +30,21 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   fuzz::Input input(bytes, size);
   const int kind = input.integer(0, 2);
   if (kind == 0) {
-    FigureEightParameters p;
+    FigureEightSettings p;
     if (input.coin()) p.heading = HeadingMode::along_velocity;
     input.vary_all(p.center, p.amplitude, p.direction, p.laps, p.ramp_laps, p.max_speed,
                    p.max_acceleration, p.yaw, p.max_yaw_rate, p.start_time);
     std::optional<FigureEight> eight;
     if (fuzz::accepted([&] { eight.emplace(p); })) expect_finite(*eight);
   } else if (kind == 1) {
-    TransitionParameters p;
+    TransitionSettings p;
     p.to.position << 1.0, 2.0, 3.0;
     input.vary_all(p.from.position, p.from.yaw, p.to.position, p.to.yaw, p.start_time, p.duration,
                    p.max_speed, p.max_acceleration, p.max_yaw_rate, p.max_yaw_acceleration);
     std::optional<Transition> transition;
     if (fuzz::accepted([&] { transition.emplace(p); })) expect_finite(*transition);
   } else {
-    HybridMissionParameters p;
+    HybridMissionSettings p;
     Undercarriage stand;
     input.vary_all(p.origin, p.yaw, p.direction, stand.height, p.flight_height, p.rest_time,
                    p.hover_time, p.climb_speed, p.climb_acceleration, p.descent_speed,

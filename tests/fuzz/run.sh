@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # run.sh SECONDS DIRECTORY
-# Runs every fuzz target in DIRECTORY for SECONDS, one a processor at a time, all with the same
-# seed. Inputs worth keeping stay in DIRECTORY/corpus and are where the next run starts; what breaks
-# a target is kept in DIRECTORY/findings. Fails if there is any.
+# Runs every fuzz target in DIRECTORY for SECONDS, one per processor at a time, all with the same
+# seed. Keeps useful inputs in DIRECTORY/corpus, where the next run starts, and failing inputs in
+# DIRECTORY/findings. Fails if there are findings.
 set -euo pipefail
 
 export seconds=$1

@@ -1,4 +1,4 @@
-// Identification of a servo from any log under any settings.
+// Identification of a servo from any log with any settings.
 
 #include <tilt_ropter/estimation/servo_identification.hpp>
 
@@ -26,7 +26,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                    s.min_significance, s.min_samples);
   s.max_iterations = input.integer(0, 100);
 
-  // A servo that follows, with some rows as the bytes have them.
+  // A servo that follows its command. The input bytes replace some samples.
   ServoLog log;
   const int rows = input.integer(0, 60);
   const double period = input.number(0.05);

@@ -1,4 +1,4 @@
-// The reader of vehicle files: any bytes are a vehicle that the library takes, or refused with the
+// Reader of vehicle files: any bytes give a vehicle that the library accepts, or an error with the
 // file's name.
 
 #include "../../examples/support/vehicle_file.hpp"
@@ -10,7 +10,8 @@
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
   fuzz::Input input(bytes, size);
   std::string text = input.rest();
-  // Most of what the fuzzer finds is no JSON; this lets it change a good file in one place.
+  // Most fuzzer inputs are not JSON. An input that starts with '!' changes one place of a good
+  // file.
   const std::string good =
       R"({"name":"x","body":{"mass_kg":1,"inertia_kg_m2":[0.01,0.01,0.01]},"rotor":)"
       R"({"thrust_coefficient_n_s2_per_rad2":1e-6,"torque_ratio_m":0.01,"min_thrust_n":0,)"

@@ -1,4 +1,4 @@
-// Parameters of a vehicle: refused, or good for allocation, power, servos and rotors.
+// Parameters of a vehicle: rejected, or valid for allocation, power, servos and rotors.
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/power.hpp>
@@ -31,7 +31,7 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
 }
 
 void expect_good_allocation(const Vehicle<4>& vehicle, const Allocation<4>& allocation,
-                            const Wrench<>& wanted) {
+                            const Wrenchd& wanted) {
   const auto result = allocation.allocate(0.0, wanted, wanted, {});
   fuzz::expect(all_finite(result.command.rotor_speed) && all_finite(result.command.tilt_angle),
                "commands are finite");
@@ -56,12 +56,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   std::optional<PowerModel> power;
   if (fuzz::accepted([&] { power.emplace(vehicle); }))
     fuzz::expect(std::isfinite(power->power(Eigen::Vector4d::Constant(1000.0))), "power is finite");
-  Servo<> servo(vehicle.servo);
+  Servod servo(vehicle.servo);
   servo.update(0.0, 0.1);
   const double angle = servo.update(0.01, 0.1);
   fuzz::expect(angle >= vehicle.servo.min_angle && angle <= vehicle.servo.max_angle,
                "the servo is in its range");
-  Rotor<> rotor(vehicle.rotor);
+  Rotord rotor(vehicle.rotor);
   rotor.update(0.0, 1000.0);
   fuzz::expect(std::isfinite(rotor.update(0.01, 1000.0)), "the rotor's speed is finite");
 

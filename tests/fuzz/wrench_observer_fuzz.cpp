@@ -1,4 +1,4 @@
-// The wrench observer under any samples, time stamps and calibrations.
+// The wrench observer with any samples, time stamps and calibrations.
 
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 
@@ -18,8 +18,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   if (input.coin())
     input.vary_all(body.mass, body.inertia, s.force_bandwidth, s.torque_bandwidth,
                    s.force_dead_band, s.torque_dead_band, s.force_limit, s.torque_limit, s.max_gap,
-                   s.min_calibration_time, s.max_force_deviation, s.max_torque_deviation);
-  std::optional<WrenchObserver<>> observer;
+                   s.min_calibration_time, s.max_force_stddev, s.max_torque_stddev);
+  std::optional<WrenchObserverd> observer;
   if (!fuzz::accepted([&] { observer.emplace(body, s); })) return 0;
   double time = 0.0;
   for (int tick = 0; tick < 300 && !input.empty(); ++tick) {
@@ -42,8 +42,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         [[fallthrough]];
       default: {
         const Eigen::Vector3d force = input.vector(20.0), rate = input.vector(5.0);
-        const Wrench<> applied = input.wrench(20.0, 2.0);
-        const Wrench<> before = observer->filtered();
+        const Wrenchd applied = input.wrench(20.0, 2.0);
+        const Wrenchd before = observer->filtered();
         const ObserverStatus status = observer->update(time, {rate, force}, applied);
         fuzz::expect(
             status == ObserverStatus::updated || (observer->filtered().force == before.force &&

@@ -12,7 +12,7 @@ namespace {
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-TEST(Entries, FilledBecomesAnyMatrixOfFixedSizeAndScalar) {
+TEST(Entries, FilledConvertsToAnyFixedSizeMatrix) {
   const Eigen::Matrix<double, 3, 5> zeros = detail::Filled();
   EXPECT_EQ(zeros, (Eigen::Matrix<double, 3, 5>::Zero()));
   const Eigen::Matrix<float, 4, 1> halves = detail::Filled{0.5};
@@ -47,7 +47,7 @@ TEST(Entries, CopyFirstLeavesTheRest) {
   }
 }
 
-TEST(Entries, LargestIsTheMaximumNormOfAnySize) {
+TEST(Entries, LargestIsMaximumNorm) {
   Eigen::Matrix<double, 2, 3> m;
   m << 1.0, -2.0, 3.0, -4.0, 0.0, 0.5;
   EXPECT_EQ(detail::largest(m), 4.0);

@@ -26,13 +26,13 @@ void every_entry_counts() {
   EXPECT_TRUE(all_finite(values));
 }
 
-TEST(AllFinite, EveryEntryCounts) {
+TEST(AllFinite, ChecksEveryEntry) {
   every_entry_counts<double>();
   every_entry_counts<float>();
 }
 
-// With -ffast-math the compiler may cancel a sum against itself: it must not get the chance.
-TEST(AllFinite, SeesWhatComesOutOfASum) {
+// With -ffast-math the compiler may replace x - x by zero. The test for NaN must not depend on it.
+TEST(AllFinite, DetectsNanFromASum) {
   volatile double bad = std::numeric_limits<double>::quiet_NaN(), one = 1.0;
   const double w = bad, z = one;
   const Eigen::Vector2d sums(0.7 * (w + z), 0.7 * (w - z));

@@ -11,7 +11,7 @@
 namespace tilt_ropter {
 namespace {
 
-TEST(Lanes, EveryOperatorDoesInEachLaneWhatItDoesToANumber) {
+TEST(Lanes, EveryOperatorMatchesScalarInEachLane) {
   test_support::Random random(1);
   for (int trial = 0; trial < 1000; ++trial) {
     double a[4], b[4];

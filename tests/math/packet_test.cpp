@@ -8,7 +8,7 @@
 namespace tilt_ropter {
 namespace {
 
-TEST(Packet, OneNumberThatIsNotFiniteIsFoundWhereverItIs) {
+TEST(Packet, FiniteCheckFindsOneBadNumberAtAnyIndex) {
   for (const int count : {0, 1, 2, 3, 4, 7, 8, 24, 27}) {
     std::vector<double> numbers(static_cast<std::size_t>(count), 1e300);
     const auto finite = [&] {
@@ -47,7 +47,7 @@ void expect_transposed() {
           << Rows << " x " << Columns << " at " << i << ", " << j;
 }
 
-TEST(Packet, AnyMatrixIsTransposedAndNothingElseIsWritten) {
+TEST(Packet, TransposesAnyMatrixAndLeavesPaddingUntouched) {
   expect_transposed<1, 1>();
   expect_transposed<2, 3>();
   expect_transposed<3, 2>();
@@ -58,7 +58,7 @@ TEST(Packet, AnyMatrixIsTransposedAndNothingElseIsWritten) {
   expect_transposed<18, 6>();
 }
 
-TEST(Packet, SizesAreFilledUpToWholePackets) {
+TEST(Packet, PaddedRoundsUpToWholePackets) {
   EXPECT_EQ(detail::padded(0), 0);
   EXPECT_EQ(detail::padded(1), 4);
   EXPECT_EQ(detail::padded(24), 24);

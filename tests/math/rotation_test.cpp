@@ -18,7 +18,7 @@ using namespace tilt_ropter;
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-/// Rotation vectors of every kind of size, in random directions.
+/// Rotation vectors from zero to pi, including tiny ones, in random directions.
 std::vector<Vector3d> rotation_vectors() {
   test_support::Random random(1);
   std::vector<Vector3d> vectors{Vector3d::Zero()};
@@ -29,7 +29,7 @@ std::vector<Vector3d> rotation_vectors() {
   return vectors;
 }
 
-TEST(Rotation, ExpAgreesWithEigensAngleAxis) {
+TEST(Rotation, ExpMatchesEigenAngleAxis) {
   for (const Vector3d& theta : rotation_vectors()) {
     const double angle = theta.norm();
     const Vector3d axis = angle > 0.0 ? Vector3d(theta / angle) : Vector3d::UnitX();
@@ -38,7 +38,7 @@ TEST(Rotation, ExpAgreesWithEigensAngleAxis) {
   }
 }
 
-TEST(Rotation, ExpIsAUnitQuaternionBeyondPiToo) {
+TEST(Rotation, ExpIsUnitQuaternionBeyondPi) {
   test_support::Random random(2);
   for (int i = 0; i < 1000; ++i)
     EXPECT_NEAR(quaternion_exp(random.vector(30.0)).norm(), 1.0, 1e-15);
@@ -47,13 +47,13 @@ TEST(Rotation, ExpIsAUnitQuaternionBeyondPiToo) {
 TEST(Rotation, LogInvertsExp) {
   for (const Vector3d& theta : rotation_vectors()) {
     Vector3d back = quaternion_log(quaternion_exp(theta));
-    // At pi both signs are the same rotation.
+    // At pi both signs describe the same rotation.
     if (theta.norm() > pi - 1e-9 && back.dot(theta) < 0.0) back = -back;
     EXPECT_LT((back - theta).norm(), 1e-14 * (1.0 + theta.norm())) << theta.transpose();
   }
 }
 
-TEST(Rotation, LogTakesTheShorterWay) {
+TEST(Rotation, LogReturnsShorterRotation) {
   test_support::Random random(3);
   for (int i = 0; i < 1000; ++i) {
     const Quaterniond q = random.orientation();
@@ -65,7 +65,7 @@ TEST(Rotation, LogTakesTheShorterWay) {
   }
 }
 
-TEST(Rotation, FloatIsAsAccurateAsFloatCanBe) {
+TEST(Rotation, FloatReachesFloatPrecision) {
   for (const Vector3d& theta : rotation_vectors()) {
     const Eigen::Vector3f single = theta.cast<float>();
     const Eigen::Quaternionf q = quaternion_exp(single);
@@ -76,7 +76,7 @@ TEST(Rotation, FloatIsAsAccurateAsFloatCanBe) {
   }
 }
 
-TEST(Rotation, DerivativeOfLogOfExpIsTheIdentityAtZeroToo) {
+TEST(Rotation, DerivativeOfLogOfExpIsIdentity) {
   for (const Vector3d& theta : rotation_vectors()) {
     if (theta.norm() > pi - 1e-3) continue;
     const Eigen::Matrix3d jacobian = test_support::jacobian_at_zero<3, 3>([&](const auto& dual) {
@@ -88,7 +88,7 @@ TEST(Rotation, DerivativeOfLogOfExpIsTheIdentityAtZeroToo) {
   }
 }
 
-TEST(Rotation, DerivativeOfExpAtZeroIsHalfTheRotationVector) {
+TEST(Rotation, DerivativeOfExpAtZeroIsOneHalf) {
   const auto jacobian = test_support::jacobian_at_zero<4, 3>([](const auto& dual) {
     const auto q = quaternion_exp(dual);
     Eigen::Matrix<test_support::Dual<3>, 4, 1> packed;
@@ -100,7 +100,7 @@ TEST(Rotation, DerivativeOfExpAtZeroIsHalfTheRotationVector) {
   EXPECT_LT((jacobian - expected).norm(), 1e-15);
 }
 
-TEST(Rotation, RightJacobianIsTheDerivativeOfExpInTheBodyFrame) {
+TEST(Rotation, RightJacobianMatchesAutomaticDifferentiation) {
   double worst = 0.0;
   for (const Vector3d& theta : rotation_vectors()) {
     const Eigen::Matrix3d truth = test_support::jacobian_at_zero<3, 3>([&](const auto& dual) {
@@ -123,7 +123,7 @@ TEST(Rotation, SkewIsTheCrossProduct) {
   }
 }
 
-TEST(Rotation, YawComesBackAndIsTheHeadingOfX) {
+TEST(Rotation, YawRoundTripAndHeadingOfBodyX) {
   test_support::Random random(5);
   for (int i = 0; i < 1000; ++i) {
     const double yaw = random.uniform(-pi, pi);

@@ -24,7 +24,8 @@ Eigen::Matrix<double, Rows, Columns> random_matrix(Random& random) {
   return A;
 }
 
-/// How far left and right are from orthonormal rows, where right's are not zero.
+/// Returns the largest orthonormality error of the rows of `left` and `right`. Rows of `right` with
+/// a singular value of zero must be zero.
 template <int Rows, int Columns>
 double skewness(const SingularValues<Rows, Columns>& svd) {
   Eigen::Matrix<double, Rows, Rows> identity = Eigen::Matrix<double, Rows, Rows>::Identity();
@@ -34,7 +35,8 @@ double skewness(const SingularValues<Rows, Columns>& svd) {
   return std::max(left, (svd.right * svd.right.transpose() - identity).cwiseAbs().maxCoeff());
 }
 
-/// All that the header promises of the decomposition of any finite matrix, and Eigen's values.
+/// Checks all properties that the header promises for a finite matrix, and compares the singular
+/// values with Eigen.
 template <int Rows, int Columns>
 void expect_decomposition(const Eigen::Matrix<double, Rows, Columns>& A) {
   const SingularValues<Rows, Columns> svd(A);
@@ -56,7 +58,7 @@ void expect_decompositions(Random& random) {
     expect_decomposition<Rows, Columns>(random_matrix<Rows, Columns>(random));
 }
 
-TEST(SingularValues, AreThoseOfEigenForRandomMatrices) {
+TEST(SingularValues, MatchEigenForRandomMatrices) {
   Random random(1);
   expect_decompositions<1, 1>(random);
   expect_decompositions<1, 7>(random);
@@ -69,7 +71,7 @@ TEST(SingularValues, AreThoseOfEigenForRandomMatrices) {
   expect_decompositions<12, 12>(random);
 }
 
-TEST(SingularValues, AreThoseOfEigenForMatricesOfAnyRank) {
+TEST(SingularValues, MatchEigenForMatricesOfAnyRank) {
   Random random(2);
   for (int rank = 0; rank <= 6; ++rank)
     for (int i = 0; i < 50; ++i) {
@@ -82,9 +84,10 @@ TEST(SingularValues, AreThoseOfEigenForMatricesOfAnyRank) {
     }
 }
 
-// Where each row is 1e8 times the next, a value is, to 1e-16, the length of what is left of its row
-// at right angles to all larger rows: the diagonal of a QR factorisation.
-TEST(SingularValues, SmallOnesAreAsExactAsLargeOnesWhereRowsDifferInSize) {
+// Each row is 1e8 times larger than the next. To 1e-16, each singular value is then the length of
+// its row after projection orthogonal to all larger rows. This length is the diagonal entry of a QR
+// factorisation.
+TEST(SingularValues, SmallValuesAreAccurateForRowsOfVeryDifferentSize) {
   Random random(3);
   double worst = 0.0;
   for (int i = 0; i < 200; ++i) {
@@ -116,14 +119,15 @@ TEST(SingularValues, ScaleWithTheMatrix) {
     }
 }
 
-TEST(SingularValues, OfZeroAreZeroWithZeroRowsOnTheRight) {
+TEST(SingularValues, ZeroMatrixHasZeroValuesAndZeroRightRows) {
   const SingularValues<3, 5> svd(Eigen::Matrix<double, 3, 5>::Zero());
   EXPECT_EQ(svd.values, Eigen::Vector3d::Zero());
   EXPECT_EQ(svd.left, Eigen::Matrix3d::Identity());
   EXPECT_EQ(svd.right, (Eigen::Matrix<double, 3, 5>::Zero()));
   EXPECT_EQ(svd.rank(0.0), 0);
 
-  // Two rows alike, and one of zeros: exact, since a turn by 45 degrees makes one of two.
+  // Two equal rows and a zero row. The zeros are exact, since a rotation by 45 degrees merges the
+  // two rows.
   Eigen::Matrix<double, 3, 5> twins = Eigen::Matrix<double, 3, 5>::Zero();
   twins(0, 1) = twins(2, 1) = 3.0;
   const SingularValues<3, 5> of_twins(twins);
@@ -133,7 +137,7 @@ TEST(SingularValues, OfZeroAreZeroWithZeroRowsOnTheRight) {
   EXPECT_EQ(of_twins.rank(0.0), 1);
 }
 
-TEST(SingularValues, RankCountsValuesAboveTheFraction) {
+TEST(SingularValues, RankCountsValuesAboveFractionOfLargest) {
   Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
   A.diagonal() << 0.25, 1.0, 0.5;
   const SingularValues<3, 3> svd(A);
@@ -145,8 +149,8 @@ TEST(SingularValues, RankCountsValuesAboveTheFraction) {
   EXPECT_EQ(svd.rank(1.0), 0);
 }
 
-// So a check of the rank refuses such a matrix. Its other rows have values of their own.
-TEST(SingularValues, MatrixWithANumberThatIsNotFiniteNeverHasFullRank) {
+// A check of the rank therefore rejects such a matrix. Exactly one singular value is not finite.
+TEST(SingularValues, NonFiniteMatrixNeverHasFullRank) {
   Random random(5);
   using Limits = std::numeric_limits<double>;
   for (const double bad : {Limits::quiet_NaN(), Limits::infinity(), -Limits::infinity(), 1e200})

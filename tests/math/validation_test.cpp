@@ -15,7 +15,7 @@ using namespace tilt_ropter;
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// What a check says, empty if it accepts.
+/// Returns the message of a check, or an empty string if the check accepts.
 template <typename Check>
 std::string complaint(const Check& check) {
   try {
@@ -26,13 +26,13 @@ std::string complaint(const Check& check) {
   return {};
 }
 
-TEST(Validation, MessageNamesFieldValueAndWhatIsAllowed) {
+TEST(Validation, MessageNamesFieldValueAndAllowedValues) {
   EXPECT_EQ(complaint([] { require(false, "Wheel.radius [m]", -0.25, "> 0"); }),
             "Wheel.radius [m] = -0.25: must be > 0");
   EXPECT_EQ(complaint([] { require(true, "anything", -0.25, "> 0"); }), "");
 }
 
-TEST(Validation, VectorsAndMatricesStandInOneLine) {
+TEST(Validation, VectorsAndMatricesArePrintedInOneLine) {
   EXPECT_EQ(complaint([] {
               require(false, "gain", Eigen::Vector3d(1.0, -2.5, 3.0), "small");
             }).find('\n'),
@@ -45,7 +45,7 @@ TEST(Validation, VectorsAndMatricesStandInOneLine) {
   EXPECT_EQ(text, "gain = (1, 2; 3, 4): must be small");
 }
 
-TEST(Validation, ScalarsAreRefusedOutsideTheirRangeOnly) {
+TEST(Validation, RejectsScalarsOutsideTheirRangeOnly) {
   EXPECT_EQ(complaint([] { require_finite("a", -1.0); }), "");
   EXPECT_EQ(complaint([] { require_positive("a", 1e-300); }), "");
   EXPECT_EQ(complaint([] { require_non_negative("a", 0.0); }), "");
@@ -64,7 +64,7 @@ TEST(Validation, ScalarsAreRefusedOutsideTheirRangeOnly) {
   EXPECT_EQ(complaint([] { require_non_negative("a", -1.0); }), "a = -1: must be finite and >= 0");
 }
 
-TEST(Validation, OneBadEntryOfAVectorIsEnough) {
+TEST(Validation, RejectsVectorsWithOneInvalidEntry) {
   using Eigen::Vector2d;
   EXPECT_EQ(complaint([] { require_finite("a", Vector2d(-1.0, 2.0)); }), "");
   EXPECT_EQ(complaint([] { require_positive("a", Vector2d(1.0, 2.0)); }), "");
@@ -87,7 +87,7 @@ TEST(Validation, BoundsMayBeInfiniteAndEqualButNotReversedOrNan) {
   EXPECT_NE(complaint([&] { require_ordered("u", Vector2d(nan, 0.0), upper); }), "");
 }
 
-TEST(Validation, InertiaMustBelongToSomeBody) {
+TEST(Validation, RejectsPhysicallyImpossibleInertia) {
   const auto says = [](const Eigen::Matrix3d& inertia) {
     return complaint([&] { require_inertia("J", inertia); });
   };
@@ -104,7 +104,7 @@ TEST(Validation, InertiaMustBelongToSomeBody) {
   EXPECT_NE(says(lopsided).find("symmetric"), std::string::npos);
 }
 
-TEST(Validation, InertiasAreJudgedByTheirPrincipalMomentsInAnyAxes) {
+TEST(Validation, ChecksInertiaByPrincipalMomentsInAnyAxes) {
   test_support::Random random(7);
   int accepted = 0;
   for (int i = 0; i < 100000; ++i) {
@@ -125,7 +125,7 @@ TEST(Validation, InertiasAreJudgedByTheirPrincipalMomentsInAnyAxes) {
   EXPECT_GT(accepted, 10000);
 }
 
-TEST(Validation, FlatPlatesAreBodiesInAnyAxes) {
+TEST(Validation, AcceptsFlatPlatesInAnyAxes) {
   test_support::Random random(8);
   for (int i = 0; i < 10000; ++i) {
     const Eigen::Matrix3d turn = random.orientation().toRotationMatrix();

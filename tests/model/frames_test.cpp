@@ -15,7 +15,7 @@ using Eigen::Vector3d;
 TEST(Frames, BodyInWorldMapsBodyPointsToTheWorld) {
   test_support::Random random(1);
   for (int i = 0; i < 100; ++i) {
-    BodyState<> body;
+    BodyStated body;
     body.position = random.vector(10.0);
     body.orientation = random.orientation();
     const Vector3d point = random.vector(1.0);
@@ -44,13 +44,13 @@ TEST(Frames, WheelFramesHaveXAlongTheAxleAndZUp) {
     EXPECT_NEAR(wheel.linear().determinant(), 1.0, 1e-15);
     EXPECT_LT((wheel.linear() * Vector3d::UnitX() - Vector3d::UnitY()).norm(), 1e-15);
     EXPECT_LT((wheel.linear() * Vector3d::UnitZ() - Vector3d::UnitZ()).norm(), 1e-15);
-    // Wheel and rotor of the same number sit on the same arm.
+    // The wheel and the rotor of the same number are on the same arm.
     EXPECT_GT(wheel.translation().dot(vehicle.rotors[i].position), 0.0);
     EXPECT_NEAR(wheel.translation().norm(), vehicle.wheels->half_track, 1e-15);
   }
 }
 
-TEST(Frames, PositiveTiltOfAnArmPushesToItsRight) {
+TEST(Frames, PositiveTiltPushesToTheRightOfTheArm) {
   test_support::Random random(2);
   for (int i = 0; i < 100; ++i) {
     const double azimuth = random.uniform(-pi, pi), alpha = random.uniform(-pi, pi);
@@ -59,7 +59,7 @@ TEST(Frames, PositiveTiltOfAnArmPushesToItsRight) {
     const Vector3d expected(std::sin(alpha) * std::sin(azimuth),
                             -std::sin(alpha) * std::cos(azimuth), std::cos(alpha));
     EXPECT_LT((thrust - expected).norm(), 1e-15);
-    // The same by turning up about the arm.
+    // The same result by rotating the vertical about the arm.
     const Vector3d turned = Eigen::AngleAxisd(alpha, rotor.orientation.col(0)) * Vector3d::UnitZ();
     EXPECT_LT((thrust - turned).norm(), 1e-15);
   }

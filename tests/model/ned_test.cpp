@@ -22,12 +22,12 @@ using Eigen::Quaterniond;
 using Eigen::Vector3d;
 using test_support::Random;
 
-// Truth of another form: each axis of the one frame written in the other.
+// Reference in another form: each axis of one frame, written in the other frame.
 Matrix3d enu_to_ned() {
   Matrix3d m;
-  m.col(0) = Vector3d(0, 1, 0);   // east is NED's y
-  m.col(1) = Vector3d(1, 0, 0);   // north is its x
-  m.col(2) = Vector3d(0, 0, -1);  // up is against its z
+  m.col(0) = Vector3d(0, 1, 0);   // east is y of NED
+  m.col(1) = Vector3d(1, 0, 0);   // north is x of NED
+  m.col(2) = Vector3d(0, 0, -1);  // up is -z of NED
   return m;
 }
 
@@ -35,13 +35,13 @@ Matrix3d flu_to_frd() {
   return Vector3d(1, -1, -1).asDiagonal();
 }
 
-double distance(const BodyState<>& a, const BodyState<>& b) {
+double distance(const BodyStated& a, const BodyStated& b) {
   return (a.position - b.position).norm() + (a.velocity - b.velocity).norm() +
          (a.orientation.coeffs() - b.orientation.coeffs()).norm() +
          (a.angular_velocity - b.angular_velocity).norm();
 }
 
-TEST(Ned, VectorsAreWhereTheAxesPoint) {
+TEST(Ned, VectorsMatchAxisDefinitions) {
   Random random(81);
   for (int i = 0; i < 1000; ++i) {
     const Vector3d v = random.vector(10.0);
@@ -52,11 +52,11 @@ TEST(Ned, VectorsAreWhereTheAxesPoint) {
   }
 }
 
-TEST(Ned, AttitudeIsTheSameRotationInOtherAxes) {
+TEST(Ned, AttitudeMatchesRotationMatrixInNedAndFrd) {
   Random random(82);
   for (int i = 0; i < 1000; ++i) {
     Quaterniond q = random.orientation();
-    if (i < 9) {  // identity, half turns and what is next to them
+    if (i < 9) {  // identity, half turns and almost half turns
       const double angle[] = {0.0, pi, pi - 1e-8};
       q = Eigen::AngleAxisd(angle[i % 3], Vector3d::Unit(i / 3));
     }
@@ -69,7 +69,7 @@ TEST(Ned, AttitudeIsTheSameRotationInOtherAxes) {
 }
 
 TEST(Ned, LevelHeadingsAreCompassHeadings) {
-  // PX4's heading counts from north, clockwise seen from above; facing east is our zero.
+  // PX4's heading is measured clockwise from north, seen from above. Our zero heading faces east.
   for (const double yaw : {0.0, 0.3, pi / 2, -2.0, 3.0}) {
     const Quaterniond compass = ned_from_enu(quaternion_from_yaw(yaw));
     EXPECT_NEAR(std::remainder(yaw_of(compass) - (pi / 2 - yaw), 2 * pi), 0.0, 1e-14);
@@ -77,7 +77,7 @@ TEST(Ned, LevelHeadingsAreCompassHeadings) {
   }
 }
 
-TEST(Ned, AQuaternionDoesNotJumpAlongATurn) {
+TEST(Ned, QuaternionIsContinuousOverTwoTurns) {
   Quaterniond before = ned_from_enu(Quaterniond::Identity());
   const Vector3d axis = Vector3d(1, 2, -0.5).normalized();
   for (int i = 1; i <= 1000; ++i) {  // two whole turns
@@ -89,12 +89,12 @@ TEST(Ned, AQuaternionDoesNotJumpAlongATurn) {
   }
 }
 
-/// A free body under a constant wrench, all in one set of axes, by many small steps of its own:
-/// rotation matrices and angular momentum in the world, no quaternions.
+/// A rigid body under a constant body wrench, in one set of axes. It is integrated independently by
+/// many small steps, with rotation matrices and the angular momentum in the world frame.
 struct PlainBody {
   Vector3d position, velocity;
   Matrix3d rotation;  ///< body -> world
-  Vector3d momentum;  ///< angular, in the world
+  Vector3d momentum;  ///< angular momentum, in the world frame
 };
 
 PlainBody fly(PlainBody x, double mass, const Matrix3d& inertia, const Vector3d& weight,
@@ -120,15 +120,15 @@ PlainBody fly(PlainBody x, double mass, const Matrix3d& inertia, const Vector3d&
   return x;
 }
 
-TEST(Ned, ABodyFliesTheSameWayInBothSetsOfAxes) {
+TEST(Ned, BodyFollowsSameTrajectoryInBothAxes) {
   Random random(83);
   const double mass = 1.5;
-  Matrix3d inertia;  // in FLU, with products, which change sign
+  Matrix3d inertia;  // in FLU, with products of inertia, which change sign
   inertia << 0.014, 0.002, -0.001, 0.002, 0.017, 0.003, -0.001, 0.003, 0.025;
   const Matrix3d inertia_frd = flu_to_frd() * inertia * flu_to_frd();
   for (int i = 0; i < 20; ++i) {
-    const State<> start = test_support::random_state(random);
-    const Wrench<> wrench{random.vector(20.0), random.vector(0.05)};
+    const Stated start = test_support::random_state(random);
+    const Wrenchd wrench{random.vector(20.0), random.vector(0.05)};
     const auto plain = [](const auto& body, const Matrix3d& j) {
       const Matrix3d rotation = body.orientation.toRotationMatrix();
       return PlainBody{body.position, body.velocity, rotation,
@@ -139,43 +139,43 @@ TEST(Ned, ABodyFliesTheSameWayInBothSetsOfAxes) {
     const PlainBody enu =
         fly(plain(start.body, inertia), mass, inertia, Vector3d(0, 0, -mass * gravity),
             wrench.force, wrench.torque, duration, steps);
-    const Wrench<> wrench_frd = frd_from_flu(wrench);
+    const Wrenchd wrench_frd = frd_from_flu(wrench);
     const PlainBody ned =
         fly(plain(ned_from_enu(start.body), inertia_frd), mass, inertia_frd,
             Vector3d(0, 0, mass * gravity), wrench_frd.force, wrench_frd.torque, duration, steps);
-    NedBodyState<> end_ned;
+    NedBodyStated end_ned;
     end_ned.position = ned.position;
     end_ned.velocity = ned.velocity;
     end_ned.orientation = Quaterniond(ned.rotation);
     end_ned.angular_velocity = inertia_frd.inverse() * ned.rotation.transpose() * ned.momentum;
-    const BodyState<> end = enu_from_ned(end_ned);
+    const BodyStated end = enu_from_ned(end_ned);
     EXPECT_LT((end.position - enu.position).norm(), 1e-10);
     EXPECT_LT((end.velocity - enu.velocity).norm(), 1e-10);
     EXPECT_LT((end.orientation.toRotationMatrix() - enu.rotation).norm(), 1e-10);
     EXPECT_LT(
         (end.angular_velocity - inertia.inverse() * enu.rotation.transpose() * enu.momentum).norm(),
         1e-9);
-    EXPECT_GT((enu.position - start.body.position).norm(), 0.1);  // it did fly
+    EXPECT_GT((enu.position - start.body.position).norm(), 0.1);  // the body has moved
   }
 }
 
-TEST(Ned, ThereAndBackIsTheSame) {
+TEST(Ned, RoundTripIsIdentity) {
   Random random(84);
   for (int i = 0; i < 1000; ++i) {
-    const State<> x = test_support::random_state(random);
+    const Stated x = test_support::random_state(random);
     EXPECT_LT(distance(enu_from_ned(ned_from_enu(x.body)), x.body), 1e-15);
-    const Wrench<> back = flu_from_frd(frd_from_flu(x.wrench));
+    const Wrenchd back = flu_from_frd(frd_from_flu(x.wrench));
     EXPECT_EQ(back.force, x.wrench.force);
     EXPECT_EQ(back.torque, x.wrench.torque);
   }
 }
 
-TEST(Ned, PowerIsTheSame) {
+TEST(Ned, PowerIsInvariant) {
   Random random(85);
   for (int i = 0; i < 100; ++i) {
-    const State<> x = test_support::random_state(random);
-    const NedBodyState<> ned = ned_from_enu(x.body);
-    const Wrench<> frd = frd_from_flu(x.wrench);
+    const Stated x = test_support::random_state(random);
+    const NedBodyStated ned = ned_from_enu(x.body);
+    const Wrenchd frd = frd_from_flu(x.wrench);
     EXPECT_NEAR(
         (ned.orientation * frd.force).dot(ned.velocity) + frd.torque.dot(ned.angular_velocity),
         (x.body.orientation * x.wrench.force).dot(x.body.velocity) +
@@ -184,11 +184,11 @@ TEST(Ned, PowerIsTheSame) {
   }
 }
 
-TEST(Ned, WhatIsNotFiniteIsRefusedByIsFinite) {
+TEST(Ned, NonFiniteEntriesStayNonFinite) {
   for (const double bad :
        {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
     for (int i = 0; i < 13; ++i) {
-      NedBodyState<> ned;
+      NedBodyStated ned;
       ASSERT_TRUE(is_finite(enu_from_ned(ned)));
       if (i < 3) ned.position(i) = bad;
       if (i >= 3 && i < 6) ned.velocity(i - 3) = bad;
@@ -196,7 +196,7 @@ TEST(Ned, WhatIsNotFiniteIsRefusedByIsFinite) {
       if (i >= 10) ned.angular_velocity(i - 10) = bad;
       EXPECT_FALSE(is_finite(enu_from_ned(ned))) << i;
     }
-    EXPECT_FALSE(is_finite(flu_from_frd(Wrench<>{Vector3d(0, bad, 0), Vector3d::Zero()})));
+    EXPECT_FALSE(is_finite(flu_from_frd(Wrenchd{Vector3d(0, bad, 0), Vector3d::Zero()})));
   }
 }
 
@@ -206,7 +206,7 @@ TEST(Ned, WorksInSinglePrecisionAndWithDerivatives) {
       (ned_from_enu(q.cast<float>()).coeffs().cast<double>() - ned_from_enu(q).coeffs()).norm(),
       1e-7);
   EXPECT_EQ(frd_from_flu(Eigen::Vector3f(1, 2, 3)), Eigen::Vector3f(1, -2, -3));
-  // A small turn of the body is the same small turn in FRD axes.
+  // A small rotation of the body is the same small rotation in FRD axes.
   const Matrix3d by_turn = test_support::jacobian_at_zero<3, 3>([&](const auto& step) {
     using Dual = test_support::Dual<3>;
     const Eigen::Quaternion<Dual> turned = q.cast<Dual>() * quaternion_exp(step);

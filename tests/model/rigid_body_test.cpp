@@ -28,9 +28,9 @@ RigidBodyParameters lopsided_body() {
 
 // An independent second model: spatial equation of motion in body coordinates, with a rotation
 // matrix instead of a quaternion, integrated by many small steps.
-State<> spatial_reference(const RigidBodyParameters& p, State<> x,
-                          const Eigen::Matrix<double, 6, 1>& u, const Wrench<>& external,
-                          double duration) {
+Stated spatial_reference(const RigidBodyParameters& p, Stated x,
+                         const Eigen::Matrix<double, 6, 1>& u, const Wrenchd& external,
+                         double duration) {
   const int steps = 4000;
   const double dt = duration / steps;
   Eigen::Matrix3d R = x.body.orientation.toRotationMatrix();
@@ -64,13 +64,14 @@ State<> spatial_reference(const RigidBodyParameters& p, State<> x,
   return x;
 }
 
-/// Largest entry of sensitivity minus automatic derivative, relative.
-double sensitivity_error(const State<>& x, const Eigen::Matrix<double, 6, 1>& u,
-                         const Wrench<>& external, const Freedom<>& freedom, double dt) {
+/// Returns the largest entry of sensitivity minus automatic derivative, relative to the largest
+/// derivative plus one.
+double sensitivity_error(const Stated& x, const Eigen::Matrix<double, 6, 1>& u,
+                         const Wrenchd& external, const Freedomd& freedom, double dt) {
   const RigidBodyParameters parameters = lopsided_body();
-  RigidBody<>::StateJacobian A;
-  RigidBody<>::InputJacobian B;
-  const State<> next = RigidBody<>(parameters).step(x, u, external, dt, freedom, A, B);
+  RigidBodyd::StateJacobian A;
+  RigidBodyd::InputJacobian B;
+  const Stated next = RigidBodyd(parameters).step(x, u, external, dt, freedom, A, B);
 
   using D = Dual<24>;
   const Eigen::Matrix<double, 18, 24> truth = test_support::jacobian_at_zero<18, 24>(
@@ -92,28 +93,28 @@ double sensitivity_error(const State<>& x, const Eigen::Matrix<double, 6, 1>& u,
          scale;
 }
 
-TEST(RigidBody, SensitivityIsTheDerivativeOfTheStep) {
+TEST(RigidBody, SensitivityMatchesAutomaticDifferentiation) {
   Random random(1);
   const int states = test_support::quick_or_full(500, 10000);
   double worst = 0.0;
   for (int i = 0; i < states; ++i) {
-    const State<> x = random_state(random);
+    const Stated x = random_state(random);
     Eigen::Matrix<double, 6, 1> u;
     u << random.vector(20.0), random.vector(4.0);
-    Freedom<> freedom;
+    Freedomd freedom;
     if (i % 3 == 1) {
       freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
       freedom.angular.x() = 0.0;
     }
-    const Wrench<> external{random.vector(3.0), random.vector(0.3)};
+    const Wrenchd external{random.vector(3.0), random.vector(0.3)};
     worst = std::max(worst, sensitivity_error(x, u, external, freedom, random.uniform(0.01, 0.1)));
   }
   test_support::check_at_most(7, "rigid body: derivative's relative error", worst, 1e-12);
 }
 
-TEST(RigidBody, SensitivityHoldsAtRestAtHalfTurnsAndWithoutThrust) {
+TEST(RigidBody, SensitivityIsCorrectAtRestAndAtHalfTurns) {
   const Eigen::Matrix<double, 6, 1> none = Eigen::Matrix<double, 6, 1>::Zero();
-  State<> x;
+  Stated x;
   EXPECT_LT(sensitivity_error(x, none, {}, {}, 0.1), 1e-12);
   for (const Eigen::Quaterniond& half_turn :
        {Eigen::Quaterniond(0, 1, 0, 0), Eigen::Quaterniond(0, 0, 1, 0),
@@ -125,19 +126,19 @@ TEST(RigidBody, SensitivityHoldsAtRestAtHalfTurnsAndWithoutThrust) {
   }
 }
 
-TEST(RigidBody, AgreesWithAnIndependentModelInBodyCoordinates) {
+TEST(RigidBody, MatchesIndependentModelInBodyCoordinates) {
   Random random(2);
   const RigidBodyParameters parameters = lopsided_body();
-  const RigidBody<> body(parameters);
+  const RigidBodyd body(parameters);
   for (int i = 0; i < 20; ++i) {
-    State<> x = random_state(random);
+    Stated x = random_state(random);
     x.body.angular_velocity /= 2.0;
     Eigen::Matrix<double, 6, 1> u;
     u << random.vector(5.0), random.vector(0.2);
-    const Wrench<> external{random.vector(1.0), random.vector(0.1)};
+    const Wrenchd external{random.vector(1.0), random.vector(0.1)};
     const double duration = 0.1;
-    const State<> truth = spatial_reference(parameters, x, u, external, duration);
-    State<> y = x;
+    const Stated truth = spatial_reference(parameters, x, u, external, duration);
+    Stated y = x;
     for (int k = 0; k < 20; ++k) y = body.step(y, u, external, duration / 20);
     EXPECT_LT(difference(y, truth).norm(), 2e-6);
   }
@@ -145,16 +146,16 @@ TEST(RigidBody, AgreesWithAnIndependentModelInBodyCoordinates) {
 
 TEST(RigidBody, ConvergesWithOrderFour) {
   Random random(3);
-  const RigidBody<> body(lopsided_body());
-  const State<> x = random_state(random);
+  const RigidBodyd body(lopsided_body());
+  const Stated x = random_state(random);
   Eigen::Matrix<double, 6, 1> u;
   u << random.vector(5.0), random.vector(0.5);
   const auto integrate = [&](int steps) {
-    State<> y = x;
+    Stated y = x;
     for (int k = 0; k < steps; ++k) y = body.step(y, u, {}, 0.4 / steps);
     return y;
   };
-  const State<> truth = integrate(4096);
+  const Stated truth = integrate(4096);
   const double coarse = difference(integrate(16), truth).norm();
   const double fine = difference(integrate(32), truth).norm();
   EXPECT_NEAR(std::log2(coarse / fine), 4.0, 0.4);
@@ -162,14 +163,14 @@ TEST(RigidBody, ConvergesWithOrderFour) {
 
 TEST(RigidBody, FreeBodyKeepsEnergyAndAngularMomentum) {
   const RigidBodyParameters parameters = lopsided_body();
-  const RigidBody<> body(parameters);
-  State<> x;
+  const RigidBodyd body(parameters);
+  Stated x;
   x.body.velocity = Eigen::Vector3d(0.3, -0.2, 0.0);
   x.body.angular_velocity = Eigen::Vector3d(1.0, 2.0, -0.5);
-  const auto momentum = [&](const State<>& s) -> Eigen::Vector3d {
+  const auto momentum = [&](const Stated& s) -> Eigen::Vector3d {
     return s.body.orientation * (parameters.inertia * s.body.angular_velocity);
   };
-  const auto energy = [&](const State<>& s) {
+  const auto energy = [&](const Stated& s) {
     return 0.5 * s.body.angular_velocity.dot(parameters.inertia * s.body.angular_velocity);
   };
   const Eigen::Vector3d momentum_before = momentum(x);
@@ -181,39 +182,39 @@ TEST(RigidBody, FreeBodyKeepsEnergyAndAngularMomentum) {
   EXPECT_NEAR(x.body.position.z(), -0.5 * gravity * 60.0 * 60.0, 1e-6);
 }
 
-TEST(RigidBody, WhatIsHeldDoesNotAccelerate) {
+TEST(RigidBody, ConstrainedDirectionsDoNotAccelerate) {
   Random random(4);
-  const RigidBody<> body(lopsided_body());
-  State<> x = random_state(random);
+  const RigidBodyd body(lopsided_body());
+  Stated x = random_state(random);
   x.body.angular_velocity.x() = 0.0;
   const Eigen::Vector3d normal = Eigen::Vector3d(-0.2, 0.1, 1.0).normalized();
-  Freedom<> wheels_down;
+  Freedomd wheels_down;
   wheels_down.linear -= normal * normal.transpose();
   wheels_down.angular.x() = 0.0;
-  const State<> next = body.step(x, Eigen::Matrix<double, 6, 1>::Ones(), {}, 0.1, wheels_down);
+  const Stated next = body.step(x, Eigen::Matrix<double, 6, 1>::Ones(), {}, 0.1, wheels_down);
   const Eigen::Vector3d gained = next.body.velocity - x.body.velocity;
   EXPECT_NEAR(normal.dot(gained), 0.0, 1e-14);
   EXPECT_DOUBLE_EQ(next.body.angular_velocity.x(), 0.0);
   EXPECT_GT(std::abs(gained.x()), 1e-3);
 }
 
-TEST(RigidBody, OnASlopeItRollsDownhill) {
-  const RigidBody<> body(lopsided_body());
+TEST(RigidBody, RollsDownhillOnASlope) {
+  const RigidBodyd body(lopsided_body());
   const double slope = 0.2, level = -gravity * slope / (1.0 + slope * slope);
   const Eigen::Vector3d normal = Eigen::Vector3d(-slope, 0.0, 1.0).normalized();
-  Freedom<> wheels_down;
+  Freedomd wheels_down;
   wheels_down.linear -= normal * normal.transpose();
-  const State<> next = body.step({}, Eigen::Matrix<double, 6, 1>::Zero(), {}, 0.1, wheels_down);
+  const Stated next = body.step({}, Eigen::Matrix<double, 6, 1>::Zero(), {}, 0.1, wheels_down);
   EXPECT_LT((next.body.velocity - 0.1 * level * Eigen::Vector3d(1.0, 0.0, slope)).norm(), 1e-14);
 }
 
-TEST(RigidBody, DerivativeIsTheLimitOfTheStep) {
+TEST(RigidBody, DerivativeIsLimitOfSmallStep) {
   Random random(5);
-  const RigidBody<> body(lopsided_body());
-  const State<> x = random_state(random);
+  const RigidBodyd body(lopsided_body());
+  const Stated x = random_state(random);
   const double dt = 1e-7;
-  const State<> next = body.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, dt);
-  const BodyDerivative<> d = body.derivative(x.body, x.wrench);
+  const Stated next = body.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, dt);
+  const BodyDerivatived d = body.derivative(x.body, x.wrench);
   EXPECT_LT(((next.body.velocity - x.body.velocity) / dt - d.acceleration).norm(), 1e-5);
   EXPECT_LT(((next.body.position - x.body.position) / dt - d.velocity).norm(), 1e-5);
   EXPECT_LT(
@@ -233,13 +234,13 @@ TEST(RigidBody, WorksInSinglePrecision) {
   EXPECT_LT(x.body.velocity.norm(), 1e-5f);
 }
 
-TEST(RigidBody, RefusesParametersThatNoBodyHas) {
+TEST(RigidBody, RejectsInvalidParameters) {
   RigidBodyParameters p;
   p.mass = -1.0;
-  EXPECT_THROW(RigidBody<>{p}, std::invalid_argument);
+  EXPECT_THROW(RigidBodyd{p}, std::invalid_argument);
   p.mass = 1.0;
   p.inertia = Eigen::Vector3d(1.0, 1.0, 3.0).asDiagonal();
-  EXPECT_THROW(RigidBody<>{p}, std::invalid_argument);
+  EXPECT_THROW(RigidBodyd{p}, std::invalid_argument);
 }
 
 }  // namespace

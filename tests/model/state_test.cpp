@@ -14,14 +14,14 @@ namespace {
 using test_support::Random;
 using test_support::random_state;
 
-TEST(State, PackedOrderIsThePapersWithTheQuaternionsRealPartFirst) {
-  State<> x;
+TEST(State, PackedOrderMatchesPaperWithQuaternionRealPartFirst) {
+  Stated x;
   x.wrench = {Eigen::Vector3d(1, 2, 3), Eigen::Vector3d(4, 5, 6)};
   x.body.position << 7, 8, 9;
   x.body.velocity << 10, 11, 12;
   x.body.orientation = Eigen::Quaterniond(13, 14, 15, 16);  // (w, x, y, z)
   x.body.angular_velocity << 17, 18, 19;
-  const PackedState<> packed = pack(x);
+  const PackedStated packed = pack(x);
   for (int i = 0; i < 19; ++i) EXPECT_EQ(packed(i), i + 1.0);
   EXPECT_EQ(pack(unpack(packed)), packed);
   EXPECT_EQ(unpack(packed).body.orientation.w(), 13.0);
@@ -30,8 +30,8 @@ TEST(State, PackedOrderIsThePapersWithTheQuaternionsRealPartFirst) {
 TEST(State, DifferenceUndoesRetract) {
   Random random(61);
   for (int i = 0; i < 1000; ++i) {
-    const State<> x = random_state(random);
-    StateTangent<> dx;
+    const Stated x = random_state(random);
+    StateTangentd dx;
     for (int j = 0; j < 18; ++j) dx(j) = random.normal(0.5);
     if (i % 10 == 0) dx *= 1e-8;
     EXPECT_LT((difference(retract(x, dx), x) - dx).norm(), 1e-12 * (1.0 + dx.norm()) + 1e-14);
@@ -41,27 +41,27 @@ TEST(State, DifferenceUndoesRetract) {
 TEST(State, RetractUndoesDifferenceEvenForOppositeQuaternions) {
   Random random(62);
   for (int i = 0; i < 1000; ++i) {
-    const State<> x = random_state(random);
-    State<> y = random_state(random);
+    const Stated x = random_state(random);
+    Stated y = random_state(random);
     if (i % 10 == 0) y.body.orientation.coeffs() = -x.body.orientation.coeffs();
-    const State<> z = retract(x, difference(y, x));
+    const Stated z = retract(x, difference(y, x));
     EXPECT_LT(difference(z, y).norm(), 1e-12);
   }
 }
 
 TEST(State, OrientationErrorIsInTheBodyFrame) {
-  State<> x;
+  Stated x;
   x.body.orientation = Eigen::AngleAxisd(1.0, Eigen::Vector3d::UnitZ());
-  State<> y = x;
+  Stated y = x;
   y.body.orientation = x.body.orientation * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitX());
   EXPECT_LT(
       (difference(y, x).segment<3>(TangentIndex::orientation) - Eigen::Vector3d(0.3, 0, 0)).norm(),
       1e-15);
 }
 
-TEST(State, FinitenessLooksAtEveryNumber) {
+TEST(State, IsFiniteChecksEveryNumber) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  BodyState<> state;
+  BodyStated state;
   EXPECT_TRUE(is_finite(state));
   state.position.z() = nan;
   EXPECT_FALSE(is_finite(state));
@@ -76,7 +76,7 @@ TEST(State, FinitenessLooksAtEveryNumber) {
   EXPECT_FALSE(is_finite(state));
   state.orientation.coeffs().setZero();
   EXPECT_FALSE(is_finite(state));
-  Wrench<> wrench;
+  Wrenchd wrench;
   EXPECT_TRUE(is_finite(wrench));
   wrench.torque.y() = nan;
   EXPECT_FALSE(is_finite(wrench));

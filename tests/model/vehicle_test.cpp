@@ -24,7 +24,7 @@ LegParameters& stand_on_legs(Vehicle<4>& v) {
   return v.legs.emplace();
 }
 
-TEST(Vehicle, UndercarriageIsWhatWheelsAndLegsHold) {
+TEST(Vehicle, UndercarriageFollowsWheelsAndLegs) {
   Vehicle<4> v = tilt_ropter_vehicle();
   const auto axle = undercarriage(v);
   ASSERT_TRUE(axle);
@@ -57,7 +57,7 @@ TEST(Vehicle, DefaultsOfEveryPartAreValid) {
   EXPECT_NO_THROW(validate(BatteryParameters{}));
 }
 
-TEST(Vehicle, ARotorsOwnParametersHoldInsteadOfTheCommonOnes) {
+TEST(Vehicle, OwnRotorParametersReplaceCommonParameters) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.rotors[2].parameters = vehicle.rotor;
   vehicle.rotors[2].parameters->max_thrust = 20.0;
@@ -69,7 +69,7 @@ TEST(Vehicle, ARotorsOwnParametersHoldInsteadOfTheCommonOnes) {
   EXPECT_EQ(rotor_parameters(vehicle, 2).max_thrust, 10.0);
 }
 
-TEST(Vehicle, VoltageRatioRefusesWhatNoBatteryHas) {
+TEST(Vehicle, VoltageRatioRejectsImplausibleVoltages) {
   const BatteryParameters battery{20.0};
   EXPECT_EQ(voltage_ratio(battery, 16.0), 0.8);
   EXPECT_EQ(voltage_ratio(battery, 22.0), 1.1);
@@ -78,7 +78,7 @@ TEST(Vehicle, VoltageRatioRefusesWhatNoBatteryHas) {
   EXPECT_FALSE(voltage_ratio(BatteryParameters{}, 16.0).has_value());
 }
 
-TEST(Vehicle, EveryFieldIsRefusedByNameAndValue) {
+TEST(Vehicle, RejectsEveryInvalidFieldByNameAndValue) {
   using V = Vehicle<4>;
   const std::vector<Rejection> rejections{
       {"RigidBodyParameters.mass", "-1", [](V& v) { v.body.mass = -1.0; }},
@@ -176,7 +176,7 @@ TEST(Vehicle, ArmsPointOutwardAndStayLevel) {
   }
 }
 
-TEST(Vehicle, TiltRopterIsNumberedLikeAPlusQuadrotor) {
+TEST(Vehicle, TiltRopterRotorsAreNumberedLikePlusQuadrotor) {
   const Vehicle<4> v = tilt_ropter_vehicle();
   const double arm = v.rotors[0].position.norm();
   EXPECT_LT((v.rotors[0].position - Eigen::Vector3d(0.0, -arm, 0.0)).norm(), 1e-15);

@@ -14,51 +14,51 @@ namespace {
 using Eigen::Vector3d;
 using test_support::Random;
 
-Wrench<> random_wrench(Random& random) {
+Wrenchd random_wrench(Random& random) {
   const Vector3d force = random.vector(10.0);
   return {force, random.vector(1.0)};
 }
 
-double distance(const Wrench<>& a, const Wrench<>& b) {
+double distance(const Wrenchd& a, const Wrenchd& b) {
   return (a.force - b.force).norm() + (a.torque - b.torque).norm();
 }
 
-TEST(Wrench, AForceAtAPointTurnsTheBodyAboutItsCom) {
-  // Up at the front: the nose rises, a rotation about -y.
-  const Wrench<> at_com =
-      transport(Wrench<>{Vector3d(0, 0, 2.0), Vector3d(0, 0, 0.1)}, Vector3d(0.5, 0, 0));
+TEST(Wrench, TransportGivesTorqueOfForceAboutCom) {
+  // An upward force at the front raises the nose, a rotation about -y.
+  const Wrenchd at_com =
+      transport(Wrenchd{Vector3d(0, 0, 2.0), Vector3d(0, 0, 0.1)}, Vector3d(0.5, 0, 0));
   EXPECT_EQ(at_com.force, Vector3d(0, 0, 2.0));
   EXPECT_EQ(at_com.torque, Vector3d(0, -1.0, 0.1));
 }
 
-TEST(Wrench, PowerIsTheSameAboutEveryPoint) {
+TEST(Wrench, PowerIsInvariantUnderTransport) {
   Random random(71);
   for (int i = 0; i < 1000; ++i) {
-    const Wrench<> at_tool = random_wrench(random);
+    const Wrenchd at_tool = random_wrench(random);
     const Vector3d tool = random.vector(1.0), v = random.vector(3.0), w = random.vector(5.0);
-    const Wrench<> at_com = transport(at_tool, tool);
+    const Wrenchd at_com = transport(at_tool, tool);
     const Vector3d v_tool = v + w.cross(tool);
     EXPECT_NEAR(at_com.force.dot(v) + at_com.torque.dot(w),
                 at_tool.force.dot(v_tool) + at_tool.torque.dot(w), 1e-12);
   }
 }
 
-TEST(Wrench, PowerIsTheSameInEveryFrame) {
+TEST(Wrench, PowerIsInvariantUnderRotation) {
   Random random(72);
   for (int i = 0; i < 1000; ++i) {
-    const Wrench<> in_body = random_wrench(random);
+    const Wrenchd in_body = random_wrench(random);
     const Vector3d v = random.vector(3.0), w = random.vector(5.0);
     const Eigen::Quaterniond q = random.orientation();
-    const Wrench<> in_world = wrench_in_world(in_body, q);
+    const Wrenchd in_world = wrench_in_world(in_body, q);
     EXPECT_NEAR(in_world.force.dot(q * v) + in_world.torque.dot(q * w),
                 in_body.force.dot(v) + in_body.torque.dot(w), 1e-12);
   }
 }
 
-TEST(Wrench, ThereAndBackIsTheSame) {
+TEST(Wrench, RoundTripIsIdentity) {
   Random random(73);
   for (int i = 0; i < 1000; ++i) {
-    const Wrench<> wrench = random_wrench(random);
+    const Wrenchd wrench = random_wrench(random);
     const Vector3d lever = random.vector(1.0);
     const Eigen::Quaterniond q = random.orientation();
     EXPECT_LT(distance(transport(transport(wrench, lever), Vector3d(-lever)), wrench), 1e-14);
@@ -67,23 +67,24 @@ TEST(Wrench, ThereAndBackIsTheSame) {
   }
 }
 
-TEST(Wrench, WorldIsWhereTheBodysAxesPoint) {
+TEST(Wrench, WrenchInWorldMatchesBodyAxes) {
   // Facing left: body x is world y.
   const Eigen::Quaterniond left = quaternion_from_yaw(pi / 2.0);
-  const Wrench<> in_world = wrench_in_world(Wrench<>{Vector3d(1, 2, 3), Vector3d(4, 5, 6)}, left);
+  const Wrenchd in_world = wrench_in_world(Wrenchd{Vector3d(1, 2, 3), Vector3d(4, 5, 6)}, left);
   EXPECT_LT((in_world.force - Vector3d(-2, 1, 3)).norm(), 1e-14);
   EXPECT_LT((in_world.torque - Vector3d(-5, 4, 6)).norm(), 1e-14);
 }
 
-TEST(Wrench, AgreesWithThePosesOfTheFrames) {
-  // What a wheel's ground contact does, given in the wheel's frame: the power there and at the CoM.
+TEST(Wrench, AgreesWithWheelFramePose) {
+  // Wrench of a wheel's ground contact in the wheel frame: its power at the wheel equals its power
+  // at the CoM.
   Random random(74);
   const Eigen::Isometry3d wheel = wheel_in_body(tilt_ropter_vehicle(), 1);
   const Eigen::Quaterniond turn(wheel.linear());
   for (int i = 0; i < 100; ++i) {
     const Vector3d force = random.vector(10.0), v = random.vector(3.0), w = random.vector(5.0);
-    const Wrench<> at_com =
-        transport(rotate(Wrench<>{force, Vector3d::Zero()}, turn), Vector3d(wheel.translation()));
+    const Wrenchd at_com =
+        transport(rotate(Wrenchd{force, Vector3d::Zero()}, turn), Vector3d(wheel.translation()));
     const Vector3d v_wheel = wheel.linear().transpose() * (v + w.cross(wheel.translation()));
     EXPECT_NEAR(at_com.force.dot(v) + at_com.torque.dot(w), force.dot(v_wheel), 1e-12);
   }
@@ -94,13 +95,14 @@ TEST(Wrench, WorksInSinglePrecisionAndWithDerivatives) {
       transport(wrench_in_world(Wrench<float>{Eigen::Vector3f(1, 2, 3), Eigen::Vector3f(4, 5, 6)},
                                 quaternion_from_yaw(0.3F)),
                 Eigen::Vector3f(0.1F, 0.2F, 0.3F));
-  const Wrench<> wrench{Vector3d(1, 2, 3), Vector3d(4, 5, 6)};
+  const Wrenchd wrench{Vector3d(1, 2, 3), Vector3d(4, 5, 6)};
   const Vector3d lever(0.1, 0.2, 0.3);
-  const Wrench<> twice = transport(wrench_in_world(wrench, quaternion_from_yaw(0.3)), lever);
+  const Wrenchd twice = transport(wrench_in_world(wrench, quaternion_from_yaw(0.3)), lever);
   EXPECT_LT((single.force.cast<double>() - twice.force).norm(), 1e-6);
   EXPECT_LT((single.torque.cast<double>() - twice.torque).norm(), 1e-6);
 
-  // By the lever the torque changes with -[F]x, by a small turn of the body as R [-F]x.
+  // The derivative of the torque with respect to the lever arm is -[F]x. With respect to a small
+  // rotation of the body the derivative of the force is R [-F]x.
   using Dual = test_support::Dual<3>;
   const Eigen::Matrix3d by_lever = test_support::jacobian_at_zero<3, 3>([&](const auto& step) {
     return transport(Wrench<Dual>{wrench.force.cast<Dual>(), wrench.torque.cast<Dual>()},

@@ -8,7 +8,7 @@
 
 #include <cmath>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Random;
@@ -19,7 +19,7 @@ Eigen::VectorXd random_vector(Random& random, Eigen::Index size) {
   return v;
 }
 
-/// x <- x + f(x) with f(x) = b - A x, which multiplies the error's components by `factors`.
+/// Iteration x <- x + f(x) with f(x) = b - A x. It multiplies the error's components by `factors`.
 struct LinearIteration {
   Eigen::MatrixXd A;
   Eigen::VectorXd b;
@@ -36,7 +36,7 @@ struct LinearIteration {
 
   [[nodiscard]] Eigen::VectorXd f(const Eigen::VectorXd& x) const { return b - A * x; }
 
-  /// |f| after so many moves from zero, as a part of what it was there.
+  /// Returns |f| after `moves` accelerated moves from zero, relative to |f| at zero.
   [[nodiscard]] double accelerated(int moves, int memory) const {
     Anderson anderson(b.size(), memory);
     Eigen::VectorXd x = Eigen::VectorXd::Zero(b.size()), here = f(x);
@@ -56,9 +56,9 @@ struct LinearIteration {
   }
 };
 
-// The least squares are kept regular at 1e-10. Where the moves are far from parallel that is all
-// that the move after the last dimension leaves; elsewhere one more is needed.
-TEST(Anderson, SolvesALinearIterationInOneMoveMoreThanItHasDimensions) {
+// The least-squares problem is regularised with 1e-10. If the moves are far from parallel, the
+// error after n + 1 moves comes from the regularisation only. Otherwise one more move is needed.
+TEST(Anderson, SolvesLinearIterationWithinDimensionPlusTwoMoves) {
   Random random(81);
   for (int n = 1; n <= 6; ++n)
     for (int i = 0; i < 20; ++i) {
@@ -70,7 +70,7 @@ TEST(Anderson, SolvesALinearIterationInOneMoveMoreThanItHasDimensions) {
     }
 }
 
-TEST(Anderson, SolvesWhereThePlainIterationDivergesOrCreeps) {
+TEST(Anderson, ConvergesWhereThePlainIterationDivergesOrIsSlow) {
   Random random(82);
   for (int i = 0; i < 20; ++i) {
     Eigen::VectorXd factors(4);
@@ -86,7 +86,7 @@ TEST(Anderson, SolvesWhereThePlainIterationDivergesOrCreeps) {
   }
 }
 
-TEST(Anderson, AMemoryShorterThanTheDimensionStillBeatsThePlainIteration) {
+TEST(Anderson, ShortMemoryStillBeatsThePlainIteration) {
   Random random(83);
   const Eigen::VectorXd factors = Eigen::VectorXd::LinSpaced(30, -0.5, 0.995);
   for (int i = 0; i < 20; ++i) {
@@ -98,7 +98,7 @@ TEST(Anderson, AMemoryShorterThanTheDimensionStillBeatsThePlainIteration) {
   }
 }
 
-TEST(Anderson, MovesThatTeachNothingDoNoHarm) {
+TEST(Anderson, RepeatedAndZeroMovesDoNoHarm) {
   Random random(84);
   for (int i = 0; i < 20; ++i) {
     const Eigen::VectorXd move = random_vector(random, 3), before = random_vector(random, 3),
@@ -106,7 +106,7 @@ TEST(Anderson, MovesThatTeachNothingDoNoHarm) {
     const Eigen::VectorXd f = random_vector(random, 3), zero = Eigen::VectorXd::Zero(3);
     Anderson once(3, 8), often(3, 8), nothing(3, 8);
     once.add(move, before, after);
-    for (int k = 0; k < 10; ++k) {  // more than there is room for
+    for (int k = 0; k < 10; ++k) {  // more than the memory holds
       often.add(move, before, after);
       nothing.add(zero, before, before);
     }
@@ -118,7 +118,7 @@ TEST(Anderson, MovesThatTeachNothingDoNoHarm) {
   }
 }
 
-TEST(Anderson, MoreMovesThanDimensionsGiveASecantStepAllTheSame) {
+TEST(Anderson, MoreMovesThanDimensionsStillGiveASecantStep) {
   Random random(85);
   const LinearIteration iteration(random, Eigen::Vector2d(-3.0, 0.9));
   Anderson anderson(2, 8);
@@ -153,4 +153,4 @@ TEST(Anderson, ClearForgetsEverything) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -13,13 +13,13 @@
 #include <algorithm>
 #include <cmath>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::DoubleIntegrator;
 using test_support::Random;
 
-using Flight = WheeledFlightProblem<>;
+using Flight = WheeledFlightProblem<0>;
 
 constexpr int touch_down = 3;
 
@@ -35,7 +35,7 @@ Flight landing(const Eigen::Vector3d& ground_weights) {
   return problem;
 }
 
-// With multipliers that are not zero.
+// Returns an augmented Lagrangian with non-zero multipliers.
 AugmentedLagrangian<Flight> used_lagrangian(Random& random, const Flight& problem) {
   AugmentedLagrangian<Flight> lagrangian(problem.horizon(), 1e3);
   Trajectory<Flight> t(problem.horizon());
@@ -53,7 +53,7 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
   for (int trial = 0; trial < 30; ++trial) {
     const Flight problem = landing({1e3, trial % 2 == 0 ? 0.0 : 500.0, 2e3});
     auto lagrangian = used_lagrangian(random, problem);
-    const State<> x = test_support::random_state(random);
+    const Stated x = test_support::random_state(random);
     for (const int k : {touch_down, 6}) {
       Flight::Model model, before;
       before.lx().setConstant(3.0);
@@ -64,12 +64,12 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
 
       const Eigen::Vector3d h = problem.equality_values(k, x), w = problem.equality_weights(k);
       EXPECT_EQ(largest, (w.array() > 0.0).select(h.cwiseAbs(), 0.0).maxCoeff());
-      StateTangent<> gradient;
+      StateTangentd gradient;
       Flight::EqualitiesX jacobian;
       for (int i = 0; i < 18; ++i) {
         constexpr double step = 1e-5;
-        const State<> up = retract<double>(x, step * StateTangent<>::Unit(i)),
-                      down = retract<double>(x, -step * StateTangent<>::Unit(i));
+        const Stated up = retract<double>(x, step * StateTangentd::Unit(i)),
+                     down = retract<double>(x, -step * StateTangentd::Unit(i));
         gradient(i) =
             (lagrangian.value(problem, k, up) - lagrangian.value(problem, k, down)) / (2.0 * step);
         jacobian.col(i) =
@@ -82,7 +82,7 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
       EXPECT_EQ(model.lu(), before.lu());
       EXPECT_EQ(model.lux(), before.lux());
       EXPECT_EQ(model.luu(), before.luu());
-      // What the problem does not set again is as it was.
+      // The entries that the problem does not set again have their old values.
       lagrangian.take_from_model(k, model);
       EXPECT_EQ(model.gradient, before.gradient);
       EXPECT_EQ(model.hessian, before.hessian);
@@ -90,12 +90,12 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
   }
 }
 
-TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
+TEST(AugmentedLagrangian, IgnoresNodeZeroAndEqualitiesWithZeroWeight) {
   Random random(122);
   Flight problem = landing(Eigen::Vector3d(1e3, 0.0, 1e3));
   problem.node(0).on_ground = true;
   auto lagrangian = used_lagrangian(random, problem);
-  const State<> x = test_support::random_state(random);
+  const Stated x = test_support::random_state(random);
   for (int k = 0; k <= 6; ++k) {
     const bool on = k >= touch_down;
     Flight::Model model;
@@ -103,7 +103,7 @@ TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
     EXPECT_EQ(lagrangian.value(problem, k, x) != 0.0, on);
     EXPECT_EQ(lagrangian.add_to_model(problem, k, x, model) != 0.0, on);
     EXPECT_EQ(model.lx().isZero(0.0) && model.lxx().isZero(0.0), !on);
-    State<> rolling = x;  // nothing but the equality without a weight changes
+    Stated rolling = x;  // changes only the equality with zero weight
     rolling.body.angular_velocity.x() += 1.0;
     EXPECT_EQ(lagrangian.value(problem, k, rolling), lagrangian.value(problem, k, x));
   }
@@ -113,14 +113,14 @@ TEST(AugmentedLagrangian, NodeZeroAndWeightsOfZeroAreSwitchedOff) {
   EXPECT_FALSE(lagrangian.any(problem));  // only node 0 is left
 }
 
-TEST(AugmentedLagrangian, IsNothingWhereThereAreNoEqualities) {
+TEST(AugmentedLagrangian, IsZeroWithoutEqualities) {
   const test_support::Unicycle problem({4});
   AugmentedLagrangian<test_support::Unicycle> lagrangian(4, 1e6);
   EXPECT_FALSE(lagrangian.any(problem));
   EXPECT_EQ(lagrangian.value(problem, 2, Eigen::Vector3d::Ones()), 0.0);
 }
 
-// A mass whose last velocity v is to be zero, with a weight of 100.
+// A mass with the terminal equality v = 0 for its velocity v, with a weight of 100.
 struct Stop {
   DoubleIntegrator problem{{4, 0.0, test_support::infinity, true}};
   AugmentedLagrangian<DoubleIntegrator> lagrangian;
@@ -147,12 +147,12 @@ TEST(AugmentedLagrangian, UpdateMovesMultipliersByWeightTimesValue) {
   EXPECT_NEAR(stop.multiplier(), 30.0, 1e-12);
   stop.update(-0.05, 0.1);
   EXPECT_NEAR(stop.multiplier(), 25.0, 1e-12);
-  EXPECT_EQ(stop.lagrangian.value(stop.problem, 3, Eigen::Vector2d(0.0, 1.0)), 0.0);  // no weight
+  EXPECT_EQ(stop.lagrangian.value(stop.problem, 3, Eigen::Vector2d(0.0, 1.0)), 0.0);  // zero weight
   stop.lagrangian.forget_multipliers();
   EXPECT_EQ(stop.multiplier(), 0.0);
 }
 
-TEST(AugmentedLagrangian, MultipliersOfWeightsSwitchedOffAreForgotten) {
+TEST(AugmentedLagrangian, DropsMultipliersOfEqualitiesWithZeroWeight) {
   Stop stop;
   stop.update(0.3, 0.4);
   stop.problem.stops = false;
@@ -161,13 +161,13 @@ TEST(AugmentedLagrangian, MultipliersOfWeightsSwitchedOffAreForgotten) {
   EXPECT_EQ(stop.multiplier(), 0.0);
 }
 
-// The same at every node.
+// The same equality at every node.
 struct SlowEverywhere : DoubleIntegrator {
   SlowEverywhere() : DoubleIntegrator({4, 0.0, test_support::infinity, true}) {}
   D::Equalities equality_weights(int) const { return D::Equalities::Constant(100.0); }
 };
 
-TEST(AugmentedLagrangian, MultipliersMoveWithTheirNodes) {
+TEST(AugmentedLagrangian, ShiftMovesMultipliersWithTheirNodes) {
   const SlowEverywhere problem;
   AugmentedLagrangian<SlowEverywhere> lagrangian(4, 1e6);
   Trajectory<SlowEverywhere> t(4);
@@ -192,24 +192,24 @@ TEST(AugmentedLagrangian, MultipliersAreBounded) {
     }
 }
 
-TEST(AugmentedLagrangian, WeightsGrowOnlyWhereFullStepsDoNotHalveTheResidual) {
+TEST(AugmentedLagrangian, WeightsGrowOnlyIfFullStepsDoNotHalveTheResidual) {
   Stop stop;
   stop.update(0.0, 1.0);
-  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // nothing to compare with
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // no earlier residual
   stop.update(0.0, 0.4);
   EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // more than halved
   stop.update(0.0, 0.3, false);
-  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // not halved, by a shorter step
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // not halved, but a shortened step
   stop.update(0.1, 0.2);
   EXPECT_DOUBLE_EQ(stop.weight(), 300.0);      // not halved
-  EXPECT_NEAR(stop.multiplier(), 30.0, 1e-9);  // by the new weight
+  EXPECT_NEAR(stop.multiplier(), 30.0, 1e-9);  // with the new weight
   for (int i = 0; i < 30; ++i) stop.update(0.0, 1.0);
-  EXPECT_DOUBLE_EQ(stop.weight(), 1e6);  // and no further
+  EXPECT_DOUBLE_EQ(stop.weight(), 1e6);  // upper limit
   stop.lagrangian.forget_scale();
   EXPECT_DOUBLE_EQ(stop.weight(), 100.0);
   stop.update(0.0, 1.0);
-  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // nothing to compare with again
+  EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // again no earlier residual
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -11,7 +11,7 @@
 #include <limits>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using Eigen::MatrixXd;
@@ -21,11 +21,11 @@ using test_support::Random;
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// Stands where nothing is to be read or written: who reads it is wrong by about as much.
+/// Value of numbers that must not be read or written. Code that reads it has an error of this size.
 constexpr double guard = 1e9;
 
 constexpr int largest_size = 40;       // ten packets of four
-constexpr int gaps[] = {0, 1, 3, 24};  // stride less size
+constexpr int gaps[] = {0, 1, 3, 24};  // stride minus size
 
 MatrixXd random_matrix(Random& random, int rows, int columns) {
   MatrixXd m(rows, columns);
@@ -42,7 +42,7 @@ MatrixXd random_definite(Random& random, int n) {
   return m * m.transpose() + 0.2 * (n + 1) * MatrixXd::Identity(n, n);
 }
 
-/// Columns that are `stride` numbers apart, with guards in the gaps and behind.
+/// Columns that are `stride` numbers apart, with guards in the gaps and after the end.
 struct Strided {
   int n;
   std::ptrdiff_t stride;
@@ -58,13 +58,13 @@ struct Strided {
 
   double& at(int i, int j) { return numbers[static_cast<std::size_t>(stride * j + i)]; }
 
-  /// Guards above the diagonal, too.
+  /// Writes guards above the diagonal, too.
   void guard_upper_triangle() {
     for (int j = 0; j < n; ++j)
       for (int i = 0; i < j; ++i) at(i, j) = guard;
   }
 
-  /// Fails if a guard was overwritten.
+  /// Returns the lower triangle. Fails if a guard was overwritten.
   MatrixXd lower_triangle() {
     MatrixXd lower = MatrixXd::Zero(n, n);
     for (int j = 0; j < n; ++j)
@@ -79,7 +79,7 @@ struct Strided {
   }
 };
 
-/// The vector with a guard behind its end; without_guard() fails if that was overwritten.
+/// Returns the vector with a guard after its end. without_guard() fails if it was overwritten.
 std::vector<double> guarded(const VectorXd& v) {
   std::vector<double> numbers(v.begin(), v.end());
   numbers.push_back(guard);
@@ -94,7 +94,7 @@ double error(const VectorXd& a, const VectorXd& b) {
   return a.size() == 0 ? 0.0 : (a - b).cwiseAbs().maxCoeff();
 }
 
-/// Factorises a copy without its upper triangle and solves for `x`.
+/// Factorises a copy of A with guards in its upper triangle and solves A y = x.
 struct Solution {
   int dropped;
   MatrixXd L;
@@ -111,7 +111,7 @@ struct Solution {
   }
 };
 
-TEST(Cholesky, ProductsAreThoseOfEigenAtAnySizeAndStride) {
+TEST(Cholesky, ProductsMatchEigenAtAnySizeAndStride) {
   Random random(1);
   for (int rows = 0; rows <= largest_size; ++rows)
     for (const int columns : {0, 1, 2, 7, largest_size})
@@ -127,7 +127,7 @@ TEST(Cholesky, ProductsAreThoseOfEigenAtAnySizeAndStride) {
       }
 }
 
-TEST(Cholesky, DotIsThatOfEigenAtAnySize) {
+TEST(Cholesky, DotMatchesEigenAtAnySize) {
   Random random(2);
   for (int n = 0; n <= largest_size; ++n)
     for (int i = 0; i < 10; ++i) {
@@ -136,7 +136,7 @@ TEST(Cholesky, DotIsThatOfEigenAtAnySize) {
     }
 }
 
-TEST(Cholesky, FactorAndSolutionAreThoseOfEigenAtAnySizeAndStride) {
+TEST(Cholesky, FactorAndSolutionMatchEigenAtAnySizeAndStride) {
   Random random(3);
   for (int n = 0; n <= largest_size; ++n)
     for (const int gap : gaps) {
@@ -145,19 +145,20 @@ TEST(Cholesky, FactorAndSolutionAreThoseOfEigenAtAnySizeAndStride) {
       const VectorXd x = random_vector(random, n);
       const Solution solution(A, x, 0.0, gap);
       EXPECT_EQ(solution.dropped, 0);
-      if (n == 0) continue;  // Eigen has no norm of it
+      if (n == 0) continue;  // Eigen has no norm of an empty matrix
       const Eigen::LLT<MatrixXd> llt(A);
       EXPECT_LT((solution.L - MatrixXd(llt.matrixL())).norm(), 1e-13 * A.norm());
       EXPECT_LT(error(solution.y, llt.solve(x)), 1e-13 * x.norm());
     }
 }
 
-TEST(Cholesky, DependentColumnsAreDroppedAndTheRestIsSolved) {
+TEST(Cholesky, DropsDependentColumnsAndSolvesTheRest) {
   Random random(4);
   for (int n = 2; n <= largest_size; n += 3)
     for (int rank = 1; rank < n; rank += 4) {
       SCOPED_TRACE(testing::Message() << "size " << n << ", rank " << rank);
-      // Columns that are sums of those of `rank` first ones, shuffled among these.
+      // `rank` independent columns at random positions. Each of the other columns is a linear
+      // combination of the columns before it.
       MatrixXd columns = random_matrix(random, n, n);
       std::vector<bool> independent(static_cast<std::size_t>(n), false);
       for (int j = 0, k = 0; j < n; ++j) {
@@ -190,10 +191,10 @@ TEST(Cholesky, DependentColumnsAreDroppedAndTheRestIsSolved) {
     }
 }
 
-TEST(Cholesky, LeastIsTheFractionOfTheDiagonalThatIsTooLittle) {
+TEST(Cholesky, DropsPivotsUpToTheFractionLeastOfTheDiagonal) {
   Eigen::Matrix2d A;
-  A << 4.0, 2.0, 2.0, 2.0;                             // leaves 1 of the second diagonal entry's 2
-  for (const double scale : {0x1p-60, 1.0, 0x1p60}) {  // of the second column, and row
+  A << 4.0, 2.0, 2.0, 2.0;                             // second pivot: 1, half of the diagonal 2
+  for (const double scale : {0x1p-60, 1.0, 0x1p60}) {  // of the second row and column
     const Eigen::Vector2d scales(1.0, scale), x(4.0, 3.0 * scale);
     const MatrixXd scaled = scales.asDiagonal() * A * scales.asDiagonal();
     for (const double least : {0.0, 0.49}) {
@@ -209,7 +210,7 @@ TEST(Cholesky, LeastIsTheFractionOfTheDiagonalThatIsTooLittle) {
   }
 }
 
-TEST(Cholesky, ColumnsThatAreNotPositiveAreDropped) {
+TEST(Cholesky, DropsColumnsWithoutAFinitePositivePivot) {
   Random random(5);
   constexpr int n = 9;
   for (int bad = 0; bad < n; ++bad)
@@ -231,8 +232,8 @@ TEST(Cholesky, ColumnsThatAreNotPositiveAreDropped) {
       }
 }
 
-// So that nobody takes what comes of it for a solution.
-TEST(Cholesky, NumbersThatAreNotFiniteAnywhereAreCountedAsDropped) {
+// The caller can then see that the result is not a solution.
+TEST(Cholesky, CountsNonFiniteEntriesAsDroppedColumns) {
   Random random(6);
   constexpr int n = 9;
   for (const double bad : {nan, infinity, -infinity})
@@ -246,4 +247,4 @@ TEST(Cholesky, NumbersThatAreNotFiniteAnywhereAreCountedAsDropped) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

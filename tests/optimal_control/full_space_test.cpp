@@ -14,7 +14,7 @@
 #include <stdexcept>
 #include <string>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Audit;
@@ -34,10 +34,10 @@ Quadrotor::State thrown_quadrotor() {
   return x;
 }
 
-WheeledFlightProblem<> short_flight() {
+WheeledFlightProblem<0> short_flight() {
   WheeledFlightSettings settings;
   settings.intervals = 4;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -45,8 +45,8 @@ WheeledFlightProblem<> short_flight() {
   return problem;
 }
 
-State<> displaced_flight() {
-  State<> x;
+Stated displaced_flight() {
+  Stated x;
   x.wrench.force = test_support::benchmark_hover_force();
   x.body.position << 0.1, -0.2, 0.9;
   x.body.velocity << 0.1, 0.0, 0.2;
@@ -81,7 +81,7 @@ TEST(FullSpace, FindsTheOptimumFromAnyGuess) {
   FullSpace<Quadrotor> cold(problem), warm(problem);
   cold.reset(x0);
   const FullSpaceReport from_cold = cold.solve(x0);
-  // A guess that is turned by 1.5 rad.
+  // A guess with an orientation that differs by 1.5 rad.
   Quadrotor::State turned = x0;
   turned.orientation = x0.orientation * quaternion_exp(Eigen::Vector3d(0.9, -1.2, 0.0));
   const Eigen::Vector4d hover = Eigen::Vector4d::Constant(Quadrotor::hover_thrust());
@@ -89,25 +89,26 @@ TEST(FullSpace, FindsTheOptimumFromAnyGuess) {
   const FullSpaceReport from_turned = warm.solve(x0);
   EXPECT_EQ(from_turned.status, FullSpaceStatus::converged);
   EXPECT_NEAR(from_turned.cost, from_cold.cost, 1e-12 * from_cold.cost);
-  EXPECT_EQ(from_turned.rebases, 2);  // all the way in one call of NLopt, and one that agrees
-  // From the optimum itself: one call of NLopt that looks at it and at one step.
+  EXPECT_EQ(from_turned.rebases, 2);  // one call of NLopt solves, one confirms
+  // A start at the optimum needs one call of NLopt, which evaluates the optimum and one step.
   const FullSpaceReport again = warm.solve(x0);
   EXPECT_EQ(again.status, FullSpaceStatus::converged);
   EXPECT_EQ(again.rebases, 1);
   EXPECT_EQ(again.evaluations, 2);
 }
 
-// The quadrotor as a problem that does not know the derivative of its retraction.
+// The quadrotor problem without the derivative of its retraction.
 struct PlainQuadrotor : private Quadrotor {
-  using Quadrotor::cost, Quadrotor::cost_model, Quadrotor::row_values, Quadrotor::row_derivatives;
+  using Quadrotor::cost, Quadrotor::cost_model, Quadrotor::constraint_values,
+      Quadrotor::constraint_derivatives;
   using Quadrotor::horizon, Quadrotor::retract, Quadrotor::difference, Quadrotor::step;
   using Quadrotor::lower, Quadrotor::upper, Quadrotor::penalty;
-  using Quadrotor::states, Quadrotor::inputs, Quadrotor::rows, Quadrotor::equalities;
+  using Quadrotor::states, Quadrotor::inputs, Quadrotor::constraints, Quadrotor::equalities;
   using State = Quadrotor::State;
   using Quadrotor::Quadrotor;
 };
 
-TEST(FullSpace, DerivativeOfTheRetractionSavesCallsAndNotTheOptimum) {
+TEST(FullSpace, RetractionDerivativeSavesEvaluationsAtTheSameOptimum) {
   FullSpace<Quadrotor> knowing(Quadrotor({5}));
   FullSpace<PlainQuadrotor> plain(PlainQuadrotor(test_support::QuadrotorModel{5}));
   const Quadrotor::State x0 = thrown_quadrotor();
@@ -120,7 +121,7 @@ TEST(FullSpace, DerivativeOfTheRetractionSavesCallsAndNotTheOptimum) {
   EXPECT_LT(10 * with.evaluations, without.evaluations);
 }
 
-TEST(FullSpace, SaysThatThereIsNoFeasiblePoint) {
+TEST(FullSpace, ReportsAnInfeasibleProblem) {
   FullSpace<Contradiction> solver(Contradiction({4}));
   const Contradiction::State x0(0.3);
   solver.reset(x0);
@@ -130,7 +131,7 @@ TEST(FullSpace, SaysThatThereIsNoFeasiblePoint) {
   EXPECT_TRUE(std::isfinite(report.cost));
 }
 
-TEST(FullSpace, ConvergesAtOnceFromAnOptimumToTheLastBit) {
+TEST(FullSpace, ConvergesAtOnceFromAnExactOptimum) {
   FullSpace<Quadrotor> solver(Quadrotor({5}));
   const Quadrotor::State hovering;
   for (int k = 0; k <= 5; ++k)
@@ -140,17 +141,17 @@ TEST(FullSpace, ConvergesAtOnceFromAnOptimumToTheLastBit) {
   EXPECT_LT(report.cost, 1e-15);
 }
 
-TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
-  // On the ground in a problem that holds height and roll, so that two equalities say nothing.
-  WheeledFlightProblem<> problem = short_flight();
+TEST(FullSpace, FailsForRedundantEqualities) {
+  // On the ground, in a problem that holds height and roll: two equalities are redundant.
+  WheeledFlightProblem<0> problem = short_flight();
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).on_ground = true;
     problem.node(k).com_plane.height = 0.1;
     problem.node(k).freedom.linear(2, 2) = 0.0;
     problem.node(k).freedom.angular.x() = 0.0;
   }
-  FullSpace<WheeledFlightProblem<>> solver(problem);
-  State<> x = displaced_flight();
+  FullSpace<WheeledFlightProblem<0>> solver(problem);
+  Stated x = displaced_flight();
   x.body = {};
   x.body.position.z() = 0.1;
   solver.reset(x);
@@ -158,12 +159,12 @@ TEST(FullSpace, EqualitiesThatNothingMovesAreAFailureAndNotAnOptimum) {
 }
 
 TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
-  FullSpace<WheeledFlightProblem<>> solver(short_flight());
+  FullSpace<WheeledFlightProblem<0>> solver(short_flight());
   solver.reset(displaced_flight());
   solver.solve(displaced_flight());
   const auto plan = solver.input(0);
   for (const double bad : {nan, std::numeric_limits<double>::infinity()}) {
-    State<> x = displaced_flight();
+    Stated x = displaced_flight();
     x.body.velocity.y() = bad;
     EXPECT_EQ(solver.solve(x).status, FullSpaceStatus::rejected);
     EXPECT_EQ(solver.input(0), plan);
@@ -172,7 +173,7 @@ TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
 }
 
 TEST(FullSpace, NonFiniteProblemFailsAtOnceAndKeepsThePlan) {
-  FullSpace<WheeledFlightProblem<>> solver(short_flight());
+  FullSpace<WheeledFlightProblem<0>> solver(short_flight());
   solver.reset(displaced_flight());
   solver.solve(displaced_flight());
   const auto plan = solver.input(0);
@@ -214,7 +215,7 @@ TEST(FullSpace, LimitsAreKept) {
   EXPECT_LT(solve(s).evaluations, solve({}).evaluations);
 }
 
-TEST(FullSpace, SettingsOutOfRangeAreRefusedByName) {
+TEST(FullSpace, RejectsSettingsOutOfRangeByName) {
   const auto message = [](const FullSpaceSettings& settings, int horizon) -> std::string {
     try {
       FullSpace<Unicycle> solver(Unicycle({horizon}), settings);
@@ -236,4 +237,4 @@ TEST(FullSpace, SettingsOutOfRangeAreRefusedByName) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

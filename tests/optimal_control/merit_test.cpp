@@ -14,20 +14,20 @@
 #include <cmath>
 #include <limits>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Quadrotor;
 using test_support::Random;
 using test_support::Unicycle;
 
-using Flight = WheeledFlightProblem<>;
+using Flight = WheeledFlightProblem<0>;
 
 template <typename Problem>
-using ProgramOf = QuadraticProgram<Problem::states, Problem::inputs, Problem::rows,
+using ProgramOf = QuadraticProgram<Problem::states, Problem::inputs, Problem::constraints,
                                    typename TransitionPatternOf<Problem>::type>;
 
-/// A problem linearised somewhere, the program solved, and the merit function that goes with it.
+/// A problem linearised at a trajectory, with its quadratic program and its merit function.
 template <typename Problem>
 struct Linearised {
   using D = ProblemDimensions<Problem>;
@@ -51,7 +51,7 @@ struct Linearised {
         merit(n) {
     for (int k = 0; k <= n; ++k) {
       auto& s = program.riccati.stage(k);
-      auto& rows = program.node(k);
+      auto& node = program.node(k);
       if (k < n) {
         typename D::A A;
         typename D::B B;
@@ -64,15 +64,15 @@ struct Linearised {
       problem.cost_model(k, here.x(k), here.u(k), s.cost);
       equalities.add_to_model(problem, k, here.x(k), s.cost);
       cost += problem.cost(k, here.x(k), here.u(k));
-      rows.value = problem.row_values(k, here.x(k), here.u(k));
-      problem.row_derivatives(k, here.x(k), here.u(k), rows.C, rows.E);
-      rows.lower = problem.lower(k);
-      rows.upper = problem.upper(k);
-      rows.price = problem.penalty(k);
+      node.value = problem.constraint_values(k, here.x(k), here.u(k));
+      problem.constraint_derivatives(k, here.x(k), here.u(k), node.C, node.E);
+      node.lower = problem.lower(k);
+      node.upper = problem.upper(k);
+      node.price = problem.penalty(k);
       EXPECT_TRUE(program.check_node(k));
       for (int i = 0; i < D::nc; ++i)
         max_violation =
-            std::max(max_violation, violation(rows.value(i), rows.lower(i), rows.upper(i)));
+            std::max(max_violation, violation(node.value(i), node.lower(i), node.upper(i)));
     }
   }
 
@@ -100,34 +100,35 @@ struct Linearised {
     }
     return size;
   }
-  /// The merit's slope less what update() says: rows that are violated and will be met with room to
-  /// spare go down faster, and rows that are met and will be violated do not yet go up.
+  /// The merit's slope minus the result of update(). Constraints that are violated and will be met
+  /// with a margin decrease faster. Constraints that are met and will be violated do not increase
+  /// yet.
   [[nodiscard]] double slope_of_rows_beyond_update() {
     double sum = 0.0;
     for (int k = 0; k <= n; ++k)
       for (int i = 0; i < D::nc; ++i) {
-        const auto& rows = program.node(k);
-        const double value = rows.value(i), predicted = rows.predicted(i);
-        const double now = violation(value, rows.lower(i), rows.upper(i));
-        const double then = violation(predicted, rows.lower(i), rows.upper(i));
+        const auto& node = program.node(k);
+        const double value = node.value(i), predicted = node.predicted(i);
+        const double now = violation(value, node.lower(i), node.upper(i));
+        const double then = violation(predicted, node.lower(i), node.upper(i));
         const double slope = now == 0.0              ? 0.0
-                             : value > rows.upper(i) ? predicted - value
+                             : value > node.upper(i) ? predicted - value
                                                      : value - predicted;
-        sum += row_weight(k, i) * (slope - (then - now));
+        sum += constraint_weight(k, i) * (slope - (then - now));
       }
     return sum;
   }
 
-  /// The weights, by what one unit more adds to the merit.
-  [[nodiscard]] double row_weight(int k, int i) {
-    auto& rows = program.node(k);
-    const auto before = rows;
-    rows.lower(i) = -test_support::infinity;
-    rows.upper(i) = rows.value(i);
+  /// The weights, measured as the increase of the merit per unit of violation or defect.
+  [[nodiscard]] double constraint_weight(int k, int i) {
+    auto& node = program.node(k);
+    const auto before = node;
+    node.lower(i) = -test_support::infinity;
+    node.upper(i) = node.value(i);
     const double met = value_here();
-    rows.upper(i) -= 1.0;
+    node.upper(i) -= 1.0;
     const double violated = value_here();
-    rows = before;
+    node = before;
     return violated - met;
   }
   [[nodiscard]] double defect_weight(int k, int i) {
@@ -141,19 +142,19 @@ struct Linearised {
     return one - none;
   }
 
-  /// The program's optimum: model, damping and what violated rows cost, those that are held nearly
-  /// included.
+  /// The program's optimal value: model, damping and the cost of violated constraints, including
+  /// active constraints that are met only nearly.
   [[nodiscard]] double optimum(double damping) const {
     double sum = 0.0;
     for (int k = 0; k <= n; ++k) {
       const auto& cost_here = program.riccati.stage(k).cost;
-      const auto& rows = program.node(k);
+      const auto& node = program.node(k);
       const auto& dx = program.dx(k);
       sum += cost_here.lx().dot(dx) + 0.5 * dx.dot(cost_here.lxx() * dx);
       sum += 0.5 * damping * dx.squaredNorm();
       for (int i = 0; i < D::nc; ++i)
-        sum += std::abs(rows.multiplier(i)) *
-               violation(rows.predicted(i), rows.lower(i), rows.upper(i));
+        sum += std::abs(node.multiplier(i)) *
+               violation(node.predicted(i), node.lower(i), node.upper(i));
       if (k == n) break;
       const auto& du = program.du(k);
       sum += cost_here.lu().dot(du) + du.dot(cost_here.lux() * dx) +
@@ -162,8 +163,8 @@ struct Linearised {
     }
     return sum;
   }
-  /// The multiplier of a continuity condition: what one unit of defect more costs. NaN where that
-  /// depends on the sign, because the rows that hold change there.
+  /// The multiplier of a continuity condition: the increase of the optimal value per unit of
+  /// defect. NaN if the increase depends on the sign, because the active constraints change there.
   [[nodiscard]] double defect_multiplier(int k, int i, double damping) {
     constexpr double h = 1e-4;
     double& defect = program.riccati.stage(k).defect(i);
@@ -196,8 +197,8 @@ Linearised<Unicycle> random_unicycle(Random& random) {
   return {Unicycle({6}), t};
 }
 
-// Defects in everything but the orientation: the programs' linearisation is exact where those are
-// zero.
+// All coordinates have defects except the orientation. The linearisation in the program is exact if
+// the orientation's defects are zero.
 Linearised<Quadrotor> random_quadrotor(Random& random) {
   const Quadrotor problem({5});
   Trajectory<Quadrotor> t(5);
@@ -248,7 +249,7 @@ void expect_value_here_is_value(unsigned seed, const Make& make) {
   }
 }
 
-TEST(Merit, ValueHereIsTheValueAtThePointOfLinearisation) {
+TEST(Merit, ValueHereEqualsValueAtTheLinearisationPoint) {
   expect_value_here_is_value(101, random_unicycle);
   expect_value_here_is_value(102, random_quadrotor);
   expect_value_here_is_value(103, random_flight);
@@ -274,7 +275,7 @@ void expect_slope(unsigned seed, const Make& make) {
     defect = std::max(defect, it.max_defect);
     row = std::max(row, it.max_violation);
   }
-  EXPECT_GT(defect, 0.1);  // it was about them
+  EXPECT_GT(defect, 0.1);  // both occur in the trials
   EXPECT_GT(row, 0.1);
 }
 
@@ -316,7 +317,7 @@ void expect_weights_above_multipliers(unsigned seed, const Make& make, double da
       for (int i = 0; i < std::decay_t<decltype(it)>::D::nc; ++i) {
         const double m = std::abs(it.program.node(k).multiplier(i));
         const double most = it.program.node(k).price(i);
-        EXPECT_NEAR(it.row_weight(k, i), std::min(1.1 * m, most), 1e-6 * (1.0 + m));
+        EXPECT_NEAR(it.constraint_weight(k, i), std::min(1.1 * m, most), 1e-6 * (1.0 + m));
         largest = std::max(largest, m);
       }
   }
@@ -324,13 +325,13 @@ void expect_weights_above_multipliers(unsigned seed, const Make& make, double da
   EXPECT_GT(checked, 5);
 }
 
-TEST(Merit, FirstWeightsAreTheMultipliersAndATenthMore) {
+TEST(Merit, FirstWeightsAre110PercentOfTheMultipliers) {
   expect_weights_above_multipliers(107, random_unicycle, 0.0);
   expect_weights_above_multipliers(108, random_quadrotor, 0.0);
   expect_weights_above_multipliers(109, random_flight, 0.0);
 }
 
-TEST(Merit, WeightsFollowMultipliersUpAtOnceAndDownByHalves) {
+TEST(Merit, WeightsRiseAtOnceAndFallHalfWay) {
   Random random(110);
   auto it = random_quadrotor(random);
   ASSERT_TRUE(it.solve());
@@ -345,13 +346,13 @@ TEST(Merit, WeightsFollowMultipliersUpAtOnceAndDownByHalves) {
       const double kept = m;
       m = 0.0;
       it.merit.update(it.program, it.n);
-      EXPECT_NEAR(it.row_weight(k, i), 0.5 * weight, 1e-6 * weight);
+      EXPECT_NEAR(it.constraint_weight(k, i), 0.5 * weight, 1e-6 * weight);
       m = -3.0 * kept;
       it.merit.update(it.program, it.n);
-      EXPECT_NEAR(it.row_weight(k, i), 3.0 * weight, 1e-6 * weight);
-      m = 2.9 * kept;  // never below 1.1 times the last one
+      EXPECT_NEAR(it.constraint_weight(k, i), 3.0 * weight, 1e-6 * weight);
+      m = 2.9 * kept;  // half way down to the new weight
       it.merit.update(it.program, it.n);
-      EXPECT_NEAR(it.row_weight(k, i), 2.95 * weight, 1e-6 * weight);
+      EXPECT_NEAR(it.constraint_weight(k, i), 2.95 * weight, 1e-6 * weight);
       m = kept;
       it.merit.forget();
       it.merit.update(it.program, it.n);
@@ -359,11 +360,11 @@ TEST(Merit, WeightsFollowMultipliersUpAtOnceAndDownByHalves) {
   EXPECT_GT(checked, 2);
 }
 
-TEST(Merit, WeightsOfADampedProgramAreThoseOfItsOwnMultipliers) {
+TEST(Merit, WeightsOfDampedProgramFollowItsOwnMultipliers) {
   expect_weights_above_multipliers(111, random_quadrotor, 10.0);
 }
 
-TEST(Merit, ViolationIsHowFarOutsideTheBounds) {
+TEST(Merit, ViolationIsTheDistanceOutsideTheBounds) {
   const double infinity = test_support::infinity;
   EXPECT_EQ(violation(2.0, -1.0, 1.0), 1.0);
   EXPECT_EQ(violation(-3.0, -1.0, 1.0), 2.0);
@@ -373,4 +374,4 @@ TEST(Merit, ViolationIsHowFarOutsideTheBounds) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

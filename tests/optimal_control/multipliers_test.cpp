@@ -6,7 +6,7 @@
 
 #include <limits>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Random;
@@ -23,7 +23,7 @@ Dual random_dual(Random& random, int size) {
   d.rho.resize(size);
   for (int i = 0; i < size; ++i) {
     for (int j = 0; j < G.cols(); ++j) G(i, j) = random.normal(1.0);
-    G.row(i) *= std::pow(10.0, random.uniform(-2.0, 2.0));  // rows of very different units
+    G.row(i) *= std::pow(10.0, random.uniform(-2.0, 2.0));  // constraints in very different units
     d.b(i) = random.normal(1.0) * G.row(i).norm();
     d.rho(i) = std::pow(10.0, random.uniform(-2.0, 4.0));
   }
@@ -31,7 +31,7 @@ Dual random_dual(Random& random, int size) {
   return d;
 }
 
-// The first-order conditions of the bound-constrained minimum, in each row's own units.
+// Error of the first-order conditions of the bound-constrained minimum, in each constraint's units.
 double optimality_error(const Dual& d, const Eigen::VectorXd& lambda) {
   const Eigen::VectorXd gradient = d.H * lambda - d.b;
   double error = 0.0;
@@ -71,7 +71,7 @@ TEST(DualSolver, EveryAlgorithmReachesTheSamePoint) {
       DualSolver solver(12, settings);
       Eigen::VectorXd lambda = Eigen::VectorXd::Zero(12);
       ASSERT_TRUE(solver.solve(d.H, d.b, d.rho, lambda));
-      EXPECT_GT(solver.evaluations(), 3);  // it was NLopt that went there
+      EXPECT_GT(solver.evaluations(), 3);  // NLopt has solved it
       if (first.size() == 0) first = lambda;
       const Eigen::VectorXd unit = d.H.diagonal().cwiseSqrt();
       EXPECT_LT((lambda - first).cwiseProduct(unit).cwiseAbs().maxCoeff(), 1e-6);
@@ -79,7 +79,7 @@ TEST(DualSolver, EveryAlgorithmReachesTheSamePoint) {
   }
 }
 
-TEST(DualSolver, ACapacityKnownToTheCompilerChangesNothing) {
+TEST(DualSolver, CompileTimeCapacityGivesTheSameSolution) {
   Random random(25);
   for (int size = 1; size <= 12; ++size) {
     const Dual d = random_dual(random, size);
@@ -103,7 +103,7 @@ TEST(DualSolver, WarmStartAtTheSolutionCostsOneEvaluation) {
   EXPECT_EQ(solver.evaluations() - cold, 1);
 }
 
-TEST(DualSolver, RedundantRowsShareTheMultiplier) {
+TEST(DualSolver, RedundantConstraintsShareTheMultiplier) {
   Dual d;
   d.H = Eigen::MatrixXd::Ones(3, 3) + 1e-9 * Eigen::MatrixXd::Identity(3, 3);
   d.b = Eigen::VectorXd::Ones(3);
@@ -125,4 +125,4 @@ TEST(DualSolver, NonFiniteInputFailsAndLeavesTheMultipliers) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -1,4 +1,4 @@
-// Numbers that are none, out of every function of a problem, at any node (CHECKS 22).
+// Non-finite values from every function of a problem, at any node (check 22).
 
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
@@ -7,10 +7,11 @@
 
 #include <Eigen/Core>
 
+#include <cmath>
 #include <limits>
 #include <string>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 enum class Output {
@@ -43,13 +44,14 @@ enum class Output {
   count
 };
 
-/// Every function that a problem can have: a mass on a line, of which one output at one node can be
-/// spoilt.
+/// A mass on a line, with all functions that a problem can have. One output at one node can be
+/// replaced by `number`.
 struct Spoilt {
-  static constexpr int states = 2, inputs = 1, rows = 2, equalities = 1, terminal_rows = 1;
+  static constexpr int states = 2, inputs = 1, constraints = 2, equalities = 1,
+                       terminal_constraints = 1;
   using State = Eigen::Vector2d;
   using D = ProblemDimensions<Spoilt>;
-  using TerminalRow = Eigen::Matrix<double, 1, 1>;
+  using TerminalConstraint = Eigen::Matrix<double, 1, 1>;
 
   Output output = Output::none;
   int node = 0;
@@ -93,19 +95,24 @@ struct Spoilt {
     m.luu() = spoilt(Output::luu, k, D::Input(D::Input::Constant(0.2)));
     m.lux() = spoilt(Output::lux, k, Eigen::RowVector2d(0.0, 0.0));
   }
-  D::Rows row_values(int k, const State& x, const D::Input& u) const {
-    return spoilt(Output::value, k, D::Rows(u(0), x(1)));
+  D::Constraints constraint_values(int k, const State& x, const D::Input& u) const {
+    return spoilt(Output::value, k, D::Constraints(u(0), x(1)));
   }
-  void row_derivatives(int k, const State&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
+  void constraint_derivatives(int k, const State&, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C << 0.0, 0.0, 0.0, 1.0;
     E << 1.0, 0.0;
     if (output == Output::C && k == node) C(1, 1) = number;
     if (output == Output::E && k == node) E(0, 0) = number;
   }
-  D::Rows lower(int k) const { return spoilt(Output::lower, k, D::Rows(-2.0, -0.5)); }
-  D::Rows upper(int k) const { return spoilt(Output::upper, k, D::Rows(2.0, 0.5)); }
-  D::Rows penalty(int k) const { return spoilt(Output::penalty, k, D::Rows(1e9, 1e3)); }
-  D::Rows quadratic_penalty(int k) const { return spoilt(Output::stiffness, k, D::Rows(1e5, 1e5)); }
+  D::Constraints lower(int k) const { return spoilt(Output::lower, k, D::Constraints(-2.0, -0.5)); }
+  D::Constraints upper(int k) const { return spoilt(Output::upper, k, D::Constraints(2.0, 0.5)); }
+  D::Constraints penalty(int k) const {
+    return spoilt(Output::penalty, k, D::Constraints(1e9, 1e3));
+  }
+  D::Constraints quadratic_penalty(int k) const {
+    return spoilt(Output::stiffness, k, D::Constraints(1e5, 1e5));
+  }
   D::Equalities equality_values(int k, const State& x) const {
     return spoilt(Output::equality, k, D::Equalities(x(1)));
   }
@@ -116,21 +123,21 @@ struct Spoilt {
   D::Equalities equality_weights(int k) const {
     return spoilt(Output::weight, k, D::Equalities(k == horizon() ? 10.0 : 0.0));
   }
-  TerminalRow terminal_row_values(const State& x) const {
-    return spoilt(Output::terminal_value, horizon(), TerminalRow(x(0)));
+  TerminalConstraint terminal_constraint_values(const State& x) const {
+    return spoilt(Output::terminal_value, horizon(), TerminalConstraint(x(0)));
   }
-  void terminal_row_derivatives(const State&, Eigen::Matrix<double, 1, 2>& C) const {
+  void terminal_constraint_derivatives(const State&, Eigen::Matrix<double, 1, 2>& C) const {
     C << 1.0, 0.0;
     spoil(Output::terminal_C, horizon(), C);
   }
-  TerminalRow terminal_lower() const {
-    return spoilt(Output::terminal_lower, horizon(), TerminalRow(-0.6));
+  TerminalConstraint terminal_lower() const {
+    return spoilt(Output::terminal_lower, horizon(), TerminalConstraint(-0.6));
   }
-  TerminalRow terminal_upper() const {
-    return spoilt(Output::terminal_upper, horizon(), TerminalRow(0.6));
+  TerminalConstraint terminal_upper() const {
+    return spoilt(Output::terminal_upper, horizon(), TerminalConstraint(0.6));
   }
-  TerminalRow terminal_penalty() const {
-    return spoilt(Output::terminal_penalty, horizon(), TerminalRow(1e3));
+  TerminalConstraint terminal_penalty() const {
+    return spoilt(Output::terminal_penalty, horizon(), TerminalConstraint(1e3));
   }
 };
 
@@ -145,7 +152,8 @@ bool finite_plan(const Solver& solver) {
   return finite;
 }
 
-// Nothing there, or an infinity that means something: no bound, or a hard constraint.
+// Returns true if the value is not used at this node, or if the infinity is valid: no bound, or a
+// hard constraint.
 bool means_something(Output output, int node, double number) {
   const int horizon = Spoilt().horizon();
   switch (output) {
@@ -175,14 +183,14 @@ bool means_something(Output output, int node, double number) {
     case Output::equality:
     case Output::H:
       return node != horizon;
-    case Output::weight:  // the initial state is as it is
+    case Output::weight:  // not used at node 0 or if negative
       return node == 0 || number < 0.0;
     default:
       return false;
   }
 }
 
-TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
+TEST(NotANumber, NeverConvergesNorEntersThePlanAndRecovers) {
   const Eigen::Vector2d x(1.0, 0.3);
   const double infinity = std::numeric_limits<double>::infinity();
   Solver reference{Spoilt{}};
@@ -224,7 +232,26 @@ TEST(NotANumber, IsNeverConvergedNorInThePlanAndIsRecoveredFrom) {
       }
 }
 
-TEST(NotANumber, GoodAgainByTheNextIteration) {
+TEST(NotANumber, AppearsInTheReportFromAnyNode) {
+  const Eigen::Vector2d x(1.0, 0.3);
+  const auto report = [&](Output output, int node) {
+    Solver solver{Spoilt{}};
+    solver.reset(x);
+    solver.problem().output = output;
+    solver.problem().node = node;
+    solver.problem().number = std::numeric_limits<double>::quiet_NaN();
+    EXPECT_EQ(solver.prepare(), PrepareStatus::failed);
+    return solver.report();
+  };
+  for (const int node : {1, 5, 9}) {
+    EXPECT_FALSE(std::isfinite(report(Output::value, node).max_violation)) << node;
+    EXPECT_FALSE(std::isfinite(report(Output::step, node).max_defect)) << node;
+    EXPECT_FALSE(std::isfinite(report(Output::cost, node).cost)) << node;
+  }
+  EXPECT_FALSE(std::isfinite(report(Output::equality, 10).max_equality));
+}
+
+TEST(NotANumber, RecoversInTheNextIteration) {
   const Eigen::Vector2d x(1.0, 0.3);
   Solver solver{Spoilt{}};
   solver.reset(x);
@@ -241,4 +268,4 @@ TEST(NotANumber, GoodAgainByTheNextIteration) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -13,8 +13,8 @@
 
 #include <gtest/gtest.h>
 
-// The test problems' derivatives, which the solvers take for granted.
-namespace tilt_ropter {
+// Derivatives of the test problems. The solvers assume that they are correct.
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Contradiction;
@@ -31,7 +31,7 @@ Eigen::Matrix<Scalar, Size, 1> lift(const Eigen::Matrix<double, Size, 1>& x) {
 }
 
 template <typename Scalar>
-BodyState<Scalar> lift(const BodyState<>& x) {
+BodyState<Scalar> lift(const BodyStated& x) {
   return {x.position.cast<Scalar>(), x.velocity.cast<Scalar>(), x.orientation.cast<Scalar>(),
           x.angular_velocity.cast<Scalar>()};
 }
@@ -74,10 +74,10 @@ void expect_exact_derivatives(const Problem& problem, int k, const typename Prob
   expect_equal(by_input, residual.template rightCols<nu>());
 
   const auto rows = test_support::jacobian_at_zero<nc, nx + nu>(
-      [&](const Vector& d) { return problem.template rows_of<S>(k, x_of(d), u_of(d)); });
-  typename D::RowsX C = D::RowsX::Zero();
-  typename D::RowsU E = D::RowsU::Zero();
-  problem.row_derivatives(k, x, u, C, E);
+      [&](const Vector& d) { return problem.template constraints_of<S>(k, x_of(d), u_of(d)); });
+  typename D::ConstraintsX C = D::ConstraintsX::Zero();
+  typename D::ConstraintsU E = D::ConstraintsU::Zero();
+  problem.constraint_derivatives(k, x, u, C, E);
   expect_equal(C, rows.template leftCols<nx>());
   expect_equal(E, rows.template rightCols<nu>());
 
@@ -113,8 +113,8 @@ TEST(ProblemDerivatives, AreExact) {
   }
 }
 
-TEST(ProblemDerivatives, TheDeclaredTransitionPatternIsThatOfTheDerivatives) {
-  using Pattern = WheeledFlightProblem<>::TransitionPattern;
+TEST(ProblemDerivatives, DeclaredTransitionPatternMatchesTheDerivatives) {
+  using Pattern = WheeledFlightProblem<0>::TransitionPattern;
   Random random(73);
   auto problem = test_support::step_problem();
   Eigen::Matrix<double, 18, 24> seen = Eigen::Matrix<double, 18, 24>::Zero();
@@ -125,9 +125,9 @@ TEST(ProblemDerivatives, TheDeclaredTransitionPatternIsThatOfTheDerivatives) {
     if (i % 2 == 0)
       node.freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
     node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
-    WheeledFlightProblem<>::D::A A;
-    WheeledFlightProblem<>::D::B B;
-    WheeledFlightProblem<>::D::Input u;
+    WheeledFlightProblem<0>::D::A A;
+    WheeledFlightProblem<0>::D::B B;
+    WheeledFlightProblem<0>::D::Input u;
     u << random.vector(5.0), random.vector(1.0);
     (void)problem.step(0, test_support::random_state(random), u, A, B);
     Eigen::Matrix<double, 18, 24> both;
@@ -143,13 +143,13 @@ TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
   Random random(72);
   using S = Dual<18>;
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
-    State<> x;
+    Stated x;
     x.body = random_body(random);
-    StateTangent<> dx = StateTangent<>::Random();
+    StateTangentd dx = StateTangentd::Random();
     dx.segment<3>(TangentIndex::orientation) = random.vector(1.7);
     if (i % 10 == 0) dx.segment<3>(TangentIndex::orientation) *= 1e-6;
-    const State<> end = retract(x, dx);
-    const auto pack_body = [](const State<>& y) {
+    const Stated end = retract(x, dx);
+    const auto pack_body = [](const Stated& y) {
       return State<S>{{lift<S>(y.wrench.force), lift<S>(y.wrench.torque)}, lift<S>(y.body)};
     };
     const auto truth =
@@ -164,4 +164,4 @@ TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -17,9 +17,9 @@
 #include <cmath>
 #include <string>
 
-// Problems from other fields than the Tilt-Ropter's and short ones from its own, on which two
-// solvers that share nothing but the problem must agree, or whose answer is known.
-namespace tilt_ropter {
+// Problems from other fields, and short problems of the Tilt-Ropter. Either two solvers that share
+// only the problem must agree, or the solution is known.
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Contradiction;
@@ -29,12 +29,12 @@ using test_support::Pendulum;
 using test_support::Quadrotor;
 using test_support::Unicycle;
 
-// Row `component` stands at its bound at some node of the solution.
+// Returns true if the constraint `component` is at its bound at any node of the solution.
 template <typename Solver>
 bool is_active(const Solver& solver, int component) {
   const auto& problem = solver.problem();
   for (int k = 0; k <= problem.horizon(); ++k) {
-    const double value = problem.row_values(k, solver.state(k), solver.input(k))(component);
+    const double value = problem.constraint_values(k, solver.state(k), solver.input(k))(component);
     if (std::min(std::abs(value - problem.upper(k)(component)),
                  std::abs(value - problem.lower(k)(component))) < 1e-7)
       return true;
@@ -42,8 +42,8 @@ bool is_active(const Solver& solver, int component) {
   return false;
 }
 
-// Solves by NLopt's SLSQP and by MultipleShooting with each algorithm of the dual, all cold, and
-// compares the optima. Returns the solver for more questions.
+// Solves with NLopt's SLSQP and with MultipleShooting for each algorithm of the dual, all from a
+// cold start, and compares the optima. Returns the SLSQP solver for further checks.
 template <typename Problem>
 FullSpace<Problem> expect_same_optimum(const Problem& problem, const typename Problem::State& x0,
                                        double tolerance = 1e-8) {
@@ -84,11 +84,11 @@ Quadrotor::State thrown_quadrotor() {
   return x;
 }
 
-WheeledFlightProblem<> short_flight(const NmpcBounds& bounds) {
+WheeledFlightProblem<0> short_flight(const NmpcBounds& bounds) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.bounds = bounds;
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
     problem.node(k).wrench_reference.force = test_support::benchmark_hover_force();
@@ -96,8 +96,8 @@ WheeledFlightProblem<> short_flight(const NmpcBounds& bounds) {
   return problem;
 }
 
-State<> displaced_flight() {
-  State<> x;
+Stated displaced_flight() {
+  Stated x;
   x.wrench.force = test_support::benchmark_hover_force();
   x.body.position << 0.1, -0.2, 0.9;
   x.body.velocity << 0.1, 0.0, 0.2;
@@ -107,11 +107,11 @@ State<> displaced_flight() {
 }
 
 // The wheels touch the ground at `touch_down` and stay there.
-WheeledFlightProblem<> short_landing(int touch_down, double ground_weight) {
+WheeledFlightProblem<0> short_landing(int touch_down, double ground_weight) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
   settings.weights.ground.setConstant(ground_weight);
-  WheeledFlightProblem<> problem(test_support::benchmark_body(), settings);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     WheeledFlightNode& node = problem.node(k);
     node.wrench_reference.force = test_support::benchmark_hover_force();
@@ -123,8 +123,8 @@ WheeledFlightProblem<> short_landing(int touch_down, double ground_weight) {
   return problem;
 }
 
-State<> above_the_ground() {
-  State<> x;
+Stated above_the_ground() {
+  Stated x;
   x.wrench.force = test_support::benchmark_hover_force();
   x.body.position << 0.0, 0.0, 0.115;
   x.body.velocity << 0.3, 0.05, -0.02;
@@ -143,8 +143,8 @@ TEST(Problems, BothSolversAgreeOnThePendulum) {
 TEST(Problems, BothSolversAgreeOnTheUnicycle) {
   const auto around = expect_same_optimum(Unicycle({6}), Eigen::Vector3d(-2.0, 0.0, 0.3));
   EXPECT_TRUE(is_active(around, 0));  // at the obstacle's edge
-  EXPECT_TRUE(is_active(around, 1));  // as slow as it must be near it
-  // Backs out of a heading beyond a right angle and turns over the seam of the circle.
+  EXPECT_TRUE(is_active(around, 1));  // at the speed limit near the obstacle
+  // Starts with a heading beyond a right angle, drives backwards and turns across the heading pi.
   expect_same_optimum(Unicycle({8}), Eigen::Vector3d(-1.5, 0.5, 3.1));
 }
 
@@ -179,7 +179,7 @@ TEST(Problems, BothSolversAgreeAtTouchDown) {
   EXPECT_LT(oracle.report().max_equality, 1e-9);
 }
 
-TEST(Problems, BothSolversAgreeOnTwoNodesOfGround) {
+TEST(Problems, BothSolversAgreeOnTwoGroundNodes) {
   expect_same_optimum(short_landing(3, 1e5), above_the_ground(), 1e-9);
 }
 
@@ -187,10 +187,11 @@ TEST(Problems, BothSolversAgreeOnGroundWithTheDefaultWeights) {
   expect_same_optimum(short_landing(3, NmpcWeights{}.ground.x()), above_the_ground());
 }
 
-TEST(Problems, LinearQuadraticOptimumIsThatOfTheDenseLeastSquares) {
+TEST(Problems, LinearQuadraticOptimumMatchesDenseLeastSquares) {
   const DoubleIntegrator problem({7});
   const Eigen::Vector2d x0(3.0, 1.0);
-  // All residuals as a linear function of all inputs, by flying once without and once with each.
+  // All residuals are a linear function of all inputs. Its matrix comes from one simulation without
+  // input and one simulation for each unit input.
   const auto residuals = [&](const Eigen::Matrix<double, 7, 1>& u) {
     Eigen::Matrix<double, 24, 1> all;
     Eigen::Vector2d x = x0;
@@ -203,9 +204,10 @@ TEST(Problems, LinearQuadraticOptimumIsThatOfTheDenseLeastSquares) {
   };
   using Inputs = Eigen::Matrix<double, 7, 1>;
   const Eigen::Matrix<double, 24, 1> free = residuals(Inputs::Zero());
-  Eigen::MatrixXd by_input(24, 7);
+  Eigen::Matrix<double, 24, 7> by_input;
   for (int k = 0; k < 7; ++k) by_input.col(k) = residuals(Inputs::Unit(k)) - free;
-  const Inputs optimum = by_input.colPivHouseholderQr().solve(Eigen::VectorXd(-free));
+  const Eigen::Matrix<double, 7, 7> normal = by_input.transpose() * by_input;
+  const Inputs optimum = normal.ldlt().solve(-by_input.transpose() * free);
 
   MultipleShooting<DoubleIntegrator> solver(problem);
   solver.reset(x0);
@@ -216,47 +218,47 @@ TEST(Problems, LinearQuadraticOptimumIsThatOfTheDenseLeastSquares) {
   for (int k = 0; k < 7; ++k) EXPECT_NEAR(solver.input(k)(0), optimum(k), 1e-12);
 }
 
-TEST(Problems, FarTargetWithAStopIsFlownBangBang) {
-  // Full thrust one way, full thrust the other way, and nothing in the middle of an odd number.
+TEST(Problems, FarTargetWithAStopGivesBangBangInputs) {
+  // The input is first 1 and then -1. It is 0 in the middle because the number of intervals is odd.
   const DoubleIntegrator problem({7, 30.0, 1.0, true, 0.3, 0.1});
   MultipleShooting<DoubleIntegrator> solver(problem);
   solver.reset(Eigen::Vector2d::Zero());
   const SolveReport report = solver.solve(Eigen::Vector2d::Zero());
   EXPECT_EQ(report.status, SolveStatus::converged);
-  EXPECT_EQ(report.active_rows, 6);
-  EXPECT_EQ(report.given_up_rows, 0);
+  EXPECT_EQ(report.active_constraints, 6);
+  EXPECT_EQ(report.relaxed_constraints, 0);
   for (int k = 0; k < 7; ++k)
     EXPECT_NEAR(solver.input(k)(0), k < 3 ? 1.0 : k == 3 ? 0.0 : -1.0, 1e-6);
 }
 
-TEST(Problems, ContradictoryRowsAreWeighedByTheirPenalties) {
-  for (const double weight : {4.0, 2.0, 1.25}) {  // both rows violated
+TEST(Problems, ContradictoryConstraintsAreWeighedByTheirPenalties) {
+  for (const double weight : {4.0, 2.0, 1.25}) {  // both constraints violated
     MultipleShooting<Contradiction> solver(Contradiction({4, weight}));
     solver.reset(Contradiction::State(0.3));
     const SolveReport report = solver.solve(Contradiction::State(0.3));
     EXPECT_EQ(report.status, SolveStatus::converged);
-    EXPECT_EQ(report.given_up_rows, 8);
+    EXPECT_EQ(report.relaxed_constraints, 8);
     EXPECT_NEAR(report.max_violation, 1.0 + 1.0 / weight, 1e-7);
     for (int k = 0; k < 4; ++k) {
       EXPECT_NEAR(solver.input(k)(0), 1.0 / weight, 1e-7);
-      EXPECT_DOUBLE_EQ(solver.row_multipliers(k)(0), -5.0);
-      EXPECT_DOUBLE_EQ(solver.row_multipliers(k)(1), 3.0);
+      EXPECT_DOUBLE_EQ(solver.constraint_multipliers(k)(0), -5.0);
+      EXPECT_DOUBLE_EQ(solver.constraint_multipliers(k)(1), 3.0);
     }
   }
-  // The dearer row is worth its price: met exactly, with 2 weight u = multiplier - 3 at u = 1.
+  // The constraint with the higher penalty is met exactly: 2 weight u = multiplier - 3 at u = 1.
   MultipleShooting<Contradiction> solver(Contradiction({4, 0.75}));
   solver.reset(Contradiction::State(0.3));
   const SolveReport report = solver.solve(Contradiction::State(0.3));
   EXPECT_EQ(report.status, SolveStatus::converged);
-  EXPECT_EQ(report.given_up_rows, 4);
+  EXPECT_EQ(report.relaxed_constraints, 4);
   for (int k = 0; k < 4; ++k) {
     EXPECT_NEAR(solver.input(k)(0), 1.0, 1e-7);
-    EXPECT_NEAR(solver.row_multipliers(k)(0), -4.5, 1e-6);
-    EXPECT_DOUBLE_EQ(solver.row_multipliers(k)(1), 3.0);
+    EXPECT_NEAR(solver.constraint_multipliers(k)(0), -4.5, 1e-6);
+    EXPECT_DOUBLE_EQ(solver.constraint_multipliers(k)(1), 3.0);
   }
 }
 
-TEST(Problems, PendulumSwingsUpWithAThirdOfTheTorqueItWouldTake) {
+TEST(Problems, PendulumSwingsUpWithAThirdOfTheGravityTorque) {
   const Pendulum problem({50});
   const Eigen::Vector2d hanging(pi, 0.0);
   MultipleShooting<Pendulum> solver(problem, patient());
@@ -265,9 +267,9 @@ TEST(Problems, PendulumSwingsUpWithAThirdOfTheTorqueItWouldTake) {
   EXPECT_EQ(report.status, SolveStatus::converged);
   EXPECT_LT(report.max_defect, 1e-6);
   EXPECT_LT(report.max_violation, 1e-6);
-  EXPECT_GT(report.active_rows, 10);
+  EXPECT_GT(report.active_constraints, 10);
   EXPECT_LT(solver.state(50).cwiseAbs().maxCoeff(), 0.1);
-  double highest_back = 0.0;  // it has to swing the other way first
+  double highest_back = 0.0;  // it must swing the other way first
   for (int k = 0; k <= 50; ++k) highest_back = std::max(highest_back, solver.state(k)(0) - pi);
   EXPECT_GT(highest_back, 0.3);
 }
@@ -297,9 +299,9 @@ TEST(Problems, QuadrotorRecoversFromItsSide) {
     solver.set_guess(k, start, Eigen::Vector4d::Constant(Quadrotor::hover_thrust()));
   const SolveReport report = solver.solve(start);
   EXPECT_EQ(report.status, SolveStatus::converged);
-  EXPECT_GT(report.active_rows, 2);
+  EXPECT_GT(report.active_constraints, 2);
   EXPECT_LT(problem.difference(solver.state(30), Quadrotor::State{}).cwiseAbs().maxCoeff(), 0.05);
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

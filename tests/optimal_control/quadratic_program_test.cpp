@@ -1,5 +1,5 @@
-// What users can ask of a quadratic program: methods, softness, gains, limits, and answers to
-// constraints that cannot be met.
+// Functions of a quadratic program for users: methods, soft constraints, gains, limits, and reports
+// about constraints that cannot be met.
 
 #include "support/patient.hpp"
 #include "support/random.hpp"
@@ -18,14 +18,14 @@
 #include <limits>
 #include <string>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// A mass on a line that is to be at 1 m, with a bounded force.
+/// A mass on a line with a target at 1 m and a bounded force.
 struct Mass {
-  static constexpr int states = 2, inputs = 1, residuals = 3, rows = 2;
+  static constexpr int states = 2, inputs = 1, residuals = 3, constraints = 2;
   template <typename S>
   using Vector2 = Eigen::Matrix<S, 2, 1>;
   template <typename S>
@@ -45,7 +45,7 @@ struct Mass {
     return {x(0) - S(1.0), S(0.1) * x(1), S(0.1) * u(0)};
   }
   template <typename S>
-  Vector2<S> constraints(int, const Vector2<S>& x, const Vector1<S>& u) const {
+  Vector2<S> constraint_values(int, const Vector2<S>& x, const Vector1<S>& u) const {
     return {u(0), x(1)};
   }
   Bounds lower(int) const { return low; }
@@ -78,36 +78,36 @@ TEST(QuadraticProgram, EveryMethodReachesTheOptimumOfFullSpace) {
     ASSERT_EQ(solver.report().status, SolveStatus::converged) << static_cast<int>(method);
     EXPECT_NEAR(solver.report().cost, full.report().cost, 1e-6 * full.report().cost);
     EXPECT_LE(solver.report().program_residual, 1e-6);
-    EXPECT_GT(solver.report().active_rows, 5);
-    EXPECT_EQ(solver.report().given_up_rows, 0);
+    EXPECT_GT(solver.report().active_constraints, 5);
+    EXPECT_EQ(solver.report().relaxed_constraints, 0);
   }
 }
 
-// The method is chosen by the number of constraints that hold; setting it has its effect.
-TEST(QuadraticProgram, ManyConstraintsAreLeftToRiccatiPasses) {
+// The number of active constraints decides the method, unless the settings select a method.
+TEST(QuadraticProgram, ManyActiveConstraintsUseRiccatiPasses) {
   Mass mass;
-  mass.high(1) = 0.1;  // nearly all the way
+  mass.high(1) = 0.1;  // active at nearly all nodes
   const Solver automatic = solved(mass), dual = solved(mass, ProgramMethod::dual);
-  EXPECT_GT(automatic.report().active_rows, 16);
+  EXPECT_GT(automatic.report().active_constraints, 16);
   EXPECT_EQ(dual.report().passes, 0);
   EXPECT_NEAR(automatic.report().cost, dual.report().cost, 1e-6);
 }
 
-TEST(QuadraticProgram, ALinearPenaltyIsGivenUpAndAQuadraticOneGivesWay) {
+TEST(QuadraticProgram, RelaxesWithLinearAndSoftensWithQuadraticPenalty) {
   Mass mass;
-  mass.price(1) = 1.5;  // less than it would take
+  mass.price(1) = 1.5;  // too small to hold the bound
   const Solver linear = solved(mass);
   ASSERT_EQ(linear.report().status, SolveStatus::converged);
-  EXPECT_GT(linear.report().given_up_rows, 0);
-  EXPECT_EQ(linear.report().given_up_hard_rows, 0);
-  EXPECT_GT(linear.report().largest_given_up, 0.01);
+  EXPECT_GT(linear.report().relaxed_constraints, 0);
+  EXPECT_EQ(linear.report().relaxed_hard_constraints, 0);
+  EXPECT_GT(linear.report().largest_relaxation, 0.01);
   double largest = 0.0;
   for (int k = 0; k <= linear.horizon(); ++k) {
     EXPECT_NEAR(linear.slack(k, 1), std::max(0.0, linear.state(k)(1) - 0.4), 1e-6);
     largest = std::max(largest, linear.slack(k, 1));
-    EXPECT_LE(linear.row_multipliers(k)(1), 1.5 + 1e-9);
+    EXPECT_LE(linear.constraint_multipliers(k)(1), 1.5 + 1e-9);
   }
-  EXPECT_NEAR(linear.report().largest_given_up, largest, 1e-6);
+  EXPECT_NEAR(linear.report().largest_relaxation, largest, 1e-6);
 
   mass.price(1) = infinity;
   mass.stiffness(1) = 50.0;
@@ -117,48 +117,48 @@ TEST(QuadraticProgram, ALinearPenaltyIsGivenUpAndAQuadraticOneGivesWay) {
   for (int k = 1; k <= quadratic.horizon(); ++k) {
     const double violation = quadratic.state(k)(1) - 0.4;
     if (violation > 1e-6) {
-      EXPECT_NEAR(quadratic.row_multipliers(k)(1), 50.0 * violation, 1e-5);
+      EXPECT_NEAR(quadratic.constraint_multipliers(k)(1), 50.0 * violation, 1e-5);
       EXPECT_NEAR(quadratic.slack(k, 1), violation, 1e-7);
       ++held;
     }
   }
   EXPECT_GT(held, 3);
-  EXPECT_EQ(quadratic.report().given_up_rows, 0);
+  EXPECT_EQ(quadratic.report().relaxed_constraints, 0);
 }
 
-TEST(QuadraticProgram, HardConstraintsThatContradictEachOtherAreInfeasible) {
+TEST(QuadraticProgram, ContradictoryHardConstraintsAreInfeasible) {
   Mass mass;
-  mass.low(0) = 0.5;         // it has to accelerate
-  mass.price(1) = infinity;  // and must not
+  mass.low(0) = 0.5;         // must accelerate
+  mass.price(1) = infinity;  // must not exceed the speed bound
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::infeasible);
-  EXPECT_GT(solver.report().given_up_hard_rows, 0);
-  EXPECT_GT(solver.report().largest_given_up_hard, 0.1);
+  EXPECT_GT(solver.report().relaxed_hard_constraints, 0);
+  EXPECT_GT(solver.report().largest_hard_relaxation, 0.1);
 }
 
-TEST(QuadraticProgram, ALowerBoundAboveTheUpperOneSaysSo) {
+TEST(QuadraticProgram, LowerBoundAboveUpperBoundIsReportedInfeasible) {
   Mass mass;
-  mass.low(0) = 1.5;  // of 1.0
+  mass.low(0) = 1.5;  // the upper bound is 1.0
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::infeasible);
-  EXPECT_GT(solver.report().given_up_hard_rows, 0);
-  EXPECT_NEAR(solver.report().largest_given_up_hard, 0.5, 0.51);
+  EXPECT_GT(solver.report().relaxed_hard_constraints, 0);
+  EXPECT_NEAR(solver.report().largest_hard_relaxation, 0.5, 0.51);
 }
 
-// Of the state of node 0 nobody has a say.
-TEST(QuadraticProgram, AMeasuredStateBeyondItsBoundIsGivenUpAndNothingElse) {
+// No input can change the state of node 0.
+TEST(QuadraticProgram, MeasuredStateBeyondItsBoundRelaxesOnlyThisBound) {
   Mass mass;
   Solver solver{Problem(mass)};
   const Eigen::Vector2d fast(0.0, 0.42);
   solver.reset(fast);
   solver.solve(fast);
   EXPECT_EQ(solver.report().status, SolveStatus::converged);
-  EXPECT_TRUE(solver.given_up(0, 1));
-  EXPECT_EQ(solver.report().given_up_rows, 1);
-  EXPECT_NEAR(solver.report().largest_given_up, 0.02, 1e-9);
+  EXPECT_TRUE(solver.relaxed(0, 1));
+  EXPECT_EQ(solver.report().relaxed_constraints, 1);
+  EXPECT_NEAR(solver.report().largest_relaxation, 0.02, 1e-9);
 }
 
-TEST(QuadraticProgram, GainsAndFeedForwardAreThoseOfTheOptimum) {
+TEST(QuadraticProgram, GainsAndFeedForwardMatchTheOptimum) {
   Mass mass;
   mass.high = {100.0, 100.0};
   mass.low = {-100.0, -100.0};
@@ -174,7 +174,7 @@ TEST(QuadraticProgram, GainsAndFeedForwardAreThoseOfTheOptimum) {
   EXPECT_LT(gain(0, 0), -1.0);
 }
 
-TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
+TEST(QuadraticProgram, FirstInputKeepsItsHardBoundsForAnyTimeLimit) {
   test_support::Random random(3);
   for (const double limit : {1e-9, 1e-6, 1e-5, 3e-5, 1e-3}) {
     Mass mass;
@@ -199,7 +199,7 @@ TEST(QuadraticProgram, TheFirstInputIsWithinItsHardBoundsWhateverTheLimit) {
   }
 }
 
-TEST(QuadraticProgram, ASolveThatIsCutOffGoesOnWhereItWas) {
+TEST(QuadraticProgram, InterruptedSolveContinuesInTheNextIteration) {
   Mass mass;
   mass.intervals = 200;
   mass.high(1) = 0.1;
@@ -223,7 +223,7 @@ TEST(QuadraticProgram, ASolveThatIsCutOffGoesOnWhereItWas) {
   EXPECT_LT(solver.report().kkt, 1e-6);
 }
 
-TEST(QuadraticProgram, AGuessOrAResetAfterPreparationNeedsAnotherOne) {
+TEST(QuadraticProgram, GuessResetOrShiftAfterPrepareNeedsAnotherPrepare) {
   Solver solver = solved(Mass{});
   ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   solver.reset(rest);
@@ -236,25 +236,25 @@ TEST(QuadraticProgram, AGuessOrAResetAfterPreparationNeedsAnotherOne) {
   EXPECT_EQ(solver.feedback(rest).status, SolveStatus::failed);
 }
 
-// Multipliers go to the nodes they are nearest to, however small the parts.
+// Multipliers move to the nearest nodes, for shifts by any fraction of an interval.
 TEST(QuadraticProgram, FractionsOfAShiftAddUp) {
   Solver once = solved(Mass{}), parts = solved(Mass{});
-  ASSERT_GT(once.row_multipliers(3)(0), 0.0);
-  const double third = once.row_multipliers(3)(0);
+  ASSERT_GT(once.constraint_multipliers(3)(0), 0.0);
+  const double third = once.constraint_multipliers(3)(0);
   once.shift(2.0);
   for (int i = 0; i < 5; ++i) parts.shift(0.4);
-  EXPECT_EQ(once.row_multipliers(1)(0), third);
+  EXPECT_EQ(once.constraint_multipliers(1)(0), third);
   for (int k = 0; k <= once.horizon(); ++k)
-    EXPECT_EQ(once.row_multipliers(k), parts.row_multipliers(k)) << k;
+    EXPECT_EQ(once.constraint_multipliers(k), parts.constraint_multipliers(k)) << k;
   Solver halves = solved(Mass{});
   halves.shift(0.5);
   halves.shift(0.5);
-  EXPECT_EQ(halves.row_multipliers(2)(0), third);
+  EXPECT_EQ(halves.constraint_multipliers(2)(0), third);
 }
 
-TEST(QuadraticProgram, BoundsOnAnInputBelowZeroDoNotCountAtTheLastNode) {
+TEST(QuadraticProgram, InputBoundsThatExcludeZeroDoNotCountAtTheLastNode) {
   Mass mass;
-  mass.low(0) = 0.05;  // at every node; at the last one there is no input
+  mass.low(0) = 0.05;  // at every node; the last node has no input
   mass.high(1) = 100.0;
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::converged);
@@ -265,7 +265,7 @@ TEST(QuadraticProgram, BoundsOnAnInputBelowZeroDoNotCountAtTheLastNode) {
   EXPECT_NEAR(full.report().cost, solver.report().cost, 1e-6);
 }
 
-TEST(QuadraticProgram, SettingsOutOfRangeAreRefusedByName) {
+TEST(QuadraticProgram, RejectsSettingsOutOfRangeByName) {
   const auto message = [](const QuadraticProgramSettings& program) -> std::string {
     SolverSettings settings;
     settings.program = program;
@@ -280,12 +280,12 @@ TEST(QuadraticProgram, SettingsOutOfRangeAreRefusedByName) {
   s.tolerance = 0.0;
   EXPECT_NE(message(s).find("QuadraticProgramSettings.tolerance"), std::string::npos);
   s = {};
-  s.max_dual_rows = -1;
-  EXPECT_NE(message(s).find("max_dual_rows = -1: must be in [0, 1000]"), std::string::npos);
+  s.max_dual_constraints = -1;
+  EXPECT_NE(message(s).find("max_dual_constraints = -1: must be in [0, 1000]"), std::string::npos);
   s = {};
   s.max_passes = 0;
   EXPECT_NE(message(s).find("max_passes = 0: must be >= 1"), std::string::npos);
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -1,5 +1,5 @@
-// Random convex quadratic programs of all sizes, ranks and scales, feasible or not: what is
-// reported as solved is solved, and the rest says what is wrong (CHECKS 23).
+// Random convex quadratic programs of many sizes, ranks and scales, feasible or not. A program that
+// is reported as solved must be solved. All other reports must give the reason (check 23).
 
 #include "../../examples/support/program_audit.hpp"
 
@@ -17,7 +17,7 @@
 #include <limits>
 #include <string>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Feasibility;
@@ -29,9 +29,9 @@ struct Tally {
   double worst_residual = 0.0, worst_difference = 0.0;
 };
 
-template <int States, int Inputs, int Rows>
+template <int States, int Inputs, int Constraints>
 void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
-  using Problem = RandomProgram<States, Inputs, Rows>;
+  using Problem = RandomProgram<States, Inputs, Constraints>;
   test_support::Random random(seed);
   const int horizon = 5 + static_cast<int>(random.uniform(0.0, 36.0));
   const Feasibility feasibility = static_cast<Feasibility>(seed % 3);
@@ -46,7 +46,7 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   const SolveReport report = solver.feedback(problem.start());
   ++tally.programs;
   const bool told_infeasible =
-      report.status == SolveStatus::infeasible || report.given_up_hard_rows > 0;
+      report.status == SolveStatus::infeasible || report.relaxed_hard_constraints > 0;
   if (feasibility == Feasibility::infeasible) {
     ++tally.infeasible;
     tally.infeasible_told += told_infeasible;
@@ -69,14 +69,14 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   for (int k = 0; k <= horizon; ++k) cost += problem.cost(k, solver.state(k), solver.input(k));
   const double unit = 1.0 + std::abs(full.report().cost),
                difference = (cost - full.report().cost) / unit;
-  // SLSQP may stop early, above the optimum (one program of 3000). The multipliers, which the audit
-  // has found good, then say how far below it the cost can be (weak duality).
+  // SLSQP may stop early, above the optimum (one program of 3000). Then the multipliers, which have
+  // passed the audit, bound the distance between the cost and the optimum (weak duality).
   if (difference < -1e-6) {
     double gap = 0.0;
     for (int k = 0; k <= horizon; ++k) {
-      const auto m = solver.row_multipliers(k);
-      const auto value = problem.row_values(k, solver.state(k), solver.input(k));
-      for (int i = 0; i < Rows; ++i) {
+      const auto m = solver.constraint_multipliers(k);
+      const auto value = problem.constraint_values(k, solver.state(k), solver.input(k));
+      for (int i = 0; i < Constraints; ++i) {
         const double bound = m(i) > 0.0 ? problem.upper(k)(i) : problem.lower(k)(i);
         if (m(i) != 0.0) gap += std::abs(m(i) * (bound - value(i)));
       }
@@ -99,7 +99,7 @@ void solve_all(ProgramMethod method, int count, Tally& tally) {
   }
 }
 
-TEST(RandomPrograms, WhatIsReportedSolvedIsSolvedAndTheRestSaysWhatIsWrong) {
+TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
   Tally t;
   solve_all(ProgramMethod::automatic, test_support::quick_or_full(300, 3000), t);
   EXPECT_GT(t.compared, 10);
@@ -114,7 +114,7 @@ TEST(RandomPrograms, WhatIsReportedSolvedIsSolvedAndTheRestSaysWhatIsWrong) {
                               1.0 * t.feasible_called_infeasible / t.programs, 1e-2);
 }
 
-TEST(RandomPrograms, ByRiccatiPassesAlone) {
+TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
   Tally t;
   solve_all(ProgramMethod::interior_point, test_support::quick_or_full(120, 1200), t);
   EXPECT_GT(t.solved, 0.6 * t.programs);
@@ -122,7 +122,7 @@ TEST(RandomPrograms, ByRiccatiPassesAlone) {
   EXPECT_LE(t.worst_residual, 1e-5);
 }
 
-TEST(RandomPrograms, ByTheDualAlone) {
+TEST(RandomPrograms, SolvesByTheDualAlone) {
   Tally t;
   solve_all(ProgramMethod::dual, test_support::quick_or_full(40, 400), t);
   EXPECT_GT(t.solved, 0.1 * t.programs);
@@ -131,4 +131,4 @@ TEST(RandomPrograms, ByTheDualAlone) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

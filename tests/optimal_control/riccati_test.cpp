@@ -1,122 +1,27 @@
 #include <tilt_ropter/optimal_control/riccati.hpp>
-#include <tilt_ropter/optimal_control/riccati_equation.hpp>
 
+#include <tilt_ropter/optimal_control/adjoint_batch.hpp>
+
+#include "support/linear_quadratic.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
-#include <Eigen/Dense>
+
+#include <Eigen/Core>
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
-#include <optional>
-#include <utility>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
+using test_support::horizon;
+using test_support::LinearQuadratic;
 using test_support::Random;
-
-constexpr int horizon = 6;
-
-template <typename Matrix>
-Matrix random_matrix(Random& random) {
-  Matrix m;
-  for (Eigen::Index i = 0; i < m.size(); ++i) m.data()[i] = random.normal(1.0);
-  return m;
-}
-
-// A random linear-quadratic problem with the matrices that made it.
-template <int nx, int nu, typename Pattern = FullTransition>
-struct LinearQuadratic {
-  using Pass = Riccati<nx, nu, Pattern>;
-  using Tangent = typename Pass::Tangent;
-  using Input = typename Pass::Input;
-  using Vector = typename Pass::Vector;
-
-  explicit LinearQuadratic(unsigned seed) : pass(horizon), steps(horizon + 1, Vector::Zero()) {
-    Random random(seed);
-    for (int k = 0; k <= horizon; ++k) {
-      auto A_k = random_matrix<typename Pass::StateMatrix>(random);
-      auto B_k = random_matrix<typename Pass::InputMatrix>(random);
-      for (int i = 0; i < nx; ++i) {
-        for (int j = 0; j < nx; ++j)
-          if (!Pattern::nonzero(i, j)) A_k(i, j) = 0.0;
-        for (int j = 0; j < nu; ++j)
-          if (!Pattern::nonzero(i, nx + j)) B_k(i, j) = 0.0;
-      }
-      A.push_back(A_k);
-      B.push_back(B_k);
-      defect.push_back(random_matrix<Tangent>(random));
-      if (k < horizon) {
-        EXPECT_TRUE(pass.set_transition(k, A_k, B_k));
-        pass.set_defect(k, defect.back());
-      }
-      const auto root = random_matrix<Eigen::Matrix<double, nx + nu, nx + nu>>(random);
-      const Eigen::Matrix<double, nx + nu, nx + nu> hessian = root * root.transpose();
-      auto& cost = pass.stage(k).cost;
-      cost.lxx() = hessian.template topLeftCorner<nx, nx>();
-      cost.luu() = hessian.template bottomRightCorner<nu, nu>();
-      cost.lux() = hessian.template bottomLeftCorner<nu, nx>();
-      cost.lx() = random_matrix<Tangent>(random);
-      cost.lu() = random_matrix<Input>(random);
-    }
-    start = random_matrix<Tangent>(random);
-  }
-
-  // The optimal (dx_0, du_0, dx_1, ..) by the whole problem's first-order conditions, with a dense
-  // factorisation.
-  [[nodiscard]] Eigen::VectorXd dense_optimum(double damping = 0.0) const {
-    const int width = nx + nu, variables = width * horizon + nx, conditions = nx * (horizon + 1);
-    Eigen::MatrixXd kkt = Eigen::MatrixXd::Zero(variables + conditions, variables + conditions);
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(variables + conditions);
-    for (int k = 0; k <= horizon; ++k) {
-      const auto& cost = pass.stage(k).cost;
-      const int at = width * k;
-      kkt.block<nx, nx>(at, at) = cost.lxx();
-      right.segment<nx>(at) = -cost.lx();
-      if (k < horizon) {
-        kkt.block<nu, nu>(at + nx, at + nx) = cost.luu();
-        kkt.block<nu, nx>(at + nx, at) = cost.lux();
-        kkt.block<nx, nu>(at, at + nx) = cost.lux().transpose();
-        right.segment<nu>(at + nx) = -cost.lu();
-      }
-    }
-    kkt.diagonal().head(variables).array() += damping;
-    for (int k = 0; k <= horizon; ++k) {
-      const int row = variables + nx * k;
-      kkt.block<nx, nx>(row, width * k).setIdentity();
-      if (k > 0) {
-        const auto i = static_cast<std::size_t>(k - 1);
-        kkt.block<nx, nx>(row, width * (k - 1)) = -A[i];
-        kkt.block<nx, nu>(row, width * (k - 1) + nx) = -B[i];
-      }
-      right.segment<nx>(row) = k > 0 ? defect[static_cast<std::size_t>(k - 1)] : start;
-    }
-    kkt.topRightCorner(variables, conditions) =
-        kkt.bottomLeftCorner(conditions, variables).transpose();
-    return kkt.fullPivLu().solve(right).head(variables);
-  }
-
-  [[nodiscard]] Eigen::VectorXd optimum() {
-    steps[0].template head<nx>() = start;
-    pass.sweep(steps);
-    Eigen::VectorXd all((nx + nu) * horizon + nx);
-    for (int k = 0; k < horizon; ++k)
-      all.segment<nx + nu>((nx + nu) * k) =
-          steps[static_cast<std::size_t>(k)].template head<nx + nu>();
-    all.tail<nx>() = steps.back().template head<nx>();
-    return all;
-  }
-
-  Pass pass;
-  std::vector<typename Pass::StateMatrix> A;
-  std::vector<typename Pass::InputMatrix> B;
-  std::vector<Tangent> defect;
-  std::vector<Vector> steps;
-  Tangent start;
-};
+using test_support::random_matrix;
 
 template <int nx, int nu, typename Pattern = FullTransition>
 void expect_the_dense_optimum(unsigned seed) {
@@ -129,7 +34,7 @@ void expect_the_dense_optimum(unsigned seed) {
   }
 }
 
-TEST(Riccati, FindsTheOptimumOfTheDenseKktSystemForSizesOfEveryRemainder) {
+TEST(Riccati, OptimumMatchesDenseKktSystemForSizesOfEveryRemainder) {
   expect_the_dense_optimum<1, 1>(1);
   expect_the_dense_optimum<2, 1>(2);
   expect_the_dense_optimum<3, 2>(3);
@@ -142,13 +47,13 @@ TEST(Riccati, FindsTheOptimumOfTheDenseKktSystemForSizesOfEveryRemainder) {
   expect_the_dense_optimum<20, 8>(10);
 }
 
-struct Staircase {  // from the diagonal on to the right, inputs at the bottom
+struct Staircase {  // A: upper triangle, B: last three rows
   static constexpr bool nonzero(int row, int column) {
     return column >= 6 ? row >= 3 : column >= row;
   }
 };
 
-TEST(Riccati, KnownZerosChangeNothing) {
+TEST(Riccati, KnownZerosDoNotChangeTheResult) {
   expect_the_dense_optimum<6, 2, Staircase>(36);
   LinearQuadratic<6, 2, Staircase> sparse(37);
   LinearQuadratic<6, 2> full(37);
@@ -161,7 +66,7 @@ TEST(Riccati, KnownZerosChangeNothing) {
             1e-9 * full.pass.initial_cost().norm());
 }
 
-TEST(Riccati, CompletesTheSquare) {
+TEST(Riccati, CostIsConstantPlusHalfTheSquareOfCoordinates) {
   constexpr int nx = 5, nu = 3;
   LinearQuadratic<nx, nu> lq(31);
   ASSERT_TRUE(lq.pass.factorise());
@@ -189,8 +94,8 @@ TEST(Riccati, CompletesTheSquare) {
   }
 }
 
-// The optimum moves with the gradient as one more solve by the same factorisation says.
-TEST(Riccati, SolvesForOtherGradientsWithoutFactorising) {
+// One more solve with the same factorisation gives the change of the optimum with the gradient.
+TEST(Riccati, SolvesForOtherGradientsWithoutRefactorising) {
   constexpr int nx = 7, nu = 2;
   using Problem = LinearQuadratic<nx, nu>;
   Problem lq(33);
@@ -200,7 +105,7 @@ TEST(Riccati, SolvesForOtherGradientsWithoutFactorising) {
   std::vector<Problem::Vector> change(horizon + 1), moved(horizon + 1, Problem::Vector::Zero());
   for (auto& g : change) {
     g.setZero();
-    g.head<nx + nu>() = random_matrix<Eigen::Matrix<double, nx + nu, 1>>(random);
+    g.head<nx + nu>() = random_matrix(random, nx + nu, 1);
   }
   lq.pass.solve(change);
   lq.pass.sweep_change(moved);
@@ -218,13 +123,13 @@ TEST(Riccati, SolvesForOtherGradientsWithoutFactorising) {
               1e-8 * (1.0 + after.norm()));
 }
 
-TEST(Riccati, TermsAreAddedToTheHessianAndGradientOfTheirNode) {
+TEST(Riccati, AddsTermsToTheHessianAndGradientOfTheirNode) {
   constexpr int nx = 5, nu = 2;
   LinearQuadratic<nx, nu> lq(35), by_hand(35);
   Random random(36);
   std::vector<Eigen::Matrix<double, nx + nu, 1>> rows;
   for (int k = 0; k <= horizon; ++k) {
-    rows.push_back(random_matrix<Eigen::Matrix<double, nx + nu, 1>>(random));
+    rows.push_back(random_matrix(random, nx + nu, 1));
     auto& cost = by_hand.pass.stage(k).cost;
     const auto& c = rows.back();
     cost.lxx() += 2.0 * c.head<nx>() * c.head<nx>().transpose();
@@ -298,14 +203,15 @@ TEST(Riccati, AdjointStepIsTheTransposeOfTheClosedLoop) {
   constexpr int nx = 5, nu = 2;
   LinearQuadratic<nx, nu> lq(34);
   ASSERT_TRUE(lq.pass.factorise());
-  // d dx_3 / d (dx_2, z_2): more rows than one packet, and not a multiple of it.
+  // d dx_3 / d (dx_2, z_2): more matrix rows than one packet, and no multiple of its size.
   constexpr int count = 19, room = detail::padded(count);
-  decltype(lq.pass)::Batch after(room, nx + nu), before = after;
+  using Adjoint = AdjointBatch<nx, nu>;
+  Adjoint::Gradients after(room, nx + nu), before = after;
   after.setZero();
   before.setConstant(7.0);
   for (int i = 0; i < count; ++i) after(i, i % nx) = 1.0;
-  lq.pass.step_back(2, after, before, count);
-  lq.pass.to_coordinates(2, before, count);
+  Adjoint::step_back(lq.pass.stage(2), after, before, count);
+  Adjoint::to_coordinates(lq.pass.stage(2), before, count);
   const auto& s = lq.pass.stage(2);
   Eigen::Matrix<double, nu, nu> by_z;  // du for a unit of each coordinate
   for (int j = 0; j < nu; ++j) {
@@ -324,7 +230,7 @@ TEST(Riccati, AdjointStepIsTheTransposeOfTheClosedLoop) {
   }
 }
 
-TEST(Riccati, DerivativesSideBySideAreTakenOverLikeOthers) {
+TEST(Riccati, TransitionsInLanesEqualSingleTransitions) {
   constexpr int nx = 6, nu = 3;
   LinearQuadratic<nx, nu> lq(40);
   Eigen::Matrix<Lanes, nx, nx> A;
@@ -344,7 +250,7 @@ TEST(Riccati, DerivativesSideBySideAreTakenOverLikeOthers) {
   EXPECT_TRUE(pass.stage(3).transition.isZero(0.0));
 }
 
-TEST(Riccati, TellsOfTransitionsThatAreNotFinite) {
+TEST(Riccati, ReportsNonFiniteTransitions) {
   constexpr int nx = 5, nu = 3;
   LinearQuadratic<nx, nu> lq(41);
   for (const double bad :
@@ -368,7 +274,7 @@ TEST(Riccati, TellsOfTransitionsThatAreNotFinite) {
   }
 }
 
-TEST(Riccati, RefusesACostWithoutMinimum) {
+TEST(Riccati, RejectsACostWithoutMinimum) {
   LinearQuadratic<4, 2> lq(35);
   lq.pass.stage(horizon).cost.lxx() = -1e3 * Eigen::Matrix4d::Identity();
   EXPECT_FALSE(lq.pass.factorise());
@@ -376,55 +282,5 @@ TEST(Riccati, RefusesACostWithoutMinimum) {
   EXPECT_FALSE(lq.pass.factorise());
 }
 
-TEST(EndlessCost, SolvesTheDiscreteRiccatiEquationByAFeedbackThatStabilises) {
-  constexpr int nx = 4, nu = 2;
-  using Eigen::MatrixXd;  // of fixed size Eigen's eigenvalues take as long to compile as all else
-  using Matrix4 = Eigen::Matrix<double, nx, nx>;
-  double fastest = 0.0;  // of the motions without feedback
-  for (unsigned seed = 1; seed <= 200; ++seed) {
-    const LinearQuadratic<nx, nu> lq(seed);
-    const auto& cost = lq.pass.stage(0).cost;
-    const auto& A = lq.A[0];
-    const auto& B = lq.B[0];
-    const std::optional<Matrix4> found = endless_cost<nx, nu>(A, B, cost);
-    ASSERT_TRUE(found);
-    const Matrix4& P = *found;
-    EXPECT_EQ(P, P.transpose());
-    EXPECT_GT(MatrixXd(P).selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), 0.0);
-    const Eigen::Matrix<double, nu, nx> mixed = cost.lux() + B.transpose() * P * A;
-    const Eigen::Matrix2d by_input = cost.luu() + B.transpose() * P * B;
-    const Eigen::Matrix<double, nu, nx> feedback = by_input.ldlt().solve(mixed);
-    const Matrix4 residual = cost.lxx() + A.transpose() * P * A - mixed.transpose() * feedback - P;
-    EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff());
-    const MatrixXd closed = A - B * feedback;
-    EXPECT_LT(closed.eigenvalues().cwiseAbs().maxCoeff(), 1.0);
-    fastest = std::max(fastest, MatrixXd(A).eigenvalues().cwiseAbs().maxCoeff());
-  }
-  EXPECT_GT(fastest, 2.0);
-}
-
-TEST(EndlessCost, IsEmptyWhereThereIsNone) {
-  Eigen::Matrix2d A;  // of two integrators in a chain
-  Eigen::Vector2d B(0.0, 0.1);
-  QuadraticModel<2, 1> cost;
-  A << 1.0, 0.1, 0.0, 1.0;
-  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
-  cost.luu() << 1.0;
-  const auto exists = [&](int max_passes = 20000) {
-    return endless_cost<2, 1>(A, B, cost, max_passes).has_value();
-  };
-  EXPECT_TRUE(exists());
-  EXPECT_FALSE(exists(10));                             // passes, of the hundreds that it takes
-  cost.lxx() = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first one's value is free
-  EXPECT_FALSE(exists());
-  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
-  B.setZero();  // nothing stops it
-  EXPECT_FALSE(exists());
-  A << 0.5, 0.1, 0.0, 0.5;  // nothing need
-  EXPECT_TRUE(exists());
-  cost.luu().setZero();  // no one best input
-  EXPECT_FALSE(exists());
-}
-
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

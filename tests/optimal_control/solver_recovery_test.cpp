@@ -10,8 +10,8 @@
 #include <cmath>
 #include <limits>
 
-// Numbers that go bad for a while, and bounds that go: what the solver must come back from.
-namespace tilt_ropter {
+// Numbers that are not finite for a while, and bounds that are removed: the solver must recover.
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::air_problem;
@@ -23,14 +23,14 @@ using test_support::set_air_reference;
 using test_support::step_problem;
 using test_support::step_start;
 
-using Solver = MultipleShooting<WheeledFlightProblem<>>;
+using Solver = MultipleShooting<WheeledFlightProblem<0>>;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-// A multiplier moves to a row without a bound: the measured state's.
-TEST(SolverRecovery, ClosedLoopWithAShiftByAWholeIntervalGoesOn) {
+// The shift moves a multiplier to a constraint without a bound: a constraint on the measured state.
+TEST(SolverRecovery, ClosedLoopConvergesWithShiftByAWholeInterval) {
   Solver solver(air_problem(), patient());
-  State<> x = air_start();
+  Stated x = air_start();
   set_air_reference(solver.problem(), 0.0);
   solver.reset(x);
   solver.solve(x);
@@ -44,29 +44,33 @@ TEST(SolverRecovery, ClosedLoopWithAShiftByAWholeIntervalGoesOn) {
 
 struct Bounded : DoubleIntegrator {
   Bounded() : DoubleIntegrator({7, 30.0, 1.0}) {}
-  const Rows& upper(int k) const { return bounded ? DoubleIntegrator::upper(k) : none_above; }
-  const Rows& lower(int k) const { return bounded ? DoubleIntegrator::lower(k) : none_below; }
+  const Constraints& upper(int k) const {
+    return bounded ? DoubleIntegrator::upper(k) : none_above;
+  }
+  const Constraints& lower(int k) const {
+    return bounded ? DoubleIntegrator::lower(k) : none_below;
+  }
   bool bounded = true;
 
  private:
-  Rows none_above{test_support::infinity}, none_below{-test_support::infinity};
+  Constraints none_above{test_support::infinity}, none_below{-test_support::infinity};
 };
 
-TEST(SolverRecovery, AnActiveBoundCanBeTakenAway) {
+TEST(SolverRecovery, ConvergesAfterAnActiveBoundIsRemoved) {
   MultipleShooting<Bounded> solver{Bounded()};
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   ASSERT_EQ(solver.solve(rest).status, SolveStatus::converged);
-  ASSERT_GT(solver.report().active_rows, 0);
+  ASSERT_GT(solver.report().active_constraints, 0);
   solver.problem().bounded = false;
   EXPECT_EQ(solver.solve(rest).status, SolveStatus::converged);
 }
 
-TEST(SolverRecovery, NothingIsGivenUpBeforeTheFirstProgram) {
+TEST(SolverRecovery, NoConstraintIsRelaxedBeforeTheFirstProgram) {
   MultipleShooting<Contradiction> solver(Contradiction({4, 2.0}));
-  EXPECT_FALSE(solver.given_up(0, 0));
+  EXPECT_FALSE(solver.relaxed(0, 0));
   solver.reset(Contradiction::State(0.3));
-  EXPECT_FALSE(solver.given_up(0, 0));
+  EXPECT_FALSE(solver.relaxed(0, 0));
 }
 
 struct Forgetful : DoubleIntegrator {
@@ -78,7 +82,7 @@ struct Forgetful : DoubleIntegrator {
   bool forgets = false;
 };
 
-TEST(SolverRecovery, AHessianThatIsNotANumberLeavesNoDamping) {
+TEST(SolverRecovery, NonFiniteHessianLeavesNoDamping) {
   MultipleShooting<Forgetful> solver{Forgetful()};
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
@@ -91,23 +95,23 @@ TEST(SolverRecovery, AHessianThatIsNotANumberLeavesNoDamping) {
 
 struct Fenced : DoubleIntegrator {
   Fenced() : DoubleIntegrator({7, 30.0, 1.0}) {}
-  Rows row_values(int k, const State& x, const Input& u) const {
-    return std::abs(x(1)) > 2.0 ? Rows(nan) : DoubleIntegrator::row_values(k, x, u);
+  Constraints constraint_values(int k, const State& x, const Input& u) const {
+    return std::abs(x(1)) > 2.0 ? Constraints(nan) : DoubleIntegrator::constraint_values(k, x, u);
   }
 };
 
-TEST(SolverRecovery, FailureForRowsThatAreNotNumbersKeepsTheIterateBefore) {
+TEST(SolverRecovery, NonFiniteConstraintsKeepThePreviousIterate) {
   MultipleShooting<Fenced> solver{Fenced()};
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   solver.solve(rest);
   for (int k = 0; k <= 7; ++k) {
-    const auto rows = solver.problem().row_values(k, solver.state(k), solver.input(k));
+    const auto rows = solver.problem().constraint_values(k, solver.state(k), solver.input(k));
     EXPECT_TRUE(all_finite(rows)) << "node " << k;
   }
 }
 
-TEST(SolverRecovery, APlanShiftedThroughANonFiniteProblemIsGoodAgainAfterwards) {
+TEST(SolverRecovery, ConvergesAfterAShiftThroughANonFiniteProblem) {
   Solver solver(step_problem(), patient());
   solver.reset(step_start());
   ASSERT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
@@ -118,15 +122,15 @@ TEST(SolverRecovery, APlanShiftedThroughANonFiniteProblemIsGoodAgainAfterwards) 
   EXPECT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
 }
 
-TEST(SolverRecovery, OneRoundOfTheWorkingSetKeepsToSomeRows) {
+TEST(SolverRecovery, OneRoundOfTheWorkingSetActivatesConstraints) {
   SolverSettings settings = patient();
   settings.program.dual.max_rounds = 1;
   settings.max_iterations = 30;
   Solver solver(step_problem(), settings);
   solver.reset(step_start());
   solver.solve(step_start());
-  EXPECT_GT(solver.report().active_rows, 0);
+  EXPECT_GT(solver.report().active_constraints, 0);
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -1,4 +1,4 @@
-// Problems on which solve() once went round in circles: an end that is prescribed, from far away.
+// Problems on which an earlier solve() cycled forever: a prescribed terminal state, from far away.
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
@@ -10,12 +10,13 @@
 #include <cmath>
 #include <string>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
-/// A cart with a pole that has to stand still, upright, at the end.
+/// A cart with a pole. The pole must be upright and at rest at the end.
 struct CartPole {
-  static constexpr int states = 4, inputs = 1, residuals = 5, rows = 1, terminal_rows = 4;
+  static constexpr int states = 4, inputs = 1, residuals = 5, constraints = 1,
+                       terminal_constraints = 4;
   template <typename S>
   using Vector4 = Eigen::Matrix<S, 4, 1>;  // position, angle from upright, their rates
   template <typename S>
@@ -47,20 +48,20 @@ struct CartPole {
     return r;
   }
   template <typename S>
-  Vector1<S> constraints(int, const Vector4<S>&, const Vector1<S>& u) const {
+  Vector1<S> constraint_values(int, const Vector4<S>&, const Vector1<S>& u) const {
     return u;
   }
   Vector1<double> lower(int) const { return Vector1<double>(-20.0); }
   Vector1<double> upper(int) const { return Vector1<double>(20.0); }
   template <typename S>
-  Vector4<S> terminal_constraints(const Vector4<S>& x) const {
+  Vector4<S> terminal_constraint_values(const Vector4<S>& x) const {
     return x;
   }
   Eigen::Vector4d terminal_lower() const { return Eigen::Vector4d::Zero(); }
   Eigen::Vector4d terminal_upper() const { return Eigen::Vector4d::Zero(); }
 };
 
-TEST(Stall, EndsAndSaysHow) {
+TEST(Stall, EndsWithAStatusThatGivesTheReason) {
   int converged = 0, told = 0, limits = 0;
   for (const int intervals : {20, 40, 60, 80})
     for (const int memory : {0, 16})
@@ -82,7 +83,7 @@ TEST(Stall, EndsAndSaysHow) {
         if (report.status == SolveStatus::converged) {
           ++converged;
           EXPECT_LE(solver.state(intervals).norm(), 1e-6);
-          EXPECT_EQ(report.given_up_rows, 0);
+          EXPECT_EQ(report.relaxed_constraints, 0);
         } else {
           ++told;
           EXPECT_TRUE(report.status == SolveStatus::infeasible ||
@@ -91,12 +92,12 @@ TEST(Stall, EndsAndSaysHow) {
               << static_cast<int>(report.status);
         }
       }
-  EXPECT_LE(limits, 1);  // one creeps on for thousands, lower and lower
+  EXPECT_LE(limits, 1);  // one case decreases for thousands of iterations
   EXPECT_GE(converged, 24);
   EXPECT_GT(told, 0);  // one second is not enough to swing up
 }
 
-TEST(Stall, FromHangingItSwingsUp) {
+TEST(Stall, SwingsUpFromHanging) {
   for (const int memory : {0, 16}) {
     SolverSettings settings;
     settings.memory = memory;
@@ -111,4 +112,4 @@ TEST(Stall, FromHangingItSwingsUp) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

@@ -15,7 +15,7 @@
 #include <limits>
 #include <vector>
 
-namespace tilt_ropter {
+namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::air_problem;
@@ -28,7 +28,7 @@ using test_support::set_air_reference;
 constexpr double infinity = std::numeric_limits<double>::infinity(),
                  nan = std::numeric_limits<double>::quiet_NaN();
 
-using Flight = WheeledFlightProblem<>;
+using Flight = WheeledFlightProblem<0>;
 
 Trajectory<Flight> random_trajectory(Random& random, int horizon) {
   Trajectory<Flight> t(horizon);
@@ -36,13 +36,14 @@ Trajectory<Flight> random_trajectory(Random& random, int horizon) {
     t.x(k) = test_support::random_state(random);
     if (k < horizon) t.u(k) << random.vector(5.0), random.vector(1.0);
   }
-  // What goes on from the end for a whole horizon must not tumble ever faster.
+  // shift() extrapolates the end by up to a whole horizon. Small torques keep the vehicle from
+  // tumbling ever faster.
   t.x(horizon).wrench.torque = random.vector(0.01);
   t.u(horizon - 1) << random.vector(1.0), random.vector(0.01);
   return t;
 }
 
-TEST(Trajectory, WholeIntervalsMoveNodesAndTheLastInputGoesOn) {
+TEST(Trajectory, ShiftByWholeIntervalsMovesNodesAndRepeatsLastInput) {
   Random random(91);
   const Flight problem = test_support::step_problem();
   const int n = problem.horizon();
@@ -50,7 +51,7 @@ TEST(Trajectory, WholeIntervalsMoveNodesAndTheLastInputGoesOn) {
     const Trajectory<Flight> before = random_trajectory(random, n);
     Trajectory<Flight> after = before;
     after.shift(problem, intervals);
-    State<> x = before.x(n);
+    Stated x = before.x(n);
     for (int k = 0; k <= n; ++k) {
       const int old = k + intervals;
       if (old > n) x = problem.step(n - 1, x, before.u(n - 1));
@@ -62,7 +63,7 @@ TEST(Trajectory, WholeIntervalsMoveNodesAndTheLastInputGoesOn) {
   }
 }
 
-TEST(Trajectory, PartOfAnIntervalInterpolatesOnTheManifold) {
+TEST(Trajectory, ShiftByPartOfAnIntervalInterpolatesOnTheManifold) {
   Random random(92);
   const Flight problem = test_support::step_problem();
   const int n = problem.horizon();
@@ -71,8 +72,8 @@ TEST(Trajectory, PartOfAnIntervalInterpolatesOnTheManifold) {
     Trajectory<Flight> after = before;
     after.shift(problem, part);
     for (int k = 0; k <= n; ++k) {
-      const State<>&a = before.x(k),
-            b = k < n ? before.x(k + 1) : problem.step(n - 1, a, before.u(n - 1));
+      const Stated &a = before.x(k),
+                   b = k < n ? before.x(k + 1) : problem.step(n - 1, a, before.u(n - 1));
       const Eigen::Quaterniond between = a.body.orientation.slerp(part, b.body.orientation);
       EXPECT_LT(after.x(k).body.orientation.angularDistance(between), 1e-7);
       EXPECT_NEAR(after.x(k).body.orientation.norm(), 1.0, 1e-12);
@@ -90,8 +91,9 @@ TEST(Trajectory, PartOfAnIntervalInterpolatesOnTheManifold) {
   }
 }
 
-// Hovering, drifting and turning at constant speed: linear in time, and the problem goes on so.
-TEST(Trajectory, ShiftsAddUpWhereEverythingIsLinearInTime) {
+// Hover with constant drift and constant turn rate. This motion is linear in time, and the
+// problem's model continues it.
+TEST(Trajectory, ShiftsAddUpForMotionLinearInTime) {
   const Quadrotor problem({8});
   const auto at = [&](double time) {
     Quadrotor::State x;
@@ -122,7 +124,7 @@ TEST(Trajectory, ShiftsAddUpWhereEverythingIsLinearInTime) {
   }
 }
 
-TEST(Trajectory, InputsThatAreLinearInTimeStaySoUpToTheLast) {
+TEST(Trajectory, InputsLinearInTimeStayLinearUpToTheLast) {
   const Quadrotor problem({8});
   const Eigen::Vector4d first(1.0, 2.0, 3.0, 4.0), slope(0.5, -0.25, 1.0, 2.0);
   Trajectory<Quadrotor> t(8);
@@ -130,10 +132,10 @@ TEST(Trajectory, InputsThatAreLinearInTimeStaySoUpToTheLast) {
   t.shift(problem, 1.75);
   t.shift(problem, 0.5);
   for (int k = 0; k < 5; ++k) EXPECT_LT((t.u(k) - (first + (k + 2.25) * slope)).norm(), 1e-12) << k;
-  EXPECT_LT((t.u(7) - (first + 7 * slope)).norm(), 1e-12);  // goes on
+  EXPECT_LT((t.u(7) - (first + 7 * slope)).norm(), 1e-12);  // repeated
 }
 
-TEST(Trajectory, FarBeyondTheHorizonIsFinite) {
+TEST(Trajectory, ShiftFarBeyondTheHorizonIsFinite) {
   Random random(94);
   const Flight problem = test_support::step_problem();
   const int n = problem.horizon();
@@ -145,7 +147,7 @@ TEST(Trajectory, FarBeyondTheHorizonIsFinite) {
     }
     t.shift(problem, intervals);
     for (int k = 0; k <= n; ++k) {
-      EXPECT_TRUE(all_finite(difference(t.x(k), State<>{}))) << intervals;
+      EXPECT_TRUE(all_finite(difference(t.x(k), Stated{}))) << intervals;
       EXPECT_TRUE(all_finite(t.u(k))) << intervals;
     }
   }
@@ -153,19 +155,19 @@ TEST(Trajectory, FarBeyondTheHorizonIsFinite) {
 
 using Solver = MultipleShooting<Flight>;
 
-// Copies of all that shift() may move.
+// Copy of all data that shift() may move.
 struct Plan {
   Trajectory<Flight> trajectory;
-  std::vector<Flight::Rows> multipliers;
+  std::vector<Flight::Constraints> multipliers;
 
   explicit Plan(const Solver& solver) : trajectory(solver.horizon()) {
     for (int k = 0; k <= solver.horizon(); ++k) {
       trajectory.x(k) = solver.state(k);
       trajectory.u(k) = solver.input(k);
-      multipliers.push_back(solver.row_multipliers(k));
+      multipliers.push_back(solver.constraint_multipliers(k));
     }
   }
-  [[nodiscard]] const Flight::Rows& multiplier(int k) const {
+  [[nodiscard]] const Flight::Constraints& multiplier(int k) const {
     return multipliers[static_cast<std::size_t>(k)];
   }
 };
@@ -184,7 +186,7 @@ void solve_air(Solver& solver) {
   ASSERT_EQ(solver.solve(air_start()).status, SolveStatus::converged);
 }
 
-TEST(ShiftOfASolver, NothingHappensUnlessTimePasses) {
+TEST(ShiftOfASolver, DoesNothingUnlessTimePasses) {
   Solver solver(air_problem(), patient());
   solve_air(solver);
   ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
@@ -217,16 +219,16 @@ TEST(ShiftOfASolver, MovesThePlanAndTheMultipliersToTheNearestNodes) {
   EXPECT_EQ(solver.feedback(air_start()).status, SolveStatus::failed);  // no longer prepared
 }
 
-TEST(ShiftOfASolver, MakesThePlanFitAReferenceThatMoves) {
+TEST(ShiftOfASolver, FitsThePlanToAMovingReference) {
   struct Sum {
-    double kkt = 0.0;  // of the plan before it is improved
+    double kkt = 0.0;  // sum of the plans' residuals before the solve
     int iterations = 0;
   };
   const auto fly = [](bool shifts) {
     constexpr double tick = 0.02;
     Solver solver(air_problem(), patient());
     solve_air(solver);
-    State<> x = air_start();
+    Stated x = air_start();
     Sum sum;
     for (int i = 0; i < 50; ++i) {
       set_air_reference(solver.problem(), tick * i);
@@ -241,9 +243,9 @@ TEST(ShiftOfASolver, MakesThePlanFitAReferenceThatMoves) {
   };
   const Sum with = fly(true), without = fly(false);
   EXPECT_LT(with.kkt, 0.2 * without.kkt);
-  // Measured: 216 and 215. From either plan the solver is in four or five iterations at 1e-6.
+  // Measured: 216 and 215. From either plan the solver reaches 1e-6 in four or five iterations.
   EXPECT_LE(with.iterations, without.iterations + 5);
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace tilt_ropter::optimal_control

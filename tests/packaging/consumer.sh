@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # consumer.sh installed|packed|subdirectory|copied SOURCE_DIR
-# Builds and runs a stranger's program outside the tree, by one of the ways to use the library.
+# Builds and runs the program of a user outside the tree, with one of the ways to use the library.
 set -euo pipefail
 
 way=$1
@@ -26,7 +26,7 @@ case $way in
     cmake -S ../core -B build_core -DCMAKE_PREFIX_PATH="$away/moved"
     cmake --build build_core
     build_core/core ;;
-  packed)  # as .deb and as sources; the one used by pkg-config, too
+  packed)  # as .deb and as sources; the .deb is also used by pkg-config
     cmake -S "$source" -B "$away/build" -DCMAKE_INSTALL_PREFIX=/usr -DTILT_ROPTER_BUILD_EXAMPLES=OFF
     (cd "$away/build" && cpack -G DEB && cpack --config CPackSourceConfig.cmake)
     dpkg-deb --field "$away"/build/libtilt-ropter-dev_*_all.deb

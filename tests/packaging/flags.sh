@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # flags.sh SOURCE_DIR
-# What users compile with: a stranger's project finds the installed library, and its program, which
-# has the whole loop on board, is built by both compilers with each of these flags and flies, once
-# header-only and once with the compiled instances.
+# Checks the compiler flags of users. A user project finds the installed library. Both compilers
+# build its program, a complete control loop, with each set of flags below. The program must fly,
+# header-only and with the compiled instances.
 set -euo pipefail
 
 source=$1
@@ -16,7 +16,7 @@ build() {  # compiler, flags
   rm -rf "$away/program"
   cmake -S "$source/tests/packaging/flags" -B "$away/program" -DCMAKE_PREFIX_PATH="$away/prefix" \
     -DCMAKE_CXX_COMPILER="$1" -DCMAKE_CXX_FLAGS="$2" -DCMAKE_BUILD_TYPE=None \
-    -DPROGRAM="$source/examples/own_loop.cpp" > "$away/log"
+    -DPROGRAM="$source/examples/getting_started/own_loop.cpp" > "$away/log"
   cmake --build "$away/program" --parallel "$(nproc)" > "$away/log" 2>&1 || { cat "$away/log"; exit 1; }
 }
 
@@ -24,7 +24,7 @@ warnings="-Wall -Wextra -Wconversion -Werror"
 for compiler in g++ clang++; do
   command -v $compiler > "$away/log" || { echo "$compiler: not installed, left out" && continue; }
   native=-march=native
-  if [[ $compiler == g++ ]]; then  # warns of its own AVX-512 intrinsics; the README has this cure
+  if [[ $compiler == g++ ]]; then  # warns of its own AVX-512 intrinsics: cmake/README.md
     native+=" -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
   fi
   build $compiler "-O0 $warnings"  # too slow to fly

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # one_processor.sh SOURCE_DIR
-# With TILT_ROPTER_NATIVE, as ./examples/run.sh has it, every file that a program is linked from is
-# compiled for the same processor: otherwise the program ends as it starts.
+# Checks that TILT_ROPTER_NATIVE, which ./examples/run.sh sets, compiles every file of a program for
+# the same processor. Otherwise the program would end at its start.
 set -euo pipefail
 
 source=$1

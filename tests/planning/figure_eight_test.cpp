@@ -17,20 +17,20 @@ namespace {
 
 constexpr double two_pi = 6.28318530717958647692;
 
-FigureEightParameters ground_parameters() {
-  FigureEightParameters p;
+FigureEightSettings ground_parameters() {
+  FigureEightSettings p;
   p.center.z() = 0.11;
   p.amplitude << 2.0, 0.6, 0.0;
   p.heading = HeadingMode::along_velocity;
   return p;
 }
 
-/// Shapes, places, ramps and limits from all over the allowed range.
-FigureEightParameters random_parameters(std::mt19937& generator) {
+/// Random shapes, places, ramps and limits over the whole allowed range.
+FigureEightSettings random_parameters(std::mt19937& generator) {
   const auto uniform = [&generator](double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(generator);
   };
-  FigureEightParameters p;
+  FigureEightSettings p;
   p.center << uniform(-5, 5), uniform(-5, 5), uniform(0, 5);
   p.amplitude << uniform(0.2, 5), 0.0, uniform(-2, 2);
   p.amplitude.y() = p.amplitude.x() * uniform(0.05, 2.0);
@@ -46,12 +46,12 @@ FigureEightParameters random_parameters(std::mt19937& generator) {
   return p;
 }
 
-/// The shapes at the edges of what is allowed, both heading modes, and the defaults.
-std::vector<FigureEightParameters> cases() {
-  std::vector<FigureEightParameters> all{FigureEightParameters{}, ground_parameters()};
+/// Shapes at the limits of the allowed range, both heading modes, and the defaults.
+std::vector<FigureEightSettings> cases() {
+  std::vector<FigureEightSettings> all{FigureEightSettings{}, ground_parameters()};
   for (const double ratio : {0.05, 2.0})
     for (const double ramp : {0.05, 0.5}) {
-      FigureEightParameters p = ground_parameters();
+      FigureEightSettings p = ground_parameters();
       p.amplitude << 1.0, ratio, 0.3;
       p.laps = 1;
       p.ramp_laps = ramp;
@@ -77,7 +77,7 @@ Peaks peaks_of(const FigureEight& eight, int samples) {
   return peaks;
 }
 
-std::string message_of(const FigureEightParameters& p) {
+std::string message_of(const FigureEightSettings& p) {
   try {
     FigureEight eight(p);
   } catch (const std::invalid_argument& error) {
@@ -86,11 +86,11 @@ std::string message_of(const FigureEightParameters& p) {
   return "accepted";
 }
 
-/// The eight once more, for any Scalar and written another way: by the integral of the ramp's
-/// rate, rotation matrices, and the tangent's angle from the quotient of its components.
+/// Independent model of the figure eight for any Scalar. It uses the integral of the ramp's rate,
+/// rotation matrices, and the angle of the tangent from its components.
 template <typename Scalar>
 struct Model {
-  const FigureEightParameters& p;
+  const FigureEightSettings& p;
   double duration;
 
   Scalar phase(const Scalar& time) const {
@@ -148,8 +148,8 @@ double second(const Second& s) {
 
 }  // namespace
 
-TEST(FigureEight, NeverExceedsALimitAndReachesTheTightest) {
-  for (const FigureEightParameters& p : cases()) {
+TEST(FigureEight, KeepsAllLimitsAndReachesTheTightest) {
+  for (const FigureEightSettings& p : cases()) {
     const FigureEight eight(p);
     const Peaks peaks = peaks_of(eight, 50021);
     const double speed = peaks.speed / p.max_speed;
@@ -164,9 +164,9 @@ TEST(FigureEight, NeverExceedsALimitAndReachesTheTightest) {
 }
 
 TEST(FigureEight, EveryLimitActs) {
-  const FigureEightParameters defaults = ground_parameters();
+  const FigureEightSettings defaults = ground_parameters();
   for (const int limit : {0, 1, 2}) {
-    FigureEightParameters p = defaults;
+    FigureEightSettings p = defaults;
     (limit == 0 ? p.max_speed : limit == 1 ? p.max_acceleration : p.max_yaw_rate) = 0.2;
     const Peaks peaks = peaks_of(FigureEight(p), 5000);
     const double reached = limit == 0   ? peaks.speed
@@ -175,14 +175,14 @@ TEST(FigureEight, EveryLimitActs) {
     EXPECT_GT(reached, 0.99 * 0.2);
     EXPECT_GT(FigureEight(p).duration(), FigureEight(defaults).duration());
   }
-  // In the fixed mode the body does not turn, so the limit on turning must not slow it down.
-  FigureEightParameters fixed;
+  // In the fixed mode the body does not rotate, so the limit on the yaw rate must not slow it down.
+  FigureEightSettings fixed;
   const double duration = FigureEight(fixed).duration();
   fixed.max_yaw_rate = 1e-3;
   EXPECT_DOUBLE_EQ(FigureEight(fixed).duration(), duration);
 }
 
-TEST(FigureEight, DefaultsReachThePapersLimitsInTheAirAndItsSpeedOnTheGround) {
+TEST(FigureEight, DefaultsReachPaperLimitsInAirAndPaperSpeedOnGround) {
   const Peaks air = peaks_of(FigureEight{}, 20000);
   EXPECT_NEAR(air.speed, 1.5, 0.015);
   EXPECT_NEAR(air.acceleration, 1.5, 0.015);
@@ -192,8 +192,8 @@ TEST(FigureEight, DefaultsReachThePapersLimitsInTheAirAndItsSpeedOnTheGround) {
   EXPECT_LT(ground.yaw_rate, 1.5);
 }
 
-TEST(FigureEight, IsTheLemniscateOfItsParameters) {
-  FigureEightParameters p;
+TEST(FigureEight, MatchesLemniscateOfSettings) {
+  FigureEightSettings p;
   p.center << 1.0, -2.0, 3.0;
   p.direction = 0.25 * two_pi;  // the long axis along world y
   p.laps = 1;
@@ -217,10 +217,10 @@ TEST(FigureEight, IsTheLemniscateOfItsParameters) {
 
 TEST(FigureEight, PassesTheCrossingTwicePerLap) {
   for (const int laps : {1, 2, 3}) {
-    FigureEightParameters p;
+    FigureEightSettings p;
     p.laps = laps;
     const FigureEight eight(p);
-    int crossings = 0;  // of the plane x = 0, ends not counted
+    int crossings = 0;  // of the plane x = 0, without the ends
     double last = 0.0;
     for (int i = 1; i < 5000; ++i) {
       const double x = eight(eight.duration() * i / 5000).position.x();
@@ -231,10 +231,10 @@ TEST(FigureEight, PassesTheCrossingTwicePerLap) {
   }
 }
 
-TEST(FigureEight, IsRestBeforeStartAndAfterEndAtTheCrossing) {
+TEST(FigureEight, RestsAtTheCrossingBeforeStartAndAfterEnd) {
   const double infinity = std::numeric_limits<double>::infinity();
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  for (const FigureEightParameters& p : cases()) {
+  for (const FigureEightSettings& p : cases()) {
     const FigureEight eight(p);
     const double start = eight.start_time(), end = eight.end_time();
     EXPECT_DOUBLE_EQ(start, p.start_time);
@@ -252,9 +252,9 @@ TEST(FigureEight, IsRestBeforeStartAndAfterEndAtTheCrossing) {
   }
 }
 
-TEST(FigureEight, RatesAreThoseOfAutomaticDifferentiation) {
+TEST(FigureEight, RatesMatchAutomaticDifferentiation) {
   std::mt19937 generator(2);
-  for (const FigureEightParameters& p : cases()) {
+  for (const FigureEightSettings& p : cases()) {
     const FigureEight eight(p);
     const Model<Second> model{p, eight.duration()};
     std::uniform_real_distribution<double> any_time(eight.start_time(), eight.end_time());
@@ -282,9 +282,9 @@ TEST(FigureEight, RatesAreThoseOfAutomaticDifferentiation) {
   }
 }
 
-TEST(FigureEight, RatesAreThoseOfFiniteDifferences) {
+TEST(FigureEight, RatesMatchFiniteDifferences) {
   const double h = 1e-5;
-  for (const FigureEightParameters& p : {FigureEightParameters{}, ground_parameters()}) {
+  for (const FigureEightSettings& p : {FigureEightSettings{}, ground_parameters()}) {
     const FigureEight eight(p);
     for (double time = -0.5; time < eight.duration() + 0.5; time += 0.0317) {
       const ReferencePoint r = eight(time), before = eight(time - h), after = eight(time + h);
@@ -300,8 +300,8 @@ TEST(FigureEight, RatesAreThoseOfFiniteDifferences) {
   }
 }
 
-TEST(FigureEight, JerkIsContinuousEvenWhereTheRampsBeginAndEnd) {
-  for (const FigureEightParameters& p : {FigureEightParameters{}, ground_parameters()}) {
+TEST(FigureEight, JerkIsContinuousAlsoAtRampEnds) {
+  for (const FigureEightSettings& p : {FigureEightSettings{}, ground_parameters()}) {
     const FigureEight eight(p);
     const double h = 1e-3;
     Eigen::Vector3d last_jerk = Eigen::Vector3d::Zero();
@@ -318,7 +318,7 @@ TEST(FigureEight, JerkIsContinuousEvenWhereTheRampsBeginAndEnd) {
   }
 }
 
-TEST(FigureEight, OnTheGroundRollsAlongBodyXAndStaysLevel) {
+TEST(FigureEight, GroundReferenceRollsAlongBodyXAndStaysLevel) {
   const FigureEight eight(ground_parameters());
   int moving = 0;
   for (double time = 0.0; time < eight.duration(); time += 0.01) {
@@ -337,27 +337,27 @@ TEST(FigureEight, OnTheGroundRollsAlongBodyXAndStaysLevel) {
   EXPECT_GT(moving, 1500);
 }
 
-TEST(FigureEight, IsMovedInTimeAsAWhole) {
+TEST(FigureEight, SetStartTimeShiftsTheWholeReference) {
   FigureEight eight(ground_parameters());
   const ReferencePoint before = eight(5.0);
   eight.set_start_time(3.0);
   EXPECT_LT((eight(8.0).position - before.position).norm(), 1e-12);
   EXPECT_LT((eight(8.0).velocity - before.velocity).norm(), 1e-12);
   EXPECT_DOUBLE_EQ(eight.end_time(), 3.0 + eight.duration());
-  EXPECT_DOUBLE_EQ(eight.parameters().start_time, 3.0);
+  EXPECT_DOUBLE_EQ(eight.settings().start_time, 3.0);
   EXPECT_THROW(eight.set_start_time(std::numeric_limits<double>::quiet_NaN()),
                std::invalid_argument);
 }
 
-TEST(FigureEight, RefusesBadParametersByName) {
+TEST(FigureEight, RejectsInvalidSettingsByName) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](const std::string& expected, const auto& change) {
-    FigureEightParameters p;
+    FigureEightSettings p;
     change(p);
     EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
   };
-  using P = FigureEightParameters;
-  refused("FigureEightParameters.center [m] = (0, nan, 0): must be finite in every entry",
+  using P = FigureEightSettings;
+  refused("FigureEightSettings.center [m] = (0, nan, 0): must be finite in every entry",
           [=](P& p) { p.center.y() = nan; });
   refused("amplitude.x [m] = 0: must be in [0.01, 10000]", [](P& p) { p.amplitude.x() = 0.0; });
   refused("amplitude.y [m] = 4: must be between 0.05 and 2 times amplitude.x",
@@ -381,5 +381,5 @@ TEST(FigureEight, RefusesBadParametersByName) {
   refused("FigureEight's duration within its limits [s]", [](P& p) { p.max_speed = 1e-300; });
   refused("FigureEight's duration within its limits [s]",
           [](P& p) { p.max_speed = p.max_acceleration = 1e300; });
-  EXPECT_EQ(message_of(FigureEightParameters{}), "accepted");
+  EXPECT_EQ(message_of(FigureEightSettings{}), "accepted");
 }

@@ -23,9 +23,9 @@ std::string message_of(const Function& build) {
   return "accepted";
 }
 
-/// Parameters of which none is its default.
-HybridMissionParameters other_parameters() {
-  HybridMissionParameters p;
+/// Settings that all differ from their defaults.
+HybridMissionSettings other_parameters() {
+  HybridMissionSettings p;
   p.origin << 3.0, -4.0;
   p.yaw = 2.5;
   p.direction = -1.2;
@@ -52,7 +52,7 @@ const std::optional<Undercarriage> rolling = undercarriage(tilt_ropter_vehicle()
 
 }  // namespace
 
-TEST(HybridMission, DoesWhatTheUndercarriageAllows) {
+TEST(HybridMission, PhasesFollowUndercarriage) {
   using Phase = MissionPhase;
   const auto phases = [](const std::optional<Undercarriage>& undercarriage) {
     std::vector<Phase> all;
@@ -79,7 +79,7 @@ TEST(HybridMission, RunsThroughItsPhasesInOrder) {
                                     Phase::hover, Phase::landing,  Phase::rest,  Phase::ground,
                                     Phase::rest,  Phase::take_off, Phase::hover, Phase::landing,
                                     Phase::rest};
-  for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
+  for (const HybridMissionSettings& p : {HybridMissionSettings{}, other_parameters()}) {
     const Mission mission = hybrid_mission(rolling, p);
     std::vector<Phase> phases;
     for (double time = mission.start_time() - 1.0; time < mission.end_time() + 1.0; time += 0.01)
@@ -95,7 +95,7 @@ TEST(HybridMission, LastsAboutAMinute) {
   EXPECT_LT(mission.duration(), 80.0);
 }
 
-TEST(HybridMission, SegmentsFollowEachOtherInTime) {
+TEST(HybridMission, SegmentsAreContiguousInTime) {
   const Mission mission = hybrid_mission(rolling, other_parameters());
   double time = 100.0;
   EXPECT_DOUBLE_EQ(mission.start_time(), time);
@@ -112,7 +112,7 @@ TEST(HybridMission, SegmentsFollowEachOtherInTime) {
 
 TEST(HybridMission, RatesAreDerivativesAndSmoothAcrossEveryJoin) {
   const double h = 1e-4;
-  for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
+  for (const HybridMissionSettings& p : {HybridMissionSettings{}, other_parameters()}) {
     const Mission mission = hybrid_mission(rolling, p);
     std::vector<double> times;
     for (double time = mission.start_time() - 1.0; time < mission.end_time() + 1.0; time += 0.0173)
@@ -139,7 +139,7 @@ TEST(HybridMission, RatesAreDerivativesAndSmoothAcrossEveryJoin) {
 }
 
 TEST(HybridMission, KeepsEveryLimitAndHeight) {
-  for (const HybridMissionParameters& p : {HybridMissionParameters{}, other_parameters()}) {
+  for (const HybridMissionSettings& p : {HybridMissionSettings{}, other_parameters()}) {
     const Mission mission = hybrid_mission(rolling, p);
     double air_speed = 0.0, ground_speed = 0.0, climb = 0.0, descent = 0.0, ceiling = 0.0;
     for (double time = mission.start_time(); time < mission.end_time(); time += 0.001) {
@@ -187,7 +187,7 @@ TEST(HybridMission, KeepsEveryLimitAndHeight) {
   }
 }
 
-TEST(HybridMission, DefaultsFlyAndDriveAtThePapersSpeed) {
+TEST(HybridMission, DefaultsFlyAndDriveAtSpeedOfPaper) {
   const Mission mission = hybrid_mission(rolling);
   double speed[2] = {0.0, 0.0}, acceleration[2] = {0.0, 0.0};
   for (double time = 0.0; time < mission.end_time(); time += 0.001) {
@@ -203,10 +203,10 @@ TEST(HybridMission, DefaultsFlyAndDriveAtThePapersSpeed) {
   }
 }
 
-TEST(HybridMission, EveryDurationAndPlaceActs) {
-  // Whatever is changed alone must change the mission.
+TEST(HybridMission, EverySettingActs) {
+  // Each setting, changed alone, must change the mission.
   const auto changed = [](const auto& change) {
-    HybridMissionParameters p;
+    HybridMissionSettings p;
     change(p);
     const Mission a = hybrid_mission(rolling), b = hybrid_mission(rolling, p);
     double most = std::abs(a.end_time() - b.end_time());
@@ -215,7 +215,7 @@ TEST(HybridMission, EveryDurationAndPlaceActs) {
                        a(time).orientation.angularDistance(b(time).orientation)});
     return most;
   };
-  using P = HybridMissionParameters;
+  using P = HybridMissionSettings;
   EXPECT_GT(changed([](P& p) { p.origin.y() = 1.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.yaw = 1.0; }), 0.1);
   EXPECT_GT(changed([](P& p) { p.direction = 1.0; }), 0.1);
@@ -237,16 +237,16 @@ TEST(HybridMission, EveryDurationAndPlaceActs) {
   EXPECT_LT(changed([](P&) {}), 1e-12);
 }
 
-TEST(HybridMission, RefusesBadParametersByName) {
+TEST(HybridMission, RejectsInvalidSettingsByName) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](const std::string& expected, const auto& change) {
-    HybridMissionParameters p;
+    HybridMissionSettings p;
     change(p);
     const std::string message = message_of([&p] { return hybrid_mission(rolling, p); });
     EXPECT_NE(message.find(expected), std::string::npos) << message;
   };
-  using P = HybridMissionParameters;
-  refused("HybridMissionParameters.origin [m] = (nan, 0): must be finite in every entry",
+  using P = HybridMissionSettings;
+  refused("HybridMissionSettings.origin [m] = (nan, 0): must be finite in every entry",
           [=](P& p) { p.origin.x() = nan; });
   refused(".yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
   refused(".direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
@@ -260,7 +260,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
   refused(".descent_acceleration [m/s^2] = 0: must be", [](P& p) { p.descent_acceleration = 0.0; });
   refused(".air_amplitude.z [m] = 1.4: must be less than flight_height - Undercarriage.height",
           [](P& p) { p.air_amplitude.z() = 1.4; });
-  refused("FigureEightParameters.amplitude.y [m] = 9", [](P& p) { p.ground_amplitude.y() = 9.0; });
+  refused("FigureEightSettings.amplitude.y [m] = 9", [](P& p) { p.ground_amplitude.y() = 9.0; });
   refused(".laps = 0: must be >= 1", [](P& p) { p.laps = 0; });
   refused(".max_speed [m/s] = inf: must be",
           [](P& p) { p.max_speed = std::numeric_limits<double>::infinity(); });
@@ -274,7 +274,7 @@ TEST(HybridMission, RefusesBadParametersByName) {
 TEST(Mission, IsAtRestBeforeItsStartAndAfterItsEnd) {
   const double infinity = std::numeric_limits<double>::infinity();
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  TransitionParameters p;
+  TransitionSettings p;
   p.from = here;
   p.to.position << 1.0, 0.0, 2.0;
   const Mission mission(
@@ -291,7 +291,7 @@ TEST(Mission, IsAtRestBeforeItsStartAndAfterItsEnd) {
   }
 }
 
-TEST(Mission, RefusesSegmentsThatDoNotJoinByName) {
+TEST(Mission, RejectsDiscontinuousSegmentsByName) {
   const auto mission_to = [](const Waypoint& next) {
     return message_of([&next] {
       return Mission({{MissionPhase::hover, Hold(here, 1.0)},
@@ -306,11 +306,11 @@ TEST(Mission, RefusesSegmentsThatDoNotJoinByName) {
             "Mission.segments[1] (air) turn from the end of the segment before it [rad] "
             "= 0.5: must be <= 1e-6");
   EXPECT_EQ(mission_to({{0.0, 0.0, 1.0 + 5e-7}, 5e-7}), "accepted");
-  // A whole turn more is the same heading.
+  // A heading that differs by a whole turn is the same heading.
   EXPECT_EQ(mission_to({{0.0, 0.0, 1.0}, 2.0 * std::acos(-1.0)}), "accepted");
 }
 
-TEST(Mission, RefusesNothingAndBadTimes) {
+TEST(Mission, RejectsEmptyMissionAndInvalidTimes) {
   EXPECT_EQ(message_of([] { return Mission(std::vector<MissionSegment>{}); }),
             "Mission.segments.size() = 0: must be >= 1");
   EXPECT_EQ(message_of([] { return Hold(here, 0.0); }),

@@ -17,14 +17,14 @@ namespace {
 
 constexpr double pi_ = 3.14159265358979323846;
 
-std::vector<TransitionParameters> cases() {
+std::vector<TransitionSettings> cases() {
   std::mt19937 generator(3);
   const auto uniform = [&generator](double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(generator);
   };
-  std::vector<TransitionParameters> all;
+  std::vector<TransitionSettings> all;
   for (int i = 0; i < 50; ++i) {
-    TransitionParameters p;
+    TransitionSettings p;
     for (Waypoint* w : {&p.from, &p.to}) {
       w->position << uniform(-5, 5), uniform(-5, 5), uniform(0, 5);
       w->yaw = uniform(-10, 10);
@@ -36,18 +36,18 @@ std::vector<TransitionParameters> cases() {
     p.max_yaw_acceleration = uniform(0.1, 3);
     all.push_back(p);
   }
-  TransitionParameters turn;  // the heading alone, across the cut of atan2
+  TransitionSettings turn;  // only the heading, across the branch cut of atan2
   turn.from.yaw = 3.0;
   turn.to.yaw = -3.0;
   all.push_back(turn);
-  TransitionParameters shift;  // the place alone
+  TransitionSettings shift;  // only the position
   shift.to.position << 0.0, 1e-3, 0.0;
   all.push_back(shift);
-  all.push_back(TransitionParameters{});  // nothing at all
+  all.push_back(TransitionSettings{});  // no change
   return all;
 }
 
-std::string message_of(const TransitionParameters& p) {
+std::string message_of(const TransitionSettings& p) {
   try {
     Transition transition(p);
   } catch (const std::invalid_argument& error) {
@@ -58,10 +58,10 @@ std::string message_of(const TransitionParameters& p) {
 
 }  // namespace
 
-TEST(Transition, GoesFromRestToRestAndHoldsThere) {
+TEST(Transition, MovesFromRestToRestAndHolds) {
   const double infinity = std::numeric_limits<double>::infinity();
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  for (const TransitionParameters& p : cases()) {
+  for (const TransitionSettings& p : cases()) {
     const Transition transition(p);
     const double start = transition.start_time(), end = transition.end_time();
     const auto expect_rest = [](const ReferencePoint& r, const Waypoint& at) {
@@ -76,8 +76,8 @@ TEST(Transition, GoesFromRestToRestAndHoldsThere) {
   }
 }
 
-TEST(Transition, NeverExceedsALimitAndReachesTheTightest) {
-  for (const TransitionParameters& p : cases()) {
+TEST(Transition, KeepsAllLimitsAndReachesTheTightest) {
+  for (const TransitionSettings& p : cases()) {
     const Transition transition(p);
     double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0, yaw_acceleration = 0.0;
     for (int i = 0; i <= 10000; ++i) {
@@ -97,8 +97,8 @@ TEST(Transition, NeverExceedsALimitAndReachesTheTightest) {
   }
 }
 
-TEST(Transition, RatesAreThoseOfFiniteDifferences) {
-  for (const TransitionParameters& p : cases()) {
+TEST(Transition, RatesMatchFiniteDifferences) {
+  for (const TransitionSettings& p : cases()) {
     const Transition transition(p);
     const double h = 1e-4 * transition.duration();
     const double size = 1.0 + (p.to.position - p.from.position).norm();
@@ -120,16 +120,16 @@ TEST(Transition, RatesAreThoseOfFiniteDifferences) {
   }
 }
 
-TEST(Transition, RatesAreThoseOfAutomaticDifferentiation) {
+TEST(Transition, RatesMatchAutomaticDifferentiation) {
   using First = Eigen::AutoDiffScalar<Eigen::Matrix<double, 1, 1>>;
-  TransitionParameters p;
+  TransitionSettings p;
   p.from.position << 1.0, 2.0, 3.0;
   p.to.position << -1.0, 2.5, 1.0;
   p.to.yaw = 1.0;
   const Transition transition(p);
   const double duration = transition.duration();
   for (int i = 0; i <= 100; ++i) {
-    // s in Bernstein's form: the last four of the eight polynomials of degree 7.
+    // s in Bernstein form: the last four of the eight polynomials of degree 7.
     const First x(i / 100.0, Eigen::Matrix<double, 1, 1>(1.0 / duration));
     const First y = 1.0 - x;
     const First s =
@@ -144,7 +144,7 @@ TEST(Transition, RatesAreThoseOfAutomaticDifferentiation) {
 }
 
 TEST(Transition, JerkIsZeroAndContinuousAtTheEnds) {
-  TransitionParameters p;
+  TransitionSettings p;
   p.to.position << 1.0, 0.0, 0.0;
   const Transition transition(p);
   const double h = 1e-3;
@@ -158,10 +158,10 @@ TEST(Transition, JerkIsZeroAndContinuousAtTheEnds) {
   EXPECT_LT(last.norm(), 1e-12);
 }
 
-TEST(Transition, YawGoesTheShorterWayWithoutAJump) {
+TEST(Transition, YawTakesShorterWayContinuously) {
   for (const double from : {-7.0, -pi_, -0.1, 0.0, 3.0, pi_, 100.0})
     for (const double by : {-3.1, -1.0, -1e-8, 0.0, 1e-8, 1.0, 3.1}) {
-      TransitionParameters p;
+      TransitionSettings p;
       p.from.yaw = from;
       p.to.yaw = from + by + 2.0 * pi_ * 3.0;
       const Transition transition(p);
@@ -177,8 +177,8 @@ TEST(Transition, YawGoesTheShorterWayWithoutAJump) {
     }
 }
 
-TEST(Transition, TakesTheGivenDurationOrSaysWhichItNeeds) {
-  TransitionParameters p;
+TEST(Transition, UsesGivenDurationOrReportsMinimum) {
+  TransitionSettings p;
   p.to.position.x() = 1.0;  // at most 1 m/s, 1 m/s^2: sqrt(84 / (5 sqrt 5)) s = 2.741 s
   EXPECT_NEAR(Transition(p).duration(), 2.7410, 1e-4);
   p.duration = 5.0;
@@ -186,7 +186,7 @@ TEST(Transition, TakesTheGivenDurationOrSaysWhichItNeeds) {
   EXPECT_LT((Transition(p)(2.5).position - Eigen::Vector3d(0.5, 0.0, 0.0)).norm(), 1e-12);
   p.duration = 2.0;
   EXPECT_EQ(message_of(p),
-            "TransitionParameters.duration [s] = 2: must be 0 or >= 2.741020, which the limits "
+            "TransitionSettings.duration [s] = 2: must be 0 or >= 2.741020, which the limits "
             "need");
 }
 
@@ -231,30 +231,30 @@ TEST(Transition, LandingIsGentleNearTheGround) {
   EXPECT_GT(landing(from, 0.11, 0.5, 0.05).duration(), 1.9 * down.duration());
 }
 
-TEST(Transition, IsMovedInTimeAsAWhole) {
-  TransitionParameters p;
+TEST(Transition, SetStartTimeShiftsTheWholeReference) {
+  TransitionSettings p;
   p.to.position.x() = 1.0;
   Transition transition(p);
   const ReferencePoint before = transition(1.0);
   transition.set_start_time(-4.0);
   EXPECT_LT((transition(-3.0).position - before.position).norm(), 1e-12);
   EXPECT_DOUBLE_EQ(transition.end_time(), -4.0 + transition.duration());
-  EXPECT_DOUBLE_EQ(transition.parameters().start_time, -4.0);
+  EXPECT_DOUBLE_EQ(transition.settings().start_time, -4.0);
   EXPECT_THROW(transition.set_start_time(std::numeric_limits<double>::infinity()),
                std::invalid_argument);
 }
 
-TEST(Transition, RefusesBadParametersByName) {
+TEST(Transition, RejectsInvalidSettingsByName) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](const std::string& expected, const auto& change) {
-    TransitionParameters p;
+    TransitionSettings p;
     change(p);
     EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
   };
-  using P = TransitionParameters;
-  refused("TransitionParameters.from.position [m] = (nan, 0, 0): must be finite in every entry",
+  using P = TransitionSettings;
+  refused("TransitionSettings.from.position [m] = (nan, 0, 0): must be finite in every entry",
           [=](P& p) { p.from.position.x() = nan; });
-  refused("TransitionParameters.to.yaw [rad] = nan: must be finite", [=](P& p) { p.to.yaw = nan; });
+  refused("TransitionSettings.to.yaw [rad] = nan: must be finite", [=](P& p) { p.to.yaw = nan; });
   refused("start_time [s] = nan: must be in [-1e+10, 1e+10]", [=](P& p) { p.start_time = nan; });
   refused("duration [s] = -1: must be in [0, 1e+10]", [](P& p) { p.duration = -1.0; });
   refused("max_speed [m/s] = 0: must be finite and > 0", [](P& p) { p.max_speed = 0.0; });
@@ -267,7 +267,7 @@ TEST(Transition, RefusesBadParametersByName) {
     p.to.position.x() = 1e300;
     p.max_speed = 1e-300;
   });
-  EXPECT_EQ(message_of(TransitionParameters{}), "accepted");
+  EXPECT_EQ(message_of(TransitionSettings{}), "accepted");
 
   const Waypoint at{{0.0, 0.0, 1.0}, 0.0};
   EXPECT_THROW(static_cast<void>(take_off(at, 1.0)), std::invalid_argument);

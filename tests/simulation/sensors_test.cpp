@@ -31,8 +31,8 @@ bool rejects(Change change) {
   return false;
 }
 
-BodyState<> random_body(Random& random) {
-  BodyState<> body;
+BodyStated random_body(Random& random) {
+  BodyStated body;
   body.position = random.vector(3.0);
   body.velocity = random.vector(2.0);
   body.orientation = random.orientation();
@@ -40,7 +40,7 @@ BodyState<> random_body(Random& random) {
   return body;
 }
 
-/// Mean and standard deviation of what is added to it, over all entries together.
+/// Mean and standard deviation of the samples, over all entries together.
 class Statistics {
  public:
   template <typename Derived>
@@ -58,7 +58,7 @@ class Statistics {
   double sum_ = 0.0, square_ = 0.0, count_ = 0.0;
 };
 
-TEST(GaussianNoise, HasTheMomentsAndTailsOfANormalDistribution) {
+TEST(GaussianNoise, MatchesMomentsAndTailsOfNormalDistribution) {
   GaussianNoise noise(7);
   const int n = 1000000;
   double m1 = 0, m2 = 0, m3 = 0, m4 = 0, previous = 0, correlation = 0;
@@ -83,8 +83,9 @@ TEST(GaussianNoise, HasTheMomentsAndTailsOfANormalDistribution) {
   EXPECT_NEAR(beyond_three / double(n), 0.0026998, 0.0002);
 }
 
-// The generator is the standard's, the transform ours: these numbers hold for every library.
-TEST(GaussianNoise, GivesTheSameNumbersEverywhere) {
+// The random generator is from the C++ standard and the transform is our own. Therefore these
+// numbers hold for every standard library.
+TEST(GaussianNoise, GivesSameNumbersOnEveryPlatform) {
   GaussianNoise noise(1);
   EXPECT_NEAR(noise.draw(), -0.039399956754155314, 1e-15);
   EXPECT_NEAR(noise.draw(), -0.38683176162103955, 1e-15);
@@ -124,15 +125,15 @@ TEST(Sensors, KeepTheirRateAndDelay) {
       expect_rate_and_delay(ImuSensor(imu, 1), rate, delay,
                             [](auto& s, double t) { return s.sample(t, zero, zero); });
       expect_rate_and_delay(PoseSensor(pose, 1), rate, delay,
-                            [](auto& s, double t) { return s.sample(t, BodyState<>{}); });
+                            [](auto& s, double t) { return s.sample(t, BodyStated{}); });
       expect_rate_and_delay(RotorSpeedSensor<3>(rotors, 1), rate, delay,
                             [](auto& s, double t) { return s.sample(t, zero); });
       expect_rate_and_delay(StateSensor(state, 1), rate, delay,
-                            [](auto& s, double t) { return s.sample(t, BodyState<>{}); });
+                            [](auto& s, double t) { return s.sample(t, BodyStated{}); });
     }
 }
 
-TEST(Sensors, DelayedMeasurementShowsTheTruthAtItsStamp) {
+TEST(Sensors, DelayedMeasurementMatchesTruthAtItsStamp) {
   StateSensorParameters p;
   p.position_noise = 0.0;
   p.rate = 250.0;
@@ -140,7 +141,7 @@ TEST(Sensors, DelayedMeasurementShowsTheTruthAtItsStamp) {
   StateSensor sensor(p, 3);
   int count = 0;
   for (int k = 0; k < 3000; ++k) {
-    BodyState<> truth;
+    BodyStated truth;
     truth.position.x() = 1e-3 * k;
     if (const auto m = sensor.sample(1e-3 * k, truth)) {
       EXPECT_NEAR(m->body.position.x(), m->time, 1e-12);
@@ -150,7 +151,7 @@ TEST(Sensors, DelayedMeasurementShowsTheTruthAtItsStamp) {
   EXPECT_GT(count, 700);
 }
 
-TEST(Sensors, SurviveIrregularAndSparseCalls) {
+TEST(Sensors, TolerateIrregularAndSparseCalls) {
   PoseSensorParameters p;
   p.delay = 0.02;
   PoseSensor sensor(p, 4);
@@ -159,7 +160,7 @@ TEST(Sensors, SurviveIrregularAndSparseCalls) {
   int count = 0;
   for (int k = 0; k < 20000; ++k) {
     time += k % 1000 == 0 ? 5.0 : random.uniform(0.0, 0.01);
-    if (const auto m = sensor.sample(time, BodyState<>{})) {
+    if (const auto m = sensor.sample(time, BodyStated{})) {
       EXPECT_GT(m->time, last);
       EXPECT_LE(m->time + p.delay, time + 1e-8);
       last = m->time;
@@ -169,8 +170,8 @@ TEST(Sensors, SurviveIrregularAndSparseCalls) {
   EXPECT_GT(count, 6000);
 }
 
-TEST(Sensors, DoNotMeasureWhatIsNotFinite) {
-  BodyState<> lost;
+TEST(Sensors, ReturnNothingForNonFiniteInput) {
+  BodyStated lost;
   lost.velocity.y() = nan;
   const Eigen::Vector3d bad(0.0, nan, 0.0);
   ImuSensor imu({}, 1);
@@ -188,10 +189,10 @@ TEST(Sensors, DoNotMeasureWhatIsNotFinite) {
   }
   EXPECT_TRUE(imu.sample(100.0, zero, zero));
   EXPECT_TRUE(rotors.sample(100.0, zero));
-  EXPECT_TRUE(state.sample(100.0, BodyState<>{}));
+  EXPECT_TRUE(state.sample(100.0, BodyStated{}));
 }
 
-TEST(Sensors, SameSeedGivesTheSameBitsAndAnotherSeedDoesNot) {
+TEST(Sensors, SameSeedGivesSameBitsAndOtherSeedDiffers) {
   const auto run = [](std::uint64_t seed) {
     std::vector<double> values;
     ImuSensor imu({}, seed);
@@ -201,7 +202,7 @@ TEST(Sensors, SameSeedGivesTheSameBitsAndAnotherSeedDoesNot) {
     Random random(5);
     for (int k = 0; k < 500; ++k) {
       const double time = 1e-3 * k;
-      const BodyState<> body = random_body(random);
+      const BodyStated body = random_body(random);
       const auto add = [&](const auto& v) {
         for (Eigen::Index i = 0; i < v.size(); ++i) values.push_back(v(i));
       };
@@ -228,7 +229,7 @@ TEST(StateSensor, HasTheNoiseItIsGiven) {
   Random random(6);
   Statistics position, velocity, orientation, rate;
   for (int k = 0; k < 20000; ++k) {
-    const BodyState<> truth = random_body(random);
+    const BodyStated truth = random_body(random);
     const auto m = sensor.sample(1e-3 * k, truth);
     ASSERT_TRUE(m);
     EXPECT_NEAR(m->body.orientation.norm(), 1.0, 1e-12);
@@ -261,7 +262,7 @@ TEST(PoseSensor, HasTheNoiseItIsGiven) {
   Random random(7);
   Statistics position, orientation;
   for (int k = 0; k < 20000; ++k) {
-    const BodyState<> truth = random_body(random);
+    const BodyStated truth = random_body(random);
     const auto m = sensor.sample(0.01 * k, truth);
     ASSERT_TRUE(m);
     position.add(m->position - truth.position);
@@ -294,7 +295,7 @@ TEST(RotorSpeedSensor, HasTheNoiseItIsGivenAndNeverGoesNegative) {
   EXPECT_GE(smallest, 0.0);
 }
 
-// White noise of density N sampled at rate f has the deviation N sqrt(f), whatever f.
+// White noise of density N, sampled at any rate f, has the standard deviation N sqrt(f).
 TEST(ImuSensor, NoiseHasTheGivenDensityAtAnyRate) {
   for (const double rate : {100.0, 1000.0}) {
     ImuSensorParameters p;
@@ -320,7 +321,7 @@ TEST(ImuSensor, NoiseHasTheGivenDensityAtAnyRate) {
   }
 }
 
-// A random walk of density N has the deviation N sqrt(t) after t.
+// A random walk of density N has the standard deviation N sqrt(t) after the time t.
 TEST(ImuSensor, BiasWalksWithTheGivenDensity) {
   ImuSensorParameters p;
   p.gyro_bias_walk = 0.01;
@@ -337,7 +338,7 @@ TEST(ImuSensor, BiasWalksWithTheGivenDensity) {
   EXPECT_NEAR(gyro.mean(), 0.0, 0.01 * 0.1);
 }
 
-TEST(Sensors, RejectParametersThatNoSensorHas) {
+TEST(Sensors, RejectInvalidParameters) {
   using Imu = ImuSensorParameters;
   EXPECT_FALSE(rejects<Imu>([](auto&) {}));
   EXPECT_TRUE(rejects<Imu>([](auto& p) { p.rate = 0.0; }));

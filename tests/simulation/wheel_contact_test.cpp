@@ -17,7 +17,7 @@ using test_support::Random;
 constexpr int right = 0, left = 1;
 
 struct Case {
-  BodyState<> body;
+  BodyStated body;
   WheelState wheel;
   int side = right;
   bool locked = false;
@@ -43,7 +43,7 @@ WheelForces contact(const WheelContactParameters& p, const Case& c) {
   return wheel_contact(p, mount, c.body, c.body.orientation.toRotationMatrix(), c.wheel);
 }
 
-/// Depth of the disc's lowest point, from the spring force alone.
+/// Returns the depth of the disc's lowest point, from the spring force alone [m].
 double depth(WheelContactParameters p, const Case& c) {
   p.dissipation = 0.0;
   return contact(p, c).normal_force / p.stiffness;
@@ -69,13 +69,13 @@ TEST(WheelContact, TouchesAtTheLowestPointOfTheDisc) {
   EXPECT_LT(touching, 250);
 }
 
-TEST(WheelContact, NormalForceNeverPullsAndFrictionStaysInItsCircle) {
+TEST(WheelContact, NormalForceNeverPullsAndFrictionStaysInFrictionCircle) {
   Random random(2);
   const WheelContactParameters p;
   int released = 0, sticking = 0;
   for (int n = 0; n < 20000; ++n) {
     Case c = random_case(random, 0.4);
-    if (n % 2 == 0) {  // slow ones, to stick
+    if (n % 2 == 0) {  // slow cases, in which the wheel sticks
       c.body.velocity *= 1e-2;
       c.body.angular_velocity *= 1e-2;
       c.wheel.spin *= 1e-2;
@@ -90,11 +90,11 @@ TEST(WheelContact, NormalForceNeverPullsAndFrictionStaysInItsCircle) {
     released += depth(p, c) > 0.0 && forces.normal_force <= 0.0;
     sticking += world.head<2>().norm() < 0.99 * p.friction * forces.normal_force;
   }
-  EXPECT_GT(released, 50);  // fast rebounds, where a linear damper would pull
+  EXPECT_GT(released, 50);  // fast rebounds, in which a linear damper would pull
   EXPECT_GT(sticking, 100);
 }
 
-TEST(WheelContact, TakesMoreEnergyThanItsSpringStores) {
+TEST(WheelContact, DissipatesEnergyBeyondSpringStorage) {
   Random random(3);
   const WheelContactParameters p;
   const double dt = 1e-7;
@@ -118,7 +118,7 @@ TEST(WheelContact, TakesMoreEnergyThanItsSpringStores) {
   EXPECT_GT(checked, 5000);
 }
 
-TEST(WheelContact, AxlePassesNoTorqueAboutItselfButBearingFriction) {
+TEST(WheelContact, AxleTransmitsOnlyBearingFrictionAboutItself) {
   Random random(4);
   const WheelContactParameters p;
   for (int n = 0; n < 1000; ++n) {
@@ -140,7 +140,7 @@ TEST(WheelContact, RollsForwardWithoutSlipAtPositiveSpin) {
     c.body.velocity << 1.1 * std::cos(0.7), 1.1 * std::sin(0.7), 0.0;
     c.wheel.spin = 10.0;
     EXPECT_NEAR(contact(p, c).slip.norm(), 0.0, 1e-12);
-    c.body.angular_velocity.y() = 3.0;  // pitching does not turn the wheel
+    c.body.angular_velocity.y() = 3.0;  // pitch of the body does not turn the wheel
     EXPECT_NEAR(contact(p, c).slip.norm(), 0.0, 1e-12);
     c.body.angular_velocity << 0.0, 0.0, 2.0;  // turning moves the left wheel backward
     EXPECT_NEAR(contact(p, c).slip.x(), side == left ? -0.4 : 0.4, 1e-12);
@@ -197,7 +197,7 @@ TEST(WheelContact, EveryParameterActsOnTheForces) {
   EXPECT_TRUE(moves([](auto& p) { p.axle_position.x() = 0.01; }));
 }
 
-TEST(WheelContact, RejectsParametersThatNoGroundHas) {
+TEST(WheelContact, RejectsInvalidParameters) {
   const auto rejects = [](auto change) {
     WheelContactParameters p;
     validate(p);

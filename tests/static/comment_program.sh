@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # comment_program.sh HEADER NLOPT COMPILER FLAG...
-# The first C++ program in the doc comments of HEADER, cut out line by line, compiles, links with
-# the library NLOPT and returns 0.
+# Checks that the first C++ program in the doc comments of HEADER compiles, links with the library
+# NLOPT and returns 0.
 set -euo pipefail
 
 header=$1

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# What a program that uses Nmpc costs its compiler, as a multiple of one that includes Eigen/Dense in
-# the same minute, and its memory (CHECKS 27): header-only, with -g, and with the instances of
-# tilt_ropter::compiled. By -O2, which a Release build of a user may have.
+# Measures the compile time of a program that uses Nmpc, as a multiple of a program that includes
+# only Eigen/Dense, and the memory of the compiler (check 27): header-only, with -g, and with the
+# instances of tilt_ropter::compiled. Uses -O2, as a Release build of a user may do.
 #
 # usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full]
-# `full` measures -g, too.
+# `full` also measures -g.
 set -euo pipefail
 compiler=$1 include=$2 eigen=$3 form=${4-}
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # format.sh SOURCE_DIR CLANG_FORMAT
-# Every C++ file is as CLANG_FORMAT leaves it. To mend what is found, run it with -i on the file.
+# Checks the format of every C++ file with CLANG_FORMAT. To fix a file, run CLANG_FORMAT with -i.
 set -euo pipefail
 
 cd "$1"

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # if_changed.sh STAMP PATH... -- COMMAND...
-# Runs COMMAND unless it passed before and nothing below the paths changed since: what depends on
-# the sources alone need not be shown twice.
+# Runs COMMAND, unless it passed before and no file below the paths has changed since. Use it for
+# checks that depend only on the sources.
 set -euo pipefail
 
 stamp=$1

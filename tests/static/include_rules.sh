@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # include_rules.sh INCLUDE_DIR
-# Who may include whom below INCLUDE_DIR/tilt_ropter, and that each header names its licence, which a
-# header that was copied into another tree would lose. Prints every violation, fails if there is one.
+# Checks which folder of INCLUDE_DIR/tilt_ropter includes which, and that each header names its
+# licence, so that a copied header keeps it. Prints every violation; fails if there is one.
 set -euo pipefail
 shopt -s inherit_errexit
 
 cd "$1"
 umbrella=tilt_ropter/tilt_ropter.hpp
-compiled=tilt_ropter/compiled.hpp  # for those who link to what it declares
+compiled=tilt_ropter/compiled.hpp  # for users who link to its instances
 headers=$(find tilt_ropter -name '*.hpp' ! -path $umbrella ! -path $compiled | sort)
 # Lines like "tilt_ropter/model/state.hpp <tilt_ropter/math/rotation.hpp>".
 includes=$(grep -rE --include='*.hpp' '^\s*#\s*include\b' tilt_ropter |
@@ -44,7 +44,7 @@ violations=$(
   for header in $headers; do
     grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
   done
-  # `#pragma once` hides circles from the compiler.
+  # With `#pragma once` the compiler does not detect circular includes.
   pairs=$(sed -nE 's/ <(tilt_ropter\/.*)>/ \1/p' <<< "$includes")
   tsort <<< "$pairs" 2>&1 > /dev/null | sed -n 's/^tsort: tilt/in a circle: tilt/p' || true
 )

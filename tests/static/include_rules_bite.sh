@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # include_rules_bite.sh INCLUDE_DIR
-# The check of the include rules finds each kind of violation, planted into a copy of the headers.
+# Checks that include_rules.sh finds each kind of violation, planted into a copy of the headers.
 set -euo pipefail
 
 check=$(dirname "$0")/include_rules.sh

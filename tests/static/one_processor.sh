@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # one_processor.sh COMPILER INCLUDE_DIR EIGEN_DIR
-# A program whose files are compiled for different processors, by how Eigen aligns, ends as it
-# starts and says why; one whose files are alike runs.
+# Checks that a program whose files are compiled for different processors (different alignment in
+# Eigen) ends at its start with a message, and that a program with equal files runs.
 set -euo pipefail
 compile=("$1" -std=c++17 -I "$2" -isystem "$3" -c)
 away=$(mktemp -d)
@@ -11,7 +11,7 @@ echo '#include <tilt_ropter/model/state.hpp>' > "$away/other.cpp"
 printf '%s\nint main() {}\n' '#include <tilt_ropter/model/vehicle.hpp>' > "$away/main.cpp"
 "${compile[@]}" "$away/main.cpp" -o "$away/main.o"
 "${compile[@]}" "$away/other.cpp" -o "$away/alike.o"
-# What -march changes.
+# The setting that -march changes.
 "${compile[@]}" -DEIGEN_MAX_STATIC_ALIGN_BYTES=64 "$away/other.cpp" -o "$away/different.o"
 "$1" "$away/main.o" "$away/alike.o" -o "$away/alike"
 "$away/alike"

@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # readme_commands.sh SOURCE BUILD [full]
-# Runs the READMEs' commands, the lines that are indented by four spaces, as they are printed and in
-# their order, the first README's first, in a copy of the sources. Without `full` those that build or fly for minutes are left
-# out, and the programs are BUILD's. The user's own files that they name are made here.
+# Runs the commands of all README files (lines indented by four spaces) in their order, in a copy of
+# the sources, README.md of the top folder first. A fenced block without a language after a command
+# is its expected output: these lines must appear in the output in this order. Without `full`, skips
+# commands that build or fly for minutes, and uses the programs in BUILD. Generates the files of the
+# user that the commands name.
 set -euo pipefail
 source=$1
 build=$2
@@ -11,7 +13,7 @@ away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 cp -r "$source"/{include,tests,examples,cmake,CMakeLists.txt,LICENSE,README.md} "$away"
 cd "$away"
-export DESTDIR=$away/root  # of what is installed
+export DESTDIR=$away/root  # of installed files
 mkdir build-tests
 ln -s "$build/tests" build-tests/tests
 if [[ ! $full ]]; then
@@ -19,8 +21,8 @@ if [[ ! $full ]]; then
   ln -s "$build/examples" build/examples
 fi
 
-cp examples/own_loop.cpp my_robot.cpp
-# Twenty seconds of a body that turns about two axes and swings, without noise.
+cp examples/getting_started/own_loop.cpp my_robot.cpp
+# 20 s of a body that rotates about two axes and oscillates, without noise.
 awk 'BEGIN {
     print "t,wx,wy,wz,ax,ay,az" > "IMU.csv"; print "t,x,y,z,qw,qx,qy,qz" > "POSE.csv"
       for (i = 0; i <= 4000; ++i) {
@@ -35,12 +37,25 @@ awk 'BEGIN {
           0.4 * sin(1.3 * t), c * u, c * v, s * v, s * u > "POSE.csv"
       } }'
 
+# Prints the lines of the file that are missing in output.txt, in this order.
+missing() {  # file
+  awk 'NR == FNR { wanted[++n] = $0; next } at < n && $0 == wanted[at + 1] { ++at }
+    END { while (at < n) print wanted[++at] }' "$1" output.txt
+}
+
 ran=0
 failed=0
+compared=0
 mapfile -t readmes < <(find cmake examples tests -name README.md | LC_ALL=C sort)
-mapfile -t commands < <(awk '/^```/ { code = !code } !code && /^    [^ ]/ { print substr($0, 5) }' \
-  README.md "${readmes[@]}")
-for command in "${commands[@]}"; do
+mkdir steps
+# Writes each command to a file, and the expected output after it to another file.
+awk 'FNR == 1 { command = "" }
+  /^```/ { inside = !inside; if (inside) { output = $0 == "```" && command != "" } else command = ""; next }
+  inside && output { print > (command ".output") }
+  !inside && /^    [^ ]/ { command = sprintf("steps/%03d", ++n); print substr($0, 5) > command }' \
+  README.md "${readmes[@]}"
+for step in steps/[0-9][0-9][0-9]; do
+  command=$(< "$step")
   case $command in
     ./tests/run.sh*) echo "== not here, it runs this test: $command" && continue ;;
     *compile_cost*) echo "== in the test compile_cost: $command" && continue ;;
@@ -50,9 +65,17 @@ for command in "${commands[@]}"; do
   esac
   echo "== $command"
   ran=$((ran + 1))
-  bash -c "$command" > output.txt 2>&1 < /dev/null && continue
-  failed=$((failed + 1))
-  tail -n 20 output.txt
+  if ! bash -c "$command" > output.txt 2>&1 < /dev/null; then
+    failed=$((failed + 1))
+    tail -n 20 output.txt
+  elif [[ -e $step.output ]]; then
+    compared=$((compared + 1))
+    lacking=$(missing "$step.output")
+    [[ ! $lacking ]] && continue
+    failed=$((failed + 1))
+    printf 'it does not print\n%s\nbut\n' "$lacking"
+    cat output.txt
+  fi
 done
-echo "$ran of ${#commands[@]} commands ran, $failed failed"
-[[ $failed -eq 0 && $ran -ge 5 ]]
+echo "$ran commands ran, the output of $compared compared, $failed failed"
+[[ $failed -eq 0 && $ran -ge 5 && $compared -ge 5 ]]

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # readme_paths.sh SOURCE_DIR
-# Every file and folder that a README names in `code` or links to exists, relative to the README, to
-# the top or to the headers; a name without a folder exists anywhere. Output of programs and names
-# that stand for the user's own files are left out.
+# Checks that every file and folder exists that a document (except the changelog) links to or names
+# in `code`: relative to the document, to the top folder or to the headers. A name without a folder
+# may be anywhere. Ignores output of programs and names of files of the user.
 set -euo pipefail
 
 cd "$1"
@@ -19,5 +19,5 @@ while read -r readme; do
   done < <({ grep -oE '`[a-z_0-9/]+(/|\.(cpp|hpp|sh|json|gp|md|txt))`' "$readme" | tr -d '`'
     grep -oE '\]\([A-Za-z_0-9/-]+[./][A-Za-z_0-9./-]*\)' "$readme" | sed -E 's/^\]\(|\)$//g'; } |
     grep -vE '^(results|build[a-z-]*)/|^(my_|your_)' | sort -u)
-done < <(find README.md .github cmake examples tests -name '*.md')
+done < <(find README.md .github cmake examples tests -name '*.md' ! -name CHANGELOG.md)
 [[ $missing == 0 ]] && echo "every named file exists"

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # readme_program.sh README                  print the C++ of the README as one source: its first
-#                                           program, and the pieces that are no whole program as a
-#                                           function, each with what the ones before it have made
-# readme_program.sh README SOURCE PROGRAM   check that what begins like SOURCE, which is compiled and
-#                                           run by the tests, is SOURCE, line by line, and that
-#                                           PROGRAM prints what the README says under the first one
+#                                           program, and all pieces that are not programs in one
+#                                           function, where each piece can use the earlier ones
+# readme_program.sh README SOURCE PROGRAM   check that the README shows SOURCE, which the tests
+#                                           compile and run, line by line, and that PROGRAM, the
+#                                           first program, prints the output in the README
 set -euo pipefail
 readme=$1
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include <Eigen/Core>  // with clang it declares posix_memalign, defined below
+#include <Eigen/Core>  // with clang it declares posix_memalign, which is defined below
 
 #include <dlfcn.h>
 #include <nlopt.h>
@@ -12,11 +12,11 @@
 #include <cstddef>
 #include <cstdlib>
 
-/// Counts every use of the heap in a program, by who asked for it: NLopt, or anything else. For one
-/// source file of a program. malloc and its kin, and the functions of NLopt that the library calls,
-/// are replaced by functions that count and go on to the libraries' own; operator new comes here
-/// through malloc. Where malloc cannot be replaced (sanitizers bring their own; another C library),
-/// heap_can_be_counted is false.
+/// Counts every use of the heap in a program, separately for NLopt and for all other code. Include
+/// it in one source file of a program only. It replaces malloc and related functions, and the
+/// functions of NLopt that the library calls. The replacements count and then call the original
+/// functions. operator new is counted through malloc. heap_can_be_counted is false where malloc
+/// cannot be replaced (sanitizers have their own malloc; another C library).
 namespace test_support {
 
 #if defined(__has_feature)
@@ -38,9 +38,9 @@ constexpr bool heap_can_be_counted = true;
 enum class HeapUser { other, nlopt };
 
 struct HeapUse {
-  long allocations = 0;  ///< calls that ask for memory
-  long releases = 0;     ///< calls that give it back
-  long bytes = 0;        ///< asked for, summed over the calls
+  long allocations = 0;  ///< calls that allocate memory
+  long releases = 0;     ///< calls that free memory
+  long bytes = 0;        ///< allocated bytes, summed over the calls
 
   [[nodiscard]] bool none() const { return allocations == 0 && releases == 0; }
   friend HeapUse operator+(const HeapUse& a, const HeapUse& b) {
@@ -53,7 +53,7 @@ struct HeapUse {
 
 namespace detail {
 
-// Atomic only because compilers take malloc for a function that changes no variable.
+// The counters are atomic only because compilers assume that malloc changes no variable.
 struct HeapCounter {
   std::atomic<long> allocations{0}, releases{0}, bytes{0};
 };
@@ -74,7 +74,7 @@ inline void count_release() noexcept {
   ++heap_counter(heap_user).releases;
 }
 
-/// The heap's user is another one for a while.
+/// Attributes the use of the heap to `user` during the lifetime of this object.
 class Acting {
  public:
   explicit Acting(HeapUser user) : before_(heap_user.exchange(user)) {}
@@ -88,30 +88,30 @@ class Acting {
 
 }  // namespace detail
 
-/// Since the start of the program.
+/// Returns the use of the heap by `user` since the start of the program.
 [[nodiscard]] inline HeapUse heap_use(HeapUser user) {
   const detail::HeapCounter& counter = detail::heap_counter(user);
   return {counter.allocations, counter.releases, counter.bytes};
 }
 
-/// What calls of nlopt_optimize took since this was last set to {}.
+/// Use of the heap by calls of nlopt_optimize since this object was last set to {}.
 struct NloptCalls {
   long count = 0;
   HeapUse sum;
-  std::array<HeapUse, 256> largest{};  ///< one call's most, by its number of variables
+  std::array<HeapUse, 256> largest{};  ///< largest use of a single call, by its number of variables
 };
 inline NloptCalls nlopt_calls;
 
 namespace detail {
 
-/// The function of this name in NLopt's library.
+/// Returns the original function of this name in the library of NLopt.
 template <auto function>
 auto nlopts_own(const char* name) {
   static const auto own = reinterpret_cast<decltype(function)>(dlsym(RTLD_NEXT, name));
   return own;
 }
 
-/// An objective that was given to NLopt. What it does is not NLopt's doing.
+/// An objective function that was passed to NLopt. Its use of the heap does not count as NLopt's.
 struct Objective {
   nlopt_opt owner;
   nlopt_func function;
@@ -122,7 +122,7 @@ inline std::array<Objective, 256> objectives{};
 inline Objective& objective_of(nlopt_opt owner) {
   for (Objective& objective : objectives)
     if (objective.owner == owner) return objective;
-  if (owner == nullptr) std::abort();  // more optimisers than there is room for
+  if (owner == nullptr) std::abort();  // more optimisers than entries
   return objective_of(nullptr);
 }
 
@@ -134,7 +134,7 @@ inline double called_back(unsigned n, const double* x, double* gradient, void* d
 
 inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
   const auto own = nlopts_own<nlopt_optimize>("nlopt_optimize");
-  if (heap_user == HeapUser::nlopt) return own(optimizer, x, value);  // its own
+  if (heap_user == HeapUser::nlopt) return own(optimizer, x, value);  // called by NLopt itself
   const Acting nlopt(HeapUser::nlopt);
   const HeapUse before = heap_use(HeapUser::nlopt);
   const nlopt_result result = own(optimizer, x, value);
@@ -151,8 +151,8 @@ inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
 }  // namespace detail
 }  // namespace test_support
 
-// The functions of NLopt that the library's loop calls. One that is missing here is counted as not
-// NLopt's, which a test sees.
+// The functions of NLopt that the library calls in its loop. The use of the heap by a function that
+// is missing here does not count as NLopt's, so a test detects it.
 #define TILT_ROPTER_TEST_NLOPT(name, parameters, arguments)                  \
   nlopt_result name parameters {                                             \
     const test_support::detail::Acting nlopt(test_support::HeapUser::nlopt); \
@@ -181,7 +181,8 @@ void nlopt_destroy(nlopt_opt o) {
 nlopt_result nlopt_set_min_objective(nlopt_opt o, nlopt_func function, void* data) {
   using namespace test_support::detail;
   const auto own = nlopts_own<nlopt_set_min_objective>("nlopt_set_min_objective");
-  if (heap_user == test_support::HeapUser::nlopt) return own(o, function, data);  // its own
+  // Called by NLopt itself.
+  if (heap_user == test_support::HeapUser::nlopt) return own(o, function, data);
   const Acting nlopt(test_support::HeapUser::nlopt);
   Objective& objective = objective_of(o);
   objective = {o, function, data};

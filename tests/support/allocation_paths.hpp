@@ -14,7 +14,8 @@
 
 namespace test_support {
 
-/// (T_1l, T_1v, ..., T_nl, T_nv) that a command gives [N], from speeds and angles alone.
+/// Returns the thrust vectors (T_1l, T_1v, ..., T_nl, T_nv) of a command [N], computed only from
+/// its rotor speeds and tilt angles.
 template <int Rotors>
 Eigen::Matrix<double, 2 * Rotors, 1> thrusts_of(const tilt_ropter::Vehicle<Rotors>& vehicle,
                                                 const tilt_ropter::ActuatorState<Rotors>& command) {
@@ -29,9 +30,9 @@ Eigen::Matrix<double, 2 * Rotors, 1> thrusts_of(const tilt_ropter::Vehicle<Rotor
   return thrusts;
 }
 
-/// Largest change of the commanded thrust vectors [N] per length of path, along `runs` straight
-/// paths between wrenches that draw(random) gives, as long as the wanted wrench is reached. A jump
-/// shows as a slope that grows with the number of steps.
+/// Returns the largest change of the commanded thrust vectors [N] per unit of path, along `runs`
+/// straight paths between wrenches from draw(random). Only parts of a path where the wanted wrench
+/// is reached count. A jump shows as a slope that grows with the number of steps.
 template <int Rotors, typename Draw>
 double steepest(const tilt_ropter::Vehicle<Rotors>& vehicle, int runs, int steps,
                 const Draw& draw) {
@@ -40,7 +41,7 @@ double steepest(const tilt_ropter::Vehicle<Rotors>& vehicle, int runs, int steps
   Random random(3);
   double slope = 0.0;
   for (int run = 0; run < runs; ++run) {
-    const Wrench<> from = draw(random), to = draw(random);
+    const Wrenchd from = draw(random), to = draw(random);
     ActuatorState<Rotors> last;
     Eigen::Matrix<double, 2 * Rotors, 1> before = Eigen::Matrix<double, 2 * Rotors, 1>::Zero();
     bool reached = false;

@@ -4,7 +4,8 @@
 
 namespace test_support {
 
-/// Cost and largest violations of a trajectory, from the problem's plain functions alone.
+/// Cost and largest violations of a trajectory, computed only with the plain functions of the
+/// problem.
 struct Audit {
   double cost = 0.0, defect = 0.0, violation = 0.0;
 };
@@ -17,7 +18,7 @@ Audit audit(const Solver& solver) {
     const auto& x = solver.state(k);
     const auto& u = solver.input(k);
     a.cost += problem.cost(k, x, u);
-    const auto rows = problem.row_values(k, x, u);
+    const auto rows = problem.constraint_values(k, x, u);
     a.violation = std::max(a.violation, (rows - problem.upper(k)).maxCoeff());
     a.violation = std::max(a.violation, (problem.lower(k) - rows).maxCoeff());
     if (k < problem.horizon())

@@ -3,13 +3,14 @@
 #include <Eigen/Core>
 #include <unsupported/Eigen/AutoDiff>
 
-/// Jacobians by forward automatic differentiation, the independent truth for analytic ones.
+/// Jacobians by forward automatic differentiation: an independent reference for analytic Jacobians.
 namespace test_support {
 
 template <int Inputs>
 using Dual = Eigen::AutoDiffScalar<Eigen::Matrix<double, Inputs, 1>>;
 
-/// Jacobian at zero of a function from a vector of `Inputs` duals to a vector of `Outputs` duals.
+/// Returns the Jacobian at zero of a function from a vector of `Inputs` duals to a vector of
+/// `Outputs` duals.
 template <int Outputs, int Inputs, typename Function>
 Eigen::Matrix<double, Outputs, Inputs> jacobian_at_zero(const Function& function) {
   Eigen::Matrix<Dual<Inputs>, Inputs, 1> zero;

@@ -8,12 +8,12 @@
 
 #include <cmath>
 
-/// The benchmark optimal-control problem with known optima, on which solvers are compared: STEP, a
-/// cold solve far from the reference, and AIR, a closed loop at 50 Hz along a figure eight.
+/// The benchmark optimal-control problems with known optima, for comparing solvers. STEP is a cold
+/// solve far from the reference. AIR is a closed loop at 50 Hz along a figure eight.
 namespace test_support {
 
 using tilt_ropter::BodyState;
-using tilt_ropter::State;
+using tilt_ropter::Stated;
 using tilt_ropter::WheeledFlightProblem;
 using tilt_ropter::WheeledFlightSettings;
 
@@ -28,9 +28,9 @@ inline Eigen::Vector3d benchmark_hover_force() {
   return {0.0, 0.0, 1.5 * tilt_ropter::gravity};
 }
 
-/// STEP: hover at (0, 0, 1.5) from a displaced, turned and moving start; wide bounds.
-inline WheeledFlightProblem<> step_problem(const WheeledFlightSettings& settings = {}) {
-  WheeledFlightProblem<> problem(benchmark_body(), settings);
+/// STEP: hover at (0, 0, 1.5) from a displaced, rotated and moving start, with wide bounds.
+inline WheeledFlightProblem<0> step_problem(const WheeledFlightSettings& settings = {}) {
+  WheeledFlightProblem<0> problem(benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
     problem.node(k).wrench_reference.force = benchmark_hover_force();
@@ -38,9 +38,9 @@ inline WheeledFlightProblem<> step_problem(const WheeledFlightSettings& settings
   return problem;
 }
 
-inline State<> step_start() {
+inline Stated step_start() {
   const double degree = tilt_ropter::pi / 180.0;
-  State<> x;
+  Stated x;
   x.wrench.force = benchmark_hover_force();
   x.body.position << 1.0, -0.8, 0.7;
   x.body.velocity << 0.5, 0.0, -0.3;
@@ -59,14 +59,14 @@ inline Eigen::Vector3d air_velocity(double t) {
           0.3 * 0.65 * std::cos(0.65 * t)};
 }
 
-/// AIR: bounds of the paper's table.
-inline WheeledFlightProblem<> air_problem() {
+/// AIR: with the bounds of the paper's table.
+inline WheeledFlightProblem<0> air_problem() {
   WheeledFlightSettings settings;
   settings.bounds = tilt_ropter::paper_bounds();
-  return WheeledFlightProblem<>(benchmark_body(), settings);
+  return WheeledFlightProblem<0>(benchmark_body(), settings);
 }
 
-inline void set_air_reference(WheeledFlightProblem<>& problem, double time) {
+inline void set_air_reference(WheeledFlightProblem<0>& problem, double time) {
   for (int k = 0; k <= problem.horizon(); ++k) {
     const double t = time + 0.1 * k;
     problem.node(k).reference.position = air_position(t);
@@ -75,20 +75,20 @@ inline void set_air_reference(WheeledFlightProblem<>& problem, double time) {
   }
 }
 
-inline State<> air_start() {
-  State<> x;
+inline Stated air_start() {
+  Stated x;
   x.wrench.force = benchmark_hover_force();
   x.body.position = air_position(0.0);
   x.body.velocity = air_velocity(0.0);
   return x;
 }
 
-/// The plant of AIR: the same equations in fine steps and a force that the controller does not
+/// The plant of AIR: the same equations with finer steps and a force that the controller does not
 /// know.
-inline State<> air_plant(const State<>& start, const Eigen::Matrix<double, 6, 1>& u) {
-  static const tilt_ropter::RigidBody<> body(benchmark_body());
-  const tilt_ropter::Wrench<> unknown{Eigen::Vector3d(0.15, -0.10, 0.20), Eigen::Vector3d::Zero()};
-  State<> x = start;
+inline Stated air_plant(const Stated& start, const Eigen::Matrix<double, 6, 1>& u) {
+  static const tilt_ropter::RigidBodyd body(benchmark_body());
+  const tilt_ropter::Wrenchd unknown{Eigen::Vector3d(0.15, -0.10, 0.20), Eigen::Vector3d::Zero()};
+  Stated x = start;
   for (int i = 0; i < 4; ++i) x = body.step(x, u, unknown, 0.005);
   return x;
 }

@@ -6,14 +6,15 @@
 
 namespace test_support {
 
-/// No feasible point: x+ = x + u, cost weight * u^2 at every node, and rows that ask for u >= 1 at
-/// a price of 5 a unit and for u <= -1 at a price of 3. The intervals do not touch each other, and
-/// the least of weight * u^2 + 5 (1 - u) + 3 (1 + u) in [-1, 1] is at u = min(1, 1 / weight).
+/// A problem without a feasible point: x+ = x + u, cost weight * u^2 at every node. One constraint
+/// requires u >= 1 at a price of 5 per unit, another one u <= -1 at a price of 3. The intervals are
+/// independent of each other. The minimum of weight * u^2 + 5 (1 - u) + 3 (1 + u) in [-1, 1] is at
+/// u = min(1, 1 / weight).
 struct ContradictionModel {
-  static constexpr int states = 1, inputs = 1, rows = 2, equalities = 0, residuals = 1;
+  static constexpr int states = 1, inputs = 1, constraints = 2, equalities = 0, residuals = 1;
   template <typename S>
   using StateOf = Eigen::Matrix<S, 1, 1>;
-  using D = tilt_ropter::ProblemDimensions<ContradictionModel>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<ContradictionModel>;
   using Vector1d = Eigen::Matrix<double, 1, 1>;
 
   int intervals = 4;
@@ -49,14 +50,16 @@ struct ContradictionModel {
   }
 
   template <typename S>
-  Eigen::Matrix<S, 2, 1> rows_of(int, const StateOf<S>&, const StateOf<S>& u) const {
+  Eigen::Matrix<S, 2, 1> constraints_of(int, const StateOf<S>&, const StateOf<S>& u) const {
     return {u(0), u(0)};
   }
-  void row_derivatives(int, const Vector1d&, const D::Input&, D::RowsX& C, D::RowsU& E) const {
+  void constraint_derivatives(int, const Vector1d&, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C.setZero();
     E.setOnes();
   }
-  void row_bounds(int k, D::Rows& lower, D::Rows& upper, D::Rows& penalty) const {
+  void constraint_bounds(int k, D::Constraints& lower, D::Constraints& upper,
+                         D::Constraints& penalty) const {
     lower << (k == intervals ? -infinity : 1.0), -infinity;
     upper << infinity, (k == intervals ? infinity : -1.0);
     penalty << 5.0, 3.0;

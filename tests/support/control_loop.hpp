@@ -20,7 +20,7 @@
 
 namespace test_support {
 
-inline void place(tilt_ropter::Plant<4>& plant, const tilt_ropter::BodyState<>& body,
+inline void place(tilt_ropter::Plant<4>& plant, const tilt_ropter::BodyStated& body,
                   const tilt_ropter::ActuatorState<4>& actuators) {
   tilt_ropter::PlantState<4> x = plant.state();
   x.body = body;
@@ -28,8 +28,8 @@ inline void place(tilt_ropter::Plant<4>& plant, const tilt_ropter::BodyState<>& 
   plant.reset(x);
 }
 
-/// The reference vehicle on a plant of any kind (with a place() of its own) under observer, NMPC
-/// and allocation at 100 Hz, on noisy states.
+/// Closed loop at 100 Hz with noisy states: the reference vehicle, a plant of any type, observer,
+/// NMPC and allocation. The plant type needs its own place() function.
 template <typename PlantType>
 class ControlLoop {
  public:
@@ -43,29 +43,30 @@ class ControlLoop {
         contact_(vehicle_),
         nmpc_(vehicle_, in_simulated_time(settings)) {}
 
-  /// Hovers with `clearance` [m] under the wheels, at `velocity` [m/s].
+  /// Starts at hover with `clearance` [m] under the wheels, `velocity` [m/s] and `yaw` [rad].
   void start(double clearance, const Eigen::Vector3d& velocity, double yaw) {
-    tilt_ropter::BodyState<> body;
+    tilt_ropter::BodyStated body;
     body.position.z() = vehicle_.wheels->radius + clearance;
     body.velocity = velocity;
     body.orientation = tilt_ropter::quaternion_from_yaw(yaw);
-    tilt_ropter::Wrench<> hover;
+    tilt_ropter::Wrenchd hover;
     hover.force.z() = weight();
     sent_ = allocation_.allocate(hover, sent_.command);
     place(plant_, body, sent_.command);
     actuators_.reset(sent_.command, 0.0);
   }
 
-  /// From now on the plant is `truth`, in the state in which it is; a rotor that tilts no more is
-  /// at once where `truth` holds it. Nobody is told.
+  /// Replaces the plant by `truth` in the current state of the plant. A rotor that no longer tilts
+  /// is immediately at the angle at which `truth` holds it. The controller is not informed.
   void fail(const tilt_ropter::Vehicle<4>& truth) {
     const tilt_ropter::PlantState<4> state = plant_.state();
     plant_ = PlantType(truth);
     plant_.reset(state);
   }
 
-  /// From now on all that is on board takes the vehicle for `believed`, whose mass is the same.
-  /// What the observer took for a disturbance since the failure was the failure.
+  /// Informs observer, controller, allocation and actuator model: they now use the vehicle
+  /// `believed`, which has the same mass. The observer is reset, because the disturbance that it
+  /// estimated since the failure was the failure itself.
   void tell(const tilt_ropter::Vehicle<4>& believed) {
     const double time = plant_.time();
     tilt_ropter::ActuatorState<4> now{sent_.command.rotor_speed, actuators_.state().tilt_angle};
@@ -77,7 +78,7 @@ class ControlLoop {
     contact_ = tilt_ropter::ContactEstimator(believed);
   }
 
-  /// Flies for `duration` [s]; every solve must succeed.
+  /// Flies for `duration` [s]. Every solve must succeed.
   template <typename Reference>
   void run(double duration, const Reference& reference) {
     const double end = plant_.time() + duration;
@@ -87,8 +88,8 @@ class ControlLoop {
     }
   }
 
-  /// One period of 10 ms in which what reaches the controller may be tampered with: `tamper` gets
-  /// the external wrench and the measured state. A state of nullopt is one that there is not.
+  /// One period of 10 ms. `tamper` may change the inputs of the controller: the external wrench and
+  /// the measured state. The state nullopt means that there is no measurement.
   template <typename Reference, typename Tamper>
   const tilt_ropter::NmpcResult& tick(const Reference& reference, const Tamper& tamper) {
     using namespace tilt_ropter;
@@ -96,7 +97,7 @@ class ControlLoop {
     const ActuatorState<4> applied{plant_.actuators().rotor_speed,
                                    actuators_.update(time, sent_.command).tilt_angle};
     observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
-    std::optional<BodyState<>> measured = state_sensor_.sample(time, plant_.body())->body;
+    std::optional<BodyStated> measured = state_sensor_.sample(time, plant_.body())->body;
     ContactEstimate contact = contact_.update(time, *measured, observer_);
     tamper(contact.disturbance, measured);
     (void)nmpc_.prepare(time, reference, contact);
@@ -122,11 +123,12 @@ class ControlLoop {
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return sent_.command; }
   [[nodiscard]] double weight() const { return vehicle_.body.mass * tilt_ropter::gravity; }
-  [[nodiscard]] double peak_force() const { return peak_force_; }  ///< of the ground [N]
+  [[nodiscard]] double peak_force() const { return peak_force_; }  ///< peak force of the ground [N]
   [[nodiscard]] bool touched() const { return touched_; }
-  [[nodiscard]] double highest() const { return highest_; }  ///< after the first touch [m]
+  /// Largest clearance after the first contact [m].
+  [[nodiscard]] double highest() const { return highest_; }
 
-  tilt_ropter::Wrench<> disturbance;  ///< on the plant, in the body frame
+  tilt_ropter::Wrenchd disturbance;  ///< acts on the plant, body frame [N; N m]
 
  private:
   tilt_ropter::Vehicle<4> vehicle_;
@@ -134,7 +136,7 @@ class ControlLoop {
   tilt_ropter::StateSensor state_sensor_;
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
-  tilt_ropter::WrenchObserver<> observer_;
+  tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
   tilt_ropter::AllocationResult<4> sent_;

@@ -6,23 +6,23 @@
 
 namespace test_support {
 
-/// A mass on a line, in steps of one second with the force held: p+ = p + v + u/2, v+ = v + u. The
-/// last position is to reach `target`; on request |u| <= max_input, and the mass is to stop at the
-/// end (an equality). State: p [m], v [m/s].
+/// A mass on a line, in steps of one second with constant force: p+ = p + v + u/2, v+ = v + u. The
+/// last position must reach `target`. Optional: |u| <= max_input, and the mass must stop at the end
+/// (an equality). State: p [m], v [m/s].
 struct DoubleIntegratorModel {
-  static constexpr int states = 2, inputs = 1, rows = 1, equalities = 1, residuals = 3;
+  static constexpr int states = 2, inputs = 1, constraints = 1, equalities = 1, residuals = 3;
   template <typename S>
   using StateOf = Eigen::Matrix<S, 2, 1>;
   template <typename S>
   using InputOf = Eigen::Matrix<S, 1, 1>;
-  using D = tilt_ropter::ProblemDimensions<DoubleIntegratorModel>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<DoubleIntegratorModel>;
 
   int intervals = 7;
   double target = 0.0;
   double max_input = infinity;
   bool stops = false;
-  double position_weight = 1.0;  // on the last residual of position
-  double velocity_weight = 0.5;  // on every residual of velocity but the first
+  double position_weight = 1.0;  // of the residual of the last position
+  double velocity_weight = 0.5;  // of the residual of the velocity at every node
 
   static D::A transition() {
     D::A a;
@@ -64,15 +64,16 @@ struct DoubleIntegratorModel {
   }
 
   template <typename S>
-  InputOf<S> rows_of(int, const StateOf<S>&, const InputOf<S>& u) const {
+  InputOf<S> constraints_of(int, const StateOf<S>&, const InputOf<S>& u) const {
     return u;
   }
-  void row_derivatives(int, const Eigen::Vector2d&, const D::Input&, D::RowsX& C,
-                       D::RowsU& E) const {
+  void constraint_derivatives(int, const Eigen::Vector2d&, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C.setZero();
     E.setOnes();
   }
-  void row_bounds(int k, D::Rows& lower, D::Rows& upper, D::Rows& penalty) const {
+  void constraint_bounds(int k, D::Constraints& lower, D::Constraints& upper,
+                         D::Constraints& penalty) const {
     upper(0) = k == intervals ? infinity : max_input;
     lower = -upper;
     penalty(0) = 1e4;

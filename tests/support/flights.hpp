@@ -14,17 +14,17 @@
 #include <cstddef>
 #include <vector>
 
-/// Flights in closed form and the sensors on board, for tests of what estimates a state.
+/// Flights in closed form and their onboard sensors, for tests of state estimators.
 namespace test_support {
 
 using tilt_ropter::InertialNoise;
-using tilt_ropter::InertialSample;
-using tilt_ropter::InertialState;
-using tilt_ropter::MarkerPose;
+using tilt_ropter::InertialSampled;
+using tilt_ropter::InertialStated;
+using tilt_ropter::MarkerPosed;
 using tilt_ropter::MarkerPoseNoise;
 using tilt_ropter::Timed;
 
-/// Three sines per axis and two of its derivatives. Frequencies are fixed, phases random.
+/// Three sines per axis, and their derivatives. The frequencies are fixed, the phases are random.
 class SumOfSines {
  public:
   SumOfSines(double amplitude, Random& random) : amplitude_(amplitude) {
@@ -32,7 +32,7 @@ class SumOfSines {
       for (int axis = 0; axis < 3; ++axis) phase(axis) = random.uniform(0.0, 2.0 * tilt_ropter::pi);
   }
 
-  /// The order-th derivative at time t.
+  /// Returns the derivative of this order at time t [s].
   [[nodiscard]] Eigen::Vector3d operator()(double t, int order) const {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
     for (std::size_t i = 0; i < phases_.size(); ++i)
@@ -44,7 +44,8 @@ class SumOfSines {
     return sum;
   }
 
-  /// Root mean square of the order-th derivative over phases, per axis (their mean).
+  /// Returns the root mean square of the derivative of this order over random phases: one axis,
+  /// averaged over the three axes.
   [[nodiscard]] double deviation(int order) const {
     double square = 0.0;
     for (std::size_t i = 0; i < phases_.size(); ++i)
@@ -55,7 +56,7 @@ class SumOfSines {
 
  private:
   [[nodiscard]] double part(std::size_t i) const { return amplitude_ / static_cast<double>(1 + i); }
-  /// No two alike: 0.9 to 5.5 rad/s.
+  /// All frequencies are different: 0.9 to 5.5 rad/s.
   [[nodiscard]] static double frequency(std::size_t i, int axis) {
     return 0.9 + 1.7 * static_cast<double>(i) + 0.6 * axis;
   }
@@ -64,11 +65,12 @@ class SumOfSines {
   std::array<Eigen::Vector3d, 3> phases_;
 };
 
-/// A smooth flight about all axes with accelerations of several m/s^2 and rates of 1 to 3 rad/s,
-/// in closed form: position a sum of sines, orientation q0 Exp(a(t)) with a(t) one, too.
+/// A smooth flight in closed form, with rotation about all axes, accelerations of several m/s^2 and
+/// rates of 1 to 3 rad/s. The position is a sum of sines. The orientation is q0 Exp(a(t)), where
+/// a(t) is also a sum of sines.
 class Flight {
  public:
-  /// From any orientation; the marker frame M sits at `marker_position` in the body frame.
+  /// Starts from any orientation. The marker frame M is at `marker_position` [m] in the body frame.
   explicit Flight(unsigned seed, const Eigen::Quaterniond& start = Eigen::Quaterniond::Identity(),
                   const Eigen::Vector3d& marker_position = Eigen::Vector3d::Zero(),
                   const Eigen::Quaterniond& marker_orientation = Eigen::Quaterniond::Identity())
@@ -79,9 +81,9 @@ class Flight {
         marker_position_(marker_position),
         marker_orientation_(marker_orientation) {}
 
-  /// Biases are zero.
-  [[nodiscard]] InertialState<> state(double t) const {
-    InertialState<> x;
+  /// Returns the true state at time t [s]; the biases are zero.
+  [[nodiscard]] InertialStated state(double t) const {
+    InertialStated x;
     x.position = way_(t, 0);
     x.velocity = way_(t, 1);
     x.orientation = start_ * tilt_ropter::quaternion_exp(turn_(t, 0));
@@ -90,22 +92,22 @@ class Flight {
     return x;
   }
 
-  /// What an IMU without errors shows at one instant.
-  [[nodiscard]] InertialSample<> imu(double t) const {
-    InertialSample<> sample;
+  /// Returns the sample of an IMU without errors at time t [s].
+  [[nodiscard]] InertialSampled imu(double t) const {
+    InertialSampled sample;
     sample.angular_velocity = tilt_ropter::right_jacobian(turn_(t, 0)) * turn_(t, 1);
     sample.specific_force = state(t).orientation.conjugate() *
                             (way_(t, 2) + Eigen::Vector3d(0.0, 0.0, tilt_ropter::gravity)).eval();
     return sample;
   }
 
-  [[nodiscard]] MarkerPose<> pose(double t) const {
-    const InertialState<> x = state(t);
+  [[nodiscard]] MarkerPosed pose(double t) const {
+    const InertialStated x = state(t);
     return {x.position + x.orientation * marker_position_, x.orientation * marker_orientation_};
   }
 
-  /// Of the velocity at any time over seeds, per axis [m/s].
-  [[nodiscard]] double velocity_deviation() const { return way_.deviation(1); }
+  /// Standard deviation of the velocity at any time over seeds, per axis [m/s].
+  [[nodiscard]] double velocity_stddev() const { return way_.deviation(1); }
 
  private:
   Random random_;
@@ -115,16 +117,17 @@ class Flight {
   Eigen::Quaterniond marker_orientation_;
 };
 
-/// Entries of standard deviation `deviation`.
+/// Returns a random vector whose entries have the standard deviation `deviation`.
 inline Eigen::Vector3d normal_vector(Random& random, double deviation) {
   const double x = random.normal(deviation), y = random.normal(deviation);
   return {x, y, random.normal(deviation)};
 }
 
-/// The IMU of a flight with white noise and biases that walk.
+/// The IMU of a flight with white noise and random-walk biases.
 class NoisyImu {
  public:
-  /// `period` [s] is that between samples: a density d is a deviation d / sqrt(period) of each.
+  /// `period` [s] is the time between samples. A noise density d gives each sample the standard
+  /// deviation d / sqrt(period).
   NoisyImu(const Flight& flight, const InertialNoise& noise, double period, unsigned seed,
            const Eigen::Vector3d& gyro_bias = Eigen::Vector3d::Zero(),
            const Eigen::Vector3d& accelerometer_bias = Eigen::Vector3d::Zero())
@@ -135,19 +138,19 @@ class NoisyImu {
         gyro_bias_(gyro_bias),
         accelerometer_bias_(accelerometer_bias) {}
 
-  InertialSample<> operator()(double t) {
+  InertialSampled operator()(double t) {
     gyro_bias_ += normal_vector(random_, noise_.gyro_bias_walk * root_);
     accelerometer_bias_ += normal_vector(random_, noise_.accelerometer_bias_walk * root_);
-    InertialSample<> sample = flight_.imu(t);
+    InertialSampled sample = flight_.imu(t);
     sample.angular_velocity += gyro_bias_ + normal_vector(random_, noise_.gyro_density / root_);
     sample.specific_force +=
         accelerometer_bias_ + normal_vector(random_, noise_.accelerometer_density / root_);
     return sample;
   }
 
-  /// The truth at time t with the biases of the last sample.
-  [[nodiscard]] InertialState<> state(double t) const {
-    InertialState<> x = flight_.state(t);
+  /// Returns the true state at time t with the biases of the last sample.
+  [[nodiscard]] InertialStated state(double t) const {
+    InertialStated x = flight_.state(t);
     x.gyro_bias = gyro_bias_;
     x.accelerometer_bias = accelerometer_bias_;
     return x;
@@ -161,22 +164,22 @@ class NoisyImu {
   Eigen::Vector3d gyro_bias_, accelerometer_bias_;
 };
 
-/// `pose` with white noise.
-inline MarkerPose<> noisy(const MarkerPose<>& pose, const MarkerPoseNoise& noise, Random& random) {
+/// Returns `pose` with white noise.
+inline MarkerPosed noisy(const MarkerPosed& pose, const MarkerPoseNoise& noise, Random& random) {
   return {pose.position + normal_vector(random, noise.position),
           pose.orientation * tilt_ropter::quaternion_exp(normal_vector(random, noise.orientation))};
 }
 
-/// Metres and tens of degrees away from `pose`.
-inline MarkerPose<> gone_wrong(const MarkerPose<>& pose, Random& random) {
+/// Returns a pose that differs from `pose` by 0.5 to 5 m and 0.3 to 3 rad.
+inline MarkerPosed gone_wrong(const MarkerPosed& pose, Random& random) {
   const Eigen::Vector3d axis = random.orientation() * Eigen::Vector3d::UnitX();
   return {
       pose.position + random.orientation() * Eigen::Vector3d(random.uniform(0.5, 5.0), 0.0, 0.0),
       pose.orientation * tilt_ropter::quaternion_exp(random.uniform(0.3, 3.0) * axis)};
 }
 
-/// The same rotation with the other sign.
-inline MarkerPose<> flipped(MarkerPose<> pose) {
+/// Returns the same rotation with the opposite sign of the quaternion.
+inline MarkerPosed flipped(MarkerPosed pose) {
   pose.orientation.coeffs() *= -1.0;
   return pose;
 }

@@ -9,7 +9,7 @@ inline bool full_run() {
   return std::getenv("TILT_ROPTER_FULL") != nullptr;
 }
 
-/// How many in a plain run, and how many in a full one.
+/// Returns `quick` in a plain run and `full` in a full run.
 inline int quick_or_full(int quick, int full) {
   return full_run() ? full : quick;
 }

@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-/// The controller's simplest task, and what holds for all that leaves it.
+/// The hover task of the controller, and checks that hold for every result of the controller.
 namespace test_support {
 
 inline tilt_ropter::ReferencePoint hover(double) {
@@ -16,22 +16,22 @@ inline tilt_ropter::ReferencePoint hover(double) {
   return point;
 }
 
-inline tilt_ropter::BodyState<> hovering() {
-  tilt_ropter::BodyState<> state;
+inline tilt_ropter::BodyStated hovering() {
+  tilt_ropter::BodyStated state;
   state.position << 0.0, 0.0, 1.5;
   return state;
 }
 
-/// The command of level hover.
+/// Returns the command for level hover.
 template <int Rotors>
 tilt_ropter::AllocationResult<Rotors> level_hover(const tilt_ropter::Allocation<Rotors>& allocation,
                                                   const tilt_ropter::Vehicle<Rotors>& vehicle) {
-  tilt_ropter::Wrench<> weight;
+  tilt_ropter::Wrenchd weight;
   weight.force.z() = vehicle.body.mass * tilt_ropter::gravity;
   return allocation.allocate(weight, {});
 }
 
-[[nodiscard]] inline bool is_within_bounds(const tilt_ropter::Wrench<>& wrench,
+[[nodiscard]] inline bool is_within_bounds(const tilt_ropter::Wrenchd& wrench,
                                            const tilt_ropter::NmpcBounds& bounds) {
   return (wrench.force.array() <= bounds.force_max.array()).all() &&
          (wrench.force.array() >= bounds.force_min.array()).all() &&

@@ -19,9 +19,9 @@
 
 namespace test_support {
 
-/// Landings and take-offs that go wrong a little: the controller touches down while it drifts
-/// sideways and higher than it should be, and is called up from the ground by a reference that is
-/// higher and drifts, too. One mode change each and no bounce; `few` of them, 200 in a full run.
+/// Landings and take-offs with small errors. At landing, the vehicle starts 3 to 5 cm too high and
+/// drifts sideways. At take-off, the reference starts too high and drifts too. Each one must change
+/// the contact mode once and not bounce. Runs `few` cases, or 200 in a full run.
 template <typename PlantType>
 void land_and_take_off(const std::string& plant, int few) {
   using namespace tilt_ropter;
@@ -35,7 +35,7 @@ void land_and_take_off(const std::string& plant, int few) {
     const double error = random.uniform(0.03, 0.05), speed = random.uniform(0.0, 1.0);
     ControlLoop<PlantType> loop(static_cast<unsigned>(i));
 
-    // Down: the reference rests on the ground, the vehicle is too high and drifts.
+    // Landing: the reference rests on the ground, the vehicle starts too high and drifts.
     loop.start(error, speed * way, yaw);
     const double radius = tilt_ropter_vehicle().wheels->radius;
     const auto rest = [&](double) {
@@ -52,7 +52,7 @@ void land_and_take_off(const std::string& plant, int few) {
     worst_bounce = std::max(worst_bounce, loop.highest());
     worst_force = std::max(worst_force, loop.peak_force() / loop.weight());
 
-    // Up: the reference begins too high and drifts from the start.
+    // Take-off: the reference starts too high and drifts from the start.
     const double begin = loop.plant().time();
     const Eigen::Vector3d from = loop.plant().body().position;
     const Transition climb = take_off({Eigen::Vector3d(0.0, 0.0, radius), yaw}, 1.0);

@@ -1,13 +1,13 @@
 #pragma once
 
-#include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 
 namespace test_support {
 
-/// Settings of a solver whose clock has no say in the result: where nothing is optimised, or under
-/// sanitizers, a solve can take longer than the default's second.
-inline tilt_ropter::SolverSettings patient() {
-  tilt_ropter::SolverSettings settings;
+/// Settings of a solver without influence of the clock on the result. Without compiler optimisation
+/// or under sanitizers, a solve can take longer than the default limit of one second.
+inline tilt_ropter::optimal_control::SolverSettings patient() {
+  tilt_ropter::optimal_control::SolverSettings settings;
   settings.max_time = 600.0;
   return settings;
 }

@@ -8,15 +8,15 @@
 
 namespace test_support {
 
-/// A pendulum of 1 kg at 1 m that is to swing up, by a torque u too small to lift it (9.81 N m
-/// would hold it level). State: angle from upright [rad] and angular velocity [rad/s].
+/// A pendulum of 1 kg and 1 m that must swing up. The torque u is too small to lift it (9.81 N m
+/// would hold it horizontally). State: angle from upright [rad] and angular velocity [rad/s].
 struct PendulumModel {
-  static constexpr int states = 2, inputs = 1, rows = 1, equalities = 0, residuals = 3;
+  static constexpr int states = 2, inputs = 1, constraints = 1, equalities = 0, residuals = 3;
   template <typename S>
   using StateOf = Eigen::Matrix<S, 2, 1>;
   template <typename S>
   using InputOf = Eigen::Matrix<S, 1, 1>;
-  using D = tilt_ropter::ProblemDimensions<PendulumModel>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<PendulumModel>;
 
   int intervals = 5;
   double interval = 0.1;
@@ -66,15 +66,16 @@ struct PendulumModel {
   }
 
   template <typename S>
-  InputOf<S> rows_of(int, const StateOf<S>&, const InputOf<S>& u) const {
+  InputOf<S> constraints_of(int, const StateOf<S>&, const InputOf<S>& u) const {
     return u;
   }
-  void row_derivatives(int, const Eigen::Vector2d&, const D::Input&, D::RowsX& C,
-                       D::RowsU& E) const {
+  void constraint_derivatives(int, const Eigen::Vector2d&, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C.setZero();
     E.setOnes();
   }
-  void row_bounds(int k, D::Rows& lower, D::Rows& upper, D::Rows& penalty) const {
+  void constraint_bounds(int k, D::Constraints& lower, D::Constraints& upper,
+                         D::Constraints& penalty) const {
     upper(0) = k == intervals ? infinity : max_torque;
     lower = -upper;
     penalty(0) = 1e4;

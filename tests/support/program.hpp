@@ -14,14 +14,14 @@
 #include <string>
 #include <utility>
 
-/// The example programs as a user runs them.
+/// Runs the example programs as a user does.
 namespace test_support {
 
-/// What a run left on standard output and error.
+/// Exit code and text on standard output and error of a run.
 struct Outcome {
   int exit_code = -1;
   std::string output;
-  std::map<std::string, std::string> figures;  // of lines "key: value"
+  std::map<std::string, std::string> figures;  // from lines "key: value"
 
   [[nodiscard]] double operator[](const std::string& key) const {
     const auto found = figures.find(key);
@@ -57,7 +57,7 @@ inline std::string read_file(const std::string& path) {
   return text.str();
 }
 
-/// A directory of this process's own, gone at the end.
+/// A temporary directory for this process, which the destructor removes.
 class Directory {
  public:
   explicit Directory(const std::string& name)
@@ -78,7 +78,7 @@ class Directory {
   std::filesystem::path path_;
 };
 
-/// For tests of a program that fits something to a log, and makes one with --generate.
+/// For tests of a program that fits a model to a log, and that generates a log with --generate.
 class FittingProgram : public testing::Test {
  protected:
   FittingProgram(const std::string& name, std::string path_of_program)

@@ -12,23 +12,23 @@
 
 namespace test_support {
 
-/// A flat quadrotor of 1 kg that flies to the origin and hovers; inputs: thrusts of its four rotors
-/// [N]. State: p, v, q, w with tangent (dp, dv, dtheta, dw), dtheta and w in the body frame.
+/// A flat quadrotor of 1 kg that flies to the origin and hovers. Inputs: thrusts of its four rotors
+/// [N]. State: p, v, q, w with tangent (dp, dv, dtheta, dw); dtheta and w are in the body frame.
 struct QuadrotorModel {
-  static constexpr int states = 12, inputs = 4, rows = 4, equalities = 0, residuals = 16;
+  static constexpr int states = 12, inputs = 4, constraints = 4, equalities = 0, residuals = 16;
   template <typename S>
   using StateOf = tilt_ropter::BodyState<S>;
   template <typename S>
   using TangentOf = Eigen::Matrix<S, 12, 1>;
   template <typename S>
   using InputOf = Eigen::Matrix<S, 4, 1>;
-  using D = tilt_ropter::ProblemDimensions<QuadrotorModel>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<QuadrotorModel>;
 
   int intervals = 5;
   double interval = 0.1;
   double max_thrust = 4.0;
   double terminal = 3.0;  // factor on the last node's residual
-  tilt_ropter::RigidBody<> rigid_body{body()};
+  tilt_ropter::RigidBodyd rigid_body{body()};
 
   template <typename S>
   StateOf<S> moved(const StateOf<S>& x, const TangentOf<S>& dx) const {
@@ -46,7 +46,8 @@ struct QuadrotorModel {
     return derivative;
   }
 
-  /// Force and torque of unit thrusts: arms of 0.2 m along +x, +y, -x, -y, drag torque 0.016 m.
+  /// Returns force and torque for unit thrusts: arms of 0.2 m along +x, +y, -x, -y; drag torque
+  /// 0.016 m per unit of thrust.
   static Eigen::Matrix<double, 6, 4> allocation() {
     Eigen::Matrix<double, 6, 4> a = Eigen::Matrix<double, 6, 4>::Zero();
     a.row(2).setOnes();
@@ -76,7 +77,7 @@ struct QuadrotorModel {
     const Eigen::Matrix<double, 6, 1> wrench = allocation() * u;
     Eigen::Matrix<double, 18, 18> by_state;
     Eigen::Matrix<double, 18, 6> by_rate;
-    const tilt_ropter::State<> end =
+    const tilt_ropter::Stated end =
         rigid_body.step({{wrench.head<3>(), wrench.tail<3>()}, x},
                         Eigen::Matrix<double, 6, 1>::Zero(), {}, interval, {}, by_state, by_rate);
     A = by_state.bottomRightCorner<12, 12>();
@@ -107,15 +108,16 @@ struct QuadrotorModel {
   }
 
   template <typename S>
-  InputOf<S> rows_of(int, const StateOf<S>&, const InputOf<S>& u) const {
+  InputOf<S> constraints_of(int, const StateOf<S>&, const InputOf<S>& u) const {
     return u;
   }
-  void row_derivatives(int, const StateOf<double>&, const D::Input&, D::RowsX& C,
-                       D::RowsU& E) const {
+  void constraint_derivatives(int, const StateOf<double>&, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C.setZero();
     E.setIdentity();
   }
-  void row_bounds(int k, D::Rows& lower, D::Rows& upper, D::Rows& penalty) const {
+  void constraint_bounds(int k, D::Constraints& lower, D::Constraints& upper,
+                         D::Constraints& penalty) const {
     lower.setConstant(k == intervals ? -infinity : 0.0);
     upper.setConstant(k == intervals ? infinity : max_thrust);
     penalty.setConstant(1e4);

@@ -16,7 +16,7 @@ class Random {
     return std::uniform_real_distribution<double>(low, high)(engine_);
   }
   double normal(double deviation) {
-    // A distribution's own deviation must not be zero.
+    // The deviation of std::normal_distribution must not be zero, so it is not passed on.
     return deviation * std::normal_distribution<double>()(engine_);
   }
   /// Entries uniform in [-size, size].

@@ -13,25 +13,25 @@
 
 namespace test_support {
 
-/// Whether the constraints of a RandomProgram can be met.
+/// Whether the constraints of a RandomProgram are feasible.
 enum class Feasibility {
-  feasible,    ///< with room to spare
-  tight,       ///< a single point meets most of them
-  infeasible,  ///< some contradict each other
+  feasible,    ///< feasible with margin
+  tight,       ///< a single point satisfies most constraints
+  infeasible,  ///< some constraints contradict each other
 };
 
-/// A random linear time-varying problem, convex: ranks, scales and units of every kind. A
-/// trajectory is drawn first and the bounds around it, so that the constraints can be met or not as
-/// is asked; some constraints stand there twice, also in other units.
-template <int States, int Inputs, int Rows>
+/// A random convex linear time-varying problem with many ranks, scales and units. The trajectory is
+/// drawn first and the bounds are drawn around it, so that the constraints have the requested
+/// feasibility. Some constraints occur twice, also in different units.
+template <int States, int Inputs, int Constraints>
 class RandomProgram {
  public:
-  static constexpr int states = States, inputs = Inputs, rows = Rows, equalities = 0;
-  using D = tilt_ropter::ProblemDimensions<RandomProgram>;
+  static constexpr int states = States, inputs = Inputs, constraints = Constraints, equalities = 0;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<RandomProgram>;
   using Tangent = typename D::Tangent;
   using State = Tangent;
   using Input = typename D::Input;
-  using RowVector = typename D::Rows;
+  using RowVector = typename D::Constraints;
 
   RandomProgram(Random& random, int horizon, Feasibility feasibility, double price)
       : nodes_(static_cast<std::size_t>(horizon) + 1) {
@@ -42,7 +42,7 @@ class RandomProgram {
       for (Eigen::Index j = 0; j < m.cols(); ++j)
         for (Eigen::Index i = 0; i < m.rows(); ++i) m(i, j) = random.normal(size);
     };
-    Tangent unit;  // of each state
+    Tangent unit;  // unit of each state
     for (double& u : unit) u = scale(1.5);
     const double input_weight = scale(3.0), state_weight = scale(1.0);
     const int rank = static_cast<int>(random.uniform(0.0, States + 1.0));
@@ -72,16 +72,17 @@ class RandomProgram {
       fill(lx, 1.0);
       n.lx = lx.cwiseQuotient(unit);
       fill(n.lu, 1.0);
-      // The trajectory that meets the bounds, in states and inputs of order one.
+      // The trajectory that satisfies the bounds: states and inputs of order one.
       Tangent free;
       Input u;
       fill(free, 1.0);
       fill(u, 1.0);
       if (k == horizon) u.setZero();
-      n.offset = -n.A * start_at(x, unit) - n.B * u;  // so that it goes to any next state
+      // The trajectory can continue to any next state.
+      n.offset = -n.A * start_at(x, unit) - n.B * u;
       fill(n.C, 1.0);
       fill(n.E, 1.0);
-      for (int i = 0; i < Rows; ++i) {
+      for (int i = 0; i < Constraints; ++i) {
         const double kind = random.uniform(0.0, 1.0);
         if (kind < 0.3) n.C.row(i).setZero();
         if (kind > 0.7 || k == horizon) n.E.row(i).setZero();
@@ -91,7 +92,8 @@ class RandomProgram {
           n.C(i, i % States) = c;
         }
         n.C.row(i) = (n.C.row(i) * unit.cwiseInverse().asDiagonal()).eval();
-        if (i > 0 && random.uniform(0.0, 1.0) < 0.1) {  // that of before again, in another unit
+        // The previous constraint again, in another unit.
+        if (i > 0 && random.uniform(0.0, 1.0) < 0.1) {
           const double other = scale(1.0);
           n.C.row(i) = other * n.C.row(i - 1);
           n.E.row(i) = other * n.E.row(i - 1);
@@ -99,7 +101,7 @@ class RandomProgram {
         const double in_units = scale(1.0);
         n.C.row(i) *= in_units;
         n.E.row(i) *= in_units;
-        if (k == 0) n.C.row(i).setZero();  // nothing to be done about the initial state
+        if (k == 0) n.C.row(i).setZero();  // the initial state is fixed
         const double at = n.C.row(i).dot(start_at(x, unit)) + n.E.row(i).dot(u);
         const double room = feasibility == Feasibility::tight ? 1e-3 : random.uniform(0.05, 1.0);
         n.lower(i) = at - in_units * room;
@@ -109,7 +111,7 @@ class RandomProgram {
         if (sides > 0.8) n.upper(i) = std::numeric_limits<double>::infinity();
         n.price(i) = price;
       }
-      if (feasibility == Feasibility::infeasible && k > 0 && k % 3 == 1 && Rows > 1) {
+      if (feasibility == Feasibility::infeasible && k > 0 && k % 3 == 1 && Constraints > 1) {
         n.C.row(1) = n.C.row(0);
         n.E.row(1) = n.E.row(0);
         n.upper(0) = 0.0;
@@ -146,7 +148,7 @@ class RandomProgram {
     return sum;
   }
   void cost_model(int k, const State& x, const Input& u,
-                  tilt_ropter::QuadraticModel<States, Inputs>& m) const {
+                  tilt_ropter::optimal_control::QuadraticModel<States, Inputs>& m) const {
     const Node& n = node(k);
     m.lx() = n.lx + n.lxx * x;
     m.lxx() = n.lxx;
@@ -154,11 +156,11 @@ class RandomProgram {
     m.lu() = n.lu + n.luu * u;
     m.luu() = n.luu;
   }
-  [[nodiscard]] RowVector row_values(int k, const State& x, const Input& u) const {
+  [[nodiscard]] RowVector constraint_values(int k, const State& x, const Input& u) const {
     return node(k).C * x + node(k).E * u;
   }
-  void row_derivatives(int k, const State&, const Input&, typename D::RowsX& C,
-                       typename D::RowsU& E) const {
+  void constraint_derivatives(int k, const State&, const Input&, typename D::ConstraintsX& C,
+                              typename D::ConstraintsU& E) const {
     C = node(k).C;
     E = node(k).E;
   }
@@ -174,8 +176,8 @@ class RandomProgram {
     Input lu;
     Eigen::Matrix<double, States, States> lxx;
     Eigen::Matrix<double, Inputs, Inputs> luu;
-    typename D::RowsX C;
-    typename D::RowsU E;
+    typename D::ConstraintsX C;
+    typename D::ConstraintsU E;
     RowVector lower, upper, price;
   };
   [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }

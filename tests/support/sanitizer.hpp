@@ -2,7 +2,8 @@
 
 namespace test_support {
 
-/// It takes mlockall from the system and always says yes, and it keeps memory that is given back.
+/// True if the program is compiled with AddressSanitizer. The sanitizer replaces mlockall with a
+/// function that always succeeds, and it does not return freed memory.
 constexpr bool under_address_sanitizer() {
 #if defined(__SANITIZE_ADDRESS__)
   return true;

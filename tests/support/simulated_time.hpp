@@ -6,8 +6,8 @@
 
 namespace test_support {
 
-/// The settings for a loop in which time stands still while the controller computes: without a time
-/// limit, unless one is set, so that what flies does not depend on what else the machine does.
+/// Returns settings for a loop in which time stands still while the controller computes. They have
+/// no time limit unless one is set, so the flight does not depend on other work of the machine.
 inline tilt_ropter::NmpcSettings in_simulated_time(tilt_ropter::NmpcSettings settings = {}) {
   if (settings.time_limit == 0.0) settings.time_limit = std::numeric_limits<double>::infinity();
   return settings;

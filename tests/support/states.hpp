@@ -7,10 +7,11 @@
 namespace test_support {
 
 using tilt_ropter::State;
+using tilt_ropter::Stated;
 
-/// Far from rest, any orientation.
-inline State<> random_state(Random& random) {
-  State<> x;
+/// Returns a state far from rest with any orientation.
+inline Stated random_state(Random& random) {
+  Stated x;
   x.wrench = {random.vector(10.0), random.vector(1.0)};
   x.body.position = random.vector(5.0);
   x.body.velocity = random.vector(5.0);
@@ -19,9 +20,9 @@ inline State<> random_state(Random& random) {
   return x;
 }
 
-/// The same state in another scalar, for automatic differentiation.
+/// Returns the same state in another scalar type, for automatic differentiation.
 template <typename Scalar>
-State<Scalar> cast(const State<>& x) {
+State<Scalar> cast(const Stated& x) {
   State<Scalar> y;
   y.wrench.force = x.wrench.force.cast<Scalar>();
   y.wrench.torque = x.wrench.torque.cast<Scalar>();

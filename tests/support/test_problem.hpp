@@ -9,28 +9,28 @@
 #include <utility>
 #include <vector>
 
-/// What the test problems share. Each is written as a model: its equations as templates on the
-/// scalar, so that automatic differentiation can go through them, and their derivatives by hand.
-/// TestProblem makes a problem for the solvers of it.
+/// Common code of the test problems. Each problem is written as a model: its equations are
+/// templates on the scalar type, for automatic differentiation, and its derivatives are written by
+/// hand. TestProblem turns a model into a problem for the solvers.
 namespace test_support {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// A problem for the solvers from a `Model` with
-///     states, inputs, rows, equalities, residuals, StateOf<Scalar>; int intervals;
-///     moved(x, dx), between(y, x), flow(k, x, u), residual(k, x, u), rows_of(k, x, u), templates;
-///     flow_derivatives, residual_derivatives, row_derivatives, by hand, and
-///     row_bounds(k, lower, upper, penalty); equalities_of, equality_derivatives,
-///     equality_weights where there are some.
+/// A problem for the solvers, made from a `Model` with
+///     states, inputs, constraints, equalities, residuals, StateOf<Scalar>; int intervals;
+///     moved(x, dx), between(y, x), flow(k, x, u), residual(k, x, u), constraints_of(k, x, u),
+///     as templates; flow_derivatives, residual_derivatives, constraint_derivatives, by hand, and
+///     constraint_bounds(k, lower, upper, penalty); equalities_of, equality_derivatives,
+///     equality_weights if there are equalities.
 /// The cost is |residual|^2.
 template <typename Model>
 class TestProblem : public Model {
  public:
-  using D = tilt_ropter::ProblemDimensions<Model>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<Model>;
   using State = typename Model::template StateOf<double>;
   using Tangent = typename D::Tangent;
   using Input = typename D::Input;
-  using Rows = typename D::Rows;
+  using Constraints = typename D::Constraints;
 
   explicit TestProblem(Model model)
       : Model(std::move(model)),
@@ -39,7 +39,7 @@ class TestProblem : public Model {
         penalty_(lower_.size()) {
     for (int k = 0; k <= this->intervals; ++k) {
       const auto i = static_cast<std::size_t>(k);
-      this->row_bounds(k, lower_[i], upper_[i], penalty_[i]);
+      this->constraint_bounds(k, lower_[i], upper_[i], penalty_[i]);
     }
   }
 
@@ -60,8 +60,9 @@ class TestProblem : public Model {
   double cost(int k, const State& x, const Input& u) const {
     return this->template residual<double>(k, x, u).squaredNorm();
   }
-  void cost_model(int k, const State& x, const Input& u,
-                  tilt_ropter::QuadraticModel<Model::states, Model::inputs>& model) const {
+  void cost_model(
+      int k, const State& x, const Input& u,
+      tilt_ropter::optimal_control::QuadraticModel<Model::states, Model::inputs>& model) const {
     const auto r = this->template residual<double>(k, x, u);
     Eigen::Matrix<double, Model::residuals, Model::states> by_state;
     Eigen::Matrix<double, Model::residuals, Model::inputs> by_input;
@@ -73,19 +74,19 @@ class TestProblem : public Model {
     model.luu() = 2.0 * by_input.transpose() * by_input;
   }
 
-  Rows row_values(int k, const State& x, const Input& u) const {
-    return this->template rows_of<double>(k, x, u);
+  Constraints constraint_values(int k, const State& x, const Input& u) const {
+    return this->template constraints_of<double>(k, x, u);
   }
-  const Rows& lower(int k) const { return lower_[static_cast<std::size_t>(k)]; }
-  const Rows& upper(int k) const { return upper_[static_cast<std::size_t>(k)]; }
-  const Rows& penalty(int k) const { return penalty_[static_cast<std::size_t>(k)]; }
+  const Constraints& lower(int k) const { return lower_[static_cast<std::size_t>(k)]; }
+  const Constraints& upper(int k) const { return upper_[static_cast<std::size_t>(k)]; }
+  const Constraints& penalty(int k) const { return penalty_[static_cast<std::size_t>(k)]; }
 
   typename D::Equalities equality_values(int k, const State& x) const {
     return this->template equalities_of<double>(k, x);
   }
 
  private:
-  std::vector<Rows> lower_, upper_, penalty_;
+  std::vector<Constraints> lower_, upper_, penalty_;
 };
 
 /// One classical Runge-Kutta step of `dt` of the vector field f(x).
@@ -99,8 +100,8 @@ State runge_kutta_step(const State& x, double dt, const Field& f) {
   return x + Scalar(dt / 6.0) * (k1 + Scalar(2) * k2 + Scalar(2) * k3 + k4);
 }
 
-/// The same step with its derivatives A by x and B by u, by the variational equations; `by_state`
-/// and `by_input` are df/dx and df/du.
+/// The same step with its derivatives `a` by x and `b` by u, from the variational equations.
+/// `by_state` and `by_input` are df/dx and df/du.
 template <typename State, typename Field, typename ByState, typename ByInput, typename A,
           typename B>
 State runge_kutta_step(const State& x, double dt, const Field& f, const ByState& by_state,

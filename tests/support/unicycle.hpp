@@ -8,16 +8,16 @@
 
 namespace test_support {
 
-/// A unicycle that parks at the origin, heading along x, around a disc that stands in its way and
-/// near which it must drive slowly. State: position [m] and heading, a point of the circle [rad];
-/// inputs: speed [m/s] and turn rate [rad/s].
+/// A unicycle that parks at the origin with heading along x. A disc stands in its way, and the
+/// unicycle must drive slowly near the disc. State: position [m] and heading, a point on the circle
+/// [rad]. Inputs: speed [m/s] and turn rate [rad/s].
 struct UnicycleModel {
-  static constexpr int states = 3, inputs = 2, rows = 4, equalities = 0, residuals = 5;
+  static constexpr int states = 3, inputs = 2, constraints = 4, equalities = 0, residuals = 5;
   template <typename S>
   using StateOf = Eigen::Matrix<S, 3, 1>;
   template <typename S>
   using InputOf = Eigen::Matrix<S, 2, 1>;
-  using D = tilt_ropter::ProblemDimensions<UnicycleModel>;
+  using D = tilt_ropter::optimal_control::ProblemDimensions<UnicycleModel>;
 
   int intervals = 6;
   double interval = 0.25;
@@ -80,22 +80,24 @@ struct UnicycleModel {
     by_input(3, 0) = by_input(4, 1) = input_weight(k);
   }
 
-  /// Squared distance to the obstacle's centre; speed less half of it; speed; turn rate.
+  /// Squared distance to the centre of the obstacle; speed minus half of this squared distance;
+  /// speed; turn rate.
   template <typename S>
-  Eigen::Matrix<S, 4, 1> rows_of(int, const StateOf<S>& x, const InputOf<S>& u) const {
+  Eigen::Matrix<S, 4, 1> constraints_of(int, const StateOf<S>& x, const InputOf<S>& u) const {
     const S dx = x(0) - S(obstacle.x()), dy = x(1) - S(obstacle.y());
     const S square = dx * dx + dy * dy;
     return {square, u(0) - S(0.5) * square, u(0), u(1)};
   }
-  void row_derivatives(int, const Eigen::Vector3d& x, const D::Input&, D::RowsX& C,
-                       D::RowsU& E) const {
+  void constraint_derivatives(int, const Eigen::Vector3d& x, const D::Input&, D::ConstraintsX& C,
+                              D::ConstraintsU& E) const {
     C.setZero();
     E.setZero();
     C.block<1, 2>(0, 0) = 2.0 * (x.head<2>() - obstacle).transpose();
     C.row(1) = -0.5 * C.row(0);
     E(1, 0) = E(2, 0) = E(3, 1) = 1.0;
   }
-  void row_bounds(int k, D::Rows& lower, D::Rows& upper, D::Rows& penalty) const {
+  void constraint_bounds(int k, D::Constraints& lower, D::Constraints& upper,
+                         D::Constraints& penalty) const {
     lower << radius * radius, -infinity, -0.5, -2.0;
     upper << infinity, 1.0, 2.0, 2.0;
     if (k == 0) lower(0) = -infinity;

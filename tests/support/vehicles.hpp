@@ -7,7 +7,7 @@
 #include <cmath>
 #include <cstddef>
 
-/// Vehicles beside the Tilt-Ropter, to keep the model general.
+/// Other vehicles than the Tilt-Ropter, to keep the model general.
 namespace test_support {
 
 /// Six tilting rotors on arms 60 degrees apart.
@@ -21,9 +21,10 @@ inline tilt_ropter::Vehicle<6> tilting_hexacopter() {
   return v;
 }
 
-/// Eight rotors in the corners of a cube, none tilts and none reverses; after D. Brescianini and
-/// R. D'Andrea, "An omni-directional multirotor vehicle", 2018, with spins such that equal thrusts
-/// cancel altogether. Every wrench with thrusts >= 0 then needs the null space.
+/// Eight rotors in the corners of a cube; no rotor tilts or reverses. The model follows D.
+/// Brescianini and R. D'Andrea, "An omni-directional multirotor vehicle", 2018, with spin
+/// directions such that equal thrusts cancel completely. Every wrench with thrusts >= 0 then needs
+/// the null space.
 inline tilt_ropter::Vehicle<8> omnidirectional_octocopter() {
   using namespace tilt_ropter;
   const double a = 0.5 + 1.0 / std::sqrt(12.0), b = 0.5 - 1.0 / std::sqrt(12.0),

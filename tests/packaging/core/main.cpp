@@ -10,8 +10,8 @@ int main() {
   const NmpcSettings settings = nmpc_settings(vehicle);
   validate(settings);
   const Allocation allocation(vehicle);
-  WrenchObserver<> observer(vehicle.body);
-  Wrench<> weight;
+  WrenchObserverd observer(vehicle.body);
+  Wrenchd weight;
   weight.force.z() = vehicle.body.mass * gravity;
   const ActuatorState<4> command = allocation.allocate(weight, {}).command;
   observer.update(0.0, {}, allocation.wrench(command));

@@ -1,5 +1,5 @@
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/actuator_rows.hpp>
+#include <tilt_ropter/control/actuator_constraints.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"
@@ -27,42 +27,42 @@ Vector6 random_wrench(Random& random, double force, double torque) {
   return w;
 }
 
-Wrench<> unpacked(const Vector6& w) {
+Wrenchd unpacked(const Vector6& w) {
   return {w.head<3>(), w.tail<3>()};
 }
 
-// The rows as the class comment has them, for automatic differentiation.
+// The constraints written out as in the class comment, for automatic differentiation.
 template <int Rotors, typename S>
 Eigen::Matrix<S, 3 * Rotors, 1> written_out(const Vehicle<Rotors>& vehicle,
                                             const Eigen::Matrix<S, 12, 1>& wrench_and_rate) {
   using std::sqrt;
-  const ActuatorRowSettings settings;
+  const ActuatorConstraintSettings settings;
   const AllocationMatrix<Rotors> allocation(vehicle);
   const Eigen::Matrix<S, 2 * Rotors, 1> T =
       allocation.pseudoinverse.template cast<S>() * wrench_and_rate.template head<6>();
   const Eigen::Matrix<S, 2 * Rotors, 1> dT =
       allocation.pseudoinverse.template cast<S>() * wrench_and_rate.template tail<6>();
   const double hover = vehicle.body.mass * gravity / Rotors;
-  Eigen::Matrix<S, 3 * Rotors, 1> rows = Eigen::Matrix<S, 3 * Rotors, 1>::Zero();
+  Eigen::Matrix<S, 3 * Rotors, 1> constraints = Eigen::Matrix<S, 3 * Rotors, 1>::Zero();
   for (int i = 0; i < Rotors; ++i) {
     const S square = T(2 * i) * T(2 * i) + T(2 * i + 1) * T(2 * i + 1);
     const S cross = dT(2 * i) * T(2 * i + 1) - T(2 * i) * dT(2 * i + 1);
     const double least = settings.hold_thrust * settings.hold_thrust;
     if (vehicle.rotors[static_cast<std::size_t>(i)].tilts) {
-      const S allowed = S(settings.tilt_rate_share * vehicle.servo.max_rate) *
+      const S allowed = S(settings.tilt_rate_fraction * vehicle.servo.max_rate) *
                         (square > S(least) ? square : S(least));
-      rows(i) = (cross - allowed) / S(hover * hover);
-      rows(Rotors + i) = (-cross - allowed) / S(hover * hover);
+      constraints(i) = (cross - allowed) / S(hover * hover);
+      constraints(Rotors + i) = (-cross - allowed) / S(hover * hover);
     }
-    if (square > S(0)) rows(2 * Rotors + i) = sqrt(square);
+    if (square > S(0)) constraints(2 * Rotors + i) = sqrt(square);
   }
-  return rows;
+  return constraints;
 }
 
-/// Largest error of a value or derivative, relative.
+/// Largest relative error of the values and derivatives.
 template <int Rotors>
 double error(const Vehicle<Rotors>& vehicle, const Vector6& wrench, const Vector6& rate) {
-  const ActuatorRows<Rotors> rows(vehicle);
+  const ActuatorConstraints<Rotors> constraints(vehicle);
   Eigen::Matrix<double, 12, 1> at;
   at << wrench, rate;
   using S = Dual<12>;
@@ -72,20 +72,20 @@ double error(const Vehicle<Rotors>& vehicle, const Vector6& wrench, const Vector
       });
   using Jacobian = Eigen::Matrix<double, 3 * Rotors, 6>;
   Jacobian by_wrench = Jacobian::Zero(), by_rate = Jacobian::Zero();
-  rows.derivatives(wrench, rate, by_wrench, by_rate);
+  constraints.derivatives(wrench, rate, by_wrench, by_rate);
   const auto values = written_out<Rotors, double>(vehicle, at);
   const double size = 1.0 + truth.cwiseAbs().maxCoeff();
   return std::max({(by_wrench - truth.template leftCols<6>()).cwiseAbs().maxCoeff() / size,
                    (by_rate - truth.template rightCols<6>()).cwiseAbs().maxCoeff() / size,
-                   (rows.values(wrench, rate) - values).cwiseAbs().maxCoeff() /
+                   (constraints.values(wrench, rate) - values).cwiseAbs().maxCoeff() /
                        (1.0 + values.cwiseAbs().maxCoeff())});
 }
 
-TEST(ActuatorRows, DerivativesAreExact) {
+TEST(ActuatorConstraints, DerivativesAreExact) {
   Random random(51);
   double worst = 0.0;
   for (int i = 0; i < test_support::quick_or_full(500, 10000); ++i) {
-    // From far below hold_thrust to far above max_thrust.
+    // Thrusts from far below hold_thrust to far above max_thrust.
     const double size = std::pow(10.0, random.uniform(-4.0, 2.0));
     const Vector6 wrench = random_wrench(random, size, 0.1 * size);
     const Vector6 rate = random_wrench(random, 40.0, 4.0);
@@ -93,35 +93,36 @@ TEST(ActuatorRows, DerivativesAreExact) {
                       error(test_support::tilting_hexacopter(), wrench, rate),
                       error(test_support::omnidirectional_octocopter(), wrench, rate)});
   }
-  test_support::check_at_most(7, "actuator rows: derivatives' relative error", worst, 1e-12);
+  test_support::check_at_most(7, "actuator constraints: derivatives' relative error", worst, 1e-12);
 }
 
-TEST(ActuatorRows, ThrustZeroHasFiniteRowsThatHoldAndDerivatives) {
+TEST(ActuatorConstraints, ZeroThrustHasFiniteSatisfiedConstraintsAndDerivatives) {
   Random random(52);
-  const ActuatorRows<4> rows(tilt_ropter_vehicle());
+  const ActuatorConstraints<4> constraints(tilt_ropter_vehicle());
   for (int i = 0; i < 100; ++i) {
     const Vector6 rate = random_wrench(random, 1000.0, 100.0);
     EXPECT_LT(error(tilt_ropter_vehicle(), Vector6::Zero(), rate), 1e-12);
-    EXPECT_TRUE((rows.values(Vector6::Zero(), rate).array() <= rows.upper().array()).all());
-    // Smaller than the square root of the smallest number.
+    EXPECT_TRUE(
+        (constraints.values(Vector6::Zero(), rate).array() <= constraints.upper().array()).all());
+    // The squares of these thrusts underflow to zero.
     EXPECT_LT(error(tilt_ropter_vehicle(), 1e-170 * rate, rate), 1e-12);
   }
 }
 
-TEST(ActuatorRows, TiltRateRowsHoldWhereAllocationsTiltRatesDo) {
+TEST(ActuatorConstraints, TiltRateConstraintsAgreeWithTiltRatesOfAllocation) {
   Random random(53);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
-  const ActuatorRowSettings settings;
-  const ActuatorRows<4> rows(vehicle, settings);
-  const double limit = settings.tilt_rate_share * vehicle.servo.max_rate;
+  const ActuatorConstraintSettings settings;
+  const ActuatorConstraints<4> constraints(vehicle, settings);
+  const double limit = settings.tilt_rate_fraction * vehicle.servo.max_rate;
   int held = 0, broken = 0;
   for (int i = 0; i < 5000; ++i) {
     const double size = std::pow(10.0, random.uniform(-3.0, 1.5));
     const Vector6 wrench = random_wrench(random, size, 0.1 * size);
     const Vector6 rate = random_wrench(random, 12.0 * size, 1.2 * size);
     const Eigen::Vector4d rates = allocation.rates(unpacked(wrench), unpacked(rate)).tilt_rate;
-    const auto values = rows.values(wrench, rate);
+    const auto values = constraints.values(wrench, rate);
     for (int r = 0; r < 4; ++r) {
       if (std::abs(std::abs(rates(r)) - limit) < 1e-9 * limit) continue;
       EXPECT_EQ(values(r) <= 0.0, rates(r) <= limit) << rates(r);
@@ -133,14 +134,14 @@ TEST(ActuatorRows, TiltRateRowsHoldWhereAllocationsTiltRatesDo) {
   EXPECT_GT(broken, 2000);
 }
 
-TEST(ActuatorRows, InHoverARowIsTheTiltRateBeyondTheLimit) {
+TEST(ActuatorConstraints, InHoverTheValueIsTheTiltRateMinusTheLimit) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
-  const ActuatorRowSettings settings;
+  const ActuatorConstraintSettings settings;
   Vector6 wrench, rate;
   wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
   rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
-  const auto values = ActuatorRows<4>(vehicle, settings).values(wrench, rate);
+  const auto values = ActuatorConstraints<4>(vehicle, settings).values(wrench, rate);
   const Eigen::Vector4d rates = allocation.rates(unpacked(wrench), unpacked(rate)).tilt_rate;
   EXPECT_LT(
       (values.head<4>().array() - (rates.array() - 0.85 * vehicle.servo.max_rate)).matrix().norm(),
@@ -148,17 +149,17 @@ TEST(ActuatorRows, InHoverARowIsTheTiltRateBeyondTheLimit) {
   EXPECT_GT(rates.cwiseAbs().minCoeff(), 1.0);
 }
 
-TEST(ActuatorRows, ThrustRowsHoldWhereAllocationNeedsNoOtherThrusts) {
+TEST(ActuatorConstraints, ThrustConstraintsAgreeWithStatusOfAllocation) {
   Random random(54);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
-  const ActuatorRows<4> rows(vehicle);
+  const ActuatorConstraints<4> constraints(vehicle);
   int within = 0, beyond = 0;
   for (int i = 0; i < 2000; ++i) {
     const Vector6 wrench = random_wrench(random, 30.0, 2.0);
-    const Eigen::Vector4d thrusts = rows.values(wrench, Vector6::Zero()).tail<4>();
+    const Eigen::Vector4d thrusts = constraints.values(wrench, Vector6::Zero()).tail<4>();
     const auto result = allocation.allocate(unpacked(wrench), ActuatorState<4>{});
-    const bool ok = (thrusts.array() <= rows.upper().tail<4>().array()).all();
+    const bool ok = (thrusts.array() <= constraints.upper().tail<4>().array()).all();
     EXPECT_EQ(ok, result.status == AllocationStatus::ok) << thrusts.transpose();
     ++(ok ? within : beyond);
     if (!ok) continue;
@@ -171,60 +172,67 @@ TEST(ActuatorRows, ThrustRowsHoldWhereAllocationNeedsNoOtherThrusts) {
   EXPECT_GT(beyond, 300);
 }
 
-TEST(ActuatorRows, RotorsThatDoNotTiltHaveTheThrustRowOnly) {
+TEST(ActuatorConstraints, FixedRotorsHaveOnlyTheThrustConstraint) {
   const Vehicle<8> vehicle = test_support::omnidirectional_octocopter();
-  const ActuatorRows<8> rows(vehicle);
-  EXPECT_TRUE((rows.upper().head<16>().array() == std::numeric_limits<double>::infinity()).all());
-  EXPECT_TRUE((rows.upper().tail<8>().array() == vehicle.rotor.max_thrust).all());
+  const ActuatorConstraints<8> constraints(vehicle);
+  EXPECT_TRUE(
+      (constraints.upper().head<16>().array() == std::numeric_limits<double>::infinity()).all());
+  EXPECT_TRUE((constraints.upper().tail<8>().array() == vehicle.rotor.max_thrust).all());
 }
 
-TEST(ActuatorRows, WeakRotorHasItsShareOfThrustAndALostOneNoRow) {
+TEST(ActuatorConstraints, WeakRotorHasLowerThrustLimitAndLostRotorNoConstraint) {
   const auto vehicle = with_weak_rotor(with_weak_rotor(tilt_ropter_vehicle(), 1, 0.5), 2, 0.0);
-  const ActuatorRows<4> rows(vehicle);
+  const ActuatorConstraints<4> constraints(vehicle);
   const double infinity = std::numeric_limits<double>::infinity();
-  EXPECT_EQ(Eigen::Vector4d(rows.upper().head<4>()), Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
-  EXPECT_EQ(Eigen::Vector4d(rows.upper().segment<4>(4)), Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
-  EXPECT_EQ(Eigen::Vector4d(rows.upper().tail<4>()), Eigen::Vector4d(12.0, 6.0, infinity, 12.0));
-  EXPECT_EQ(rows.values(Vector6::Ones(), Vector6::Ones())(10), 0.0);
+  EXPECT_EQ(Eigen::Vector4d(constraints.upper().head<4>()),
+            Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
+  EXPECT_EQ(Eigen::Vector4d(constraints.upper().segment<4>(4)),
+            Eigen::Vector4d(0.0, 0.0, infinity, 0.0));
+  EXPECT_EQ(Eigen::Vector4d(constraints.upper().tail<4>()),
+            Eigen::Vector4d(12.0, 6.0, infinity, 12.0));
+  EXPECT_EQ(constraints.values(Vector6::Ones(), Vector6::Ones())(10), 0.0);
 }
 
-TEST(ActuatorRows, ByDefaultNothingIsBounded) {
-  const ActuatorRows<4> rows;
-  EXPECT_TRUE((rows.upper().array() == std::numeric_limits<double>::infinity()).all());
-  EXPECT_EQ(rows.values(Vector6::Ones(), Vector6::Ones()), ActuatorRows<4>::Values::Zero());
+TEST(ActuatorConstraints, DefaultConstructedHasNoBounds) {
+  const ActuatorConstraints<4> constraints;
+  EXPECT_TRUE((constraints.upper().array() == std::numeric_limits<double>::infinity()).all());
+  EXPECT_EQ(constraints.values(Vector6::Ones(), Vector6::Ones()),
+            ActuatorConstraints<4>::Values::Zero());
   Eigen::Matrix<double, 12, 6> by_wrench = Eigen::Matrix<double, 12, 6>::Constant(3.0),
                                by_rate = by_wrench;
-  rows.derivatives(Vector6::Ones(), Vector6::Ones(), by_wrench, by_rate);
+  constraints.derivatives(Vector6::Ones(), Vector6::Ones(), by_wrench, by_rate);
   EXPECT_TRUE((by_wrench.array() == 3.0).all());
   EXPECT_TRUE((by_rate.array() == 3.0).all());
 }
 
-TEST(ActuatorRows, SettingsActAndAreRefusedByNameOutOfRange) {
+TEST(ActuatorConstraints, SettingsTakeEffectAndOutOfRangeIsRejectedByName) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Vector6 wrench, rate;
   wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
   rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
-  ActuatorRowSettings half, held;
-  half.tilt_rate_share = 0.5;
-  held.hold_thrust = 10.0;  // more than in hover
-  const double usual = ActuatorRows<4>(vehicle).values(wrench, rate)(0);
-  EXPECT_NEAR(ActuatorRows<4>(vehicle, half).values(wrench, rate)(0) - usual,
+  ActuatorConstraintSettings half, held;
+  half.tilt_rate_fraction = 0.5;
+  held.hold_thrust = 10.0;  // above the thrust of a rotor in hover
+  const double usual = ActuatorConstraints<4>(vehicle).values(wrench, rate)(0);
+  EXPECT_NEAR(ActuatorConstraints<4>(vehicle, half).values(wrench, rate)(0) - usual,
               0.35 * vehicle.servo.max_rate, 1e-12);
-  EXPECT_LT(ActuatorRows<4>(vehicle, held).values(wrench, rate)(0), usual - 1.0);
+  EXPECT_LT(ActuatorConstraints<4>(vehicle, held).values(wrench, rate)(0), usual - 1.0);
 
-  const auto message = [&](double share, double thrust) -> std::string {
+  const auto message = [&](double fraction, double thrust) -> std::string {
     try {
-      ActuatorRows<4> rows(vehicle, {share, thrust});
+      ActuatorConstraints<4> constraints(vehicle, {fraction, thrust});
     } catch (const std::invalid_argument& error) {
       return error.what();
     }
     return "accepted";
   };
   EXPECT_EQ(message(1.0, 1e-3), "accepted");
-  EXPECT_NE(message(0.0, 0.02).find("tilt_rate_share = 0: must be in (0, 1]"), std::string::npos);
-  EXPECT_NE(message(1.1, 0.02).find("tilt_rate_share = 1.1"), std::string::npos);
-  EXPECT_NE(message(std::nan(""), 0.02).find("tilt_rate_share"), std::string::npos);
-  EXPECT_NE(message(0.9, 0.0).find("ActuatorRowSettings.hold_thrust [N] = 0"), std::string::npos);
+  EXPECT_NE(message(0.0, 0.02).find("tilt_rate_fraction = 0: must be in (0, 1]"),
+            std::string::npos);
+  EXPECT_NE(message(1.1, 0.02).find("tilt_rate_fraction = 1.1"), std::string::npos);
+  EXPECT_NE(message(std::nan(""), 0.02).find("tilt_rate_fraction"), std::string::npos);
+  EXPECT_NE(message(0.9, 0.0).find("ActuatorConstraintSettings.hold_thrust [N] = 0"),
+            std::string::npos);
 }
 
 }  // namespace

@@ -1,0 +1,374 @@
+// Missing poses, outliers, gaps, restarts and arbitrary input.
+
+#include <tilt_ropter/estimation/ekf.hpp>
+
+#include "support/check_table.hpp"
+#include "support/ekf_flights.hpp"
+#include "support/flights.hpp"
+#include "support/full_run.hpp"
+#include "support/random.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <string>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::Errors;
+using test_support::errors;
+using test_support::expect_good;
+using test_support::Flight;
+using test_support::fly;
+using test_support::full_run;
+using test_support::gone_wrong;
+using test_support::imu_period;
+using test_support::Log;
+using test_support::noisy;
+using test_support::Random;
+using test_support::record;
+using test_support::Unobserved;
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+constexpr double infinite = std::numeric_limits<double>::infinity();
+
+TEST(Ekf, BridgesTwoSecondsWithoutPoses) {
+  Random random(203);
+  double at_end = 0.0, recovery = 0.0;
+  for (unsigned run = 0; run < 10; ++run) {
+    const Flight flight(run, random.orientation());
+    Log log = record(flight, 20.0, run, {}, random.vector(0.05), random.vector(0.3));
+    log.poses.erase(std::remove_if(log.poses.begin(), log.poses.end(),
+                                   [](const auto& p) { return p.time > 14.0 && p.time < 16.0; }),
+                    log.poses.end());
+    Ekfd ekf;
+    fly(ekf, log, 0.0, Unobserved(), [&] {
+      const Errors e = errors(ekf, flight);
+      EXPECT_TRUE(std::isfinite(e.position));
+      if (ekf.time() > 15.99 && ekf.time() < 15.999) at_end = std::max(at_end, e.position);
+      if (ekf.time() > 16.0 && e.position > 0.01) recovery = std::max(recovery, ekf.time() - 16.0);
+    });
+    EXPECT_EQ(ekf.counts().restarts, 0);
+    EXPECT_LE(ekf.counts().gated, 1);  // the gate refuses one valid pose in 10^4
+    expect_good(ekf, flight);
+  }
+  test_support::check_at_most(10, "EKF: error after 2 s without poses [m]", at_end, 0.15);
+  EXPECT_LT(recovery, 0.05);
+  RecordProperty("error_at_end", std::to_string(at_end));
+  RecordProperty("recovery", std::to_string(recovery));
+}
+
+// Motion capture is off for minutes, and the IMU keeps running.
+template <typename Scalar>
+void expect_return_after(double minutes, unsigned seed) {
+  const Flight flight(seed, Random(204).orientation());
+  const double away = 60.0 * minutes;
+  Log log = record(flight, away + 15.0, seed, {}, {0.01, 0.02, -0.03}, {0.1, -0.2, 0.3});
+  log.poses.erase(
+      std::remove_if(log.poses.begin(), log.poses.end(),
+                     [away](const auto& p) { return p.time > 5.0 && p.time < away + 5.0; }),
+      log.poses.end());
+  Ekf<Scalar> ekf;
+  bool finite = true;
+  fly(ekf, log, 0.0, Unobserved(),
+      [&] { finite = finite && is_finite(ekf.state()) && all_finite(ekf.filter().covariance()); });
+  EXPECT_TRUE(finite);
+  const Errors e = errors(ekf, flight);
+  EXPECT_LT(e.position, 0.005);
+  EXPECT_LT(e.velocity, 0.05);
+  EXPECT_LT(e.orientation, 0.01);
+  const Eigen::Matrix<Scalar, 15, 15> p =
+      ekf.filter().covariance().template topLeftCorner<15, 15>();
+  EXPECT_EQ(p.llt().info(), Eigen::Success);
+}
+
+TEST(Ekf, RecoversAfterMinutesWithoutPoses) {
+  for (const double minutes : {0.2, 1.0, 4.0, full_run() ? 60.0 : 10.0}) {
+    SCOPED_TRACE(minutes);
+    expect_return_after<double>(minutes, 7);
+    expect_return_after<float>(minutes, 8);
+  }
+}
+
+TEST(Ekf, GatesOutliersAndKeepsAccuracy) {
+  Random random(205);
+  double worst = 0.0;
+  for (unsigned run = 0; run < 10; ++run) {
+    const Flight flight(run, random.orientation());
+    Log log = record(flight, 20.0, run, {}, random.vector(0.05), random.vector(0.3));
+    std::vector<bool> wrong(log.poses.size(), false);
+    for (std::size_t i = 10; i < log.poses.size(); ++i)
+      if (random.uniform(0.0, 1.0) < 0.05) {
+        wrong[i] = true;
+        log.poses[i].value = gone_wrong(log.poses[i].value, random);
+      }
+    Ekfd ekf;
+    long good_gated = 0;
+    fly(
+        ekf, log, 0.0,
+        [&](std::size_t i, EkfStatus status) {
+          if (wrong[i]) {
+            EXPECT_EQ(status, EkfStatus::gated) << i;
+          }
+          if (!wrong[i] && status != EkfStatus::updated && i > 0) ++good_gated;
+        },
+        [&] {
+          if (ekf.time() > 5.0) worst = std::max(worst, errors(ekf, flight).position);
+        });
+    EXPECT_LE(good_gated, 3);
+    EXPECT_EQ(ekf.counts().restarts, 0);
+    EXPECT_EQ(ekf.counts().gated, good_gated + std::count(wrong.begin(), wrong.end(), true));
+    expect_good(ekf, flight);
+  }
+  test_support::check_at_most(10, "EKF: error with 5 % outliers [m]", worst, 0.01);
+}
+
+TEST(Ekf, RestartsAtNextPoseAfterImuGapAndKeepsBiases) {
+  Random random(213);
+  const Flight flight(9, random.orientation());
+  const Log log = record(flight, 40.0, 9, {}, random.vector(0.05), random.vector(0.3));
+  Log before = log, after = log;
+  const auto cut = [](auto& values, double from, double to) {
+    values.erase(std::remove_if(values.begin(), values.end(),
+                                [=](const auto& v) { return v.time < from || v.time > to; }),
+                 values.end());
+  };
+  cut(before.imu, 0.0, 30.0);
+  cut(before.poses, 0.0, 30.0);
+  cut(after.imu, 30.5, 40.0);
+  cut(after.poses, 30.52, 40.0);
+  Ekfd ekf;
+  fly(ekf, before);
+  const InertialStated known = ekf.filter().state();
+  const BodyStated frozen = ekf.state();
+  EXPECT_EQ(ekf.on_imu(after.imu[0].time, after.imu[0].value), EkfStatus::stopped);
+  EXPECT_FALSE(ekf.running());
+  EXPECT_EQ(ekf.state().position, frozen.position);
+  after.imu.erase(after.imu.begin());
+  bool first = true;
+  fly(ekf, after, 0.0, [&](std::size_t, EkfStatus status) {
+    EXPECT_EQ(status, first ? EkfStatus::restarted : EkfStatus::updated);
+    if (first) {
+      EXPECT_LT((ekf.filter().state().gyro_bias - known.gyro_bias).norm(), 1e-9);
+      EXPECT_LT((ekf.filter().state().accelerometer_bias - known.accelerometer_bias).norm(), 1e-9);
+    }
+    first = false;
+  });
+  EXPECT_EQ(ekf.counts().restarts, 1);
+  expect_good(ekf, flight);
+}
+
+TEST(Ekf, RestartsAfterClockIsSetBack) {
+  const Flight flight(10, Random(214).orientation());
+  const Log log = record(flight, 20.0, 10);
+  Log again = log;
+  for (auto& s : again.imu) s.time -= 1e5;
+  for (auto& p : again.poses) p.time -= 1e5;
+  for (const bool wild : {false, true}) {  // wild: one stamp far in the future instead
+    Ekfd ekf;
+    fly(ekf, log);
+    if (wild) {
+      EXPECT_EQ(ekf.on_imu(1e300, log.imu[0].value), EkfStatus::stopped);
+    }
+    if (!wild) {  // a pose whose time the IMU never reaches
+      EXPECT_EQ(ekf.on_pose(ekf.time() + 0.1, flight.pose(0.0)), EkfStatus::waiting);
+    }
+    const long room = static_cast<long>(Ekfd::max_waiting);
+    int late = 0, stopped = 0;
+    for (const auto& s : again.imu) {
+      const EkfStatus status = ekf.on_imu(s.time, s.value);
+      if (status == EkfStatus::late) ++late;
+      if (status == EkfStatus::stopped) ++stopped;
+      ekf.on_pose(s.time, flight.pose(s.time + 1e5));
+    }
+    EXPECT_EQ(late, EkfSettings().max_rejections - 1);
+    EXPECT_EQ(stopped, 1);
+    EXPECT_TRUE(ekf.running());
+    long waiting = 0;
+    for (int i = 1; i <= 50; ++i)
+      if (ekf.on_pose(ekf.time() + 1e-3 * i, flight.pose(0.0)) == EkfStatus::waiting) ++waiting;
+    EXPECT_EQ(waiting, room);
+    EXPECT_LT((ekf.state().position - flight.state(ekf.time() + 1e5).position).norm(), 0.01);
+  }
+}
+
+TEST(Ekf, RestartsIfVehicleWasMoved) {
+  Random random(215);
+  const Flight flight(11, random.orientation());
+  Log log = record(flight, 20.0, 11);
+  const Eigen::Vector3d away(3.0, -2.0, 1.0);
+  const std::size_t moved = 1000;
+  for (std::size_t i = moved; i < log.poses.size(); ++i) log.poses[i].value.position += away;
+  Ekfd ekf;
+  std::vector<EkfStatus> statuses;
+  fly(ekf, log, 0.0, [&](std::size_t, EkfStatus status) { statuses.push_back(status); });
+  const auto rejections = static_cast<std::size_t>(EkfSettings().max_rejections);
+  for (std::size_t i = 0; i + 1 < rejections; ++i) EXPECT_EQ(statuses[moved + i], EkfStatus::gated);
+  EXPECT_EQ(statuses[moved + rejections - 1], EkfStatus::restarted);
+  EXPECT_EQ(statuses[moved + rejections], EkfStatus::updated);
+  EXPECT_EQ(ekf.counts().restarts, 1);
+  EXPECT_EQ(ekf.counts().gated, EkfSettings().max_rejections - 1);
+  EXPECT_LT((ekf.state().position - away - flight.state(20.0).position).norm(), 0.005);
+}
+
+// An invalid or extreme number, or with probability 1/4 a number in [-1, 1].
+double wild(Random& random) {
+  switch (static_cast<int>(random.uniform(0.0, 12.0))) {
+    case 0:
+      return nan;
+    case 1:
+      return infinite;
+    case 2:
+      return -infinite;
+    case 3:
+      return 0.0;
+    case 4:
+      return 5e-324;
+    case 5:
+      return 1e300;
+    case 6:
+      return -1e300;
+    case 7:
+      return random.uniform(-1e6, 1e6);
+    case 8:
+      return random.uniform(-1e3, 1e3);
+    default:
+      return random.uniform(-1.0, 1.0);
+  }
+}
+
+Eigen::Vector3d wild_vector(Random& random, const Eigen::Vector3d& usual) {
+  if (random.uniform(0.0, 1.0) < 0.5) return usual;
+  if (random.uniform(0.0, 1.0) < 0.3)
+    return random.vector(random.uniform(0.0, 1.0) < 0.5 ? 1e3 : 1e5);
+  const double x = wild(random), y = wild(random);
+  return {x, y, wild(random)};
+}
+
+template <typename Scalar>
+bool is_finite(const Ekf<Scalar>& ekf) {
+  const InertialState<Scalar>& x = ekf.filter().state();
+  return is_finite(ekf.state()) && std::isfinite(ekf.time()) && std::isfinite(ekf.filter_time()) &&
+         std::isfinite(ekf.nis()) && all_finite(ekf.filter().covariance()) &&
+         all_finite(x.position) && all_finite(x.velocity) && all_finite(x.orientation.coeffs()) &&
+         all_finite(x.gyro_bias) && all_finite(x.accelerometer_bias) &&
+         all_finite(x.marker_position) && all_finite(x.marker_orientation.coeffs()) &&
+         std::abs(static_cast<double>(ekf.state().orientation.norm()) - 1.0) < 1e-3;
+}
+
+// Random calls, then a normal flight. Checks the errors of the estimate at its end.
+template <typename Scalar>
+void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
+  Random random(seed);
+  const Flight flight(seed, random.orientation(), settings.marker_position,
+                      settings.marker_orientation);
+  Ekf<Scalar> ekf(settings);
+  double t = 0.0;
+  const auto imu = [&](double time, const InertialSampled& s) {
+    return ekf.on_imu(time, {s.angular_velocity.cast<Scalar>(), s.specific_force.cast<Scalar>()});
+  };
+  const auto pose = [&](double time, const MarkerPosed& p) {
+    return ekf.on_pose(time, {p.position.cast<Scalar>(), p.orientation.cast<Scalar>()});
+  };
+  for (int i = 0; i < calls; ++i) {
+    const double choice = random.uniform(0.0, 1.0);
+    if (choice < 0.9)
+      t += imu_period;
+    else if (choice < 0.93)
+      t += random.uniform(-0.5, 0.5);
+    else if (choice < 0.935)
+      t += 10.0;
+    const double stamp = choice < 0.96 ? t : wild(random);
+    const InertialSampled sample = flight.imu(t);
+    imu(stamp,
+        {wild_vector(random, sample.angular_velocity), wild_vector(random, sample.specific_force)});
+    ASSERT_TRUE(is_finite(ekf)) << "seed " << seed << ", call " << i;
+    MarkerPosed p = flight.pose(t);
+    p.position = wild_vector(random, p.position);
+    const double turn = random.uniform(0.0, 1.0);
+    if (turn < 0.1)
+      p.orientation.coeffs() << wild_vector(random, {0, 0, 0}), wild(random);
+    else if (turn < 0.15)
+      p.orientation.coeffs() *= wild(random);
+    else if (turn < 0.3)
+      p.orientation = random.orientation();
+    pose(choice > 0.97 ? wild(random) : stamp, p);
+    ASSERT_TRUE(is_finite(ekf)) << "seed " << seed << ", call " << i;
+  }
+  t = std::max(t, 0.0) + 1.0;
+  for (int i = 0; i <= 4000; ++i) {
+    t += imu_period;
+    imu(t, flight.imu(t));
+    if (i % 2 == 0) pose(t, noisy(flight.pose(t), {}, random));
+    ASSERT_TRUE(is_finite(ekf));
+  }
+  const Errors e = errors(ekf, flight);
+  EXPECT_TRUE(ekf.running()) << seed;
+  EXPECT_LT(e.position, 0.02) << seed;
+  EXPECT_LT(e.velocity, 0.2) << seed;
+  EXPECT_LT(e.orientation, 0.03) << seed;
+}
+
+// Settings at the ends of their ranges. If rounding errors exceed the noise of a pose, the estimate
+// is inaccurate, but it must stay finite.
+template <typename Scalar>
+void expect_finite_at_the_ends(unsigned ends) {
+  SCOPED_TRACE(ends);
+  const auto end = [ends](unsigned bit, double low, double high) {
+    return (ends >> bit) % 2 == 0 ? low : high;
+  };
+  EkfSettings s;
+  const double density = end(0, 0.0, 1e3);
+  s.imu_noise = {density, density, density, density};
+  s.pose_noise = {end(1, 1e-6, 1e3), end(2, 1e-6, 10.0)};
+  s.velocity_stddev = end(3, 1e-6, 1e3);
+  s.gyro_bias_stddev = s.accelerometer_bias_stddev = end(4, 0.0, 1e3);
+  s.marker_position.setConstant(end(5, 0.0, 100.0));
+  s.marker_position_stddev = end(6, 0.0, 100.0);
+  s.marker_orientation_stddev = end(6, 0.0, 10.0);
+  s.max_imu_gap = 1.0;
+  Random random(ends);
+  const Flight flight(ends, random.orientation(), s.marker_position, s.marker_orientation);
+  Ekf<Scalar> ekf(s);
+  double t = 0.0;
+  for (int i = 0; i < 400; ++i) {
+    t += i % 50 == 49 ? 0.9 : imu_period;
+    const InertialSampled sample = flight.imu(t);
+    ekf.on_imu(t, {sample.angular_velocity.cast<Scalar>(), sample.specific_force.cast<Scalar>()});
+    const MarkerPosed pose = noisy(flight.pose(t), {}, random);
+    if (i % 2 == 0) ekf.on_pose(t, {pose.position.cast<Scalar>(), pose.orientation.cast<Scalar>()});
+    ASSERT_TRUE(is_finite(ekf)) << i;
+  }
+}
+
+TEST(Ekf, StaysFiniteAtTheEndsOfSettingsRanges) {
+  for (unsigned ends = 0; ends < 128; ++ends) {
+    expect_finite_at_the_ends<double>(ends);
+    expect_finite_at_the_ends<float>(ends);
+  }
+}
+
+TEST(Ekf, RecoversFromAnyInput) {
+  const unsigned runs = full_run() ? 1000 : 50;
+  for (unsigned run = 0; run < runs; ++run) {
+    EkfSettings s;
+    if (run % 2 == 1) {
+      s.marker_position_stddev = 0.01;
+      s.marker_orientation_stddev = 0.02;
+    }
+    expect_survival<double>(run, 1000, s);
+    if (run % 5 == 0) expect_survival<float>(run, 1000, s);
+    if (HasFailure()) break;
+  }
+}
+
+}  // namespace
+}  // namespace tilt_ropter
