@@ -45,8 +45,7 @@ class GroundContact {
     if (!undercarriage_) return false;
     const double above = point.position.z() - undercarriage_->height -
                          std::max(expected(contact, point.position), expected(contact, position));
-    const double rising =
-        point.velocity.z() - std::max(0.0, contact.ground.rise(point.velocity));
+    const double rising = point.velocity.z() - std::max(0.0, contact.ground.rise(point.velocity));
     const bool rests = rising < 2e-3 && rising > -0.05;
     return above < (rests ? settings_.reference_tolerance : 1e-3);
   }
