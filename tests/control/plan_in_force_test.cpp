@@ -61,6 +61,7 @@ TEST_F(PlanInForceTest, IsInForceUntilItsAgeLimit) {
   EXPECT_TRUE(plan.in_force(3.5, 0.5));
   EXPECT_TRUE(plan.in_force(2.5, 0.5));
   EXPECT_FALSE(plan.in_force(3.51, 0.5));
+  EXPECT_FALSE(plan.in_force(2.49, 0.5));
   plan.drop();
   EXPECT_FALSE(plan.exists());
   EXPECT_FALSE(plan.in_force(3.0, 0.5));
@@ -84,6 +85,15 @@ TEST_F(PlanInForceTest, CorrectionIsGainTimesDeviationAndIsIntegrated) {
   EXPECT_TRUE(plan.corrected());
   plan.begin(solver, 3.2);
   EXPECT_FALSE(plan.corrected());
+}
+
+TEST_F(PlanInForceTest, KeepsItsFirstStateWhenTheSolverMovesOn) {
+  const Stated first = solver.state(0);
+  Stated other = first;
+  other.body.position.x() += 0.1;
+  solver.reset(other);
+  EXPECT_EQ(plan.wrench(solver, 3.0).force, first.wrench.force);
+  EXPECT_LT((plan.correct(solver, 3.0, first) - solver.input(0)).norm(), 1e-9);
 }
 
 TEST_F(PlanInForceTest, WrenchAndRateAreWithinTheBounds) {
