@@ -8,8 +8,9 @@ template <int Rotors>
 FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const NmpcSettings& settings,
                                            const EkfSettings& estimation,
-                                           const WrenchObserverSettings& observer)
-    : allocation_(vehicle),
+                                           const WrenchObserverSettings& observer,
+                                           const AllocationSettings& allocation)
+    : allocation_(vehicle, allocation),
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),

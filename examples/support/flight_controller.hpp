@@ -27,7 +27,8 @@ class FlightController {
   FlightController(
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
-      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0));
+      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0),
+      const tilt_ropter::AllocationSettings& allocation = {});
 
   /// For a vehicle that starts in the air: sets the command until the first state.
   void start_with(const tilt_ropter::ActuatorState<Rotors>& command);

@@ -4,6 +4,7 @@
 #include "mission_figures.hpp"
 #include "mission_log.hpp"
 #include "mission_sensors.hpp"
+#include "paper_switches.hpp"
 #include "progress.hpp"
 #include "vehicle_file.hpp"
 
@@ -38,6 +39,7 @@ struct MissionOptions {
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   bool no_actuator_constraints = false;
+  std::vector<std::string> as_in_paper;  // see paper_switches()
   bool no_pictures = false;
 };
 
@@ -90,6 +92,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->check(CLI::Range(0.0, 1000.0));
   app.add_flag("--no-actuator-rows", options.no_actuator_constraints,
                "bound the wrench and its rate by boxes only, as in the paper");
+  add_paper_switches(app, options.as_in_paper);
   app.add_flag("--no-pictures", options.no_pictures,
                "write the log only: no pictures and no page report.html");
 }
@@ -197,8 +200,10 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   const Reference reference = [&mission](double time) { return mission(time); };
   VehicleFile believed = file;
   believed.vehicle = vehicles.believed;
-  NmpcSettings settings = examples::in_simulated_time(believed.settings());
-  settings.actuator_constraints = !options.no_actuator_constraints;
+  ControllerSettings controls{examples::in_simulated_time(believed.settings()), {}};
+  set_as_in_paper(options.as_in_paper, controls);
+  NmpcSettings& settings = controls.nmpc;
+  if (options.no_actuator_constraints) settings.actuator_constraints = false;
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
                                                  vehicles.believed, settings))
@@ -207,9 +212,9 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
-  FlightController<Rotors> controller(vehicles.believed, settings,
-                                      MissionSensors<Rotors>::estimation(),
-                                      observer_settings(options.observer_bandwidth));
+  FlightController<Rotors> controller(
+      vehicles.believed, settings, MissionSensors<Rotors>::estimation(),
+      observer_settings(options.observer_bandwidth), controls.allocation);
   const PowerModel power(vehicles.truth.power,
                          controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;

@@ -229,6 +229,58 @@ TEST(GroundContact, DescendsSlowlyUntilTheGroundIsMet) {
   EXPECT_EQ(node_of(contact, at_height(0.5), 1.0).reference.position.z(), 0.5);
 }
 
+// The indicator function delta of the paper: only heights count, of the reference and of the
+// vehicle.
+TEST(GroundContact, ContactByHeightNeedsBothHeights) {
+  GroundContactSettings settings;
+  settings.contact_by_height = true;
+  settings.planned_height = 0.0;
+  ContactEstimate carried = standing_at(-0.5), in_flight = in_the_air({});
+  for (const ContactEstimate& contact : {carried, in_flight}) {
+    const auto on_ground = [&](double reference, double height) {
+      return node_of(contact, at_height(reference), height, 0.0, settings).on_ground;
+    };
+    EXPECT_TRUE(on_ground(0.11, 0.11));
+    EXPECT_TRUE(on_ground(0.114, 0.106));
+    EXPECT_FALSE(on_ground(0.116, 0.11));
+    EXPECT_FALSE(on_ground(0.11, 0.116));
+    EXPECT_FALSE(on_ground(0.104, 0.11));
+    EXPECT_FALSE(on_ground(0.11, 0.104));
+  }
+}
+
+TEST(GroundContact, ExternalWrenchModelMovesFreelyUnderTheWholeWrench) {
+  GroundContactSettings settings;
+  settings.model = GroundModel::external_wrench;
+  ContactEstimate contact = standing_at(0.0);
+  contact.external = {Eigen::Vector3d(1.0, 2.0, 14.0), Eigen::Vector3d(0.1, 0.2, 0.3)};
+  for (const double height : {0.11, 0.5}) {
+    const WheeledFlightNode node = node_of(contact, at_height(height), height, 0.0, settings);
+    EXPECT_EQ(node.on_ground, height == 0.11);
+    EXPECT_EQ(node.external.force, contact.external.force);
+    EXPECT_EQ(node.external.torque, contact.external.torque);
+    EXPECT_EQ(node.freedom.linear, Eigen::Matrix3d::Identity());
+    EXPECT_EQ(node.freedom.angular, Eigen::Vector3d::Ones());
+  }
+  BodyStated rolling = measured_at(0.11);
+  rolling.angular_velocity.x() = 0.3;
+  axle_with(settings).stop_held(rolling);
+  EXPECT_EQ(rolling.angular_velocity.x(), 0.3);
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const Wrenchd needed =
+      ReferenceWrench<4>(vehicle, settings)(at_height(0.11), contact.external, true);
+  EXPECT_NEAR(needed.force.z(), vehicle.body.mass * gravity - 14.0, 1e-12);
+  EXPECT_NEAR(needed.force.y(), -2.0, 1e-12);
+}
+
+TEST(GroundContact, WithoutSettlingSpeedTheReferenceStaysAsItIs) {
+  GroundContactSettings settings;
+  settings.settling_speed = 0.0;
+  const WheeledFlightNode node = node_of({}, at_height(0.11), 0.3, 0.5, settings);
+  EXPECT_EQ(node.reference.position.z(), 0.11);
+  EXPECT_EQ(node.reference.velocity.z(), 0.0);
+}
+
 TEST(GroundContact, RejectsSettingsOutOfRange) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](void (*spoil)(GroundContactSettings&)) {
@@ -237,8 +289,10 @@ TEST(GroundContact, RejectsSettingsOutOfRange) {
     EXPECT_THROW(axle_with(s), std::invalid_argument);
   };
   refused([](GroundContactSettings& s) { s.reference_tolerance = 0.0; });
+  refused([](GroundContactSettings& s) { s.height_tolerance = 0.0; });
+  refused([](GroundContactSettings& s) { s.settling_speed = 0.005; });
   refused([](GroundContactSettings& s) { s.planned_height = infinity; });
-  refused([](GroundContactSettings& s) { s.settling_speed = 0.0; });
+  refused([](GroundContactSettings& s) { s.settling_speed = -0.1; });
   refused([](GroundContactSettings& s) { s.down_force = std::nan(""); });
   refused([](GroundContactSettings& s) { s.rotor_thrust = -0.1; });
   EXPECT_THROW((GroundContact{body, Undercarriage{0.0, true, true, true}}), std::invalid_argument);

@@ -93,19 +93,23 @@ TEST(Nmpc, KnownExternalForceLeavesNoOffset) {
   EXPECT_GT((without_estimate.state.body.position - hovering().position).norm(), 1e-3);
 }
 
-TEST(Nmpc, ReferenceWrenchIsThePapersWithoutFeedForward) {
-  IdealLoop loop(paper_nmpc_settings());
-  (void)loop.tick(hover, {Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d::Zero()});
-  const WheeledFlightNode& node = loop.nmpc.solver().problem().node(3);
-  EXPECT_EQ(node.wrench_reference.force, Eigen::Vector3d(0.0, 0.0, body.mass * gravity));
-  EXPECT_EQ(node.wrench_reference.torque, Eigen::Vector3d::Zero());
-  IdealLoop ours;
-  for (int i = 0; i < 2; ++i)
-    (void)ours.tick(hover, {Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d::Zero()});
-  EXPECT_LT((ours.nmpc.solver().problem().node(3).wrench_reference.force -
-             Eigen::Vector3d(-1.0, -2.0, body.mass * gravity - 3.0))
-                .norm(),
-            1e-12);
+TEST(Nmpc, WrenchReferenceIsZeroHoverOrInverseDynamics) {
+  const auto reference = [](WrenchReference kind) {
+    NmpcSettings settings;
+    settings.wrench_reference = kind;
+    IdealLoop loop(settings);
+    for (int i = 0; i < 2; ++i)
+      (void)loop.tick(hover, {Eigen::Vector3d(1.0, 2.0, 3.0), Eigen::Vector3d::Zero()});
+    const Wrenchd wrench = loop.nmpc.solver().problem().node(3).wrench_reference;
+    EXPECT_EQ(wrench.torque.norm(), 0.0);
+    return wrench.force;
+  };
+  const double weight = body.mass * gravity;
+  EXPECT_EQ(reference(WrenchReference::zero), Eigen::Vector3d::Zero());
+  EXPECT_EQ(reference(WrenchReference::hover), Eigen::Vector3d(0.0, 0.0, weight));
+  EXPECT_LT(
+      (reference(WrenchReference::inverse_dynamics) - Eigen::Vector3d(-1, -2, weight - 3.0)).norm(),
+      1e-12);
 }
 
 TEST(Nmpc, PaperPresetMatchesThePapersTable) {
@@ -118,6 +122,10 @@ TEST(Nmpc, PaperPresetMatchesThePapersTable) {
   EXPECT_EQ(s.problem.bounds.force_rate, Eigen::Vector3d(2.0, 2.0, 2.0));
   EXPECT_EQ(s.problem.bounds.torque_rate, Eigen::Vector3d(2.0, 2.0, 2.0));
   EXPECT_EQ(s.problem.bounds.angular_velocity, Eigen::Vector3d(2.0, 2.0, 1.5));
+  EXPECT_EQ(s.wrench_reference, WrenchReference::zero);
+  EXPECT_TRUE(s.ground.contact_by_height);
+  EXPECT_EQ(s.ground.model, GroundModel::external_wrench);
+  EXPECT_EQ(s.ground.settling_speed, 0.0);
   EXPECT_FALSE(s.actuator_constraints);
   EXPECT_TRUE((Nmpc(vehicle, s).solver().problem().upper(1).tail<12>().array() ==
                std::numeric_limits<double>::infinity())

@@ -45,6 +45,7 @@ class GroundContact {
     if (!undercarriage_) return false;
     const double above = point.position.z() - undercarriage_->height -
                          std::max(expected(contact, point.position), expected(contact, position));
+    if (settings_.contact_by_height) return std::abs(above) <= settings_.height_tolerance;
     const double rising = point.velocity.z() - std::max(0.0, contact.ground.rise(point.velocity));
     const bool rests = rising < 2e-3 && rising > -0.05;
     return above < (rests ? settings_.reference_tolerance : 1e-3);
@@ -57,15 +58,17 @@ class GroundContact {
                        const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
-    node.on_ground = contact.on_ground && meant;
+    const bool stands = is_on_ground(contact, measured.position);
+    node.on_ground = stands && meant;
     node.freedom = {};
-    node.external = contact.disturbance;
-    if (meant && !contact.on_ground) settle(contact, measured, ahead, node);
+    node.external = holds() ? contact.disturbance : contact.external;
+    if (meant && !stands && settings_.settling_speed > 0.0) settle(contact, measured, ahead, node);
     if (!node.on_ground) return point;
     const ReferencePoint laid = on_ground(contact.ground, point);
     node.reference = {laid.position, laid.velocity, laid.orientation, laid.angular_velocity};
     node.com_plane = contact.ground;
     node.com_plane.height += undercarriage_->height;
+    if (!holds()) return laid;
     // The ground carries the part of the weight that the thrust does not carry. If the model fell
     // when F_z shrinks, the controller would keep the thrust high. The model therefore holds the
     // motion along the normal and the roll. Along the axle, the side force of the rotors and the
@@ -115,12 +118,15 @@ class GroundContact {
   /// rate. A vehicle that turns with its nose up or down has a roll rate about body x. If the model
   /// let this roll continue, the plan would tend to keep the nose there.
   void stop_held(BodyStated& body) const noexcept {
-    if (!undercarriage_) return;
+    if (!undercarriage_ || !holds()) return;
     body.angular_velocity.x() = 0.0;
     if (!undercarriage_->pitches) body.angular_velocity.y() = 0.0;
     if (!undercarriage_->turns) body.angular_velocity.z() = 0.0;
     if (!undercarriage_->rolls) body.velocity.setZero();
   }
+
+  /// True with GroundModel::held.
+  [[nodiscard]] bool holds() const noexcept { return settings_.model == GroundModel::held; }
 
   /// Sets the components of a wrench to zero that the ground provides. The vertical force stays.
   void release(Wrenchd& wrench) const noexcept {
@@ -132,6 +138,13 @@ class GroundContact {
   }
 
  private:
+  [[nodiscard]] bool is_on_ground(const ContactEstimate& contact,
+                                  const Eigen::Vector3d& position) const noexcept {
+    if (!settings_.contact_by_height || !undercarriage_) return contact.on_ground;
+    const double above = position.z() - undercarriage_->height - expected(contact, position);
+    return std::abs(above) <= settings_.height_tolerance;
+  }
+
   // Rotation from one unit vector to another, by less than half a turn.
   static Eigen::Quaterniond shortest_turn(const Eigen::Vector3d& from,
                                           const Eigen::Vector3d& to) noexcept {

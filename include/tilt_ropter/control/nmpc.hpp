@@ -317,7 +317,8 @@ bool Nmpc<Rotors>::is_plausible(const ContactEstimate& contact) const {
   const auto is_small = [most](const Wrenchd& w) {  // false for NaN
     return w.force.norm() <= most && w.torque.norm() <= most;
   };
-  return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling);
+  return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
+         is_small(contact.external);
 }
 
 template <int Rotors>
@@ -385,12 +386,16 @@ template <int Rotors>
 void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
                             WheeledFlightNode& node) const {
   const ReferencePoint followed = ground_.apply(contact_, body_state_, ahead, point, node);
-  if (settings_.wrench_feedforward) {
-    node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
-  } else {
-    node.wrench_reference = {};
-    node.wrench_reference.force.z() =
-        node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
+  node.wrench_reference = {};
+  switch (settings_.wrench_reference) {
+    case WrenchReference::zero:
+      break;
+    case WrenchReference::hover:
+      node.wrench_reference.force.z() =
+          node.on_ground ? settings_.ground.down_force : body_.mass * gravity;
+      break;
+    case WrenchReference::inverse_dynamics:
+      node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
   }
 }
 

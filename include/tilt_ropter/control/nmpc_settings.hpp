@@ -38,6 +38,15 @@ namespace tilt_ropter {
   return s;
 }
 
+/// The wrench that the cost subtracts from the planned wrench: F_r and M_r.
+enum class WrenchReference {
+  zero,   ///< none: the cost is on F and M themselves (paper, Eq. mpc_optimization)
+  hover,  ///< F_r = (0, 0, m g), on the ground (0, 0, down_force); M_r = 0
+  /// The wrench that the reference's acceleration and the estimated external wrench require. It
+  /// leaves no offset at rest.
+  inverse_dynamics,
+};
+
 /// The defaults fly the reference vehicle. nmpc_settings() computes the settings for other
 /// vehicles.
 struct NmpcSettings {
@@ -55,10 +64,7 @@ struct NmpcSettings {
   double max_plan_age = 0.2;
   /// Number of failures in a row after which the next solve starts cold from the measured state.
   int failures_before_reset = 3;
-  /// Selects the reference wrench. False: F_r = (0, 0, m g) and M_r = 0, as in the paper. True: the
-  /// wrench that the reference's acceleration and the estimated external wrench require, which
-  /// leaves no offset at rest.
-  bool wrench_feedforward = true;
+  WrenchReference wrench_reference = WrenchReference::inverse_dynamics;
   /// True: a plan respects the servo speed and the rotor thrust, see ActuatorConstraints. False: a
   /// plan respects only the boxes of NmpcBounds, as in the paper.
   bool actuator_constraints = true;
@@ -77,15 +83,26 @@ inline void validate(const NmpcSettings& s) {
           s.failures_before_reset, ">= 1");
 }
 
-/// Settings of the paper: its table of bounds, N and interval, its reference wrench, and no further
-/// constraints.
+/// The controller of the paper as printed: its table of bounds, N and interval; the cost on F and M
+/// themselves; no constraints of actuators; the indicator function delta by heights over the ground
+/// at z = 0; the whole estimated external wrench in the model; references followed as they are.
+/// Every change of ours to it is a field of NmpcSettings. The conditions on the ground are as good
+/// as hard: their weights are large.
+///
+/// The paper prints no weights; these are ours. Its allocation has no lead:
+/// AllocationSettings::lag_compensation is 0 there.
 [[nodiscard]] inline NmpcSettings paper_nmpc_settings() {
   NmpcSettings s;
   s.problem.intervals = 20;
   s.problem.interval = 0.1;
   s.problem.bounds = paper_bounds();
-  s.wrench_feedforward = false;
+  s.problem.weights.ground.setConstant(1e6);
+  s.wrench_reference = WrenchReference::zero;
   s.actuator_constraints = false;
+  s.ground.planned_height = 0.0;
+  s.ground.contact_by_height = true;
+  s.ground.model = GroundModel::external_wrench;
+  s.ground.settling_speed = 0.0;
   return s;
 }
 

@@ -71,7 +71,8 @@ class ReferenceWrench {
   }
 
   /// Returns the wrench (body frame) for `point` that also balances `external` (body frame). On the
-  /// ground it excludes the components that the ground provides.
+  /// ground it excludes the components that the ground provides, except with
+  /// GroundModel::external_wrench.
   [[nodiscard]] Wrenchd operator()(const ReferencePoint& point, const Wrenchd& external,
                                    bool on_ground) const noexcept {
     const Eigen::Vector3d& w = point.angular_velocity;
@@ -81,7 +82,7 @@ class ReferenceWrench {
                    external.force;
     wrench.torque =
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
-    if (on_ground) {
+    if (on_ground && contact_.holds()) {
       contact_.release(wrench);
       wrench.force.z() = ground_thrust_(wrench);
     }

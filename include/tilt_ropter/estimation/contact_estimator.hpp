@@ -134,6 +134,7 @@ class ContactEstimator {
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
+    estimate_.external = external;
     if (!undercarriage_) return update_in_the_air(time, external);
     dt = std::max(dt, 0.0);
     // Mean input of the observer's filter since the last call, without the filter's lag.

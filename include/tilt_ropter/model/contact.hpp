@@ -47,12 +47,15 @@ struct ContactEstimate {
   /// On the ground: the ground's normal force, its roll torque, and its torque about every other
   /// axis that is not free. If the vehicle does not roll: the whole force. In the air: zero.
   Wrenchd ground_reaction;
+  /// The whole external wrench, with everything that the ground gives. Only
+  /// GroundModel::external_wrench uses it.
+  Wrenchd external;
 };
 
 /// Returns the estimate for a vehicle far from the ground. `disturbance` is the external wrench.
 [[nodiscard]] inline ContactEstimate in_the_air(const Wrenchd& disturbance) noexcept {
   ContactEstimate estimate;
-  estimate.disturbance = disturbance;
+  estimate.disturbance = estimate.external = disturbance;
   estimate.ground.height = -std::numeric_limits<double>::infinity();
   return estimate;
 }
@@ -60,7 +63,7 @@ struct ContactEstimate {
 /// Returns true if all numbers are finite. The ground's height may be -infinity.
 [[nodiscard]] inline bool is_finite(const ContactEstimate& e) noexcept {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
-         std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&
+         is_finite(e.external) && std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&
          e.ground.height < std::numeric_limits<double>::infinity();
 }
 
