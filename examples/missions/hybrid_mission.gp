@@ -42,16 +42,18 @@ prepare(_) = column("prepare_us"); feedback(_) = column("feedback_us")
 
 # ---- Start of each phase, times when the controller changes its contact mode, means of the run
 array start[64]; array kind[64]; array change[64]
-phases = 0; changes = 0; driven = 0; now = NaN; mode = NaN
+phases = 0; changes = 0; flown = 0; driven = 0; now = NaN; mode = NaN
 on_phase(p) = p == now ? p : (phases = phases + 1, start[phases] = t(0), kind[phases] = p + 1, \
-  driven = (p == 5 ? 1 : driven), now = p)
+  flown = (p == 3 ? 1 : flown), driven = (p == 5 ? 1 : driven), now = p)
 on_mode(m) = (m == 1 - mode ? (changes = changes + 1, change[changes] = t(0)) : 0, mode = m)
 stats times using (prepare(0)):(feedback(0)) name "solve" nooutput
 stats log using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
 stats log using (t(0)) name "run" nooutput
 stats log using (x("position")):(y("position")) name "plan" nooutput
-stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
-ground_mean_x = NaN; ground_mean_y = NaN  # for a vehicle without wheels
+air_mean_x = NaN; air_mean_y = NaN; ground_mean_x = NaN; ground_mean_y = NaN
+if (flown) {
+  stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
+}
 if (driven) {
   stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
 }

@@ -43,6 +43,8 @@ class MissionFigures {
       takeoff_overshoot_ = std::max(takeoff_overshoot_, position.z() - flight_height_);
     if (phase == MissionPhase::take_off)
       takeoff_error_ = std::max(takeoff_error_, std::sqrt(square));
+    if (phase == MissionPhase::landing)
+      landing_error_ = std::max(landing_error_, std::sqrt(square));
     if (touching && !was_touching_) touchdown_speed_ = std::max(touchdown_speed_, -vertical_speed);
     was_touching_ = touching;
   }
@@ -103,6 +105,7 @@ class MissionFigures {
     line("touchdown_speed_mps", touchdown_speed_, 3);
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
     line("takeoff_error_m", takeoff_error_, 4);
+    line("landing_error_m", landing_error_, 4);
   }
 
   void print(std::ostream& out, int contact_mode_changes) {
@@ -134,7 +137,8 @@ class MissionFigures {
   bool of_the_paper_;
   Rmse all_, air_, ground_, force_error_;
   Mean air_power_, ground_power_;
-  double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0;
+  double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0,
+         landing_error_ = 0.0;
   double servo_speed_ = 0.0, demanded_max_ = 0.0, planned_max_ = 0.0, slope_max_ = 0.0;
   Eigen::VectorXd last_command_;
   bool was_touching_ = true;

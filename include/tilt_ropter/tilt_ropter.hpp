@@ -70,7 +70,9 @@
 #include <tilt_ropter/optimal_control/step_search.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
+#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
+#include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/transition.hpp>

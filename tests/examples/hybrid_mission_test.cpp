@@ -105,6 +105,43 @@ TEST(HybridMission, DrawsEightPicturesWithoutWarnings) {
   EXPECT_EQ(drawn.output.find("arning"), std::string::npos) << drawn.output;
 }
 
+TEST(HybridMission, RollsFromTheAirToTheGroundAndBackWithoutAStop) {
+  for (const char* speed : {"1", "1.5", "2"}) {
+    const Flight flight =
+        run(std::string("--mission rolling --start-off 0.5 --no-pictures --speed ") + speed);
+    ASSERT_EQ(flight.exit_code, 0) << flight.output;
+    EXPECT_EQ(flight["contact_mode_changes"], 2) << speed;
+    EXPECT_LE(flight["landing_error_m"], 0.03) << speed;
+    EXPECT_LE(flight["takeoff_error_m"], 0.03) << speed;
+    EXPECT_LE(flight["air_rmse_m"], 0.003) << speed;
+    EXPECT_LE(flight["ground_rmse_m"], 0.006) << speed;
+    EXPECT_LE(flight["touchdown_speed_mps"], 0.3) << speed;
+    EXPECT_EQ(flight["solver_failures"], 0) << speed;
+  }
+}
+
+TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
+  const Flight air = run("--mission air"), ground = run("--mission ground --speed 3");
+  EXPECT_LE(air["air_rmse_m"], 0.003);
+  EXPECT_EQ(air["contact_mode_changes"], 0);
+  EXPECT_LE(ground["ground_rmse_m"], 0.006);  // at 3 m/s
+  EXPECT_LE(ground["ground_power_w"], 47.38);
+  EXPECT_EQ(ground["contact_mode_changes"], 0);
+  for (const Flight* flight : {&air, &ground}) {
+    EXPECT_EQ(flight->exit_code, 0) << flight->output;
+    EXPECT_EQ((*flight)["solver_failures"], 0);
+    EXPECT_EQ(flight->output.find("arning"), std::string::npos) << flight->output;
+  }
+}
+
+// The controller of the paper as printed, from a start in its range: it flies to the end.
+TEST(HybridMission, FliesAsInThePaper) {
+  const Flight flight = run("--mission air --as-in-paper all --no-pictures");
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_LE(flight["air_rmse_m"], flight["paper_air_rmse_m"]);
+  EXPECT_GT(flight["air_rmse_m"], 2.0 * flown()["air_rmse_m"]);
+}
+
 TEST(HybridMission, HelpAndBadArguments) {
   const Flight help = run("--help");
   EXPECT_EQ(help.exit_code, 0);

@@ -349,6 +349,48 @@ TEST(FigureEight, SetStartTimeShiftsTheWholeReference) {
                std::invalid_argument);
 }
 
+// Without a ramp the motion passes the crossing with the constant rate. In between it is the same
+// motion, only earlier.
+TEST(FigureEight, StartsAndEndsMoving) {
+  for (const HeadingMode heading : {HeadingMode::fixed, HeadingMode::along_velocity}) {
+    FigureEightSettings p;
+    p.heading = heading;
+    const FigureEight with_ramps(p);
+    const double ramp = 2.0 * p.ramp_laps * with_ramps.duration() / (p.laps + 2.0 * p.ramp_laps);
+    for (const bool starts : {false, true})
+      for (const bool ends : {false, true}) {
+        p.starts_moving = starts;
+        p.ends_moving = ends;
+        const FigureEight eight(p);
+        EXPECT_NEAR(eight.duration(), with_ramps.duration() - 0.5 * ramp * (starts + ends), 1e-3);
+        const ReferencePoint first = eight(0.0), last = eight(eight.end_time());
+        EXPECT_LT((first.position - p.center).norm() + (last.position - p.center).norm(), 1e-12);
+        EXPECT_EQ(first.velocity.norm() > 1.0, starts);
+        EXPECT_EQ(last.velocity.norm() > 1.0, ends);
+        EXPECT_LT(first.acceleration.norm() + last.acceleration.norm(), 1e-12);
+        EXPECT_LT((eight(-1.0).velocity - first.velocity).norm(), 1e-12);
+        EXPECT_LT((eight(1e9).velocity - last.velocity).norm(), 1e-12);
+        const Peaks peaks = peaks_of(eight, 20000);
+        EXPECT_LE(peaks.speed, 1.0001 * p.max_speed);
+        EXPECT_LE(peaks.acceleration, 1.0001 * p.max_acceleration);
+        if (heading == HeadingMode::along_velocity) {
+          EXPECT_LE(peaks.yaw_rate, 1.0001 * p.max_yaw_rate);
+        }
+        const double h = 1e-6;
+        for (double x = 0.01; x < 1.0; x += 0.07) {
+          const double t = x * eight.duration();
+          EXPECT_LT(
+              (eight(t).velocity - (eight(t + h).position - eight(t - h).position) / (2.0 * h))
+                  .norm(),
+              1e-7);
+        }
+        if (!starts) continue;
+        const double later = 0.5 * ramp;  // the ramp covers half of the distance
+        EXPECT_LT((eight(3.0).position - with_ramps(3.0 + later).position).norm(), 2e-3);
+      }
+  }
+}
+
 TEST(FigureEight, RejectsInvalidSettingsByName) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](const std::string& expected, const auto& change) {

@@ -306,6 +306,15 @@ TEST(Mission, RejectsDiscontinuousSegmentsByName) {
             "Mission.segments[1] (air) turn from the end of the segment before it [rad] "
             "= 0.5: must be <= 1e-6");
   EXPECT_EQ(mission_to({{0.0, 0.0, 1.0 + 5e-7}, 5e-7}), "accepted");
+  MinimumSnapSettings moving;
+  moving.points = {here.position, {2.0, 0.0, 1.0}};
+  moving.start_velocity.x() = 1.0;
+  EXPECT_EQ(message_of([&] {
+              return Mission({{MissionPhase::hover, Hold(here, 1.0)},
+                              {MissionPhase::air, MinimumSnap(moving)}});
+            }),
+            "Mission.segments[1] (air) change of velocity from the segment before it [m/s] = 1: "
+            "must be <= 1e-6");
   // A heading that differs by a whole turn is the same heading.
   EXPECT_EQ(mission_to({{0.0, 0.0, 1.0}, 2.0 * std::acos(-1.0)}), "accepted");
 }

@@ -20,19 +20,21 @@ namespace tilt_ropter {
 enum class HeadingMode { fixed, along_velocity };
 
 /// Lemniscate of Gerono, p = center + Rz(direction) (a_x sin s, a_y sin 2s, a_z sin s). The motion
-/// starts at rest at the crossing (s = 0), covers `laps` eights and ends there at rest. The default
-/// amplitude is an estimate because the paper gives no size. With this amplitude, the motion
-/// reaches both limits of the paper (speed and acceleration) to 1 %. With
-/// HeadingMode::along_velocity, the yaw rate limits the speed on this small eight to 1.2 m/s; the
-/// amplitude (2.0, 0.6, 0) m allows 1.5 m/s.
+/// starts at rest at the crossing (s = 0), covers `laps` eights and ends there at rest, or passes
+/// the crossing with its full speed (starts_moving, ends_moving). The default amplitude is an
+/// estimate because the paper gives no size. With this amplitude, the motion reaches both limits of
+/// the paper (speed and acceleration) to 1 %. With HeadingMode::along_velocity, the yaw rate limits
+/// the speed on this small eight to 1.2 m/s; the amplitude (2.0, 0.6, 0) m allows 1.5 m/s.
 struct FigureEightSettings {
   Eigen::Vector3d center = Eigen::Vector3d::Zero();  ///< position of the crossing, world frame [m]
   Eigen::Vector3d amplitude{
-      1.5, 0.5, 0.5};       ///< half extent along the eight, across it and upward (0: level) [m]
-  double direction = 0.0;   ///< angle of the long axis about world z [rad]
-  int laps = 2;             ///< number of whole eights
-  double ramp_laps = 0.25;  ///< path length of the start ramp and of the end ramp [laps]
-  double max_speed = 1.5;   ///< limit (paper, Sec. Aerial Flight) [m/s]
+      1.5, 0.5, 0.5};          ///< half extent along the eight, across it and upward (0: level) [m]
+  double direction = 0.0;      ///< angle of the long axis about world z [rad]
+  int laps = 2;                ///< number of whole eights
+  double ramp_laps = 0.25;     ///< path length of the start ramp and of the end ramp [laps]
+  bool starts_moving = false;  ///< without a start ramp
+  bool ends_moving = false;    ///< without an end ramp
+  double max_speed = 1.5;      ///< limit (paper, Sec. Aerial Flight) [m/s]
   double max_acceleration = 1.5;  ///< limit (paper, Sec. Aerial Flight) [m/s^2]
   HeadingMode heading = HeadingMode::fixed;
   double yaw = 0.0;  ///< yaw of the body, used with HeadingMode::fixed [rad]
@@ -79,9 +81,9 @@ class FigureEight {
     require_in("FigureEight's duration within its limits [s]", duration_, 1e-3, 1e10);
   }
 
-  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
-  /// the end. NaN counts as a time before the start. The sign of the quaternion does not jump
-  /// during the motion. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time: the first point before the start and the
+  /// last point after the end. NaN counts as a time before the start. The sign of the quaternion
+  /// does not jump during the motion. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return at(time - settings_.start_time);
   }
@@ -111,14 +113,16 @@ class FigureEight {
     phase_rate_ = rate;
     // On a ramp the mean rate is half of the constant rate.
     ramp_duration_ = 2.0 * ramp_angle() / rate;
-    duration_ = (one_lap * settings_.laps + 2.0 * ramp_angle()) / rate;
+    const int ramps = !settings_.starts_moving + !settings_.ends_moving;
+    duration_ = (one_lap * settings_.laps + ramps * ramp_angle()) / rate;
   }
 
   /// Returns the phase rate at which the motion reaches the tightest limit. The current phase rate
   /// must be 1.
   [[nodiscard]] double allowed_phase_rate() const noexcept {
     // The end ramp mirrors the start ramp, and all laps between are equal.
-    const double horizon = std::min(0.5 * duration_, ramp_duration_ + one_lap);
+    const double horizon =
+        settings_.starts_moving ? duration_ : std::min(0.5 * duration_, ramp_duration_ + one_lap);
     const double interval = 1e-3;
     double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0;
     for (int i = 0; i * interval < horizon + interval; ++i) {
@@ -144,11 +148,14 @@ class FigureEight {
   }
 
   [[nodiscard]] Phase phase(double elapsed) const noexcept {
-    if (!(elapsed > 0.0)) return {0.0, 0.0, 0.0};
-    if (elapsed < ramp_duration_) return ramp(elapsed);
-    if (elapsed < duration_ - ramp_duration_)
-      return {ramp_angle() + phase_rate_ * (elapsed - ramp_duration_), phase_rate_, 0.0};
-    const Phase mirrored = ramp(std::max(0.0, duration_ - elapsed));
+    const double in_ramp = settings_.starts_moving ? 0.0 : ramp_duration_,
+                 out_ramp = settings_.ends_moving ? 0.0 : ramp_duration_;
+    elapsed = elapsed > 0.0 ? std::min(elapsed, duration_) : 0.0;
+    if (elapsed < in_ramp) return ramp(elapsed);
+    if (elapsed < duration_ - out_ramp || settings_.ends_moving)
+      return {(settings_.starts_moving ? 0.0 : ramp_angle()) + phase_rate_ * (elapsed - in_ramp),
+              phase_rate_, 0.0};
+    const Phase mirrored = ramp(duration_ - elapsed);
     return {one_lap * settings_.laps - mirrored.angle, mirrored.rate, -mirrored.acceleration};
   }
 

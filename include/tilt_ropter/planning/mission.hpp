@@ -5,6 +5,7 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
+#include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 
@@ -75,7 +76,7 @@ class Hold {
 /// One motion of a mission.
 struct MissionSegment {
   MissionPhase phase;
-  std::variant<Hold, Transition, FigureEight> motion;
+  std::variant<Hold, Transition, FigureEight, MinimumSnap> motion;
 
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return std::visit([time](const auto& m) { return m(time); }, motion);
@@ -88,13 +89,14 @@ struct MissionSegment {
   }
 };
 
-/// Reference that consists of segments. Each segment starts and ends at rest, so the whole
-/// reference has the smoothness of its segments. Where two segments meet, the quaternion may change
-/// its sign. The rotation does not change there.
+/// Reference that consists of segments. Position, velocity and rotation are continuous where two
+/// segments meet. Where two segments meet, the quaternion may change
+/// its sign.
 class Mission {
  public:
   /// Places the segments one after another, starting at `start_time` [s]. Replaces their own start
-  /// times. Each segment must start where the segment before it ends, within 1e-6 m and 1e-6 rad.
+  /// times. Each segment must start where the segment before it ends and with its velocity, within
+  /// 1e-6 m, 1e-6 m/s and 1e-6 rad.
   /// Throws std::invalid_argument with the name of the segment otherwise. Throws
   /// std::invalid_argument if there is no segment.
   explicit Mission(std::vector<MissionSegment> segments, double start_time = 0.0)
@@ -108,8 +110,8 @@ class Mission {
     }
   }
 
-  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
-  /// the end. NaN counts as a time before the start. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time: the first point before the start and the
+  /// last point after the end. NaN counts as a time before the start. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return segment_at(time)(time);
   }
@@ -137,6 +139,9 @@ class Mission {
         "Mission.segments[" + std::to_string(i) + "] (" + to_string(segments_[i].phase) + ")";
     const double gap = (begin.position - end.position).norm();
     require(gap <= 1e-6, name + " distance from the end of the segment before it [m]", gap,
+            "<= 1e-6");
+    const double jump = (begin.velocity - end.velocity).norm();
+    require(jump <= 1e-6, name + " change of velocity from the segment before it [m/s]", jump,
             "<= 1e-6");
     const Eigen::Quaterniond turn = end.orientation.conjugate() * begin.orientation;
     const double angle = quaternion_log(turn).norm();
@@ -206,6 +211,17 @@ namespace detail {
   return air;
 }
 
+// The CoM is `standing` [m] above the ground at height zero.
+[[nodiscard]] inline FigureEightSettings ground_eight(const HybridMissionSettings& p,
+                                                      double standing) {
+  FigureEightSettings ground = air_eight(p);
+  ground.center.z() = standing;
+  ground.amplitude << p.ground_amplitude, 0.0;
+  ground.heading = HeadingMode::along_velocity;
+  ground.max_yaw_rate = p.max_yaw_rate;
+  return ground;
+}
+
 }  // namespace detail
 
 /// Returns the part of the paper's mission that a vehicle can do. `undercarriage` is the result of
@@ -254,11 +270,7 @@ namespace detail {
                     {MissionPhase::rest, rest_at_start}},
                    p.start_time);
 
-  FigureEightSettings ground = air;
-  ground.center.z() = standing;
-  ground.amplitude << p.ground_amplitude, 0.0;
-  ground.heading = HeadingMode::along_velocity;
-  ground.max_yaw_rate = p.max_yaw_rate;
+  const FigureEightSettings ground = detail::ground_eight(p, standing);
   const FigureEight ground_eight(ground);
 
   // Places after the turn: on the ground and above it.
