@@ -1,6 +1,7 @@
 #pragma once
 
 #include "flight_controller.hpp"
+#include "mission_choice.hpp"
 #include "mission_figures.hpp"
 #include "mission_log.hpp"
 #include "mission_sensors.hpp"
@@ -10,7 +11,6 @@
 
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>
@@ -21,7 +21,6 @@
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
-#include <optional>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -32,8 +31,7 @@ namespace examples {
 
 struct MissionOptions {
   std::string output = "results";
-  std::string mission = "hybrid";
-  double speed = 1.5;      // largest speed of the eights [m/s]
+  MissionChoice mission;
   double start_off = 0.0;  // distance from the reference at the start, for missions in flight [m]
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
@@ -55,20 +53,9 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle_path,
                  "JSON file of the vehicle to fly; default: the Tilt-Ropter");
-  app.add_option(
-         "--mission", options.mission,
-         "hybrid: take off, figure eight, land, drive, take off, land, each from rest; "
-         "air: the figure eight in flight; ground: the figure eight on the ground; rolling: "
-         "from the eight in flight to the eight on the ground and back without a stop")
-      ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling"}))
-      ->capture_default_str();
-  app.add_option("--speed", options.speed,
-                 "largest speed in the figure eights; above 1.5 m/s they grow with its square, so "
-                 "that accelerations stay [m/s]")
-      ->check(CLI::Range(0.1, 10.0))
-      ->capture_default_str();
+  add_options(app, options.mission);
   app.add_option("--start-off", options.start_off,
-                 "with the missions air and rolling: distance from the reference at the start [m]")
+                 "if the mission starts in flight: distance from the reference at the start [m]")
       ->check(CLI::Range(0.0, 2.0))
       ->capture_default_str();
   app.add_option("--seed", options.seed, "seed of the sensor noise")
@@ -138,30 +125,6 @@ template <int Rotors>
   });
   if (options.servo_time_constant > 0.0) believed.servo.time_constant = options.servo_time_constant;
   return {truth, believed};
-}
-
-/// Returns the mission that the options name. Throws std::invalid_argument if the vehicle cannot do
-/// it.
-template <int Rotors>
-[[nodiscard]] tilt_ropter::Mission mission_of(const MissionOptions& options,
-                                              const tilt_ropter::Vehicle<Rotors>& vehicle) {
-  using namespace tilt_ropter;
-  HybridMissionSettings settings;
-  HybridExperimentSettings lengths;
-  const double faster = std::max(1.0, options.speed / settings.max_speed);
-  settings.max_speed = options.speed;
-  settings.air_amplitude.head<2>() *= faster * faster;
-  settings.ground_amplitude *= faster * faster;
-  for (double* length : {&lengths.descent_length, &lengths.climb_length})
-    *length *= faster * faster;
-  lengths.roll_length *= faster;
-  if (options.mission == "hybrid") return hybrid_mission(vehicle, settings);
-  if (options.mission == "air") return aerial_experiment(settings);
-  const std::optional<Undercarriage> wheels = undercarriage(vehicle);
-  if (!wheels)
-    throw std::invalid_argument("--mission " + options.mission + ": the vehicle has no wheels");
-  return options.mission == "ground" ? ground_experiment(*wheels, settings)
-                                     : hybrid_experiment(*wheels, settings, lengths);
 }
 
 namespace detail {
@@ -241,7 +204,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
 
-  const Mission mission = mission_of(options, vehicles.believed);
+  const Mission mission = mission_of(options.mission, vehicles.believed);
   const Reference reference = [&mission](double time) { return mission(time); };
   VehicleFile believed = file;
   believed.vehicle = vehicles.believed;
@@ -263,8 +226,9 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   const PowerModel power(vehicles.truth.power,
                          controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;
-  const bool in_flight = mission.phase(0.0) == MissionPhase::hover;
-  if (in_flight || options.mission != "hybrid") {
+  const MissionPhase first = mission.phase(0.0);
+  const bool in_flight = first == MissionPhase::hover || first == MissionPhase::air;
+  if (in_flight || options.mission.name != "hybrid" || !options.mission.trajectory.empty()) {
     BodyStated start;
     start.position = mission(0.0).position;
     start.orientation = mission(0.0).orientation;

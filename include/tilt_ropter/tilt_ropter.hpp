@@ -75,6 +75,7 @@
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/planning/sampled_path.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 #include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>

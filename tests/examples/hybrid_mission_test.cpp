@@ -2,10 +2,17 @@
 
 #include "support/program.hpp"
 
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/experiments.hpp>
+
 #include <gtest/gtest.h>
+
+#include <Eigen/Core>
 
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
+#include <iomanip>
 #include <string>
 
 namespace {
@@ -132,6 +139,36 @@ TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
     EXPECT_EQ((*flight)["solver_failures"], 0);
     EXPECT_EQ(flight->output.find("arning"), std::string::npos) << flight->output;
   }
+}
+
+// The hybrid trajectory of the paper again, from a file with 20 samples per second.
+TEST(HybridMission, FollowsATrajectoryFromAFile) {
+  using namespace tilt_ropter;
+  const test_support::Directory directory("trajectory");
+  const Mission mission = hybrid_experiment(*undercarriage(tilt_ropter_vehicle()));
+  std::ofstream file(directory.file("path.csv"));
+  file << "time_s,x_m,y_m,z_m,yaw_rad\n" << std::setprecision(12);
+  for (double time = 0.0; time <= mission.end_time(); time += 0.05) {
+    const ReferencePoint point = mission(time);
+    const Eigen::Vector3d& p = point.position;
+    file << 5.0 + time << ',' << p.x() << ',' << p.y() << ',' << p.z() << ','
+         << yaw_of(point.orientation) << '\n';
+  }
+  file.close();
+  const std::string option = "--no-pictures --trajectory '" + directory.file("path.csv") + "'";
+  const Flight flight = run(option);
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_EQ(flight["contact_mode_changes"], 2);
+  EXPECT_LE(flight["air_rmse_m"], 0.010);
+  EXPECT_LE(flight["ground_rmse_m"], 0.006);
+  EXPECT_EQ(flight["solver_failures"], 0);
+
+  EXPECT_NE(run(option + " --mission air").exit_code, 0);
+  std::ofstream(directory.file("path.csv")) << "time_s,x_m,y_m,z_m\n0,0,0,1\n0,0,1,1\n";
+  const Flight bad = run(option);
+  EXPECT_NE(bad.exit_code, 0);
+  EXPECT_NE(bad.output.find("path.csv: SampledPath.samples[1].time [s] = 0"), std::string::npos)
+      << bad.output;
 }
 
 // The controller of the paper as printed, from a start in its range: it flies to the end.

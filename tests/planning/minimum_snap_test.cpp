@@ -66,12 +66,8 @@ TEST(MinimumSnap, PassesThroughItsPointsAndEndStates) {
     EXPECT_LT((end.velocity - p.end_velocity).norm(), 1e-9);
     EXPECT_LT(start.acceleration.norm() + end.acceleration.norm(), 1e-8);
     EXPECT_LT(start.orientation.angularDistance(quaternion_from_yaw(p.yaw)), 1e-7);
-    for (const Eigen::Vector3d& wanted : p.points) {
-      double nearest = 1e9;
-      for (double t = path.start_time(); t <= path.end_time(); t += 1e-3)
-        nearest = std::min(nearest, (path(t).position - wanted).norm());
-      EXPECT_LT(nearest, 2e-3);
-    }
+    for (std::size_t i = 0; i < p.points.size(); ++i)
+      EXPECT_LT((path(path.time_at(i)).position - p.points[i]).norm(), 1e-9);
   }
 }
 
@@ -120,11 +116,10 @@ TEST(MinimumSnap, KeepsItsLimitsAndReachesTheTightest) {
 // with continuous position, velocity, acceleration and jerk, by its optimality conditions.
 class LeastSnap {
  public:
-  LeastSnap(const MinimumSnapSettings& p, double duration) {
-    double length = 0.0;
-    for (std::size_t i = 1; i < p.points.size(); ++i) length += distance(p, i);
+  explicit LeastSnap(const MinimumSnap& path) {
+    const MinimumSnapSettings& p = path.settings();
     for (std::size_t i = 1; i < p.points.size(); ++i)
-      times_.push_back(duration * distance(p, i) / length);
+      times_.push_back(path.time_at(i) - path.time_at(i - 1));
     const auto pieces = static_cast<Eigen::Index>(times_.size());
     const Eigen::Index unknowns = 8 * pieces, conditions = 5 * pieces + 3;
     Eigen::MatrixXd system = Eigen::MatrixXd::Zero(unknowns + conditions, unknowns + conditions);
@@ -178,9 +173,6 @@ class LeastSnap {
   }
 
  private:
-  static double distance(const MinimumSnapSettings& p, std::size_t i) {
-    return (p.points[i] - p.points[i - 1]).norm();
-  }
   static double factor(int power, int order) {  // of the derivative of x^power
     double all = 1.0;
     for (int j = 0; j < order; ++j) all *= power - j;
@@ -194,7 +186,7 @@ class LeastSnap {
 TEST(MinimumSnap, EqualsTheSolutionOfTheOptimalityConditions) {
   for (const MinimumSnapSettings& p : cases()) {
     const MinimumSnap path(p);
-    const LeastSnap truth(p, path.duration());
+    const LeastSnap truth(path);
     for (double x = 0.0; x <= 1.0; x += 0.05)
       EXPECT_LT(
           (path(path.start_time() + x * path.duration()).position - truth.at(x * path.duration()))
@@ -225,6 +217,55 @@ TEST(MinimumSnap, IsDefinedForEveryTime) {
   EXPECT_EQ(at(nan), at(path.start_time()));
   EXPECT_EQ(at(-infinity), at(path.start_time()));
   EXPECT_EQ(at(infinity), at(path.end_time()));
+}
+
+TEST(MinimumSnap, TakesAGivenDurationThatKeepsTheLimits) {
+  for (MinimumSnapSettings p : cases()) {
+    if (!p.start_velocity.isZero() || !p.end_velocity.isZero()) continue;
+    const double shortest = MinimumSnap(p).duration();
+    p.duration = 1.5 * shortest;
+    EXPECT_NEAR(MinimumSnap(p).duration(), p.duration, 1e-9);
+    p.duration = 0.9 * shortest;
+    EXPECT_THROW(MinimumSnap{p}, std::invalid_argument);
+  }
+}
+
+TEST(MinimumSnap, StopsFromAnyMotionWithinTheAcceleration) {
+  std::mt19937 generator(7);
+  std::uniform_real_distribution<double> uniform(-1.0, 1.0);
+  const auto vector = [&]() -> Eigen::Vector3d {
+    return {uniform(generator), uniform(generator), uniform(generator)};
+  };
+  for (int i = 0; i < 200; ++i) {
+    ReferencePoint from;
+    from.position = 5.0 * vector();
+    from.velocity = (i % 4) * vector();
+    if (i % 3 > 0) from.acceleration = 0.8 * vector();
+    from.orientation = quaternion_from_yaw(3.0 * uniform(generator));
+    const double limit = 1.5;
+    const MinimumSnap path = stop(from, limit);
+    const ReferencePoint start = path(0.0), end = path(path.end_time());
+    EXPECT_LT((start.position - from.position).norm(), 1e-9);
+    EXPECT_LT((start.velocity - from.velocity).norm(), 1e-9);
+    EXPECT_LT((start.acceleration - from.acceleration).norm(), 1e-9);
+    EXPECT_LT(start.orientation.angularDistance(from.orientation), 1e-7);
+    EXPECT_LT(end.velocity.norm() + end.acceleration.norm(), 1e-8);
+    double most = 0.0;
+    for (double t = 0.0; t < path.duration(); t += 0.01)
+      most = std::max(most, path(t).acceleration.norm());
+    EXPECT_LE(most, 1.002 * limit);
+    const double speed = from.velocity.norm();
+    if (from.acceleration.isZero() && speed > 0.2) {
+      EXPECT_NEAR(path.duration(), 1.875 * speed / limit, 1e-3);
+      EXPECT_LT((end.position - from.position - 0.5 * path.duration() * from.velocity).norm(),
+                1e-9);
+    }
+  }
+  ReferencePoint bad;
+  bad.acceleration.x() = 2.0;
+  EXPECT_THROW((void)stop(bad, 1.0), std::invalid_argument);
+  bad.acceleration.x() = std::nan("");
+  EXPECT_THROW((void)stop(bad, 1.0), std::invalid_argument);
 }
 
 TEST(MinimumSnap, ErrorsNameTheField) {

@@ -53,8 +53,10 @@ template <typename Reference, int Rotors>
   require_finite("check_reference.plane.slope", plane.slope);
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
-  const GroundContact ground(vehicle.body, undercarriage(vehicle), settings.ground);
-  const ReferenceWrench<Rotors> reference_wrench(vehicle, settings.ground);
+  GroundContactSettings ground_settings = settings.ground;
+  ground_settings.model = GroundModel::held;  // what the ground gives needs no thrust
+  const GroundContact ground(vehicle.body, undercarriage(vehicle), ground_settings);
+  const ReferenceWrench<Rotors> reference_wrench(vehicle, ground_settings);
   ContactEstimate contact;
   contact.ground = plane;
   const NmpcBounds& bounds = settings.problem.bounds;

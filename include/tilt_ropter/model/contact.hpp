@@ -63,7 +63,8 @@ struct ContactEstimate {
 /// Returns true if all numbers are finite. The ground's height may be -infinity.
 [[nodiscard]] inline bool is_finite(const ContactEstimate& e) noexcept {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
-         is_finite(e.external) && std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&
+         is_finite(e.external) && std::isfinite(e.ground.slope.x()) &&
+         std::isfinite(e.ground.slope.y()) &&
          e.ground.height < std::numeric_limits<double>::infinity();
 }
 

@@ -7,12 +7,13 @@
 #include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/LU>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <string>
+#include <utility>
 #include <vector>
 
 /// Paths through way-points, also between states that move: rolling landings and take-offs, stops.
@@ -22,8 +23,8 @@ namespace tilt_ropter {
 /// "Minimum snap trajectory generation and control for quadrotors", 2011). Speed and acceleration
 /// at both ends are given; the jerk there is zero.
 struct MinimumSnapSettings {
-  /// Start, way-points and end: 2 to 100 positions of the CoM, at least 1 cm apart, world frame
-  /// [m].
+  /// Start, way-points and end: 2 to 100 positions of the CoM, world frame [m]. At least 1 cm
+  /// apart, except two points with a given duration.
   std::vector<Eigen::Vector3d> points;
   Eigen::Vector3d start_velocity = Eigen::Vector3d::Zero();      ///< world frame [m/s]
   Eigen::Vector3d end_velocity = Eigen::Vector3d::Zero();        ///< world frame [m/s]
@@ -34,6 +35,7 @@ struct MinimumSnapSettings {
   HeadingMode heading = HeadingMode::fixed;
   double yaw = 0.0;           ///< yaw of the body, used with HeadingMode::fixed [rad]
   double max_yaw_rate = 1.5;  ///< limit with HeadingMode::along_velocity [rad/s]
+  double duration = 0.0;      ///< zero: the shortest duration found within the limits [s]
   double start_time = 0.0;    ///< time at which the motion starts [s]
 };
 
@@ -46,7 +48,8 @@ inline void validate(const MinimumSnapSettings& p) {
     require_finite(name + " [m]", p.points[i]);
     if (i == 0) continue;
     const double distance = (p.points[i] - p.points[i - 1]).norm();
-    require_in(name + " distance from the point before it [m]", distance, 0.01, 1e4);
+    const bool stays = p.points.size() == 2 && p.duration > 0.0;
+    require_in(name + " distance from the point before it [m]", distance, stays ? 0.0 : 0.01, 1e4);
   }
   require_positive("MinimumSnapSettings.max_speed [m/s]", p.max_speed);
   require_positive("MinimumSnapSettings.max_acceleration [m/s^2]", p.max_acceleration);
@@ -62,12 +65,13 @@ inline void validate(const MinimumSnapSettings& p) {
                 p.max_acceleration);
   require_finite("MinimumSnapSettings.yaw [rad]", p.yaw);
   require_positive("MinimumSnapSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
+  require_in("MinimumSnapSettings.duration [s]", p.duration, 0.0, 1e10);
   require_time("MinimumSnapSettings.start_time [s]", p.start_time);
 }
 
-/// Reference along the path. The time from point to point is proportional to the distance, and as
-/// short as the limits on speed, acceleration and yaw rate allow, to 1 %. Limits are checked at 200
-/// samples from point to point.
+/// Reference along the path. The time from point to point is proportional to the distance, longer
+/// next to a rest, and as short as the limits on speed, acceleration and yaw rate allow. Limits are
+/// checked at 200 samples from point to point.
 class MinimumSnap {
  public:
   /// Takes milliseconds; allocates. Throws std::invalid_argument if the settings are invalid, if no
@@ -75,6 +79,17 @@ class MinimumSnap {
   /// direction keeps no limit.
   explicit MinimumSnap(const MinimumSnapSettings& settings) : settings_(settings) {
     validate(settings);
+    if (settings.duration > 0.0) {
+      if (settings.points.size() == 2) {
+        set_knots({0.0, settings.duration});
+      } else {
+        set_durations(1.0);
+        set_durations(settings.duration / duration());
+      }
+      require(keeps_limits(), "MinimumSnapSettings.duration [s]", settings.duration,
+              "one with which the path keeps its limits");
+      return;
+    }
     // Far above its best duration a path that moves at its ends makes detours. The search therefore
     // starts with the shortest duration and grows.
     double scale = 1.0 / 1.1;
@@ -106,6 +121,10 @@ class MinimumSnap {
   [[nodiscard]] double end_time() const noexcept { return settings_.start_time + duration(); }
   [[nodiscard]] double duration() const noexcept { return knots_.back(); }
   [[nodiscard]] const MinimumSnapSettings& settings() const noexcept { return settings_; }
+  /// Time at which the path is at MinimumSnapSettings::points[i] [s].
+  [[nodiscard]] double time_at(std::size_t i) const noexcept {
+    return settings_.start_time + knots_[i];
+  }
 
   /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
   /// range.
@@ -115,76 +134,131 @@ class MinimumSnap {
   }
 
  private:
+  // Numbers at one point: velocity, acceleration and jerk, each in three axes.
+  using Rates = std::array<std::array<double, 3>, 3>;
   // Coefficients of a polynomial of degree 7 in x = time / duration of the piece, in each axis.
-  using Piece = Eigen::Matrix<double, 8, 3>;
-  using Ends = Eigen::Matrix<double, 8, 8>;
+  using Piece = std::array<std::array<double, 3>, 8>;
+  // Position, velocity, acceleration and jerk at the start, then at the end -> coefficients.
+  using FromEnds = std::array<std::array<double, 8>, 8>;
 
-  // Position and first derivatives at both ends of a piece of this duration [s] -> coefficients.
-  static Ends from_ends(double duration) {
-    Ends c = Ends::Zero();
-    double scale = 1.0;  // duration^i / i!
-    // The columns of each row i: the i-th derivative at the start and at the end.
-    const double late[4][4] = {
+  static FromEnds from_ends(double duration) {
+    // Coefficients of x^4 to x^7 from what is left of the i-th derivative / i! at the end.
+    constexpr double late[4][4] = {
         {35, -15, 5, -1}, {-84, 39, -14, 3}, {70, -34, 13, -3}, {-20, 10, -4, 1}};
-    const double binomial[4][4] = {{1, 1, 1, 1}, {0, 1, 2, 3}, {0, 0, 1, 3}, {0, 0, 0, 1}};
-    for (int i = 0; i < 4; ++i) {
-      c(i, i) = scale;
-      for (int k = 0; k < 4; ++k) {
-        c(4 + k, 4 + i) = scale * late[k][i];
-        for (int j = 0; j < 4; ++j) c(4 + k, i) -= scale * late[k][j] * binomial[j][i];
+    constexpr double binomial[4][4] = {{1, 1, 1, 1}, {0, 1, 2, 3}, {0, 0, 1, 3}, {0, 0, 0, 1}};
+    FromEnds c{};
+    double scale = 1.0;  // duration^i / i!
+    for (std::size_t i = 0; i < 4; ++i) {
+      c[i][i] = scale;
+      for (std::size_t k = 0; k < 4; ++k) {
+        c[4 + k][4 + i] = scale * late[k][i];
+        for (std::size_t j = 0; j < 4; ++j) c[4 + k][i] -= scale * late[k][j] * binomial[j][i];
       }
-      scale *= duration / (i + 1);
+      scale *= duration / static_cast<double>(i + 1);
     }
     return c;
   }
 
-  // Row that takes coefficients to the derivative of this order at x.
-  static Eigen::Matrix<double, 1, 8> derivative(int order, double x, double duration) {
-    Eigen::Matrix<double, 1, 8> row = Eigen::Matrix<double, 1, 8>::Zero();
-    for (int k = order; k < 8; ++k) {
-      double factor = std::pow(duration, -order);
-      for (int j = 0; j < order; ++j) factor *= k - j;
-      row(k) = factor * std::pow(x, k - order);
+  // Derivative of this order at the end (or at the start) of a piece, as a factor of each of the
+  // eight numbers at its ends.
+  static std::array<double, 8> derivative(int order, bool at_end, double duration) {
+    const FromEnds c = from_ends(duration);
+    std::array<double, 8> row{};
+    for (int k = order; k < (at_end ? 8 : order + 1); ++k) {
+      double factor = 1.0;
+      for (int j = 0; j < order; ++j) factor *= (k - j) / duration;
+      for (std::size_t i = 0; i < 8; ++i) row[i] += factor * c[static_cast<std::size_t>(k)][i];
     }
     return row;
   }
 
-  // Between two points, velocity, acceleration and jerk are free. They follow from the continuity
-  // of the fourth to sixth derivative, which is the condition for the least snap.
+  // The times between the points, in units of their distances at the largest speed. Next to a rest
+  // the mean speed is half of that: with less time there, the path would swing back.
   void set_durations(double scale) {
     const std::vector<Eigen::Vector3d>& points = settings_.points;
-    const std::size_t count = points.size() - 1;
-    knots_.assign(1, 0.0);
-    for (std::size_t i = 0; i < count; ++i)
-      knots_.push_back(knots_.back() +
-                       scale * (points[i + 1] - points[i]).norm() / settings_.max_speed);
-    const auto size = static_cast<Eigen::Index>(4 * points.size());
-    Eigen::MatrixXd equations = Eigen::MatrixXd::Zero(size, size);
-    Eigen::MatrixX3d given = Eigen::MatrixX3d::Zero(size, 3);
-    for (std::size_t i = 0; i <= count; ++i) {
-      const auto at = static_cast<Eigen::Index>(4 * i);
-      equations(at, at) = 1.0;
-      given.row(at) = points[i];
-      if (i == 0 || i == count) {
-        for (int j = 1; j < 4; ++j) equations(at + j, at + j) = 1.0;
-        given.row(at + 1) = i == 0 ? settings_.start_velocity : settings_.end_velocity;
-        given.row(at + 2) = i == 0 ? settings_.start_acceleration : settings_.end_acceleration;
-        continue;
-      }
-      const double before = knots_[i] - knots_[i - 1], after = knots_[i + 1] - knots_[i];
-      for (int order = 4; order < 7; ++order) {
-        const double unit = std::pow(before, order);  // the rows then have similar sizes
-        const Eigen::Index row = at + order - 3;
-        equations.block<1, 8>(row, at - 4) +=
-            unit * derivative(order, 1.0, before) * from_ends(before);
-        equations.block<1, 8>(row, at) -= unit * derivative(order, 0.0, after) * from_ends(after);
-      }
+    std::vector<double> knots{0.0};
+    for (std::size_t i = 1; i < points.size(); ++i) {
+      const bool starts = i == 1 && settings_.start_velocity.isZero(0.0),
+                 ends = i + 1 == points.size() && settings_.end_velocity.isZero(0.0);
+      const double distance = (1 + starts + ends) * (points[i] - points[i - 1]).norm();
+      knots.push_back(knots.back() + scale * distance / settings_.max_speed);
     }
-    const Eigen::MatrixX3d ends = equations.partialPivLu().solve(given);
-    pieces_.clear();
-    for (std::size_t i = 0; i < count; ++i)
-      pieces_.push_back(from_ends(knots_[i + 1] - knots_[i]) *
-                        ends.middleRows<8>(static_cast<Eigen::Index>(4 * i)));
+    set_knots(std::move(knots));
+  }
+
+  // Between two points, velocity, acceleration and jerk are free. For the least snap, the sixth,
+  // fifth and fourth derivatives are continuous: the gradient of the snap by these numbers is zero.
+  // With the sign of the gradient, the system is symmetric, positive definite and banded.
+  void set_knots(std::vector<double> knots) {
+    knots_ = std::move(knots);
+    const std::size_t last = knots_.size() - 1, size = last > 1 ? 3 * (last - 1) : 0;
+    std::vector<std::array<double, 11>> rows(size);  // five entries to each side of the diagonal
+    std::vector<std::array<double, 3>> right(size);
+    std::vector<Rates> rates(knots_.size());
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const auto at = static_cast<Eigen::Index>(axis);
+      rates.front()[0][axis] = settings_.start_velocity(at);
+      rates.front()[1][axis] = settings_.start_acceleration(at);
+      rates.back()[0][axis] = settings_.end_velocity(at);
+      rates.back()[1][axis] = settings_.end_acceleration(at);
+    }
+    // Adds the derivative of piece `piece` to the equation of a point.
+    const auto add = [&](std::size_t row, std::size_t piece, double sign,
+                         const std::array<double, 8>& factors) {
+      for (std::size_t i = 0; i < 8; ++i) {
+        const std::size_t point = piece + i / 4, number = i % 4;
+        const double factor = sign * factors[i];
+        const bool is_free = number > 0 && point > 0 && point < last;
+        if (is_free) rows[row][3 * (point - 1) + number - 1 + 5 - row] += factor;
+        for (std::size_t axis = 0; !is_free && axis < 3; ++axis)
+          right[row][axis] -=
+              factor * (number == 0 ? settings_.points[point](static_cast<Eigen::Index>(axis))
+                                    : rates[point][number - 1][axis]);
+      }
+    };
+    for (std::size_t i = 1; i < last; ++i)
+      for (int number = 0; number < 3; ++number) {
+        const int order = 6 - number;
+        const double sign = number == 1 ? -1.0 : 1.0;
+        const std::size_t row = 3 * (i - 1) + static_cast<std::size_t>(number);
+        add(row, i - 1, sign, derivative(order, true, knots_[i] - knots_[i - 1]));
+        add(row, i, -sign, derivative(order, false, knots_[i + 1] - knots_[i]));
+      }
+    solve(rows, right);
+    for (std::size_t row = 0; row < size; ++row) rates[1 + row / 3][row % 3] = right[row];
+
+    pieces_.assign(last, Piece{});
+    for (std::size_t i = 0; i < last; ++i) {
+      const FromEnds c = from_ends(knots_[i + 1] - knots_[i]);
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        for (std::size_t end = 0; end < 2; ++end)
+          for (std::size_t number = 0; number < 4; ++number) {
+            const double value = number == 0
+                                     ? settings_.points[i + end](static_cast<Eigen::Index>(axis))
+                                     : rates[i + end][number - 1][axis];
+            for (std::size_t k = 0; k < 8; ++k)
+              pieces_[i][k][axis] += c[k][4 * end + number] * value;
+          }
+    }
+  }
+
+  // Solves a positive definite banded system by elimination; the solution replaces `right`.
+  static void solve(std::vector<std::array<double, 11>>& rows,
+                    std::vector<std::array<double, 3>>& right) {
+    const std::size_t size = rows.size();
+    for (std::size_t i = 0; i < size; ++i)
+      for (std::size_t j = i + 1; j < std::min(i + 6, size); ++j) {
+        const double factor = rows[j][i + 5 - j] / rows[i][5];
+        for (std::size_t k = i; k < std::min(i + 6, size); ++k)
+          rows[j][k + 5 - j] -= factor * rows[i][k + 5 - i];
+        for (std::size_t axis = 0; axis < 3; ++axis) right[j][axis] -= factor * right[i][axis];
+      }
+    for (std::size_t i = size; i-- > 0;)
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        for (std::size_t k = i + 1; k < std::min(i + 6, size); ++k)
+          right[i][axis] -= rows[i][k + 5 - i] * right[k][axis];
+        right[i][axis] /= rows[i][5];
+      }
   }
 
   [[nodiscard]] bool keeps_limits() const {
@@ -214,7 +288,7 @@ class MinimumSnap {
     if (settings_.heading == HeadingMode::fixed) return true;
     // Below this speed a level direction is rounding.
     const double slowest =
-        1e-6 * (settings_.points[i + 1] - settings_.points[i]).norm() / (knots_[i + 1] - knots_[i]);
+        1e-9 * (settings_.points[i + 1] - settings_.points[i]).norm() / (knots_[i + 1] - knots_[i]);
     return std::abs(point.angular_velocity.z()) <= settings_.max_yaw_rate &&
            (near_rest(i, x) != x || std::hypot(point.velocity.x(), point.velocity.y()) > slowest);
   }
@@ -260,18 +334,63 @@ class MinimumSnap {
   // Derivative of this order of piece i at x in [0, 1].
   [[nodiscard]] Eigen::Vector3d derivative_of(std::size_t i, int order, double x) const noexcept {
     const double whole = knots_[i + 1] - knots_[i];
-    Eigen::Vector3d value = Eigen::Vector3d::Zero();
+    double value[3] = {};
     for (int k = 7; k >= order; --k) {
       double factor = 1.0;
       for (int j = 0; j < order; ++j) factor *= (k - j) / whole;
-      value = value * x + factor * pieces_[i].row(k).transpose();
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        value[axis] = value[axis] * x + factor * pieces_[i][static_cast<std::size_t>(k)][axis];
     }
-    return value;
+    return {value[0], value[1], value[2]};
   }
 
   MinimumSnapSettings settings_;
   std::vector<double> knots_;  // times of the points since the start [s]
   std::vector<Piece> pieces_;
 };
+
+/// Returns the path on which a vehicle in the moving state `from` comes to rest as soon as
+/// `max_acceleration` [m/s^2] allows. It keeps the heading. `from` is a reference point of the
+/// motion that is given up, so that position, velocity and acceleration continue; its acceleration
+/// must be below the limit. For a stop on wheels, set the sideways acceleration of `from` to zero:
+/// the path is then straight ahead. Throws std::invalid_argument if `from` or the limit is not
+/// valid.
+[[nodiscard]] inline MinimumSnap stop(const ReferencePoint& from, double max_acceleration) {
+  require_finite("stop: position [m]", from.position);
+  require_finite("stop: velocity [m/s]", from.velocity);
+  require_positive("stop: max_acceleration [m/s^2]", max_acceleration);
+  require(from.acceleration.norm() < max_acceleration, "stop: acceleration [m/s^2]",
+          from.acceleration.norm(), "below max_acceleration");
+  const double speed = from.velocity.norm();
+  MinimumSnapSettings path;
+  path.start_velocity = from.velocity;
+  path.start_acceleration = from.acceleration;
+  path.max_acceleration = max_acceleration;
+  path.yaw = yaw_of(from.orientation);
+  // With x = t / T, the velocity is v (1 - 10 x^3 + 15 x^4 - 6 x^5) + a T (x - 6 x^3 + 8 x^4 - 3
+  // x^5) for the velocity v and the acceleration a at the start. The position at its end is exact.
+  // For a = 0, the largest deceleration is 1.875 v / T.
+  for (double time = std::max(1.875 * speed / max_acceleration, 0.1);; time *= 1.05) {
+    const Eigen::Vector3d end =
+        from.position + 0.5 * time * from.velocity + 0.1 * time * time * from.acceleration;
+    double most = 0.0, fastest = speed;
+    for (int i = 0; i <= 100; ++i) {
+      const double x = 0.01 * i, hump = x * (1.0 - x);
+      most = std::max(most, (from.velocity * (-30.0 * hump * hump / time) +
+                             from.acceleration * (1.0 + x * x * (-18.0 + x * (32.0 - 15.0 * x))))
+                                .norm());
+      fastest = std::max(
+          fastest, (from.velocity * (1.0 - x * x * x * (10.0 - x * (15.0 - 6.0 * x))) +
+                    from.acceleration * (time * x * (1.0 - x * x * (6.0 - x * (8.0 - 3.0 * x)))))
+                       .norm());
+    }
+    if (most > 1.0001 * max_acceleration && time < 1e4) continue;
+    path.points = {from.position, end};
+    path.max_speed = 1.001 * fastest + 1e-6;
+    path.max_acceleration = 1.001 * max_acceleration;
+    path.duration = time;
+    return MinimumSnap(path);
+  }
+}
 
 }  // namespace tilt_ropter

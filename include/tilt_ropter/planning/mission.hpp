@@ -7,6 +7,7 @@
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/planning/sampled_path.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 
 #include <Eigen/Core>
@@ -76,7 +77,7 @@ class Hold {
 /// One motion of a mission.
 struct MissionSegment {
   MissionPhase phase;
-  std::variant<Hold, Transition, FigureEight, MinimumSnap> motion;
+  std::variant<Hold, Transition, FigureEight, MinimumSnap, SampledPath> motion;
 
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return std::visit([time](const auto& m) { return m(time); }, motion);

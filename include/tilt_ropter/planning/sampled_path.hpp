@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cstddef>
+#include <string>
+#include <utility>
+#include <vector>
+
+/// Reference from samples, such as the output of a planner or a log.
+namespace tilt_ropter {
+
+/// Sample of a path at one time.
+struct PathSample {
+  double time = 0.0;                                   ///< [s]
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< CoM, world frame [m]
+  double yaw = 0.0;                                    ///< heading about world z [rad]
+};
+
+/// Cubic spline through samples. It starts and ends at rest. Position, yaw and their first two
+/// derivatives are continuous. The yaw takes the shorter way from sample to sample.
+class SampledPath {
+ public:
+  /// Allocates. Throws std::invalid_argument with the index of the sample if there are fewer than
+  /// two samples, if a number is not finite, or if the times do not increase by 1e-6 s or more.
+  explicit SampledPath(const std::vector<PathSample>& samples) {
+    require(samples.size() >= 2, "SampledPath.samples.size()", samples.size(), ">= 2");
+    knots_.reserve(samples.size());
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const PathSample& sample = samples[i];
+      const std::string name = "SampledPath.samples[" + std::to_string(i) + "]";
+      require_time(name + ".time [s]", sample.time);
+      require_finite(name + ".position [m]", sample.position);
+      require_finite(name + ".yaw [rad]", sample.yaw);
+      Knot knot{sample.time, {}, Values::Zero()};
+      knot.value << sample.position, sample.yaw;
+      if (i > 0) {
+        const Knot& last = knots_.back();
+        require(knot.time - last.time >= 1e-6, name + ".time [s]", knot.time,
+                "1e-6 or more after the sample before it, " + std::to_string(last.time));
+        knot.value(3) = last.value(3) + yaw_of(quaternion_from_yaw(sample.yaw) *
+                                               quaternion_from_yaw(last.value(3)).conjugate());
+      }
+      knots_.push_back(knot);
+    }
+    find_curvatures();
+    from_ = knots_.front().time;
+    until_ = knots_.back().time;
+  }
+
+  /// The part of the path between two of its times [s], at the same times. Throws
+  /// std::invalid_argument if the times are not in the path or not in this order.
+  [[nodiscard]] SampledPath part(double from, double until) const {
+    require_in("SampledPath::part from [s]", from, start_time(), end_time());
+    require_in("SampledPath::part until [s]", until, from, end_time());
+    SampledPath cut = *this;
+    cut.from_ = from - shift_;
+    cut.until_ = until - shift_;
+    return cut;
+  }
+
+  /// Returns the reference at `time` [s], for every time: the first point before the start and the
+  /// last point after the end. NaN counts as a time before the start. Does not throw or allocate.
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
+    const double elapsed = time - shift_;
+    const double inside = elapsed > from_ ? std::min(elapsed, until_) : from_;
+    const auto after =
+        std::upper_bound(knots_.begin() + 1, knots_.end() - 1, inside,
+                         [](double instant, const Knot& knot) { return instant < knot.time; });
+    const Knot &a = *(after - 1), &b = *after;
+    const double whole = b.time - a.time, y = (inside - a.time) / whole, x = 1.0 - y;
+    const Values value =
+        x * a.value + y * b.value +
+        whole * whole / 6.0 * ((x * x * x - x) * a.curvature + (y * y * y - y) * b.curvature);
+    const Values rate =
+        (b.value - a.value) / whole +
+        whole / 6.0 * ((1.0 - 3.0 * x * x) * a.curvature + (3.0 * y * y - 1.0) * b.curvature);
+    const Values curvature = x * a.curvature + y * b.curvature;
+    ReferencePoint point;
+    point.position = value.head<3>();
+    point.velocity = rate.head<3>();
+    point.acceleration = curvature.head<3>();
+    point.orientation = quaternion_from_yaw(value(3));
+    point.angular_velocity.z() = rate(3);
+    point.angular_acceleration.z() = curvature(3);
+    return point;
+  }
+
+  [[nodiscard]] double start_time() const noexcept { return from_ + shift_; }
+  [[nodiscard]] double end_time() const noexcept { return until_ + shift_; }
+  [[nodiscard]] double duration() const noexcept { return until_ - from_; }
+
+  /// Shifts the path to start at `time` [s]. Throws std::invalid_argument if `time` is out of
+  /// range.
+  void set_start_time(double time) {
+    require_time("SampledPath.start_time [s]", time);
+    shift_ = time - from_;
+  }
+
+ private:
+  using Values = Eigen::Vector4d;  // position, yaw
+  struct Knot {
+    double time;
+    Values value, curvature;
+  };
+
+  // Second derivatives at the knots: the first derivative is continuous, and zero at both ends.
+  // Solves the tridiagonal system by elimination.
+  void find_curvatures() {
+    const std::size_t last = knots_.size() - 1;
+    std::vector<double> above(knots_.size());
+    for (std::size_t i = 0; i <= last; ++i) {
+      const double before = i > 0 ? knots_[i].time - knots_[i - 1].time : 0.0,
+                   after = i < last ? knots_[i + 1].time - knots_[i].time : 0.0;
+      Values right = Values::Zero();
+      if (i < last) right += (knots_[i + 1].value - knots_[i].value) / after;
+      if (i > 0) right -= (knots_[i].value - knots_[i - 1].value) / before;
+      double diagonal = (before + after) / 3.0;
+      if (i > 0) {
+        diagonal -= before / 6.0 * above[i - 1];
+        right -= before / 6.0 * knots_[i - 1].curvature;
+      }
+      above[i] = after / 6.0 / diagonal;
+      knots_[i].curvature = right / diagonal;
+    }
+    for (std::size_t i = last; i-- > 0;) knots_[i].curvature -= above[i] * knots_[i + 1].curvature;
+  }
+
+  std::vector<Knot> knots_;
+  double from_ = 0.0, until_ = 0.0;  // part of the knots' times that is used [s]
+  double shift_ = 0.0;               // from the knots' times to the times of the caller [s]
+};
+
+}  // namespace tilt_ropter
