@@ -1,4 +1,5 @@
 #include <tilt_ropter/planning/minimum_snap.hpp>
+#include <tilt_ropter/planning/transition.hpp>
 
 #include <gtest/gtest.h>
 
@@ -192,6 +193,29 @@ TEST(MinimumSnap, EqualsTheSolutionOfTheOptimalityConditions) {
           (path(path.start_time() + x * path.duration()).position - truth.at(x * path.duration()))
               .norm(),
           1e-7);
+  }
+}
+
+// Between two rests the path of least snap is the one of Transition, which has a closed form.
+TEST(MinimumSnap, FromRestToRestIsATransition) {
+  for (const double acceleration : {0.3, 1.5, 20.0}) {
+    TransitionSettings known;
+    known.to.position << 3.0, -1.0, 0.5;
+    known.max_speed = 1.2;
+    known.max_acceleration = acceleration;
+    const Transition transition(known);
+    MinimumSnapSettings p;
+    p.points = {known.from.position, known.to.position};
+    p.max_speed = known.max_speed;
+    p.max_acceleration = acceleration;
+    const MinimumSnap path(p);
+    EXPECT_GE(path.duration(), (1.0 - 1e-3) * transition.duration());
+    EXPECT_LE(path.duration(), 1.01 * transition.duration());
+    for (double x = 0.0; x <= 1.0; x += 0.1)
+      EXPECT_LT(
+          (path(x * path.duration()).position - transition(x * transition.duration()).position)
+              .norm(),
+          1e-9);
   }
 }
 

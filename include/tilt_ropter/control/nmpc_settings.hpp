@@ -86,8 +86,8 @@ inline void validate(const NmpcSettings& s) {
 /// The controller of the paper as printed: its table of bounds, N and interval; the cost on F and M
 /// themselves; no constraints of actuators; the indicator function delta by heights over the ground
 /// at z = 0; the whole estimated external wrench in the model; references followed as they are.
-/// Every change of ours to it is a field of NmpcSettings. The conditions on the ground are as good
-/// as hard: their weights are large.
+/// Each departure of the library from it is a field of NmpcSettings. The conditions on the ground
+/// are nearly hard: their weights are large.
 ///
 /// The paper prints no weights; these are ours. Its allocation has no lead:
 /// AllocationSettings::lag_compensation is 0 there.

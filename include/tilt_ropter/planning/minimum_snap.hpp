@@ -69,8 +69,10 @@ inline void validate(const MinimumSnapSettings& p) {
   require_time("MinimumSnapSettings.start_time [s]", p.start_time);
 }
 
-/// Reference along the path. The time from point to point is proportional to the distance, longer
-/// next to a rest, and as short as the limits on speed, acceleration and yaw rate allow. Limits are
+/// Reference along the path. The time from point to point is proportional to the distance, and
+/// twice as long next to a rest. The whole takes the first duration that keeps the limits on speed,
+/// acceleration and yaw rate, in a search from below; the mean speed next to a rest is at most 0.55
+/// of the limit. Limits are
 /// checked at 200 samples from point to point.
 class MinimumSnap {
  public:
@@ -180,7 +182,7 @@ class MinimumSnap {
     for (std::size_t i = 1; i < points.size(); ++i) {
       const bool starts = i == 1 && settings_.start_velocity.isZero(0.0),
                  ends = i + 1 == points.size() && settings_.end_velocity.isZero(0.0);
-      const double distance = (1 + starts + ends) * (points[i] - points[i - 1]).norm();
+      const double distance = (starts || ends ? 2.0 : 1.0) * (points[i] - points[i - 1]).norm();
       knots.push_back(knots.back() + scale * distance / settings_.max_speed);
     }
     set_knots(std::move(knots));
