@@ -10,6 +10,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <ostream>
 #include <sstream>
 #include <string>
 
@@ -33,14 +34,13 @@ struct MujocoParameters {
   double servo_damping = 0.2;  ///< gain of the speed loop: torque / speed error (estimate) [N m s]
   double servo_torque = 1.5;   ///< maximum torque of the servo (estimate) [N m]
   double wheel_mass = 0.04;    ///< mass of one wheel (estimate) [kg]
-  double wheel_half_width = 0.015;  ///< half width of the rolling ellipsoid (estimate) [m]
   /// Torque / normal force of a wheel that turns on the spot [m].
   double torsional_friction = 1e-3;
   double contact_time_constant = 0.01;  ///< solref of MuJoCo: time in which a contact settles [s]
   /// solimp of MuJoCo, below 1: a larger value is harder. The tyre is compressed by 0.6 mm; at 0.95
   /// it is so hard that rolling wheels lose contact from time to time.
   double contact_impedance = 0.6;
-  /// Friction, rolling resistance, bearing friction and wheel inertia, as in our own plant.
+  /// Friction, rolling resistance and bearing friction, as in our own plant.
   tilt_ropter::WheelContactParameters contact;
 
   double ground_height = 0.0;  ///< height of the ground at x = y = 0 [m]
@@ -71,7 +71,6 @@ inline void validate(const MujocoParameters& p) {
   require_positive("MujocoParameters.servo_damping [N m s]", p.servo_damping);
   require_positive("MujocoParameters.servo_torque [N m]", p.servo_torque);
   require_positive("MujocoParameters.wheel_mass [kg]", p.wheel_mass);
-  require_positive("MujocoParameters.wheel_half_width [m]", p.wheel_half_width);
   require_non_negative("MujocoParameters.torsional_friction [m]", p.torsional_friction);
   require(p.contact_time_constant >= 2.0 * p.time_step,
           "MujocoParameters.contact_time_constant [s]", p.contact_time_constant,
@@ -117,10 +116,11 @@ inline Eigen::Matrix3d point_inertia(double mass, const Eigen::Vector3d& r) {
 }
 
 // Inertia of a ring in the wheel frame.
-inline Eigen::Vector3d wheel_inertia(const MujocoParameters& p) {
+inline Eigen::Vector3d wheel_inertia(const tilt_ropter::WheelParameters& wheels,
+                                     const MujocoParameters& p) {
   const double across =
-      0.5 * p.contact.wheel_inertia + p.wheel_mass * p.wheel_half_width * p.wheel_half_width / 3.0;
-  return {p.contact.wheel_inertia, across, across};
+      0.5 * wheels.inertia + p.wheel_mass * wheels.half_width * wheels.half_width / 3.0;
+  return {wheels.inertia, across, across};
 }
 
 /// Returns numbers for an attribute with the full precision of doubles.
@@ -146,6 +146,45 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
          numbers(Eigen::Quaterniond(pose.linear())) + "\" ";
 }
 
+/// Adds a wheel with its axle. `wheel` is its pose and `inner` the inner end of its axle, both in
+/// the frame of the body that carries it.
+inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
+                      const MujocoParameters& p, std::size_t index, const Eigen::Isometry3d& wheel,
+                      const Eigen::Vector3d& inner) {
+  const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
+  const std::string n = std::to_string(index + 1);
+  const double radius = vehicle.wheels->radius;
+  const Eigen::Vector3d outer = wheel.translation();
+  xml << R"(    <geom type="capsule" size="0.004" material="metal" fromto=)"
+      << quoted(numbers(inner) + ' ' + numbers(outer)) << "/>\n    <body name=\"wheel" << n << '"'
+      << placed(wheel) << R"(>
+      <joint name="wheel)"
+      << n << R"(" type="hinge" axis="1 0 0" damping=)"
+      << quoted(numbers(p.contact.bearing_friction)) << R"(/>
+      <inertial mass=)"
+      << quoted(numbers(p.wheel_mass)) << R"( pos="0 0 0" diaginertia=)"
+      << quoted(numbers(wheel_inertia(*vehicle.wheels, p))) << R"(/>
+      <geom name="contact)"
+      << n << R"(" class="touches" type="ellipsoid" group="4" size=)"
+      << quoted(numbers(vehicle.wheels->half_width, radius, radius)) << R"(/>
+      <geom type="cylinder" size="0.012 0.01" quat="0.70710678118654757 0 0.70710678118654757 0"
+        material="metal"/>
+)";
+  constexpr int segments = 36, spokes = 6;  // a rim of short capsules, because MJCF has no torus
+  constexpr double tau = 2.0 * tilt_ropter::pi;
+  const double rim = radius - 0.007;
+  const auto on_rim = [rim](double angle) {
+    return numbers(0.0, rim * std::cos(angle), rim * std::sin(angle));
+  };
+  for (int k = 0; k < segments; ++k)
+    xml << R"(      <geom type="capsule" size="0.007" material="tyre" fromto=")"
+        << on_rim(tau * k / segments) << ' ' << on_rim(tau * (k + 1) / segments) << "\"/>\n";
+  for (int k = 0; k < spokes; ++k)
+    xml << R"(      <geom type="capsule" size="0.0025" material=")" << (k == 0 ? "shell" : "metal")
+        << R"(" fromto="0 0 0 )" << on_rim(tau * k / spokes) << "\"/>\n";
+  xml << "    </body>\n";
+}
+
 }  // namespace detail
 
 /// Returns the inertia of the base. Throws std::invalid_argument if arms and wheels have more mass
@@ -167,7 +206,7 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
   }
   for (std::size_t i = 0; i < wheel_count(vehicle); ++i) {
     const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
-    Eigen::Vector3d own = detail::wheel_inertia(p);
+    Eigen::Vector3d own = detail::wheel_inertia(*vehicle.wheels, p);
     // The inertia of the vehicle excludes the inertia of the wheels about their axle.
     own.x() = 0.0;
     take(p.wheel_mass, wheel.translation(),
@@ -270,6 +309,10 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
     const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
     const double arm = rotor.translation().norm();
     const int spin = static_cast<int>(vehicle.rotors[i].spin);
+    const tilt_ropter::RotorParameters& propeller = rotor_parameters(vehicle, i);
+    const bool known = propeller.propeller_radius > 0.0;  // otherwise drawn in a usual size
+    const double disc = known ? propeller.propeller_radius : 0.075,
+                 height = known ? propeller.propeller_height : 0.034;
     xml << "    <body name=\"arm" << n << '"' << detail::placed(rotor) << R"(>
       <joint name="tilt)"
         << n << R"(" type="hinge" axis="1 0 0" armature=)" << quoted(numbers(p.servo_armature))
@@ -283,50 +326,27 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
         << quoted(numbers(-arm + 0.045, 0, 0, 0, 0, 0)) << R"( material="carbon"/>
       <geom class="touches" type="cylinder" size="0.015 0.014" pos="0 0 0.006" material="metal"/>
       <geom type="cylinder" size="0.004 0.01" pos="0 0 0.026" material="metal"/>
-      <geom type="cylinder" size="0.075 0.0012" pos="0 0 0.034" material="disc)"
-        << spin << R"("/>
-      <geom type="ellipsoid" size="0.073 0.006 0.002" pos="0 0 0.034" euler="0 0 )"
-        << 0.7 * static_cast<double>(i) << R"(" material="carbon"/>
-    </body>
-)";
-  }
-  const Eigen::Vector3d wheel_inertia = detail::wheel_inertia(p);
-  for (std::size_t i = 0; i < wheel_count(vehicle); ++i) {
-    const std::string n = std::to_string(i + 1);
-    const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
-    const double arm = rotor_in_body(vehicle, i % 2).translation().norm();
-    xml << "    <geom type=\"capsule\" size=\"0.004\" material=\"metal\" fromto="
-        << quoted(numbers(wheel.translation().x(),
-                          wheel.translation().y() * arm / vehicle.wheels->half_track, 0,
-                          wheel.translation().x(), wheel.translation().y(), 0))
-        << "/>\n    <body name=\"wheel" << n << '"' << detail::placed(wheel) << R"(>
-      <joint name="wheel)"
-        << n << R"(" type="hinge" axis="1 0 0" damping=)"
-        << quoted(numbers(p.contact.bearing_friction)) << R"(/>
-      <inertial mass=)"
-        << quoted(numbers(p.wheel_mass)) << R"( pos="0 0 0" diaginertia=)"
-        << quoted(numbers(wheel_inertia)) << R"(/>
-      <geom name="contact)"
-        << n << R"(" class="touches" type="ellipsoid" group="4" size=)"
-        << quoted(numbers(p.wheel_half_width, radius, radius)) << R"(/>
-      <geom type="cylinder" size="0.012 0.01" quat="0.70710678118654757 0 0.70710678118654757 0"
-        material="metal"/>
-)";
-    constexpr int segments = 36, spokes = 6;  // a rim of short capsules, because MJCF has no torus
-    constexpr double tau = 2.0 * tilt_ropter::pi;
-    const double rim = radius - 0.007;
-    const auto on_rim = [rim](double angle) {
-      return numbers(0.0, rim * std::cos(angle), rim * std::sin(angle));
-    };
-    for (int k = 0; k < segments; ++k)
-      xml << R"(      <geom type="capsule" size="0.007" material="tyre" fromto=")"
-          << on_rim(tau * k / segments) << ' ' << on_rim(tau * (k + 1) / segments) << "\"/>\n";
-    for (int k = 0; k < spokes; ++k)
-      xml << R"(      <geom type="capsule" size="0.0025" material=")"
-          << (k == 0 ? "shell" : "metal") << R"(" fromto="0 0 0 )" << on_rim(tau * k / spokes)
-          << "\"/>\n";
+      <geom type="cylinder" size=)"
+        << quoted(numbers(disc, 0.0012)) << " pos=" << quoted(numbers(0.0, 0.0, height))
+        << R"( material="disc)" << spin << R"("/>
+      <geom type="ellipsoid" size=)"
+        << quoted(numbers(0.97 * disc, 0.006, 0.002))
+        << " pos=" << quoted(numbers(0.0, 0.0, height)) << R"( euler="0 0 )"
+        << 0.7 * static_cast<double>(i) << "\" material=\"carbon\"/>\n";
+    for (std::size_t w = 0; w < wheel_count(vehicle); ++w)
+      if (axle_arm(vehicle, w) == i)
+        detail::add_wheel(xml, vehicle, p, w, rotor.inverse() * wheel_in_body(vehicle, w),
+                          Eigen::Vector3d::Zero());
     xml << "    </body>\n";
   }
+  for (std::size_t i = 0; i < wheel_count(vehicle); ++i)
+    if (!axle_arm(vehicle, i)) {
+      const Eigen::Isometry3d wheel = wheel_in_body(vehicle, i);
+      const double arm = rotor_in_body(vehicle, i % 2).translation().norm();
+      const Eigen::Vector3d inner(wheel.translation().x(),
+                                  wheel.translation().y() * arm / vehicle.wheels->half_track, 0.0);
+      detail::add_wheel(xml, vehicle, p, i, wheel, inner);
+    }
   if (vehicle.legs) {
     const tilt_ropter::LegParameters& legs = *vehicle.legs;
     for (int i = 0; i < 4; ++i) {

@@ -40,7 +40,9 @@ class MujocoPlant {
   /// std::runtime_error if MuJoCo rejects the model.
   explicit MujocoPlant(const tilt_ropter::Vehicle<4>& vehicle,
                        const MujocoParameters& parameters = {})
-      : vehicle_(vehicle), model_(load(mujoco_model(vehicle, parameters))) {
+      : vehicle_(vehicle),
+        servo_stiffness_(parameters.servo_damping / vehicle.servo.time_constant),
+        model_(load(mujoco_model(vehicle, parameters))) {
     servos_.fill(vehicle.servo);
     data_.reset(mj_makeData(model_.get()));
     if (!data_) throw std::runtime_error("MuJoCo: no memory for its data");
@@ -161,8 +163,18 @@ class MujocoPlant {
   [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
   /// Normal force of the ground on each wheel or foot, in the order of Plant [N].
   [[nodiscard]] const Eigen::Vector4d& normal_forces() const { return normal_forces_; }
-  /// Speed of the right and the left wheel relative to the body [rad/s]. Throws std::out_of_range
-  /// for a vehicle without wheels.
+  /// Same as tilt_ropter::Plant::bearing_torque().
+  [[nodiscard]] double bearing_torque() const {
+    double largest = 0.0;
+    for (std::size_t i = 0; i < wheel_dof_.size(); ++i)
+      if (axle_arm(vehicle_, i))
+        largest = std::max(largest, std::abs(data_->qfrc_passive[wheel_dof_[i]]));
+    return largest;
+  }
+  /// Torque on an arm / angle by which its servo gives way [N m/rad], for slow loads.
+  [[nodiscard]] double servo_stiffness() const { return servo_stiffness_; }
+  /// Speed of the right and the left wheel relative to their axles [rad/s]. Throws
+  /// std::out_of_range for a vehicle without wheels.
   [[nodiscard]] Eigen::Vector2d wheel_speeds() const {
     return {data_->qvel[wheel_dof_.at(0)], data_->qvel[wheel_dof_.at(1)]};
   }
@@ -264,6 +276,7 @@ class MujocoPlant {
   }
 
   tilt_ropter::Vehicle<4> vehicle_;
+  double servo_stiffness_;
   std::array<tilt_ropter::ServoParameters, 4> servos_;
   Model model_;
   std::unique_ptr<mjData, Delete> data_;

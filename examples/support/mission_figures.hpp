@@ -2,6 +2,7 @@
 
 #include "statistics.hpp"
 
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
@@ -55,6 +56,13 @@ class MissionFigures {
     if (phase == tilt_ropter::MissionPhase::air) force_error_.add((estimated - truth).norm());
   }
 
+  /// Call this after each step of the plant on the ground. Arguments: torque of a wheel's bearing
+  /// on the servo of its arm [N m], and torque / angle by which the servo gives way [N m/rad].
+  void on_bearings(double torque, double stiffness) {
+    bearing_torque_ = std::max(bearing_torque_, torque);
+    bearing_tilt_ = std::max(bearing_tilt_, torque / stiffness);
+  }
+
   /// Call this after each tick of the controller.
   void on_control(bool solved, double total_us, double feedback_us) {
     if (!solved) ++failures_;
@@ -106,6 +114,8 @@ class MissionFigures {
     line("takeoff_overshoot_m", takeoff_overshoot_, 4);
     line("takeoff_error_m", takeoff_error_, 4);
     line("landing_error_m", landing_error_, 4);
+    if (bearing_torque_ > 0.0) line("bearing_torque_nm", bearing_torque_, 5);
+    if (bearing_torque_ > 0.0) line("bearing_tilt_deg", bearing_tilt_ * 180.0 / tilt_ropter::pi, 3);
   }
 
   void print(std::ostream& out, int contact_mode_changes) {
@@ -138,7 +148,7 @@ class MissionFigures {
   Rmse all_, air_, ground_, force_error_;
   Mean air_power_, ground_power_;
   double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0,
-         landing_error_ = 0.0;
+         landing_error_ = 0.0, bearing_torque_ = 0.0, bearing_tilt_ = 0.0;
   double servo_speed_ = 0.0, demanded_max_ = 0.0, planned_max_ = 0.0, slope_max_ = 0.0;
   Eigen::VectorXd last_command_;
   bool was_touching_ = true;

@@ -283,6 +283,8 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
     if (height_is_off && phase == MissionPhase::ground) seen.z() = wanted.z();
     figures.on_plant(phase, seen, wanted, plant.body().velocity.z(),
                      power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
+    if (phase == MissionPhase::ground)
+      figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
     on_step(mission);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;

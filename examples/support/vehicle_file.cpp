@@ -162,7 +162,8 @@ bool has_rotor_parameters(Fields& fields) {
   bool has = false;
   for (const char* key :
        {"thrust_coefficient_n_s2_per_rad2", "linear_thrust_coefficient_n_s_per_rad",
-        "torque_ratio_m", "min_thrust_n", "max_thrust_n", "time_constant_s"})
+        "torque_ratio_m", "min_thrust_n", "max_thrust_n", "time_constant_s", "propeller_radius_m",
+        "propeller_height_m"})
     has = fields.find(key) != nullptr || has;
   return has;
 }
@@ -183,6 +184,12 @@ RotorParameters read_rotor_parameters(Fields& fields, const std::string& path,
   rotor.max_thrust = number("max_thrust_n", {1e-3, 1e4, "N"}, &RotorParameters::max_thrust);
   rotor.time_constant =
       number("time_constant_s", {1e-3, 1.0, "s"}, &RotorParameters::time_constant);
+  if (common != nullptr) rotor.propeller_radius = common->propeller_radius;
+  if (fields.find("propeller_radius_m") != nullptr)
+    rotor.propeller_radius = fields.number("propeller_radius_m", {0.0, 5.0, "m"});
+  if (common != nullptr) rotor.propeller_height = common->propeller_height;
+  if (fields.find("propeller_height_m") != nullptr)
+    rotor.propeller_height = fields.number("propeller_height_m", {-1.0, 1.0, "m"});
   const char* linear = "linear_thrust_coefficient_n_s_per_rad";
   if (common != nullptr) rotor.linear_thrust_coefficient = common->linear_thrust_coefficient;
   if (fields.find(linear) != nullptr) {
@@ -262,13 +269,21 @@ ServoParameters read_servo(const Json& object) {
   return servo;
 }
 
-WheelParameters read_wheels(const Json& object) {
+/// `mass` is that of the vehicle [kg]. Without a field for their inertia, the wheels have the same
+/// part of it as the wheels of the Tilt-Ropter.
+WheelParameters read_wheels(const Json& object, double mass) {
   Fields fields(object, "wheels");
   WheelParameters wheels;
   wheels.radius = fields.number("radius_m", {0.005, 1.0, "m"});
   wheels.half_track = fields.number("half_track_m", {0.01, 5.0, "m"});
   if (fields.find("wheel_base_m") != nullptr)
     wheels.wheel_base = fields.number("wheel_base_m", {0.0, 5.0, "m"});
+  if (fields.find("half_width_m") != nullptr)
+    wheels.half_width = fields.number("half_width_m", {0.0, 1.0, "m"});
+  wheels.inertia = 0.022 * mass * wheels.radius * wheels.radius;
+  if (fields.find("inertia_kg_m2") != nullptr)
+    wheels.inertia = fields.number("inertia_kg_m2", {1e-8, 10.0, "kg m^2"});
+  if (fields.find("on_arms") != nullptr) wheels.on_arms = fields.truth("on_arms");
   fields.refuse_unknown();
   return wheels;
 }
@@ -362,6 +377,11 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
     refuse("sum of max_thrust_n of all rotors", shown(lift),
            "more than the weight, " + shown(weight) + " N");
   (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
+  if (vehicle.wheels && vehicle.wheels->on_arms &&
+      (vehicle.wheels->wheel_base > 0.0 || !axle_arm(vehicle, 0) || !axle_arm(vehicle, 1)))
+    refuse("wheels.on_arms", shown(Json(true)),
+           "false, unless wheel_base_m is 0 and two arms point along -y and +y from the CoM "
+           "and end before the wheels (length_m below half_track_m)");
   validate(vehicle);
   return vehicle;
 }
@@ -380,7 +400,7 @@ VehicleFile read(const Json& root) {
     const Json* value = fields.find(key);
     return value == nullptr || value->is_null() ? nullptr : value;
   };
-  if (const Json* wheels = there("wheels")) common.wheels = read_wheels(*wheels);
+  if (const Json* wheels = there("wheels")) common.wheels = read_wheels(*wheels, common.body.mass);
   if (const Json* legs = there("legs")) common.legs = read_legs(*legs);
   if (common.wheels && common.legs) refuse("legs", "an object", "absent for a vehicle with wheels");
   common.power = read_power(fields.get("power", object));
@@ -481,6 +501,8 @@ Json json_of(const RotorParameters& rotor, const RotorParameters* common) {
   add("min_thrust_n", &RotorParameters::min_thrust, true);
   add("max_thrust_n", &RotorParameters::max_thrust, true);
   add("time_constant_s", &RotorParameters::time_constant, true);
+  add("propeller_radius_m", &RotorParameters::propeller_radius, false);
+  add("propeller_height_m", &RotorParameters::propeller_height, false);
   return object;
 }
 
@@ -525,6 +547,9 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
   if (v.wheels) {
     root["wheels"] = {{"radius_m", v.wheels->radius}, {"half_track_m", v.wheels->half_track}};
     if (v.wheels->wheel_base > 0.0) root["wheels"]["wheel_base_m"] = v.wheels->wheel_base;
+    root["wheels"]["half_width_m"] = v.wheels->half_width;
+    root["wheels"]["inertia_kg_m2"] = v.wheels->inertia;
+    root["wheels"]["on_arms"] = v.wheels->on_arms;
   }
   if (v.legs)
     root["legs"] = {{"height_m", v.legs->height},

@@ -1,5 +1,6 @@
 // Checks a vehicle before it flies: the forces and torques of its actuators, intact and with each
-// rotor lost; whether limits and mission fit the actuators; and how long the battery lasts.
+// rotor lost; whether propellers touch something; whether limits and mission fit the actuators; and
+// how long the battery lasts.
 
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
@@ -12,6 +13,7 @@
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/propeller_clearance.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>
@@ -199,6 +201,32 @@ void print_losses(const Vehicle<Rotors>& vehicle) {
                "lean)\n\n";
 }
 
+/// Prints the distances of the propellers, and reports propellers that touch something.
+template <int Rotors>
+void check_propellers(const Vehicle<Rotors>& vehicle, Findings& findings) {
+  constexpr double narrow = 0.005;  // [m]
+  const PropellerClearance clearance = propeller_clearance(vehicle);
+  bool known = true;
+  for (std::size_t i = 0; i < Rotors; ++i)
+    known = known && rotor_parameters(vehicle, i).propeller_radius > 0.0;
+  if (!known) {
+    std::cout << "propellers: not checked, the file has no rotor.propeller_radius_m\n";
+    return;
+  }
+  const auto part = [&](const char* key, const char* name, double distance) {
+    if (std::isinf(distance)) return;
+    line(std::string("propeller_to_") + key + "_m", distance);
+    if (!(distance > 0.0))
+      findings.error(std::string("a propeller touches ") + name + " at a tilt angle of its range");
+    else if (distance < narrow)
+      findings.warning(std::string("a propeller passes ") + name + " at a distance of " +
+                       digits(1e3 * distance) + " mm");
+  };
+  part("wheel", "a wheel", clearance.wheel);
+  part("ground", "the ground", clearance.ground);
+  part("propeller", "another propeller", clearance.propeller);
+}
+
 template <int Rotors>
 void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
                      double usable) {
@@ -236,6 +264,7 @@ bool check(const Options& options, const examples::VehicleFile& file,
     std::cout << axes[i] << "_on_top_of_hover: +" << digits(authority.forward(axis)) << " -"
               << digits(authority.backward(axis)) << (i < 3 ? " N\n" : " N m\n");
   }
+  check_propellers(vehicle, findings);
   if (!authority.hovers) {
     findings.error("the rotors do not carry the weight in level attitude without torque");
   } else {
@@ -277,7 +306,8 @@ Exit code: 0 the vehicle flies, 1 it does not fly or another error, 2 an invalid
 int main(int argc, char** argv) {
   CLI::App app{
       "Checks a vehicle before it flies: force and torque of its actuators, intact and with a\n"
-      "rotor lost; whether limits and mission fit the actuators; how long the battery lasts."};
+      "rotor lost; whether propellers touch something; whether limits and mission fit the\n"
+      "actuators; how long the battery lasts."};
   Options options;
   app.add_option("FILE.json", options.input, "JSON file of the vehicle; default: the Tilt-Ropter");
   app.add_option("-o,--output", options.output, "directory for the envelope and the picture")

@@ -44,6 +44,7 @@
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/ned.hpp>
+#include <tilt_ropter/model/propeller_clearance.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

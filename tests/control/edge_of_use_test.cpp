@@ -47,9 +47,9 @@ Vehicle<4> scaled_vehicle(double mass) {
 /// [m].
 double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, double period) {
   const double by_mass = vehicle.body.mass / tilt_ropter_vehicle().body.mass;
-  PlantParameters world;
-  world.contact.wheel_inertia *= std::pow(by_mass, 5.0 / 3.0);  // avoids tiny substeps
-  Plant<4> plant(vehicle, world);
+  Vehicle<4> truth = vehicle;
+  truth.wheels->inertia *= std::pow(by_mass, 5.0 / 3.0);  // avoids tiny substeps
+  Plant<4> plant(truth);
   AllocationSettings of_allocation;
   of_allocation.hold_thrust *= by_mass;
   const Allocation<4> allocation(vehicle, of_allocation);

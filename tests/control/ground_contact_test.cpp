@@ -47,7 +47,7 @@ WheeledFlightNode node_of(const ContactEstimate& contact, const ReferencePoint& 
                           double height = 0.11, double ahead = 0.0,
                           const GroundContactSettings& settings = {}) {
   WheeledFlightNode node;
-  axle_with(settings).apply(contact, measured_at(height), ahead, point, node);
+  axle_with(settings).apply(contact, measured_at(height), ahead, point, point, node);
   return node;
 }
 
@@ -114,12 +114,33 @@ TEST(GroundContact, HoldsVerticalAndRollAndGivesForcesAlongTheGround) {
   EXPECT_EQ(air.external.force, contact.disturbance.force);
 }
 
+// The observer already sees the inertia of the wheels at the present acceleration.
+TEST(GroundContact, PredictsTheInertiaOfTheRollingWheels) {
+  const ContactEstimate contact = standing_at(0.0);
+  Undercarriage axle{0.11};
+  axle.rolling_mass = 0.07;
+  axle.turning_inertia = 0.004;
+  ReferencePoint now = at_height(0.11), later = at_height(0.11);
+  const Eigen::Quaterniond heading(Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()));
+  now.orientation = later.orientation = heading;
+  now.acceleration = heading * Eigen::Vector3d(0.5, 0.2, 0.0);
+  later.acceleration = heading * Eigen::Vector3d(-1.0, 0.3, 0.0);
+  now.angular_acceleration.z() = 0.4;
+  later.angular_acceleration.z() = -0.6;
+  WheeledFlightNode node;
+  GroundContact(body, axle).apply(contact, measured_at(0.11), 0.5, now, later, node);
+  EXPECT_NEAR(node.external.force.x(), contact.rolling.force.x() + 0.07 * 1.5, 1e-12);
+  EXPECT_NEAR(node.external.torque.z(), contact.rolling.torque.z() + 0.004 * 1.0, 1e-12);
+  GroundContact(body, axle).apply(contact, measured_at(0.11), 0.0, now, now, node);
+  EXPECT_NEAR(node.external.force.x(), contact.rolling.force.x(), 1e-12);
+}
+
 TEST(GroundContact, HoldsTheMotionsThatTheUndercarriagePrevents) {
   const ContactEstimate contact = standing_at(0.0);
   const auto node_on = [&](const std::optional<Undercarriage>& undercarriage) {
     WheeledFlightNode node;
     GroundContact(body, undercarriage)
-        .apply(contact, measured_at(0.11), 0.0, at_height(0.11), node);
+        .apply(contact, measured_at(0.11), 0.0, at_height(0.11), at_height(0.11), node);
     return node;
   };
   const auto released_on = [&](const std::optional<Undercarriage>& undercarriage) {

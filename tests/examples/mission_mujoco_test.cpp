@@ -83,7 +83,6 @@ MujocoParameters light_arms() {
   p.arm_mass = 1e-4;
   p.arm_inertia.setConstant(1e-8);
   p.wheel_mass = 1e-3;
-  p.contact.wheel_inertia = 1e-8;
   return p;
 }
 
@@ -195,11 +194,11 @@ TEST(MujocoPlant, WheelsCarryTheWeightAtRest) {
 // Two independent engines simulate the same motion. They agree if arms and wheels have negligible
 // mass, and differ if the arms are heavy.
 TEST(MujocoPlant, MatchesOurPlantInFlightWhenArmsAreLight) {
-  const Vehicle<4> vehicle = unlike_rotors();
+  Vehicle<4> vehicle = unlike_rotors();
+  vehicle.wheels->inertia = 1e-6;
   const auto distance = [&vehicle](MujocoParameters p) {
     PlantParameters ours_parameters;
     ours_parameters.contact.bearing_friction = p.contact.bearing_friction = 0.0;
-    ours_parameters.contact.wheel_inertia = 1e-6;
     Plant<4> ours(vehicle, ours_parameters);
     PlantState<4> start;
     start.body = high();
@@ -288,6 +287,29 @@ TEST(MujocoPlant, MatchesOurPlantWhenRollingOut) {
   for (int i = 0; i < 1000; ++i) ASSERT_TRUE(ours.step({}, {}, 1e-3) && other.step({}, {}, 1e-3));
   EXPECT_GT(ours.body().velocity.x(), 0.5);
   EXPECT_NEAR(other.body().velocity.x() / ours.body().velocity.x(), 1.0, 6e-3);
+}
+
+// The bearing drags the arm that is the wheel's axle. The servo gives way by the same angle in both
+// plants.
+TEST(MujocoPlant, RollingWheelsTurnTheirArmsAsInOurPlant) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  PlantParameters dragging;
+  MujocoParameters p;
+  dragging.contact.bearing_friction = p.contact.bearing_friction = 2e-3;
+  Plant<4> ours(vehicle, dragging);
+  MujocoPlant other(vehicle, p);
+  EXPECT_NEAR(other.servo_stiffness(), ours.servo_stiffness(), 1e-12);
+  Wrenchd push;
+  push.force.x() = 1.5;
+  for (int i = 0; i < 1500; ++i)
+    ASSERT_TRUE(ours.step({}, push, 1e-3) && other.step({}, push, 1e-3));
+  EXPECT_GT(ours.bearing_torque(), 0.01);
+  EXPECT_NEAR(other.bearing_torque() / ours.bearing_torque(), 1.0, 0.05);
+  for (const Eigen::Index arm : {0, 1}) {
+    const double deflection = ours.actuators().tilt_angle(arm);
+    EXPECT_GT(std::abs(deflection), 4e-3);
+    EXPECT_NEAR(other.actuators().tilt_angle(arm) / deflection, 1.0, 0.1) << arm;
+  }
 }
 
 TEST(MujocoPlant, RejectsInvalidSteps) {

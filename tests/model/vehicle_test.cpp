@@ -30,7 +30,11 @@ TEST(Vehicle, UndercarriageFollowsWheelsAndLegs) {
   ASSERT_TRUE(axle);
   EXPECT_EQ(axle->height, v.wheels->radius);
   EXPECT_TRUE(axle->rolls && axle->pitches);
+  EXPECT_NEAR(axle->rolling_mass, 2.0 * 4e-4 / (0.11 * 0.11), 1e-12);
+  EXPECT_NEAR(axle->turning_inertia, axle->rolling_mass * 0.26 * 0.26, 1e-12);
+  v.wheels->on_arms = false;
   v.wheels->wheel_base = 0.3;
+  EXPECT_NEAR(undercarriage(v)->rolling_mass, 2.0 * axle->rolling_mass, 1e-12);
   EXPECT_TRUE(undercarriage(v)->rolls && !undercarriage(v)->pitches);
   stand_on_legs(v).height = 0.2;
   EXPECT_EQ(undercarriage(v)->height, 0.2);
@@ -39,6 +43,20 @@ TEST(Vehicle, UndercarriageFollowsWheelsAndLegs) {
   EXPECT_FALSE(undercarriage(v));
   EXPECT_NO_THROW(validate(v));
   EXPECT_THROW(validate(Undercarriage{0.0, true, true, true}), std::invalid_argument);
+}
+
+// Paper, Sec. Mechanical Design: the arms of rotors 1 and 2 are the axles.
+TEST(Vehicle, WheelsOfTheReferenceVehicleSitOnItsArms) {
+  Vehicle<4> v = tilt_ropter_vehicle();
+  EXPECT_EQ(axle_arm(v, 0), 0U);
+  EXPECT_EQ(axle_arm(v, 1), 1U);
+  const Vehicle<4> stuck = with_stuck_servo(v, 1, 0.4);
+  EXPECT_NO_THROW(validate(stuck));
+  EXPECT_EQ(axle_arm(stuck, 1), 1U);
+  v.wheels->on_arms = false;
+  EXPECT_FALSE(axle_arm(v, 0));
+  v.wheels.reset();
+  EXPECT_FALSE(axle_arm(v, 0));
 }
 
 TEST(Vehicle, ReferenceVehicleIsValid) {
@@ -142,6 +160,16 @@ TEST(Vehicle, RejectsEveryInvalidFieldByNameAndValue) {
       {"WheelParameters.radius", "0", [](V& v) { v.wheels->radius = 0.0; }},
       {"WheelParameters.half_track", "-1", [](V& v) { v.wheels->half_track = -1.0; }},
       {"WheelParameters.wheel_base", "-1", [](V& v) { v.wheels->wheel_base = -1.0; }},
+      {"WheelParameters.half_width", "-1", [](V& v) { v.wheels->half_width = -1.0; }},
+      {"WheelParameters.inertia", "0", [](V& v) { v.wheels->inertia = 0.0; }},
+      {"WheelParameters.on_arms", "true: must be false without a wheel_base of 0",
+       [](V& v) { v.wheels->wheel_base = 0.2; }},
+      {"WheelParameters.on_arms", "true", [](V& v) { v.wheels->half_track = 0.16; }},
+      {"WheelParameters.on_arms", "true", [](V& v) { v.rotors[1].position.x() = 0.01; }},
+      {"WheelParameters.on_arms", "true",
+       [](V& v) { v.rotors[0] = rotor_on_arm(-1.5, 0.17, Spin::clockwise); }},
+      {"RotorParameters.propeller_radius", "-1", [](V& v) { v.rotor.propeller_radius = -1.0; }},
+      {"RotorParameters.propeller_height", "nan", [](V& v) { v.rotor.propeller_height = nan; }},
       {"Vehicle.legs", "given", [](V& v) { v.legs = LegParameters{}; }},
       {"LegParameters.height", "0", [](V& v) { stand_on_legs(v).height = 0.0; }},
       {"LegParameters.half_length", "-2", [](V& v) { stand_on_legs(v).half_length = -2.0; }},

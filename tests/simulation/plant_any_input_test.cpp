@@ -134,7 +134,7 @@ TEST(Plant, StiffWheelsAndFastActuatorsStayStable) {
   v.rotor.time_constant = v.servo.time_constant = 1e-4;
   PlantParameters p;
   p.max_substep = 0.01;
-  p.contact.wheel_inertia = 1e-5;
+  v.wheels->inertia = 1e-5;
   p.contact.stiffness = 3e4;
   p.contact.dissipation = 20.0;
   Plant<4> plant(v, p);
@@ -181,7 +181,10 @@ TEST(Plant, RejectsInvalidParametersAndStates) {
   bad_parameters([](auto& p) { p.max_substep = 0.0; });
   bad_parameters([](auto& p) { p.linear_drag.x() = -1.0; });
   bad_parameters([](auto& p) { p.contact.stiffness = 0.0; });
-  bad_parameters([](auto& p) { p.contact.wheel_inertia = 1e-30; });
+  bad_parameters([](auto& p) { p.servo_stiffness = 0.0; });
+  Vehicle<4> light = vehicle;
+  light.wheels->inertia = 1e-11;  // too fast a rate
+  EXPECT_THROW(Plant<4>{light}, std::invalid_argument);
   Vehicle<4> v = vehicle;
   v.body.mass = 0.0;
   EXPECT_THROW(Plant<4>{v}, std::invalid_argument);

@@ -207,8 +207,9 @@ TEST(Plant, TurnsAboutTheMiddleOfTheAxleWithoutScrubbing) {
   PlantState<4> x = plant.state();
   x.body.velocity.x() = 1.0;
   x.body.angular_velocity.z() = 1.0;
-  x.wheels[0].spin = 1.2 / 0.11;  // the right wheel is on the outside of the turn
-  x.wheels[1].spin = 0.8 / 0.11;
+  x.wheels[0].spin =
+      (1.0 + vehicle.wheels->half_track) / 0.11;  // the right wheel is on the outside of the turn
+  x.wheels[1].spin = (1.0 - vehicle.wheels->half_track) / 0.11;
   plant.reset(x);
   for (int k = 0; k < 1500; ++k) {
     ASSERT_TRUE(plant.step(idle(), {}, 1e-3));
@@ -216,10 +217,13 @@ TEST(Plant, TurnsAboutTheMiddleOfTheAxleWithoutScrubbing) {
     const Eigen::Vector3d v = body.orientation.conjugate() * body.velocity;
     if (k < 300) continue;  // until the tyres carry the side force
     EXPECT_NEAR(v.y(), 0.0, 1e-3);
-    EXPECT_NEAR(0.11 * plant.state().wheels[0].spin, v.x() + 0.2 * body.angular_velocity.z(), 0.02);
+    EXPECT_NEAR(0.11 * plant.state().wheels[0].spin,
+                v.x() + vehicle.wheels->half_track * body.angular_velocity.z(),
+                0.1 * vehicle.wheels->half_track);
   }
   const double ratio = plant.state().wheels[0].angle / plant.state().wheels[1].angle;
-  EXPECT_NEAR(ratio, 1.5, 0.1);
+  const double half_track = vehicle.wheels->half_track;  // on a circle of 1 m
+  EXPECT_NEAR(ratio, (1.0 + half_track) / (1.0 - half_track), 0.1);
   EXPECT_GT(plant.body().position.y(), 0.3);
 }
 
@@ -232,7 +236,7 @@ TEST(Plant, CoastsToRestUnderRollingResistance) {
   x.wheels[0].spin = x.wheels[1].spin = 0.5 / 0.11;
   plant.reset(x);
   run(plant, idle(), {}, 1.0);
-  const double inertia = 1.5 + 2.0 * p.contact.wheel_inertia / (0.11 * 0.11);
+  const double inertia = 1.5 + 2.0 * vehicle.wheels->inertia / (0.11 * 0.11);
   EXPECT_NEAR(plant.body().velocity.x(), 0.5 - 0.018 * 1.5 * gravity / inertia, 1e-3);
   run(plant, idle(), {}, 5.0);
   EXPECT_NEAR(plant.body().velocity.x(), 0.0, 1e-3);
@@ -244,7 +248,7 @@ TEST(Plant, BodyPitchesFreelyAboutTheAxle) {
   Plant<4> plant(vehicle, p);
   const Wrenchd twist{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.01, 0.0)};
   run(plant, idle(), twist, 1.0);
-  EXPECT_NEAR(plant.body().angular_velocity.y(), 0.01 / 0.014, 1e-6);
+  EXPECT_NEAR(plant.body().angular_velocity.y(), 0.01 / vehicle.body.inertia(1, 1), 1e-6);
   EXPECT_LT(plant.body().position.head<2>().norm(), 1e-9);
   EXPECT_NEAR(plant.state().wheels[0].spin, 0.0, 1e-9);
   EXPECT_NEAR(plant.contact_wrench().torque.y(), 0.0, 1e-9);
@@ -253,7 +257,9 @@ TEST(Plant, BodyPitchesFreelyAboutTheAxle) {
 TEST(Plant, BearingFrictionDragsThePitchingBody) {
   PlantParameters p;
   p.contact.bearing_friction = 1e-3;
-  Plant<4> plant(vehicle, p);
+  Vehicle<4> v = vehicle;
+  v.wheels->on_arms = false;
+  Plant<4> plant(v, p);
   PlantState<4> x = plant.state();
   x.body.angular_velocity.y() = 2.0;
   plant.reset(x);
@@ -263,13 +269,56 @@ TEST(Plant, BearingFrictionDragsThePitchingBody) {
   EXPECT_LT(plant.body().angular_velocity.y(), 1.9);
 }
 
+// The right arm points along -y and the left arm along +y, so the same drag turns them in opposite
+// directions.
+TEST(Plant, BearingsOfWheelsOnTiltingArmsLoadTheServos) {
+  for (const bool on_arms : {true, false}) {
+    Vehicle<4> v = vehicle;
+    v.wheels->on_arms = on_arms;
+    PlantParameters p;
+    p.contact.rolling_resistance = 0.0;
+    Plant<4> plant(v, p);
+    PlantState<4> x = plant.state();
+    x.body.velocity.x() = 1.5;
+    x.wheels[0].spin = x.wheels[1].spin = 1.5 / 0.11;
+    plant.reset(x);
+    run(plant, idle(), {}, 0.5);
+    const double torque = p.contact.bearing_friction *
+                          (plant.state().wheels[1].spin - plant.body().angular_velocity.y());
+    const double expected = on_arms ? torque : 0.0;
+    EXPECT_NEAR(plant.loads().servo_torque[0], -expected, 1e-9);
+    EXPECT_NEAR(plant.loads().servo_torque[1], expected, 1e-9);
+    EXPECT_NEAR(plant.bearing_torque(), std::abs(expected), 1e-9);
+    EXPECT_NEAR(plant.actuators().tilt_angle(1), expected / p.servo_stiffness, 2e-5);
+    EXPECT_NEAR(plant.actuators().tilt_angle(0), -expected / p.servo_stiffness, 2e-5);
+    EXPECT_GT(torque, 1e-3);
+    EXPECT_EQ(plant.actuators().tilt_angle(2), 0.0);
+  }
+}
+
+// A servo that turns its arm drags the wheel on it by the bearing.
+TEST(Plant, TiltingArmDragsItsWheel) {
+  PlantParameters p;
+  p.contact.bearing_friction = 1e-3;
+  Plant<4> plant(vehicle, p);
+  PlantState<4> x;
+  x.body.position.z() = 50.0;
+  plant.reset(x);
+  ActuatorState<4> command = idle();
+  command.tilt_angle << 0.5, 0.5, 0.0, 0.0;
+  run(plant, command, {}, 0.1);
+  EXPECT_LT(plant.state().wheels[0].spin, -0.1);  // arm 1 turns about -y
+  EXPECT_GT(plant.state().wheels[1].spin, 0.1);
+}
+
 TEST(Plant, AxleAwayFromTheCentreOfMassTipsTheBody) {
   PlantParameters p;
   p.contact.axle_position << 0.01, 0.0, -0.005;
   Plant<4> plant(vehicle, p);
   EXPECT_NEAR(plant.normal_forces().sum(), 1.5 * gravity, 1e-9);
   EXPECT_NEAR(plant.contact_wrench().torque.y(), -0.01 * 1.5 * gravity, 1e-9);
-  EXPECT_NEAR(plant.loads().angular_acceleration.y(), -0.01 * 1.5 * gravity / 0.014, 1e-6);
+  EXPECT_NEAR(plant.loads().angular_acceleration.y(),
+              -0.01 * 1.5 * gravity / vehicle.body.inertia(1, 1), 1e-6);
 }
 
 TEST(Plant, ExternalWrenchMatchesEquationsOfMotionOfPaper) {

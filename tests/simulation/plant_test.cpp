@@ -32,9 +32,10 @@ Wrenchd force(double x, double y, double z) {
   return {{x, y, z}, Eigen::Vector3d::Zero()};
 }
 
-Eigen::Vector3d angular_momentum(const Plant<4>& plant, const Vehicle<4>& v, double wheel_inertia) {
+Eigen::Vector3d angular_momentum(const Plant<4>& plant, const Vehicle<4>& v) {
   Eigen::Vector3d momentum = v.body.inertia * plant.body().angular_velocity;
-  for (const WheelState& wheel : plant.state().wheels) momentum.y() += wheel_inertia * wheel.spin;
+  for (const WheelState& wheel : plant.state().wheels)
+    momentum.y() += v.wheels->inertia * wheel.spin;
   return plant.body().orientation * momentum;
 }
 
@@ -55,11 +56,11 @@ TEST(Plant, FreeBodyKeepsEnergyAndAngularMomentum) {
     Plant<4> plant(v, p);
     plant.reset(tumbling(random, 20000.0));
     const double e = energy(plant, v, p.contact);
-    const Eigen::Vector3d h = angular_momentum(plant, v, p.contact.wheel_inertia);
+    const Eigen::Vector3d h = angular_momentum(plant, v);
     const double rotation =
         0.5 * plant.body().angular_velocity.dot(v.body.inertia * plant.body().angular_velocity);
     run(plant, idle(), {}, 60.0);
-    const Eigen::Vector3d after = angular_momentum(plant, v, p.contact.wheel_inertia);
+    const Eigen::Vector3d after = angular_momentum(plant, v);
     const double turning =
         0.5 * plant.body().angular_velocity.dot(v.body.inertia * plant.body().angular_velocity);
     test_support::check_at_most(12, "plant: angular momentum lost in 60 s, relative",
@@ -77,32 +78,34 @@ TEST(Plant, BearingFrictionKeepsAngularMomentum) {
   const PlantParameters p;
   Plant<4> plant(vehicle, p);
   plant.reset(tumbling(random, 20000.0));
-  const Eigen::Vector3d h = angular_momentum(plant, vehicle, p.contact.wheel_inertia);
+  const Eigen::Vector3d h = angular_momentum(plant, vehicle);
   run(plant, idle(), {}, 20.0);
-  EXPECT_LT((angular_momentum(plant, vehicle, p.contact.wheel_inertia) - h).norm(),
-            1e-9 * h.norm());
+  EXPECT_LT((angular_momentum(plant, vehicle) - h).norm(), 1e-9 * h.norm());
 }
 
 TEST(Plant, BearingFrictionStopsTheWheelsRelativeToTheBody) {
   const PlantParameters p;
-  Plant<4> plant(vehicle, p);
+  Vehicle<4> v = vehicle;
+  v.wheels->on_arms = false;  // an arm would give way
+  Plant<4> plant(v, p);
   PlantState<4> x;
   x.body.position.z() = 100.0;
   x.wheels[0].spin = x.wheels[1].spin = 10.0;
   plant.reset(x);
   run(plant, idle(), {}, 3.0);
-  const double rate = p.contact.bearing_friction * (1.0 / p.contact.wheel_inertia + 2.0 / 0.014);
+  const double rate = p.contact.bearing_friction *
+                      (1.0 / vehicle.wheels->inertia + 2.0 / vehicle.body.inertia(1, 1));
   for (const std::size_t i : {0U, 1U})
     EXPECT_NEAR(plant.state().wheels[i].spin - plant.body().angular_velocity.y(),
                 10.0 * std::exp(-3.0 * rate), 1e-6);
 }
 
 TEST(Plant, FreeFlightConvergesWithOrderFour) {
-  const Vehicle<4> v = lopsided_vehicle();
+  Vehicle<4> v = lopsided_vehicle();
   PlantParameters p;  // a slow, soft and distant contact, which does not limit the substep
   p.contact.stiffness = p.contact.bristle_stiffness = 1.0;
   p.contact.dissipation = p.contact.bristle_damping = p.contact.rolling_resistance = 0.0;
-  p.contact.wheel_inertia = 0.01;
+  v.wheels->inertia = 0.01;
   p.linear_drag << 0.1, 0.2, 0.3;
   Random random(3);
   const PlantState<4> start = tumbling(random, 1000.0);
@@ -227,7 +230,9 @@ TEST(Plant, LinearDragBrakesEachAxisExponentially) {
 // ------------------------------------------------------------------------------------- actuators
 
 TEST(Plant, RotorsAndServosMatchClosedFormLags) {
-  Plant<4> plant(vehicle);
+  PlantParameters p;
+  p.contact.bearing_friction = 0.0;  // the wheels would hold their arms back
+  Plant<4> plant(vehicle, p);
   ActuatorState<4> command;
   command.rotor_speed << 500.0, 1000.0, 1500.0, 2000.0;
   command.tilt_angle << 0.6, -0.5, 2.0, -2.5;  // the last two reach the rate limit
@@ -250,11 +255,13 @@ TEST(Plant, RotorsAndServosMatchClosedFormLags) {
 
 TEST(Plant, ServosHaveDeadTimeAndRotorsDoNot) {
   Vehicle<4> v = vehicle;
+  v.wheels->on_arms = false;
+  const Vehicle<4> at_once = v;
   v.servo.dead_time = 0.0235;
   Plant<4> plant(v);
   const auto wave = [](double t) { return 0.2 * std::sin(20.0 * t) + (t < 0.05 ? 0.0 : 0.1); };
   // The same commands to a vehicle without dead time; its angles are compared 23.5 ms later.
-  Plant<4> prompt(vehicle);
+  Plant<4> prompt(at_once);
   std::vector<double> late, expected;
   for (int k = 0; k < 1000; ++k) {
     ActuatorState<4> command;
@@ -287,6 +294,7 @@ TEST(Plant, CommandsAreClampedToActuatorRange) {
   Vehicle<4> v = vehicle;
   v.servo.min_angle = -0.5;
   v.servo.max_angle = 0.7;
+  v.wheels->on_arms = false;  // a load can turn an arm past the range
   v.rotor.min_thrust = 0.4;
   v.rotors[3].tilts = false;
   Plant<4> plant(v);

@@ -35,8 +35,9 @@ TEST(TwoModels, FollowTheSameTrajectoryUnderTheSameCommands) {
     start.actuators.rotor_speed.setConstant(1500.0);
     PlantParameters parameters;  // the model has no freely turning wheels
     parameters.contact.bearing_friction = 0.0;
-    parameters.contact.wheel_inertia = 1e-6;
-    Plant<4> plant(vehicle, parameters);
+    Vehicle<4> true_vehicle = vehicle;
+    true_vehicle.wheels->inertia = 1e-6;
+    Plant<4> plant(true_vehicle, parameters);
     plant.reset(start);
     ActuatorModel<4> actuators(vehicle);
     actuators.reset(start.actuators, 0.0);

@@ -39,7 +39,7 @@ Case random_case(Random& random, double tilt) {
 
 WheelForces contact(const WheelContactParameters& p, const Case& c) {
   const double y = c.side == right ? -0.2 : 0.2;
-  const WheelMount mount{p.axle_position + Eigen::Vector3d(0.0, y, 0.0), 0.11, c.locked};
+  const WheelMount mount{p.axle_position + Eigen::Vector3d(0.0, y, 0.0), 0.11, 4.0e-4, c.locked};
   return wheel_contact(p, mount, c.body, c.body.orientation.toRotationMatrix(), c.wheel);
 }
 
@@ -218,7 +218,6 @@ TEST(WheelContact, RejectsInvalidParameters) {
   EXPECT_TRUE(rejects([](auto& p) { p.bristle_damping = -1.0; }));
   EXPECT_TRUE(rejects([](auto& p) { p.rolling_resistance = -0.1; }));
   EXPECT_TRUE(rejects([](auto& p) { p.rolling_regularisation = 0.0; }));
-  EXPECT_TRUE(rejects([](auto& p) { p.wheel_inertia = 0.0; }));
   EXPECT_TRUE(rejects([](auto& p) { p.bearing_friction = -1.0; }));
   EXPECT_TRUE(rejects([nan](auto& p) { p.axle_position.y() = nan; }));
 }

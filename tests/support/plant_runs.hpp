@@ -54,7 +54,7 @@ inline double energy(const tilt_ropter::Plant<4>& plant, const tilt_ropter::Vehi
             {{0.0, i == 0 ? -v.wheels->half_track : v.wheels->half_track, 0.0}, v.wheels->radius},
             body, body.orientation.toRotationMatrix(), wheel)
             .normal_force;
-    sum += 0.5 * p.wheel_inertia * wheel.spin * wheel.spin + 0.5 * spring * spring / p.stiffness +
+    sum += 0.5 * v.wheels->inertia * wheel.spin * wheel.spin + 0.5 * spring * spring / p.stiffness +
            0.5 * p.bristle_stiffness * wheel.bristle.squaredNorm();
   }
   return sum;

@@ -52,10 +52,11 @@ class GroundContact {
   }
 
   /// Fills all of a node except its reference wrench. `point` is the reference, `ahead` [s] after
-  /// the `measured` state. Returns the point that the node follows: on the ground the result of
-  /// on_ground(), else `point`.
+  /// the `measured` state, and `now` is the reference at that state. Returns the point that the
+  /// node follows: on the ground the result of on_ground(), else `point`.
   ReferencePoint apply(const ContactEstimate& contact, const BodyStated& measured, double ahead,
-                       const ReferencePoint& point, WheeledFlightNode& node) const noexcept {
+                       const ReferencePoint& now, const ReferencePoint& point,
+                       WheeledFlightNode& node) const noexcept {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     const bool stands = is_on_ground(contact, measured.position);
@@ -82,6 +83,11 @@ class GroundContact {
     if (!undercarriage_->turns) node.freedom.angular.z() = 0.0;
     if (!undercarriage_->rolls) node.freedom.linear.setZero();
     node.external = contact.rolling;
+    // contact.rolling contains the inertia of the rolling wheels at the present acceleration. At
+    // this node they have the acceleration of the reference there.
+    node.external.force.x() -= undercarriage_->rolling_mass * (ahead_of(point) - ahead_of(now));
+    node.external.torque.z() -= undercarriage_->turning_inertia *
+                                (point.angular_acceleration.z() - now.angular_acceleration.z());
     Eigen::Vector3d missing = laid.acceleration;  // minus gravity along the ground
     for (int i = 0; i < 3; ++i) missing(i) += gravity * node.freedom.linear(i, 2);
     node.external.force.y() = mass_ * (laid.orientation.conjugate() * missing).y();
@@ -143,6 +149,11 @@ class GroundContact {
     if (!settings_.contact_by_height || !undercarriage_) return contact.on_ground;
     const double above = position.z() - undercarriage_->height - expected(contact, position);
     return std::abs(above) <= settings_.height_tolerance;
+  }
+
+  // Acceleration of the reference along its own body x [m/s^2].
+  static double ahead_of(const ReferencePoint& point) noexcept {
+    return (point.orientation.conjugate() * point.acceleration).x();
   }
 
   // Rotation from one unit vector to another, by less than half a turn.

@@ -385,7 +385,8 @@ void Nmpc<Rotors>::set_nodes() {
 template <int Rotors>
 void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
                             WheeledFlightNode& node) const {
-  const ReferencePoint followed = ground_.apply(contact_, body_state_, ahead, point, node);
+  const ReferencePoint followed =
+      ground_.apply(contact_, body_state_, ahead, points_[0], point, node);
   node.wrench_reference = {};
   switch (settings_.wrench_reference) {
     case WrenchReference::zero:

@@ -43,6 +43,8 @@ struct RotorParameters {
   /// Factor of the speed, at least -sqrt(thrust_coefficient max_thrust / 2) [N s / rad]. At this
   /// lower bound the thrust begins at half of the top speed.
   double linear_thrust_coefficient = 0.0;
+  double propeller_radius = 0.0;  ///< zero: unknown, propeller_clearance() then ignores it [m]
+  double propeller_height = 0.0;  ///< of the propeller above the arm axis, along the thrust [m]
 };
 
 /// Rotation direction of a rotor, seen from the side to which its thrust points.
@@ -86,13 +88,18 @@ struct ServoParameters {
   double dead_time = 0.0;  ///< time from a command to the first motion [s]
 };
 
-/// Passive wheels. Their axles are parallel to body y.
+/// Passive wheels. Their axles are parallel to body y. All wheels are equal.
 struct WheelParameters {
   double radius = 0.1;      ///< [m]
   double half_track = 0.2;  ///< distance from CoM to wheel centre along body y [m]
   /// Distance between front and rear axle, with the CoM in the middle [m]. Zero: one axle through
   /// the CoM, about which the vehicle pitches freely.
   double wheel_base = 0.0;
+  double half_width = 0.015;  ///< half of the thickness of a wheel [m]
+  double inertia = 4.0e-4;    ///< of one wheel about its axle [kg m^2]
+  /// True: the axles are the tilting arms along -y and +y, as in the paper, Sec. Mechanical Design.
+  /// The bearings then load the servos of these arms. False: the axles are fixed to the base.
+  bool on_arms = false;
 };
 
 /// Four legs with stiff feet at the corners of a rectangle under the CoM.
@@ -110,6 +117,9 @@ struct Undercarriage {
   bool rolls = true;    ///< moves freely along body x
   bool turns = true;    ///< turns freely on the spot about body z
   bool pitches = true;  ///< turns freely about body y
+  /// Inertia of the rolling wheels against a motion along body x [kg] and against a turn about
+  /// body z [kg m^2], in addition to RigidBodyParameters.
+  double rolling_mass = 0.0, turning_inertia = 0.0;
 };
 
 /// Electrical power P = electronics + c sum Omega^3, with the factor c for which P in hover equals
@@ -193,6 +203,8 @@ inline void validate(const RotorParameters& p, const std::string& field = "Rotor
   require_in(field + ".linear_thrust_coefficient [N s]", p.linear_thrust_coefficient,
              -std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust), 1e3);
   require_in(field + ".time_constant [s]", p.time_constant, 1e-6, 1e3);
+  require_in(field + ".propeller_radius [m]", p.propeller_radius, 0.0, 1e3);
+  require_in(field + ".propeller_height [m]", p.propeller_height, -1e3, 1e3);
 }
 
 /// `field` is the name of the rotor in the message.
@@ -222,6 +234,8 @@ inline void validate(const WheelParameters& p) {
   require_in("WheelParameters.radius [m]", p.radius, 1e-6, 1e3);
   require_in("WheelParameters.half_track [m]", p.half_track, 1e-6, 1e3);
   require_in("WheelParameters.wheel_base [m]", p.wheel_base, 0.0, 1e3);
+  require_in("WheelParameters.half_width [m]", p.half_width, 0.0, 1e3);
+  require_in("WheelParameters.inertia [kg m^2]", p.inertia, 1e-12, 1e6);
 }
 
 inline void validate(const LegParameters& p) {
@@ -232,6 +246,8 @@ inline void validate(const LegParameters& p) {
 
 inline void validate(const Undercarriage& p) {
   require_in("Undercarriage.height [m]", p.height, 1e-6, 1e3);
+  require_in("Undercarriage.rolling_mass [kg]", p.rolling_mass, 0.0, 1e6);
+  require_in("Undercarriage.turning_inertia [kg m^2]", p.turning_inertia, 0.0, 1e6);
 }
 
 inline void validate(const PowerParameters& p) {
@@ -245,6 +261,25 @@ inline void validate(const BatteryParameters& p) {
               !(p.nominal_voltage > 0.0 && p.nominal_voltage < 0.1),
           "BatteryParameters.nominal_voltage [V]", p.nominal_voltage,
           "in [0.1, 1e5], or zero where it is not known");
+}
+
+/// Returns the arm (rotor from 0) that is the axle of `wheel` (from 0, even: right): an arm through
+/// the CoM that points along body y to the wheel's side, with the rotor between the CoM and the
+/// wheel. Returns std::nullopt if the axle is fixed to the base or if there is no such arm.
+template <int Rotors>
+[[nodiscard]] std::optional<std::size_t> axle_arm(const Vehicle<Rotors>& vehicle,
+                                                  std::size_t wheel) noexcept {
+  if (!vehicle.wheels || !vehicle.wheels->on_arms) return std::nullopt;
+  const double side = wheel % 2 == 0 ? -1.0 : 1.0;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorGeometry& rotor = vehicle.rotors[i];
+    const double out = side * rotor.position.y();
+    if (side * rotor.orientation(1, 0) > 1.0 - 1e-9 && out > 0.0 &&
+        out < vehicle.wheels->half_track && std::abs(rotor.position.x()) < 1e-6 &&
+        std::abs(rotor.position.z()) < 1e-6)
+      return i;
+  }
+  return std::nullopt;
 }
 
 /// Throws std::invalid_argument with the field, its value and the allowed values. Does not check
@@ -261,6 +296,12 @@ void validate(const Vehicle<Rotors>& vehicle) {
   if (vehicle.legs) validate(*vehicle.legs);
   require(!(vehicle.wheels && vehicle.legs), "Vehicle.legs", "given",
           "absent for a vehicle with wheels");
+  if (vehicle.wheels && vehicle.wheels->on_arms)
+    require(
+        vehicle.wheels->wheel_base == 0.0 && axle_arm(vehicle, 0) && axle_arm(vehicle, 1),
+        "WheelParameters.on_arms", "true",
+        "false without a wheel_base of 0 and arms along -y and +y through the CoM that end between "
+        "the CoM and the wheels");
   validate(vehicle.power);
   validate(vehicle.battery);
 }
@@ -270,8 +311,12 @@ void validate(const Vehicle<Rotors>& vehicle) {
 template <int Rotors>
 [[nodiscard]] std::optional<Undercarriage> undercarriage(const Vehicle<Rotors>& vehicle) noexcept {
   if (vehicle.wheels) {
-    const bool one_axle = vehicle.wheels->wheel_base == 0.0;
-    return Undercarriage{vehicle.wheels->radius, true, one_axle, one_axle};
+    const WheelParameters& wheels = *vehicle.wheels;
+    const bool one_axle = wheels.wheel_base == 0.0;
+    Undercarriage stands{wheels.radius, true, one_axle, one_axle};
+    stands.rolling_mass = (one_axle ? 2.0 : 4.0) * wheels.inertia / (wheels.radius * wheels.radius);
+    stands.turning_inertia = stands.rolling_mass * wheels.half_track * wheels.half_track;
+    return stands;
   }
   if (vehicle.legs) return Undercarriage{vehicle.legs->height, false, false, false};
   return std::nullopt;
@@ -304,12 +349,14 @@ template <int Rotors>
 
 /// The Tilt-Ropter of the paper: a plus frame numbered like PX4's "Quad +", 1 right (-y), 2 left
 /// (+y), 3 front (+x), 4 back (-x). Rotors 1 and 2 turn counter-clockwise seen from above, and
-/// their arms carry the wheels. A comment marks each value as the paper's value or as our estimate.
+/// their arms are the axles of the wheels. A comment marks each value as the paper's value or as
+/// our estimate. The inertia is the sum of the parts in the paper's component table and of frame,
+/// arms and wheels, at estimated places; tests/model/component_inertia_test.cpp has the list.
 [[nodiscard]] inline Vehicle<4> tilt_ropter_vehicle() {
   Vehicle<4> v;
   v.body.mass = 1.5;  // paper, Sec. Hardware System Design
-  v.body.inertia = Eigen::Vector3d(0.014, 0.014, 0.025).asDiagonal();  // estimate
-  const double arm = 0.17;                                             // estimate
+  v.body.inertia = Eigen::Vector3d(0.013, 0.0075, 0.0185).asDiagonal();  // estimate
+  const double arm = 0.17;                                               // estimate
   v.rotors = {rotor_on_arm(-pi / 2, arm, Spin::counter_clockwise),  // paper, Sec. Frame Definition
               rotor_on_arm(pi / 2, arm, Spin::counter_clockwise),   // paper
               rotor_on_arm(0.0, arm, Spin::clockwise),              // paper
@@ -324,7 +371,15 @@ template <int Rotors>
   v.servo.min_angle = -pi;                                          // estimate
   v.servo.max_angle = pi;                                           // estimate
   v.servo.dead_time = 0.0;                                          // estimate
-  v.wheels = {0.11, 0.20};                                          // estimate
+  v.rotor.propeller_radius = 0.0648;                                // paper: Foxeer 5145, 5.1 inch
+  v.rotor.propeller_height = 0.034;                                 // estimate
+  WheelParameters wheels;
+  wheels.radius = 0.11;       // estimate
+  wheels.half_track = 0.26;   // estimate: the propellers pass the wheels at a distance of 1 cm
+  wheels.half_width = 0.015;  // estimate
+  wheels.inertia = 4.0e-4;    // estimate: rims of 40 g, a third less than in a ring
+  wheels.on_arms = true;      // paper, Sec. Mechanical Design
+  v.wheels = wheels;
   v.power.electronics = 20.0;  // estimate; only the range 15 to 40 is known
   v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
   return v;

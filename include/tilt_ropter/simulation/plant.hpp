@@ -32,6 +32,9 @@ struct PlantParameters {
   WheelContactParameters contact;
   Eigen::Vector3d linear_drag =
       Eigen::Vector3d::Zero();  ///< drag force / CoM velocity, per body axis [N s/m]
+  /// Torque on the arm / angle by which the servo gives way [N m/rad]. With the default servo it
+  /// equals that of a speed loop of 0.2 N m s.
+  double servo_stiffness = 2.5;
   double max_substep = 2.5e-4;  ///< longest substep of the integration [s]
 };
 
@@ -39,6 +42,7 @@ struct PlantParameters {
 inline void validate(const PlantParameters& p) {
   validate(p.contact);
   require_non_negative("PlantParameters.linear_drag [N s/m]", p.linear_drag);
+  require_positive("PlantParameters.servo_stiffness [N m/rad]", p.servo_stiffness);
   require(std::isfinite(p.max_substep) && p.max_substep >= 1e-7, "PlantParameters.max_substep [s]",
           p.max_substep, "finite and >= 1e-7");
 }
@@ -81,6 +85,9 @@ struct PlantLoads {
   /// Right and left wheel (-y, +y) of the front axle or of the single axle, then of the rear axle.
   /// Feet have the same order.
   std::array<WheelForces, 4> wheels;
+  /// Torque on the servo of each wheel's axle about the tilt axis, from the wheel's bearing [N m].
+  /// Zero if the axle does not tilt.
+  std::array<double, 4> servo_torque{};
 };
 
 /// Simulation of a vehicle. The body follows the paper's Eqs. rb1-rb4 with the wrenches `actuators`
@@ -89,7 +96,9 @@ struct PlantLoads {
 /// force is its effectiveness times the thrust curve of its RotorParameters. The reaction torque
 /// against its spin is torque_ratio times this force. Rotor inertia is neglected, as in the paper.
 /// Rotor speeds and tilt angles follow their commands with first-order lags. The servos also have a
-/// rate limit and a dead time. Commands out of range are clamped.
+/// rate limit and a dead time. Commands out of range are clamped. If the wheels sit on tilting arms
+/// (WheelParameters::on_arms), their bearings turn these arms away from the servo's angle by the
+/// torque over servo_stiffness.
 ///
 /// A step consists of equal substeps of a fourth-order Runge-Kutta method. A substep is not longer
 /// than max_substep or the inverse of the fastest rate of the parameters, so stiff wheels and fast
@@ -109,6 +118,7 @@ class Plant {
         parameters_(validated(parameters)),
         inertia_inverse_(vehicle.body.inertia.inverse()),
         mounts_(mounts()),
+        axle_arms_(axle_arms()),
         min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),
         max_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.max_thrust, p); })),
         rotor_time_constant_(of_rotors([](const auto& p) { return p.time_constant; })),
@@ -212,6 +222,15 @@ class Plant {
             loads_.wheels[2].normal_force, loads_.wheels[3].normal_force};
   }
 
+  /// Largest torque of a wheel's bearing on the servo of its arm [N m]. Zero if no axle tilts.
+  [[nodiscard]] double bearing_torque() const noexcept {
+    double largest = 0.0;
+    for (const double torque : loads_.servo_torque) largest = std::max(largest, std::abs(torque));
+    return largest;
+  }
+  /// Torque on an arm / angle by which its servo gives way [N m/rad].
+  [[nodiscard]] double servo_stiffness() const noexcept { return parameters_.servo_stiffness; }
+
   /// Height of the CoM [m] at which wheels or legs carry the whole weight of the upright vehicle.
   /// Zero without wheels and legs.
   [[nodiscard]] double standing_height() const noexcept {
@@ -264,6 +283,7 @@ class Plant {
       along = 0.5 * vehicle_.wheels->wheel_base;
       aside = vehicle_.wheels->half_track;
       mount.radius = vehicle_.wheels->radius;
+      mount.inertia = vehicle_.wheels->inertia;
     } else if (vehicle_.legs) {
       along = vehicle_.legs->half_length;
       aside = vehicle_.legs->half_width;
@@ -278,6 +298,41 @@ class Plant {
       all[i].centre = parameters_.contact.axle_position +
                       Eigen::Vector3d(i < 2 ? along : -along, i % 2 == 0 ? -aside : aside, -below);
     return all;
+  }
+
+  [[nodiscard]] std::array<std::optional<std::size_t>, 4> axle_arms() const {
+    std::array<std::optional<std::size_t>, 4> arms;
+    for (std::size_t i = 0; i < mounts_.size(); ++i) arms[i] = axle_arm(vehicle_, i);
+    return arms;
+  }
+
+  /// Returns the sign of the tilt axis of a wheel's arm along body y: right arm -1, left arm +1.
+  [[nodiscard]] static double tilt_sign(std::size_t wheel) noexcept {
+    return wheel % 2 == 0 ? -1.0 : 1.0;
+  }
+
+  /// Returns the tilt rate [rad/s] at which the servo of `arm` moves to the angle that is its
+  /// command plus `deflection` [rad].
+  [[nodiscard]] double tilt_rate(const PlantState<Rotors>& x, int arm,
+                                 double deflection) const noexcept {
+    const double free = (command_.tilt_angle(arm) + deflection - x.actuators.tilt_angle(arm)) /
+                        vehicle_.servo.time_constant;
+    const double limit = rotor(arm).tilts ? vehicle_.servo.max_rate : 0.0;
+    return std::clamp(free, -limit, limit);
+  }
+
+  /// Returns the rate of the axle of `wheel` relative to the body about body y [rad/s], if the axle
+  /// is an arm. The torque of the bearing depends on this rate, and the rate on this torque; both
+  /// are linear.
+  [[nodiscard]] double axle_rate_of(const PlantState<Rotors>& x, std::size_t wheel) const noexcept {
+    const int arm = static_cast<int>(*axle_arms_[wheel]);
+    const double gain = parameters_.contact.bearing_friction /
+                        (parameters_.servo_stiffness * vehicle_.servo.time_constant);
+    const double drag = tilt_sign(wheel) * (x.wheels[wheel].spin - x.body.angular_velocity.y());
+    const double free =
+        (command_.tilt_angle(arm) - x.actuators.tilt_angle(arm)) / vehicle_.servo.time_constant;
+    const double limit = rotor(arm).tilts ? vehicle_.servo.max_rate : 0.0;
+    return tilt_sign(wheel) * std::clamp((free + gain * drag) / (1.0 + gain), -limit, limit);
   }
 
   /// Returns the longest stable substep [s], at most max_substep. Throws std::invalid_argument if
@@ -332,9 +387,12 @@ class Plant {
     external = disturbance_;
     external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
     for (std::size_t i = 0; i < mounts_.size(); ++i) {
+      double axle_rate = 0.0;
+      if (axle_arms_[i]) axle_rate = axle_rate_of(x, i);
       const WheelForces forces =
-          wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i]);
-      const double momentum = parameters_.contact.wheel_inertia * x.wheels[i].spin;
+          wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i], axle_rate);
+      const double momentum = mounts_[i].inertia * x.wheels[i].spin;
+      if (axle_arms_[i]) result.servo_torque[i] = tilt_sign(i) * forces.bearing_torque;
       result.contact.force += forces.ground.force;
       result.contact.torque += forces.ground.torque;
       external.torque += forces.bearing_torque * axle - w.cross(momentum * axle);
@@ -359,15 +417,15 @@ class Plant {
     r.body.angular_velocity = on_x.angular_acceleration;
     r.actuators.rotor_speed =
         (command_.rotor_speed - x.actuators.rotor_speed).cwiseQuotient(rotor_time_constant_);
-    for (int i = 0; i < Rotors; ++i) {
-      const double free =
-          (command_.tilt_angle(i) - x.actuators.tilt_angle(i)) / vehicle_.servo.time_constant;
-      const double limit = rotor(i).tilts ? vehicle_.servo.max_rate : 0.0;
-      r.actuators.tilt_angle(i) = std::clamp(free, -limit, limit);
-    }
+    for (int i = 0; i < Rotors; ++i) r.actuators.tilt_angle(i) = tilt_rate(x, i, 0.0);
     for (std::size_t i = 0; i < mounts_.size(); ++i) {
+      if (axle_arms_[i]) {
+        const auto arm = static_cast<int>(*axle_arms_[i]);
+        r.actuators.tilt_angle(arm) =
+            tilt_rate(x, arm, on_x.servo_torque[i] / parameters_.servo_stiffness);
+      }
       r.wheels[i].angle = x.wheels[i].spin;
-      r.wheels[i].spin = on_x.wheels[i].axle_torque / parameters_.contact.wheel_inertia;
+      r.wheels[i].spin = on_x.wheels[i].axle_torque / mounts_[i].inertia;
       r.wheels[i].bristle = on_x.wheels[i].slip;
     }
     return r;
@@ -409,7 +467,9 @@ class Plant {
   Vehicle<Rotors> vehicle_;
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
-  std::vector<WheelMount> mounts_;                 ///< 0, 2 or 4 wheels or feet
+  std::vector<WheelMount> mounts_;  ///< 0, 2 or 4 wheels or feet
+  /// Arms that are the axles of the wheels, in the order of mounts_.
+  std::array<std::optional<std::size_t>, 4> axle_arms_;
   RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
   RotorVector rotor_time_constant_;                ///< [s]
   double top_speed_fraction_ = 1.0;                ///< of max_rotor_speed_, at the present voltage

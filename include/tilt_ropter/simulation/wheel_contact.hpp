@@ -32,10 +32,11 @@ namespace tilt_ropter {
 struct WheelMount {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< from the CoM, body frame [m]
   double radius = 0.1;                               ///< [m]
+  double inertia = 4.0e-4;                           ///< about the axle [kg m^2]
   bool locked = false;                               ///< true: does not turn relative to the body
 };
 
-/// Parameters of the ground and of the wheels. All wheels are equal.
+/// Parameters of the ground, tyres and bearings. All wheels are equal.
 struct WheelContactParameters {
   double stiffness = 3000.0;             ///< k: normal to the ground, one wheel [N/m]
   double dissipation = 4.0;              ///< c: damping force / (spring force x speed) [s/m]
@@ -44,8 +45,7 @@ struct WheelContactParameters {
   double bristle_damping = 20.0;         ///< d_t: contact patch along the ground [N s/m]
   double rolling_resistance = 0.018;     ///< resisting torque / (normal force x radius)
   double rolling_regularisation = 0.01;  ///< rim speed below which this torque fades to 0 [m/s]
-  double wheel_inertia = 4.0e-4;         ///< inertia of one wheel about the axle [kg m^2]
-  double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - body pitch rate) [N m s]
+  double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - rate of the axle) [N m s]
   Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();  ///< middle of the axles or of the
                                                             ///< legs, from the CoM, body frame [m]
 };
@@ -59,7 +59,6 @@ inline void validate(const WheelContactParameters& p) {
   require_non_negative("WheelContactParameters.bristle_damping [N s/m]", p.bristle_damping);
   require_non_negative("WheelContactParameters.rolling_resistance", p.rolling_resistance);
   require_positive("WheelContactParameters.rolling_regularisation [m/s]", p.rolling_regularisation);
-  require_positive("WheelContactParameters.wheel_inertia [kg m^2]", p.wheel_inertia);
   require_non_negative("WheelContactParameters.bearing_friction [N m s]", p.bearing_friction);
   require_finite("WheelContactParameters.axle_position [m]", p.axle_position);
 }
@@ -75,8 +74,8 @@ inline void validate(const WheelContactParameters& p) {
   const double load = 3.0 * body.mass * gravity;
   // Velocity of the rim or of the contact point per impulse [1/kg].
   const double of_body = 1.0 / body.mass + lever * lever * body.inertia.inverse().norm();
-  const double of_spin = mount.locked ? 0.0 : mount.radius * mount.radius / p.wheel_inertia;
-  return std::max({p.bearing_friction / p.wheel_inertia, p.bristle_damping * (of_spin + of_body),
+  const double of_spin = mount.locked ? 0.0 : mount.radius * mount.radius / mount.inertia;
+  return std::max({p.bearing_friction / mount.inertia, p.bristle_damping * (of_spin + of_body),
                    p.rolling_resistance * load * of_spin / p.rolling_regularisation,
                    p.dissipation * load * of_body,
                    std::sqrt(p.bristle_stiffness * (of_spin + of_body)),
@@ -94,7 +93,7 @@ struct WheelState {
 struct WheelForces {
   double normal_force = 0.0;    ///< normal force of the ground, >= 0 [N]
   double axle_torque = 0.0;     ///< on the wheel about body y: friction, rolling, bearing [N m]
-  double bearing_torque = 0.0;  ///< on the body about body y [N m]
+  double bearing_torque = 0.0;  ///< on the axle about body y [N m]
   Wrenchd ground;  ///< on the body at the CoM, body frame; the axle transmits no torque
                    ///< about body y, that torque is part of axle_torque
   /// Bristle of the wheel's state, clamped to the friction circle [m].
@@ -103,16 +102,17 @@ struct WheelForces {
 };
 
 /// Returns the forces of the wheel at `mount`. `rotation` is the rotation matrix of
-/// body.orientation. The forces are finite for every finite state, also for a wheel that lies flat.
-/// Does not throw or allocate.
+/// body.orientation. `axle_rate` is the rate of the axle relative to the body, about body y
+/// [rad/s]: zero for an axle on the base, the tilt rate for an axle that tilts. The forces are
+/// finite for every finite state, also for a wheel that lies flat. Does not throw or allocate.
 template <typename Rotation>
 [[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p, const WheelMount& mount,
                                         const BodyStated& body,
                                         const Eigen::MatrixBase<Rotation>& rotation,
-                                        const WheelState& state) noexcept {
+                                        const WheelState& state, double axle_rate = 0.0) noexcept {
   WheelForces result;
   const double relative_spin = mount.locked ? 0.0 : state.spin - body.angular_velocity.y();
-  result.bearing_torque = p.bearing_friction * relative_spin;
+  if (!mount.locked) result.bearing_torque = p.bearing_friction * (relative_spin - axle_rate);
   result.axle_torque = -result.bearing_torque;
 
   // All vectors below are in the world frame. Within 1e-3 rad of a flat wheel the direction to the
