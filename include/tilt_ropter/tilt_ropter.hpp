@@ -8,6 +8,7 @@
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/allocation_settings.hpp>
+#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>

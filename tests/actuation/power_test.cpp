@@ -22,9 +22,38 @@ TEST(Power, HoverPowerMatchesPaper) {
   EXPECT_NEAR(model.power(Eigen::Vector4d::Constant(hover_speed(vehicle))), 653.64, 1e-9);
 }
 
-TEST(Power, PowerAtRestIsElectronicsOnly) {
+TEST(Power, PowerAtRestIsElectronicsAndServosOnly) {
   const PowerModel model(tilt_ropter_vehicle());
   EXPECT_EQ(model.power(Eigen::Vector4d::Zero()), 20.0);
+  EXPECT_EQ(model.at_rest(), 20.0);
+}
+
+TEST(Power, EveryRotorThatTiltsHasAServo) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.power.electronics = 10.0;
+  vehicle.power.servo_hold = 2.0;
+  EXPECT_EQ(PowerModel(vehicle).at_rest(), 18.0);
+  vehicle.rotors[1].tilts = false;
+  const PowerModel three(vehicle);
+  EXPECT_EQ(three.at_rest(), 16.0);
+  const Eigen::Vector4d hover = Eigen::Vector4d::Constant(hover_speed(vehicle));
+  EXPECT_NEAR(three.power(hover), 653.64, 1e-9);
+  EXPECT_EQ(PowerModel(vehicle, hover).at_rest(), 16.0);
+  EXPECT_EQ(PowerModel(vehicle.power, hover).at_rest(), 18.0);
+  EXPECT_EQ(PowerModel(vehicle.power, hover, 0).at_rest(), 10.0);
+}
+
+TEST(Power, MovingServosTakePowerInProportionToTheirSpeeds) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const PowerModel model(vehicle);
+  const Eigen::Vector4d speed = Eigen::Vector4d::Constant(900.0);
+  const double still = model.power(speed), move = vehicle.power.servo_move;
+  EXPECT_GT(move, 0.0);
+  EXPECT_EQ(model.power(speed, Eigen::Vector4d::Zero()), still);
+  EXPECT_NEAR(model.power(speed, Eigen::Vector4d(1.0, -2.0, 0.0, 4.0)), still + 7.0 * move, 1e-12);
+  for (const double bad :
+       {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), -1e300})
+    EXPECT_NEAR(model.power(speed, Eigen::Vector4d(bad, 1.0, 0.0, bad)), still + move, 1e-12);
 }
 
 TEST(Power, GrowsWithCubeOfRotorSpeed) {
@@ -58,6 +87,13 @@ TEST(Power, RejectsInvalidParameters) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.power.hover = vehicle.power.electronics;
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
+  vehicle.power.hover = vehicle.power.electronics + 1.0;  // less than with four servos
+  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
+  vehicle = tilt_ropter_vehicle();
+  vehicle.power.servo_move = -1.0;
+  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
+  EXPECT_THROW(PowerModel(tilt_ropter_vehicle().power, Eigen::Vector4d::Ones(), -1),
+               std::invalid_argument);
   vehicle = tilt_ropter_vehicle();
   vehicle.body.mass = 0.0;
   EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);

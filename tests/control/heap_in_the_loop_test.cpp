@@ -4,6 +4,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
@@ -110,6 +111,7 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
   Allocation allocation(vehicle);
   OutputScaling scaling(vehicle);
   const PowerModel power(vehicle);
+  Battery battery(vehicle.battery);
   ActuatorModel<4> actuators(vehicle);
   WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
@@ -204,6 +206,9 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
     });
     watch("Plant::step", [&] { return plant.step(sent.command, {}, 0.01); });
     energy += watch("PowerModel", [&] { return power.power(plant.actuators().rotor_speed); });
+    (void)watch("Battery", [&] { return battery.update(time, fault == 2 ? nan : energy); });
+    (void)watch("Battery::load", [&] { return battery.load(energy); });
+    (void)watch("Battery::endurance", [&] { return battery.endurance(energy); });
   }
   EXPECT_GE(reached.size(), 4U);  // includes approximate, at touch-down
   EXPECT_GE(contact.mode_changes(), 2);

@@ -1,6 +1,7 @@
 // Parameters of a vehicle: rejected, or valid for allocation, power, servos and rotors.
 
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -22,6 +23,8 @@ Vehicle<4> any_vehicle(fuzz::Input& input) {
                  v.servo.dead_time, v.wheels->radius, v.wheels->half_track, v.power.electronics,
                  v.power.hover);
   input.vary_all(v.rotor.linear_thrust_coefficient, v.battery.nominal_voltage);
+  input.vary_all(v.power.servo_hold, v.power.servo_move, v.battery.capacity, v.battery.full_voltage,
+                 v.battery.empty_voltage, v.battery.resistance);
   for (RotorGeometry& rotor : v.rotors) {
     input.vary_all(rotor.position, rotor.orientation, rotor.tilts, rotor.effectiveness);
     if (input.coin()) rotor.orientation = input.orientation().toRotationMatrix();
@@ -56,6 +59,17 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
   std::optional<PowerModel> power;
   if (fuzz::accepted([&] { power.emplace(vehicle); }))
     fuzz::expect(std::isfinite(power->power(Eigen::Vector4d::Constant(1000.0))), "power is finite");
+  std::optional<Battery> battery;
+  if (fuzz::accepted([&] { battery.emplace(vehicle.battery); })) {
+    for (const double wanted : {0.0, vehicle.power.hover, 1e12}) {
+      (void)battery->update(1e3 * wanted, wanted);
+      const BatteryLoad load = battery->load(wanted);
+      fuzz::expect(std::isfinite(load.current) && std::isfinite(load.voltage), "load is finite");
+      fuzz::expect(battery->state_of_charge() >= 0.0 && battery->state_of_charge() <= 1.0,
+                   "the state of charge is in [0, 1]");
+      fuzz::expect(!std::isnan(battery->endurance(wanted)), "endurance is a number");
+    }
+  }
   Servod servo(vehicle.servo);
   servo.update(0.0, 0.1);
   const double angle = servo.update(0.01, 0.1);

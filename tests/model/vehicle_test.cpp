@@ -96,6 +96,23 @@ TEST(Vehicle, VoltageRatioRejectsImplausibleVoltages) {
   EXPECT_FALSE(voltage_ratio(BatteryParameters{}, 16.0).has_value());
 }
 
+TEST(Vehicle, BatteryIsKnownWithItsCapacity) {
+  EXPECT_TRUE(is_known(tilt_ropter_vehicle().battery));
+  EXPECT_FALSE(is_known(BatteryParameters{}));
+  EXPECT_NO_THROW(validate(BatteryParameters{}));
+  EXPECT_NO_THROW(validate(BatteryParameters{20.0}));  // only the nominal voltage
+  BatteryParameters battery;
+  battery.resistance = 0.01;  // not known without the other fields
+  EXPECT_THROW(validate(battery), std::invalid_argument);
+}
+
+TEST(Vehicle, CountsOneServoForEachRotorThatTilts) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  EXPECT_EQ(servo_count(vehicle), 4);
+  vehicle.rotors[2].tilts = false;
+  EXPECT_EQ(servo_count(vehicle), 3);
+}
+
 TEST(Vehicle, RejectsEveryInvalidFieldByNameAndValue) {
   using V = Vehicle<4>;
   const std::vector<Rejection> rejections{
@@ -176,6 +193,17 @@ TEST(Vehicle, RejectsEveryInvalidFieldByNameAndValue) {
       {"LegParameters.half_width", "nan", [](V& v) { stand_on_legs(v).half_width = nan; }},
       {"PowerParameters.electronics", "-1", [](V& v) { v.power.electronics = -1.0; }},
       {"PowerParameters.hover", "20", [](V& v) { v.power.hover = 20.0; }},
+      {"PowerParameters.hover", "17", [](V& v) { v.power.hover = 17.0; }},
+      {"PowerParameters.servo_hold", "-0.5", [](V& v) { v.power.servo_hold = -0.5; }},
+      {"PowerParameters.servo_move", "nan", [](V& v) { v.power.servo_move = nan; }},
+      {"BatteryParameters.capacity", "-5", [](V& v) { v.battery.capacity = -5.0; }},
+      {"BatteryParameters.capacity", "0", [](V& v) { v.battery.capacity = 0.0; }},
+      {"BatteryParameters.full_voltage", "0", [](V& v) { v.battery.full_voltage = 0.0; }},
+      {"BatteryParameters.full_voltage", "1e+300", [](V& v) { v.battery.full_voltage = 1e300; }},
+      {"BatteryParameters.empty_voltage", "17: must be in [0.1, 16.8]",
+       [](V& v) { v.battery.empty_voltage = 17.0; }},
+      {"BatteryParameters.resistance", "-0.01", [](V& v) { v.battery.resistance = -0.01; }},
+      {"BatteryParameters.resistance", "nan", [](V& v) { v.battery.resistance = nan; }},
   };
   for (const Rejection& rejection : rejections) {
     Vehicle<4> vehicle = tilt_ropter_vehicle();

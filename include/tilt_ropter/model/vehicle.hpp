@@ -122,18 +122,30 @@ struct Undercarriage {
   double rolling_mass = 0.0, turning_inertia = 0.0;
 };
 
-/// Electrical power P = electronics + c sum Omega^3, with the factor c for which P in hover equals
-/// `hover`.
+/// Electrical power of the vehicle:
+///
+///     P = electronics + sum over servos (servo_hold + servo_move |angle rate|) + c sum Omega^3,
+///
+/// with the factor c for which P in hover equals `hover`, with servos at rest. Every rotor that
+/// tilts has a servo.
 struct PowerParameters {
-  double electronics = 20.0;  ///< power without thrust [W]
+  double electronics = 20.0;  ///< power without rotors and servos [W]
   double hover = 600.0;       ///< total power in hover [W]
+  double servo_hold = 0.0;    ///< power of each servo that holds its angle [W]
+  double servo_move = 0.0;    ///< additional energy of a servo per angle that it turns [J/rad]
 };
 
-/// Battery that supplies the rotors.
+/// Battery that supplies the rotors. The open-circuit voltage falls linearly with the state of
+/// charge. Without load it is full_voltage at full charge and empty_voltage at zero charge. The
+/// fields after nominal_voltage are all zero if the battery is unknown.
 struct BatteryParameters {
   /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: unknown;
   /// the voltage then has no effect.
   double nominal_voltage = 0.0;
+  double capacity = 0.0;       ///< charge from full to empty [A h]
+  double full_voltage = 0.0;   ///< open-circuit voltage at full charge [V]
+  double empty_voltage = 0.0;  ///< open-circuit voltage at zero charge, at most full_voltage [V]
+  double resistance = 0.0;     ///< of cells, leads and connectors [ohm]
 };
 
 /// All parameters of a vehicle with `Rotors` arms, tilting or fixed.
@@ -174,6 +186,19 @@ template <int Rotors>
   for (std::size_t i = 0; i < Rotors; ++i)
     largest = std::max(largest, rotor_parameters(vehicle, i).max_thrust);
   return largest;
+}
+
+/// Returns the number of rotors that tilt. Each of them has a servo.
+template <int Rotors>
+[[nodiscard]] int servo_count(const Vehicle<Rotors>& vehicle) noexcept {
+  int count = 0;
+  for (const RotorGeometry& rotor : vehicle.rotors) count += rotor.tilts ? 1 : 0;
+  return count;
+}
+
+/// Returns true if capacity and voltages of the battery are given.
+[[nodiscard]] inline bool is_known(const BatteryParameters& battery) noexcept {
+  return battery.capacity > 0.0;
 }
 
 /// Returns the measured `voltage` [V] divided by the nominal voltage. Returns std::nullopt if the
@@ -254,6 +279,8 @@ inline void validate(const PowerParameters& p) {
   require_in("PowerParameters.electronics [W]", p.electronics, 0.0, 1e9);
   require(p.hover > p.electronics && p.hover <= 1e9, "PowerParameters.hover [W]", p.hover,
           "> electronics and <= 1e9");
+  require_in("PowerParameters.servo_hold [W]", p.servo_hold, 0.0, 1e6);
+  require_in("PowerParameters.servo_move [J/rad]", p.servo_move, 0.0, 1e6);
 }
 
 inline void validate(const BatteryParameters& p) {
@@ -261,6 +288,13 @@ inline void validate(const BatteryParameters& p) {
               !(p.nominal_voltage > 0.0 && p.nominal_voltage < 0.1),
           "BatteryParameters.nominal_voltage [V]", p.nominal_voltage,
           "in [0.1, 1e5], or zero where it is not known");
+  const auto zero = [](double value) { return !(value < 0.0 || value > 0.0); };
+  if (zero(p.capacity) && zero(p.full_voltage) && zero(p.empty_voltage) && zero(p.resistance))
+    return;
+  require_in("BatteryParameters.capacity [A h]", p.capacity, 1e-3, 1e6);
+  require_in("BatteryParameters.full_voltage [V]", p.full_voltage, 0.1, 1e5);
+  require_in("BatteryParameters.empty_voltage [V]", p.empty_voltage, 0.1, p.full_voltage);
+  require_in("BatteryParameters.resistance [ohm]", p.resistance, 0.0, 1e3);
 }
 
 /// Returns the arm (rotor from 0) that is the axle of `wheel` (from 0, even: right): an arm through
@@ -303,6 +337,10 @@ void validate(const Vehicle<Rotors>& vehicle) {
         "false without a wheel_base of 0 and arms along -y and +y through the CoM that end between "
         "the CoM and the wheels");
   validate(vehicle.power);
+  const double at_rest =
+      vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold;
+  require(vehicle.power.hover > at_rest, "PowerParameters.hover [W]", vehicle.power.hover,
+          "> electronics and servos at rest");
   validate(vehicle.battery);
 }
 
@@ -380,8 +418,20 @@ template <int Rotors>
   wheels.inertia = 4.0e-4;    // estimate: rims of 40 g, a third less than in a ring
   wheels.on_arms = true;      // paper, Sec. Mechanical Design
   v.wheels = wheels;
-  v.power.electronics = 20.0;  // estimate; only the range 15 to 40 is known
+  // Electronics and four servos at rest take 20 W; only the range 15 to 40 W is known.
+  v.power.electronics = 18.0;  // estimate
+  v.power.servo_hold = 0.5;    // estimate
+  v.power.servo_move = 0.3;    // estimate
   v.power.hover = 653.64;      // paper, Sec. Energy Efficiency
+  v.battery.capacity = 5.3;    // paper, Sec. Hardware System Design
+  // The paper's battery weighs 485 g. With four cells of nominally 3.7 V that is 162 W h/kg, usual
+  // for a lithium-polymer pack of 45C. Five cells would need 202 W h/kg and six 243 W h/kg, which
+  // such packs do not reach; three cells would have 121 W h/kg.
+  v.battery.full_voltage = 16.8;   // estimate: four cells of 4.2 V
+  v.battery.empty_voltage = 13.2;  // estimate: four cells of 3.3 V
+  v.battery.resistance = 0.012;    // estimate: 3 mOhm per cell, with leads
+  // A full battery sags to about this voltage at the full thrust of all rotors.
+  v.battery.nominal_voltage = 13.2;  // estimate
   return v;
 }
 
