@@ -31,6 +31,13 @@ ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
 }
 
 template <int Rotors>
+void FlightController<Rotors>::on_voltage(double voltage) {
+  (void)allocation_.set_voltage(voltage);
+  (void)actuators_.set_voltage(voltage);
+  (void)nmpc_.set_voltage(voltage);
+}
+
+template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample) {
   applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);

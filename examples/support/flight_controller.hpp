@@ -39,6 +39,10 @@ class FlightController {
   /// Speeds reported by the motor controllers [rad/s].
   void on_rotor_speeds(const Eigen::Matrix<double, Rotors, 1>& speeds) { rotor_speeds_ = speeds; }
 
+  /// Measured battery voltage [V]. Allocation, actuator model and NMPC then respect the top rotor
+  /// speeds at this voltage. voltage_ratio() says which voltages are ignored.
+  void on_voltage(double voltage);
+
   /// A sample of the IMU, at any rate.
   void on_imu(double time, const tilt_ropter::InertialSampled& sample);
 

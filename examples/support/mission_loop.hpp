@@ -1,5 +1,6 @@
 #pragma once
 
+#include "battery_figures.hpp"
 #include "flight_controller.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
@@ -41,6 +42,7 @@ struct MissionOptions {
   std::string vehicle_path;
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
+  double battery_charge = 1.0;  // state of charge at the start
   bool no_actuator_constraints = false;
   std::vector<std::string> as_in_paper;  // see paper_switches()
   bool no_pictures = false;
@@ -98,6 +100,10 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_option("--ground-thrust", options.ground_thrust,
                  "vertical force commanded on the ground; default: by weight and servo speed [N]")
       ->check(CLI::Range(0.0, 1000.0));
+  app.add_option("--battery-charge", options.battery_charge,
+                 "state of charge of the battery at the start; 1: full")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_flag("--no-actuator-rows", options.no_actuator_constraints,
                "bound the wrench and its rate by boxes only, as in the paper");
   add_paper_switches(app, options.as_in_paper);
@@ -129,7 +135,7 @@ template <int Rotors>
 
 namespace detail {
 
-inline std::vector<std::string> mission_columns(int rotor_count) {
+inline std::vector<std::string> mission_columns(int rotor_count, bool battery = false) {
   std::vector<std::string> names = {"time_s", "phase", "on_ground"};
   const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
     for (const std::string& part : parts) names.push_back(name + "_" + part);
@@ -157,12 +163,14 @@ inline std::vector<std::string> mission_columns(int rotor_count) {
   for (const char* name : {"status", "filter_running", "filter_age_s", "observer_trust",
                            "allocation_status", "ground_height_m", "ground_force_n"})
     names.emplace_back(name);
+  if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
 }
 
 template <typename Plant, int Rotors>
 void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& plant,
-             const FlightController<Rotors>& controller, double power) {
+             const FlightController<Rotors>& controller, double power,
+             const BatteryFigures* battery = nullptr) {
   const double time = plant.time();
   const tilt_ropter::BodyStated& body = plant.body();
   const tilt_ropter::NmpcResult& result = controller.result();
@@ -184,13 +192,16 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add(static_cast<int>(controller.observer().trust(time)));
   log.add(static_cast<int>(controller.allocated().status));
   log.add(contact.ground.height_at(body.position)).add(contact.ground_reaction.force.norm());
+  if (battery != nullptr && battery->known())
+    log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();
 }
 
 }  // namespace detail
 
 /// Flies the hybrid mission on `plant`, prints and returns its figures, and writes
-/// hybrid_mission.csv and solve_times.csv to the output directory. Plant has the interface of
+/// hybrid_mission.csv and solve_times.csv to the output directory. If the battery is known, plant
+/// and controller receive its voltage under load. Plant has the interface of
 /// tilt_ropter::Plant. `disturbance()` returns the wrench on the body during the next step;
 /// `on_step(mission)` is called after every step. `ground_is_off`: the ground is not where the
 /// mission assumes it. The figures are relative to the output of motion capture. If the height is
@@ -223,8 +234,9 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   FlightController<Rotors> controller(
       vehicles.believed, settings, MissionSensors<Rotors>::estimation(),
       observer_settings(options.observer_bandwidth), controls.allocation);
-  const PowerModel power(vehicles.truth.power,
-                         controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
+  const PowerModel power_model(vehicles.truth,
+                               controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
+  BatteryFigures battery(vehicles.truth.battery, options.battery_charge);
   ActuatorState<Rotors> command;
   const MissionPhase first = mission.phase(0.0);
   const bool in_flight = first == MissionPhase::hover || first == MissionPhase::air;
@@ -241,7 +253,8 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   }
 
   std::filesystem::create_directories(options.output);
-  MissionLog log(options.output + "/hybrid_mission.csv", detail::mission_columns(Rotors));
+  MissionLog log(options.output + "/hybrid_mission.csv",
+                 detail::mission_columns(Rotors, battery.known()));
   // A separate file, because the same seed gives exactly the same log, but not the same wall-clock
   // times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
@@ -251,6 +264,8 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   };
   const bool height_is_off =
       options.height_offset != 0.0 || options.height_drift != 0.0 || ground_is_off;
+  double power = power_model.power(plant.actuators().rotor_speed);  // during the last step [W]
+  battery.on_plant(mission.phase(0.0), plant.time(), power, 0.0);
   Progress progress;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
@@ -259,6 +274,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
     const double height_error = height_error_at(time);
     sensors.sense(plant, controller, height_error);
     if (i % steps_per_tick == 0 && controller.started()) {  // after the first pose
+      if (battery.known()) controller.on_voltage(battery.load().voltage);
       controller.prepare(time, reference);
       command = controller.control(time);
       const NmpcResult& result = controller.result();
@@ -271,9 +287,11 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
       times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
-      detail::log_row(log, mission, plant, controller, power.power(plant.actuators().rotor_speed));
+      detail::log_row(log, mission, plant, controller, power, &battery);
     }
     if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
+    if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
+    const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
     if (!plant.step(command, disturbance(), step))
       throw std::runtime_error("the plant rejected a step");
     const MissionPhase phase = mission.phase(plant.time());
@@ -281,8 +299,11 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
     Eigen::Vector3d seen = plant.body().position;
     seen.z() += height_error_at(plant.time());
     if (height_is_off && phase == MissionPhase::ground) seen.z() = wanted.z();
-    figures.on_plant(phase, seen, wanted, plant.body().velocity.z(),
-                     power.power(plant.actuators().rotor_speed), plant.normal_forces().sum() > 0.0);
+    power = power_model.power(plant.actuators().rotor_speed,
+                              (plant.actuators().tilt_angle - tilt) / step);
+    battery.on_plant(phase, plant.time(), power, step);
+    figures.on_plant(phase, seen, wanted, plant.body().velocity.z(), power,
+                     plant.normal_forces().sum() > 0.0);
     if (phase == MissionPhase::ground)
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
     on_step(mission);
@@ -291,6 +312,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   progress.finish();
   std::ostringstream printed;
   figures.print(printed, controller.contact().mode_changes());
+  battery.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
           << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
   std::cout << printed.str();

@@ -303,11 +303,36 @@ PowerParameters read_power(const Json& object) {
   PowerParameters power;
   power.electronics = fields.number("electronics_w", {0.0, 1e5, "W"});
   power.hover = fields.number("hover_w", {1e-3, 1e6, "W"});
+  if (fields.find("servo_hold_w") != nullptr)
+    power.servo_hold = fields.number("servo_hold_w", {0.0, 1e3, "W"});
+  if (fields.find("servo_move_j_per_rad") != nullptr)
+    power.servo_move = fields.number("servo_move_j_per_rad", {0.0, 1e3, "J/rad"});
   fields.refuse_unknown();
   if (power.hover <= power.electronics)
     refuse("power.hover_w", shown(power.hover),
            "more than electronics_w, " + shown(power.electronics) + " W");
   return power;
+}
+
+/// Reads the battery, which is known if at least one of the fields after battery_nominal_v is
+/// there.
+BatteryParameters read_battery(Fields& fields) {
+  BatteryParameters battery;
+  if (fields.find("battery_nominal_v") != nullptr)
+    battery.nominal_voltage = fields.number("battery_nominal_v", {0.1, 1e4, "V"});
+  bool known = false;
+  for (const char* key :
+       {"battery_capacity_ah", "battery_full_v", "battery_empty_v", "battery_resistance_ohm"})
+    known = fields.find(key) != nullptr || known;
+  if (!known) return battery;
+  battery.capacity = fields.number("battery_capacity_ah", {1e-3, 1e5, "A h"});
+  battery.full_voltage = fields.number("battery_full_v", {0.1, 1e4, "V"});
+  battery.empty_voltage = fields.number("battery_empty_v", {0.1, 1e4, "V"});
+  battery.resistance = fields.number("battery_resistance_ohm", {0.0, 100.0, "ohm"});
+  if (battery.empty_voltage > battery.full_voltage)
+    refuse("battery_empty_v", shown(battery.empty_voltage),
+           "at most battery_full_v, " + shown(battery.full_voltage) + " V");
+  return battery;
 }
 
 /// Calls action(key, range, field) for each field of AllowedErrors.
@@ -376,6 +401,11 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   if (!alike && lift <= weight)
     refuse("sum of max_thrust_n of all rotors", shown(lift),
            "more than the weight, " + shown(weight) + " N");
+  const double at_rest =
+      vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold;
+  if (vehicle.power.hover <= at_rest)
+    refuse("power.hover_w", shown(vehicle.power.hover),
+           "more than electronics and servos at rest, " + shown(at_rest) + " W");
   (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
   if (vehicle.wheels && vehicle.wheels->on_arms &&
       (vehicle.wheels->wheel_base > 0.0 || !axle_arm(vehicle, 0) || !axle_arm(vehicle, 1)))
@@ -406,8 +436,7 @@ VehicleFile read(const Json& root) {
   common.power = read_power(fields.get("power", object));
   if (fields.find("battery_wh") != nullptr)
     file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
-  if (fields.find("battery_nominal_v") != nullptr)
-    common.battery.nominal_voltage = fields.number("battery_nominal_v", {0.1, 1e4, "V"});
+  common.battery = read_battery(fields);
 
   const std::string rotor_list = "a list of 4, 6 or 8 rotors";
   const Json& list = fields.get("rotors", rotor_list);
@@ -556,8 +585,16 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
                     {"half_length_m", v.legs->half_length},
                     {"half_width_m", v.legs->half_width}};
   root["power"] = {{"electronics_w", v.power.electronics}, {"hover_w", v.power.hover}};
+  if (v.power.servo_hold > 0.0) root["power"]["servo_hold_w"] = v.power.servo_hold;
+  if (v.power.servo_move > 0.0) root["power"]["servo_move_j_per_rad"] = v.power.servo_move;
   if (file.battery_wh > 0.0) root["battery_wh"] = file.battery_wh;
   if (v.battery.nominal_voltage > 0.0) root["battery_nominal_v"] = v.battery.nominal_voltage;
+  if (is_known(v.battery)) {
+    root["battery_capacity_ah"] = v.battery.capacity;
+    root["battery_full_v"] = v.battery.full_voltage;
+    root["battery_empty_v"] = v.battery.empty_voltage;
+    root["battery_resistance_ohm"] = v.battery.resistance;
+  }
   for_allowed_errors(file.allowed_errors,
                      [&](const char* key, const Range&, const Eigen::Vector3d& value) {
                        root["allowed_errors"][key] = list_of(value);

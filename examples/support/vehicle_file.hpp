@@ -25,7 +25,9 @@
 ///                     "thrust_axis": [0, 0, 1],                  direction of thrust at zero tilt
 ///                     "arm_axis": [1, 0, 0],                     axis of the servo
 ///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 rotors
-///       "power": { "electronics_w": 20, "hover_w": 653.64 },
+///       "power": { "electronics_w": 18, "hover_w": 653.64,       and, optional, for each servo
+///                  "servo_hold_w": 0.5,                          at rest and, in addition,
+///                  "servo_move_j_per_rad": 0.3 },                while it moves
 ///
 ///                                                                optional from here on
 ///       "wheels": { "radius_m": 0.11, "half_track_m": 0.2,       without wheels or legs the
@@ -34,6 +36,8 @@
 ///                 "half_width_m": 0.15 },
 ///       "battery_wh": 100,
 ///       "battery_nominal_v": 22.2,      under load, at which the rotors reach max_thrust_n
+///       "battery_capacity_ah": 5.3, "battery_full_v": 16.8,      all four or none: voltages
+///       "battery_empty_v": 13.2, "battery_resistance_ohm": 0.012,   without load
 ///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  fields of AllowedErrors
 ///       "limits": { "force_max_n": [6, 6, 30] } }                fields of NmpcBounds
 ///
@@ -52,7 +56,7 @@ using AnyVehicle =
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
   AnyVehicle vehicle = tilt_ropter::tilt_ropter_vehicle();
-  double battery_wh = 0.0;  ///< 0: unknown
+  double battery_wh = 0.0;  ///< 0: unknown; used only if the vehicle's battery is unknown
   tilt_ropter::AllowedErrors allowed_errors;
   tilt_ropter::NmpcBounds limits;
 

@@ -8,8 +8,10 @@
 #include "../support/vehicle_file.hpp"
 
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/math/rotation.hpp>
@@ -25,6 +27,7 @@
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <variant>
@@ -227,19 +230,69 @@ void check_propellers(const Vehicle<Rotors>& vehicle, Findings& findings) {
   part("propeller", "another propeller", clearance.propeller);
 }
 
+/// Prints current, voltage and sag of the battery at `power` [W], and the time in minutes for which
+/// it lasts. The load is that of the full battery, and of the battery at the end.
+void print_load(const std::string& name, const BatteryParameters& parameters, double power,
+                double usable) {
+  const Battery full(parameters), used(parameters, 1.0 - usable);
+  const BatteryLoad load = full.load(power), at_end = used.load(power);
+  line(name + "_current_a", load.current);
+  line(name + "_voltage_v", load.voltage);
+  line(name + "_sag_v", full.open_circuit_voltage() - load.voltage);
+  line(name + "_end_current_a", at_end.current);
+  line(name + "_end_voltage_v", at_end.voltage);
+  line(name + "_min", full.endurance(power, 1.0 - usable) / 60.0);
+}
+
+/// Compares the battery at the end of its usable charge with hover and full thrust.
+template <int Rotors>
+void check_battery(const Vehicle<Rotors>& vehicle, double full_thrust, double usable,
+                   Findings& findings) {
+  const Battery used(vehicle.battery, 1.0 - usable);
+  const std::string left = digits(100.0 * used.state_of_charge()) + " % charge";
+  const BatteryLoad hover = used.load(vehicle.power.hover);
+  if (hover.status == BatteryStatus::overloaded) {
+    findings.error("the battery does not give the power of hover at " + left);
+    return;
+  }
+  if (used.max_power() < full_thrust)
+    findings.warning("the battery gives " + digits(used.max_power()) + " W at " + left +
+                     ", full thrust takes " + digits(full_thrust) + " W");
+  const std::optional<double> ratio = voltage_ratio(vehicle.battery, hover.voltage);
+  if (!ratio) return;
+  double lift = 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i)
+    lift += vehicle.rotors[i].effectiveness * max_thrust_at(rotor_parameters(vehicle, i), *ratio);
+  line("end_thrust_per_weight", lift / (vehicle.body.mass * gravity));
+}
+
 template <int Rotors>
 void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
-                     double usable) {
+                     double usable, Findings& findings) {
   const Allocation<Rotors> allocation(vehicle);
-  const PowerModel power(vehicle.power,
-                         allocation.allocate(weight_of(vehicle), {}).command.rotor_speed);
+  const PowerModel power(vehicle, allocation.allocate(weight_of(vehicle), {}).command.rotor_speed);
   line("hover_power_w", vehicle.power.hover);
   Wrenchd pressed;
   pressed.force.z() = file.settings().ground.down_force;
   const double driving = power.power(allocation.allocate(pressed, {}).command.rotor_speed);
   if (vehicle.wheels) line("driving_power_w", driving);
+  Eigen::Matrix<double, Rotors, 1> top;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorParameters& rotor = rotor_parameters(vehicle, i);
+    top(static_cast<Eigen::Index>(i)) = speed_from_thrust(rotor.max_thrust, rotor);
+  }
+  const double full_thrust = power.power(top);
+  line("full_thrust_power_w", full_thrust);
+  const BatteryParameters& battery = vehicle.battery;
+  if (is_known(battery)) {
+    line("battery_energy_wh", Battery(battery).energy() / 3600.0);
+    print_load("hover", battery, vehicle.power.hover, usable);
+    if (vehicle.wheels) print_load("driving", battery, driving, usable);
+    check_battery(vehicle, full_thrust, usable, findings);
+    return;
+  }
   if (!(file.battery_wh > 0.0)) {
-    std::cout << "hover_min: not known, the file has no battery_wh\n";
+    std::cout << "hover_min: not known, the file has no battery_capacity_ah and no battery_wh\n";
     return;
   }
   line("hover_min", 60.0 * usable * file.battery_wh / vehicle.power.hover);
@@ -285,7 +338,7 @@ bool check(const Options& options, const examples::VehicleFile& file,
         "of others");
   print_losses(vehicle);
   if (authority.hovers) {
-    print_endurance(file, vehicle, options.usable);
+    print_endurance(file, vehicle, options.usable, findings);
     std::filesystem::create_directories(options.output);
     write_envelope(vehicle, file.limits, options.output + "/envelope.csv");
   }
@@ -312,7 +365,7 @@ int main(int argc, char** argv) {
   app.add_option("FILE.json", options.input, "JSON file of the vehicle; default: the Tilt-Ropter");
   app.add_option("-o,--output", options.output, "directory for the envelope and the picture")
       ->capture_default_str();
-  app.add_option("--usable", options.usable, "usable fraction of the battery energy")
+  app.add_option("--usable", options.usable, "usable fraction of the battery charge")
       ->check(CLI::Range(0.1, 1.0))
       ->capture_default_str();
   app.add_flag("--no-pictures", options.no_pictures, "write only the envelope");

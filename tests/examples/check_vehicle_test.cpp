@@ -45,7 +45,6 @@ TEST(CheckVehicle, ReportsTheFiguresOfTheTiltRopter) {
   EXPECT_NEAR(told["weight_n"], 1.5 * 9.81, 0.05);
   EXPECT_NEAR(told["lift_per_weight"], 48.0 / 14.715, 0.01);
   EXPECT_NEAR(told["least_thrust_in_hover_n"], 14.715 / 4.0, 0.01);
-  EXPECT_TRUE(told.says("hover_min: not known")) << told.output;
   EXPECT_TRUE(told.says("    1     6")) << told.output;  // rank 6 with rotor 1 lost
 }
 
@@ -53,6 +52,35 @@ TEST(CheckVehicle, ComputesFlightTimeFromBatteryEnergy) {
   const auto told = check(shipped("five_kilograms"), "--no-pictures --usable 0.5");
   EXPECT_NEAR(told["hover_min"], 60.0 * 0.5 * 355.0 / 1900.0, 0.01);
   EXPECT_GT(told["driving_min"], 10.0 * told["hover_min"]);
+}
+
+// References: U = R I + V and P = V I at both ends; the mean of these loads for the times.
+TEST(CheckVehicle, ReportsCurrentSagAndEnduranceOfTheBattery) {
+  const auto told = check("");
+  for (const std::string mode : {"hover", "driving"}) {
+    const double power = told[mode + "_power_w"], current = told[mode + "_current_a"];
+    EXPECT_NEAR(told[mode + "_voltage_v"] * current, power, 0.01 * power) << mode;
+    EXPECT_NEAR(told[mode + "_voltage_v"] + told[mode + "_sag_v"], 16.8, 0.06) << mode;
+    EXPECT_NEAR(told[mode + "_sag_v"], 0.012 * current, 0.01 * current) << mode;
+    const double mean = 0.5 * (current + told[mode + "_end_current_a"]);
+    EXPECT_NEAR(told[mode + "_min"], 60.0 * 0.8 * 5.3 / mean, 0.02 * told[mode + "_min"]) << mode;
+  }
+  EXPECT_NEAR(told["hover_power_w"], 653.64, 1.0);
+  EXPECT_LE(told["driving_power_w"], 47.38);
+  EXPECT_NEAR(told["battery_energy_wh"], 5.3 * 15.0, 0.1);
+  EXPECT_TRUE(check(shipped("octocopter")).says("hover_min: not known"));
+}
+
+TEST(CheckVehicle, FindsBatteriesThatAreTooWeak) {
+  auto told = check_changed("tilt_ropter", "\"battery_resistance_ohm\": 0.012",
+                            "\"battery_resistance_ohm\": 0.02");
+  EXPECT_EQ(told.exit_code, 0);
+  EXPECT_EQ(told["warnings"], 1) << told.output;
+  EXPECT_TRUE(told.says("% charge, full thrust takes")) << told.output;
+  told = check_changed("tilt_ropter", "\"battery_resistance_ohm\": 0.012",
+                       "\"battery_resistance_ohm\": 0.08");
+  EXPECT_EQ(told.exit_code, 1);
+  EXPECT_TRUE(told.says("does not give the power of hover")) << told.output;
 }
 
 TEST(CheckVehicle, WarnsOfLimitsBeyondActuatorsAndOfLittleLift) {

@@ -2,6 +2,8 @@
 
 #include "support/program.hpp"
 
+#include "../../examples/support/csv.hpp"
+
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/experiments.hpp>
 
@@ -9,10 +11,13 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iomanip>
+#include <sstream>
 #include <string>
 
 namespace {
@@ -52,6 +57,59 @@ TEST(HybridMission, SavesAtLeastThePowerSavedInThePaper) {
   EXPECT_GE(flown()["power_saved_percent"], 92.8);
   EXPECT_NEAR(flown()["flight_power_w"], 653.64, 20.0);
   EXPECT_GT(flown()["ground_power_w"], 20.0);  // at least the electronics
+}
+
+// The energy is the integral of the logged power. Voltage and current are those of the battery.
+TEST(HybridMission, ReportsAndLogsTheBattery) {
+  std::istringstream text(flown().csv);
+  const examples::CsvTable log =
+      examples::read_csv(text, "log", {"power_w", "voltage_v", "current_a"});
+  double energy = 0.0, charge = 0.0, least = 100.0, most = 0.0;
+  for (std::size_t i = 0; i < log.rows(); ++i) {
+    const double power = log["power_w"][i], voltage = log["voltage_v"][i],
+                 current = log["current_a"][i];
+    ASSERT_NEAR(voltage * current, power, 1e-4 * power);
+    energy += 0.01 * power / 3600.0;
+    charge += 0.01 * current / 3600.0;
+    least = std::min(least, voltage);
+    most = std::max(most, current);
+  }
+  EXPECT_NEAR(flown()["energy_Wh"], energy, 0.01 * energy);
+  EXPECT_LE(flown()["min_voltage_V"], least + 0.005);
+  EXPECT_GE(flown()["max_current_A"], most - 0.05);
+  EXPECT_GT(most, 653.64 / 16.8);
+  EXPECT_NEAR(flown()["battery_used_percent"], 100.0 * charge / 5.3, 0.1);
+  EXPECT_GT(flown()["endurance_ground_min"], 10.0 * flown()["endurance_air_min"]);
+  EXPECT_NEAR(flown()["endurance_air_min"], 0.8 * 60.0 * 79.5 / 653.64, 0.5);
+}
+
+// The same vehicle flies with a battery that is almost empty, with less voltage and more current.
+TEST(HybridMission, FliesWithAnAlmostEmptyBattery) {
+  const Flight flight = run("--mission air --no-pictures --battery-charge 0.2"),
+               full = run("--mission air --no-pictures");
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_LT(flight["min_voltage_V"], full["min_voltage_V"] - 1.0);
+  EXPECT_GT(flight["max_current_A"], full["max_current_A"] + 1.0);
+  EXPECT_LE(flight["air_rmse_m"], 0.003);
+}
+
+// The battery gives 16 V. If the rotors reach their top speeds at 26 V, 38 % of the thrust is left,
+// 1.2 times the weight; at 30 V less than the weight.
+TEST(HybridMission, ThrustFallsWithTheVoltage) {
+  const test_support::Directory directory("sagging");
+  const std::string path = directory.file("vehicle.json");
+  ASSERT_EQ(test_support::run(HYBRID_MISSION_PROGRAM, "--write-vehicle '" + path + "'").exit_code,
+            0);
+  const std::string good = test_support::read_file(path), find = "\"battery_nominal_v\": 13.2";
+  ASSERT_NE(good.find(find), std::string::npos);
+  const auto fly = [&](const std::string& nominal) {
+    std::string text = good;
+    text.replace(good.find(find), find.size(), "\"battery_nominal_v\": " + nominal);
+    std::ofstream(path) << text;
+    return run("--mission air --no-pictures --vehicle '" + path + "'");
+  };
+  EXPECT_LE(fly("26")["air_rmse_m"], 0.02);
+  EXPECT_GT(fly("30")["mission_rmse_m"], 0.5);
 }
 
 TEST(HybridMission, LandsAndTakesOffTwiceAndGently) {

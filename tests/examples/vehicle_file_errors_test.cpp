@@ -9,6 +9,7 @@
 
 #include <cstddef>
 #include <fstream>
+#include <set>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -36,7 +37,13 @@ std::vector<Wrong> wrong_files() {
       {"\"length_m\": 0.17,", "", {"rotors[0].length_m is missing", "[0.01, 10] m"}},
       {"\"azimuth_deg\": 90.0,", "", {"rotors[1].azimuth_deg is missing", "360] deg"}},
       {"\"radius_m\": 0.11,", "", {"wheels.radius_m is missing", "[0.005, 1] m"}},
-      {"\"electronics_w\": 20.0,", "", {"power.electronics_w is missing", "W"}},
+      {"\"electronics_w\": 18.0,", "", {"power.electronics_w is missing", "W"}},
+      {"\"battery_capacity_ah\": 5.3,", "", {"battery_capacity_ah is missing", "100000] A h"}},
+      {"\"battery_full_v\": 16.8,", "", {"battery_full_v is missing", "[0.1, 10000] V"}},
+      {"\"battery_empty_v\": 13.2,", "", {"battery_empty_v is missing", "[0.1, 10000] V"}},
+      {"\"battery_resistance_ohm\": 0.012,",
+       "",
+       {"battery_resistance_ohm is missing", "[0, 100] ohm"}},
       {"\"wheels\"", "\"weels\"", {"weels"}},
       // Wrong types.
       {"\"mass_kg\": 1.5", "\"mass_kg\": \"1.5\"", {"body.mass_kg = \"1.5\"", "a number in [0.01"}},
@@ -98,9 +105,20 @@ std::vector<Wrong> wrong_files() {
       {"\"max_thrust_n\": 12.0,\n    \"time_constant_s\": 0.03\n  },",
        "\"max_thrust_n\": 3.6, \"time_constant_s\": 0.03 },",
        {"rotor.max_thrust_n = 3.6", "3.67875 N per rotor: the weight is 14.715 N"}},
-      {"\"power\"",
-       "\"battery_nominal_v\": -22, \"power\"",
+      {"\"battery_nominal_v\": 13.2",
+       "\"battery_nominal_v\": -22",
        {"battery_nominal_v = -22", "a number in [0.1, 10000] V"}},
+      {"\"hover_w\": 653.64", "\"hover_w\": 19", {"power.hover_w = 19", "at rest, 20 W"}},
+      {"\"servo_hold_w\": 0.5", "\"servo_hold_w\": -1", {"power.servo_hold_w = -1", "1000] W"}},
+      {"\"servo_move_j_per_rad\": 0.3",
+       "\"servo_move_j_per_rad\": \"0.3\"",
+       {"power.servo_move_j_per_rad = \"0.3\"", "J/rad"}},
+      {"\"battery_capacity_ah\": 5.3",
+       "\"battery_capacity_ah\": -5.3",
+       {"battery_capacity_ah = -5.3", "[0.001, 100000] A h"}},
+      {"\"battery_empty_v\": 13.2",
+       "\"battery_empty_v\": 17",
+       {"battery_empty_v = 17", "at most battery_full_v, 16.8 V"}},
       // Unknown and repeated names, and invalid JSON.
       {"\"mass_kg\": 1.5",
        "\"mass_kg\": 1.5, \"mas\": 2",
@@ -176,8 +194,10 @@ TEST(VehicleFile, ReportsEveryMissingRequiredField) {
         (void)examples::read_vehicle(in, "file");
         ADD_FAILURE() << "read without " << key;
       } catch (const examples::VehicleFileError& error) {
+        const std::set<std::string> optional = {"wheels", "servo_hold_w", "servo_move_j_per_rad",
+                                                "battery_nominal_v"};
         const std::string says =
-            key == "wheels" ? "unwheels = " : key + " is missing: must be ";  // wheels are optional
+            optional.count(key) != 0 ? "un" + key + " = " : key + " is missing: must be ";
         EXPECT_NE(std::string(error.what()).find(says), std::string::npos) << error.what();
       }
       ++fields;

@@ -87,7 +87,9 @@ TEST(VehicleFile, ReadAndWriteRoundTripKeepsAllFields) {
     file.battery_wh = 12.5;
     std::visit(
         [](auto& vehicle) {
-          vehicle.battery.nominal_voltage = 14.8;
+          vehicle.battery = {14.8, 5.25, 16.5, 13.25, 0.0125};
+          vehicle.power.servo_hold = 0.75;
+          vehicle.power.servo_move = 0.125;
           vehicle.rotor.linear_thrust_coefficient = 1e-4;
           vehicle.rotors[1].parameters = vehicle.rotor;
           vehicle.rotors[1].parameters->torque_ratio = 0.0123;
@@ -104,6 +106,12 @@ TEST(VehicleFile, ReadAndWriteRoundTripKeepsAllFields) {
         [&](const auto& vehicle) {
           const auto& written = std::get<std::decay_t<decltype(vehicle)>>(file.vehicle);
           EXPECT_EQ(vehicle.battery.nominal_voltage, 14.8);
+          EXPECT_EQ(vehicle.battery.capacity, 5.25);
+          EXPECT_EQ(vehicle.battery.full_voltage, 16.5);
+          EXPECT_EQ(vehicle.battery.empty_voltage, 13.25);
+          EXPECT_EQ(vehicle.battery.resistance, 0.0125);
+          EXPECT_EQ(vehicle.power.servo_hold, 0.75);
+          EXPECT_EQ(vehicle.power.servo_move, 0.125);
           for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
             EXPECT_EQ(vehicle.rotors[i].parameters.has_value(), i == 1 || i == 2);
             const auto &read = rotor_parameters(vehicle, i), &was = rotor_parameters(written, i);
