@@ -5,17 +5,13 @@
 #include "../support/csv.hpp"
 #include "../support/fit_program.hpp"
 #include "../support/mission_log.hpp"
+#include "../support/simulated_servo.hpp"
 
-#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
-#include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
 
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <exception>
@@ -24,7 +20,6 @@
 #include <functional>
 #include <iomanip>
 #include <iostream>
-#include <random>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -41,53 +36,22 @@ struct Options {
 
   std::string generate;  // output file of the simulated log, or empty
   std::uint64_t seed = 1;
-  double time_constant = tilt_ropter_vehicle().servo.time_constant;
-  double dead_time = 0.015, gain = 0.97, offset = 0.02;
-  double step = 0.4, rate = 200.0, duration = 12.0;
-  double noise = 0.002, resolution = 2.0 * pi / 4096.0;
+  examples::SimulatedServo servo;
 };
 
-// Simulates a servo whose command changes between levels, by at most `step`, every 0.2 to 0.8 s.
-// The encoder is read at intervals that vary by 30 %, with noise and rounding.
 void generate(const Options& o) {
-  ServoParameters parameters = tilt_ropter_vehicle().servo;
-  parameters.time_constant = o.time_constant;
-  parameters.dead_time = o.dead_time;
-  // Servo stores at most this number of commands that wait for their dead time.
-  if (o.dead_time * o.rate > 0.7 * (Servod::capacity - 1))
-    throw std::runtime_error("--dead-time times --rate must be at most 44");
-  Servod servo(parameters);
-  GaussianNoise noise(o.seed);
-  std::mt19937_64 generator(o.seed);
-  const auto uniform = [&generator](double low, double high) {
-    return low + (high - low) * 0x1.0p-53 * static_cast<double>(generator() >> 11U);
-  };
-
+  const ServoLog log = examples::log_of(o.servo, o.seed);
   std::ofstream file(o.generate);
   if (!file) throw std::runtime_error("cannot write " + o.generate);
-  file << "# A simulated servo: time constant " << o.time_constant << " s, dead time "
-       << o.dead_time << " s, gain " << o.gain << ", offset " << o.offset << " rad; encoder noise "
-       << o.noise << " rad, resolution " << o.resolution << " rad; seed " << o.seed << '\n'
+  const examples::SimulatedServo& s = o.servo;
+  file << "# A simulated servo: time constant " << s.parameters.time_constant << " s, dead time "
+       << s.parameters.dead_time << " s, gain " << s.gain << ", offset " << s.offset
+       << " rad; encoder noise " << s.noise << " rad, resolution " << s.resolution << " rad; seed "
+       << o.seed << '\n'
        << o.time << ',' << o.command << ',' << o.angle << '\n'
        << std::fixed << std::setprecision(6);
-  double time = 0.0, next = 0.5, command = 0.0;
-  servo.reset(o.offset, time);
-  while (time < o.duration) {
-    if (time >= next) {
-      // Draws a level in [-step, step] that differs from the last level by step / 2 to step.
-      const double low = std::max(-o.step, command - o.step);
-      const double high = std::min(o.step, command + o.step);
-      double level = command;
-      while (std::abs(level - command) < 0.5 * o.step) level = uniform(low, high);
-      command = level;
-      next = time + uniform(0.2, 0.8);
-    }
-    const double angle = servo.update(time, o.gain * command + o.offset) + o.noise * noise.draw();
-    const double seen =
-        o.resolution > 0.0 ? o.resolution * std::round(angle / o.resolution) : angle;
-    file << time << ',' << command << ',' << seen << '\n';
-    time += uniform(0.7, 1.3) / o.rate;
-  }
+  for (std::size_t i = 0; i < log.times.size(); ++i)
+    file << log.times[i] << ',' << log.commands[i] << ',' << log.angles[i] << '\n';
   if (!file.flush()) throw std::runtime_error("cannot write " + o.generate);
 }
 
@@ -173,6 +137,7 @@ be read or written, above 100 wrong options.)";
 int main(int argc, char** argv) {
   CLI::App app{"Identifies a servo from a log of commands and measured angles."};
   Options o;
+  o.servo.parameters.dead_time = 0.015;
   CLI::Option* input = app.add_option("LOG.csv", o.input, "log of commands and measured angles");
   app.add_option("-o,--output", o.output, "directory for the fit and its picture")
       ->capture_default_str();
@@ -186,18 +151,22 @@ int main(int argc, char** argv) {
   app.add_flag("--no-pictures", o.no_pictures, "write only the fit");
   examples::GenerateOptions simulated(app, input, "log of a simulated servo", o.generate);
   simulated.add("--seed", o.seed, "random seed of commands, jitter and noise");
-  simulated.add("--time-constant", o.time_constant, "time constant of the servo [s]",
-                CLI::Range(0.001, 10.0));
-  simulated.add("--dead-time", o.dead_time, "dead time of the servo [s]", CLI::Range(0.0, 1.0));
-  simulated.add("--gain", o.gain, "gain of the servo", CLI::Range(-10.0, 10.0));
-  simulated.add("--offset", o.offset, "angle offset of the servo [rad]", CLI::Range(-1.0, 1.0));
-  simulated.add("--step", o.step, "largest step and largest command [rad]", CLI::Range(0.001, 1.5));
-  simulated.add("--rate", o.rate, "sample rate; intervals vary by 30 % [Hz]", CLI::Range(1.0, 1e4));
-  simulated.add("--duration", o.duration, "duration of the log [s]", CLI::Range(0.1, 1e4));
-  simulated.add("--noise", o.noise, "standard deviation of the encoder noise [rad]",
+  simulated.add("--time-constant", o.servo.parameters.time_constant,
+                "time constant of the servo [s]", CLI::Range(0.001, 10.0));
+  simulated.add("--dead-time", o.servo.parameters.dead_time, "dead time of the servo [s]",
                 CLI::Range(0.0, 1.0));
-  simulated.add("--resolution", o.resolution, "resolution of the encoder; 0: no rounding [rad]",
+  simulated.add("--gain", o.servo.gain, "gain of the servo", CLI::Range(-10.0, 10.0));
+  simulated.add("--offset", o.servo.offset, "angle offset of the servo [rad]",
+                CLI::Range(-1.0, 1.0));
+  simulated.add("--step", o.servo.step, "largest step and largest command [rad]",
+                CLI::Range(0.001, 1.5));
+  simulated.add("--rate", o.servo.rate, "sample rate; intervals vary by 30 % [Hz]",
+                CLI::Range(1.0, 1e4));
+  simulated.add("--duration", o.servo.duration, "duration of the log [s]", CLI::Range(0.1, 1e4));
+  simulated.add("--noise", o.servo.noise, "standard deviation of the encoder noise [rad]",
                 CLI::Range(0.0, 1.0));
+  simulated.add("--resolution", o.servo.resolution,
+                "resolution of the encoder; 0: no rounding [rad]", CLI::Range(0.0, 1.0));
   app.footer(footer);
   return examples::run_fit_program(app, "identify_servo", argc, argv, o, "LOG.csv", generate,
                                    identify);
