@@ -9,13 +9,15 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const NmpcSettings& settings,
                                            const EkfSettings& estimation,
                                            const WrenchObserverSettings& observer,
-                                           const AllocationSettings& allocation)
+                                           const AllocationSettings& allocation,
+                                           ExternalWrench external)
     : allocation_(vehicle, allocation),
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),
       contact_(vehicle),
-      nmpc_(vehicle, settings) {}
+      nmpc_(vehicle, settings),
+      external_(external) {}
 
 template <int Rotors>
 void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {
@@ -41,7 +43,9 @@ template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample) {
   applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);
-  observer_.update(time, ekf_.corrected(sample), allocation_.wrench(applied_));
+  const bool modelled = external_ != ExternalWrench::commanded;
+  observer_.update(time, ekf_.corrected(sample),
+                   allocation_.wrench(modelled ? applied_ : sent_.command));
 }
 
 template <int Rotors>
@@ -52,7 +56,10 @@ void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
-  (void)nmpc_.prepare(time, reference, contact_.estimate());  // control() reports the status
+  ContactEstimate contact = contact_.estimate();
+  if (external_ == ExternalWrench::unused)
+    contact.disturbance = contact.rolling = contact.external = {};
+  (void)nmpc_.prepare(time, reference, contact);  // control() reports the status
 }
 
 template <int Rotors>

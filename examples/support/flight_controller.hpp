@@ -20,6 +20,13 @@ namespace examples {
 /// The reference at a time. A callable that holds its mission by reference does not allocate.
 using Reference = std::function<tilt_ropter::ReferencePoint(double)>;
 
+/// Where the external wrench comes from. All but `modelled` exist to show what the parts are worth.
+enum class ExternalWrench {
+  modelled,   ///< observer, from measured rotor speeds and modelled tilt angles
+  commanded,  ///< observer, from the commanded rotor speeds and tilt angles
+  unused,     ///< none reaches the controller; the observer serves to detect the ground only
+};
+
 /// For 4, 6 or 8 rotors; compiled once, in flight_controller.cpp.
 template <int Rotors>
 class FlightController {
@@ -28,7 +35,8 @@ class FlightController {
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
       const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0),
-      const tilt_ropter::AllocationSettings& allocation = {});
+      const tilt_ropter::AllocationSettings& allocation = {},
+      ExternalWrench external = ExternalWrench::modelled);
 
   /// For a vehicle that starts in the air: sets the command until the first state.
   void start_with(const tilt_ropter::ActuatorState<Rotors>& command);
@@ -79,6 +87,7 @@ class FlightController {
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<Rotors> nmpc_;
+  ExternalWrench external_;
   tilt_ropter::NmpcResult result_;
   tilt_ropter::AllocationResult<Rotors> sent_;
   tilt_ropter::ActuatorState<Rotors> applied_;

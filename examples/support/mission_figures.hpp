@@ -9,7 +9,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
-#include <cmath>
+#include <array>
 #include <cstddef>
 #include <iomanip>
 #include <ostream>
@@ -17,6 +17,25 @@
 
 /// The performance figures of a flown mission, next to the figures of the paper.
 namespace examples {
+
+/// Errors of a position: their RMSE, the RMSE of each axis, and the largest error [m].
+class TrackingError {
+ public:
+  void add(const Eigen::Vector3d& error) {
+    distance_.add_square(error.squaredNorm());
+    for (std::size_t i = 0; i < 3; ++i) axes_[i].add(error(static_cast<Eigen::Index>(i)));
+    max_ = std::max(max_, error.norm());
+  }
+  [[nodiscard]] long count() const { return distance_.count(); }
+  [[nodiscard]] double value() const { return distance_.value(); }
+  [[nodiscard]] double axis(std::size_t i) const { return axes_.at(i).value(); }
+  [[nodiscard]] double max() const { return max_; }
+
+ private:
+  Rmse distance_;
+  std::array<Rmse, 3> axes_;
+  double max_ = 0.0;
+};
 
 class MissionFigures {
  public:
@@ -30,22 +49,22 @@ class MissionFigures {
                 const Eigen::Vector3d& reference, double vertical_speed, double power,
                 bool touching) {
     using tilt_ropter::MissionPhase;
-    const double square = (position - reference).squaredNorm();
-    all_.add_square(square);
+    const Eigen::Vector3d error = position - reference;
+    const double distance = error.norm();
+    all_.add(error);
+    if (phase != MissionPhase::rest && phase != MissionPhase::hover) moving_.add(error);
     if (phase == MissionPhase::air) {
-      air_.add_square(square);
+      air_.add(error);
       air_power_.add(power);
     }
     if (phase == MissionPhase::ground) {
-      ground_.add_square(square);
+      ground_.add(error);
       ground_power_.add(power);
     }
     if (phase == MissionPhase::take_off || phase == MissionPhase::hover)
       takeoff_overshoot_ = std::max(takeoff_overshoot_, position.z() - flight_height_);
-    if (phase == MissionPhase::take_off)
-      takeoff_error_ = std::max(takeoff_error_, std::sqrt(square));
-    if (phase == MissionPhase::landing)
-      landing_error_ = std::max(landing_error_, std::sqrt(square));
+    if (phase == MissionPhase::take_off) takeoff_error_ = std::max(takeoff_error_, distance);
+    if (phase == MissionPhase::landing) landing_error_ = std::max(landing_error_, distance);
     if (touching && !was_touching_) touchdown_speed_ = std::max(touchdown_speed_, -vertical_speed);
     was_touching_ = touching;
   }
@@ -138,6 +157,17 @@ class MissionFigures {
     line("solver_failures", failures_, 0);
   }
 
+  /// Over the whole flight, in the figure eights, and wherever the reference moves.
+  [[nodiscard]] const TrackingError& all() const { return all_; }
+  [[nodiscard]] const TrackingError& air() const { return air_; }
+  [[nodiscard]] const TrackingError& ground() const { return ground_; }
+  [[nodiscard]] const TrackingError& moving() const { return moving_; }
+  /// Mean power in the figure eights [W].
+  [[nodiscard]] const Mean& air_power() const { return air_power_; }
+  [[nodiscard]] const Mean& ground_power() const { return ground_power_; }
+  [[nodiscard]] double touchdown_speed() const { return touchdown_speed_; }  ///< [m/s]
+  [[nodiscard]] int failures() const { return failures_; }  ///< ticks without a plan
+
  private:
   static void print_line(std::ostream& out, const char* key, double value, int digits) {
     out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
@@ -145,7 +175,8 @@ class MissionFigures {
 
   double flight_height_;
   bool of_the_paper_;
-  Rmse all_, air_, ground_, force_error_;
+  TrackingError all_, air_, ground_, moving_;
+  Rmse force_error_;
   Mean air_power_, ground_power_;
   double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0,
          landing_error_ = 0.0, bearing_torque_ = 0.0, bearing_tilt_ = 0.0;

@@ -16,12 +16,14 @@
 
 #include <CLI/CLI.hpp>
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <map>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -29,6 +31,14 @@
 
 /// The mission loop on any plant: sensors, controller, log and figures of the hybrid mission.
 namespace examples {
+
+/// The values of --observer.
+[[nodiscard]] inline const std::map<std::string, ExternalWrench>& observer_inputs() {
+  static const std::map<std::string, ExternalWrench> inputs{{"model", ExternalWrench::modelled},
+                                                            {"commands", ExternalWrench::commanded},
+                                                            {"off", ExternalWrench::unused}};
+  return inputs;
+}
 
 struct MissionOptions {
   std::string output = "results";
@@ -43,7 +53,8 @@ struct MissionOptions {
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
-  bool no_actuator_constraints = false;
+  bool no_actuator_constraints = false, no_ground_conditions = false, no_feed_forward = false;
+  std::string observer = "model";        // see observer_inputs()
   std::vector<std::string> as_in_paper;  // see paper_switches()
   bool no_pictures = false;
 };
@@ -106,6 +117,15 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_flag("--no-actuator-rows", options.no_actuator_constraints,
                "bound the wrench and its rate by boxes only, as in the paper");
+  app.add_option("--observer", options.observer,
+                 "the wrench observer gets measured rotor speeds and modelled tilt angles (model) "
+                 "or the commands (commands); off: its result does not reach the controller")
+      ->check(CLI::IsMember(observer_inputs()))
+      ->capture_default_str();
+  app.add_flag("--no-ground-conditions", options.no_ground_conditions,
+               "no conditions on side slip, roll rate and height on the ground");
+  app.add_flag("--no-feed-forward", options.no_feed_forward,
+               "the cost expects the wrench of hover, not the wrench that the reference needs");
   add_paper_switches(app, options.as_in_paper);
   app.add_flag("--no-pictures", options.no_pictures,
                "write the log only: no pictures and no page report.html");
@@ -199,44 +219,72 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 
 }  // namespace detail
 
-/// Flies the hybrid mission on `plant`, prints and returns its figures, and writes
-/// hybrid_mission.csv and solve_times.csv to the output directory. If the battery is known, plant
-/// and controller receive its voltage under load. Plant has the interface of
-/// tilt_ropter::Plant. `disturbance()` returns the wrench on the body during the next step;
-/// `on_step(mission)` is called after every step. `ground_is_off`: the ground is not where the
-/// mission assumes it. The figures are relative to the output of motion capture. If the height is
-/// wrong, the figures on the ground contain only horizontal errors. A vehicle without wheels or
-/// legs starts in hover. Throws std::runtime_error if the plant rejects a step.
-template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
-std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
-                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
-                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
+/// A flown mission.
+struct FlownMission {
+  MissionFigures figures{0.0};
+  BatteryFigures battery{{}};
+  int contact_mode_changes = 0;
+  double duration = 0.0;  ///< of the mission [s]
+  double elapsed = 0.0;   ///< [s], on the clock
+  double lean = 0.0;      ///< largest angle of body z to world z [rad]
+  std::vector<tilt_ropter::BoundViolation> violations;  ///< bounds that the reference passes
+};
+
+/// Returns the settings of controller and allocation for `options`.
+template <int Rotors>
+[[nodiscard]] ControllerSettings controller_settings(const MissionOptions& options,
+                                                     VehicleFile file,
+                                                     const tilt_ropter::Vehicle<Rotors>& believed) {
+  file.vehicle = believed;
+  ControllerSettings controls{examples::in_simulated_time(file.settings()), {}};
+  set_as_in_paper(options.as_in_paper, controls);
+  tilt_ropter::NmpcSettings& settings = controls.nmpc;
+  if (options.no_actuator_constraints) settings.actuator_constraints = false;
+  if (options.no_ground_conditions) settings.problem.weights.ground.setZero();
+  if (options.no_feed_forward) settings.wrench_reference = tilt_ropter::WrenchReference::hover;
+  if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
+  return controls;
+}
+
+/// Flies the mission on `plant`, returns its figures, and writes hybrid_mission.csv and
+/// solve_times.csv to the output directory. If the battery is known, plant and controller receive
+/// its voltage under load. Plant has the interface of tilt_ropter::Plant.
+/// `disturbance()` returns the wrench on the body during the next step; `on_step(mission)` is
+/// called after every step, `on_progress(fraction, phase)` every second of the flight.
+/// `ground_is_off`: the ground is not where the mission assumes it. The figures are relative to the
+/// output of motion capture. If the height is wrong, the figures on the ground contain only
+/// horizontal errors. A vehicle without wheels or legs starts in hover. Prints nothing; several
+/// threads may fly, each its own plant to its own directory. Throws std::runtime_error if the plant
+/// rejects a step.
+template <int Rotors, typename Plant, typename Disturbance, typename OnStep, typename OnProgress>
+FlownMission fly(const MissionOptions& options, const VehicleFile& file,
+                 const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
+                 OnStep&& on_step, bool ground_is_off, OnProgress&& on_progress) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
 
   const Mission mission = mission_of(options.mission, vehicles.believed);
   const Reference reference = [&mission](double time) { return mission(time); };
-  VehicleFile believed = file;
-  believed.vehicle = vehicles.believed;
-  ControllerSettings controls{examples::in_simulated_time(believed.settings()), {}};
-  set_as_in_paper(options.as_in_paper, controls);
-  NmpcSettings& settings = controls.nmpc;
-  if (options.no_actuator_constraints) settings.actuator_constraints = false;
-  if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
-  for (const BoundViolation& v : check_reference(mission, mission.start_time(), mission.end_time(),
-                                                 vehicles.believed, settings))
-    std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
-              << " at " << v.time << " s, allowed is " << v.allowed << '\n';
+  const ControllerSettings controls = controller_settings(options, file, vehicles.believed);
+  const NmpcSettings& settings = controls.nmpc;
+  FlownMission flown;
+  flown.figures =
+      MissionFigures(HybridMissionSettings{}.flight_height, options.vehicle_path.empty());
+  flown.battery = BatteryFigures(vehicles.truth.battery, options.battery_charge);
+  BatteryFigures& battery = flown.battery;
+  flown.duration = mission.duration();
+  flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
+                                     vehicles.believed, settings);
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
-  FlightController<Rotors> controller(
-      vehicles.believed, settings, MissionSensors<Rotors>::estimation(),
-      observer_settings(options.observer_bandwidth), controls.allocation);
+  FlightController<Rotors> controller(vehicles.believed, settings,
+                                      MissionSensors<Rotors>::estimation(),
+                                      observer_settings(options.observer_bandwidth),
+                                      controls.allocation, observer_inputs().at(options.observer));
   const PowerModel power_model(vehicles.truth,
                                controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
-  BatteryFigures battery(vehicles.truth.battery, options.battery_charge);
   ActuatorState<Rotors> command;
   const MissionPhase first = mission.phase(0.0);
   const bool in_flight = first == MissionPhase::hover || first == MissionPhase::air;
@@ -258,7 +306,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   // A separate file, because the same seed gives exactly the same log, but not the same wall-clock
   // times.
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
-  MissionFigures figures(HybridMissionSettings{}.flight_height, options.vehicle_path.empty());
+  MissionFigures& figures = flown.figures;
   const auto height_error_at = [&](double time) {
     return options.height_offset + options.height_drift * time / mission.duration();
   };
@@ -266,7 +314,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
       options.height_offset != 0.0 || options.height_drift != 0.0 || ground_is_off;
   double power = power_model.power(plant.actuators().rotor_speed);  // during the last step [W]
   battery.on_plant(mission.phase(0.0), plant.time(), power, 0.0);
-  Progress progress;
+  double upright = 1.0;  // smallest cosine of the angle between body z and world z
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -289,7 +337,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
       times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
       detail::log_row(log, mission, plant, controller, power, &battery);
     }
-    if (i % 1000 == 0) progress.show(time / mission.duration(), to_string(mission.phase(time)));
+    if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
     if (!plant.step(command, disturbance(), step))
@@ -306,15 +354,36 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
                      plant.normal_forces().sum() > 0.0);
     if (phase == MissionPhase::ground)
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
+    upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
     on_step(mission);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
+  flown.elapsed = elapsed.count();
+  flown.lean = std::acos(std::max(-1.0, upright));
+  flown.contact_mode_changes = controller.contact().mode_changes();
+  return flown;
+}
+
+/// The same for a program that flies one mission: shows its progress, prints and returns its
+/// figures.
+template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
+std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
+                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
+                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
+  Progress progress;
+  FlownMission flown = fly(options, file, vehicles, plant, disturbance, on_step, ground_is_off,
+                           [&progress](double fraction, tilt_ropter::MissionPhase phase) {
+                             progress.show(fraction, to_string(phase));
+                           });
   progress.finish();
+  for (const tilt_ropter::BoundViolation& v : flown.violations)
+    std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
+              << " at " << v.time << " s, allowed is " << v.allowed << '\n';
   std::ostringstream printed;
-  figures.print(printed, controller.contact().mode_changes());
-  battery.print(printed);
-  printed << std::setprecision(1) << "mission_duration_s: " << mission.duration() << '\n'
-          << "real_time_factor: " << mission.duration() / elapsed.count() << '\n';
+  flown.figures.print(printed, flown.contact_mode_changes);
+  flown.battery.print(printed);
+  printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
+          << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();
   return printed.str();
 }
