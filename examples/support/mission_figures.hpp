@@ -166,6 +166,9 @@ class MissionFigures {
   [[nodiscard]] const Mean& air_power() const { return air_power_; }
   [[nodiscard]] const Mean& ground_power() const { return ground_power_; }
   [[nodiscard]] double touchdown_speed() const { return touchdown_speed_; }  ///< [m/s]
+  /// Largest tilt rate of the commanded wrench, and largest demand on a servo [rad/s].
+  [[nodiscard]] double planned_tilt_rate() const { return planned_max_; }
+  [[nodiscard]] double servo_demand() const { return demanded_max_; }
   [[nodiscard]] int failures() const { return failures_; }  ///< ticks without a plan
 
  private:

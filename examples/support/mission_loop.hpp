@@ -24,6 +24,7 @@
 #include <iomanip>
 #include <iostream>
 #include <map>
+#include <optional>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -57,6 +58,7 @@ struct MissionOptions {
   std::string observer = "model";        // see observer_inputs()
   std::vector<std::string> as_in_paper;  // see paper_switches()
   bool no_pictures = false;
+  bool no_log = false;  // for many flights of which only the figures count; not an option
 };
 
 /// Adds the options to `app`; parsing fills `options`.
@@ -247,15 +249,15 @@ template <int Rotors>
 }
 
 /// Flies the mission on `plant`, returns its figures, and writes hybrid_mission.csv and
-/// solve_times.csv to the output directory. If the battery is known, plant and controller receive
-/// its voltage under load. Plant has the interface of tilt_ropter::Plant.
-/// `disturbance()` returns the wrench on the body during the next step; `on_step(mission)` is
-/// called after every step, `on_progress(fraction, phase)` every second of the flight.
-/// `ground_is_off`: the ground is not where the mission assumes it. The figures are relative to the
-/// output of motion capture. If the height is wrong, the figures on the ground contain only
-/// horizontal errors. A vehicle without wheels or legs starts in hover. Prints nothing; several
-/// threads may fly, each its own plant to its own directory. Throws std::runtime_error if the plant
-/// rejects a step.
+/// solve_times.csv to the output directory, unless told not to. If the battery is known, plant and
+/// controller receive its voltage under load. Plant has the interface of tilt_ropter::Plant.
+/// `disturbance()` returns the wrench on the body during the next step;
+/// `on_step(mission)` is called after every step, `on_progress(fraction, phase)` every second of
+/// the flight. `ground_is_off`: the ground is not where the mission assumes it. The figures are
+/// relative to the output of motion capture. If the height is wrong, the figures on the ground
+/// contain only horizontal errors. A vehicle without wheels or legs starts in hover. Prints
+/// nothing; several threads may fly, each its own plant to its own directory. Throws
+/// std::runtime_error if the plant rejects a step.
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep, typename OnProgress>
 FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                  const MissionVehicles<Rotors>& vehicles, Plant& plant, Disturbance&& disturbance,
@@ -300,12 +302,16 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     plant.reset(start, command);
   }
 
-  std::filesystem::create_directories(options.output);
-  MissionLog log(options.output + "/hybrid_mission.csv",
-                 detail::mission_columns(Rotors, battery.known()));
-  // A separate file, because the same seed gives exactly the same log, but not the same wall-clock
-  // times.
-  MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
+  // A separate file for the times, because the same seed gives exactly the same log, but not the
+  // same wall-clock times.
+  std::optional<MissionLog> log, times;
+  if (!options.no_log) {
+    std::filesystem::create_directories(options.output);
+    log.emplace(options.output + "/hybrid_mission.csv",
+                detail::mission_columns(Rotors, battery.known()));
+    times.emplace(options.output + "/solve_times.csv",
+                  std::vector<std::string>{"time_s", "prepare_us", "feedback_us"});
+  }
   MissionFigures& figures = flown.figures;
   const auto height_error_at = [&](double time) {
     return options.height_offset + options.height_drift * time / mission.duration();
@@ -334,8 +340,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
-      times.add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
-      detail::log_row(log, mission, plant, controller, power, &battery);
+      if (log) {
+        times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
+        detail::log_row(*log, mission, plant, controller, power, &battery);
+      }
     }
     if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
