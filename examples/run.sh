@@ -3,25 +3,29 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: examples/run.sh [--mujoco] [-- OPTION...]
+usage: examples/run.sh [--mujoco | --paper] [-- OPTION...]
 
 Installs missing Debian packages with apt-get, builds hybrid_mission for this processor into
 build-examples/ and runs it: take off, fly a figure eight, land, drive a figure eight, take off
-again, hover, land. Prints its figures and writes log, pictures and
-report.html, a page about the flight, to results/.
+again, hover, land. Prints its figures and writes log, pictures and report.html, a page about the
+flight, to results/.
 
   --mujoco      fly the same mission in MuJoCo (mission_mujoco) and write log, pictures and a film
                 to results/mujoco/
+  --paper       reproduce the paper (reproduce_paper): its three flights in our plant and in MuJoCo,
+                the servo's identification, hardware in the loop, ablations; tables and pictures to
+                results/paper/ (three minutes)
   -- OPTION...  options for the program (-- --help lists them)
   --help        print this text
 HELP
 }
 
 mujoco=
-if [[ ${1-} == --mujoco ]]; then
-  mujoco=1
-  shift
-fi
+paper=
+case ${1-} in
+  --mujoco) mujoco=1 && shift ;;
+  --paper) paper=1 && shift ;;
+esac
 case ${1-} in
   '') ;;
   --) shift ;;
@@ -35,13 +39,27 @@ packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann
 if [[ $mujoco ]]; then
   packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)
 fi
+if [[ $paper ]]; then
+  packages+=(libmujoco-dev)
+fi
 bash cmake/install_missing.sh "${packages[@]}"
 
 echo "== Configuring and building into build-examples/"
 cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Release \
   -DTILT_ROPTER_WERROR=ON -DTILT_ROPTER_NATIVE=ON
-cmake --build build-examples --parallel "$(nproc)" \
-  --target "$([[ $mujoco ]] && echo mission_mujoco || echo hybrid_mission)"
+targets=(hybrid_mission)
+if [[ $mujoco ]]; then targets=(mission_mujoco); fi
+if [[ $paper ]]; then
+  targets=(reproduce_paper hitl_onboard hitl_flight_controller hitl_simulator)
+fi
+cmake --build build-examples --parallel "$(nproc)" --target "${targets[@]}"
+
+if [[ $paper ]]; then
+  echo "== Reproducing the paper"
+  build-examples/examples/reproduce_paper --output results/paper --hitl --ablations "$@"
+  echo "== The tables, logs and pictures are in $PWD/results/paper, unless told otherwise"
+  exit 0
+fi
 
 if [[ $mujoco ]]; then
   echo "== Flying the hybrid mission in MuJoCo"

@@ -47,6 +47,10 @@ bool wants(const std::vector<std::string>& chosen, const std::string& name) {
   return chosen.empty() || std::find(chosen.begin(), chosen.end(), name) != chosen.end();
 }
 
+bool named(const std::vector<std::string>& chosen, const std::string& name) {
+  return !chosen.empty() && wants(chosen, name);
+}
+
 std::vector<std::string> chosen(const std::vector<std::string>& all,
                                 const std::vector<std::string>& choice) {
   std::vector<std::string> some;
@@ -58,20 +62,21 @@ std::vector<std::string> chosen(const std::vector<std::string>& all,
 std::vector<PlantKind> plants_of(const Options& o) {
   std::vector<PlantKind> plants;
   if (wants(o.plants, "plant")) plants.push_back(PlantKind::own);
-  const bool named = !o.plants.empty() && wants(o.plants, "mujoco");
-  if (named && !has_mujoco)
+  if (named(o.plants, "mujoco") && !has_mujoco)
     throw std::runtime_error("built without MuJoCo (Debian: libmujoco-dev)");
   if (has_mujoco && wants(o.plants, "mujoco")) plants.push_back(PlantKind::mujoco);
   if (!has_mujoco) std::cerr << "without MuJoCo (Debian: libmujoco-dev): our plant only\n";
   return plants;
 }
 
-/// Copies these files of the results to the pictures of the examples, and replaces a section of
-/// the README.
+/// Copies these pictures to the pictures of the examples, and replaces a section of the README if
+/// everything was flown.
 void update(const Options& o, const std::string& section, const std::string& text,
             const std::vector<std::string>& pictures) {
   if (o.update.empty()) return;
-  if (!section.empty()) replace_section(o.update + "/paper/README.md", section, '\n' + text + '\n');
+  const bool complete = o.only.empty() && o.settings.empty() && o.plants.empty();
+  if (complete && !section.empty())
+    replace_section(o.update + "/paper/README.md", section, '\n' + text + '\n');
   for (const std::string& picture : pictures)
     if (fs::exists(o.output + '/' + picture))
       fs::copy_file(o.output + '/' + picture, o.update + "/pictures/" + picture,
@@ -102,7 +107,7 @@ int fly_experiments(const Options& o) {
       ++errors;
     }
   }
-  if (o.hitl) {
+  if (o.hitl || named(o.only, "hitl")) {
     std::cerr << "hardware in the loop, in real time\n";
     const std::vector<Figures> loop = fly_hardware_in_the_loop(o.programs, o.output, o.hitl_until);
     ours.insert(ours.end(), loop.begin(), loop.end());
@@ -119,25 +124,29 @@ int fly_experiments(const Options& o) {
   return errors > 0 ? 1 : 0;
 }
 
+int fly_ablations(const Options& o) {
+  const std::vector<PlantKind> plants = plants_of(o);
+  const std::vector<FlightResult> results =
+      fly_all(ablation_flights(plants, o.seed), o.output, o.threads);
+  const std::vector<AblationFigures> rows = figures_of(plants, results);
+  const std::string table = ablation_table(rows).markdown();
+  print(std::cout, rows);
+  std::cout << '\n' << table << '\n';
+  write_text(o.output + "/ablations.csv", ablation_csv(rows));
+  write_text(o.output + "/ablations.md", table);
+  if (!o.no_pictures) draw("paper/ablations.gp", o);
+  update(o, "ablations", table, {"ablations.png"});
+  return std::all_of(rows.begin(), rows.end(), [](const auto& row) { return row.error.empty(); })
+             ? 0
+             : 1;
+}
+
 int reproduce(const Options& o) {
   fs::create_directories(o.output);
-  if (o.ablations) {
-    const std::vector<PlantKind> plants = plants_of(o);
-    const std::vector<FlightResult> results =
-        fly_all(ablation_flights(plants, o.seed), o.output, o.threads);
-    const std::vector<AblationFigures> rows = figures_of(plants, results);
-    const std::string table = ablation_table(rows).markdown();
-    print(std::cout, rows);
-    std::cout << '\n' << table << '\n';
-    write_text(o.output + "/ablations.csv", ablation_csv(rows));
-    write_text(o.output + "/ablations.md", table);
-    if (!o.no_pictures) draw("paper/ablations.gp", o);
-    update(o, "ablations", table, {"ablations.png"});
-    return 0;
-  }
+  int code = 0;
   if (wants(o.only, "servo"))
     identify_simulated_servo(std::cout, o.output, static_cast<std::uint64_t>(o.seed));
-  const int code = fly_experiments(o);
+  code = std::max(code, fly_experiments(o));
   if (wants(o.only, "drawings")) {
     write_text(o.output + "/frames.svg",
                draw_frames(tilt_ropter::tilt_ropter_vehicle(), propeller_radius));
@@ -146,14 +155,16 @@ int reproduce(const Options& o) {
   if (!o.no_pictures) draw("paper/reproduce_paper.gp", o);
   update(o, "", "",
          {"frames.svg", "control_diagram.svg", "paper_trajectories.png", "paper_hybrid.png",
-          "paper_power.png", "paper_tracking.png", "paper_servo.png"});
+          "paper_power.png", "paper_servo.png"});
+  if (named(o.only, "ablations") || o.ablations) code = std::max(code, fly_ablations(o));
   return code;
 }
 
 constexpr const char* footer = R"(
-Files in the output directory: a directory with the log of each flight, paper.csv and paper.md (the
-table), servo_identification.csv, frames.svg, control_diagram.svg, hitl_*.txt, pictures; with
---ablations instead ablations.csv, ablations.md, ablations.png.
+Files in the output directory: a directory with the log of each flight (such as
+air_library_plant/hybrid_mission.csv), paper.csv and paper.md (the table beside the paper's
+figures), servo_identification.csv, frames.svg, control_diagram.svg, hitl_*.txt, ablations.csv,
+ablations.md, and pictures.
 
 Exit code: 0 all is done, 1 a flight could not be flown or a file not be written, above 100 wrong
 options.)";
@@ -169,10 +180,10 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", o.output, "directory for logs, tables and pictures")
       ->capture_default_str();
   app.add_option("--only", o.only,
-                 "only these, separated by commas: air, ground, hybrid (flights), servo, drawings; "
-                 "default: all")
+                 "only these, separated by commas: air, ground, hybrid (flights), servo, drawings, "
+                 "hitl, ablations; default: all but the last two")
       ->delimiter(',')
-      ->check(CLI::IsMember({"air", "ground", "hybrid", "servo", "drawings"}));
+      ->check(CLI::IsMember({"air", "ground", "hybrid", "servo", "drawings", "hitl", "ablations"}));
   std::vector<std::string> names;
   for (const ControllerChoice& controller : controllers()) names.emplace_back(controller.name);
   app.add_option("--settings", o.settings,
@@ -187,24 +198,24 @@ int main(int argc, char** argv) {
          "that are there")
       ->delimiter(',')
       ->check(CLI::IsMember({"plant", "mujoco"}));
-  auto* hitl = app.add_flag("--hitl", o.hitl,
-                            "also fly the hybrid mission with hardware in the loop, in real time");
+  app.add_flag("--hitl", o.hitl,
+               "also fly the hybrid mission with hardware in the loop, in real time");
   app.add_option("--hitl-until", o.hitl_until,
                  "end that flight at this mission time; 0: full mission [s]")
-      ->needs(hitl)
       ->check(CLI::Range(0.0, 1000.0));
   app.add_flag("--ablations", o.ablations,
-               "instead fly the hybrid mission with one part of the controller changed at a time")
-      ->excludes(hitl);
+               "also fly the hybrid mission with one part of the controller changed at a time");
   app.add_option("--seed", o.seed, "seed of the sensor noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   app.add_option("--threads", o.threads, "flights at the same time")
       ->check(CLI::Range(1, 256))
       ->capture_default_str();
-  app.add_option("--update", o.update,
-                 "also replace the tables in paper/README.md and the drawings in pictures/ of this "
-                 "folder, the project's examples/");
+  app.add_option(
+         "--update", o.update,
+         "also replace the pictures in pictures/ of this folder, the project's examples/, and "
+         "after complete runs the tables in its paper/README.md")
+      ->check(CLI::ExistingDirectory);
   app.add_flag("--no-pictures", o.no_pictures, "write tables, logs and drawings, no plots");
   app.footer(footer);
   return examples::run_program(app, "reproduce_paper", argc, argv, [&] { return reproduce(o); });
