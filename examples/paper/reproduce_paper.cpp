@@ -39,8 +39,6 @@ struct Options {
   std::string programs;  // directory of the other programs
 };
 
-constexpr double propeller_radius = 0.0648;  // 5.1 inch (paper, Table model_weight) [m]
-
 const std::vector<std::string> experiments{"air", "ground", "hybrid"};
 
 bool wants(const std::vector<std::string>& chosen, const std::string& name) {
@@ -148,8 +146,8 @@ int reproduce(const Options& o) {
     identify_simulated_servo(std::cout, o.output, static_cast<std::uint64_t>(o.seed));
   code = std::max(code, fly_experiments(o));
   if (wants(o.only, "drawings")) {
-    write_text(o.output + "/frames.svg",
-               draw_frames(tilt_ropter::tilt_ropter_vehicle(), propeller_radius));
+    const tilt_ropter::Vehicle<4> vehicle = tilt_ropter::tilt_ropter_vehicle();
+    write_text(o.output + "/frames.svg", draw_frames(vehicle, vehicle.rotor.propeller_radius));
     write_text(o.output + "/control_diagram.svg", draw_control_diagram());
   }
   if (!o.no_pictures) draw("paper/reproduce_paper.gp", o);
