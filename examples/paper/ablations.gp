@@ -31,9 +31,9 @@ plot for [bar = 1:3] "ablations.csv" using (place(bar)):(ours(mm(errors[bar]."_r
        with boxes lc rgb colours[bar] title errors[bar], \
      for [bar = 1:3] "" using (place(bar)):(theirs(mm(errors[bar]."_rmse_m"))) \
        with points pt 2 ps 1.1 lc rgb ink notitle
-set tmargin at screen 0.52; set bmargin at screen 0.17
+set tmargin at screen 0.52; set bmargin at screen 0.2
 set ylabel "power on the ground [W]"; set yrange [10:1000]; unset key
-set boxwidth 0.6; set xtics rotate by 30 right noenhanced; set format x "%g"
+set boxwidth 0.6; set xtics rotate by 35 right noenhanced; set format x "%g"
 plot "ablations.csv" using (place(2)):(ours(column("ground_power_w"))):xticlabels(1) \
        with boxes lc rgb "#E69F00" notitle, \
      "" using (place(2)):(theirs(column("ground_power_w"))) with points pt 2 ps 1.1 lc rgb ink notitle

@@ -18,50 +18,75 @@
 #include <vector>
 
 /// Ablations: the hybrid mission with one part of the controller taken away or changed at a time.
+/// Some parts matter only if something is wrong; these are also flown under this condition.
 namespace examples::paper {
 
 struct Ablation {
-  const char* name;    ///< in keys and files
-  const char* change;  ///< what is different, and the option of hybrid_mission for it
+  const char* name;     ///< in keys and files
+  const char* change;   ///< what is different, and the option of hybrid_mission for it
+  const char* shipped;  ///< name of the flight to compare with, of the controller as it is
   void (*set)(MissionOptions& options);
 };
 
 [[nodiscard]] inline const std::vector<Ablation>& ablations() {
   using O = MissionOptions;
   static const std::vector<Ablation> all{
-      {"shipped", "nothing", [](O&) {}},
-      {"observer_off", "no external wrench: `--observer off`", [](O& o) { o.observer = "off"; }},
-      {"observer_commands", "observer fed with commands: `--observer commands`",
+      {"shipped", "nothing", "shipped", [](O&) {}},
+      {"observer_off", "no external wrench: `--observer off`", "shipped",
+       [](O& o) { o.observer = "off"; }},
+      {"observer_commands", "observer fed with commands: `--observer commands`", "shipped",
        [](O& o) { o.observer = "commands"; }},
-      {"observer_slow", "observer three times slower: `--observer-bandwidth 6.67`",
+      {"observer_slow", "observer three times slower: `--observer-bandwidth 6.67`", "shipped",
        [](O& o) { o.observer_bandwidth /= 3.0; }},
-      {"observer_fast", "observer three times faster: `--observer-bandwidth 60`",
+      {"observer_fast", "observer three times faster: `--observer-bandwidth 60`", "shipped",
        [](O& o) { o.observer_bandwidth *= 3.0; }},
-      {"actuators_off", "no actuator constraints: `--no-actuator-rows`",
+      {"actuators_off", "no actuator constraints: `--no-actuator-rows`", "shipped",
        [](O& o) { o.no_actuator_constraints = true; }},
-      {"conditions_off", "no ground conditions: `--no-ground-conditions`",
+      {"conditions_off", "no ground conditions: `--no-ground-conditions`", "shipped",
        [](O& o) { o.no_ground_conditions = true; }},
       {"unloading_off", "thrust carries the weight on the ground: `--ground-thrust 14.7`",
+       "shipped",
        [](O& o) {
          o.ground_thrust = tilt_ropter::tilt_ropter_vehicle().body.mass * tilt_ropter::gravity;
        }},
-      {"ground_as_wrench", "the ground is its estimated wrench: `--as-in-paper ground`",
+      {"ground_as_wrench", "the ground is its estimated wrench: `--as-in-paper ground`", "shipped",
        [](O& o) { o.as_in_paper = {"ground"}; }},
-      {"lead_off", "commands without lead: `--as-in-paper lead`",
+      {"lead_off", "commands without lead: `--as-in-paper lead`", "shipped",
        [](O& o) { o.as_in_paper = {"lead"}; }},
-      {"contact_by_height", "contact by height: `--as-in-paper contact`",
+      {"contact_by_height", "contact by height: `--as-in-paper contact`", "shipped",
        [](O& o) { o.as_in_paper = {"contact"}; }},
-      {"feed_forward_off", "cost expects hover: `--no-feed-forward`",
+      {"feed_forward_off", "cost expects hover: `--no-feed-forward`", "shipped",
        [](O& o) { o.no_feed_forward = true; }},
-      {"wrench_in_cost", "cost on F and M themselves: `--as-in-paper cost`",
+      {"wrench_in_cost", "cost on F and M themselves: `--as-in-paper cost`", "shipped",
        [](O& o) { o.as_in_paper = {"cost"}; }},
+      {"height_off", "nothing, height 0.1 m off: `--height-offset 0.1`", "height_off",
+       [](O& o) { o.height_offset = 0.1; }},
+      {"height_off_contact_by_height", "contact by height, height 0.1 m off", "height_off",
+       [](O& o) {
+         o.height_offset = 0.1;
+         o.as_in_paper = {"contact"};
+       }},
+      {"slow_servos", "nothing, servos of 2 rad/s: `--servo-speed 2`", "slow_servos",
+       [](O& o) { o.servo_speed = 2.0; }},
+      {"slow_servos_actuators_off", "no actuator constraints, servos of 2 rad/s", "slow_servos",
+       [](O& o) {
+         o.servo_speed = 2.0;
+         o.no_actuator_constraints = true;
+       }},
+      {"vibration", "nothing, vibration: `--vibration 0.5`", "vibration",
+       [](O& o) { o.vibration = 0.5; }},
+      {"vibration_observer_fast", "observer three times faster, vibration", "vibration",
+       [](O& o) {
+         o.vibration = 0.5;
+         o.observer_bandwidth *= 3.0;
+       }},
   };
   return all;
 }
 
 /// The figures of one ablation in one plant. NaN: not flown.
 struct AblationFigures {
-  std::string name, change, plant, error;
+  std::string name, change, shipped, plant, error;
   double air = std::numeric_limits<double>::quiet_NaN(), ground = air, mission = air;  ///< RMSE [m]
   double ground_power = air, saved = air;                                              ///< [W], [%]
   double planned_tilt_rate = air, servo_demand = air;  ///< largest [rad/s]
@@ -94,6 +119,7 @@ struct AblationFigures {
       AblationFigures f;
       f.name = ablation.name;
       f.change = ablation.change;
+      f.shipped = ablation.shipped;
       f.plant = to_string(plant);
       f.error = result.error;
       if (f.error.empty()) {
@@ -150,7 +176,7 @@ struct AblationFigures {
       3);
   for (const AblationFigures& f : rows)
     table.add({f.change, f.plant,
-               f.name == "shipped" ? "" : effect(f, same_plant(rows, f.plant, "shipped")),
+               f.name == f.shipped ? "" : effect(f, same_plant(rows, f.plant, f.shipped)),
                millimetres(f.air), millimetres(f.ground), millimetres(f.mission),
                number(f.ground_power, 1), number(f.saved, 1), number(f.planned_tilt_rate, 1),
                number(f.servo_demand, 1), number(f.mode_changes, 0), number(f.failures, 0)});
