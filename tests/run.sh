@@ -21,7 +21,7 @@ the benchmarks.
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
                build-fuzz/ and run each target for this time, one per processor; fails if there is
                a finding. The build takes about 5 minutes
-  --sanitize   run the tests with ASan and UBSan in build-sanitize/, the program with threads with
+  --sanitize   run the tests with ASan and UBSan in build-sanitize/, the programs with threads with
                TSan in build-sanitize-threads/, and some tests of the normal build with valgrind.
                45 minutes
   --coverage   run the tests and write a table of the lines of include/ that they reach, and the
@@ -131,10 +131,12 @@ if [[ $instead == sanitize ]]; then
 
   configure build-sanitize-threads "${with_clang[@]}" -DTILT_ROPTER_BUILD_TESTS=OFF \
     -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$flags -fsanitize=thread"
-  cmake --build build-sanitize-threads --target monte_carlo
-  echo "== Running monte_carlo in three threads under TSan, the only program that has any"
+  cmake --build build-sanitize-threads --target monte_carlo reproduce_paper
+  echo "== Running monte_carlo and reproduce_paper in three threads under TSan"
   build-sanitize-threads/examples/monte_carlo --count 6 --threads 3 --no-pictures \
     --output build-sanitize-threads/results
+  build-sanitize-threads/examples/reproduce_paper --only air --settings library,preset \
+    --plants plant --threads 3 --no-pictures --output build-sanitize-threads/results
 
   configure build-tests "${with_clang[@]}" "${with_tests[@]}"
   quick=(allocation_matrix_test frames_test rigid_body_test riccati_test riccati_equation_test

@@ -4,7 +4,6 @@
 #include "../../examples/paper/frames_drawing.hpp"
 #include "../../examples/paper/table.hpp"
 #include "../../examples/support/csv.hpp"
-#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
@@ -14,6 +13,7 @@
 #include <cmath>
 #include <cstddef>
 #include <filesystem>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -151,17 +151,6 @@ TEST(ReproducePaper, RefusesWrongOptionsAndSaysWhatItCannotWrite) {
   const Outcome outcome = run("/proc/nowhere", "--only drawings");
   EXPECT_EQ(outcome.exit_code, 1);
   EXPECT_TRUE(outcome.says("/proc/nowhere")) << outcome.output;
-}
-
-// In real time.
-TEST(ReproducePaper, HardwareInTheLoopStartsTheThreePrograms) {
-  if (!test_support::full_run()) GTEST_SKIP() << "only in the full run";
-  const test_support::Directory directory("reproduce_paper_hitl");
-  const Outcome loop = run(directory.file(""), "--only hitl --hitl-until 3");
-  ASSERT_EQ(loop.exit_code, 0) << loop.output;
-  EXPECT_LT(loop["hybrid_library_hitl_rmse_from_start_m"], 0.05);
-  EXPECT_NE(test_support::read_file(directory.file("hitl_onboard.txt")).find("onboard_ticks: "),
-            std::string::npos);
 }
 
 TEST(FramesDrawing, ShowsEveryFrameAndFollowsTheVehicle) {
