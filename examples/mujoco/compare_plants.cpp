@@ -44,6 +44,7 @@ struct Results {
   double drop_peak_weights = 0.0, drop_rebound_mm = 0.0;
   double roll_distance_m = 0.0, slide_distance_m = 0.0, creep_mmps = 0.0;
   double tilt_time_constant_ms = 0.0, tilt_error_mrad = 0.0, tilt_kick_degps = 0.0;
+  double bearing_tilt_mrad = 0.0;
 };
 
 template <typename AnyPlant>
@@ -84,7 +85,8 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
     r.drop_peak_weights = std::max(r.drop_peak_weights, plant.normal_forces().sum() / weight);
     lowest = std::min(lowest, height);
     rebounds = rebounds || (height > lowest && plant.body().velocity.z() > 0.0);
-    if (rebounds) r.drop_rebound_mm = std::max(r.drop_rebound_mm, 1e3 * (height - 0.11));
+    if (rebounds)
+      r.drop_rebound_mm = std::max(r.drop_rebound_mm, 1e3 * (height - vehicle.wheels->radius));
   }
   r.standing_mm = 1e3 * (plant.body().position.z() - vehicle.wheels->radius);
 
@@ -94,6 +96,7 @@ Results measure(AnyPlant& plant, const Vehicle<4>& vehicle) {
   };
   start();
   while (plant.body().velocity.x() < 1.0) go(plant, {}, force(1.5 * by_mass, 0.0));
+  r.bearing_tilt_mrad = 1e3 * plant.actuators().tilt_angle.cwiseAbs().maxCoeff();
   double from = plant.body().position.x();
   for (int i = 0; i < 15000; ++i) go(plant, {});
   r.roll_distance_m = plant.body().position.x() - from;
@@ -135,6 +138,7 @@ int main(int argc, char** argv) {
     line("standing_mm", a.standing_mm, b.standing_mm);
     line("drop_peak_weights", a.drop_peak_weights, b.drop_peak_weights);
     line("drop_rebound_mm", a.drop_rebound_mm, b.drop_rebound_mm);
+    line("bearing_tilt_mrad", a.bearing_tilt_mrad, b.bearing_tilt_mrad);
     line("roll_distance_m", a.roll_distance_m, b.roll_distance_m);
     line("slide_distance_m", a.slide_distance_m, b.slide_distance_m);
     line("creep_mmps", a.creep_mmps, b.creep_mmps);
