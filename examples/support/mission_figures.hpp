@@ -43,7 +43,8 @@ class MissionFigures {
   explicit MissionFigures(double flight_height, bool of_the_paper = true)
       : flight_height_(flight_height), of_the_paper_(of_the_paper) {}
 
-  /// Call this after each step of the plant. Arguments: phase, position and reference of the CoM
+  /// Call this after each step of the plant, of 1 ms. The errors count from the first step on, also
+  /// if the flight starts off its reference. Arguments: phase, position and reference of the CoM
   /// [m], its vertical speed [m/s], power [W], and whether a wheel touches the ground.
   void on_plant(tilt_ropter::MissionPhase phase, const Eigen::Vector3d& position,
                 const Eigen::Vector3d& reference, double vertical_speed, double power,
@@ -53,6 +54,7 @@ class MissionFigures {
     const double distance = error.norm();
     all_.add(error);
     if (phase != MissionPhase::rest && phase != MissionPhase::hover) moving_.add(error);
+    on_error(distance);
     if (phase == MissionPhase::air) {
       air_.add(error);
       air_power_.add(power);
@@ -122,6 +124,13 @@ class MissionFigures {
     paper("paper_ground_rmse_m", 0.145, 4);
     line("mission_rmse_m", all_.value(), 4);
     paper("paper_mission_rmse_m", 0.125, 4);
+    if (all_.count() > 0) line("start_error_m", start_error_, 4);
+    if (caught_up_ >= 0) {
+      line("caught_up_s", step_ * static_cast<double>(caught_up_), 2);
+      line("caught_up_rmse_m", after_.value(), 4);
+    } else {
+      out << "caught_up_s: never\n";
+    }
     if (air_.count() > 0) line("flight_power_w", air_power_.value(), 2);
     paper("paper_flight_power_w", 653.64, 2);
     if (ground_.count() > 0) line("ground_power_w", ground_power_.value(), 2);
@@ -172,14 +181,36 @@ class MissionFigures {
   [[nodiscard]] int failures() const { return failures_; }  ///< ticks without a plan
 
  private:
+  /// The flight has caught up with its reference when the error stays below 5 cm for 0.5 s.
+  void on_error(double error) {
+    constexpr double small = 0.05;
+    constexpr long stay = 500;
+    const long step = all_.count() - 1;
+    if (step == 0) start_error_ = error;
+    if (caught_up_ < 0) {
+      if (error >= small) {
+        small_since_ = -1;
+        after_ = {};
+      } else if (small_since_ < 0) {
+        small_since_ = step;
+      }
+      if (small_since_ >= 0 && step - small_since_ >= stay) caught_up_ = small_since_;
+    }
+    if (small_since_ >= 0) after_.add(error);
+  }
+
   static void print_line(std::ostream& out, const char* key, double value, int digits) {
     out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
   }
 
   double flight_height_;
   bool of_the_paper_;
+  static constexpr double step_ = 1e-3;  // of the plant [s]
   TrackingError all_, air_, ground_, moving_;
   Rmse force_error_;
+  Rmse after_;                              // from small_since_ on
+  double start_error_ = 0.0;                // [m]
+  long small_since_ = -1, caught_up_ = -1;  // steps
   Mean air_power_, ground_power_;
   double touchdown_speed_ = 0.0, takeoff_overshoot_ = 0.0, takeoff_error_ = 0.0,
          landing_error_ = 0.0, bearing_torque_ = 0.0, bearing_tilt_ = 0.0;
