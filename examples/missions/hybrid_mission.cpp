@@ -30,6 +30,8 @@ int main(int argc, char** argv) {
       examples::write_vehicle(file, write_path);
       return 0;
     }
+    const auto write = [&](const auto& vehicle) { return write_mission(options.mission, vehicle); };
+    if (std::visit(write, file.vehicle)) return 0;
     const std::string figures = std::visit(
         [&](const auto& vehicle) {
           const auto vehicles = examples::vehicles(options, vehicle);

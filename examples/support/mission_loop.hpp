@@ -271,8 +271,11 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   const ControllerSettings controls = controller_settings(options, file, vehicles.believed);
   const NmpcSettings& settings = controls.nmpc;
   FlownMission flown;
-  flown.figures =
-      MissionFigures(HybridMissionSettings{}.flight_height, options.vehicle_path.empty());
+  double flight_height = 0.0;  // largest height after a take-off [m]
+  for (const MissionSegment& segment : mission.segments())
+    if (segment.phase == MissionPhase::hover || segment.phase == MissionPhase::take_off)
+      flight_height = std::max(flight_height, segment(segment.end_time()).position.z());
+  flown.figures = MissionFigures(flight_height, options.vehicle_path.empty());
   flown.battery = BatteryFigures(vehicles.truth.battery, options.battery_charge);
   BatteryFigures& battery = flown.battery;
   flown.duration = mission.duration();
@@ -290,7 +293,14 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   ActuatorState<Rotors> command;
   const MissionPhase first = mission.phase(0.0);
   const bool in_flight = first == MissionPhase::hover || first == MissionPhase::air;
-  if (in_flight || options.mission.name != "hybrid" || !options.mission.trajectory.empty()) {
+  // The plant already stands at the origin; there the wheels or legs carry it.
+  const Eigen::Vector3d away = mission(0.0).position - plant.body().position;
+  const bool at_origin =
+      options.mission.file.empty()
+          ? options.mission.name == "hybrid" && options.mission.trajectory.empty()
+          : std::hypot(away.x(), away.y()) < 1e-9 &&
+                std::abs(yaw_of(mission(0.0).orientation)) < 1e-9;
+  if (in_flight || !at_origin) {
     BodyStated start;
     start.position = mission(0.0).position;
     start.orientation = mission(0.0).orientation;

@@ -1,5 +1,7 @@
 #include "vehicle_file.hpp"
 
+#include "json_fields.hpp"
+
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
@@ -22,138 +24,15 @@ namespace examples {
 namespace {
 
 using namespace tilt_ropter;
-using Json = nlohmann::ordered_json;
-
-/// Text of a value for messages: one line, at most 60 characters.
-std::string shown(const Json& value) {
-  constexpr std::size_t longest = 60;
-  const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
-  return text.size() > longest ? text.substr(0, longest) + "..." : text;
-}
-
-std::string shown(double value) {
-  std::ostringstream text;
-  text << value;
-  return text.str();
-}
-
-[[noreturn]] void refuse(const std::string& field, const std::string& value,
-                         const std::string& allowed) {
-  throw VehicleFileError(field + " = " + value + ": must be " + allowed);
-}
-
-struct Range {
-  double least, most;
-  std::string unit;
-  [[nodiscard]] bool has(double value) const { return value >= least && value <= most; }
-  [[nodiscard]] std::string text() const {
-    return "in [" + shown(least) + ", " + shown(most) + "]" + (unit.empty() ? "" : ' ' + unit);
-  }
-};
-
-/// One JSON object whose fields are read by name. refuse_unknown() rejects all other fields,
-/// because a misspelt name would otherwise be ignored without a message.
-class Fields {
- public:
-  Fields(const Json& object, std::string path) : object_(object), path_(std::move(path)) {
-    if (!object.is_object()) refuse(path_.empty() ? "the file" : path_, shown(object), "an object");
-  }
-
-  [[nodiscard]] std::string name(const std::string& key) const {
-    return path_.empty() ? key : path_ + '.' + key;
-  }
-
-  /// Returns the field, or nullptr if it does not exist.
-  const Json* find(const std::string& key) {
-    asked_.insert(key);
-    const auto found = object_.find(key);
-    return found == object_.end() ? nullptr : &*found;
-  }
-
-  const Json& get(const std::string& key, const std::string& allowed) {
-    const Json* field = find(key);
-    if (field == nullptr) throw VehicleFileError(name(key) + " is missing: must be " + allowed);
-    return *field;
-  }
-
-  double number(const std::string& key, const Range& range) {
-    const std::string allowed = "a number " + range.text();
-    return number(get(key, allowed), name(key), range, allowed);
-  }
-
-  bool truth(const std::string& key) {
-    const std::string allowed = "true or false";
-    const Json& field = get(key, allowed);
-    if (!field.is_boolean()) refuse(name(key), shown(field), allowed);
-    return field.get<bool>();
-  }
-
-  std::string text(const std::string& key, const std::vector<std::string>& choices = {}) {
-    std::string allowed = choices.empty() ? "a text" : "one of";
-    for (const std::string& choice : choices) allowed += " \"" + choice + '"';
-    const Json& field = get(key, allowed);
-    if (!field.is_string() || field.get<std::string>().empty())
-      refuse(name(key), shown(field), allowed);
-    auto value = field.get<std::string>();
-    bool chosen = choices.empty();
-    for (const std::string& choice : choices) chosen = chosen || value == choice;
-    if (!chosen) refuse(name(key), shown(field), allowed);
-    return value;
-  }
-
-  Eigen::Vector3d vector(const std::string& key, const Range& range) {
-    const std::string allowed = "three numbers " + range.text();
-    return vector(get(key, allowed), name(key), range, allowed);
-  }
-
-  /// Does not change `value` if the field does not exist.
-  void vector_if_there(const std::string& key, const Range& range, Eigen::Vector3d& value) {
-    if (find(key) != nullptr) value = vector(key, range);
-  }
-
-  Eigen::Matrix3d inertia(const std::string& key, const Range& range) {
-    const std::string allowed = "three moments or three rows of three numbers " + range.text();
-    const Json& field = get(key, allowed);
-    const bool rows = field.is_array() && field.size() == 3 && field[0].is_array();
-    if (!rows) return vector(field, name(key), range, allowed).asDiagonal();
-    Eigen::Matrix3d value;
-    for (std::size_t i = 0; i < 3; ++i)
-      value.row(static_cast<Eigen::Index>(i)) =
-          vector(field[i], name(key) + '[' + std::to_string(i) + ']', range, allowed).transpose();
-    return value;
-  }
-
-  void refuse_unknown() const {
-    for (const auto& [key, value] : object_.items()) {
-      if (asked_.count(key) != 0) continue;
-      std::string known;
-      for (const std::string& other : asked_) known += (known.empty() ? "" : ", ") + other;
-      throw VehicleFileError(name(key) + " = " + shown(value) +
-                             ": there is no such field; known fields are " + known);
-    }
-  }
-
- private:
-  static double number(const Json& field, const std::string& name, const Range& range,
-                       const std::string& allowed) {
-    if (!field.is_number() || !range.has(field.get<double>())) refuse(name, shown(field), allowed);
-    return field.get<double>();
-  }
-
-  static Eigen::Vector3d vector(const Json& field, const std::string& name, const Range& range,
-                                const std::string& allowed) {
-    if (!field.is_array() || field.size() != 3) refuse(name, shown(field), allowed);
-    Eigen::Vector3d value;
-    for (std::size_t i = 0; i < 3; ++i)
-      value(static_cast<Eigen::Index>(i)) =
-          number(field[i], name + '[' + std::to_string(i) + ']', range, allowed);
-    return value;
-  }
-
-  const Json& object_;
-  std::string path_;
-  std::set<std::string> asked_;
-};
+using json_fields::Fields;
+using json_fields::Json;
+using json_fields::list_of;
+using json_fields::parse;
+using json_fields::Range;
+using json_fields::refuse;
+using json_fields::rounded;
+using json_fields::shown;
+using json_fields::text_of;
 
 constexpr double degree = pi / 180.0;
 
@@ -486,35 +365,6 @@ VehicleFile read(const Json& root) {
   return file;
 }
 
-/// Parses JSON. Rejects repeated names in an object: nlohmann::json would silently use the last
-/// value.
-Json parse(std::istream& in) {
-  std::vector<std::set<std::string>> names;
-  std::string twice;
-  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
-    if (event == Json::parse_event_t::object_start) names.emplace_back();
-    if (event == Json::parse_event_t::object_end) names.pop_back();
-    if (event == Json::parse_event_t::key && !names.back().insert(value.get<std::string>()).second)
-      twice = value.get<std::string>();
-    return true;
-  };
-  Json root = Json::parse(in, watch);
-  if (!twice.empty()) throw VehicleFileError(twice + " is there twice: must be there once");
-  return root;
-}
-
-/// Rounds to 12 digits, to write 0.1 instead of 0.10000000000000001.
-double rounded(double value) {
-  std::ostringstream text;
-  text.precision(12);
-  text << value;
-  return std::stod(text.str());
-}
-
-std::array<double, 3> list_of(const Eigen::Vector3d& v) {
-  return {rounded(v.x()), rounded(v.y()), rounded(v.z())};
-}
-
 /// Returns the fields of `rotor` that differ from `common`. If `common` is nullptr: all required
 /// fields, and optional fields that differ from the default.
 Json json_of(const RotorParameters& rotor, const RotorParameters* common) {
@@ -613,30 +463,13 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
   return root;
 }
 
-/// Returns JSON text with each list of numbers on one line.
-std::string text_of(const Json& root) {
-  const std::string spread = root.dump(2);
-  std::string text;
-  for (std::size_t i = 0; i < spread.size(); ++i) {
-    text += spread[i];
-    const std::size_t end = spread.find_first_of("[]{", i + 1);
-    if (spread[i] != '[' || end == std::string::npos || spread[end] != ']') continue;
-    for (++i; i < end; ++i)
-      if (spread[i] != '\n' && spread[i] != ' ')
-        text += spread[i] == ',' ? ", " : spread.substr(i, 1);
-    text += ']';
-  }
-  return text;
-}
-
 }  // namespace
 
 VehicleFile read_vehicle(std::istream& in, const std::string& file) {
   try {
     return read(parse(in));
   } catch (const Json::exception& error) {
-    const std::string text = error.what();  // starts with the error number of the library
-    throw VehicleFileError(file + ": " + text.substr(text.find("] ") + 2));
+    throw VehicleFileError(file + ": " + json_fields::message_of(error));
   } catch (const std::exception& error) {
     throw VehicleFileError(file + ": " + error.what());
   }

@@ -1,12 +1,13 @@
 #pragma once
 
+#include "input_file_error.hpp"
+
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <iosfwd>
 #include <limits>
 #include <optional>
-#include <stdexcept>
 #include <string>
 #include <variant>
 
@@ -84,9 +85,9 @@ struct VehicleFile {
 }
 
 /// An invalid vehicle: the message contains file, field, value and the allowed values.
-class VehicleFileError : public std::runtime_error {
+class VehicleFileError : public InputFileError {
  public:
-  using std::runtime_error::runtime_error;
+  using InputFileError::InputFileError;
 };
 
 /// Reads and checks every field, and checks that the fields fit together: a physically possible

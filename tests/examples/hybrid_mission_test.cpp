@@ -185,6 +185,20 @@ TEST(HybridMission, RollsFromTheAirToTheGroundAndBackWithoutAStop) {
   }
 }
 
+// The error at the start counts in the error of the mission, not in that after it.
+TEST(HybridMission, CountsTheErrorOfAStartOffTheReference) {
+  const Flight off = run("--mission rolling --start-off 0.5 --no-pictures"),
+               on = run("--mission rolling --no-pictures");
+  EXPECT_NEAR(off["start_error_m"], 0.5, 0.01);
+  EXPECT_GT(off["caught_up_s"], 0.2);
+  EXPECT_LT(off["caught_up_s"], 3.0);
+  EXPECT_LT(off["caught_up_rmse_m"], 0.01);
+  EXPECT_GT(off["mission_rmse_m"], 5.0 * off["caught_up_rmse_m"]);
+  EXPECT_LT(on["start_error_m"], 0.005);
+  EXPECT_EQ(on["caught_up_s"], 0.0);
+  EXPECT_EQ(on["mission_rmse_m"], on["caught_up_rmse_m"]);
+}
+
 TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
   const Flight air = run("--mission air"), ground = run("--mission ground --speed 3");
   EXPECT_LE(air["air_rmse_m"], 0.003);

@@ -1,14 +1,19 @@
 #!/usr/bin/env bash
 # vehicle_fields.sh EXAMPLES_DIR
-# Every field that the reader of vehicle files knows is in the README of the vehicle files.
+# Every field and word that the readers of vehicle files and mission files know is in the README of
+# these files.
 set -euo pipefail
 
 cd "$1"
-fields=$(grep -oE '"[a-z][a-z0-9_]*"' support/vehicle_file.cpp | tr -d '"' | sort -u)
-test "$(wc -l <<< "$fields")" -gt 40
-missing=
-for field in $fields; do
-  case $field in deg | kg | m | ohm | rad | s) continue ;; esac  # units
-  grep -qE "[\`.]$field([\`.]|\[)" vehicles/README.md || missing+=" $field"
-done
-[[ ! $missing ]] || { echo "not in vehicles/README.md:$missing" && exit 1; }
+check() {  # source README at_least
+  local fields missing=
+  fields=$(grep -oE '"[a-z][a-z0-9_]*"' "$1" | tr -d '"' | sort -u)
+  test "$(wc -l <<< "$fields")" -gt "$3"
+  for field in $fields; do
+    case $field in deg | distance | false | file | kg | m | ohm | rad | s | true) continue ;; esac  # units, messages
+    grep -qE "[\`.\"]$field([\`.\"]|\[)" "$2" || missing+=" $field"
+  done
+  [[ ! $missing ]] || { echo "not in $2:$missing" && exit 1; }
+}
+check support/vehicle_file.cpp vehicles/README.md 40
+check support/mission_file.cpp missions/README.md 30

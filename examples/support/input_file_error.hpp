@@ -1,0 +1,14 @@
+#pragma once
+
+#include <stdexcept>
+
+namespace examples {
+
+/// An invalid input file: the message contains file, field, value and the allowed values. The
+/// programs then return 2.
+class InputFileError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace examples
