@@ -95,8 +95,7 @@ void fly_all(const Options& options, const std::string& path) {
       for (std::uint64_t i = next++; i < options.count; i = next++) {
         RandomStream random(options.seed, options.first + i);
         const VehicleDraw draw = draw_vehicle(random, believed.body.inertia);
-        const FlightRecord record =
-            fly_spread(draw, random, believed, settings, mission, [](const auto&...) {});
+        const FlightRecord record = fly_spread(draw, random, believed, settings, mission, {});
         const std::lock_guard<std::mutex> lock(mutex);
         if (record.verdict != Verdict::ok) ++diverged;
         rows.add(options.seed, options.first + i, draw, record);
@@ -127,7 +126,8 @@ void replay(const Options& options, std::uint64_t index) {
   MissionLog times(options.output + "/solve_times.csv", {"time_s", "prepare_us", "feedback_us"});
   const FlightRecord record = fly_spread(
       draw, random, believed, in_simulated_time(file.settings()), hybrid_mission(believed),
-      [&](const auto& mission, const auto& plant, const auto& controller, const auto& power) {
+      [&](const tilt_ropter::Mission& mission, const tilt_ropter::Plant<4>& plant,
+          const examples::FlightController<4>& controller, const tilt_ropter::PowerModel& power) {
         examples::detail::log_row(log, mission, plant, controller,
                                   power.power(plant.actuators().rotor_speed));
         const tilt_ropter::optimal_control::SolveReport& report = controller.result().report;
@@ -147,10 +147,12 @@ void run(const Options& options, const std::string& program) {
     return;
   }
   const std::string path = options.output + "/monte_carlo.csv";
+  const std::string command =
+      options.vehicle.empty() ? program : program + " --vehicle '" + options.vehicle + '\'';
   const auto start = std::chrono::steady_clock::now();
   if (options.merge.empty()) {
     fly_all(options, path);
-    print_flights(std::cout, merge_flights({path}), program);
+    print_flights(std::cout, merge_flights({path}), command);
   } else {
     const CsvTable flights = merge_flights(options.merge);
     std::ofstream file(path);
@@ -163,7 +165,7 @@ void run(const Options& options, const std::string& program) {
     file << '\n';
     file.close();
     if (!file) throw std::runtime_error("cannot write " + path);
-    print_flights(std::cout, flights, program);
+    print_flights(std::cout, flights, command);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   std::cerr << std::fixed << std::setprecision(1) << "took " << elapsed.count() << " s\n";

@@ -15,6 +15,7 @@
 #include <cmath>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <optional>
 #include <utility>
 
@@ -79,13 +80,18 @@ class Wind {
   tilt_ropter::GaussianNoise noise_;
 };
 
+/// Called after each tick of the controller.
+using OnTick = std::function<void(const tilt_ropter::Mission&, const tilt_ropter::Plant<4>&,
+                                  const FlightController<4>&, const tilt_ropter::PowerModel&)>;
+
 /// Flies a hybrid mission with the vehicle of `draw`, while the controller assumes the vehicle
-/// `believed`. The same arguments give exactly the same record.
-template <typename OnTick>
-[[nodiscard]] FlightRecord fly_spread(const VehicleDraw& draw, RandomStream& random,
-                                      const tilt_ropter::Vehicle<4>& believed,
-                                      const tilt_ropter::NmpcSettings& settings,
-                                      const tilt_ropter::Mission& mission, OnTick&& on_tick) {
+/// `believed`. The same arguments give exactly the same record, with any `on_tick`. The function is
+/// compiled only once, because with fused multiply-add (-march=native) two copies can differ by
+/// rounding errors.
+[[nodiscard, gnu::noinline]] inline FlightRecord fly_spread(
+    const VehicleDraw& draw, RandomStream& random, const tilt_ropter::Vehicle<4>& believed,
+    const tilt_ropter::NmpcSettings& settings, const tilt_ropter::Mission& mission,
+    const OnTick& on_tick) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -163,7 +169,7 @@ template <typename OnTick>
         controller.prepare(time, reference);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
         if (!has_plan(controller.result().status)) ++record.solver_failures;
-        on_tick(mission, plant, controller, power);
+        if (on_tick) on_tick(mission, plant, controller, power);
       }
     }
     while (!under_way.empty() && under_way.front().first <= time + 1e-9) {

@@ -13,6 +13,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -110,6 +111,32 @@ TEST(MonteCarlo, ReplayRepeatsTheFlightExactly) {
     EXPECT_NE(replayed.output.find('\n' + name + ": " + value + '\n'), std::string::npos) << name;
   }
   EXPECT_GT(fs::file_size(scratch() / "replayed" / "hybrid_mission.csv"), 1000000u);
+}
+
+// The printed command has the vehicle, and the replayed flight ends in the same way.
+TEST(MonteCarlo, ReplaysAnotherVehicleByThePrintedCommand) {
+  const std::string vehicle = (scratch() / "heavy vehicle.json").string();
+  const std::string write =
+      std::string("'") + HYBRID_MISSION_PROGRAM + "' --write-vehicle '" + vehicle + "'";
+  ASSERT_EQ(std::system(write.c_str()), 0);
+  std::string text = contents(vehicle);
+  text.replace(text.find("\"mass_kg\": 1.5"), 14, "\"mass_kg\": 1.9");
+  std::ofstream(vehicle) << text;
+  const Outcome flown = run("heavy", "--count 1 --threads 1 --vehicle '" + vehicle + "'");
+  ASSERT_EQ(flown.exit_code, 0) << flown.errors;
+  EXPECT_NE(flown.output.find(" --vehicle '" + vehicle + "' --seed 1 --replay 0\n"),
+            std::string::npos)
+      << flown.output;
+  const Outcome again = run("again", "--replay 0 --vehicle '" + vehicle + "'");
+  std::istringstream csv(flown.csv);
+  std::string header, row;
+  std::getline(csv, header);
+  std::getline(csv, row);
+  std::istringstream names(header), values(row);
+  for (std::string name, value; std::getline(names, name, ',');) {
+    ASSERT_TRUE(std::getline(values, value, ','));
+    EXPECT_NE(again.output.find('\n' + name + ": " + value + '\n'), std::string::npos) << name;
+  }
 }
 
 TEST(MonteCarlo, SeedAndIndexDetermineTheVehicle) {
