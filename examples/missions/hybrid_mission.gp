@@ -34,6 +34,7 @@ touching(_) = column("external_force_n_z") > 0.1  # ground force of the plant
 tilt_deg(of, rotor) = column(sprintf("tilt_%s_rad_%d", of, rotor)) * 180 / pi
 speed(rotor) = column(sprintf("rotor_speed_radps_%d", rotor))
 header = system("head -n 1 ".log)
+battery = strstrt(header, "voltage_v") > 0  # 1 if the vehicle's battery is known
 rotors = 0
 do for [i = 1:8] { if (strstrt(header, sprintf("rotor_speed_radps_%d", i))) { rotors = i } }
 mean_speed(_) = (sum [i = 1:rotors] speed(i)) / rotors
@@ -41,7 +42,7 @@ power(_) = column("power_w")
 prepare(_) = column("prepare_us"); feedback(_) = column("feedback_us")
 
 # ---- Start of each phase, times when the controller changes its contact mode, means of the run
-array start[64]; array kind[64]; array change[64]
+array start[512]; array kind[512]; array change[512]
 phases = 0; changes = 0; flown = 0; driven = 0; now = NaN; mode = NaN
 on_phase(p) = p == now ? p : (phases = phases + 1, start[phases] = t(0), kind[phases] = p + 1, \
   flown = (p == 3 ? 1 : flown), driven = (p == 5 ? 1 : driven), now = p)
@@ -198,12 +199,12 @@ set ylabel "speed minus mean of all [rad/s]"; set autoscale y
 plot for [r = 1:rotors] log using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
   lc rgb rotor_colour[r]
 
-# ---- Power, and its means over the two figure eights, as in the paper
+# ---- Power, and its means over the two figure eights, as in the paper; voltage of the battery
 paper_air = 653.64; paper_ground = 47.38
-eval picture("power", 800, driven ? sprintf("Electrical power: driving takes %.1f %% of what \
+eval picture("power", 800 + 300 * battery, driven ? sprintf("Electrical power: driving takes %.1f %% of what \
 flying takes (paper: %.1f %%)", 100 * ground_mean_y / air_mean_y, 100 * paper_ground / paper_air) \
   : "Electrical power")
-eval row(1, 1, 30, 65)
+eval row(1, 1 + battery, 30, 65)
 set key vertical at graph 0.66, graph 0.5 center maxrows auto
 set ylabel "power [W]"; set yrange [0:*]
 plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
@@ -215,6 +216,12 @@ plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
        title sprintf("mean on the ground: %.2f W", ground_mean_y), \
      for [k = 1:driven] paper_ground lc rgb red lw 1.2 dt 2 \
        title sprintf("paper: %.2f W", paper_ground)
+if (battery) {
+  eval row(2, 2, 30, 65)
+  unset key
+  set ylabel "voltage under load [V]"; set autoscale y
+  plot log using (t(0)):(column("voltage_v")) with lines ls 1 lc rgb purple notitle
+}
 
 # ---- Solve times: over time, and the fraction of ticks that take longer than a given time.
 # Logarithmic axes show normal ticks and the few ticks that the operating system interrupted.
