@@ -345,6 +345,20 @@ TEST(MissionMujoco, TracksWithHybridMissionSettings) {
   }
 }
 
+// The battery gives power, voltage and current as in our plant.
+TEST(MissionMujoco, FliesAMissionFromAFile) {
+  Flight flight = run("--mission-file '" MISSIONS_DIR "/tour.json'");
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_LE(flight["air_rmse_m"], 0.005) << flight.output;
+  EXPECT_LE(flight["ground_rmse_m"], 0.010) << flight.output;
+  EXPECT_EQ(flight["contact_mode_changes"], 4) << flight.output;
+  EXPECT_EQ(flight["solver_failures"], 0) << flight.output;
+  EXPECT_GT(flight["endurance_ground_min"], 10.0 * flight["endurance_air_min"]);
+  EXPECT_GT(flight["min_voltage_V"], 15.0);
+  EXPECT_GT(flight["max_current_A"], 653.64 / 16.8);
+  EXPECT_EQ(run("--mission-file nowhere.json").exit_code, 2);
+}
+
 // Tries one option; all in a full run.
 TEST(MissionMujoco, EveryOptionTakesEffect) {
   std::vector<const char*> options = {"--wind 1.5"};

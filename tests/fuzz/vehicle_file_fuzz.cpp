@@ -22,9 +22,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
       R"({"azimuth_deg":180,"length_m":0.2,"spin":"clockwise","tilts":true},)"
       R"({"position_m":[0,-0.2,0],"thrust_axis":[0,0,1],"arm_axis":[0,-1,0],)"
       R"("spin":"counter_clockwise","tilts":true}],"wheels":null,"battery_nominal_v":20,)"
-      R"("power":{"electronics_w":20,"hover_w":300}})";
+      R"("battery_capacity_ah":5,"battery_full_v":25,"battery_empty_v":20,)"
+      R"("battery_resistance_ohm":0.01,"power":{"electronics_w":20,"hover_w":300,)"
+      R"("servo_hold_w":0.5,"servo_move_j_per_rad":0.3}})";
   if (text.size() > 3 && text[0] == '!') {
-    const std::size_t at = 2 * static_cast<unsigned char>(text[1]) % good.size();
+    const std::size_t at = 4 * static_cast<unsigned char>(text[1]) % good.size();
     text = good.substr(0, at) + text.substr(3) +
            good.substr(std::min(good.size(), at + static_cast<unsigned char>(text[2]) % 32));
   }
