@@ -79,16 +79,16 @@ inline void draw_axes(Svg& svg, const Camera& camera, const Eigen::Isometry3d& f
 
 }  // namespace detail
 
-/// Returns the drawing. `propeller_radius` [m] is drawn only.
+/// Returns the drawing.
 template <int Rotors>
-[[nodiscard]] std::string draw_frames(const tilt_ropter::Vehicle<Rotors>& vehicle,
-                                      double propeller_radius) {
+[[nodiscard]] std::string draw_frames(const tilt_ropter::Vehicle<Rotors>& vehicle) {
   using namespace tilt_ropter;
   using Eigen::Vector3d;
   const double width = 1000.0, height = 640.0;
-  double reach = propeller_radius;  // of the vehicle
-  for (const RotorGeometry& rotor : vehicle.rotors)
-    reach = std::max(reach, rotor.position.norm() + propeller_radius);
+  double reach = 0.05;  // of the vehicle [m]
+  for (std::size_t i = 0; i < vehicle.rotors.size(); ++i)
+    reach = std::max(
+        reach, vehicle.rotors[i].position.norm() + rotor_parameters(vehicle, i).propeller_radius);
   if (vehicle.wheels) reach = std::max(reach, vehicle.wheels->half_track + 0.06);
   const double degree = pi / 180.0;
   const detail::Camera camera(-58.0 * degree, 30.0 * degree, 0.40 * width / reach / 1.25,
@@ -149,19 +149,21 @@ template <int Rotors>
                base, true);
   for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
     const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
-    const Vector3d u = rotor.linear().col(0), v = rotor.linear().col(1);
+    const RotorParameters& parameters = rotor_parameters(vehicle, i);
+    const double radius = parameters.propeller_radius;
+    if (!(radius > 0.0)) continue;  // unknown
+    const Vector3d u = rotor.linear().col(0), v = rotor.linear().col(1),
+                   centre = rotor * Vector3d(0.0, 0.0, parameters.propeller_height);
     Style disc;
     disc.stroke = "#888888";
     disc.fill = "#DFEDF7";
     disc.opacity = 0.6;
-    svg.polyline(detail::arc(camera, rotor.translation(), u, v, propeller_radius), disc, true);
+    svg.polyline(detail::arc(camera, centre, u, v, radius), disc, true);
     const double turn = vehicle.rotors[i].spin == Spin::counter_clockwise ? 1.0 : -1.0;
     Style spin;
     spin.stroke = "#CC79A7";
     spin.width = 2.0;
-    svg.arrow(detail::arc(camera, rotor.translation(), u, v, 0.8 * propeller_radius, turn * 2.2,
-                          turn * 4.6),
-              spin, 8.0);
+    svg.arrow(detail::arc(camera, centre, u, v, 0.8 * radius, turn * 2.2, turn * 4.6), spin, 8.0);
   }
 
   detail::draw_axes(svg, camera, Eigen::Isometry3d::Identity(), "B", 0.5 * reach);

@@ -146,8 +146,7 @@ int reproduce(const Options& o) {
     identify_simulated_servo(std::cout, o.output, static_cast<std::uint64_t>(o.seed));
   code = std::max(code, fly_experiments(o));
   if (wants(o.only, "drawings")) {
-    const tilt_ropter::Vehicle<4> vehicle = tilt_ropter::tilt_ropter_vehicle();
-    write_text(o.output + "/frames.svg", draw_frames(vehicle, vehicle.rotor.propeller_radius));
+    write_text(o.output + "/frames.svg", draw_frames(tilt_ropter::tilt_ropter_vehicle()));
     write_text(o.output + "/control_diagram.svg", draw_control_diagram());
   }
   if (!o.no_pictures) draw("paper/reproduce_paper.gp", o);

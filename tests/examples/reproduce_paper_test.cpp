@@ -155,14 +155,16 @@ TEST(ReproducePaper, RefusesWrongOptionsAndSaysWhatItCannotWrite) {
 
 TEST(FramesDrawing, ShowsEveryFrameAndFollowsTheVehicle) {
   tilt_ropter::Vehicle<4> vehicle = tilt_ropter::tilt_ropter_vehicle();
-  const std::string drawing = draw_frames(vehicle, 0.06);
+  const std::string drawing = draw_frames(vehicle);
   for (const char* frame : {">I<", ">B<", ">R1<", ">R2<", ">R3<", ">R4<", ">W1<", ">W2<"})
     EXPECT_NE(drawing.find(frame), std::string::npos) << frame;
   EXPECT_EQ(drawing.find("nan"), std::string::npos);
   vehicle.wheels->half_track += 0.05;
-  EXPECT_NE(draw_frames(vehicle, 0.06), drawing);
+  EXPECT_NE(draw_frames(vehicle), drawing);
+  vehicle.rotor.propeller_radius = 0.0;  // unknown
+  EXPECT_EQ(draw_frames(vehicle).find("nan"), std::string::npos);
   vehicle.wheels.reset();
-  EXPECT_EQ(draw_frames(vehicle, 0.06).find(">W1<"), std::string::npos);
+  EXPECT_EQ(draw_frames(vehicle).find(">W1<"), std::string::npos);
 }
 
 TEST(ControlDiagram, ShowsTheBlocksOfThePaper) {
