@@ -47,8 +47,10 @@ std::vector<Wrong> wrong_files() {
       {"\"wheels\"", "\"weels\"", {"weels"}},
       // Wrong types.
       {"\"mass_kg\": 1.5", "\"mass_kg\": \"1.5\"", {"body.mass_kg = \"1.5\"", "a number in [0.01"}},
-      {"[0.014, 0.014, 0.025]", "0.014", {"body.inertia_kg_m2 = 0.014", "three"}},
-      {"[0.014, 0.014, 0.025]", "[0.014, 0.025]", {"body.inertia_kg_m2 = [0.014,0.025]", "three"}},
+      {"[0.013, 0.0075, 0.0185]", "0.014", {"body.inertia_kg_m2 = 0.014", "three"}},
+      {"[0.013, 0.0075, 0.0185]",
+       "[0.014, 0.025]",
+       {"body.inertia_kg_m2 = [0.014,0.025]", "three"}},
       {"\"tilts\": true", "\"tilts\": 1", {"rotors[0].tilts = 1", "true or false"}},
       {"\"spin\": \"clockwise\"", "\"spin\": \"cw\"", {"rotors[2].spin = \"cw\"", "counter_clock"}},
       {"\"name\": \"Tilt-Ropter\"", "\"name\": 7", {"name = 7", "a text"}},
@@ -70,9 +72,9 @@ std::vector<Wrong> wrong_files() {
       {"\"max_thrust_n\": 12.0",
        "\"max_thrust_n\": 3",
        {"rotor.max_thrust_n = 3", "more than 3.67875 N per rotor: the weight is 14.715 N"}},
-      {"[0.014, 0.014, 0.025]",
-       "[0.014, 0.014, 0.05]",
-       {"body.inertia_kg_m2 = (0.014", "triangle inequality"}},
+      {"[0.013, 0.0075, 0.0185]",
+       "[0.013, 0.0075, 0.05]",
+       {"body.inertia_kg_m2 = (0.013", "triangle inequality"}},
       {"\"hover_w\": 653.64", "\"hover_w\": 10", {"power.hover_w = 10", "more than electronics_w"}},
       {"\"min_angle_deg\": -180.0,\n    \"max_angle_deg\": 180.0",
        "\"min_angle_deg\": 0, \"max_angle_deg\": 0",
@@ -194,10 +196,18 @@ TEST(VehicleFile, ReportsEveryMissingRequiredField) {
         (void)examples::read_vehicle(in, "file");
         ADD_FAILURE() << "read without " << key;
       } catch (const examples::VehicleFileError& error) {
-        const std::set<std::string> optional = {"wheels", "servo_hold_w", "servo_move_j_per_rad",
-                                                "battery_nominal_v"};
-        const std::string says =
-            optional.count(key) != 0 ? "un" + key + " = " : key + " is missing: must be ";
+        const std::set<std::string> optional_fields = {"wheels",
+                                                       "on_arms",
+                                                       "half_width_m",
+                                                       "propeller_radius_m",
+                                                       "servo_hold_w",
+                                                       "propeller_height_m",
+                                                       "servo_move_j_per_rad",
+                                                       "battery_nominal_v"};
+        const bool of_wheels = good.rfind("\"wheels\"", at) != std::string::npos;
+        const bool optional = optional_fields.count(key) != 0 ||
+                              (key == "inertia_kg_m2" && of_wheels);  // the body's is required
+        const std::string says = optional ? "un" + key + " = " : key + " is missing: must be ";
         EXPECT_NE(std::string(error.what()).find(says), std::string::npos) << error.what();
       }
       ++fields;

@@ -53,6 +53,13 @@ TEST(Vehicle, WheelsOfTheReferenceVehicleSitOnItsArms) {
   const Vehicle<4> stuck = with_stuck_servo(v, 1, 0.4);
   EXPECT_NO_THROW(validate(stuck));
   EXPECT_EQ(axle_arm(stuck, 1), 1U);
+  // The CoM may be beside the axle.
+  Vehicle<4> shifted = v;
+  for (RotorGeometry& rotor : shifted.rotors) rotor.position += Eigen::Vector3d(0.01, -0.01, 0.01);
+  EXPECT_NO_THROW(validate(shifted));
+  EXPECT_EQ(axle_arm(shifted, 0), 0U);
+  for (RotorGeometry& rotor : shifted.rotors) rotor.position.x() += 0.1;
+  EXPECT_THROW(validate(shifted), std::invalid_argument);
   v.wheels->on_arms = false;
   EXPECT_FALSE(axle_arm(v, 0));
   v.wheels.reset();

@@ -297,9 +297,10 @@ inline void validate(const BatteryParameters& p) {
   require_in("BatteryParameters.resistance [ohm]", p.resistance, 0.0, 1e3);
 }
 
-/// Returns the arm (rotor from 0) that is the axle of `wheel` (from 0, even: right): an arm through
-/// the CoM that points along body y to the wheel's side, with the rotor between the CoM and the
-/// wheel. Returns std::nullopt if the axle is fixed to the base or if there is no such arm.
+/// Returns the arm (rotor from 0) that is the axle of `wheel` (from 0, even: right): an arm that
+/// points along body y to the wheel's side, with the rotor between the CoM and the wheel, and
+/// passes the CoM within 5 cm. Returns std::nullopt if the axle is fixed to the base or if there is
+/// no such arm.
 template <int Rotors>
 [[nodiscard]] std::optional<std::size_t> axle_arm(const Vehicle<Rotors>& vehicle,
                                                   std::size_t wheel) noexcept {
@@ -309,8 +310,8 @@ template <int Rotors>
     const RotorGeometry& rotor = vehicle.rotors[i];
     const double out = side * rotor.position.y();
     if (side * rotor.orientation(1, 0) > 1.0 - 1e-9 && out > 0.0 &&
-        out < vehicle.wheels->half_track && std::abs(rotor.position.x()) < 1e-6 &&
-        std::abs(rotor.position.z()) < 1e-6)
+        out < vehicle.wheels->half_track && std::abs(rotor.position.x()) <= 0.05 &&
+        std::abs(rotor.position.z()) <= 0.05)
       return i;
   }
   return std::nullopt;
@@ -330,12 +331,18 @@ void validate(const Vehicle<Rotors>& vehicle) {
   if (vehicle.legs) validate(*vehicle.legs);
   require(!(vehicle.wheels && vehicle.legs), "Vehicle.legs", "given",
           "absent for a vehicle with wheels");
-  if (vehicle.wheels && vehicle.wheels->on_arms)
-    require(
-        vehicle.wheels->wheel_base == 0.0 && axle_arm(vehicle, 0) && axle_arm(vehicle, 1),
-        "WheelParameters.on_arms", "true",
-        "false without a wheel_base of 0 and arms along -y and +y through the CoM that end between "
-        "the CoM and the wheels");
+  if (vehicle.wheels && vehicle.wheels->on_arms) {
+    const std::optional<std::size_t> right = axle_arm(vehicle, 0), left = axle_arm(vehicle, 1);
+    bool one_line = false;
+    if (right && left) {
+      const Eigen::Vector3d &a = vehicle.rotors[*right].position,
+                            &b = vehicle.rotors[*left].position;
+      one_line = std::abs(a.x() - b.x()) < 1e-6 && std::abs(a.z() - b.z()) < 1e-6;
+    }
+    require(vehicle.wheels->wheel_base == 0.0 && one_line, "WheelParameters.on_arms", "true",
+            "false without a wheel_base of 0 and arms along -y and +y on one line, within 5 cm of "
+            "the CoM, that end between the CoM and the wheels");
+  }
   validate(vehicle.power);
   const double at_rest =
       vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold;
