@@ -29,8 +29,17 @@
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/ekf_health.hpp>
+#include <tilt_ropter/estimation/ekf_settings.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/inertial_state.hpp>
+#include <tilt_ropter/estimation/measurement_model.hpp>
+#include <tilt_ropter/estimation/measurement_queue.hpp>
+#include <tilt_ropter/estimation/pose_faults.hpp>
+#include <tilt_ropter/estimation/position_models.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
@@ -82,6 +91,7 @@
 #include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 #include <tilt_ropter/simulation/wheel_contact.hpp>
 #include <tilt_ropter/version.hpp>

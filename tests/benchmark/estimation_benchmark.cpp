@@ -103,7 +103,7 @@ void filter_innovation_and_update(benchmark::State& state) {
   for (auto _ : state) {
     ErrorStateFilterd filter = before;  // about 30 ns
     benchmark::DoNotOptimize(pose);
-    filter.update(filter.innovation(pose));
+    filter.update(pose);
     benchmark::DoNotOptimize(filter);
   }
 }

@@ -189,7 +189,7 @@ TEST(Ekf, RestartsAfterClockIsSetBack) {
       if (status == EkfStatus::stopped) ++stopped;
       ekf.on_pose(s.time, flight.pose(s.time + 1e5));
     }
-    EXPECT_EQ(late, EkfSettings().max_rejections - 1);
+    EXPECT_EQ(late, 4);
     EXPECT_EQ(stopped, 1);
     EXPECT_TRUE(ekf.running());
     long waiting = 0;
@@ -205,17 +205,17 @@ TEST(Ekf, RestartsIfVehicleWasMoved) {
   const Flight flight(11, random.orientation());
   Log log = record(flight, 20.0, 11);
   const Eigen::Vector3d away(3.0, -2.0, 1.0);
-  const std::size_t moved = 1000;
+  const std::size_t moved = 900;
   for (std::size_t i = moved; i < log.poses.size(); ++i) log.poses[i].value.position += away;
   Ekfd ekf;
   std::vector<EkfStatus> statuses;
   fly(ekf, log, 0.0, [&](std::size_t, EkfStatus status) { statuses.push_back(status); });
-  const auto rejections = static_cast<std::size_t>(EkfSettings().max_rejections);
-  for (std::size_t i = 0; i + 1 < rejections; ++i) EXPECT_EQ(statuses[moved + i], EkfStatus::gated);
-  EXPECT_EQ(statuses[moved + rejections - 1], EkfStatus::restarted);
-  EXPECT_EQ(statuses[moved + rejections], EkfStatus::updated);
+  const std::size_t ignored = 100;  // restart_time
+  for (std::size_t i = 0; i < ignored; ++i) EXPECT_EQ(statuses[moved + i], EkfStatus::gated) << i;
+  EXPECT_EQ(statuses[moved + ignored], EkfStatus::restarted);
+  EXPECT_EQ(statuses[moved + ignored + 1], EkfStatus::updated);
   EXPECT_EQ(ekf.counts().restarts, 1);
-  EXPECT_EQ(ekf.counts().gated, EkfSettings().max_rejections - 1);
+  EXPECT_EQ(ekf.counts().gated, 100);
   EXPECT_LT((ekf.state().position - away - flight.state(20.0).position).norm(), 0.005);
 }
 

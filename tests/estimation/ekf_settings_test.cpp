@@ -142,23 +142,64 @@ TEST(EkfSettings, RestartsAfterMaxRejectionsInARow) {
   for (const int most : {1, 2, 7}) {
     EkfSettings s;
     s.max_rejections = most;
+    s.restart_time = 0.0;
     Ekfd ekf(s);
     fly(ekf, record(flight, 5.0, 18));
-    MarkerPosed far = flight.pose(5.0);
-    far.position.z() += 7.0;
-    const auto look = [&](int i) {
+    const auto far = [&](int i) {  // the origin of motion capture is 7 m higher
       const double t = 5.0 + 0.005 * i;
       ekf.on_imu(t, flight.imu(t));
-      return t;
+      MarkerPosed pose = flight.pose(t);
+      pose.position.z() += 7.0;
+      return ekf.on_pose(t, pose);
     };
-    for (int i = 1; i < most; ++i) EXPECT_EQ(ekf.on_pose(look(i), far), EkfStatus::gated);
+    for (int i = 1; i < most; ++i) EXPECT_EQ(far(i), EkfStatus::gated);
     if (most > 1) {  // a consistent pose resets the count
-      const double t = look(most);
+      const double t = 5.0 + 0.005 * most;
+      ekf.on_imu(t, flight.imu(t));
       EXPECT_EQ(ekf.on_pose(t, flight.pose(t)), EkfStatus::updated);
-      for (int i = 1; i < most; ++i) EXPECT_EQ(ekf.on_pose(look(most + i), far), EkfStatus::gated);
+      for (int i = 1; i < most; ++i) EXPECT_EQ(far(most + i), EkfStatus::gated);
     }
-    EXPECT_EQ(ekf.on_pose(look(2 * most), far), EkfStatus::restarted);
-    EXPECT_LT((ekf.state().position - far.position).norm(), 0.01);
+    EXPECT_EQ(far(2 * most), EkfStatus::restarted);
+    EXPECT_NEAR(ekf.state().position.z(), flight.state(ekf.time()).position.z() + 7.0, 0.01);
+  }
+}
+
+TEST(EkfSettings, RestartTimeBoundsJumpsThatAreIgnored) {
+  const Flight flight(18, Random(221).orientation());
+  for (const double time : {0.3, 1.0}) {
+    EkfSettings s;
+    s.restart_time = time;
+    Log log = record(flight, 8.0, 18);
+    for (auto& p : log.poses)
+      if (p.time > 4.0) p.value.position.x() += 1.0;
+    double restart = 0.0;
+    Ekfd ekf(s);
+    fly(ekf, log, 0.0, [&](std::size_t i, EkfStatus status) {
+      if (status == EkfStatus::restarted) restart = log.poses[i].time;
+    });
+    EXPECT_NEAR(restart, 4.01 + time, 0.015);
+    EXPECT_EQ(ekf.counts().restarts, 1);
+  }
+}
+
+// Poses that do not move like the IMU are used only when nothing else is left.
+TEST(EkfSettings, GiveUpTimeBoundsDeadReckoningBesidePoses) {
+  const Flight flight(18, Random(221).orientation()), other(21);
+  for (const double time : {2.0, 4.0}) {
+    EkfSettings s;
+    s.give_up_time = time;
+    Log log = record(flight, 12.0, 18);
+    for (auto& p : log.poses)
+      if (p.time > 4.0) {
+        p.value = other.pose(p.time);
+        p.value.position.x() += 3.0;
+      }
+    double restart = 0.0;
+    Ekfd ekf(s);
+    fly(ekf, log, 0.0, [&](std::size_t i, EkfStatus status) {
+      if (status == EkfStatus::restarted && restart == 0.0) restart = log.poses[i].time;
+    });
+    EXPECT_NEAR(restart, 4.0 + time, 0.015);
   }
 }
 
@@ -231,6 +272,22 @@ TEST(EkfSettings, OutOfRangeIsRejectedByName) {
   EXPECT_EQ(complaint([](S& s) { s.gate = 0.0; }), "EkfSettings.gate = 0: must be finite and > 0");
   EXPECT_EQ(complaint([](S& s) { s.max_rejections = 0; }),
             "EkfSettings.max_rejections = 0: must be at least 1");
+  EXPECT_EQ(complaint([](S& s) { s.restart_time = -1.0; }),
+            "EkfSettings.restart_time [s] = -1: must be in [0, 60]");
+  EXPECT_EQ(complaint([](S& s) { s.give_up_time = 0.5; }),
+            "EkfSettings.give_up_time [s] = 0.5: must be in [1, 600]");
+  EXPECT_EQ(complaint([](S& s) { s.max_imu_rate = 0.0; }),
+            "EkfSettings.max_imu_rate [Hz] = 0: must be in [1, 100000]");
+  EXPECT_EQ(complaint([](S& s) { s.fusion_delay = 0.3; }),
+            "EkfSettings.fusion_delay [s] = 0.3: must be in [0, 0.2]");
+  EXPECT_EQ(complaint([](S& s) { s.imu_position.x() = nan; }),
+            "EkfSettings.imu_position [m] = (nan, 0, 0): must be in [-100, 100] in every entry");
+  EXPECT_EQ(complaint([](S& s) { s.imu_orientation.w() = 2.0; }),
+            "EkfSettings.imu_orientation = (0, 0, 0, 2): must be of unit length");
+  EXPECT_EQ(complaint([](S& s) { s.trust.position_error = 0.0; }),
+            "EkfTrustLimits.position_error [m] = 0: must be finite and > 0");
+  EXPECT_EQ(complaint([](S& s) { s.trust.lost_position_error = 0.1; }),
+            "EkfTrustLimits.lost_position_error [m] = 0.1: must be finite and >= position_error");
   EXPECT_EQ(complaint([](S& s) { s.max_delay = 0.0; }),
             "EkfSettings.max_delay [s] = 0: must be in [1e-06, 10]");
   EXPECT_EQ(complaint([](S& s) { s.max_imu_gap = -0.1; }),

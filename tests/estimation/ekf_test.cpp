@@ -262,6 +262,9 @@ TEST(Ekf, ReachesAndCountsEveryStatus) {
   far.position.x() += 10.0;
   imu(1.04);
   EXPECT_EQ(ekf.on_pose(1.035, far), EkfStatus::gated);
+  EXPECT_EQ(ekf.on_pose(1.036, far), EkfStatus::gated);  // no IMU sample between them
+  imu(1.045);
+  EXPECT_EQ(ekf.on_pose(1.04, far), EkfStatus::frozen);
   EXPECT_EQ(imu(nan), EkfStatus::rejected);
   EXPECT_EQ(pose(nan), EkfStatus::rejected);
   EXPECT_EQ(imu(2.0), EkfStatus::stopped);
@@ -269,8 +272,9 @@ TEST(Ekf, ReachesAndCountsEveryStatus) {
   EXPECT_EQ(pose(2.0), EkfStatus::restarted);
   EXPECT_EQ(ekf.counts().used, 4);
   EXPECT_EQ(ekf.counts().restarts, 1);
-  EXPECT_EQ(ekf.counts().gated, 1);
-  EXPECT_EQ(ekf.counts().unused, 6);
+  EXPECT_EQ(ekf.counts().gated, 2);
+  EXPECT_EQ(ekf.counts().frozen, 1);
+  EXPECT_EQ(ekf.counts().unused, 7);
   EXPECT_STREQ(to_string(EkfStatus::updated), "updated");
   EXPECT_STREQ(to_string(EkfStatus::started), "started");
   EXPECT_STREQ(to_string(EkfStatus::restarted), "restarted");
@@ -281,6 +285,7 @@ TEST(Ekf, ReachesAndCountsEveryStatus) {
   EXPECT_STREQ(to_string(EkfStatus::late), "late");
   EXPECT_STREQ(to_string(EkfStatus::early), "early");
   EXPECT_STREQ(to_string(EkfStatus::rejected), "rejected");
+  EXPECT_STREQ(to_string(EkfStatus::frozen), "frozen");
 }
 
 TEST(Ekf, RejectsInvalidMeasurementsWithoutChange) {
@@ -323,6 +328,7 @@ TEST(Ekf, ToleratesImuFasterThanSampleBuffer) {
   const Flight flight(14, Random(217).orientation());
   EkfSettings s;
   s.max_delay = 1.0;  // 1 s at 10 kHz is ten times as many samples as are kept
+  s.max_imu_rate = 1000.0;
   Ekfd ekf(s);
   for (int i = 0; i <= 30000; ++i) {
     const double t = 1e-4 * i;
@@ -333,6 +339,22 @@ TEST(Ekf, ToleratesImuFasterThanSampleBuffer) {
   EXPECT_LT(errors(ekf, flight).position, 0.1);  // two seconds without poses
   EXPECT_EQ(ekf.on_pose(2.5, flight.pose(2.5)), EkfStatus::late);
   EXPECT_EQ(ekf.on_pose(2.95, flight.pose(2.95)), EkfStatus::updated);
+}
+
+TEST(Ekf, KeepsMaxDelayWithFastImu) {
+  const Flight flight(15, Random(218).orientation());
+  EkfSettings s;
+  s.max_delay = 0.3;
+  Ekfd ekf(s);
+  long used = 0;
+  for (int i = 0; i <= 16000; ++i) {  // 8 kHz, poses 0.29 s late
+    const double t = i / 8000.0, stamp = t - 0.29;
+    ekf.on_imu(t, flight.imu(t));
+    if (i % 80 == 0 && stamp > 0.0 && ekf.on_pose(stamp, flight.pose(stamp)) <= EkfStatus::started)
+      ++used;
+  }
+  EXPECT_EQ(used, 171);
+  EXPECT_LT(errors(ekf, flight).position, 0.01);
 }
 
 TEST(Ekf, TakeStateReturnsMeanRateSinceLastCall) {

@@ -151,7 +151,7 @@ TEST(ErrorStateFilter, UpdateMatchesJosephForm) {
         {x.position + x.orientation * x.marker_position, x.orientation * x.marker_orientation},
         {0.1, 0.1}, random);
     const Innovation in = f.innovation(pose);
-    f.update(in);
+    f.update(in, f.linearise(pose));
     const Eigen::Matrix<double, 6, 21> h = pose_jacobian(x);
     const Eigen::Matrix<double, 6, 6> r = pose_covariance();
     const Eigen::MatrixXd s = h * p * h.transpose() + r;

@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/estimation/ekf_health.hpp>
+#include <tilt_ropter/estimation/ekf_settings.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/measurement_model.hpp>
+#include <tilt_ropter/estimation/measurement_queue.hpp>
+#include <tilt_ropter/estimation/pose_faults.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 
@@ -12,108 +17,53 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
+#include <type_traits>
 #include <vector>
 
-/// State of the vehicle from IMU and motion capture (paper, Sec. Control): an error-state Kalman
-/// filter that processes measurements at their time stamps. This header is long because Ekf is a
-/// class template, so its function definitions must be in the header.
+/// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
+/// error-state Kalman filter that processes measurements at their time stamps. This header is long
+/// because Ekf is one class template, so its function definitions must be in the header.
 namespace tilt_ropter {
 
-/// All times are in seconds. All stddev fields are standard deviations per axis.
-struct EkfSettings {
-  InertialNoise imu_noise;     ///< noise of the IMU
-  MarkerPoseNoise pose_noise;  ///< noise of the poses
-
-  /// Pose of the marker frame M in the body frame: origin of M [m], and rotation M -> body.
-  Eigen::Vector3d marker_position = Eigen::Vector3d::Zero();
-  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
-  /// Standard deviations of this pose. Zero switches its estimation off. If the estimation is on,
-  /// it takes about ten seconds of motion about all axes. A vehicle at rest gives no information
-  /// about this pose.
-  double marker_position_stddev = 0.0;     ///< of marker_position [m]
-  double marker_orientation_stddev = 0.0;  ///< of marker_orientation [rad]
-
-  /// Time to add to the stamp of a pose to get the IMU's clock (see calibrate_clock).
-  double clock_offset = 0.0;
-
-  /// Initial standard deviations of the states that the first pose does not measure.
-  double velocity_stddev = 1.0;            ///< of the velocity, about zero [m/s]
-  double gyro_bias_stddev = 0.1;           ///< of the gyro bias, about zero [rad/s]
-  double accelerometer_bias_stddev = 0.5;  ///< of the accelerometer bias, about zero [m/s^2]
-
-  /// Largest NIS of a pose that is used. One in 10^4 valid poses exceeds 27.9.
-  double gate = 27.9;
-  /// Number of consecutive poses refused by the gate after which the filter restarts at the last of
-  /// these poses. Also the number of consecutive IMU samples behind the newest sample after which
-  /// the newest sample, or the clock, counts as wrong. The filter then treats this as a gap.
-  int max_rejections = 25;
-  /// Largest time by which a pose may arrive after, or before, the IMU sample of the same time.
-  double max_delay = 0.2;
-  /// Longest pause of the IMU that is bridged. After a longer pause the next pose restarts the
-  /// filter.
-  double max_imu_gap = 0.1;
+/// Standard deviations of a state that is given to Ekf::start(), per axis.
+struct StartStddev {
+  double position = 1.0;     ///< [m]
+  double velocity = 0.5;     ///< [m/s]
+  double orientation = 0.1;  ///< [rad]
 };
 
-inline void validate(const EkfSettings& s) {
-  validate(s.imu_noise);
-  validate(s.pose_noise);
-  require(detail::all_entries(s.marker_position, [](double x) { return std::abs(x) <= 100.0; }),
-          "EkfSettings.marker_position [m]", s.marker_position, "in [-100, 100] in every entry");
-  require(std::abs(s.marker_orientation.norm() - 1.0) < 1e-6, "EkfSettings.marker_orientation",
-          s.marker_orientation.coeffs(), "of unit length");
-  require_in("EkfSettings.marker_position_stddev [m]", s.marker_position_stddev, 0.0, 100.0);
-  require_in("EkfSettings.marker_orientation_stddev [rad]", s.marker_orientation_stddev, 0.0, 10.0);
-  require_time("EkfSettings.clock_offset [s]", s.clock_offset);
-  require_in("EkfSettings.velocity_stddev [m/s]", s.velocity_stddev, 1e-6, 1e3);
-  require_in("EkfSettings.gyro_bias_stddev [rad/s]", s.gyro_bias_stddev, 0.0, 1e3);
-  require_in("EkfSettings.accelerometer_bias_stddev [m/s^2]", s.accelerometer_bias_stddev, 0.0,
-             1e3);
-  require_positive("EkfSettings.gate", s.gate);
-  require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
-  require_in("EkfSettings.max_delay [s]", s.max_delay, 1e-6, 10.0);
-  require_in("EkfSettings.max_imu_gap [s]", s.max_imu_gap, 1e-6, 1.0);
+/// Orientation of a body at rest with this specific force (body frame) and heading [rad].
+template <typename Scalar>
+[[nodiscard]] Eigen::Quaternion<Scalar> level_orientation(const Vector3<Scalar>& specific_force,
+                                                          const Scalar& heading) {
+  const auto level =
+      Eigen::Quaternion<Scalar>::FromTwoVectors(specific_force, Vector3<Scalar>::UnitZ());
+  return (quaternion_from_yaw(Scalar(heading - yaw_of(level))) * level).normalized();
 }
 
-/// Result of processing a measurement. A measurement with a status after `restarted` did not change
-/// the estimate.
-enum class EkfStatus {
-  updated,    ///< used
-  started,    ///< first pose: the filter starts at this pose
-  restarted,  ///< the filter restarts at this pose, after rejections or a gap of the IMU
-  waiting,    ///< pose ahead of the IMU: used when the IMU reaches its time
-  stopped,    ///< IMU sample after a gap: the estimate is frozen until the next pose
-  gated,      ///< pose is too unlikely (NIS above the gate)
-  duplicate,  ///< stamp was seen before
-  late,       ///< older than an IMU sample, or a pose, that was already used
-  early,      ///< pose too far ahead of the IMU, before its first sample, or too many poses wait
-  rejected    ///< not finite, not a rotation, or absurd (1e3 rad/s, 1e5 m/s^2, 1e6 m)
-};
-
-[[nodiscard]] inline const char* to_string(EkfStatus status) {
-  constexpr std::array<const char*, 10> names = {"updated", "started", "restarted", "waiting",
-                                                 "stopped", "gated",   "duplicate", "late",
-                                                 "early",   "rejected"};
-  return names[static_cast<std::size_t>(status)];
-}
-
-/// Number of poses by result.
-struct EkfCounts {
-  long used = 0;      ///< updates, starts and restarts
-  long restarts = 0;  ///< restarts among the used poses
-  long gated = 0;
-  long unused = 0;  ///< duplicate, late, early or rejected
-};
-
-/// Error-state Kalman filter for delayed poses. The filter is at the time of the last pose used, so
-/// that a delayed pose is compared with the state at its own time. From there the state is
-/// propagated through the IMU samples. Samples are kept while a pose of their time may arrive. The
-/// constructor allocates all memory. Afterwards nothing throws or allocates. The initial
-/// orientation may be arbitrary.
+/// Error-state Kalman filter for delayed measurements. The filter is at the time of the last
+/// measurement used, so that a delayed measurement is compared with the state at its own time. From
+/// there the state is propagated through the IMU samples. Samples are kept while a measurement of
+/// their time may arrive. The constructor allocates all memory. Afterwards nothing throws or
+/// allocates. The initial orientation may be arbitrary.
+///
+/// Faulty poses do not move the estimate:
+///
+/// - A pose that repeats the last pose bit for bit, while the IMU's samples change, is not used.
+/// - A pose above the gate is not used. The filter restarts at refused poses only if they have
+/// moved
+///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
+///   then keeps lean, velocity and biases. If the poses only move smoothly, it restarts after
+///   give_up_time and keeps nothing but the marker frame.
+/// - Jitter of the stamps is measured and is part of the poses' noise.
+/// - If the clock of the poses steps, their stamps are corrected by the step.
+///
+/// trust() says how far the estimate can be trusted.
 template <typename Scalar>
 class Ekf {
  public:
-  static constexpr std::size_t max_samples = 1024;  ///< IMU samples kept for delayed poses
-  static constexpr std::size_t max_waiting = 32;    ///< stored poses ahead of the IMU
+  static constexpr std::size_t max_waiting = 32;  ///< stored measurements ahead of the IMU
 
   /// Throws std::invalid_argument if a setting is out of range.
   explicit Ekf(const EkfSettings& settings = {});
@@ -124,42 +74,66 @@ class Ekf {
   /// Processes a pose of the marker frame taken at `time` [s] in motion capture's clock.
   EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept;
 
+  /// Processes any other measurement, taken at `time` [s] in the IMU's clock. `measurement` is
+  /// plain data of at most 512 bytes: a measurement of position_models.hpp, velocity_models.hpp or
+  /// wheel_models.hpp, or a callable that takes an InertialMotion<Scalar> and returns a Linearised.
+  /// It is used once the filter has started with a pose or by start(). See
+  /// EkfSettings::fusion_delay for sensors with different delays.
+  template <typename Measurement>
+  EkfStatus on_measurement(double time, const Measurement& measurement) noexcept;
+
+  /// Starts, or restarts, at a state known by other means than a pose, at time(). Returns false and
+  /// changes nothing before the first IMU sample or if a number is not finite or not positive.
+  bool start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept;
+
   /// False before the first pose and after a gap of the IMU. Do not use state() for control then.
   [[nodiscard]] bool running() const noexcept { return running_; }
+
+  /// Reliability of the estimate at `now` [s], in the IMU's clock.
+  [[nodiscard]] EstimateTrust trust(double now) const noexcept;
 
   /// Time of the newest IMU sample [s]; zero before the first sample.
   [[nodiscard]] double time() const noexcept { return newest_.time; }
 
-  /// Pose and twist of the body at time(). The body frame is the IMU's frame.
+  /// Pose and twist of the body (of the CoM) at time().
   [[nodiscard]] BodyState<Scalar> state() const noexcept {
-    return {ahead_.position, ahead_.velocity, ahead_.orientation,
-            newest_.value.angular_velocity - ahead_.gyro_bias};
+    return body_of(newest_.value.angular_velocity - ahead_.gyro_bias);
   }
 
   /// Same as state() for a loop slower than the IMU. The angular velocity is the mean of all
   /// samples since the last call, including the newest sample. A single sample of a gyroscope that
   /// vibrates with the rotors is aliased. The mean is half a tick old.
   [[nodiscard]] BodyState<Scalar> take_state() noexcept {
-    BodyState<Scalar> taken = state();
-    if (rates_ > 0) taken.angular_velocity = rate_sum_ / Scalar(rates_) - ahead_.gyro_bias;
+    const BodyState<Scalar> taken =
+        rates_ > 0 ? body_of(rate_sum_ / Scalar(rates_) - ahead_.gyro_bias) : state();
     rates_ = 0;
     return taken;
   }
 
-  /// Sample without the biases, for WrenchObserver.
+  /// Newest sample without the biases, in the body frame at the CoM, for WrenchObserver. If the IMU
+  /// is not at the CoM, this uses the difference of the last two samples of the gyroscope.
   [[nodiscard]] InertialSample<Scalar> corrected(
       const InertialSample<Scalar>& sample) const noexcept {
-    return {sample.angular_velocity - ahead_.gyro_bias,
-            sample.specific_force - ahead_.accelerometer_bias};
+    const InertialSample<Scalar> turned = to_body(sample);
+    const Vector3<Scalar> rate = turned.angular_velocity - ahead_.gyro_bias;
+    Vector3<Scalar> force = turned.specific_force - ahead_.accelerometer_bias;
+    if (has_lever_)
+      force -= angular_acceleration_.cross(imu_position_) + rate.cross(rate.cross(imu_position_));
+    return {rate, force};
   }
 
-  /// Filter at filter_time(): state with biases and marker frame, and covariance.
+  /// Filter at filter_time(): state of the IMU with biases and marker frame, and covariance. The
+  /// marker's position is relative to the IMU, in body axes.
   [[nodiscard]] const ErrorStateFilter<Scalar>& filter() const noexcept { return filter_; }
-  /// Time of the last pose used [s]. If no poses arrive, at most max_delay behind time().
+  /// Time of the last measurement used [s]. If none arrive, at most max_delay behind time().
   [[nodiscard]] double filter_time() const noexcept { return from_.time; }
-  /// NIS r' S^-1 r of the last pose that was compared, used or not.
+  /// NIS r' S^-1 r of the last measurement that was compared, used or not.
   [[nodiscard]] Scalar nis() const noexcept { return nis_; }
   [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
+  /// Measured jitter of the poses' stamps [s], zero if they are regular.
+  [[nodiscard]] double stamp_stddev() const noexcept { return stamps_.stddev(); }
+  /// Step of the poses' clock that is added to their stamps [s].
+  [[nodiscard]] double clock_step() const noexcept { return clock_step_; }
 
   /// Restores the state after construction.
   void reset() noexcept;
@@ -167,6 +141,15 @@ class Ekf {
  private:
   using Sample = Timed<InertialSample<Scalar>>;
   using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
+  friend class detail::StoredMeasurement<Ekf>;
+
+  /// A pose and the time between its stamp and its arrival [s].
+  struct ArrivedPose {
+    MarkerPose<Scalar> pose;
+    double lag;
+  };
+  /// What a restart keeps of the estimate.
+  enum class Keep { marker_frame, biases_and_velocity };
 
   static bool within(const Vector3<Scalar>& v, double limit) noexcept {
     return all_finite(v) && v.cwiseAbs().maxCoeff() <= Scalar(limit);
@@ -193,8 +176,20 @@ class Ekf {
              blend(a.value.specific_force, b.value.specific_force)}};
   }
 
+  [[nodiscard]] InertialSample<Scalar> to_body(const InertialSample<Scalar>& s) const noexcept {
+    return {imu_rotation_ * s.angular_velocity, imu_rotation_ * s.specific_force};
+  }
+
+  [[nodiscard]] BodyState<Scalar> body_of(const Vector3<Scalar>& rate) const noexcept {
+    BodyState<Scalar> body{ahead_.position, ahead_.velocity, ahead_.orientation, rate};
+    if (!has_lever_) return body;
+    body.position -= ahead_.orientation * imu_position_;
+    body.velocity -= ahead_.orientation * rate.cross(imu_position_);
+    return body;
+  }
+
   [[nodiscard]] const Sample& at(std::size_t i) const noexcept {
-    return samples_[(first_ + i) % max_samples];
+    return samples_[(first_ + i) % samples_.size()];
   }
 
   void begin_mean(const Sample& sample) noexcept {
@@ -202,22 +197,74 @@ class Ekf {
     rates_ = 1;
   }
 
+  EkfStatus begin_again(const Sample& sample, double pause) noexcept;
+
   /// Advances the filter through the samples up to `time`, if `time` is later.
   void catch_up(double time) noexcept;
-
   void advance(const Sample& to) noexcept;
+
+  /// Propagates the filter's state to the newest sample.
+  void look_ahead() noexcept {
+    ahead_ = filter_.state();
+    Sample from = from_;
+    for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
+  }
 
   EkfStatus unused(EkfStatus status) noexcept {
     ++counts_.unused;
     return status;
   }
+  /// A pose with a stamp that cannot be used. Corrects the clock if all poses arrive like this.
+  EkfStatus mistimed(EkfStatus status, double lag) noexcept {
+    poses_mistimed_ = true;
+    watch_clock(lag);
+    return unused(status);
+  }
+  void watch_clock(double lag) noexcept {
+    const double clock = stamps_.on_unused(lag, settings_.max_rejections);
+    if (clock == 0.0) return;
+    clock_step_ += clock;
+    ++counts_.clock_steps;
+    queue_.clear();
+    refused_.clear();
+  }
 
-  EkfStatus take(double time, const MarkerPose<Scalar>& pose) noexcept;
+  /// Uses a measurement that is not ahead of the IMU.
+  EkfStatus apply(double time, const ArrivedPose& arrived) noexcept;
+  template <typename Measurement>
+  EkfStatus apply(double time, const Measurement& measurement) noexcept;
+  template <typename Measurement>
+  EkfStatus use(const Measurement& at, MeasurementKind kind) noexcept;
+  template <typename Measurement>
+  EkfStatus queue(double time, const Measurement& measurement) noexcept;
 
-  /// Starts the vehicle at the pose, with the known marker frame and the last values of the biases.
-  /// The update from a much larger covariance sets the correlation between the pose and an
-  /// uncertain marker frame.
-  void start(const MarkerPose<Scalar>& pose) noexcept;
+  void used(MeasurementKind kind) noexcept {
+    last_used_[static_cast<std::size_t>(kind)] = from_.time;
+  }
+  /// Gate for a number of rows, of the same probability as settings_.gate for six.
+  [[nodiscard]] Scalar gate(int rows) const noexcept {
+    constexpr std::array<double, 6> quantile = {15.14, 18.42, 21.11, 23.51, 25.74, 27.86};
+    return Scalar(settings_.gate * quantile[static_cast<std::size_t>(rows - 1)] / quantile[5]);
+  }
+
+  [[nodiscard]] MarkerPose<Scalar> predicted_pose() const noexcept {
+    const InertialState<Scalar>& x = filter_.state();
+    return {x.position + x.orientation * x.marker_position, x.orientation * x.marker_orientation};
+  }
+  /// Square root of the largest variance of a part of the state.
+  [[nodiscard]] double stddev_of(int part) const noexcept {
+    return std::sqrt(std::max(
+        0.0,
+        static_cast<double>(filter_.covariance().diagonal().template segment<3>(part).maxCoeff())));
+  }
+  EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
+  /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
+  EkfStatus finish(EkfStatus status) noexcept;
+  /// Starts the vehicle at the pose, with the known marker frame. The update from a much larger
+  /// covariance sets the correlation between the pose and an uncertain marker frame.
+  void start_at(const MarkerPose<Scalar>& pose, Keep keep) noexcept;
+  /// Moves and turns the estimate about the vertical, to a pose in another place.
+  void relocate(const MarkerPose<Scalar>& pose) noexcept;
 
   static void fill(Covariance& p, int start, double stddev) noexcept {
     p.diagonal().template segment<3>(start).setConstant(Scalar(stddev * stddev));
@@ -225,28 +272,58 @@ class Ekf {
 
   EkfSettings settings_;
   ErrorStateFilter<Scalar> filter_;
+  Matrix3<Scalar> imu_rotation_;
+  Vector3<Scalar> imu_position_;
+  bool has_lever_;
   InertialState<Scalar> ahead_;  ///< filter state propagated to newest_
-  Sample from_;                  ///< IMU at the filter's time
+  Sample from_;                  ///< IMU at the filter's time, body axes
   Sample newest_;                ///< the last of samples_, or from_
   std::vector<Sample> samples_;  ///< ring buffer of samples later than from_
   std::size_t first_ = 0, count_ = 0;
-  std::array<Timed<MarkerPose<Scalar>>, max_waiting> poses_;  ///< sorted by time
-  std::size_t waiting_ = 0;
+  detail::MeasurementQueue<Ekf, max_waiting> queue_;    ///< sorted by time
   Vector3<Scalar> rate_sum_ = Vector3<Scalar>::Zero();  ///< sum of rates since take_state()
+  Vector3<Scalar> angular_acceleration_ = Vector3<Scalar>::Zero();
   int rates_ = 0;
-  double pose_time_ = 0.0;  ///< time of the last pose compared
+  detail::RepetitionDetector<Scalar> repetitions_;
+  detail::StampMonitor stamps_;
+  detail::RefusedPoses<Scalar> refused_;
+  double pose_time_ = 0.0;      ///< time of the last pose compared
+  double received_ = 0.0;       ///< stamp of the last pose received
+  double last_position_ = 0.0;  ///< time of the last pose used
+  double gap_ = 0.0;            ///< length of the last gap of the IMU
+  double behind_time_ = 0.0;    ///< time of the last late IMU sample
+  double clock_step_ = 0.0;
   Scalar nis_ = Scalar(0);
-  int rejections_ = 0, behind_ = 0;  ///< consecutive gated poses, consecutive late IMU samples
+  int behind_ = 0;     ///< consecutive late IMU samples
+  int confirmed_ = 0;  ///< poses used since the start
   EkfCounts counts_;
-  bool has_imu_ = false, has_pose_ = false, running_ = false;
+  std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_ = {};
+  bool has_imu_ = false, has_pose_ = false, running_ = false, was_started_ = false;
+  bool poses_frozen_ = false, poses_disputed_ = false, poses_mistimed_ = false;
 };
 using Ekfd = Ekf<double>;  ///< in double precision
+
+namespace detail {
+
+template <typename Measurement, typename = void>
+struct KindOf {
+  static constexpr MeasurementKind value = MeasurementKind::other;
+};
+template <typename Measurement>
+struct KindOf<Measurement, std::void_t<decltype(Measurement::kind)>> {
+  static constexpr MeasurementKind value = Measurement::kind;
+};
+
+}  // namespace detail
 
 template <typename Scalar>
 Ekf<Scalar>::Ekf(const EkfSettings& settings)
     : settings_(validated(settings)),
       filter_(settings.imu_noise, settings.pose_noise),
-      samples_(max_samples) {
+      imu_rotation_(settings.imu_orientation.toRotationMatrix().template cast<Scalar>()),
+      imu_position_(settings.imu_position.template cast<Scalar>()),
+      has_lever_(settings.imu_position != Eigen::Vector3d::Zero()),
+      samples_(static_cast<std::size_t>(settings.max_delay * settings.max_imu_rate) + 16) {
   reset();
 }
 
@@ -255,21 +332,18 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
   if (!std::isfinite(time) || !within(value.angular_velocity, 1e3) ||
       !within(value.specific_force, 1e5))
     return EkfStatus::rejected;
-  const Sample sample{time, value};
+  const Sample sample{time, to_body(value)};
   const double pause = time - newest_.time;
   if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
-  if (has_imu_ && pause < 0.0 && ++behind_ < settings_.max_rejections) return EkfStatus::late;
-  behind_ = 0;
-  if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) {
-    const bool gap = has_imu_;
-    has_imu_ = true;
-    running_ = false;
-    count_ = 0;
-    if (pause < 0.0) waiting_ = 0;
-    from_ = newest_ = sample;
-    begin_mean(sample);
-    return gap ? EkfStatus::stopped : EkfStatus::updated;
+  if (has_imu_ && pause < 0.0) {
+    // The clock was set back if several samples in a row are late but follow each other.
+    behind_ = behind_ > 0 && time <= behind_time_ ? 1 : behind_ + 1;
+    behind_time_ = time;
+    if (behind_ < std::min(settings_.max_rejections, 5)) return EkfStatus::late;
   }
+  behind_ = 0;
+  repetitions_.on_imu(value);
+  if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) return begin_again(sample, pause);
   constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
   if (rates_ == 0 || rates_ == most) {
     begin_mean(sample);
@@ -277,19 +351,34 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
     rate_sum_ += sample.value.angular_velocity;
     ++rates_;
   }
-  if (count_ == max_samples) catch_up(at(0).time);
-  samples_[(first_ + count_++) % max_samples] = sample;
+  if (count_ == samples_.size()) catch_up(at(0).time);
+  samples_[(first_ + count_++) % samples_.size()] = sample;
   if (running_) ahead_ = step(ahead_, newest_, sample);
+  if (has_lever_)
+    angular_acceleration_ =
+        (sample.value.angular_velocity - newest_.value.angular_velocity) / Scalar(pause);
   newest_ = sample;
   catch_up(time - settings_.max_delay);
-  while (waiting_ > 0 && poses_[0].time <= time) {
-    const Timed<MarkerPose<Scalar>> next = poses_[0];
-    std::copy(poses_.begin() + 1, poses_.begin() + static_cast<std::ptrdiff_t>(waiting_),
-              poses_.begin());
-    --waiting_;
-    take(next.time, next.value);
-  }
+  while (queue_.has_until(time - settings_.fusion_delay)) queue_.pop().apply(*this);
   return EkfStatus::updated;
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::begin_again(const Sample& sample, double pause) noexcept {
+  const bool gap = has_imu_;
+  has_imu_ = true;
+  if (running_) filter_.reset(ahead_, filter_.covariance());
+  running_ = false;
+  gap_ = std::abs(pause);
+  count_ = 0;
+  if (pause < 0.0) {
+    queue_.clear();
+    has_pose_ = false;
+  }
+  angular_acceleration_.setZero();
+  from_ = newest_ = sample;
+  begin_mean(sample);
+  return gap ? EkfStatus::stopped : EkfStatus::updated;
 }
 
 template <typename Scalar>
@@ -299,28 +388,310 @@ EkfStatus Ekf<Scalar>::on_pose(double time, const MarkerPose<Scalar>& pose) noex
   if (!std::isfinite(time) || !within(pose.position, 1e6) ||
       !(abs(length - Scalar(1)) < Scalar(0.1)))
     return unused(EkfStatus::rejected);
-  const double stamp = time + settings_.clock_offset;
-  const MarkerPose<Scalar> unit{pose.position, pose.orientation.normalized()};
   if (!has_imu_) return unused(EkfStatus::early);
-  if (stamp <= newest_.time) return take(stamp, unit);
-  if (stamp > newest_.time + settings_.max_delay || waiting_ == max_waiting)
-    return unused(EkfStatus::early);
-  auto place = poses_.begin() + static_cast<std::ptrdiff_t>(waiting_++);
-  for (; place != poses_.begin() && (place - 1)->time > stamp; --place) *place = *(place - 1);
-  *place = {stamp, unit};
+  const double stamp = time + settings_.clock_offset + clock_step_;
+  if (counts_.used > 0 && stamp == received_) return unused(EkfStatus::duplicate);
+  received_ = stamp;
+  poses_frozen_ = repetitions_.repeats(pose);
+  if (poses_frozen_) {
+    ++counts_.frozen;
+    return unused(EkfStatus::frozen);
+  }
+  stamps_.on_stamp(stamp);
+  const ArrivedPose arrived{{pose.position, pose.orientation.normalized()}, newest_.time - stamp};
+  const EkfStatus status = queue(stamp, arrived);
+  return status == EkfStatus::early ? mistimed(status, arrived.lag) : status;
+}
+
+template <typename Scalar>
+template <typename Measurement>
+EkfStatus Ekf<Scalar>::on_measurement(double time, const Measurement& measurement) noexcept {
+  if (!std::isfinite(time)) return EkfStatus::rejected;
+  return has_imu_ ? queue(time, measurement) : EkfStatus::early;
+}
+
+template <typename Scalar>
+template <typename Measurement>
+EkfStatus Ekf<Scalar>::queue(double time, const Measurement& measurement) noexcept {
+  if (time <= newest_.time - settings_.fusion_delay) return apply(time, measurement);
+  if (time > newest_.time + settings_.max_delay || !queue_.push(time, measurement))
+    return EkfStatus::early;
   return EkfStatus::waiting;
 }
 
 template <typename Scalar>
+template <typename Measurement>
+EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexcept {
+  if (!running_) return EkfStatus::early;
+  if (time < from_.time) return EkfStatus::late;
+  catch_up(time);
+  const InertialMotion<Scalar> motion{
+      filter_.state(), from_.value.angular_velocity - filter_.state().gyro_bias, imu_position_};
+  constexpr MeasurementKind kind = detail::KindOf<Measurement>::value;
+  if constexpr (std::is_invocable_v<const Measurement&, const InertialMotion<Scalar>&>)
+    return use(measurement(motion), kind);
+  else
+    return use(linearise(measurement, motion), kind);
+}
+
+template <typename Scalar>
+template <typename Measurement>
+EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept {
+  if (!at.valid || !at.is_finite()) return EkfStatus::rejected;
+  const auto innovation = filter_.innovation_of(at);
+  nis_ = innovation.distance;
+  if (!(nis_ <= gate(Measurement::rows)) || !filter_.update(innovation, at))
+    return EkfStatus::gated;
+  used(kind);
+  look_ahead();
+  return EkfStatus::updated;
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
+  if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
+  if (time < from_.time) return mistimed(EkfStatus::late, arrived.lag);
+  catch_up(time);
+  has_pose_ = true;
+  pose_time_ = time;
+  // With such an attitude error an update is far from linear.
+  constexpr double linear = 0.3;  // [rad]
+  if (running_ && stddev_of(InertialIndex::orientation) > linear) {
+    gap_ = time - last_position_;
+    running_ = false;
+  }
+  if (!running_) {
+    const bool again = was_started_;
+    start_at(arrived.pose, again ? Keep::biases_and_velocity : Keep::marker_frame);
+    stamps_.on_used(arrived.lag);
+    return finish(again ? EkfStatus::restarted : EkfStatus::started);
+  }
+  LinearisedPose<Scalar> at = filter_.linearise(arrived.pose);
+  const double jitter = stamps_.stddev();
+  if (jitter > 0.0)
+    at.add_stamp_noise(filter_.state().velocity,
+                       from_.value.angular_velocity - filter_.state().gyro_bias, Scalar(jitter));
+  const auto innovation = filter_.innovation_of(at);
+  nis_ = innovation.distance;
+  if (!(nis_ <= gate(6)) || !filter_.update(innovation, at)) return refuse(time, arrived);
+  stamps_.on_used(arrived.lag);
+  ++confirmed_;
+  return finish(EkfStatus::updated);
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept {
+  constexpr int enough = 25;  // poses that confirm a start
+  const double noise =
+      std::hypot(settings_.pose_noise.position,
+                 static_cast<double>(filter_.state().velocity.norm()) * stamps_.stddev());
+  refused_.add(time, arrived.pose, predicted_pose(), noise,
+               std::min(0.3, stddev_of(InertialIndex::velocity)));
+  poses_disputed_ = true;
+  const bool moves_like_imu = refused_.count() >= settings_.max_rejections &&
+                              refused_.duration(time) >= settings_.restart_time &&
+                              refused_.lean() < Scalar(0.1);
+  const bool start_was_wrong = confirmed_ < enough && nis_ > Scalar(10) * gate(6) &&
+                               refused_.smooth() >= std::min(5, settings_.max_rejections);
+  const bool given_up = time - last_position_ >= settings_.give_up_time &&
+                        refused_.smooth() >= settings_.max_rejections;
+  if (moves_like_imu) {
+    relocate(arrived.pose);
+  } else if (start_was_wrong || given_up) {
+    start_at(arrived.pose, Keep::marker_frame);
+  } else {
+    ++counts_.gated;
+    watch_clock(arrived.lag);
+    return EkfStatus::gated;
+  }
+  return finish(EkfStatus::restarted);
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
+  if (status == EkfStatus::restarted) ++counts_.restarts;
+  ++counts_.used;
+  refused_.clear();
+  poses_disputed_ = poses_mistimed_ = false;
+  last_position_ = from_.time;
+  used(MeasurementKind::pose);
+  running_ = was_started_ = true;
+  look_ahead();
+  return status;
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::start_at(const MarkerPose<Scalar>& pose, Keep keep) noexcept {
+  using I = InertialIndex;
+  InertialState<Scalar> x = filter_.state();
+  x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
+  x.position = pose.position - x.orientation * x.marker_position;
+  Covariance p = Covariance::Zero();
+  if (counts_.used > 0) {
+    p.template bottomRightCorner<12, 12>() =
+        filter_.covariance().template bottomRightCorner<12, 12>();
+  } else {
+    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
+    fill(p, I::marker_position, settings_.marker_position_stddev);
+  }
+  double velocity_stddev = settings_.velocity_stddev;
+  if (keep == Keep::biases_and_velocity && was_started_) {
+    // The velocity has changed by an unknown acceleration during the gap.
+    constexpr double acceleration = 10.0;  // [m/s^2]
+    velocity_stddev = std::min(velocity_stddev, 0.5 + acceleration * gap_);
+  } else {
+    x.velocity.setZero();
+    x.gyro_bias.setZero();
+    x.accelerometer_bias.setZero();
+    p.template block<6, 12>(I::gyro_bias, I::gyro_bias).setZero();
+    p.template block<12, 6>(I::gyro_bias, I::gyro_bias).setZero();
+    fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
+    fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
+  }
+  fill(p, I::position, 1.0);
+  fill(p, I::orientation, 1.0);
+  fill(p, I::velocity, velocity_stddev);
+  filter_.reset(x, p);
+  filter_.update(pose);
+  confirmed_ = 0;
+}
+
+template <typename Scalar>
+void Ekf<Scalar>::relocate(const MarkerPose<Scalar>& pose) noexcept {
+  using I = InertialIndex;
+  InertialState<Scalar> x = filter_.state();
+  const Eigen::Quaternion<Scalar> turn = quaternion_from_yaw(yaw_of(Eigen::Quaternion<Scalar>(
+      pose.orientation * (x.orientation * x.marker_orientation).conjugate())));
+  x.orientation = (turn * x.orientation).normalized();
+  x.velocity = turn * x.velocity;
+  x.position = pose.position - x.orientation * x.marker_position;
+  Covariance p = filter_.covariance();
+  const Matrix3<Scalar> rotation = turn.toRotationMatrix();
+  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
+  p.template middleCols<3>(I::velocity) =
+      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
+  p.template middleRows<3>(I::position).setZero();
+  p.template middleCols<3>(I::position).setZero();
+  fill(p, I::position, 1.0);
+  // The heading is as good as the pose says; the lean is kept.
+  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
+  filter_.reset(x, p);
+  filter_.update(pose);
+  confirmed_ = 0;
+}
+
+template <typename Scalar>
+bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept {
+  using I = InertialIndex;
+  if (!has_imu_ || !is_finite(body) || !(body.orientation.norm() > Scalar(0.1)) ||
+      !(stddev.position > 0.0 && stddev.velocity > 0.0 && stddev.orientation > 0.0) ||
+      !(stddev.position + stddev.velocity + stddev.orientation < 1e6))
+    return false;
+  catch_up(newest_.time);
+  InertialState<Scalar> x = filter_.state();
+  x.orientation = body.orientation.normalized();
+  x.position = body.position + x.orientation * imu_position_;
+  x.velocity =
+      body.velocity + x.orientation * Vector3<Scalar>(body.angular_velocity.cross(imu_position_));
+  Covariance p = Covariance::Zero();
+  p.template bottomRightCorner<6, 6>() = filter_.covariance().template bottomRightCorner<6, 6>();
+  if (!was_started_) {
+    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
+    fill(p, I::marker_position, settings_.marker_position_stddev);
+  }
+  fill(p, I::position, stddev.position);
+  fill(p, I::velocity, stddev.velocity);
+  fill(p, I::orientation, stddev.orientation);
+  fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
+  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
+  filter_.reset(x, p);
+  refused_.clear();
+  last_position_ = from_.time;
+  confirmed_ = 0;
+  running_ = was_started_ = true;
+  look_ahead();
+  return true;
+}
+
+template <typename Scalar>
+EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
+  using I = InertialIndex;
+  EstimateTrust t;
+  const auto since = [now](double then) {
+    const double age = now - then;
+    return age >= 0.0 ? age : age < 0.0 ? 0.0 : std::numeric_limits<double>::infinity();
+  };
+  if (has_imu_) t.imu_age = since(newest_.time);
+  for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = since(last_used_[i]);
+  if (!was_started_) return t;
+
+  // Prediction from the filter's time by the variances of velocity, attitude and accelerometer.
+  const double dt = std::min(since(from_.time), 1e3);
+  const Covariance& p = filter_.covariance();
+  const auto variance = [&p](int row, int column) { return static_cast<double>(p(row, column)); };
+  const double lean = stddev_of(I::orientation), bias = stddev_of(I::accelerometer_bias);
+  const double density = settings_.imu_noise.accelerometer_density;
+  const double acceleration = gravity * gravity * lean * lean + bias * bias;
+  double position = 0.0, velocity = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    const int r = I::position + i, v = I::velocity + i;
+    position =
+        std::max(position, variance(r, r) + 2.0 * dt * variance(r, v) + dt * dt * variance(v, v));
+    velocity = std::max(velocity, variance(v, v));
+  }
+  t.position_stddev = std::sqrt(std::max(0.0, position) + 0.25 * std::pow(dt, 4) * acceleration +
+                                density * density * std::pow(dt, 3) / 3.0);
+  t.velocity_stddev =
+      std::sqrt(std::max(0.0, velocity) + dt * dt * acceleration + density * density * dt);
+  t.orientation_stddev = std::hypot(lean, dt * stddev_of(I::gyro_bias),
+                                    settings_.imu_noise.gyro_density * std::sqrt(dt));
+
+  const EkfTrustLimits& limits = settings_.trust;
+  const auto above = [&limits](double stddev, double limit) {
+    return !(limits.confidence * stddev <= limit);
+  };
+  t.imu_silent = !(t.imu_age <= limits.imu_age);
+  t.imu_stopped = !running_;
+  t.no_position = !(std::min(t.age_of(MeasurementKind::pose),
+                             t.age_of(MeasurementKind::position)) <= limits.position_age);
+  t.poses_frozen = poses_frozen_;
+  t.poses_disputed = poses_disputed_;
+  t.poses_mistimed = poses_mistimed_;
+  t.position_error = above(t.position_stddev, limits.position_error);
+  t.velocity_error = above(t.velocity_stddev, limits.velocity_error);
+  t.orientation_error = above(t.orientation_stddev, limits.orientation_error);
+  if (t.imu_silent || t.imu_stopped || t.orientation_error)
+    t.state = EstimateState::lost;
+  else if (t.velocity_error && confirmed_ < 25 && !t.no_position)
+    t.state = EstimateState::starting;
+  else if (above(t.position_stddev, limits.lost_position_error))
+    t.state = EstimateState::position_lost;
+  else if (t.position_error || t.velocity_error)
+    t.state = EstimateState::degraded;
+  else
+    t.state = t.no_position ? EstimateState::dead_reckoning : EstimateState::good;
+  return t;
+}
+
+template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
-  has_imu_ = has_pose_ = running_ = false;
-  count_ = waiting_ = 0;
-  rejections_ = behind_ = rates_ = 0;
+  has_imu_ = has_pose_ = running_ = was_started_ = false;
+  poses_frozen_ = poses_disputed_ = poses_mistimed_ = false;
+  count_ = 0;
+  behind_ = rates_ = confirmed_ = 0;
+  pose_time_ = received_ = last_position_ = gap_ = clock_step_ = behind_time_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
+  last_used_.fill(-std::numeric_limits<double>::infinity());
   from_ = newest_ = {};
+  queue_.clear();
+  repetitions_.reset();
+  stamps_.reset();
+  refused_.clear();
+  angular_acceleration_.setZero();
   InertialState<Scalar> x;
-  x.marker_position = settings_.marker_position.template cast<Scalar>();
+  x.marker_position = (settings_.marker_position - settings_.imu_position).template cast<Scalar>();
   x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
   filter_.reset(x, Covariance::Zero());
   ahead_ = x;
@@ -330,7 +701,7 @@ template <typename Scalar>
 void Ekf<Scalar>::catch_up(double time) noexcept {
   while (count_ > 0 && at(0).time <= time) {
     advance(at(0));
-    first_ = (first_ + 1) % max_samples;
+    first_ = (first_ + 1) % samples_.size();
     --count_;
   }
   if (count_ > 0 && from_.time < time) advance(between(from_, at(0), time));
@@ -340,61 +711,6 @@ template <typename Scalar>
 void Ekf<Scalar>::advance(const Sample& to) noexcept {
   if (running_) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
   from_ = to;
-}
-
-template <typename Scalar>
-EkfStatus Ekf<Scalar>::take(double time, const MarkerPose<Scalar>& pose) noexcept {
-  if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
-  if (time < from_.time) return unused(EkfStatus::late);
-  catch_up(time);
-  has_pose_ = true;
-  pose_time_ = time;
-  EkfStatus status = running_ ? EkfStatus::updated : EkfStatus::started;
-  if (running_) {
-    const auto innovation = filter_.innovation(pose);
-    nis_ = innovation.distance;
-    if (!(nis_ <= Scalar(settings_.gate)) || !filter_.update(innovation)) {
-      if (++rejections_ < settings_.max_rejections) {
-        ++counts_.gated;
-        return EkfStatus::gated;
-      }
-      status = EkfStatus::restarted;
-    }
-  } else if (counts_.used > 0) {
-    status = EkfStatus::restarted;
-  }
-  if (status != EkfStatus::updated) start(pose);
-  if (status == EkfStatus::restarted) ++counts_.restarts;
-  ++counts_.used;
-  rejections_ = 0;
-  running_ = true;
-  ahead_ = filter_.state();
-  Sample from = from_;
-  for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
-  return status;
-}
-
-template <typename Scalar>
-void Ekf<Scalar>::start(const MarkerPose<Scalar>& pose) noexcept {
-  using I = InertialIndex;
-  InertialState<Scalar> x = filter_.state();
-  x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
-  x.position = pose.position - x.orientation * x.marker_position;
-  x.velocity.setZero();
-  Covariance p = Covariance::Zero();
-  if (counts_.used > 0) {
-    p.template bottomRightCorner<6, 6>() = filter_.covariance().template bottomRightCorner<6, 6>();
-  } else {
-    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
-    fill(p, I::marker_position, settings_.marker_position_stddev);
-  }
-  fill(p, I::position, 1.0);
-  fill(p, I::orientation, 1.0);
-  fill(p, I::velocity, settings_.velocity_stddev);
-  fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
-  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
-  filter_.reset(x, p);
-  filter_.update(filter_.innovation(pose));
 }
 
 }  // namespace tilt_ropter

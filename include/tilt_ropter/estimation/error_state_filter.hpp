@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/estimation/inertial_state.hpp>
+#include <tilt_ropter/estimation/measurement_model.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
@@ -18,86 +20,6 @@
 /// orientation errors). Ekf (ekf.hpp) passes measurements with time stamps to it. Does not
 /// allocate. Only the constructor and validate() throw.
 namespace tilt_ropter {
-
-/// Estimated state.
-template <typename Scalar>
-struct InertialState {
-  Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m]
-  Vector3<Scalar> velocity = Vector3<Scalar>::Zero();  ///< of the IMU in the world [m/s]
-  Eigen::Quaternion<Scalar> orientation = Eigen::Quaternion<Scalar>::Identity();  ///< body -> world
-  Vector3<Scalar> gyro_bias = Vector3<Scalar>::Zero();                            ///< [rad/s]
-  Vector3<Scalar> accelerometer_bias = Vector3<Scalar>::Zero();                   ///< [m/s^2]
-  Eigen::Quaternion<Scalar> marker_orientation =
-      Eigen::Quaternion<Scalar>::Identity();                  ///< marker frame M -> body
-  Vector3<Scalar> marker_position = Vector3<Scalar>::Zero();  ///< origin of M in the body frame [m]
-};
-using InertialStated = InertialState<double>;  ///< in double precision
-
-/// Error of an InertialState, in the order of its members. Orientation errors are rotation vectors
-/// in the frame from which the orientation rotates: body frame for the orientation, M for the
-/// marker's orientation.
-template <typename Scalar>
-using InertialTangent = Eigen::Matrix<Scalar, 21, 1>;
-using InertialTangentd = InertialTangent<double>;  ///< in double precision
-
-/// Start of each part of an InertialTangent and of its covariance.
-struct InertialIndex {
-  static constexpr int position = 0, velocity = 3, orientation = 6, gyro_bias = 9,
-                       accelerometer_bias = 12, marker_orientation = 15, marker_position = 18;
-};
-
-/// Returns x (+) dx.
-template <typename Scalar>
-[[nodiscard]] InertialState<Scalar> retract(const InertialState<Scalar>& x,
-                                            const InertialTangent<Scalar>& dx) {
-  using I = InertialIndex;
-  const auto part = [&dx](int start) { return dx.template segment<3>(start); };
-  InertialState<Scalar> y;
-  y.position = x.position + part(I::position);
-  y.velocity = x.velocity + part(I::velocity);
-  y.orientation = (x.orientation * quaternion_exp(part(I::orientation))).normalized();
-  y.gyro_bias = x.gyro_bias + part(I::gyro_bias);
-  y.accelerometer_bias = x.accelerometer_bias + part(I::accelerometer_bias);
-  y.marker_orientation =
-      (x.marker_orientation * quaternion_exp(part(I::marker_orientation))).normalized();
-  y.marker_position = x.marker_position + part(I::marker_position);
-  return y;
-}
-
-/// Returns y (-) x, so that retract(x, difference(y, x)) = y. With y the true state and P the
-/// covariance, the result is the error e of the NEES e' P^-1 e.
-template <typename Scalar>
-[[nodiscard]] InertialTangent<Scalar> difference(const InertialState<Scalar>& y,
-                                                 const InertialState<Scalar>& x) {
-  const auto turn = [](const Eigen::Quaternion<Scalar>& to, const Eigen::Quaternion<Scalar>& from) {
-    return quaternion_log(Eigen::Quaternion<Scalar>(from.conjugate() * to));
-  };
-  InertialTangent<Scalar> dx;
-  dx << y.position - x.position, y.velocity - x.velocity, turn(y.orientation, x.orientation),
-      y.gyro_bias - x.gyro_bias, y.accelerometer_bias - x.accelerometer_bias,
-      turn(y.marker_orientation, x.marker_orientation), y.marker_position - x.marker_position;
-  return dx;
-}
-
-/// Returns the state `dt` [s] later. The sample is constant over the step; the mean of the samples
-/// at both ends makes the step second order. The rotation is exact. The acceleration is evaluated
-/// in the middle of the step.
-template <typename Scalar>
-[[nodiscard]] InertialState<Scalar> propagate(const InertialState<Scalar>& x,
-                                              const InertialSample<Scalar>& sample,
-                                              const Scalar& dt) {
-  const Vector3<Scalar> half_turn =
-      (sample.angular_velocity - x.gyro_bias) * Scalar(dt / Scalar(2));
-  const Eigen::Quaternion<Scalar> half = quaternion_exp(half_turn);
-  const Eigen::Quaternion<Scalar> middle = x.orientation * half;
-  Vector3<Scalar> acceleration = middle * (sample.specific_force - x.accelerometer_bias);
-  acceleration.z() -= Scalar(gravity);
-  InertialState<Scalar> y = x;
-  y.position += dt * (x.velocity + acceleration * Scalar(dt / Scalar(2)));
-  y.velocity += dt * acceleration;
-  y.orientation = (middle * half).normalized();
-  return y;
-}
 
 /// Noise of an IMU. Data sheets give the densities of an IMU at rest. Ten times these values are
 /// usual on a vibrating vehicle, also to cover misalignment and scale errors.
@@ -129,23 +51,94 @@ inline void validate(const MarkerPoseNoise& n) {
   require_in("MarkerPoseNoise.orientation [rad]", n.orientation, 1e-6, 10.0);
 }
 
+/// A pose linearised at a state, with its sparse Jacobian
+/// H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0]. Same interface as Linearised.
+template <typename Scalar>
+struct LinearisedPose {
+  static constexpr int rows = 6;
+  using Square = Eigen::Matrix<Scalar, 6, 6>;
+  using Columns = Eigen::Matrix<Scalar, InertialIndex::size, 6>;
+
+  /// `noise` is the diagonal of R. `pose` has an orientation of unit length.
+  LinearisedPose(const InertialState<Scalar>& x, const MarkerPose<Scalar>& pose,
+                 const Eigen::Matrix<Scalar, 6, 1>& variances) noexcept
+      : rotation(x.orientation.toRotationMatrix()),
+        to_marker(x.marker_orientation.conjugate().toRotationMatrix()),
+        by_turn(-rotation * skew(x.marker_position)),
+        noise(variances) {
+    residual.template head<3>() = pose.position - x.position - rotation * x.marker_position;
+    residual.template tail<3>() = quaternion_log(Eigen::Quaternion<Scalar>(
+        (x.orientation * x.marker_orientation).conjugate() * pose.orientation));
+  }
+
+  /// Adds the noise of a stamp that is wrong by `stddev` [s], at this rate of the body [rad/s] and
+  /// velocity of the IMU [m/s].
+  void add_stamp_noise(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
+                       const Scalar& stddev) noexcept {
+    has_stamp_noise = true;
+    stamp_noise << velocity + by_turn * angular_velocity, to_marker * angular_velocity;
+    stamp_noise *= stddev;
+  }
+
+  [[nodiscard]] Columns times_transpose(
+      const Eigen::Matrix<Scalar, InertialIndex::size, InertialIndex::size>& m) const noexcept {
+    using I = InertialIndex;
+    const auto columns = [&m](int start) { return m.template middleCols<3>(start); };
+    Columns product;
+    product.template leftCols<3>() = columns(I::position);
+    product.template leftCols<3>().noalias() += columns(I::orientation) * by_turn.transpose();
+    product.template leftCols<3>().noalias() += columns(I::marker_position) * rotation.transpose();
+    product.template rightCols<3>() = columns(I::marker_orientation);
+    product.template rightCols<3>().noalias() += columns(I::orientation) * to_marker.transpose();
+    return product;
+  }
+  [[nodiscard]] Square times(const Columns& c) const noexcept {
+    using I = InertialIndex;
+    const auto part = [&c](int start) { return c.template middleRows<3>(start); };
+    Square s;
+    s.template topRows<3>() = part(I::position);
+    s.template topRows<3>().noalias() += by_turn * part(I::orientation);
+    s.template topRows<3>().noalias() += rotation * part(I::marker_position);
+    s.template bottomRows<3>() = part(I::marker_orientation);
+    s.template bottomRows<3>().noalias() += to_marker * part(I::orientation);
+    return s;
+  }
+  [[nodiscard]] Columns times_noise(const Columns& g) const noexcept {
+    Columns product = g * noise.asDiagonal();
+    if (has_stamp_noise) product.noalias() += (g * stamp_noise) * stamp_noise.transpose();
+    return product;
+  }
+  void add_noise(Square& s) const noexcept {
+    s.diagonal() += noise;
+    if (has_stamp_noise) s.noalias() += stamp_noise * stamp_noise.transpose();
+  }
+
+  Matrix3<Scalar> rotation, to_marker, by_turn;
+  Eigen::Matrix<Scalar, 6, 1> residual;  ///< position, world [m]; rotation vector, M [rad]
+  Eigen::Matrix<Scalar, 6, 1> noise;     ///< variances
+  Eigen::Matrix<Scalar, 6, 1> stamp_noise = Eigen::Matrix<Scalar, 6, 1>::Zero();
+  bool has_stamp_noise = false;
+};
+
+/// Difference between a measurement and the state.
+template <typename Scalar, int Rows>
+struct MeasurementInnovation {
+  Eigen::Matrix<Scalar, Rows, 1> residual;       ///< measured - predicted
+  Eigen::Matrix<Scalar, Rows, Rows> covariance;  ///< S, covariance of the residual
+  /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if rounding has
+  /// made S indefinite.
+  Scalar distance;
+  /// P H', cross-covariance of the state's error and the residual.
+  Eigen::Matrix<Scalar, InertialIndex::size, Rows> correlation;
+};
+
 /// State and covariance of its error. If the covariance of a part of the state is zero, this part
 /// is known: the filter uses it and does not change it.
 template <typename Scalar>
 class ErrorStateFilter {
  public:
   using Covariance = Eigen::Matrix<Scalar, 21, 21>;
-
-  /// Difference between a measured pose and the state.
-  struct Innovation {
-    Eigen::Matrix<Scalar, 6, 1> residual;    ///< position, world [m]; rotation vector, M [rad]
-    Eigen::Matrix<Scalar, 6, 6> covariance;  ///< S, covariance of the residual
-    /// NIS, r' S^-1 r: chi-square of 6 degrees of freedom. The largest number if rounding has made
-    /// S indefinite.
-    Scalar distance;
-    /// P H', cross-covariance of the state's error and the residual.
-    Eigen::Matrix<Scalar, 21, 6> correlation;
-  };
+  using Innovation = MeasurementInnovation<Scalar, 6>;  ///< of a pose
 
   /// Throws std::invalid_argument if a noise value is out of range.
   ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose) {
@@ -207,83 +200,64 @@ class ErrorStateFilter {
     state_ = propagate(state_, sample, dt);
   }
 
-  /// Compares a pose (orientation of unit length) with the state. Changes nothing.
-  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
-    using I = InertialIndex;
-    const PoseJacobian h = pose_jacobian();
-    Innovation in;
-    const Vector3<Scalar> marker = state_.position + h.rotation * state_.marker_position;
-    in.residual.template head<3>() = pose.position - marker;
-    in.residual.template tail<3>() = quaternion_log(Eigen::Quaternion<Scalar>(
-        (state_.orientation * state_.marker_orientation).conjugate() * pose.orientation));
-    in.correlation = times_transpose(covariance_, h);
-    const auto rows = [&in](int start) { return in.correlation.template middleRows<3>(start); };
-    Eigen::Matrix<Scalar, 6, 6> s;
-    s.template topRows<3>() = rows(I::position);
-    s.template topRows<3>().noalias() += h.by_turn * rows(I::orientation);
-    s.template topRows<3>().noalias() += h.rotation * rows(I::marker_position);
-    s.template bottomRows<3>() = rows(I::marker_orientation);
-    s.template bottomRows<3>().noalias() += h.to_marker * rows(I::orientation);
+  /// Linearises a pose (orientation of unit length) at the state.
+  [[nodiscard]] LinearisedPose<Scalar> linearise(const MarkerPose<Scalar>& pose) const noexcept {
+    return {state_, pose, pose_noise_};
+  }
+
+  /// Compares a measurement, linearised at the current state, with the state. Changes nothing. `at`
+  /// is a Linearised or a LinearisedPose.
+  template <typename Measurement>
+  [[nodiscard]] MeasurementInnovation<Scalar, Measurement::rows> innovation_of(
+      const Measurement& at) const noexcept {
+    MeasurementInnovation<Scalar, Measurement::rows> in;
+    in.residual = at.residual;
+    in.correlation = at.times_transpose(covariance_);
+    const typename Measurement::Square s = at.times(in.correlation);
     in.covariance = (s + s.transpose()) / Scalar(2);
-    in.covariance.diagonal() += pose_noise_;
+    at.add_noise(in.covariance);
     const auto factor = in.covariance.llt();
     in.distance = factor.info() == Eigen::Success ? in.residual.dot(factor.solve(in.residual))
                                                   : std::numeric_limits<Scalar>::max();
     return in;
   }
 
-  /// Updates state and covariance with an innovation of the current state. The covariance is
-  /// updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An error of the gain, or of
-  /// rounding, does not make this form negative. Returns false and changes nothing if S is not
-  /// positive definite. Rounding can cause this if P is larger than the pose's noise by more digits
-  /// than a Scalar has.
-  bool update(const Innovation& in) noexcept {
+  /// Updates state and covariance with a measurement, linearised at the current state, and its
+  /// innovation. The covariance is updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An
+  /// error of the gain, or of rounding, does not make this form negative. Returns false and changes
+  /// nothing if S is not positive definite. Rounding can cause this if P is larger than the noise
+  /// by more digits than a Scalar has.
+  template <typename Measurement>
+  bool update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
+              const Measurement& at) noexcept {
     const auto factor = in.covariance.llt();
     if (factor.info() != Eigen::Success) return false;
-    const Eigen::Matrix<Scalar, 21, 6> gain = factor.solve(in.correlation.transpose()).transpose();
+    const typename Measurement::Columns gain = factor.solve(in.correlation.transpose()).transpose();
     Covariance left = covariance_;  // (I - K H) P
     left.noalias() -= gain * in.correlation.transpose();
-    Eigen::Matrix<Scalar, 21, 6> rest = gain * pose_noise_.asDiagonal();
-    rest -= times_transpose(left, pose_jacobian());
+    typename Measurement::Columns rest = at.times_noise(gain);
+    rest -= at.times_transpose(left);
     left.noalias() += rest * gain.transpose();
     covariance_ = (left + left.transpose()) / Scalar(2);
     state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
     return true;
   }
 
+  /// Compares a pose (orientation of unit length) with the state. Changes nothing.
+  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
+    return innovation_of(linearise(pose));
+  }
+
+  /// Updates with a pose (orientation of unit length), whatever its innovation.
+  bool update(const MarkerPose<Scalar>& pose) noexcept {
+    const LinearisedPose<Scalar> at = linearise(pose);
+    return update(innovation_of(at), at);
+  }
+
   [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
   [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
 
  private:
-  /// Jacobian H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0] of a pose by the state's
-  /// error.
-  struct PoseJacobian {
-    Matrix3<Scalar> rotation, to_marker, by_turn;
-  };
-
-  [[nodiscard]] PoseJacobian pose_jacobian() const noexcept {
-    PoseJacobian h;
-    h.rotation = state_.orientation.toRotationMatrix();
-    h.to_marker = state_.marker_orientation.conjugate().toRotationMatrix();
-    h.by_turn = -h.rotation * skew(state_.marker_position);
-    return h;
-  }
-
-  /// Returns m H'.
-  [[nodiscard]] static Eigen::Matrix<Scalar, 21, 6> times_transpose(
-      const Covariance& m, const PoseJacobian& h) noexcept {
-    using I = InertialIndex;
-    const auto columns = [&m](int start) { return m.template middleCols<3>(start); };
-    Eigen::Matrix<Scalar, 21, 6> product;
-    product.template leftCols<3>() = columns(I::position);
-    product.template leftCols<3>().noalias() += columns(I::orientation) * h.by_turn.transpose();
-    product.template leftCols<3>().noalias() +=
-        columns(I::marker_position) * h.rotation.transpose();
-    product.template rightCols<3>() = columns(I::marker_orientation);
-    product.template rightCols<3>().noalias() += columns(I::orientation) * h.to_marker.transpose();
-    return product;
-  }
-
   static constexpr int noisy = InertialIndex::velocity;  // first state with process noise
 
   InertialState<Scalar> state_;

@@ -32,6 +32,8 @@ class DelayQueue {
     return entries_[oldest].value;
   }
 
+  void clear() noexcept { count_ = 0; }
+
  private:
   struct Entry {
     double due = 0.0;

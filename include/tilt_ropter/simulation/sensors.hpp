@@ -8,6 +8,7 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/sensor_faults.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -17,6 +18,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 /// Simulated sensors for the plant, with noise, bias, rate and delay.
 ///
@@ -30,6 +32,9 @@
 /// measurement once, `delay` after it was taken, with the time at which it was taken. The same seed
 /// and the same calls give bitwise identical results with every standard library. Sensors allocate
 /// at construction only. They take no measurement if the truth or the time is not finite.
+///
+/// reset() prepares a sensor for a new run whose time may start anywhere: it drops measurements
+/// that wait and starts a new sampling grid. ImuSensor and PoseSensor can be given faults.
 namespace tilt_ropter {
 
 namespace detail {
@@ -55,13 +60,29 @@ class SensorCore {
     return true;
   }
 
-  void push(const Measurement& m) noexcept { queue_.push(m.time + parameters.delay, m); }
+  void push(const Measurement& m) noexcept { push(m.time, m); }
+  /// For a measurement taken at `time` [s] with another stamp.
+  void push(double time, const Measurement& m) noexcept { queue_.push(time + parameters.delay, m); }
   [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
+
+  void reset() noexcept {
+    queue_.clear();
+    started_ = false;
+  }
+
+  void add_fault(const SensorFault& fault) { faults_.push_back(validated(fault)); }
+  /// Calls `act` with each fault that acts at `time` [s].
+  template <typename Act>
+  void for_faults(double time, Act act) const noexcept {
+    for (const SensorFault& fault : faults_)
+      if (fault.acts(time)) act(fault);
+  }
 
   Parameters parameters;
   GaussianNoise noise;
 
  private:
+  std::vector<SensorFault> faults_;
   DelayQueue<Measurement> queue_;
   bool started_ = false;
   double start_ = 0.0, last_instant_ = 0.0;
@@ -75,7 +96,7 @@ inline void require_timing(const std::string& sensor, double rate, double delay)
 
 }  // namespace detail
 
-/// Gyroscope and accelerometer at the CoM. The defaults are typical of a small MEMS unit.
+/// Gyroscope and accelerometer. The defaults are typical of a small MEMS unit.
 struct ImuSensorParameters {
   double rate = 200.0;                          ///< measurements per second [Hz]
   double delay = 0.0;                           ///< from measurement to output [s]
@@ -85,6 +106,7 @@ struct ImuSensorParameters {
   double accelerometer_bias_walk = 3.0e-4;      ///< random walk of the bias [m/s^3/sqrt(Hz)]
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< initial bias [rad/s]
   Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< initial bias [m/s^2]
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< of the IMU relative to the CoM, body [m]
 };
 
 inline void validate(const ImuSensorParameters& p) {
@@ -98,6 +120,7 @@ inline void validate(const ImuSensorParameters& p) {
                        p.accelerometer_bias_walk);
   require_finite("ImuSensorParameters.gyro_bias [rad/s]", p.gyro_bias);
   require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
+  require_finite("ImuSensorParameters.position [m]", p.position);
 }
 
 /// Simulated IMU with white noise, random-walk biases, a rate and a delay.
@@ -114,23 +137,26 @@ class ImuSensor {
         gyro_bias_(parameters.gyro_bias),
         accelerometer_bias_(parameters.accelerometer_bias) {}
 
+  /// Truth: angular velocity in the body frame [rad/s], specific force of the CoM [m/s^2]. The
+  /// angular acceleration, for an IMU beside the CoM, is the difference to the last call.
   [[nodiscard]] std::optional<Measurement> sample(double time,
                                                   const Eigen::Vector3d& angular_velocity,
                                                   const Eigen::Vector3d& specific_force) noexcept {
-    if (all_finite(angular_velocity) && all_finite(specific_force) && core_.due(time)) {
-      const ImuSensorParameters& p = core_.parameters;
-      const double root_rate = std::sqrt(p.rate);
-      Measurement m;
-      m.time = time;
-      m.angular_velocity =
-          angular_velocity + gyro_bias_ + core_.noise.draw<3>(p.gyro_noise_density * root_rate);
-      m.specific_force = specific_force + accelerometer_bias_ +
-                         core_.noise.draw<3>(p.accelerometer_noise_density * root_rate);
-      core_.push(m);
-      gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
-      accelerometer_bias_ += core_.noise.draw<3>(p.accelerometer_bias_walk / root_rate);
+    if (all_finite(angular_velocity) && all_finite(specific_force)) {
+      const Eigen::Vector3d at_imu =
+          specific_force + lever_acceleration(time, angular_velocity, core_.parameters.position);
+      if (core_.due(time)) take(time, angular_velocity, at_imu);
     }
     return core_.pop(time);
+  }
+
+  /// Adds a fault; only kinds of the IMU act. Throws std::invalid_argument if it is out of range.
+  void add_fault(const SensorFault& fault) { core_.add_fault(fault); }
+
+  /// Prepares for a run whose time starts anew. Keeps biases, faults and the state of the noise.
+  void reset() noexcept {
+    core_.reset();
+    has_last_ = false;
   }
 
   /// True biases for comparison with an estimate [rad/s], [m/s^2].
@@ -140,8 +166,59 @@ class ImuSensor {
   }
 
  private:
+  // Acceleration of the IMU relative to the CoM: dw/dt x r + w x (w x r).
+  Eigen::Vector3d lever_acceleration(double time, const Eigen::Vector3d& w,
+                                     const Eigen::Vector3d& r) noexcept {
+    const double dt = time - last_time_;
+    const Eigen::Vector3d change = w - last_rate_;
+    const bool known = has_last_ && dt > 0.0;
+    has_last_ = true;
+    last_time_ = time;
+    last_rate_ = w;
+    if (r == Eigen::Vector3d::Zero()) return r;
+    Eigen::Vector3d acceleration = w.cross(w.cross(r));
+    if (known) acceleration += (change / dt).cross(r);
+    return acceleration;
+  }
+
+  void take(double time, const Eigen::Vector3d& angular_velocity,
+            const Eigen::Vector3d& specific_force) noexcept {
+    const ImuSensorParameters& p = core_.parameters;
+    const double root_rate = std::sqrt(p.rate);
+    Measurement m;
+    m.time = time;
+    m.angular_velocity =
+        angular_velocity + gyro_bias_ + core_.noise.draw<3>(p.gyro_noise_density * root_rate);
+    m.specific_force = specific_force + accelerometer_bias_ +
+                       core_.noise.draw<3>(p.accelerometer_noise_density * root_rate);
+    bool silent = false;
+    core_.for_faults(time, [&](const SensorFault& fault) {
+      using Kind = SensorFaultKind;
+      if (fault.kind == Kind::imu_dropout) silent = true;
+      if (fault.kind == Kind::imu_clock_step) m.time += fault.size;
+      if (fault.kind == Kind::imu_vibration) {
+        const double phase = 2.0 * pi * fault.frequency * time, rms = std::sqrt(2.0) * fault.size;
+        for (int axis = 0; axis < 3; ++axis) {  // a different phase in each axis
+          m.angular_velocity(axis) += rms * std::sin(phase + 2.0 * axis);
+          m.specific_force(axis) += 10.0 * rms * std::sin(phase + 1.0 + 2.0 * axis);
+        }
+      }
+      if (fault.kind == Kind::imu_saturation) {
+        m.angular_velocity = m.angular_velocity.cwiseMax(-fault.size).cwiseMin(fault.size);
+        m.specific_force =
+            m.specific_force.cwiseMax(-10.0 * fault.size).cwiseMin(10.0 * fault.size);
+      }
+    });
+    if (!silent) core_.push(time, m);
+    gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
+    accelerometer_bias_ += core_.noise.draw<3>(p.accelerometer_bias_walk / root_rate);
+  }
+
   detail::SensorCore<ImuSensorParameters, Measurement> core_;
   Eigen::Vector3d gyro_bias_, accelerometer_bias_;
+  Eigen::Vector3d last_rate_ = Eigen::Vector3d::Zero();
+  double last_time_ = 0.0;
+  bool has_last_ = false;
 };
 
 /// Pose sensor such as motion capture. It measures the pose of the body.
@@ -168,23 +245,54 @@ class PoseSensor {
 
   /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   PoseSensor(const PoseSensorParameters& parameters, std::uint64_t seed)
-      : core_(parameters, seed) {}
+      : core_(parameters, seed), jitter_(seed + 1) {}
 
   [[nodiscard]] std::optional<Measurement> sample(double time, const BodyStated& truth) noexcept {
-    if (is_finite(truth) && core_.due(time)) {
-      Measurement m;
-      m.time = time;
-      m.position = truth.position + core_.noise.draw<3>(core_.parameters.position_noise);
-      m.orientation = (truth.orientation *
-                       quaternion_exp(core_.noise.draw<3>(core_.parameters.orientation_noise)))
-                          .normalized();
-      core_.push(m);
-    }
+    if (is_finite(truth) && core_.due(time)) take(time, truth);
     return core_.pop(time);
   }
 
+  /// Adds a fault; only kinds of poses act. Throws std::invalid_argument if it is out of range.
+  void add_fault(const SensorFault& fault) { core_.add_fault(fault); }
+
+  /// Prepares for a run whose time starts anew. Keeps faults and the state of the noise.
+  void reset() noexcept {
+    core_.reset();
+    last_.reset();
+  }
+
  private:
+  void take(double time, const BodyStated& truth) noexcept {
+    Measurement m;
+    m.time = time;
+    m.position = truth.position + core_.noise.draw<3>(core_.parameters.position_noise);
+    m.orientation = (truth.orientation *
+                     quaternion_exp(core_.noise.draw<3>(core_.parameters.orientation_noise)))
+                        .normalized();
+    bool silent = false, frozen = false;
+    core_.for_faults(time, [&](const SensorFault& fault) {
+      using Kind = SensorFaultKind;
+      if (fault.kind == Kind::pose_dropout) silent = true;
+      if (fault.kind == Kind::pose_freeze) frozen = true;
+      if (fault.kind == Kind::pose_jump) m.position.x() += fault.size;
+      if (fault.kind == Kind::pose_ghost) {
+        m.position += Eigen::Vector3d(fault.size, 0.0, 0.0) - truth.position;
+        m.orientation = truth.orientation.conjugate() * m.orientation;
+      }
+      if (fault.kind == Kind::pose_clock_step) m.time += fault.size;
+      if (fault.kind == Kind::pose_jitter) m.time += jitter_.draw() * fault.size;
+    });
+    if (frozen && last_) {
+      m.position = last_->position;
+      m.orientation = last_->orientation;
+    }
+    last_ = m;
+    if (!silent) core_.push(time, m);
+  }
+
   detail::SensorCore<PoseSensorParameters, Measurement> core_;
+  GaussianNoise jitter_;  // of its own, so that faults do not change the other noise
+  std::optional<Measurement> last_;
 };
 
 /// Sensor of the rotor speeds, such as the motor controllers.
@@ -225,6 +333,9 @@ class RotorSpeedSensor {
     }
     return core_.pop(time);
   }
+
+  /// Prepares for a run whose time starts anew. Keeps the state of the noise.
+  void reset() noexcept { core_.reset(); }
 
  private:
   detail::SensorCore<RotorSpeedSensorParameters, Measurement> core_;
@@ -278,6 +389,9 @@ class StateSensor {
     }
     return core_.pop(time);
   }
+
+  /// Prepares for a run whose time starts anew. Keeps the state of the noise.
+  void reset() noexcept { core_.reset(); }
 
  private:
   detail::SensorCore<StateSensorParameters, Measurement> core_;
