@@ -54,20 +54,75 @@ void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
 }
 
 template <int Rotors>
+void FlightController<Rotors>::begin(FlightMode mode, double time) {
+  mode_ = mode;
+  mode_since_ = carried_since_ = time;
+  const BodyStated body = ekf_.state();
+  held_ = {};
+  held_.position = body.position;
+  held_.orientation = quaternion_from_yaw(yaw_of(body.orientation));
+}
+
+template <int Rotors>
+void FlightController<Rotors>::choose_mode(double time) {
+  trust_ = ekf_.trust(time);
+  const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
+  const bool lost = trust_.state == EstimateState::position_lost ||
+                    (trust_.state == EstimateState::lost && imu_works);
+  switch (mode_) {
+    case FlightMode::mission:
+    case FlightMode::hold:
+      if (lost)
+        begin(FlightMode::landing, time);
+      else if (trust_.state == EstimateState::degraded && mode_ == FlightMode::mission)
+        begin(FlightMode::hold, time);
+      else if (trust_.state == EstimateState::good && mode_ == FlightMode::hold)
+        mode_ = FlightMode::mission;
+      break;
+    case FlightMode::landing: {
+      constexpr double settled = 0.3;  // on the ground for this time [s]
+      if (!contact_.estimate().on_ground) carried_since_ = time;
+      if (time - carried_since_ > settled)
+        mode_ = FlightMode::stopped;
+      else if (trust_.state == EstimateState::good)
+        begin(FlightMode::hold, time);
+      break;
+    }
+    case FlightMode::stopped:
+      break;
+  }
+}
+
+template <int Rotors>
+ReferencePoint FlightController<Rotors>::stand_in(double time) const {
+  ReferencePoint point = held_;
+  if (mode_ == FlightMode::landing) {
+    point.position.z() -= sink_speed * (time - mode_since_);
+    point.velocity.z() = -sink_speed;
+  }
+  return point;
+}
+
+template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
+  choose_mode(time);
+  const Reference other = [this](double t) { return stand_in(t); };
   ContactEstimate contact = contact_.estimate();
   if (external_ == ExternalWrench::unused)
     contact.disturbance = contact.rolling = contact.external = {};
-  (void)nmpc_.prepare(time, reference, contact);  // control() reports the status
+  // control() reports the status
+  (void)nmpc_.prepare(time, mode_ == FlightMode::mission ? reference : other, contact);
 }
 
 template <int Rotors>
 const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
   if (!started_) return sent_.command;
-  result_ = ekf_.running() ? nmpc_.feedback(time, ekf_.take_state()) : nmpc_.hold(time);
+  const bool measured = ekf_.running() && !ekf_.trust(time).imu_silent;
+  result_ = measured ? nmpc_.feedback(time, ekf_.take_state()) : nmpc_.hold(time);
   sent_ = allocation_.allocate(time, result_.wrench, result_.rate, sent_);
+  if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
   return sent_.command;
 }

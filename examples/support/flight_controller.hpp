@@ -27,10 +27,20 @@ enum class ExternalWrench {
   unused,     ///< none reaches the controller; the observer serves to detect the ground only
 };
 
+/// What the controller does, by the trust in the estimate.
+enum class FlightMode {
+  mission,  ///< follows the reference
+  hold,     ///< the estimate is degraded: holds the estimated position until it is good again
+  landing,  ///< position or attitude is lost: sinks by IMU and wrench until the ground carries
+  stopped   ///< landed like this: rotors off, for good
+};
+
 /// For 4, 6 or 8 rotors; compiled once, in flight_controller.cpp.
 template <int Rotors>
 class FlightController {
  public:
+  static constexpr double sink_speed = 0.4;  ///< of a landing without position [m/s]
+
   FlightController(
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
@@ -57,7 +67,20 @@ class FlightController {
   /// A pose from motion capture, taken at `time` [s]; it may arrive late.
   void on_pose(double time, const tilt_ropter::MarkerPosed& pose);
 
-  /// Call this before the last measurements of a tick arrive.
+  /// Any other measurement of Ekf::on_measurement, taken at `time` [s].
+  template <typename Measurement>
+  void on_measurement(double time, const Measurement& measurement) {
+    ekf_.on_measurement(time, measurement);
+  }
+
+  /// Starts the estimate at a known state, for sensors without attitude.
+  void start_estimate(const tilt_ropter::BodyStated& body,
+                      const tilt_ropter::StartStddev& stddev = {}) {
+    ekf_.start(body, stddev);
+  }
+
+  /// Call this before the last measurements of a tick arrive. The reference is not followed in
+  /// every FlightMode.
   void prepare(double time, const Reference& reference);
 
   /// Call this after them. Returns the rotor speeds and tilt angles to command. Before the first
@@ -65,8 +88,14 @@ class FlightController {
   /// Nmpc::hold.
   const tilt_ropter::ActuatorState<Rotors>& control(double time);
 
-  /// True after the first state.
-  [[nodiscard]] bool started() const { return started_ || ekf_.running(); }
+  /// True after the first state with a known velocity.
+  [[nodiscard]] bool started() const {
+    return started_ || (ekf_.running() &&
+                        ekf_.trust(ekf_.time()).state != tilt_ropter::EstimateState::starting);
+  }
+  [[nodiscard]] FlightMode mode() const { return mode_; }
+  /// Trust in the estimate at the last prepare().
+  [[nodiscard]] const tilt_ropter::EstimateTrust& trust() const { return trust_; }
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return sent_.command; }
   /// Measured speeds and modelled tilt angles.
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& applied() const { return applied_; }
@@ -93,6 +122,15 @@ class FlightController {
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   bool started_ = false;
+
+  void choose_mode(double time);
+  void begin(FlightMode mode, double time);
+  [[nodiscard]] tilt_ropter::ReferencePoint stand_in(double time) const;
+
+  FlightMode mode_ = FlightMode::mission;
+  tilt_ropter::EstimateTrust trust_;
+  tilt_ropter::ReferencePoint held_;  ///< of the modes hold and landing
+  double mode_since_ = 0.0, carried_since_ = 0.0;
 };
 
 }  // namespace examples

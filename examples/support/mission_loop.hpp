@@ -1,6 +1,7 @@
 #pragma once
 
 #include "battery_figures.hpp"
+#include "fault_option.hpp"
 #include "flight_controller.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
@@ -17,8 +18,10 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <iomanip>
@@ -49,6 +52,7 @@ struct MissionOptions {
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
   double height_offset = 0.0, height_drift = 0.0;  // height error of motion capture [m]
   double vibration = 0.0;                          // rms of the gyroscope vibration [rad/s]
+  std::vector<std::string> faults;                 // see parse_fault()
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path;
   // Defaults mean: the values of the vehicle.
@@ -99,6 +103,19 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
          "vibration of the IMU at 97 Hz: rms of each angular velocity [rad/s]; ten times this "
          "number in each specific force [m/s^2]")
       ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--fault", options.faults,
+                 "break a sensor, such as pose_freeze:start=20,duration=1 or "
+                 "pose_jump:start=20,duration=2,size=0.1; may be repeated. Kinds: pose_freeze, "
+                 "pose_jump, pose_dropout, pose_jitter, pose_clock_step, pose_ghost, imu_dropout, "
+                 "imu_clock_step, imu_vibration, imu_saturation")
+      ->check([](const std::string& text) {
+        try {
+          (void)parse_fault(text);
+        } catch (const std::invalid_argument& error) {
+          return std::string(error.what());
+        }
+        return std::string();
+      });
   app.add_option("--observer-bandwidth", options.observer_bandwidth,
                  "bandwidth of the wrench observer in all axes [1/s]")
       ->check(CLI::Range(0.1, 1000.0))
@@ -155,6 +172,40 @@ template <int Rotors>
   return {truth, believed};
 }
 
+/// Figures about the trust in the estimate and what the controller made of it.
+class TrustFigures {
+ public:
+  void on_control(tilt_ropter::EstimateState state, FlightMode mode, double period) {
+    if (state != tilt_ropter::EstimateState::good) not_good_ += period;
+    mode_ = mode;
+  }
+
+  void on_plant(const tilt_ropter::BodyStated& body, bool touches) {
+    if (mode_ != FlightMode::landing && mode_ != FlightMode::stopped) return;
+    const Eigen::Vector3d up = body.orientation * Eigen::Vector3d::UnitZ();
+    if (touches && !touched_) speed_ = body.velocity.norm();
+    if (!touched_) lean_ = std::max(lean_, std::acos(std::min(1.0, up.z())));
+    touched_ = touched_ || touches;
+  }
+
+  void print(std::ostream& out, const tilt_ropter::EkfCounts& counts) const {
+    constexpr std::array<const char*, 4> modes = {"mission", "hold", "landing", "stopped"};
+    out << std::setprecision(3) << "estimate_not_good_s: " << not_good_ << '\n'
+        << "poses_used: " << counts.used << "\nposes_refused: " << counts.gated
+        << "\nposes_frozen: " << counts.frozen << "\nfilter_restarts: " << counts.restarts
+        << "\npose_clock_steps: " << counts.clock_steps
+        << "\nflight_mode_at_end: " << modes[static_cast<std::size_t>(mode_)] << '\n';
+    if (mode_ != FlightMode::landing && mode_ != FlightMode::stopped) return;
+    out << "imu_landing_speed_mps: " << speed_
+        << "\nimu_landing_lean_deg: " << lean_ * 180.0 / tilt_ropter::pi << '\n';
+  }
+
+ private:
+  double not_good_ = 0.0, speed_ = 0.0, lean_ = 0.0;
+  bool touched_ = false;
+  FlightMode mode_ = FlightMode::mission;
+};
+
 namespace detail {
 
 inline std::vector<std::string> mission_columns(int rotor_count, bool battery = false) {
@@ -182,8 +233,9 @@ inline std::vector<std::string> mission_columns(int rotor_count, bool battery = 
   add("rotor_speed_radps", rotors);
   for (const char* name : {"power_w", "active_rows", "kkt"}) names.emplace_back(name);
   add("reference_orientation", {"w", "x", "y", "z"});
-  for (const char* name : {"status", "filter_running", "filter_age_s", "observer_trust",
-                           "allocation_status", "ground_height_m", "ground_force_n"})
+  for (const char* name :
+       {"status", "filter_running", "filter_age_s", "observer_trust", "allocation_status",
+        "ground_height_m", "ground_force_n", "estimate_state", "flight_mode", "position_stddev_m"})
     names.emplace_back(name);
   if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
@@ -214,6 +266,8 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add(static_cast<int>(controller.observer().trust(time)));
   log.add(static_cast<int>(controller.allocated().status));
   log.add(contact.ground.height_at(body.position)).add(contact.ground_reaction.force.norm());
+  log.add(static_cast<int>(controller.trust().state)).add(static_cast<int>(controller.mode()));
+  log.add(controller.trust().position_stddev);
   if (battery != nullptr && battery->known())
     log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();
@@ -225,6 +279,8 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
 struct FlownMission {
   MissionFigures figures{0.0};
   BatteryFigures battery{{}};
+  TrustFigures trust;
+  tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
   double duration = 0.0;  ///< of the mission [s]
   double elapsed = 0.0;   ///< [s], on the clock
@@ -284,6 +340,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
+  for (const std::string& fault : options.faults) sensors.add_fault(parse_fault(fault));
   FlightController<Rotors> controller(vehicles.believed, settings,
                                       MissionSensors<Rotors>::estimation(),
                                       observer_settings(options.observer_bandwidth),
@@ -350,6 +407,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
+      flown.trust.on_control(controller.trust().state, controller.mode(), steps_per_tick * step);
       if (log) {
         times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
         detail::log_row(*log, mission, plant, controller, power, &battery);
@@ -360,6 +418,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
     if (!plant.step(command, disturbance(), step))
       throw std::runtime_error("the plant rejected a step");
+    flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());
     const Eigen::Vector3d wanted = mission(plant.time()).position;
     Eigen::Vector3d seen = plant.body().position;
@@ -379,6 +438,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   flown.elapsed = elapsed.count();
   flown.lean = std::acos(std::max(-1.0, upright));
   flown.contact_mode_changes = controller.contact().mode_changes();
+  flown.counts = controller.ekf().counts();
   return flown;
 }
 
@@ -400,6 +460,7 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
   std::ostringstream printed;
   flown.figures.print(printed, flown.contact_mode_changes);
   flown.battery.print(printed);
+  flown.trust.print(printed, flown.counts);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();

@@ -18,6 +18,12 @@ struct MissionSensors {
         rotor_speeds({}, seed + 1000),
         poses(pose_parameters(), seed + 2000) {}
 
+  /// Breaks a sensor. Each sensor ignores the kinds of the others.
+  void add_fault(const tilt_ropter::SensorFault& fault) {
+    imu.add_fault(fault);
+    poses.add_fault(fault);
+  }
+
   static tilt_ropter::ImuSensorParameters imu_parameters() {
     tilt_ropter::ImuSensorParameters p;
     p.rate = 1000.0;

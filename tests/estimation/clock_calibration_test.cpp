@@ -211,6 +211,31 @@ TEST(ClockCalibration, TooLittleRotationIsUncertain) {
   EXPECT_EQ(calibrate_clock(one_axis.imu, one_axis.poses).status, Status::uncertain);
 }
 
+// Motion with a period of 0.8 s: offsets that differ by the period fit equally well, whether the
+// true offset is inside the search range or not.
+TEST(ClockCalibration, PeriodicMotionIsAmbiguous) {
+  for (const double offset : {0.45, 0.1, -0.3, 0.7}) {
+    Random random(30);
+    Logs logs;
+    constexpr double w = 2.0 * pi / 0.8;
+    for (int i = 0; i <= 4000; ++i) {
+      const double t = 0.005 * i;
+      const Eigen::Vector3d turn(0.2 * std::sin(w * t), 0.1 * std::sin(2.0 * w * t), 0.0);
+      const Eigen::Vector3d change(0.2 * w * std::cos(w * t), 0.2 * w * std::cos(2.0 * w * t), 0.0);
+      InertialSampled s;
+      s.angular_velocity =
+          right_jacobian(turn) * change + test_support::normal_vector(random, 0.03);
+      logs.imu.push_back({t, s});
+      if (i % 2 == 0)
+        logs.poses.push_back(
+            {t - offset, noisy({Eigen::Vector3d::Zero(), quaternion_exp(turn)}, {}, random)});
+    }
+    const ClockCalibration c = calibrate_clock(logs.imu, logs.poses);
+    EXPECT_EQ(c.status, Status::ambiguous) << to_string(c.status) << ' ' << offset;
+    EXPECT_STREQ(to_string(c.status), "ambiguous");
+  }
+}
+
 // Without noise there must be no division by zero.
 TEST(ClockCalibration, ToleratesLogsWithoutNoiseOrMotion) {
   Logs still, exact;

@@ -44,12 +44,13 @@ enum class ClockCalibrationStatus {
   bad_data,      ///< a number is not finite, a quaternion is not unit, or stamps do not increase
   too_short,     ///< fewer than 100 rotations to compare
   out_of_range,  ///< the best offset lies at an end of the search range
-  uncertain      ///< too little rotation, or rotation about one axis only
+  uncertain,     ///< too little rotation, or rotation about one axis only
+  ambiguous      ///< the motion repeats itself: another offset fits as well
 };
 
 [[nodiscard]] inline const char* to_string(ClockCalibrationStatus status) {
-  constexpr std::array<const char*, 5> names = {"calibrated", "bad_data", "too_short",
-                                                "out_of_range", "uncertain"};
+  constexpr std::array<const char*, 6> names = {"calibrated",   "bad_data",  "too_short",
+                                                "out_of_range", "uncertain", "ambiguous"};
   return names[static_cast<std::size_t>(status)];
 }
 
@@ -152,6 +153,39 @@ TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scala
   return fit_rotation(std::move(body), std::move(marker));
 }
 
+/// Returns true if the gyro's rotations during the `turns` (poses at this clock offset) repeat
+/// themselves after a time of up to `range` [s], so well that the difference is comparable with the
+/// `cost` of the calibration. Then another offset, inside or outside the search range, fits as
+/// well.
+template <typename Scalar>
+bool repeats(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& gyro, double offset,
+             double range, double step, double cost) {
+  constexpr double comparable = 4.0;  // twice the residual
+  const auto turn = [&gyro](double from, double to) {
+    return quaternion_log(Eigen::Quaterniond(gyro(from).conjugate() * gyro(to)));
+  };
+  const auto difference = [&](double shift) {
+    double sum = 0.0;
+    int count = 0;
+    for (const MarkerTurn& t : turns) {
+      const double start = t.start + offset, end = t.end + offset;
+      if (!gyro.covers(start) || !gyro.covers(end) || !gyro.covers(start + shift) ||
+          !gyro.covers(end + shift))
+        continue;
+      sum += (turn(start, end) - turn(start + shift, end + shift)).squaredNorm();
+      ++count;
+    }
+    return count < 100 ? std::numeric_limits<double>::infinity() : sum / count;
+  };
+  double largest = 0.0;  // the difference grows from zero before it can fall again
+  for (double shift = step; shift <= range; shift += step) {
+    const double now = difference(shift);
+    if (now > 2.0 * comparable * cost && std::isfinite(now)) largest = std::max(largest, now);
+    if (largest > 0.0 && now < std::max(comparable * cost, 0.01 * largest)) return true;
+  }
+  return false;
+}
+
 }  // namespace detail
 
 /// Finds the offset between the two clocks. Compares the rotation of the marker frame between poses
@@ -161,8 +195,9 @@ TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scala
 ///
 /// Both logs must be in the order of their stamps. Poses may have outliers and gaps. Needs a few
 /// seconds of rotation about two axes or more, and `max_offset` of IMU samples before and after the
-/// poses used. Logs of float are read as double. Throws std::invalid_argument if a setting is out
-/// of range. Allocates, so do not call it in the control loop.
+/// poses used. Refuses motion that repeats itself within twice max_offset. Logs of float are read
+/// as double. Throws std::invalid_argument if a setting is out of range. Allocates, so do not call
+/// it in the control loop.
 template <typename Scalar = double>
 [[nodiscard]] ClockCalibration calibrate_clock(
     const std::vector<Timed<InertialSample<Scalar>>>& imu,
@@ -258,9 +293,13 @@ template <typename Scalar = double>
   if (curvature > 0.0)
     result.stddev = std::sqrt(2.0 * overlap * fit.cost / ((3.0 * count - 7.0) * curvature));
   const bool two_axes = fit.second_largest > 10.0 * fit.cost / std::sqrt(count);
-  result.status = two_axes && result.stddev <= settings.max_stddev
-                      ? ClockCalibrationStatus::calibrated
-                      : ClockCalibrationStatus::uncertain;
+  if (!two_axes || !(result.stddev <= settings.max_stddev))
+    result.status = ClockCalibrationStatus::uncertain;
+  else
+    result.status =
+        detail::repeats(turns, gyro, offset, 2.0 * settings.max_offset, coarse, fit.cost)
+            ? ClockCalibrationStatus::ambiguous
+            : ClockCalibrationStatus::calibrated;
   return result;
 }
 
