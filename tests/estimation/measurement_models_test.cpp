@@ -53,7 +53,7 @@ double jacobian_error(const M& m, const MDual& dual, const InertialMotiond& at) 
 InertialMotiond random_motion(Random& random) {
   InertialMotiond at;
   at.state = test_support::random_inertial_state(random);
-  at.state.position.z() = random.uniform(1.0, 5.0);
+  at.state.position.z() = random.uniform(2.0, 5.0);
   at.angular_velocity = random.vector(3.0);
   at.imu_position = random.vector(0.2);
   return at;
@@ -68,7 +68,7 @@ InertialMotiond nearly_level(Random& random) {
 }
 
 MeasuredPlane<double> random_plane(Random& random) {
-  return {Vector3d(random.uniform(-0.2, 0.2), random.uniform(-0.2, 0.2), 1.0).normalized(),
+  return {Vector3d(random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), 1.0).normalized(),
           random.uniform(-0.3, 0.1)};
 }
 
