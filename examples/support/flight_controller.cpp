@@ -1,5 +1,8 @@
 #include "flight_controller.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 namespace examples {
 
 using namespace tilt_ropter;
@@ -60,6 +63,7 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
   const BodyStated body = ekf_.state();
   held_ = {};
   held_.position = body.position;
+  held_.velocity = body.velocity;
   held_.orientation = quaternion_from_yaw(yaw_of(body.orientation));
 }
 
@@ -95,11 +99,18 @@ void FlightController<Rotors>::choose_mode(double time) {
 
 template <int Rotors>
 ReferencePoint FlightController<Rotors>::stand_in(double time) const {
+  // The speed decays, so that the vehicle brakes without leaning.
+  constexpr double braking = 1.0;  // time constant [s]
+  const double passed = std::max(0.0, time - mode_since_);
+  const double decay = std::exp(-passed / braking);
+  const Eigen::Vector3d sinking = mode_ == FlightMode::landing
+                                      ? Eigen::Vector3d(0.0, 0.0, -sink_speed)
+                                      : Eigen::Vector3d::Zero().eval();
+  const Eigen::Vector3d excess = held_.velocity - sinking;
   ReferencePoint point = held_;
-  if (mode_ == FlightMode::landing) {
-    point.position.z() -= sink_speed * (time - mode_since_);
-    point.velocity.z() = -sink_speed;
-  }
+  point.position += sinking * passed + excess * (braking * (1.0 - decay));
+  point.velocity = sinking + excess * decay;
+  point.acceleration = -excess * (decay / braking);
   return point;
 }
 

@@ -9,6 +9,7 @@
 #include "mission_sensors.hpp"
 #include "paper_switches.hpp"
 #include "progress.hpp"
+#include "sensor_suite.hpp"
 #include "vehicle_file.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
@@ -53,6 +54,7 @@ struct MissionOptions {
   double height_offset = 0.0, height_drift = 0.0;  // height error of motion capture [m]
   double vibration = 0.0;                          // rms of the gyroscope vibration [rad/s]
   std::vector<std::string> faults;                 // see parse_fault()
+  std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path;
   // Defaults mean: the values of the vehicle.
@@ -103,6 +105,12 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
          "vibration of the IMU at 97 Hz: rms of each angular velocity [rad/s]; ten times this "
          "number in each specific force [m/s^2]")
       ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--sensors", options.sensors,
+                 "sensors beside the IMU: mocap; vio, odometry whose frame drifts; gps, with two "
+                 "antennas and a range finder; wheels, mocap in the air and only wheels on the "
+                 "ground")
+      ->check(CLI::IsMember({"mocap", "vio", "gps", "wheels"}))
+      ->capture_default_str();
   app.add_option("--fault", options.faults,
                  "break a sensor, such as pose_freeze:start=20,duration=1 or "
                  "pose_jump:start=20,duration=2,size=0.1; may be repeated. Kinds: pose_freeze, "
@@ -340,9 +348,11 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
+  SuiteSensors<Rotors> suite(sensor_suite(options.sensors), vehicles.believed,
+                             static_cast<std::uint64_t>(options.seed));
+  suite.set_up(sensors, static_cast<std::uint64_t>(options.seed));
   for (const std::string& fault : options.faults) sensors.add_fault(parse_fault(fault));
-  FlightController<Rotors> controller(vehicles.believed, settings,
-                                      MissionSensors<Rotors>::estimation(),
+  FlightController<Rotors> controller(vehicles.believed, settings, suite.estimation(),
                                       observer_settings(options.observer_bandwidth),
                                       controls.allocation, observer_inputs().at(options.observer));
   const PowerModel power_model(vehicles.truth,
@@ -393,6 +403,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
     const double height_error = height_error_at(time);
+    suite.sense(plant, sensors, controller);
     sensors.sense(plant, controller, height_error);
     if (i % steps_per_tick == 0 && controller.started()) {  // after the first pose
       if (battery.known()) controller.on_voltage(battery.load().voltage);

@@ -4,6 +4,8 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include <Eigen/Core>
+
 #include <cmath>
 #include <cstdint>
 
@@ -67,11 +69,17 @@ struct MissionSensors {
     }
     tilt_ropter::BodyStated seen = plant.body();
     seen.position.z() += height_error;
+    if (!has_poses) return;
+    seen.position += pose_drift;
+    seen.orientation = tilt_ropter::quaternion_from_yaw(yaw_drift) * seen.orientation;
     if (const auto m = poses.sample(time, seen)) controller.on_pose(m->time, *m);
   }
 
   /// Rms of each angular rate [rad/s]; the specific force has ten times this value in [m/s^2].
   double vibration = 0.0;
+  bool has_poses = true;                                 // false: motion capture is off
+  Eigen::Vector3d pose_drift = Eigen::Vector3d::Zero();  // of the frame of the poses [m]
+  double yaw_drift = 0.0;                                // of that frame [rad]
   tilt_ropter::ImuSensor imu;
   tilt_ropter::RotorSpeedSensor<Rotors> rotor_speeds;
   tilt_ropter::PoseSensor poses;
