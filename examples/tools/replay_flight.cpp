@@ -420,15 +420,22 @@ int main(int argc, char** argv) {
       "standard deviation of the orientation of a pose [rad]")
       ->check(positive);
   add("--gate", f.gate, "reject a pose if r' S^-1 r is larger than this")->check(positive);
-  app.add_option("--max-rejections", f.max_rejections,
-                 "restart the filter after this number of consecutive rejections")
-      ->check(CLI::Range(1, 1000000))
-      ->capture_default_str();
+  const auto* rejections =
+      app.add_option("--max-rejections", f.max_rejections,
+                     "restart the filter after this number of consecutive rejections")
+          ->check(CLI::Range(1, 1000000))
+          ->capture_default_str();
+  const auto* restart_time =
+      app.add_option("--restart-time", f.restart_time,
+                     "and after this time of them [s]; with --max-rejections the default is 0")
+          ->check(CLI::Range(0.0, 6.0))
+          ->capture_default_str();
   add("--judge-from", o.judge_from, "compute errors from this time after the start on [s]")
       ->check(CLI::NonNegativeNumber);
   app.add_flag("--no-pictures", o.no_pictures, "write only the estimate");
   app.footer(footer);
   CLI11_PARSE(app, argc, argv);
+  if (rejections->count() > 0 && restart_time->count() == 0) f.restart_time = 0.0;
   if (o.marker_rotation.size() != 4 && o.marker_rotation.size() != 9) {
     std::cerr << "--marker-rotation: needs 4 or 9 numbers\n";
     return 105;

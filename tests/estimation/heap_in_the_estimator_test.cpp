@@ -2,6 +2,9 @@
 // its measurements.
 
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/position_models.hpp>
+#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/wheel_models.hpp>
 
 #include "support/allocation_counter.hpp"
 #include "support/flights.hpp"
@@ -81,6 +84,17 @@ TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
     use = use + use_of([&] {
             finite += static_cast<double>(ekf.state().position.x() + ekf.nis()) + ekf.time() +
                       ekf.filter_time() + static_cast<double>(ekf.counts().used);
+          });
+    const double stamp = t - late + ahead;
+    WorldVelocityMeasurement<Scalar> velocity;
+    velocity.velocity = flight.state(t).velocity.template cast<Scalar>();
+    use = use + use_of([&] {
+            (void)ekf.on_measurement(stamp, HeightMeasurement<Scalar>());
+            (void)ekf.on_measurement(stamp, PoseMeasurement<Scalar>());
+            (void)ekf.on_measurement(stamp, FlowMeasurement<Scalar>());
+            (void)ekf.on_measurement(stamp, WheelSpeedMeasurement<Scalar>());
+            (void)ekf.on_measurement(stamp, velocity);
+            finite += ekf.trust(t).imu_age;
           });
     if (i == 1000) use = use + use_of([&] { ekf.reset(); });
     reached.insert({by_imu, again, by_pose, twice});

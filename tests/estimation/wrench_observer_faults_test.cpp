@@ -74,6 +74,17 @@ TEST(WrenchObserver, KeepsEstimateOverAGap) {
   EXPECT_EQ(feed_other(pushed, 0.11), ObserverStatus::updated);
 }
 
+// The default max_gap is the period of a loop of 10 Hz, whose stamps have rounding errors.
+TEST(WrenchObserver, IsTrustedAtTenHertz) {
+  WrenchObserverd observer(body());
+  for (int i = 0; i < 100; ++i) {
+    const ObserverStatus status =
+        observer.update(1e4 + 0.1 * i, {Vector3d::Zero(), Vector3d(0.0, 0.0, 9.81)}, {});
+    EXPECT_EQ(status, i == 0 ? ObserverStatus::started : ObserverStatus::updated);
+  }
+  EXPECT_EQ(observer.trust(1e4 + 10.0), WrenchTrust::trusted);
+}
+
 TEST(WrenchObserver, RecoversFromClockThatJumpsBack) {
   WrenchObserverd observer(body());
   const Vector3d a(1.0, 0.0, 0.0), w = Vector3d::Zero();

@@ -1,6 +1,9 @@
 // The state estimator with any samples, poses and time stamps.
 
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/position_models.hpp>
+#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/wheel_models.hpp>
 
 #include "fuzz/input.hpp"
 
@@ -55,6 +58,19 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
       fuzz::expect(status == EkfStatus::rejected ||
                        (std::isfinite(stamp) && all_finite(sample.specific_force)),
                    "what is not finite is rejected");
+    } else if (kind == 12) {
+      FlowMeasurement<double> flow;
+      flow.flow = input.vector(2.0).head<2>();
+      flow.camera = input.vector(1.0);
+      ekf->on_measurement(stamp, flow);
+      WheelSpeedMeasurement<double> wheel;
+      wheel.speed = input.number(10.0);
+      wheel.ground_normal = input.vector(1.0);
+      ekf->on_measurement(stamp, wheel);
+      const Eigen::Vector3d place = input.vector(2.0);
+      ekf->on_measurement(stamp, PositionMeasurement<double>{place, Eigen::Matrix3d::Identity(),
+                                                             input.vector(1.0)});
+      fuzz::expect(!std::isnan(ekf->trust(stamp).position_stddev), "the trust is a number");
     } else {
       const Eigen::Vector3d position = input.vector(2.0);
       const EkfStatus status = ekf->on_pose(stamp, {position, input.orientation()});

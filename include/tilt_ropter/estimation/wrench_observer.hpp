@@ -136,7 +136,7 @@ class WrenchObserver {
         !within(applied, 1e6))
       return ObserverStatus::rejected;
     const double dt = time - time_;
-    if (!started_ || std::abs(dt) > settings_.max_gap) {
+    if (!started_ || std::abs(dt) > longest_gap()) {
       const ObserverStatus status = started_ ? ObserverStatus::gap : ObserverStatus::started;
       started_ = true;
       time_ = settling_since_ = time;
@@ -200,7 +200,7 @@ class WrenchObserver {
   /// Reliability of external() at `now` [s], in the clock of update().
   [[nodiscard]] WrenchTrust trust(double now) const noexcept {
     if (!started_) return WrenchTrust::not_started;
-    if (!(std::abs(now - time_) <= settings_.max_gap)) return WrenchTrust::stale;
+    if (!(std::abs(now - time_) <= longest_gap())) return WrenchTrust::stale;
     if (time_ - settling_since_ < settling_time_) return WrenchTrust::settling;
     return limited_ ? WrenchTrust::limited : WrenchTrust::trusted;
   }
@@ -274,6 +274,9 @@ class WrenchObserver {
     Vector6 mean = Vector6::Zero(), squares = Vector6::Zero(), block_sum = Vector6::Zero();
     double time = 0.0, block_time = 0.0;  ///< time of all blocks, of the current block [s]
   };
+
+  /// max_gap with a tolerance for rounding errors of the stamps [s].
+  [[nodiscard]] double longest_gap() const noexcept { return settings_.max_gap * (1.0 + 1e-6); }
 
   /// Returns false for NaN.
   static bool within(const Vector3<Scalar>& v, double bound) noexcept {
