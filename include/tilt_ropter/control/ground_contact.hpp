@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -56,7 +56,7 @@ class GroundContact {
   /// node follows: on the ground the result of on_ground(), else `point`.
   ReferencePoint apply(const ContactEstimate& contact, const BodyStated& measured, double ahead,
                        const ReferencePoint& now, const ReferencePoint& point,
-                       WheeledFlightNode& node) const noexcept {
+                       FlightNode& node) const noexcept {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     const bool stands = is_on_ground(contact, measured.position);
@@ -176,7 +176,7 @@ class GroundContact {
   // settling_speed until the vehicle touches the ground. The ground may be lower than expected, and
   // a vehicle that waits above it would hover there.
   void settle(const ContactEstimate& contact, const BodyStated& measured, double ahead,
-              WheeledFlightNode& node) const noexcept {
+              FlightNode& node) const noexcept {
     constexpr double time_constant = 1.0;  // [s]
     const double ground = contact.ground_known ? contact.ground.height_at(measured.position)
                                                : expected(contact, measured.position);

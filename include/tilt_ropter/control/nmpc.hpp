@@ -6,6 +6,7 @@
 #include <tilt_ropter/control/nmpc_result.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/plan_in_force.hpp>
+#include <tilt_ropter/control/receding_horizon.hpp>
 #include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/model/contact.hpp>
@@ -58,7 +59,14 @@ namespace tilt_ropter {
 ///
 /// A tick uses at most 64 KB of stack in an optimised program.
 template <int Rotors>
-class Nmpc {
+class Nmpc : detail::RecedingHorizon<Nmpc<Rotors>, WheeledFlightProblem<Rotors>,
+                                     PlanInForce<Rotors>, NmpcResult> {
+  using Base =
+      detail::RecedingHorizon<Nmpc, WheeledFlightProblem<Rotors>, PlanInForce<Rotors>, NmpcResult>;
+  friend Base;
+  using Base::body_state_, Base::contact_, Base::ground_, Base::plan_, Base::plan_in_force,
+      Base::points_, Base::prepare_time_, Base::prepared_, Base::result_, Base::solver_;
+
  public:
   using Problem = WheeledFlightProblem<Rotors>;
 
@@ -133,32 +141,15 @@ class Nmpc {
   void begin_to_prepare(double time, const ContactEstimate& contact);
   optimal_control::PrepareStatus finish_preparing(double time);
 
-  [[nodiscard]] bool is_plausible(const ContactEstimate& contact) const;
-
-  // End of the time limit of this tick; the time of prepare() counts.
-  [[nodiscard]] optimal_control::SolverClock::time_point deadline_from(
-      optimal_control::SolverClock::time_point now) const;
-
-  [[nodiscard]] bool plan_in_force(double time) const {
-    return plan_.in_force(time, settings_.max_plan_age);
-  }
-  // Discards the plan after an interruption, because no actuator has followed it.
-  void forget_old_plan(double time);
-
-  [[nodiscard]] bool make_plan(const Stated& x, optimal_control::SolverClock::time_point deadline);
-
-  // Checks whether a cold start fits into the same tick without making it much longer.
-  [[nodiscard]] bool can_start_again(optimal_control::SolverClock::time_point deadline) const;
-
-  /// Cold start: sets the state of every node to `x` and prepares the solver.
-  void start_cold(const Stated& x);
-
-  /// Returns false if the plan exceeds ten times the bounds on body rate, force or torque, or if it
-  /// moves more than a kilometre away. Bad input then caused the plan, and single iterations do not
-  /// recover from it.
-  [[nodiscard]] bool plan_is_credible() const;
-
+  // For RecedingHorizon:
   void set_nodes();
+  [[nodiscard]] Stated initial_state(double time) const;
+  void set_guess(double time, Stated& first) const { first.wrench = plan_.wrench(solver_, time); }
+  // False above ten times the bounds on body rate, force or torque.
+  [[nodiscard]] bool is_credible(const Stated& x) const;
+  void set_command(double age);
+  void set_old_command(double time);
+  void set_safe_command();
 
   void set_node(double ahead, const ReferencePoint& point, WheeledFlightNode& node) const;
 
@@ -172,39 +163,24 @@ class Nmpc {
       result_.rate.torque(i) = rate(3 + i);
     }
   }
-  void set_command(double age);
-
-  const NmpcResult& continue_last_plan(double time, NmpcStatus status);
-  const NmpcResult& hand_out_last_plan(double time, NmpcStatus status);
 
   NmpcSettings settings_;
   RigidBodyParameters body_;
   Actuators actuators_;
-  GroundContact ground_;
   ReferenceWrench<Rotors> reference_wrench_;
-  optimal_control::MultipleShooting<Problem> solver_;
-  std::vector<ReferencePoint> points_;
-  BodyStated body_state_;    // last good measurement
-  ContactEstimate contact_;  // last good estimate
-  NmpcResult result_;
-  PlanInForce<Rotors> plan_;
-  NmpcStatus plan_status_ = NmpcStatus::no_plan;
-  optimal_control::SolverClock::duration prepare_time_{};
-  int failures_ = 0;
-  bool prepared_ = false, cold_ = true;
 };
 
 template <int Rotors>
 Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
-    : settings_(validated(settings)),
+    : Base(Problem(vehicle.body, validated(settings).problem,
+                   settings.actuator_constraints ? Actuators(vehicle, settings.actuators)
+                                                 : Actuators()),
+           settings.solver, GroundContact(vehicle.body, undercarriage(vehicle), settings.ground),
+           vehicle.body.mass),
+      settings_(settings),
       body_(vehicle.body),
       actuators_(vehicle, settings.actuators),
-      ground_(vehicle.body, undercarriage(vehicle), settings.ground),
-      reference_wrench_(vehicle, settings.ground),
-      solver_(Problem(vehicle.body, settings.problem,
-                      settings.actuator_constraints ? actuators_ : Actuators()),
-              settings.solver),
-      points_(static_cast<std::size_t>(settings.problem.intervals) + 1) {
+      reference_wrench_(vehicle, settings.ground) {
   result_.wrench = safe_wrench();
 }
 
@@ -228,48 +204,16 @@ void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
 template <int Rotors>
 const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyStated& measured) noexcept {
   if (!std::isfinite(time) || !is_finite(measured))
-    return continue_last_plan(time, NmpcStatus::bad_state);
+    return this->continue_last_plan(time, NmpcStatus::bad_state);
   body_state_ = measured;
   body_state_.orientation.normalize();
-  if (!prepared_) return continue_last_plan(time, NmpcStatus::solver_failed);
-  const auto deadline = deadline_from(optimal_control::SolverClock::now());
-  forget_old_plan(time);
-  if (cold_) set_nodes();  // with this measurement, not with the last one
-  Stated x;
-  x.body = body_state_;
-  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
-  x.wrench = plan_.exists() ? plan_.wrench(solver_, time) : safe_wrench();
-  if (cold_) start_cold(x);
-  prepared_ = false;
-  bool credible = make_plan(x, deadline);
-  if (!credible && optimal_control::has_plan(result_.report.status)) {
-    solver_.take_back();
-    if (!cold_ && can_start_again(deadline)) {
-      start_cold(x);
-      plan_.drop();  // start_cold() has overwritten it
-      credible = make_plan(x, deadline);
-      if (!credible && optimal_control::has_plan(result_.report.status)) solver_.take_back();
-    }
-    if (!credible) result_.report.status = optimal_control::SolveStatus::failed;
-  }
-  if (!credible) return continue_last_plan(time, NmpcStatus::solver_failed);
-  if (!solver_.has_step() && plan_in_force(time))
-    return hand_out_last_plan(time, NmpcStatus::approximate);
-  failures_ = 0;
-  cold_ = false;
-  plan_.begin(solver_, time);
-  plan_status_ = result_.report.status == optimal_control::SolveStatus::iterated
-                     ? NmpcStatus::solved
-                     : NmpcStatus::approximate;
-  result_.status = plan_status_;
-  set_command(0.0);
-  return result_;
+  return this->plan_for(time);
 }
 
 template <int Rotors>
 const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& measured) noexcept {
   if (!plan_in_force(time) || !is_finite(measured))
-    return hand_out_last_plan(time, NmpcStatus::bad_state);
+    return this->hand_out_last_plan(time, NmpcStatus::bad_state);
   Stated x;
   x.body = measured;
   x.body.orientation.normalize();
@@ -277,102 +221,42 @@ const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& mea
   x.wrench = plan_.wrench(solver_, time);
   set_rate(plan_.correct(solver_, time, x));
   result_.wrench = x.wrench;
-  result_.status = plan_status_;
+  result_.status = this->plan_status_;
   return result_;
 }
 
 template <int Rotors>
 const NmpcResult& Nmpc<Rotors>::hold(double time) noexcept {
-  return continue_last_plan(time, NmpcStatus::bad_state);
+  return this->continue_last_plan(time, NmpcStatus::bad_state);
 }
 
 template <int Rotors>
 void Nmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact) {
-  prepared_ = false;
-  if (!std::isfinite(time)) return;
-  forget_old_plan(time);
-  if (is_plausible(contact)) contact_ = contact;
+  this->begin(time, contact);
 }
 
 template <int Rotors>
 optimal_control::PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
-  set_nodes();
-  prepared_ = true;
-  if (cold_)
-    return optimal_control::PrepareStatus::prepared;  // feedback() does the rest, from the
-                                                      // measured state
-  // The controller itself commands the wrench at `time`. With this wrench as the linearisation
-  // point, the constraints of the first node are exact, and the command satisfies them.
-  if (!solver_.goes_on()) {
-    Stated first = solver_.state(0);
-    first.wrench = plan_.wrench(solver_, time);
-    solver_.set_guess(0, first, solver_.input(0));
-  }
-  return solver_.prepare();
+  return this->finish(time);
 }
 
 template <int Rotors>
-bool Nmpc<Rotors>::is_plausible(const ContactEstimate& contact) const {
-  const double most = 10.0 * body_.mass * gravity;
-  const auto is_small = [most](const Wrenchd& w) {  // false for NaN
-    return w.force.norm() <= most && w.torque.norm() <= most;
-  };
-  return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
-         is_small(contact.external);
+Stated Nmpc<Rotors>::initial_state(double time) const {
+  Stated x;
+  x.body = body_state_;
+  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
+  x.wrench = plan_.exists() ? plan_.wrench(solver_, time) : safe_wrench();
+  return x;
 }
 
 template <int Rotors>
-optimal_control::SolverClock::time_point Nmpc<Rotors>::deadline_from(
-    optimal_control::SolverClock::time_point now) const {
-  const double limit = settings_.time_limit > 0.0 ? settings_.time_limit : 0.5 * settings_.period;
-  return now - prepare_time_ +
-         std::chrono::duration_cast<optimal_control::SolverClock::duration>(
-             std::chrono::duration<double>(std::min(limit, 1e6)));
-}
-
-template <int Rotors>
-void Nmpc<Rotors>::forget_old_plan(double time) {
-  if (plan_.exists() && !plan_in_force(time)) {
-    plan_.drop();
-    cold_ = true;
-  }
-}
-
-template <int Rotors>
-bool Nmpc<Rotors>::make_plan(const Stated& x, optimal_control::SolverClock::time_point deadline) {
-  result_.report = solver_.feedback(x, deadline);
-  return optimal_control::has_plan(result_.report.status) && plan_is_credible();
-}
-
-template <int Rotors>
-bool Nmpc<Rotors>::can_start_again(optimal_control::SolverClock::time_point deadline) const {
-  const auto needed = std::chrono::duration_cast<optimal_control::SolverClock::duration>(
-      std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
-  return 4 * solver_.report().passes <= settings_.solver.program.max_passes &&
-         optimal_control::SolverClock::now() + needed < deadline;
-}
-
-template <int Rotors>
-void Nmpc<Rotors>::start_cold(const Stated& x) {
-  solver_.reset(x);
-  plan_.reset(x);
-  (void)solver_.prepare();
-}
-
-template <int Rotors>
-bool Nmpc<Rotors>::plan_is_credible() const {
+bool Nmpc<Rotors>::is_credible(const Stated& x) const {
   const NmpcBounds& b = settings_.problem.bounds;
   const double turn = 10.0 * b.angular_velocity.maxCoeff(),
                force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
                torque = 10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
-  for (int k = 1; k <= solver_.horizon(); ++k) {
-    const Stated& x = solver_.state(k);
-    if (!(x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
-          x.wrench.torque.norm() <= torque &&
-          (x.body.position - body_state_.position).norm() <= 1e3))
-      return false;
-  }
-  return true;
+  return x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
+         x.wrench.torque.norm() <= torque;
 }
 
 template <int Rotors>
@@ -420,28 +304,15 @@ void Nmpc<Rotors>::set_command(double age) {
 }
 
 template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::continue_last_plan(double time, NmpcStatus status) {
-  prepared_ = false;
-  if (++failures_ >= settings_.failures_before_reset) cold_ = true;
-  return hand_out_last_plan(time, status);
+void Nmpc<Rotors>::set_old_command(double time) {
+  set_command(plan_.age(time));
+  if (plan_.corrected()) result_.wrench = plan_.wrench(solver_, time);
 }
 
 template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::hand_out_last_plan(double time, NmpcStatus status) {
-  const double age = plan_.age(time);
-  if (plan_.exists() && age >= 0.0 && age <= settings_.max_plan_age) {
-    set_command(age);
-    if (plan_.corrected()) result_.wrench = plan_.wrench(solver_, time);
-    result_.status = status;
-  } else {
-    plan_.drop();
-    cold_ = true;
-    result_.wrench = safe_wrench();
-    result_.rate = {};
-    result_.on_ground = contact_.on_ground;
-    result_.status = NmpcStatus::no_plan;
-  }
-  return result_;
+void Nmpc<Rotors>::set_safe_command() {
+  result_.wrench = safe_wrench();
+  result_.rate = {};
 }
 
 }  // namespace tilt_ropter

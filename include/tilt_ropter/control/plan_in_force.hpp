@@ -12,6 +12,31 @@
 
 namespace tilt_ropter {
 
+/// Time of the plan that is commanded until the next plan replaces it. No function allocates or
+/// throws.
+class PlanTime {
+ public:
+  void drop() noexcept { exists_ = false; }  ///< No plan is in force any more.
+
+  [[nodiscard]] bool exists() const noexcept { return exists_; }
+  /// Time since the measurement of the plan [s].
+  [[nodiscard]] double age(double time) const noexcept { return time - time_; }
+  /// Returns true if a plan exists whose measurement is at most `max_age` [s] from `time`.
+  [[nodiscard]] bool in_force(double time, double max_age) const noexcept {
+    return exists_ && std::abs(age(time)) <= max_age;
+  }
+
+ protected:
+  void begin_at(double time) noexcept {
+    exists_ = true;
+    time_ = time;
+  }
+
+ private:
+  bool exists_ = false;
+  double time_ = 0.0;
+};
+
 /// The plan that is commanded until the next plan replaces it: the wrench and its rate at any time,
 /// and corrections from states that are measured between two plans.
 ///
@@ -20,7 +45,7 @@ namespace tilt_ropter {
 /// m/s] are in the body frame, force first, and within the bounds of the problem. No function
 /// allocates or throws.
 template <int Rotors>
-class PlanInForce {
+class PlanInForce : public PlanTime {
  public:
   using Problem = WheeledFlightProblem<Rotors>;
   using Solver = optimal_control::MultipleShooting<Problem>;
@@ -28,8 +53,7 @@ class PlanInForce {
 
   /// Takes the plan that `solver` made for the measurement at `time` [s].
   void begin(const Solver& solver, double time) noexcept {
-    exists_ = true;
-    time_ = time;
+    begin_at(time);
     start_ = solver.state(0);
     gain_ = solver.gain(0);
     corrected_ = false;
@@ -39,16 +63,6 @@ class PlanInForce {
   void reset(const Stated& x) noexcept {
     start_ = x;
     corrected_ = false;
-  }
-
-  void drop() noexcept { exists_ = false; }  ///< No plan is in force any more.
-
-  [[nodiscard]] bool exists() const noexcept { return exists_; }
-  /// Time since the measurement of the plan [s].
-  [[nodiscard]] double age(double time) const noexcept { return time - time_; }
-  /// Returns true if a plan exists whose measurement is at most `max_age` [s] from `time`.
-  [[nodiscard]] bool in_force(double time, double max_age) const noexcept {
-    return exists_ && std::abs(age(time)) <= max_age;
   }
 
   /// Wrench of the plan `age` [s] after its measurement; linear in each interval.
@@ -107,8 +121,6 @@ class PlanInForce {
     return within(solver.problem().settings().bounds, later);
   }
 
-  bool exists_ = false;
-  double time_ = 0.0;
   Stated start_;
   typename Solver::Gain gain_ = Solver::Gain::Zero();
   // Set by correct():

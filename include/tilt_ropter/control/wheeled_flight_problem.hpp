@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/control/actuator_constraints.hpp>
+#include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/math/lanes.hpp>
 #include <tilt_ropter/math/rotation.hpp>
@@ -29,14 +30,9 @@
 /// model, cost, constraints and their derivatives.
 namespace tilt_ropter {
 
-/// Reference of a node, and the wrench and ground contact that act on it.
-struct WheeledFlightNode {
-  BodyStated reference;      ///< p_r, v_r, q_r, w_r
+/// Node of the wrench level.
+struct WheeledFlightNode : FlightNode {
   Wrenchd wrench_reference;  ///< F_r, M_r (body frame)
-  Wrenchd external;          ///< F_e, M_e during the interval that starts here (body frame)
-  Freedomd freedom;          ///< motion that the ground leaves free during that interval
-  bool on_ground = false;    ///< the paper's delta: non-holonomic conditions apply here
-  GroundPlane com_plane;     ///< plane on which the CoM stays on the ground
 };
 
 /// The problem in the form that MultipleShooting needs: 18 tangent coordinates (dF, dM, dp, dv,
@@ -234,11 +230,8 @@ class WheeledFlightProblem {
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
     const Tangent e = error(k, x);
-    // d e_q = (w I - [v]x) R(q) dtheta for q (x) q_r^-1 = (w, v).
-    const Eigen::Quaterniond turn = attitude_error(k, x);
-    const Triple none{0.0, 0.0, 0.0};
-    const Square by_angle = detail::outer(turn.w(), none, none, {-turn.x(), -turn.y(), -turn.z()}) *
-                            detail::square(x.body.orientation.toRotationMatrix());
+    const Square by_angle =
+        detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
     if (ends_with_riccati(k)) return set_riccati_model(e, by_angle, model);
     const Tangent& q = state_weights(k);
     for (int i = 0; i < states; ++i) {
@@ -287,22 +280,10 @@ class WheeledFlightProblem {
   /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
   /// node is on the ground.
   [[nodiscard]] Equalities equality_values(int k, const State& x) const {
-    return {body_velocity(x).y, x.body.angular_velocity.x(),
-            x.body.position.z() - node(k).com_plane.height_at(x.body.position)};
+    return detail::ground_conditions(node(k), x.body);
   }
   void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
-    const Square to_world = detail::square(x.body.orientation.toRotationMatrix());
-    const Triple velocity = body_velocity(x);
-    std::fill_n(H.data(), H.size(), 0.0);
-    H(0, I::velocity) = to_world.y.x;
-    H(0, I::velocity + 1) = to_world.y.y;
-    H(0, I::velocity + 2) = to_world.y.z;
-    H(0, I::orientation) = velocity.z;
-    H(0, I::orientation + 2) = -velocity.x;
-    H(1, I::angular_velocity) = 1.0;
-    H(2, I::position) = -node(k).com_plane.slope.x();
-    H(2, I::position + 1) = -node(k).com_plane.slope.y();
-    H(2, I::position + 2) = 1.0;
+    detail::put_ground_derivatives(node(k), x.body, H, I::position);
   }
   [[nodiscard]] Equalities equality_weights(int k) const {
     if (!node(k).on_ground) return Equalities::Zero();
@@ -366,32 +347,14 @@ class WheeledFlightProblem {
     std::fill_n(penalty_.data() + Part::actuators, 3 * Rotors, p.actuators);
   }
 
-  [[nodiscard]] static Triple body_velocity(const State& x) {
-    return detail::transposed(detail::square(x.body.orientation.toRotationMatrix())) *
-           detail::triple(x.body.velocity);
-  }
-
-  // Rotation from reference to body, with w >= 0: the shorter of the two equivalent rotations.
-  [[nodiscard]] Eigen::Quaterniond attitude_error(int k, const State& x) const {
-    Eigen::Quaterniond turn = x.body.orientation * node(k).reference.orientation.conjugate();
-    if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
-    return turn;
-  }
-
   [[nodiscard]] Tangent error(int k, const State& x) const {
     using detail::triple;
     const WheeledFlightNode& n = node(k);
     const auto &wrench = x.wrench, &wrench_reference = n.wrench_reference;
-    const auto &body = x.body, &reference = n.reference;
-    const Eigen::Quaterniond turn = attitude_error(k, x);
     Tangent e;
     detail::put(triple(wrench.force) - triple(wrench_reference.force), e, I::force, 0);
     detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, I::torque, 0);
-    detail::put(triple(body.position) - triple(reference.position), e, I::position, 0);
-    detail::put(triple(body.velocity) - triple(reference.velocity), e, I::velocity, 0);
-    detail::put(2.0 * Triple{turn.x(), turn.y(), turn.z()}, e, I::orientation, 0);
-    detail::put(triple(body.angular_velocity) - triple(reference.angular_velocity), e,
-                I::angular_velocity, 0);
+    detail::put_body_error(n, x.body, detail::attitude_error(n, x.body), e, I::position);
     return e;
   }
 

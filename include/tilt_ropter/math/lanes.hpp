@@ -64,6 +64,12 @@ struct Lanes {
 [[gnu::always_inline]] inline Lanes sqrt(const Lanes& a) {
   return {std::sqrt(a[0]), std::sqrt(a[1]), std::sqrt(a[2]), std::sqrt(a[3])};
 }
+[[gnu::always_inline]] inline Lanes sin(const Lanes& a) {
+  return {std::sin(a[0]), std::sin(a[1]), std::sin(a[2]), std::sin(a[3])};
+}
+[[gnu::always_inline]] inline Lanes cos(const Lanes& a) {
+  return {std::cos(a[0]), std::cos(a[1]), std::cos(a[2]), std::cos(a[3])};
+}
 
 /// Returns Lanes whose lane i is function(i).
 template <typename Function>

@@ -97,23 +97,52 @@ template <typename Scalar>
   return x;
 }
 
+namespace detail {
+
+/// Returns body (+) dx, where dx holds (dp, dv, dtheta, dw) from index `first` on.
+template <typename Scalar, typename Tangent>
+[[nodiscard]] BodyState<Scalar> retract_body(const BodyState<Scalar>& body, const Tangent& dx,
+                                             int first) {
+  BodyState<Scalar> moved;
+  const auto add = [&dx](const Vector3<Scalar>& from, int index, Vector3<Scalar>& to) {
+    for (int i = 0; i < 3; ++i) to(i) = from(i) + dx(index + i);
+  };
+  add(body.position, first, moved.position);
+  add(body.velocity, first + 3, moved.velocity);
+  const int r = first + 6;
+  moved.orientation =
+      (body.orientation * quaternion_exp(Vector3<Scalar>(dx(r), dx(r + 1), dx(r + 2))))
+          .normalized();
+  add(body.angular_velocity, first + 9, moved.angular_velocity);
+  return moved;
+}
+
+/// Writes y (-) x as (dp, dv, dtheta, dw) from index `first` of dx on.
+template <typename Scalar, typename Tangent>
+void subtract_body(const BodyState<Scalar>& y, const BodyState<Scalar>& x, Tangent& dx, int first) {
+  const auto subtract = [&dx](const Vector3<Scalar>& to, const Vector3<Scalar>& from, int index) {
+    for (int i = 0; i < 3; ++i) dx(index + i) = to(i) - from(i);
+  };
+  subtract(y.position, x.position, first);
+  subtract(y.velocity, x.velocity, first + 3);
+  const Vector3<Scalar> turn =
+      quaternion_log(Eigen::Quaternion<Scalar>(x.orientation.conjugate() * y.orientation));
+  for (int i = 0; i < 3; ++i) dx(first + 6 + i) = turn(i);
+  subtract(y.angular_velocity, x.angular_velocity, first + 9);
+}
+
+}  // namespace detail
+
 /// Returns x (+) dx: the state reached from x along the tangent vector dx.
 template <typename Scalar>
 [[nodiscard]] State<Scalar> retract(const State<Scalar>& x, const StateTangent<Scalar>& dx) {
   using I = TangentIndex;
   State<Scalar> y;
-  const auto add = [&dx](const Vector3<Scalar>& from, int first, Vector3<Scalar>& to) {
-    for (int i = 0; i < 3; ++i) to(i) = from(i) + dx(first + i);
-  };
-  add(x.wrench.force, I::force, y.wrench.force);
-  add(x.wrench.torque, I::torque, y.wrench.torque);
-  add(x.body.position, I::position, y.body.position);
-  add(x.body.velocity, I::velocity, y.body.velocity);
-  constexpr int r = I::orientation;
-  y.body.orientation =
-      (x.body.orientation * quaternion_exp(Vector3<Scalar>(dx(r), dx(r + 1), dx(r + 2))))
-          .normalized();
-  add(x.body.angular_velocity, I::angular_velocity, y.body.angular_velocity);
+  for (int i = 0; i < 3; ++i) {
+    y.wrench.force(i) = x.wrench.force(i) + dx(I::force + i);
+    y.wrench.torque(i) = x.wrench.torque(i) + dx(I::torque + i);
+  }
+  y.body = detail::retract_body(x.body, dx, I::position);
   return y;
 }
 
@@ -122,17 +151,11 @@ template <typename Scalar>
 [[nodiscard]] StateTangent<Scalar> difference(const State<Scalar>& y, const State<Scalar>& x) {
   using I = TangentIndex;
   StateTangent<Scalar> dx;
-  const auto subtract = [&dx](const Vector3<Scalar>& to, const Vector3<Scalar>& from, int first) {
-    for (int i = 0; i < 3; ++i) dx(first + i) = to(i) - from(i);
-  };
-  subtract(y.wrench.force, x.wrench.force, I::force);
-  subtract(y.wrench.torque, x.wrench.torque, I::torque);
-  subtract(y.body.position, x.body.position, I::position);
-  subtract(y.body.velocity, x.body.velocity, I::velocity);
-  const Vector3<Scalar> turn = quaternion_log(
-      Eigen::Quaternion<Scalar>(x.body.orientation.conjugate() * y.body.orientation));
-  for (int i = 0; i < 3; ++i) dx(I::orientation + i) = turn(i);
-  subtract(y.body.angular_velocity, x.body.angular_velocity, I::angular_velocity);
+  for (int i = 0; i < 3; ++i) {
+    dx(I::force + i) = y.wrench.force(i) - x.wrench.force(i);
+    dx(I::torque + i) = y.wrench.torque(i) - x.wrench.torque(i);
+  }
+  detail::subtract_body(y.body, x.body, dx, I::position);
   return dx;
 }
 
