@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -90,6 +91,9 @@ class ActuatedBody {
     }
     for (std::size_t i = 0; i < Rotors; ++i) {
       const RotorGeometry& geometry = vehicle.rotors[i];
+      parameters_[i] = rotor_parameters(vehicle, i);
+      effectiveness_[i] = geometry.effectiveness;
+      tilts_[i] = geometry.tilts;
       if (!(geometry.effectiveness > 0.0)) continue;
       const double drag =
           static_cast<int>(geometry.spin) * rotor_parameters(vehicle, i).torque_ratio;
@@ -123,6 +127,18 @@ class ActuatedBody {
     detail::put(sum.force, wrench.force, 0, 0);
     detail::put(sum.torque, wrench.torque, 0, 0);
     return wrench;
+  }
+
+  /// Wrench of rotors with these speeds [rad/s] and tilt angles [rad], body frame.
+  [[nodiscard]] Wrench<Scalar> wrench(const ActuatorState<Rotors, Scalar>& actuators) const {
+    State x;
+    for (int i = 0; i < Rotors; ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      x.thrust(i) =
+          Scalar(effectiveness_[k]) * thrust_from_speed(actuators.rotor_speed(i), parameters_[k]);
+      x.tilt_angle(i) = tilts_[k] ? actuators.tilt_angle(i) : Scalar(0);
+    }
+    return wrench(x);
   }
 
   /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The rates `u` of thrusts
@@ -422,6 +438,10 @@ class ActuatedBody {
   Scalar mass_;
   Matrix3<Scalar> inertia_, inverse_inertia_;
   std::array<RotorPush, static_cast<std::size_t>(Rotors)> rotors_{};
+  // For the wrench of speeds:
+  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> parameters_{};
+  std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
+  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
 };
 
 }  // namespace tilt_ropter

@@ -27,9 +27,14 @@ class GroundThrust {
  public:
   /// Throws std::invalid_argument if the geometry cannot give every wrench.
   GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : GroundThrust(vehicle, settings, AllocationMatrix<Rotors>(vehicle).pseudoinverse) {}
+
+  /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
+  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
+               const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
       : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
-    const auto inverse = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
-    for (int i = 0; i < Rotors; ++i) vertical_.row(i) = inverse.row(2 * i + 1);
+    for (int i = 0; i < Rotors; ++i)
+      for (int j = 0; j < 6; ++j) vertical_(i, j) = inverse(2 * i + 1, j);
   }
 
   /// Replaces the settings. The new settings must be valid.
@@ -63,6 +68,13 @@ class ReferenceWrench {
       : body_(vehicle.body),
         contact_(vehicle.body, undercarriage(vehicle), settings),
         ground_thrust_(vehicle, settings) {}
+
+  /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
+  ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
+                  const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
+      : body_(vehicle.body),
+        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_thrust_(vehicle, settings, inverse) {}
 
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept {

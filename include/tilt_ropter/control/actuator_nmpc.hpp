@@ -1,0 +1,456 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/actuation/servo.hpp>
+#include <tilt_ropter/actuation/thrust_inverse.hpp>
+#include <tilt_ropter/control/actuator_level_problem.hpp>
+#include <tilt_ropter/control/actuator_nmpc_settings.hpp>
+#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/nmpc_result.hpp>
+#include <tilt_ropter/control/plan_in_force.hpp>
+#include <tilt_ropter/control/receding_horizon.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/contact.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/planning/reference.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+
+/// Controller at the level of thrusts and tilt angles, for any vehicle that can hover or drive:
+/// tilting or fixed rotors, any rank of the allocation matrix. It needs no allocation.
+namespace tilt_ropter {
+
+/// Output of ActuatorNmpc.
+template <int Rotors>
+struct ActuatorNmpcResult {
+  NmpcStatus status = NmpcStatus::no_plan;  ///< source of the command
+  ActuatorState<Rotors> command;            ///< to send now; finite and within the limits
+  /// Thrusts [N] and tilt angles [rad] of the plan at the time of the command, and their rates.
+  Eigen::Matrix<double, Rotors, 1> thrust = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   tilt_angle = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   thrust_rate = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   tilt_rate = Eigen::Matrix<double, Rotors, 1>::Zero();
+  Wrenchd wrench;                       ///< of these thrusts and angles, body frame [N; N m]
+  bool on_ground = false;               ///< contact mode
+  optimal_control::SolveReport report;  ///< of the last call of the solver
+};
+
+/// The plan of ActuatorNmpc that is commanded until the next plan replaces it.
+template <int Rotors>
+class ActuatorPlan : public PlanTime {
+ public:
+  using Problem = ActuatorLevelProblem<Rotors>;
+  using Solver = optimal_control::MultipleShooting<Problem>;
+
+  /// Takes the plan that `solver` made for the measurement at `time` [s].
+  void begin(const Solver& solver, double time) noexcept {
+    begin_at(time);
+    start_ = solver.state(0);
+  }
+  /// Call this after solver.reset(x).
+  void reset(const ActuatedState<Rotors>& x) noexcept { start_ = x; }
+
+  /// Thrusts and angles `age` >= 0 [s] after the measurement, linear in each interval. The body
+  /// state is that of the start of the interval.
+  [[nodiscard]] ActuatedState<Rotors> planned(const Solver& solver, double age) const noexcept {
+    const double interval = solver.problem().settings().interval,
+                 clamped = std::min(std::max(age, 0.0), interval * solver.horizon());
+    const int k = interval_at(solver, clamped);
+    ActuatedState<Rotors> x = k == 0 ? start_ : solver.state(k);
+    const double passed = clamped - interval * k;
+    for (int i = 0; i < Rotors; ++i) {
+      x.thrust(i) += passed * solver.input(k)(i);
+      x.tilt_angle(i) += passed * solver.input(k)(Rotors + i);
+    }
+    return x;
+  }
+
+  /// Rates of the plan `age` >= 0 [s] after its measurement.
+  [[nodiscard]] const typename Problem::Input& rates(const Solver& solver,
+                                                     double age) const noexcept {
+    return solver.input(interval_at(solver, std::max(age, 0.0)));
+  }
+
+ private:
+  [[nodiscard]] static int interval_at(const Solver& solver, double age) noexcept {
+    const double interval = solver.problem().settings().interval;
+    return static_cast<int>(std::min(age / interval, solver.horizon() - 1.0));
+  }
+
+  ActuatedState<Rotors> start_;
+};
+
+/// Call prepare(), measure, then call feedback(), at any rate. Faults have the same effects as in
+/// Nmpc; instead of the safe wrench, thrusts and angles that give this wrench are commanded.
+///
+/// The commands invert the first-order lags of rotors and servos: after one period with the
+/// command, each speed and angle is where the plan has it. A servo with dead time receives the
+/// command for the time at which it begins to act.
+///
+/// A vehicle that cannot give every force without leaning, such as a quadrotor with fixed rotors,
+/// leans as the reference's acceleration and the external force require. The heading of the
+/// reference stays.
+template <int Rotors>
+class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevelProblem<Rotors>,
+                                             ActuatorPlan<Rotors>, ActuatorNmpcResult<Rotors>> {
+  using Base = detail::RecedingHorizon<ActuatorNmpc, ActuatorLevelProblem<Rotors>,
+                                       ActuatorPlan<Rotors>, ActuatorNmpcResult<Rotors>>;
+  friend Base;
+  using Base::body_state_, Base::contact_, Base::ground_, Base::plan_, Base::points_,
+      Base::prepare_time_, Base::prepared_, Base::result_, Base::solver_;
+
+ public:
+  using Problem = ActuatorLevelProblem<Rotors>;
+  using Result = ActuatorNmpcResult<Rotors>;
+
+  /// Throws std::invalid_argument if parameters or settings are out of range. Allocates. The
+  /// functions for the loop below allocate only inside NLopt and never throw. If an actuator fails
+  /// in flight, construct a new controller for the remaining vehicle, see with_stuck_servo() and
+  /// with_weak_rotor().
+  ActuatorNmpc(const Vehicle<Rotors>& vehicle, const ActuatorNmpcSettings& settings);
+
+  /// Uses the settings that fly this vehicle without tuning.
+  explicit ActuatorNmpc(const Vehicle<Rotors>& vehicle);
+
+  /// Changes the settings between two ticks, without a cold start. Only `solver` and the number and
+  /// length of the intervals must stay the same. The next prepare() uses the new settings. Does not
+  /// allocate. Throws std::invalid_argument, and changes nothing, if the settings are out of range.
+  void set_settings(const ActuatorNmpcSettings& settings);
+
+  /// The same as Nmpc::prepare().
+  template <typename Reference>
+  [[nodiscard]] optimal_control::PrepareStatus prepare(double time, const Reference& reference,
+                                                       const ContactEstimate& contact) noexcept {
+    const auto start = optimal_control::SolverClock::now();
+    begin_to_prepare(time, contact);
+    if (!std::isfinite(time)) return optimal_control::PrepareStatus::rejected;
+    for (std::size_t k = 0; k < points_.size(); ++k)
+      points_[k] = reference(time + settings_.problem.interval * static_cast<double>(k));
+    const optimal_control::PrepareStatus status = finish_preparing(time);
+    prepare_time_ = optimal_control::SolverClock::now() - start;
+    return status;
+  }
+
+  /// Returns the command for the body state and the actuators measured or modelled at `time` [s].
+  /// Take both the speeds and the angles from ActuatorModel, unless the speed sensors have little
+  /// noise: an inverted lag amplifies it. Needs a prepare() before.
+  [[nodiscard]] const Result& feedback(double time, const BodyStated& measured,
+                                       const ActuatorState<Rotors>& actuators) noexcept;
+
+  /// Replaces feedback() if there is no valid state at `time` [s].
+  [[nodiscard]] const Result& hold(double time) noexcept;
+
+  /// Sets the measured `voltage` of the battery [V]. From the next prepare() on, plans respect the
+  /// thrusts that this voltage allows. Returns true if voltage_ratio() accepts the voltage; if not,
+  /// nothing changes.
+  bool set_voltage(double voltage) noexcept;
+
+  [[nodiscard]] const Result& result() const { return result_; }  ///< of the last call
+  /// The estimate that the plan uses: from prepare(), or an earlier one if that was not plausible.
+  [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
+  [[nodiscard]] const optimal_control::MultipleShooting<Problem>& solver() const { return solver_; }
+  [[nodiscard]] const ActuatorNmpcSettings& settings() const { return settings_; }
+
+ private:
+  using State = ActuatedState<Rotors>;
+  using Node = ActuatorLevelNode<Rotors>;
+
+  // The parts of prepare() before and after the reference is evaluated.
+  void begin_to_prepare(double time, const ContactEstimate& contact);
+  optimal_control::PrepareStatus finish_preparing(double time);
+
+  // For RecedingHorizon:
+  void set_nodes();
+  [[nodiscard]] State initial_state(double time);
+  void set_guess(double time, State& first) const;
+  [[nodiscard]] bool is_credible(const State& x) const;
+  void set_command(double age);
+  void set_old_command(double time) { set_command(plan_.age(time)); }
+  void set_safe_command();
+
+  void lean(ReferencePoint& point, const Wrenchd& external) const;
+  void set_actuator_command(const State& x, const typename Problem::Input& rates);
+  // What each servo will do until its dead time has passed.
+  void update_servos(double time) noexcept;
+
+  struct RotorLimits {
+    RotorParameters parameters;
+    double effectiveness = 1.0, min_speed = 0.0, max_speed = 0.0;
+    bool tilts = true;
+  };
+
+  ActuatorNmpcSettings settings_;
+  Vehicle<Rotors> vehicle_;
+  ThrustInverse<Rotors> inverse_;
+  ReferenceWrench<Rotors> reference_wrench_;
+  std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
+  ActuatorState<Rotors> measured_;  // last good measurement
+  // Servos with and without dead time, only used if there is dead time.
+  std::array<Servod, static_cast<std::size_t>(Rotors)> delayed_, prompt_;
+  double thrust_fraction_ = 1.0, angle_fraction_ = 1.0;  // of a step's lag after one period
+};
+
+template <int Rotors>
+ActuatorNmpc<Rotors>::ActuatorNmpc(const Vehicle<Rotors>& vehicle,
+                                   const ActuatorNmpcSettings& settings)
+    : Base(Problem(vehicle, validated(settings).problem), settings.solver,
+           GroundContact(vehicle.body, undercarriage(vehicle), settings.ground), vehicle.body.mass),
+      settings_(settings),
+      vehicle_(vehicle),
+      inverse_(vehicle),
+      reference_wrench_(vehicle, settings.ground, inverse_.matrix()) {
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    RotorLimits& rotor = rotors_[i];
+    rotor.parameters = rotor_parameters(vehicle, i);
+    rotor.effectiveness = vehicle.rotors[i].effectiveness;
+    rotor.min_speed = speed_from_thrust(rotor.parameters.min_thrust, rotor.parameters);
+    rotor.max_speed = speed_from_thrust(rotor.parameters.max_thrust, rotor.parameters);
+    rotor.tilts = vehicle.rotors[i].tilts;
+    ServoParameters prompt = vehicle.servo;
+    prompt.dead_time = 0.0;
+    delayed_[i] = Servod(vehicle.servo);
+    prompt_[i] = Servod(prompt);
+  }
+  set_safe_command();
+}
+
+template <int Rotors>
+ActuatorNmpc<Rotors>::ActuatorNmpc(const Vehicle<Rotors>& vehicle)
+    : ActuatorNmpc(vehicle, actuator_nmpc_settings(vehicle)) {}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_settings(const ActuatorNmpcSettings& settings) {
+  validate(settings);
+  require(settings.solver == settings_.solver, "ActuatorNmpcSettings.solver", "another",
+          "as at construction");
+  solver_.problem().set_settings(settings.problem);
+  settings_ = settings;
+  ground_.set_settings(settings.ground);
+  reference_wrench_.set_settings(settings.ground);
+  prepared_ = false;
+}
+
+template <int Rotors>
+bool ActuatorNmpc<Rotors>::set_voltage(double voltage) noexcept {
+  const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
+  if (!ratio) return false;
+  Eigen::Matrix<double, Rotors, 1> most;
+  for (int i = 0; i < Rotors; ++i) {
+    RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
+    const double thrust = max_thrust_at(rotor.parameters, *ratio);
+    rotor.max_speed = speed_from_thrust(thrust, rotor.parameters);
+    most(i) = rotor.effectiveness * thrust;
+  }
+  solver_.problem().set_max_thrust(most);
+  return true;
+}
+
+template <int Rotors>
+const ActuatorNmpcResult<Rotors>& ActuatorNmpc<Rotors>::feedback(
+    double time, const BodyStated& measured, const ActuatorState<Rotors>& actuators) noexcept {
+  if (!std::isfinite(time) || !is_finite(measured) || !all_finite(actuators.rotor_speed) ||
+      !all_finite(actuators.tilt_angle))
+    return hold(time);
+  body_state_ = measured;
+  body_state_.orientation.normalize();
+  measured_ = actuators;
+  const Result& result = this->plan_for(time);
+  update_servos(time);
+  return result;
+}
+
+template <int Rotors>
+const ActuatorNmpcResult<Rotors>& ActuatorNmpc<Rotors>::hold(double time) noexcept {
+  const Result& result = this->continue_last_plan(time, NmpcStatus::bad_state);
+  update_servos(time);
+  return result;
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::update_servos(double time) noexcept {
+  if (!(vehicle_.servo.dead_time > 0.0)) return;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const double angle = result_.command.tilt_angle(static_cast<Eigen::Index>(i));
+    delayed_[i].update(time, angle);
+    prompt_[i].update(time, angle);
+  }
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact) {
+  this->begin(time, contact);
+}
+
+template <int Rotors>
+optimal_control::PrepareStatus ActuatorNmpc<Rotors>::finish_preparing(double time) {
+  return this->finish(time);
+}
+
+template <int Rotors>
+ActuatedState<Rotors> ActuatorNmpc<Rotors>::initial_state(double time) {
+  const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
+  State x;
+  x.body = body_state_;
+  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
+  update_servos(time);
+  for (int i = 0; i < Rotors; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    const RotorLimits& rotor = rotors_[k];
+    const double thrust =
+        rotor.effectiveness * thrust_from_speed(measured_.rotor_speed(i), rotor.parameters);
+    x.thrust(i) = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
+    if (!rotor.tilts) continue;
+    // The angle at which the servo will be when a command of now begins to act.
+    double angle = measured_.tilt_angle(i);
+    if (vehicle_.servo.dead_time > 0.0) angle += prompt_[k].angle() - delayed_[k].angle();
+    x.tilt_angle(i) = std::clamp(angle, limits.min_angle(i), limits.max_angle(i));
+  }
+  return x;
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_guess(double time, State& first) const {
+  const State planned = plan_.planned(solver_, plan_.age(time));
+  first.thrust = planned.thrust;
+  first.tilt_angle = planned.tilt_angle;
+}
+
+template <int Rotors>
+bool ActuatorNmpc<Rotors>::is_credible(const State& x) const {
+  const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
+  bool credible =
+      x.body.angular_velocity.norm() <= 10.0 * settings_.problem.bounds.angular_velocity.maxCoeff();
+  for (int i = 0; i < Rotors; ++i)
+    credible = credible && std::abs(x.thrust(i)) <= 10.0 * limits.max_thrust(i) + 1.0 &&
+               std::abs(x.tilt_angle(i)) <= 100.0;
+  return credible;
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::lean(ReferencePoint& point, const Wrenchd& external) const {
+  const Eigen::Matrix3d& possible = inverse_.steady_forces();
+  Eigen::Vector3d needed = vehicle_.body.mass * point.acceleration;
+  needed.z() += vehicle_.body.mass * gravity;
+  // The external force is constant in the body frame, so the attitude is found by iteration.
+  for (int n = 0; n < 4; ++n) {
+    const Eigen::Vector3d force = point.orientation.conjugate() * needed - external.force;
+    Eigen::Vector3d given;
+    for (int i = 0; i < 3; ++i)
+      given(i) =
+          possible(i, 0) * force.x() + possible(i, 1) * force.y() + possible(i, 2) * force.z();
+    const double length = force.norm() * given.norm();
+    if (!(length > 1e-6)) return;
+    const Eigen::Vector3d axis = given.cross(force) / length;
+    Eigen::Quaterniond turn(1.0 + given.dot(force) / length, axis.x(), axis.y(), axis.z());
+    turn.normalize();
+    point.orientation = (point.orientation * turn).normalized();
+  }
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_nodes() {
+  Problem& problem = solver_.problem();
+  const bool leans = inverse_.leans();
+  const double interval = settings_.problem.interval;
+  for (std::size_t k = 0; k < points_.size(); ++k) {
+    Node& node = problem.node(static_cast<int>(k));
+    ReferencePoint followed =
+        ground_.apply(contact_, body_state_, interval * static_cast<double>(k), points_[k], node);
+    if (leans && !node.on_ground) {
+      lean(followed, node.external);
+      node.reference.orientation = followed.orientation;
+    }
+    const Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
+    const auto thrusts = inverse_(wrench);
+    for (int i = 0; i < Rotors; ++i) {
+      node.lateral_reference(i) = thrusts(2 * i);
+      node.vertical_reference(i) =
+          rotors_[static_cast<std::size_t>(i)].tilts
+              ? thrusts(2 * i + 1)
+              : std::clamp(thrusts(2 * i + 1), problem.limits().min_thrust(i),
+                           problem.limits().max_thrust(i));
+    }
+  }
+  // The angular velocity that the leaning adds.
+  for (int k = 0; leans && k < problem.horizon(); ++k) {
+    BodyStated &here = problem.node(k).reference, &next = problem.node(k + 1).reference;
+    if (problem.node(k).on_ground || problem.node(k + 1).on_ground) continue;
+    here.angular_velocity =
+        quaternion_log(Eigen::Quaterniond(here.orientation.conjugate() * next.orientation)) /
+        interval;
+    next.angular_velocity = here.angular_velocity;
+  }
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_command(double age) {
+  set_actuator_command(plan_.planned(solver_, age), plan_.rates(solver_, age));
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_safe_command() {
+  Wrenchd wrench;
+  if (contact_.on_ground) {
+    wrench.force.z() = settings_.ground.down_force;
+  } else {
+    wrench = {-contact_.disturbance.force, -contact_.disturbance.torque};
+    wrench.force.z() += vehicle_.body.mass * gravity;
+  }
+  const auto thrusts = inverse_(wrench);
+  State x;
+  for (int i = 0; i < Rotors; ++i) {
+    const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
+    if (rotors_[static_cast<std::size_t>(i)].tilts) {
+      x.thrust(i) = std::sqrt(lateral * lateral + vertical * vertical);
+      x.tilt_angle(i) = std::atan2(lateral, vertical);
+    } else {
+      x.thrust(i) = vertical;
+    }
+  }
+  set_actuator_command(x, Problem::Input::Zero());
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_actuator_command(const State& x,
+                                                const typename Problem::Input& rates) {
+  const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
+  const double period = settings_.period,
+               reached_by_servo = -std::expm1(-period / vehicle_.servo.time_constant);
+  for (int i = 0; i < Rotors; ++i) {
+    const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
+    const RotorParameters& parameters = rotor.parameters;
+    // A lost rotor gets the slowest speed.
+    const double per_effectiveness = rotor.effectiveness > 0.0 ? 1.0 / rotor.effectiveness : 0.0;
+    const auto speed_at = [&](double thrust) {
+      const double clamped = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
+      return speed_from_thrust(per_effectiveness * clamped, parameters);
+    };
+    const double speed = speed_at(x.thrust(i)),
+                 reached = -std::expm1(-period / parameters.time_constant),
+                 target = speed + (speed_at(x.thrust(i) + period * rates(i)) - speed) / reached;
+    result_.command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
+    const double angle =
+        rotor.tilts ? std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
+                                 limits.min_angle(i), limits.max_angle(i))
+                    : 0.0;
+    result_.command.tilt_angle(i) = angle;
+    result_.thrust(i) = x.thrust(i);
+    result_.tilt_angle(i) = x.tilt_angle(i);
+    result_.thrust_rate(i) = rates(i);
+    result_.tilt_rate(i) = rates(Rotors + i);
+  }
+  result_.wrench = solver_.problem().body().wrench(x);
+  result_.on_ground = contact_.on_ground;
+}
+
+}  // namespace tilt_ropter
