@@ -17,6 +17,12 @@ TILT_ROPTER_INSTANCES(, ${rotors})
 ${more}
 ")
   list(APPEND sources "${source}")
+  set(source "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter_compiled/actuator_level_${rotors}.cpp")
+  file(GENERATE OUTPUT "${source}" CONTENT
+"#include <tilt_ropter/compiled.hpp>
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(, ${rotors})
+")
+  list(APPEND sources "${source}")
 endforeach()
 add_library(tilt_ropter_compiled STATIC EXCLUDE_FROM_ALL ${sources})
 add_library(tilt_ropter::compiled ALIAS tilt_ropter_compiled)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace examples {
 
@@ -14,12 +15,27 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const WrenchObserverSettings& observer,
                                            const AllocationSettings& allocation,
                                            ExternalWrench external)
-    : allocation_(vehicle, allocation),
+    : allocation_(std::in_place, vehicle, allocation),
+      nmpc_(std::in_place, vehicle, settings),
+      body_(vehicle),
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),
       contact_(vehicle),
-      nmpc_(vehicle, settings),
+      external_(external) {}
+
+template <int Rotors>
+FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
+                                           const ActuatorNmpcSettings& settings,
+                                           const EkfSettings& estimation,
+                                           const WrenchObserverSettings& observer,
+                                           ExternalWrench external)
+    : actuator_nmpc_(std::in_place, vehicle, settings),
+      body_(vehicle),
+      actuators_(vehicle),
+      ekf_(estimation),
+      observer_(vehicle.body, observer),
+      contact_(vehicle),
       external_(external) {}
 
 template <int Rotors>
@@ -32,14 +48,21 @@ template <int Rotors>
 ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
   Wrenchd wrench;
   wrench.force.z() = force;
-  return allocation_.allocate(wrench, {}).command;
+  return allocation_ ? allocation_->allocate(wrench, {}).command
+                     : actuator_nmpc_->command_for(wrench);
+}
+
+template <int Rotors>
+Wrenchd FlightController<Rotors>::wrench_of(const ActuatorState<Rotors>& actuators) const {
+  return allocation_ ? allocation_->wrench(actuators) : body_.wrench(actuators);
 }
 
 template <int Rotors>
 void FlightController<Rotors>::on_voltage(double voltage) {
-  (void)allocation_.set_voltage(voltage);
   (void)actuators_.set_voltage(voltage);
-  (void)nmpc_.set_voltage(voltage);
+  if (allocation_) (void)allocation_->set_voltage(voltage);
+  if (nmpc_) (void)nmpc_->set_voltage(voltage);
+  if (actuator_nmpc_) (void)actuator_nmpc_->set_voltage(voltage);
 }
 
 template <int Rotors>
@@ -47,8 +70,7 @@ void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample
   applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
   ekf_.on_imu(time, sample);
   const bool modelled = external_ != ExternalWrench::commanded;
-  observer_.update(time, ekf_.corrected(sample),
-                   allocation_.wrench(modelled ? applied_ : sent_.command));
+  observer_.update(time, ekf_.corrected(sample), wrench_of(modelled ? applied_ : sent_.command));
 }
 
 template <int Rotors>
@@ -122,8 +144,12 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
   ContactEstimate contact = contact_.estimate();
   if (external_ == ExternalWrench::unused)
     contact.disturbance = contact.rolling = contact.external = {};
+  const Reference& followed = mode_ == FlightMode::mission ? reference : other;
   // control() reports the status
-  (void)nmpc_.prepare(time, mode_ == FlightMode::mission ? reference : other, contact);
+  if (nmpc_)
+    (void)nmpc_->prepare(time, followed, contact);
+  else
+    (void)actuator_nmpc_->prepare(time, followed, contact);
 }
 
 template <int Rotors>
@@ -131,16 +157,35 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
   if (!started_) return sent_.command;
   const bool measured = ekf_.running() && !ekf_.trust(time).imu_silent;
-  result_ = measured ? nmpc_.feedback(time, ekf_.take_state()) : nmpc_.hold(time);
-  sent_ = allocation_.allocate(time, result_.wrench, result_.rate, sent_);
+  if (nmpc_) {
+    result_ = measured ? nmpc_->feedback(time, ekf_.take_state()) : nmpc_->hold(time);
+    sent_ = allocation_->allocate(time, result_.wrench, result_.rate, sent_);
+  } else {
+    control_actuators(time, measured);
+  }
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
   return sent_.command;
 }
 
 template <int Rotors>
+void FlightController<Rotors>::control_actuators(double time, bool measured) {
+  // The speeds are modelled, too: the inverse of a lag would amplify the noise of the sensors.
+  const ActuatorNmpcResult<Rotors>& result =
+      measured ? actuator_nmpc_->feedback(time, ekf_.take_state(),
+                                          actuators_.update(time, sent_.command))
+               : actuator_nmpc_->hold(time);
+  sent_.command = result.command;
+  result_.status = result.status;
+  result_.wrench = result.wrench;
+  result_.on_ground = result.on_ground;
+  result_.report = result.report;
+}
+
+template <int Rotors>
 double FlightController<Rotors>::planned_tilt_rate() const {
-  return allocation_.rates(result_.wrench, result_.rate).tilt_rate.cwiseAbs().maxCoeff();
+  if (actuator_nmpc_) return actuator_nmpc_->result().tilt_rate.cwiseAbs().maxCoeff();
+  return allocation_->rates(result_.wrench, result_.rate).tilt_rate.cwiseAbs().maxCoeff();
 }
 
 template class FlightController<4>;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
@@ -11,10 +12,12 @@
 #include <Eigen/Core>
 
 #include <functional>
+#include <optional>
 
 /// The onboard control loop, composed of parts of the library as in the control diagram of the
 /// paper: IMU and motion capture -> EKF -> state; servo model and rotor speeds -> applied wrench ->
-/// observer -> external wrench; both -> contact estimate -> NMPC -> allocation.
+/// observer -> external wrench; both -> contact estimate -> NMPC -> allocation. At the actuator
+/// level the NMPC gives rotor speeds and tilt angles without allocation.
 namespace examples {
 
 /// The reference at a time. A callable that holds its mission by reference does not allocate.
@@ -46,6 +49,13 @@ class FlightController {
       const tilt_ropter::EkfSettings& estimation,
       const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0),
       const tilt_ropter::AllocationSettings& allocation = {},
+      ExternalWrench external = ExternalWrench::modelled);
+
+  /// Controls at the actuator level. The vehicle need not give every wrench.
+  FlightController(
+      const tilt_ropter::Vehicle<Rotors>& vehicle,
+      const tilt_ropter::ActuatorNmpcSettings& settings, const tilt_ropter::EkfSettings& estimation,
+      const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0),
       ExternalWrench external = ExternalWrench::modelled);
 
   /// For a vehicle that starts in the air: sets the command until the first state.
@@ -100,22 +110,28 @@ class FlightController {
   /// Measured speeds and modelled tilt angles.
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& applied() const { return applied_; }
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
-  /// Largest tilt rate of the commanded wrench, over all arms [rad/s].
+  /// Largest planned tilt rate, over all arms [rad/s].
   [[nodiscard]] double planned_tilt_rate() const;
   [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
   [[nodiscard]] const tilt_ropter::Ekfd& ekf() const { return ekf_; }
   [[nodiscard]] const tilt_ropter::WrenchObserverd& observer() const { return observer_; }
   [[nodiscard]] const tilt_ropter::AllocationResult<Rotors>& allocated() const { return sent_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
-  [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return nmpc_; }
 
  private:
-  tilt_ropter::Allocation<Rotors> allocation_;
+  [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
+      const tilt_ropter::ActuatorState<Rotors>& actuators) const;
+  void control_actuators(double time, bool measured);
+
+  // At the wrench level the first two, at the actuator level the third.
+  std::optional<tilt_ropter::Allocation<Rotors>> allocation_;
+  std::optional<tilt_ropter::Nmpc<Rotors>> nmpc_;
+  std::optional<tilt_ropter::ActuatorNmpc<Rotors>> actuator_nmpc_;
+  tilt_ropter::ActuatedBody<Rotors> body_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::Ekfd ekf_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
-  tilt_ropter::Nmpc<Rotors> nmpc_;
   ExternalWrench external_;
   tilt_ropter::NmpcResult result_;
   tilt_ropter::AllocationResult<Rotors> sent_;

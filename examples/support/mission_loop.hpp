@@ -1,6 +1,7 @@
 #pragma once
 
 #include "battery_figures.hpp"
+#include "control_level.hpp"
 #include "fault_option.hpp"
 #include "flight_controller.hpp"
 #include "mission_choice.hpp"
@@ -56,7 +57,7 @@ struct MissionOptions {
   std::vector<std::string> faults;                 // see parse_fault()
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
-  std::string vehicle_path;
+  std::string vehicle_path, level = "wrench";
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -74,6 +75,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle_path,
                  "JSON file of the vehicle to fly; default: the Tilt-Ropter");
+  add_level(app, options.level);
   add_options(app, options.mission);
   app.add_option("--start-off", options.start_off,
                  "if the mission starts in flight: distance from the reference at the start [m]")
@@ -343,8 +345,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   flown.battery = BatteryFigures(vehicles.truth.battery, options.battery_charge);
   BatteryFigures& battery = flown.battery;
   flown.duration = mission.duration();
-  flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
-                                     vehicles.believed, settings);
+  const bool actuator_level = options.level == "actuator";
+  if (!actuator_level)  // the actuator level has no boxes for the wrench
+    flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
+                                       vehicles.believed, settings);
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
@@ -352,9 +356,16 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                              static_cast<std::uint64_t>(options.seed));
   suite.set_up(sensors, static_cast<std::uint64_t>(options.seed));
   for (const std::string& fault : options.faults) sensors.add_fault(parse_fault(fault));
-  FlightController<Rotors> controller(vehicles.believed, settings, suite.estimation(),
-                                      observer_settings(options.observer_bandwidth),
-                                      controls.allocation, observer_inputs().at(options.observer));
+  const WrenchObserverSettings observer = observer_settings(options.observer_bandwidth);
+  const ExternalWrench external = observer_inputs().at(options.observer);
+  ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, vehicles.believed);
+  actuator_settings.time_limit = settings.time_limit;
+  actuator_settings.ground = settings.ground;
+  FlightController<Rotors> controller =
+      actuator_level ? FlightController<Rotors>(vehicles.believed, actuator_settings,
+                                                suite.estimation(), observer, external)
+                     : FlightController<Rotors>(vehicles.believed, settings, suite.estimation(),
+                                                observer, controls.allocation, external);
   const PowerModel power_model(vehicles.truth,
                                controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 
@@ -17,8 +18,13 @@
 #define TILT_ROPTER_INSTANCES(prefix, rotors)      \
   prefix template class tilt_ropter::Nmpc<rotors>; \
   prefix template class tilt_ropter::Allocation<rotors>;
+#define TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(prefix, rotors) \
+  prefix template class tilt_ropter::ActuatorNmpc<rotors>;
 
 TILT_ROPTER_INSTANCES(extern, 4)
 TILT_ROPTER_INSTANCES(extern, 6)
 TILT_ROPTER_INSTANCES(extern, 8)
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 4)
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 6)
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 8)
 extern template class tilt_ropter::Ekf<double>;

@@ -155,6 +155,10 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   /// nothing changes.
   bool set_voltage(double voltage) noexcept;
 
+  /// Returns the speeds and angles of the smallest thrusts for `wrench` (body frame), as far as the
+  /// rotors can give it. For the start in flight, for example.
+  [[nodiscard]] ActuatorState<Rotors> command_for(const Wrenchd& wrench) const noexcept;
+
   [[nodiscard]] const Result& result() const { return result_; }  ///< of the last call
   /// The estimate that the plan uses: from prepare(), or an earlier one if that was not plausible.
   [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
@@ -180,6 +184,10 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   void lean(ReferencePoint& point, const Wrenchd& external) const;
   void set_actuator_command(const State& x, const typename Problem::Input& rates);
+  // Thrusts and angles of the smallest thrusts.
+  [[nodiscard]] State actuators_for(const Wrenchd& wrench) const noexcept;
+  [[nodiscard]] ActuatorState<Rotors> command_for(
+      const State& x, const typename Problem::Input& rates) const noexcept;
   // What each servo will do until its dead time has passed.
   void update_servos(double time) noexcept;
 
@@ -197,7 +205,6 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   ActuatorState<Rotors> measured_;  // last good measurement
   // Servos with and without dead time, only used if there is dead time.
   std::array<Servod, static_cast<std::size_t>(Rotors)> delayed_, prompt_;
-  double thrust_fraction_ = 1.0, angle_fraction_ = 1.0;  // of a step's lag after one period
 };
 
 template <int Rotors>
@@ -406,6 +413,11 @@ void ActuatorNmpc<Rotors>::set_safe_command() {
     wrench = {-contact_.disturbance.force, -contact_.disturbance.torque};
     wrench.force.z() += vehicle_.body.mass * gravity;
   }
+  set_actuator_command(actuators_for(wrench), Problem::Input::Zero());
+}
+
+template <int Rotors>
+ActuatedState<Rotors> ActuatorNmpc<Rotors>::actuators_for(const Wrenchd& wrench) const noexcept {
   const auto thrusts = inverse_(wrench);
   State x;
   for (int i = 0; i < Rotors; ++i) {
@@ -417,15 +429,21 @@ void ActuatorNmpc<Rotors>::set_safe_command() {
       x.thrust(i) = vertical;
     }
   }
-  set_actuator_command(x, Problem::Input::Zero());
+  return x;
 }
 
 template <int Rotors>
-void ActuatorNmpc<Rotors>::set_actuator_command(const State& x,
-                                                const typename Problem::Input& rates) {
+ActuatorState<Rotors> ActuatorNmpc<Rotors>::command_for(const Wrenchd& wrench) const noexcept {
+  return command_for(actuators_for(wrench), Problem::Input::Zero());
+}
+
+template <int Rotors>
+ActuatorState<Rotors> ActuatorNmpc<Rotors>::command_for(
+    const State& x, const typename Problem::Input& rates) const noexcept {
   const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
   const double period = settings_.period,
                reached_by_servo = -std::expm1(-period / vehicle_.servo.time_constant);
+  ActuatorState<Rotors> command;
   for (int i = 0; i < Rotors; ++i) {
     const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
     const RotorParameters& parameters = rotor.parameters;
@@ -438,14 +456,22 @@ void ActuatorNmpc<Rotors>::set_actuator_command(const State& x,
     const double speed = speed_at(x.thrust(i)),
                  reached = -std::expm1(-period / parameters.time_constant),
                  target = speed + (speed_at(x.thrust(i) + period * rates(i)) - speed) / reached;
-    result_.command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
-    const double angle =
-        rotor.tilts ? std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
-                                 limits.min_angle(i), limits.max_angle(i))
-                    : 0.0;
-    result_.command.tilt_angle(i) = angle;
-    result_.thrust(i) = x.thrust(i);
-    result_.tilt_angle(i) = x.tilt_angle(i);
+    command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
+    if (rotor.tilts)
+      command.tilt_angle(i) =
+          std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
+                     limits.min_angle(i), limits.max_angle(i));
+  }
+  return command;
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::set_actuator_command(const State& x,
+                                                const typename Problem::Input& rates) {
+  result_.command = command_for(x, rates);
+  result_.thrust = x.thrust;
+  result_.tilt_angle = x.tilt_angle;
+  for (int i = 0; i < Rotors; ++i) {
     result_.thrust_rate(i) = rates(i);
     result_.tilt_rate(i) = rates(Rotors + i);
   }
