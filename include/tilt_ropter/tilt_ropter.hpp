@@ -3,6 +3,7 @@
 
 /// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
 /// Including only the headers of one component compiles faster. Each header can be included alone.
+#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -14,10 +15,15 @@
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/actuation/thrust_choice.hpp>
+#include <tilt_ropter/actuation/thrust_inverse.hpp>
 #include <tilt_ropter/actuation/thrust_limits.hpp>
 #include <tilt_ropter/actuation/thrust_program.hpp>
 #include <tilt_ropter/actuation/thrust_search.hpp>
 #include <tilt_ropter/control/actuator_constraints.hpp>
+#include <tilt_ropter/control/actuator_level_problem.hpp>
+#include <tilt_ropter/control/actuator_level_settings.hpp>
+#include <tilt_ropter/control/actuator_nmpc_settings.hpp>
+#include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
 #include <tilt_ropter/control/nmpc_result.hpp>
@@ -97,8 +103,10 @@
 #include <tilt_ropter/version.hpp>
 
 #if __has_include(<nlopt.h>)
+#include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/control/plan_in_force.hpp>
+#include <tilt_ropter/control/receding_horizon.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>

@@ -156,6 +156,22 @@ TEST(HybridMission, ServoRatesStayWithinLimitOfSlowServos) {
   EXPECT_EQ(rows["solver_failures"], 0);
 }
 
+// The same mission at the level of thrusts and tilt angles, also with servos at a quarter of their
+// speed.
+TEST(HybridMission, ActuatorLevelIsAtLeastAsGoodAsTheWrenchLevel) {
+  for (const std::string servo : {"", " --servo-speed 2"}) {
+    const Flight wrench = run("--no-pictures --level wrench" + servo),
+                 actuator = run("--no-pictures --level actuator" + servo);
+    ASSERT_EQ(actuator.exit_code, 0) << actuator.output;
+    for (const char* rmse : {"air_rmse_m", "ground_rmse_m", "mission_rmse_m"})
+      EXPECT_LE(actuator[rmse], wrench[rmse]) << rmse << servo;
+    EXPECT_GE(actuator["power_saved_percent"], wrench["power_saved_percent"] - 0.5) << servo;
+    EXPECT_EQ(actuator["tilt_rate_exceeded_share"], 0.0) << servo;
+    EXPECT_EQ(actuator["contact_mode_changes"], 4) << servo;
+    EXPECT_EQ(actuator["solver_failures"], 0) << servo;
+  }
+}
+
 TEST(HybridMission, LogIsBitIdenticalForTheSameSeedOnly) {
   EXPECT_GT(flown().csv.size(), 1000000u);
   EXPECT_TRUE(run("--no-pictures --seed 1").csv == flown().csv);

@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/triple.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
@@ -60,7 +61,7 @@ class ThrustInverse {
   [[nodiscard]] const Inverse& matrix() const noexcept { return inverse_; }
 
   /// Smallest thrusts [N] for `wrench` (body frame).
-  [[nodiscard]] Thrusts operator()(const Wrench<double>& wrench) const noexcept {
+  [[nodiscard]] Thrusts operator()(const Wrenchd& wrench) const noexcept {
     Thrusts thrusts;
     for (int j = 0; j < components; ++j) {
       double sum = 0.0;

@@ -19,9 +19,9 @@ struct ActuatorLevelWeights {
   Eigen::Vector3d angular_velocity{10.0, 10.0, 10.0};  ///< w - w_r, body [s^2/rad^2]
   /// Of the deviation of each rotor's thrust vector (T sin alpha, T cos alpha) from its reference,
   /// which is the smallest thrust that the reference motion needs [1/N^2].
-  double thrust = 0.05;
+  double thrust = 0.15;
   double thrust_rate = 0.02;  ///< of each rotor [s^2/N^2]
-  double tilt_rate = 0.3;     ///< of each rotor [s^2/rad^2]
+  double tilt_rate = 0.003;   ///< of each rotor [s^2/rad^2]
   double terminal = 5.0;      ///< factor on the state weights at the last node
   /// Ground conditions v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2].
   Eigen::Vector3d ground{1e3, 1e3, 1e3};
@@ -30,8 +30,10 @@ struct ActuatorLevelWeights {
 /// Bounds in addition to those of the vehicle's actuators. Infinite: no bound.
 struct ActuatorLevelBounds {
   Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
-  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate, in (0, 1].
-  double tilt_rate_fraction = 1.0;
+  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate, in (0, 1]. A
+  /// command that is held for h seconds and inverts a lag with time constant T needs h / (2 T) more
+  /// than the planned rate: 6 % at 100 Hz and 80 ms.
+  double tilt_rate_fraction = 0.9;
 };
 
 /// Penalties for violating a constraint by one unit. A constraint whose multiplier would exceed its

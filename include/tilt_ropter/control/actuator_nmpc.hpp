@@ -2,7 +2,6 @@
 #pragma once
 
 #include <tilt_ropter/actuation/rotor.hpp>
-#include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/actuation/thrust_inverse.hpp>
 #include <tilt_ropter/control/actuator_level_problem.hpp>
 #include <tilt_ropter/control/actuator_nmpc_settings.hpp>
@@ -175,21 +174,23 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   // For RecedingHorizon:
   void set_nodes();
-  [[nodiscard]] State initial_state(double time);
+  [[nodiscard]] State initial_state(double time) const;
   void set_guess(double time, State& first) const;
   [[nodiscard]] bool is_credible(const State& x) const;
   void set_command(double age);
   void set_old_command(double time) { set_command(plan_.age(time)); }
   void set_safe_command();
 
+  // Turns the attitude so that the force that `point` needs can be given without a torque.
   void lean(ReferencePoint& point, const Wrenchd& external) const;
+  // Pitches a vehicle on one axle that cannot push forward: the thrust is at least three times the
+  // forward force, so the pitch stays below 20 degrees.
+  void lean_on_wheels(Node& node, Wrenchd& wrench) const;
   void set_actuator_command(const State& x, const typename Problem::Input& rates);
   // Thrusts and angles of the smallest thrusts.
   [[nodiscard]] State actuators_for(const Wrenchd& wrench) const noexcept;
   [[nodiscard]] ActuatorState<Rotors> command_for(
       const State& x, const typename Problem::Input& rates) const noexcept;
-  // What each servo will do until its dead time has passed.
-  void update_servos(double time) noexcept;
 
   struct RotorLimits {
     RotorParameters parameters;
@@ -203,8 +204,6 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   ReferenceWrench<Rotors> reference_wrench_;
   std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
   ActuatorState<Rotors> measured_;  // last good measurement
-  // Servos with and without dead time, only used if there is dead time.
-  std::array<Servod, static_cast<std::size_t>(Rotors)> delayed_, prompt_;
 };
 
 template <int Rotors>
@@ -223,10 +222,6 @@ ActuatorNmpc<Rotors>::ActuatorNmpc(const Vehicle<Rotors>& vehicle,
     rotor.min_speed = speed_from_thrust(rotor.parameters.min_thrust, rotor.parameters);
     rotor.max_speed = speed_from_thrust(rotor.parameters.max_thrust, rotor.parameters);
     rotor.tilts = vehicle.rotors[i].tilts;
-    ServoParameters prompt = vehicle.servo;
-    prompt.dead_time = 0.0;
-    delayed_[i] = Servod(vehicle.servo);
-    prompt_[i] = Servod(prompt);
   }
   set_safe_command();
 }
@@ -271,26 +266,12 @@ const ActuatorNmpcResult<Rotors>& ActuatorNmpc<Rotors>::feedback(
   body_state_ = measured;
   body_state_.orientation.normalize();
   measured_ = actuators;
-  const Result& result = this->plan_for(time);
-  update_servos(time);
-  return result;
+  return this->plan_for(time);
 }
 
 template <int Rotors>
 const ActuatorNmpcResult<Rotors>& ActuatorNmpc<Rotors>::hold(double time) noexcept {
-  const Result& result = this->continue_last_plan(time, NmpcStatus::bad_state);
-  update_servos(time);
-  return result;
-}
-
-template <int Rotors>
-void ActuatorNmpc<Rotors>::update_servos(double time) noexcept {
-  if (!(vehicle_.servo.dead_time > 0.0)) return;
-  for (std::size_t i = 0; i < Rotors; ++i) {
-    const double angle = result_.command.tilt_angle(static_cast<Eigen::Index>(i));
-    delayed_[i].update(time, angle);
-    prompt_[i].update(time, angle);
-  }
+  return this->continue_last_plan(time, NmpcStatus::bad_state);
 }
 
 template <int Rotors>
@@ -304,12 +285,11 @@ optimal_control::PrepareStatus ActuatorNmpc<Rotors>::finish_preparing(double tim
 }
 
 template <int Rotors>
-ActuatedState<Rotors> ActuatorNmpc<Rotors>::initial_state(double time) {
+ActuatedState<Rotors> ActuatorNmpc<Rotors>::initial_state(double /*time*/) const {
   const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
   State x;
   x.body = body_state_;
   if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
-  update_servos(time);
   for (int i = 0; i < Rotors; ++i) {
     const auto k = static_cast<std::size_t>(i);
     const RotorLimits& rotor = rotors_[k];
@@ -317,10 +297,7 @@ ActuatedState<Rotors> ActuatorNmpc<Rotors>::initial_state(double time) {
         rotor.effectiveness * thrust_from_speed(measured_.rotor_speed(i), rotor.parameters);
     x.thrust(i) = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
     if (!rotor.tilts) continue;
-    // The angle at which the servo will be when a command of now begins to act.
-    double angle = measured_.tilt_angle(i);
-    if (vehicle_.servo.dead_time > 0.0) angle += prompt_[k].angle() - delayed_[k].angle();
-    x.tilt_angle(i) = std::clamp(angle, limits.min_angle(i), limits.max_angle(i));
+    x.tilt_angle(i) = std::clamp(measured_.tilt_angle(i), limits.min_angle(i), limits.max_angle(i));
   }
   return x;
 }
@@ -365,6 +342,20 @@ void ActuatorNmpc<Rotors>::lean(ReferencePoint& point, const Wrenchd& external) 
 }
 
 template <int Rotors>
+void ActuatorNmpc<Rotors>::lean_on_wheels(Node& node, Wrenchd& wrench) const {
+  const std::optional<Undercarriage> support = undercarriage(vehicle_);
+  if (!support || !support->pitches || inverse_.steady_forces()(0, 0) > 0.5) return;
+  const double forward = wrench.force.x(),
+               total = std::max(wrench.force.z(), 3.0 * std::abs(forward));
+  if (!(total > 1e-6)) return;
+  const double half = 0.5 * std::asin(std::clamp(forward / total, -1.0, 1.0));
+  node.reference.orientation =
+      node.reference.orientation * Eigen::Quaterniond(std::cos(half), 0.0, std::sin(half), 0.0);
+  wrench.force.x() = 0.0;
+  wrench.force.z() = total;
+}
+
+template <int Rotors>
 void ActuatorNmpc<Rotors>::set_nodes() {
   Problem& problem = solver_.problem();
   const bool leans = inverse_.leans();
@@ -377,7 +368,8 @@ void ActuatorNmpc<Rotors>::set_nodes() {
       lean(followed, node.external);
       node.reference.orientation = followed.orientation;
     }
-    const Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
+    Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
+    if (leans && node.on_ground) lean_on_wheels(node, wrench);
     const auto thrusts = inverse_(wrench);
     for (int i = 0; i < Rotors; ++i) {
       node.lateral_reference(i) = thrusts(2 * i);
@@ -391,7 +383,7 @@ void ActuatorNmpc<Rotors>::set_nodes() {
   // The angular velocity that the leaning adds.
   for (int k = 0; leans && k < problem.horizon(); ++k) {
     BodyStated &here = problem.node(k).reference, &next = problem.node(k + 1).reference;
-    if (problem.node(k).on_ground || problem.node(k + 1).on_ground) continue;
+    if (problem.node(k).on_ground != problem.node(k + 1).on_ground) continue;
     here.angular_velocity =
         quaternion_log(Eigen::Quaterniond(here.orientation.conjugate() * next.orientation)) /
         interval;
@@ -401,7 +393,12 @@ void ActuatorNmpc<Rotors>::set_nodes() {
 
 template <int Rotors>
 void ActuatorNmpc<Rotors>::set_command(double age) {
+  // A command to a servo acts after its dead time.
+  const double ahead = age + vehicle_.servo.dead_time;
   set_actuator_command(plan_.planned(solver_, age), plan_.rates(solver_, age));
+  if (!(vehicle_.servo.dead_time > 0.0)) return;
+  result_.command.tilt_angle =
+      command_for(plan_.planned(solver_, ahead), plan_.rates(solver_, ahead)).tilt_angle;
 }
 
 template <int Rotors>

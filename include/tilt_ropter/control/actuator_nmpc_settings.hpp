@@ -51,9 +51,9 @@ struct AllowedActuatorErrors {
   Eigen::Vector3d velocity{0.25, 0.25, 0.2236};              ///< world [m/s]
   Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
   Eigen::Vector3d angular_velocity{0.3162, 0.3162, 0.3162};  ///< body [rad/s]
-  double thrust = 1.216;                                     ///< of each rotor [thrust in hover]
-  double thrust_rate = 1.923;  ///< of each rotor [thrust in hover / s]
-  double tilt_rate = 1.826;    ///< of each rotor [rad/s]
+  double thrust = 0.7019;                                    ///< of each rotor [thrust in hover]
+  double thrust_rate = 1.922;  ///< of each rotor [thrust in hover / s]
+  double tilt_rate = 18.26;    ///< of each rotor [rad/s]
 };
 
 inline void validate(const AllowedActuatorErrors& e) {
