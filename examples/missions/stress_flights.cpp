@@ -1,6 +1,7 @@
 // Flies large disturbances: steps, turns, knocks, throws, inverted and random states. Reports
 // whether the vehicle recovers, whether commands keep their bounds, and the controller's time.
 
+#include "../support/control_level.hpp"
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
@@ -27,7 +28,7 @@ using namespace examples;
 namespace {
 
 struct Options {
-  std::string output = "results", vehicle, scenario = "random";
+  std::string output = "results", vehicle, scenario = "random", level = "wrench";
   double size = 0.0, height = 0.0, duration = 15.0, time_limit_us = 0.0;
   std::uint64_t seed = 1, first = 0, count = 10;
   bool no_pictures = false;
@@ -73,15 +74,15 @@ std::string repeating_command(const Options& options, const std::string& program
           << " --height " << options.height << " --duration " << options.duration << " --seed "
           << options.seed << " --first " << index << " --count 1";
   if (options.time_limit_us > 0.0) command << " --time-limit-us " << options.time_limit_us;
+  if (options.level != "wrench") command << " --level " << options.level;
   if (!options.vehicle.empty()) command << " --vehicle " << options.vehicle;
   return command.str();
 }
 
-template <int Rotors>
-void run(const Options& options, const VehicleFile& file,
-         const tilt_ropter::Vehicle<Rotors>& vehicle, const std::string& program) {
+template <template <int> class Level, int Rotors, typename Settings>
+void run(const Options& options, const tilt_ropter::Vehicle<Rotors>& vehicle, Settings settings,
+         const std::string& program) {
   const Scenario scenario = scenarios().at(options.scenario);
-  tilt_ropter::NmpcSettings settings = file.settings();
   settings.time_limit = options.time_limit_us > 0.0 ? 1e-6 * options.time_limit_us
                                                     : std::numeric_limits<double>::infinity();
   std::filesystem::create_directories(options.output);
@@ -99,12 +100,12 @@ void run(const Options& options, const VehicleFile& file,
     const std::uint64_t index = options.first + i;
     const StressStart start =
         stress_start(scenario, options.size, options.height, options.seed, index);
-    const StressRecord r = fly_stress(vehicle, settings, start, options.duration);
+    const StressRecord r = fly_stress<Level>(vehicle, settings, start, options.duration);
     // A flight with a tick longer than all before is flown twice more. Each tick counts with its
     // shortest time, since interruptions by the machine do not repeat.
     std::vector<double> ticks = r.tick_us;
     for (int again = 0; again < 2 && r.worst_us() > all.worst_us; ++again) {
-      const StressRecord repeated = fly_stress(vehicle, settings, start, options.duration);
+      const StressRecord repeated = fly_stress<Level>(vehicle, settings, start, options.duration);
       for (std::size_t t = 0; t < std::min(ticks.size(), repeated.tick_us.size()); ++t)
         ticks[t] = std::min(ticks[t], repeated.tick_us[t]);
     }
@@ -195,6 +196,7 @@ int main(int argc, char** argv) {
       "then\n"
       "a large step, a knock or any attitude, with the controller settings of the vehicle."};
   Options options;
+  add_level(app, options.level);
   app.add_option("--scenario", options.scenario,
                  "scenario: step, yaw, knocked, thrown, inverted or random")
       ->check(CLI::IsMember({"step", "yaw", "knocked", "thrown", "inverted", "random"}))
@@ -231,7 +233,14 @@ int main(int argc, char** argv) {
     if (options.size == 0.0) options.size = usual_size(scenario);
     if (options.height == 0.0) options.height = usual_height(scenario);
     const VehicleFile file = vehicle_or_default(options.vehicle);
-    std::visit([&](const auto& v) { run(options, file, v, argv[0]); }, file.vehicle);
+    std::visit(
+        [&](const auto& v) {
+          if (options.level == "actuator")
+            run<ActuatorLevel>(options, v, actuator_level_settings(file, v), argv[0]);
+          else
+            run<WrenchLevel>(options, v, file.settings(), argv[0]);
+        },
+        file.vehicle);
     if (!options.no_pictures) draw_pictures("missions/stress_flights.gp", options.output);
     return 0;
   });

@@ -3,6 +3,7 @@
 #include "program_audit.hpp"
 #include "vehicle_spread.hpp"
 
+#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/compiled.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -164,12 +165,108 @@ struct StressRecord {
   return largest;
 }
 
-/// Hovers for two seconds, is then put into the state of `start`, and flies on for `duration` [s].
-/// Runs controller, observer and allocation at the period of `settings`, with true states.
+/// The wrench level in a stress flight: Nmpc and Allocation.
 template <int Rotors>
+class WrenchLevel {
+ public:
+  using Problem = typename tilt_ropter::Nmpc<Rotors>::Problem;
+
+  WrenchLevel(const tilt_ropter::Vehicle<Rotors>& vehicle,
+              const tilt_ropter::NmpcSettings& settings)
+      : allocation_(vehicle), nmpc_(vehicle, settings) {
+    tilt_ropter::Wrenchd hover;
+    hover.force.z() = vehicle.body.mass * tilt_ropter::gravity;
+    sent_ = allocation_.allocate(hover, tilt_ropter::ActuatorState<Rotors>{});
+  }
+
+  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return sent_.command; }
+  [[nodiscard]] tilt_ropter::Wrenchd wrench(
+      const tilt_ropter::ActuatorState<Rotors>& actuators) const {
+    return allocation_.wrench(actuators);
+  }
+  void prepare(double time, const tilt_ropter::ReferencePoint& reference,
+               const tilt_ropter::Wrenchd& external) {
+    (void)nmpc_.prepare(
+        time, [&](double) { return reference; }, tilt_ropter::in_the_air(external));
+  }
+  const tilt_ropter::NmpcResult& feedback(double time, const tilt_ropter::BodyStated& body,
+                                          const tilt_ropter::ActuatorState<Rotors>&) {
+    return nmpc_.feedback(time, body);
+  }
+  /// Sets the command that follows from the result.
+  void command_result(double time) {
+    const tilt_ropter::NmpcResult& result = nmpc_.result();
+    sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
+  }
+  [[nodiscard]] double largest_bound_ratio() const {
+    const tilt_ropter::NmpcResult& result = nmpc_.result();
+    const tilt_ropter::NmpcBounds& bounds = nmpc_.settings().problem.bounds;
+    return std::max({bound_ratio(result.wrench.force, bounds.force_min, bounds.force_max),
+                     bound_ratio(result.wrench.torque, bounds.torque_min, bounds.torque_max),
+                     bound_ratio(result.rate.force, -bounds.force_rate, bounds.force_rate),
+                     bound_ratio(result.rate.torque, -bounds.torque_rate, bounds.torque_rate)});
+  }
+  [[nodiscard]] const auto& solver() const { return nmpc_.solver(); }
+
+ private:
+  tilt_ropter::Allocation<Rotors> allocation_;
+  tilt_ropter::Nmpc<Rotors> nmpc_;
+  tilt_ropter::AllocationResult<Rotors> sent_;
+};
+
+/// The actuator level in a stress flight: ActuatorNmpc.
+template <int Rotors>
+class ActuatorLevel {
+ public:
+  using Problem = typename tilt_ropter::ActuatorNmpc<Rotors>::Problem;
+
+  ActuatorLevel(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                const tilt_ropter::ActuatorNmpcSettings& settings)
+      : body_(vehicle), nmpc_(vehicle, settings), command_(nmpc_.result().command) {}
+
+  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return command_; }
+  [[nodiscard]] tilt_ropter::Wrenchd wrench(
+      const tilt_ropter::ActuatorState<Rotors>& actuators) const {
+    return body_.wrench(actuators);
+  }
+  void prepare(double time, const tilt_ropter::ReferencePoint& reference,
+               const tilt_ropter::Wrenchd& external) {
+    (void)nmpc_.prepare(
+        time, [&](double) { return reference; }, tilt_ropter::in_the_air(external));
+  }
+  const tilt_ropter::ActuatorNmpcResult<Rotors>& feedback(
+      double time, const tilt_ropter::BodyStated& body,
+      const tilt_ropter::ActuatorState<Rotors>& actuators) {
+    return nmpc_.feedback(time, body, actuators);
+  }
+  void command_result(double) { command_ = nmpc_.result().command; }
+  [[nodiscard]] double largest_bound_ratio() const {
+    const auto& limits = nmpc_.solver().problem().limits();
+    const auto& result = nmpc_.result();
+    double largest = 0.0;
+    for (int i = 0; i < Rotors; ++i) {
+      const double thrust = body_.thrust(i, result.command.rotor_speed(i));
+      largest = std::max({largest, thrust / limits.max_thrust(i),
+                          std::abs(result.thrust_rate(i)) / limits.thrust_rate(i),
+                          std::abs(result.tilt_rate(i)) / limits.tilt_rate(i)});
+    }
+    return largest;
+  }
+  [[nodiscard]] const auto& solver() const { return nmpc_.solver(); }
+
+ private:
+  tilt_ropter::ActuatedBody<Rotors> body_;
+  tilt_ropter::ActuatorNmpc<Rotors> nmpc_;
+  tilt_ropter::ActuatorState<Rotors> command_;
+};
+
+/// Hovers for two seconds, is then put into the state of `start`, and flies on for `duration` [s].
+/// Runs controller, observer and allocation at the period of `settings`, with true states. `Level`
+/// is WrenchLevel or ActuatorLevel.
+template <template <int> class Level, int Rotors, typename Settings>
 [[nodiscard]] StressRecord fly_stress(const tilt_ropter::Vehicle<Rotors>& vehicle,
-                                      const tilt_ropter::NmpcSettings& settings,
-                                      const StressStart& start, double duration) {
+                                      const Settings& settings, const StressStart& start,
+                                      double duration) {
   using namespace tilt_ropter;
   constexpr double plant_step = 5e-4, settle = 2.0, not_yet = -1.0;
   const int steps = std::max(1, static_cast<int>(std::lround(settings.period / plant_step)));
@@ -178,20 +275,15 @@ template <int Rotors>
   reference.position = start.body.position;
   reference.orientation = Eigen::Quaterniond::Identity();
   Plant<Rotors> plant(vehicle);
-  Allocation<Rotors> allocation(vehicle);
+  Level<Rotors> control(vehicle, settings);
   ActuatorModel<Rotors> actuators(vehicle);
   WrenchObserverd observer(vehicle.body);
-  Nmpc<Rotors> nmpc(vehicle, settings);
-  ProgramAudit<typename Nmpc<Rotors>::Problem> audit;
-  const NmpcBounds& bounds = settings.problem.bounds;
+  ProgramAudit<typename Level<Rotors>::Problem> audit;
 
-  Wrenchd hover;
-  hover.force.z() = vehicle.body.mass * gravity;
-  AllocationResult<Rotors> sent = allocation.allocate(hover, ActuatorState<Rotors>{});
   BodyStated hovering;
   hovering.position = reference.position;
-  plant.reset(hovering, sent.command);
-  actuators.reset(sent.command, 0.0);
+  plant.reset(hovering, control.command());
+  actuators.reset(control.command(), 0.0);
 
   StressRecord record;
   record.lowest = reference.position.z();
@@ -210,21 +302,20 @@ template <int Rotors>
       reference = start.reference;
     }
     const double time = static_cast<double>(i) * settings.period;
-    const ActuatorState<Rotors> applied{plant.actuators().rotor_speed,
-                                        actuators.update(time, sent.command).tilt_angle};
-    observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
+    const ActuatorState<Rotors> modelled = actuators.update(time, control.command());
+    observer.update(time, plant.inertial_sample(),
+                    control.wrench({plant.actuators().rotor_speed, modelled.tilt_angle}));
     if (i == before) observer.reset();  // the vehicle has been moved
     const double began = thread_microseconds();
-    (void)nmpc.prepare(
-        time, [&](double) { return reference; }, in_the_air(observer.external()));
+    control.prepare(time, reference, observer.external());
     const double prepared = thread_microseconds();
-    audit.before(nmpc.solver());
+    audit.before(control.solver());
     const double measured = thread_microseconds();
-    const NmpcResult& result = nmpc.feedback(time, plant.body());
+    const auto& result = control.feedback(time, plant.body(), modelled);
     (i < before ? record.hover_us : record.tick_us)
         .push_back(thread_microseconds() - measured + prepared - began);
     if (result.status == NmpcStatus::solved) {
-      const double residual = audit.after(nmpc.solver());
+      const double residual = audit.after(control.solver());
       record.worst_solved = std::max(record.worst_solved, residual);
       // Factor 2: the units of the solver differ slightly from those of the audit.
       if (!(residual <= 2.0 * settings.solver.program.tolerance)) ++record.unsolved_called_solved;
@@ -234,16 +325,11 @@ template <int Rotors>
       ++record.failures;
     }
     record.most_passes = std::max(record.most_passes, result.report.passes);
-    record.worst_bound_ratio =
-        std::max({record.worst_bound_ratio,
-                  bound_ratio(result.wrench.force, bounds.force_min, bounds.force_max),
-                  bound_ratio(result.wrench.torque, bounds.torque_min, bounds.torque_max),
-                  bound_ratio(result.rate.force, -bounds.force_rate, bounds.force_rate),
-                  bound_ratio(result.rate.torque, -bounds.torque_rate, bounds.torque_rate)});
-    sent = allocation.allocate(time, result.wrench, result.rate, sent);
-    actuators.update(time, sent.command);
+    record.worst_bound_ratio = std::max(record.worst_bound_ratio, control.largest_bound_ratio());
+    control.command_result(time);
+    actuators.update(time, control.command());
     for (int j = 0; j < steps && sound; ++j) {
-      sound = plant.step(sent.command, {}, dt);
+      sound = plant.step(control.command(), {}, dt);
       touched = touched || plant.normal_forces().sum() > 0.0;
     }
     if (i < before) continue;
@@ -261,6 +347,14 @@ template <int Rotors>
   }
   record.recovered = sound && !touched && record.recovery_time != not_yet;
   return record;
+}
+
+/// At the wrench level.
+template <int Rotors>
+[[nodiscard]] StressRecord fly_stress(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                      const tilt_ropter::NmpcSettings& settings,
+                                      const StressStart& start, double duration) {
+  return fly_stress<WrenchLevel>(vehicle, settings, start, duration);
 }
 
 }  // namespace examples

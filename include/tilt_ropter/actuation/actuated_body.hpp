@@ -129,6 +129,12 @@ class ActuatedBody {
     return wrench;
   }
 
+  /// Thrust of rotor i [N] at `speed` [rad/s].
+  [[nodiscard]] Scalar thrust(int i, const Scalar& speed) const {
+    const auto k = static_cast<std::size_t>(i);
+    return Scalar(effectiveness_[k]) * thrust_from_speed(speed, parameters_[k]);
+  }
+
   /// Wrench of rotors with these speeds [rad/s] and tilt angles [rad], body frame.
   [[nodiscard]] Wrench<Scalar> wrench(const ActuatorState<Rotors, Scalar>& actuators) const {
     State x;

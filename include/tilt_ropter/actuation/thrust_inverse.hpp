@@ -36,6 +36,7 @@ class ThrustInverse {
       const RotorGeometry& rotor = vehicle.rotors[i];
       const double ratio = rotor_parameters(vehicle, i).torque_ratio;
       size = std::max(size, rotor.position.norm() + ratio);
+      tilts_[i] = rotor.tilts;
       if (!(rotor.effectiveness > 0.0)) continue;
       const double drag = static_cast<int>(rotor.spin) * ratio;
       for (const bool vertical : {false, true}) {
@@ -47,6 +48,7 @@ class ThrustInverse {
         matrix[2 * i + vertical] = {force.x, force.y, force.z, torque.x, torque.y, torque.z};
       }
     }
+    matrix_ = matrix;
     for (auto& column : matrix)
       for (std::size_t r = 3; r < 6; ++r) column[r] /= size;
     const Columns inverse = damped(matrix, 0, 6);
@@ -69,6 +71,41 @@ class ThrustInverse {
         sum += inverse_(j, r) * wrench.force(r) + inverse_(j, 3 + r) * wrench.torque(r);
       thrusts(j) = sum;
     }
+    return thrusts;
+  }
+
+  /// The same for rotors that cannot pull: the vertical thrusts of rotors that do not tilt are
+  /// within
+  /// [`least`, `most`] [N]. Alternates between the wrench and these limits at most 30 times, which
+  /// is exact to a thousandth of the weight for the vehicles that need it.
+  [[nodiscard]] Thrusts within(const Wrenchd& wrench, const Eigen::Matrix<double, Rotors, 1>& least,
+                               const Eigen::Matrix<double, Rotors, 1>& most) const noexcept {
+    Thrusts thrusts = (*this)(wrench);
+    for (int n = 0; n < 30; ++n) {
+      bool clamped = false;
+      for (int i = 0; i < Rotors; ++i) {
+        if (tilts_[static_cast<std::size_t>(i)]) continue;
+        double& thrust = thrusts(2 * i + 1);
+        const double inside = std::max(least(i), std::min(thrust, most(i)));
+        clamped = clamped || std::abs(inside - thrust) > 1e-3 * most(i);
+        thrust = inside;
+      }
+      if (!clamped) break;
+      Wrenchd missing = wrench;
+      for (int j = 0; j < components; ++j) {
+        const auto& column = matrix_[static_cast<std::size_t>(j)];
+        for (int r = 0; r < 3; ++r) {
+          missing.force(r) -= column[static_cast<std::size_t>(r)] * thrusts(j);
+          missing.torque(r) -= column[static_cast<std::size_t>(3 + r)] * thrusts(j);
+        }
+      }
+      const Thrusts more = (*this)(missing);
+      // A longer step than to the nearest point needs fewer iterations.
+      for (int j = 0; j < components; ++j) thrusts(j) += 1.7 * more(j);
+    }
+    for (int i = 0; i < Rotors; ++i)
+      if (!tilts_[static_cast<std::size_t>(i)])
+        thrusts(2 * i + 1) = std::max(least(i), std::min(thrusts(2 * i + 1), most(i)));
     return thrusts;
   }
 
@@ -145,6 +182,8 @@ class ThrustInverse {
       }
   }
 
+  Columns matrix_{};  // A
+  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
   Inverse inverse_ = detail::Filled();
   Eigen::Matrix3d steady_forces_ = Eigen::Matrix3d::Zero();
 };

@@ -183,8 +183,8 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   // Turns the attitude so that the force that `point` needs can be given without a torque.
   void lean(ReferencePoint& point, const Wrenchd& external) const;
-  // Pitches a vehicle on one axle that cannot push forward: the thrust is at least three times the
-  // forward force, so the pitch stays below 20 degrees.
+  // Pitches a vehicle on one axle that cannot push forward: the thrust is at least six times the
+  // forward force, so the pitch stays below 10 degrees.
   void lean_on_wheels(Node& node, Wrenchd& wrench) const;
   void set_actuator_command(const State& x, const typename Problem::Input& rates);
   // Thrusts and angles of the smallest thrusts.
@@ -346,7 +346,7 @@ void ActuatorNmpc<Rotors>::lean_on_wheels(Node& node, Wrenchd& wrench) const {
   const std::optional<Undercarriage> support = undercarriage(vehicle_);
   if (!support || !support->pitches || inverse_.steady_forces()(0, 0) > 0.5) return;
   const double forward = wrench.force.x(),
-               total = std::max(wrench.force.z(), 3.0 * std::abs(forward));
+               total = std::max(wrench.force.z(), 6.0 * std::abs(forward));
   if (!(total > 1e-6)) return;
   const double half = 0.5 * std::asin(std::clamp(forward / total, -1.0, 1.0));
   node.reference.orientation =
@@ -370,14 +370,11 @@ void ActuatorNmpc<Rotors>::set_nodes() {
     }
     Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
     if (leans && node.on_ground) lean_on_wheels(node, wrench);
-    const auto thrusts = inverse_(wrench);
+    const auto thrusts =
+        inverse_.within(wrench, problem.limits().min_thrust, problem.limits().max_thrust);
     for (int i = 0; i < Rotors; ++i) {
       node.lateral_reference(i) = thrusts(2 * i);
-      node.vertical_reference(i) =
-          rotors_[static_cast<std::size_t>(i)].tilts
-              ? thrusts(2 * i + 1)
-              : std::clamp(thrusts(2 * i + 1), problem.limits().min_thrust(i),
-                           problem.limits().max_thrust(i));
+      node.vertical_reference(i) = thrusts(2 * i + 1);
     }
   }
   // The angular velocity that the leaning adds.
@@ -415,7 +412,8 @@ void ActuatorNmpc<Rotors>::set_safe_command() {
 
 template <int Rotors>
 ActuatedState<Rotors> ActuatorNmpc<Rotors>::actuators_for(const Wrenchd& wrench) const noexcept {
-  const auto thrusts = inverse_(wrench);
+  const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
+  const auto thrusts = inverse_.within(wrench, limits.min_thrust, limits.max_thrust);
   State x;
   for (int i = 0; i < Rotors; ++i) {
     const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
