@@ -362,8 +362,8 @@ void ActuatorNmpc<Rotors>::set_nodes() {
   const double interval = settings_.problem.interval;
   for (std::size_t k = 0; k < points_.size(); ++k) {
     Node& node = problem.node(static_cast<int>(k));
-    ReferencePoint followed =
-        ground_.apply(contact_, body_state_, interval * static_cast<double>(k), points_[k], node);
+    ReferencePoint followed = ground_.apply(
+        contact_, body_state_, interval * static_cast<double>(k), points_[0], points_[k], node);
     if (leans && !node.on_ground) {
       lean(followed, node.external);
       node.reference.orientation = followed.orientation;
