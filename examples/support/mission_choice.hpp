@@ -31,9 +31,12 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
                      "hybrid: take off, figure eight, land, drive, take off, land, each from rest; "
                      "air: the figure eight in flight; ground: the figure eight on the ground; "
                      "rolling: from the eight in flight to the eight on the ground and back "
-                     "without a stop")
-          ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling"}))
+                     "without a stop; excite: hover and shake all axes, for identify_vehicle")
+          ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling", "excite"}))
           ->capture_default_str();
+  auto* excite = app.add_flag_callback(
+      "--excite", [&choice] { choice.name = "excite"; }, "the same as --mission excite");
+  excite->excludes(mission);
   auto* speed =
       app.add_option("--speed", choice.speed,
                      "largest speed in the figure eights; above 1.5 m/s they grow with its "
@@ -46,11 +49,13 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
              "follow this trajectory instead: a CSV file with the columns time_s, x_m, y_m, "
              "z_m (CoM, ground at 0) and, if wanted, yaw_rad; it starts and ends at rest")
           ->excludes(mission)
+          ->excludes(excite)
           ->excludes(speed);
   app.add_option("--mission-file", choice.file,
                  "fly the mission in this JSON file instead, a list of segments")
       ->excludes(mission)
       ->excludes(speed)
+      ->excludes(excite)
       ->excludes(trajectory);
   app.add_option("--write-mission", choice.write_path,
                  "write the chosen mission to this JSON file as a template, without flying");
@@ -75,6 +80,7 @@ template <int Rotors>
   lengths.climb_length *= larger;
   lengths.roll_length *= faster;
   if (choice.name == "hybrid") return hybrid_mission(vehicle, settings);
+  if (choice.name == "excite") return excitation_experiment(settings);
   if (choice.name == "air") return aerial_experiment(settings);
   if (!wheels)
     throw std::invalid_argument("--mission " + choice.name + ": the vehicle has no wheels");

@@ -4,6 +4,7 @@
 #include "control_level.hpp"
 #include "fault_option.hpp"
 #include "flight_controller.hpp"
+#include "identification_log.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
 #include "mission_log.hpp"
@@ -58,6 +59,7 @@ struct MissionOptions {
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path, level = "wrench";
+  std::string imu_log;  // file for identify_vehicle, or empty
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -156,6 +158,8 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_flag("--no-feed-forward", options.no_feed_forward,
                "the cost expects the wrench of hover, not the wrench that the reference needs");
   add_paper_switches(app, options.as_in_paper);
+  app.add_option("--log-imu", options.imu_log,
+                 "also write a log for identify_vehicle to this file: one row per IMU sample");
   app.add_flag("--no-pictures", options.no_pictures,
                "write the log only: no pictures and no page report.html");
 }
@@ -409,13 +413,14 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   double power = power_model.power(plant.actuators().rotor_speed);  // during the last step [W]
   battery.on_plant(mission.phase(0.0), plant.time(), power, 0.0);
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
+  IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
     const double height_error = height_error_at(time);
     suite.sense(plant, sensors, controller);
-    sensors.sense(plant, controller, height_error);
+    sensors.sense(plant, tap, height_error);
     if (i % steps_per_tick == 0 && controller.started()) {  // after the first pose
       if (battery.known()) controller.on_voltage(battery.load().voltage);
       controller.prepare(time, reference);
@@ -435,6 +440,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
         detail::log_row(*log, mission, plant, controller, power, &battery);
       }
     }
+    tap.end_step(time, command);
     if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;

@@ -46,6 +46,9 @@
 #include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/velocity_models.hpp>
 #include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/vehicle_fit.hpp>
+#include <tilt_ropter/estimation/vehicle_identification.hpp>
+#include <tilt_ropter/estimation/vehicle_log.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
@@ -87,6 +90,7 @@
 #include <tilt_ropter/optimal_control/step_search.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 #include <tilt_ropter/optimal_control/trajectory.hpp>
+#include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>

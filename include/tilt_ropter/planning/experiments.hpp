@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -33,6 +34,21 @@ inline void require_drives(const Undercarriage& undercarriage) {
 /// of the eight in the air. Throws std::invalid_argument if the settings are invalid.
 [[nodiscard]] inline Mission aerial_experiment(const HybridMissionSettings& p = {}) {
   return hybrid_mission(std::nullopt, p);
+}
+
+/// A flight that excites all axes, for the identification of the vehicle: hover, Excitation, hover.
+/// Takes origin, yaw, flight_height, hover_time and start_time of `p`; the center of `excitation`
+/// is not used. Throws std::invalid_argument if the settings are invalid.
+[[nodiscard]] inline Mission excitation_experiment(const HybridMissionSettings& p = {},
+                                                   ExcitationSettings excitation = {}) {
+  validate(p);
+  excitation.center.position << p.origin, p.flight_height;
+  excitation.center.yaw = p.yaw;
+  const Hold hover(excitation.center, p.hover_time);
+  return Mission({{MissionPhase::hover, hover},
+                  {MissionPhase::air, Excitation(excitation)},
+                  {MissionPhase::hover, hover}},
+                 p.start_time);
 }
 
 /// The figure eight on the ground: rest, the eight, rest (paper, Sec. Ground Locomotion). The

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -77,7 +78,7 @@ class Hold {
 /// One motion of a mission.
 struct MissionSegment {
   MissionPhase phase;
-  std::variant<Hold, Transition, FigureEight, MinimumSnap, SampledPath> motion;
+  std::variant<Hold, Transition, FigureEight, MinimumSnap, SampledPath, Excitation> motion;
 
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return std::visit([time](const auto& m) { return m(time); }, motion);

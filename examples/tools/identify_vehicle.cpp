@@ -1,0 +1,197 @@
+// Identifies a vehicle from the log of one flight: thrust coefficient or mass, CoM, inertia, torque
+// ratio, lags and delays of rotors and servos, drag, each with a 95 % confidence interval. Writes a
+// vehicle file, the fit, and a picture.
+
+#include "../support/identification_log.hpp"
+#include "../support/mission_log.hpp"
+#include "../support/pictures.hpp"
+#include "../support/run_program.hpp"
+#include "../support/vehicle_file.hpp"
+
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/estimation/vehicle_identification.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <Eigen/Core>
+
+#include <array>
+#include <cstddef>
+#include <filesystem>
+#include <iomanip>
+#include <iostream>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <variant>
+#include <vector>
+
+using namespace tilt_ropter;
+
+namespace {
+
+struct Options {
+  std::string input, output = "results", vehicle_path, trust = "mass";
+  std::array<double, 3> imu_position{};
+  double from = -std::numeric_limits<double>::infinity();
+  double until = std::numeric_limits<double>::infinity();
+  double min_height = std::numeric_limits<double>::quiet_NaN();  // NaN: by the undercarriage
+  bool no_pictures = false;
+};
+
+const char* unit_of(VehicleParameter p) {
+  constexpr const char* units[] = {
+      "",   "_m", "_m", "_m",         "_kg_m2",     "_kg_m2",     "_kg_m2", "_m",   "_s",
+      "_s", "_s", "_s", "_n_s_per_m", "_n_s_per_m", "_n_s_per_m", "_kg_m2", "_kg_m"};
+  return units[static_cast<std::size_t>(p)];
+}
+
+void line(const std::string& name, const std::string& unit, double value, double half_width,
+          bool excited) {
+  std::cout << name << unit << ": " << std::setprecision(5) << value
+            << (excited ? "" : " (not excited)") << '\n'
+            << name << "_95" << unit << ": " << std::setprecision(3) << half_width << '\n';
+}
+
+template <int Rotors>
+void print(const VehicleIdentification<Rotors>& found, const Options& o) {
+  const auto& v = found.vehicle;
+  const IdentifiedParameter& scale = found[VehicleParameter::thrust_per_mass];
+  const double relative = scale.half_width / scale.value;
+  line("mass_over_thrust_coefficient", "_rad2_per_m", v.body.mass / v.rotor.thrust_coefficient,
+       relative * v.body.mass / v.rotor.thrust_coefficient, scale.excited);
+  if (o.trust == "mass")
+    line("thrust_coefficient", "_n_s2_per_rad2", v.rotor.thrust_coefficient,
+         relative * v.rotor.thrust_coefficient, scale.excited);
+  else
+    line("mass", "_kg", v.body.mass, relative * v.body.mass, scale.excited);
+  std::string not_excited;
+  for (std::size_t i = 0; i < found.parameters.size(); ++i) {
+    const auto parameter = static_cast<VehicleParameter>(i);
+    const IdentifiedParameter& p = found.parameters[i];
+    if (i > 0) line(to_string(parameter), unit_of(parameter), p.value, p.half_width, p.excited);
+    if (!p.excited)
+      not_excited += (not_excited.empty() ? "" : " ") + std::string(to_string(parameter));
+  }
+  std::cout << std::setprecision(3) << "force_residual_mps2: " << found.force_residual_rms << '\n'
+            << "angular_acceleration_residual_radps2: " << found.angular_acceleration_residual_rms
+            << '\n'
+            << "servo_rate_limited_fraction: " << found.rate_limited_fraction << '\n'
+            << "not_excited: " << (not_excited.empty() ? "none" : not_excited) << '\n';
+}
+
+void write_fit(const std::vector<IdentificationSample>& samples, const std::string& directory) {
+  std::vector<std::string> names = {"time_s"};
+  for (const char* name : {"specific_force_mps2", "fitted_specific_force_mps2",
+                           "angular_acceleration_radps2", "fitted_angular_acceleration_radps2"})
+    for (const char* axis : {"_x", "_y", "_z"}) names.push_back(std::string(name) + axis);
+  examples::MissionLog file(directory + "/identify_vehicle.csv", names);
+  for (const IdentificationSample& s : samples)
+    file.add(s.time)
+        .add_all(s.specific_force)
+        .add_all(s.fitted_specific_force)
+        .add_all(s.angular_acceleration)
+        .add_all(s.fitted_angular_acceleration)
+        .end_row();
+}
+
+template <int Rotors>
+int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>& given) {
+  VehicleIdentificationSettings settings;
+  settings.trusted = o.trust == "mass" ? TrustedScale::mass : TrustedScale::thrust_coefficient;
+  settings.imu_position << o.imu_position[0], o.imu_position[1], o.imu_position[2];
+  const auto stands = undercarriage(given);
+  if (!std::isnan(o.min_height))
+    settings.min_height = o.min_height;
+  else if (stands)
+    settings.min_height = stands->height + 0.1;
+  const VehicleLog<Rotors> log =
+      examples::read_identification_log<Rotors>(o.input, o.from, o.until);
+  const VehicleIdentification<Rotors> found = identify_vehicle(log, given, settings);
+  std::cout << "status: " << to_string(found.status) << '\n'
+            << "duration_s: " << std::fixed << std::setprecision(2) << found.duration << '\n'
+            << std::defaultfloat;
+  if (found.status != VehicleIdentificationStatus::identified)
+    throw std::runtime_error(o.input + ": " + to_string(found.status));
+  print(found, o);
+  if (found.rate_limited_fraction > 0.0)
+    std::cerr << "identify_vehicle: the servos reached the rate limit of the vehicle file; the "
+                 "model contains it, and it has to be right.\n";
+
+  std::filesystem::create_directories(o.output);
+  write_fit(found.samples, o.output);
+  // Limits that were the defaults of the given vehicle become those of the identified one.
+  const NmpcBounds before = nmpc_settings(given).problem.bounds;
+  const NmpcBounds after = nmpc_settings(found.vehicle).problem.bounds;
+  for (auto limit : {&NmpcBounds::force_min, &NmpcBounds::force_max, &NmpcBounds::torque_min,
+                     &NmpcBounds::torque_max, &NmpcBounds::angular_velocity,
+                     &NmpcBounds::force_rate, &NmpcBounds::torque_rate})
+    if ((file.limits.*limit).isApprox(before.*limit, 1e-9)) file.limits.*limit = after.*limit;
+  file.vehicle = found.vehicle;
+  const std::string path = o.output + "/identified_vehicle.json";
+  examples::write_vehicle(file, path);
+  std::cout << "fly with it: hybrid_mission --vehicle " << path << std::endl;
+  if (!o.no_pictures) examples::draw_pictures("tools/identify_vehicle.gp", o.output);
+  return 0;
+}
+
+constexpr const char* footer = R"(
+The log is a CSV file with one row per IMU sample, 100 Hz or more. hybrid_mission --excite --log-imu
+FILE writes such a log and shows the columns:
+  time_s                                  time of the IMU sample
+  angular_velocity_radps_x, _y, _z        gyroscope, body frame
+  specific_force_mps2_x, _y, _z           accelerometer, body frame
+  pose_time_s, position_m_x, _y, _z,      last pose of the body frame of the vehicle file, and the
+  orientation_w, _x, _y, _z               time at which it was taken, on the clock of the IMU
+  rotor_command_radps_1, ...              speeds and angles that are commanded from this row on
+  tilt_command_rad_1, ...
+  rotor_speed_time_s,                     last measured speeds and their time; optional, all or none
+  rotor_speed_radps_1, ...
+
+Files in the output directory: identified_vehicle.json, identify_vehicle.csv (measured and fitted
+specific force and angular acceleration) and identify_vehicle.png.
+
+The body frame of the new vehicle file has its origin at the identified CoM, com_x_m, com_y_m,
+com_z_m in the frame of the given file. What the flight did not excite keeps the given value and is
+marked.
+
+Exit code: 0 identified, 2 the log does not determine the vehicle or a file could not be read or
+written, above 100 wrong options.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Identifies a vehicle from the log of one flight."};
+  Options o;
+  app.add_option("LOG.csv", o.input, "log of a flight that excites all axes")->required();
+  app.add_option("--vehicle", o.vehicle_path,
+                 "JSON file of the vehicle as far as it is known: geometry, mass, first guesses; "
+                 "default: the Tilt-Ropter");
+  app.add_option("--trust", o.trust,
+                 "what is known exactly, as a flight shows only the ratio: mass (from a scale) or "
+                 "thrust (from a thrust stand)")
+      ->check(CLI::IsMember({"mass", "thrust"}))
+      ->capture_default_str();
+  app.add_option("--imu-position", o.imu_position,
+                 "position of the IMU in the body frame of the vehicle file [m]")
+      ->check(CLI::Range(-10.0, 10.0));
+  app.add_option("--from", o.from, "begin of the part of the log to use [s]");
+  app.add_option("--until", o.until, "end of the part of the log to use [s]");
+  app.add_option("--min-height", o.min_height,
+                 "use only parts above this height; default: 0.1 m above standing, with wheels or "
+                 "legs [m]")
+      ->check(CLI::Range(-1e4, 1e4));
+  app.add_option("-o,--output", o.output, "directory for vehicle file, fit and picture")
+      ->capture_default_str();
+  app.add_flag("--no-pictures", o.no_pictures, "draw no picture");
+  app.footer(footer);
+  return examples::run_program(
+      app, "identify_vehicle", argc, argv,
+      [&o] {
+        const examples::VehicleFile file = examples::vehicle_or_default(o.vehicle_path);
+        return std::visit([&](const auto& vehicle) { return identify(o, file, vehicle); },
+                          file.vehicle);
+      },
+      2);
+}
