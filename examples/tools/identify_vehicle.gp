@@ -41,12 +41,12 @@ do for [i = 0:2] {
     } else {
       unset key
     }
-    plot log using "time_s":name with points pt 7 ps 0.25 lc rgb blue title "measured", \
-      '' using "time_s":("fitted_" . name) with lines lw 1 lc rgb red title "fitted", \
+    plot log using (column("time_s")):(column(name)) with points pt 7 ps 0.25 lc rgb blue title "measured", \
+      '' using (column("time_s")):(column("fitted_" . name)) with lines lw 1 lc rgb red title "fitted", \
       NaN with points pt 7 ps 0.25 lc rgb ink title "measured - fitted"
     unset key
     set lmargin at screen left + 0.285; set rmargin at screen left + 0.44
     set ylabel "residual " . unit offset 1
-    plot log using "time_s":(residual(name)) with points pt 7 ps 0.2 lc rgb ink notitle
+    plot log using (column("time_s")):(residual(name)) with points pt 7 ps 0.2 lc rgb ink notitle
   }
 }

@@ -19,10 +19,10 @@ namespace tilt_ropter {
 /// Place, length and size of an Excitation.
 struct ExcitationSettings {
   Waypoint center;                    ///< start, end and centre of the motion
-  double duration = 25.0;             ///< from rest to rest [s]
+  double duration = 18.0;             ///< from rest to rest [s]
   double ramp = 2.0;                  ///< time in which the motion grows, and fades [s]
-  double acceleration = 0.8;          ///< largest acceleration of each sine [m/s^2]
-  double angular_acceleration = 5.0;  ///< largest second derivative of each angle sine [rad/s^2]
+  double acceleration = 0.48;         ///< largest acceleration of each sine [m/s^2]
+  double angular_acceleration = 4.5;  ///< largest second derivative of each angle sine [rad/s^2]
   double max_distance = 0.15;         ///< largest amplitude of each sine [m]
   double max_angle = 0.12;            ///< largest amplitude of each angle sine [rad]
   double start_time = 0.0;            ///< time at which the motion starts [s]
@@ -34,8 +34,8 @@ inline void validate(const ExcitationSettings& p) {
   require_in("ExcitationSettings.duration [s]", p.duration, 1e-3, 1e10);
   require(p.ramp >= 1e-3 && p.ramp <= 0.5 * p.duration, "ExcitationSettings.ramp [s]", p.ramp,
           "in [0.001, duration / 2]");
-  require_positive("ExcitationSettings.acceleration [m/s^2]", p.acceleration);
-  require_positive("ExcitationSettings.angular_acceleration [rad/s^2]", p.angular_acceleration);
+  require_non_negative("ExcitationSettings.acceleration [m/s^2]", p.acceleration);
+  require_non_negative("ExcitationSettings.angular_acceleration [rad/s^2]", p.angular_acceleration);
   require_positive("ExcitationSettings.max_distance [m]", p.max_distance);
   require_in("ExcitationSettings.max_angle [rad]", p.max_angle, 1e-6, 0.3);
   require_time("ExcitationSettings.start_time [s]", p.start_time);

@@ -36,17 +36,22 @@ inline void require_drives(const Undercarriage& undercarriage) {
   return hybrid_mission(std::nullopt, p);
 }
 
-/// A flight that excites all axes, for the identification of the vehicle: hover, Excitation, hover.
-/// Takes origin, yaw, flight_height, hover_time and start_time of `p`; the center of `excitation`
-/// is not used. Throws std::invalid_argument if the settings are invalid.
+/// A flight that excites all axes, for the identification of the vehicle: hover, an Excitation of
+/// the position, another of the attitude, hover. One after the other, so that the rates of the
+/// force stay within the limits of the Tilt-Ropter. Takes origin, yaw, flight_height, hover_time
+/// and start_time of `p`; the center of `excitation` is not used. Throws std::invalid_argument if
+/// the settings are invalid.
 [[nodiscard]] inline Mission excitation_experiment(const HybridMissionSettings& p = {},
                                                    ExcitationSettings excitation = {}) {
   validate(p);
   excitation.center.position << p.origin, p.flight_height;
   excitation.center.yaw = p.yaw;
   const Hold hover(excitation.center, p.hover_time);
+  ExcitationSettings moves = excitation, turns = excitation;
+  moves.angular_acceleration = turns.acceleration = 0.0;
   return Mission({{MissionPhase::hover, hover},
-                  {MissionPhase::air, Excitation(excitation)},
+                  {MissionPhase::air, Excitation(moves)},
+                  {MissionPhase::air, Excitation(turns)},
                   {MissionPhase::hover, hover}},
                  p.start_time);
 }
