@@ -106,11 +106,15 @@ class VehicleFit {
   /// Finds the unknowns that are not held by the Levenberg-Marquardt method, and their standard
   /// deviations. Returns false if it does not converge.
   bool solve() {
+    // The arms' own motion is confused with the noise in the commands: it waits for refine().
+    const std::array<bool, at_most> held = held_;
+    for (const int i : {I::arm_inertia, I::arm_moment}) hold(i);
     bool converged = false;
     for (int round = 0; round < 2; ++round) {
       converged = minimise();
-      set_rms();
+      set_rms();  // the weights of the next round
     }
+    held_ = held;
     set_jacobian();
     set_stddevs(jacobian_);
     return converged;
@@ -124,23 +128,29 @@ class VehicleFit {
   bool refine() {
     FitMatrix information;
     FitVector slope;
-    for (int iteration = 0; iteration < settings_.max_iterations; ++iteration) {
+    std::vector<std::vector<double>> instruments;
+    const FitVector before = x_;
+    double length = 1.0, last = std::numeric_limits<double>::infinity();
+    for (int iteration = 0; iteration < 15; ++iteration) {
       set_jacobian();
-      const std::vector<std::vector<double>> instruments = instruments_of(jacobian_);
+      instruments = instruments_of(jacobian_);
       set_normal_equations(instruments, information, slope, nullptr);
       FitVector step = information.partialPivLu().solve(slope);
-      for (int i = 0; i < I::count; ++i)
-        step(i) = held_[at(i)]
-                      ? 0.0
-                      : std::clamp(step(i), -0.3 * prior_stddev_(i), 0.3 * prior_stddev_(i));
-      x_ += step;
-      features_ = features_of(x_);
-      predict(x_, features_, predicted_);
+      for (int i = 0; i < I::count; ++i) {
+        step(i) = held_[at(i)] ? 0.0 : std::clamp(step(i), -longest_(i), longest_(i));
+      }
+      const double size = step.cwiseQuotient(stddevs_).cwiseAbs().maxCoeff();
+      if (size > 0.7 * last) length *= 0.5;  // ends cycles
+      last = size;
+      move_to(x_ + length * step);
       set_rms();
-      if (!(step.cwiseQuotient(stddevs_).cwiseAbs().maxCoeff() < 0.02)) continue;
+      if (!(size < 0.05)) continue;
       set_stddevs(instruments);
       return true;
     }
+    move_to(before);
+    set_jacobian();
+    set_stddevs(instruments_of(jacobian_));
     return false;
   }
 
@@ -168,6 +178,7 @@ class VehicleFit {
     prior_stddev_(I::arm_moment) = 0.02 * given_.body.mass;
     prior_stddev_.segment<2>(I::wind).setConstant(0.3 * given_.body.mass * gravity);
     stddevs_ = prior_stddev_;
+    longest_ = 0.4 * prior_stddev_;
   }
 
   /// Mean velocity in the world [m/s] around `time`: slope of the positions within 0.05 s. Returns
@@ -435,7 +446,7 @@ class VehicleFit {
     return spread;
   }
 
-  /// Slow part of measured minus modelled speed at each IMU sample: mean over 0.2 s. The model
+  /// Slow part of measured minus modelled speed at each IMU sample: mean over 0.6 s. The model
   /// gives the fast part, so that the noise of the measured speeds does not reach the thrusts.
   void set_speed_corrections() {
     const auto& measured = log_.rotor_speeds;
@@ -450,8 +461,8 @@ class VehicleFit {
     corrections_.resize(log_.imu.size());
     for (std::size_t j = 0; j < log_.imu.size(); ++j) {
       const double time = log_.imu[j].time;
-      const std::size_t from = index_before(measured, time - 0.1);
-      const std::size_t until = std::max(from, index_before(measured, time + 0.1)) + 1;
+      const std::size_t from = index_before(measured, time - 0.3);
+      const std::size_t until = std::max(from, index_before(measured, time + 0.3)) + 1;
       corrections_[j] = (sums[until] - sums[from]) / static_cast<double>(until - from);
     }
   }
@@ -616,14 +627,16 @@ class VehicleFit {
     for (int i = 0; i < I::count; ++i) {
       if (held_[at(i)]) continue;
       const bool moves_actuators = i >= I::servo_lag && i <= I::rotor_delay;
-      const double step = moves_actuators ? (i % 2 == 0 ? 2e-3 : 1e-4) : 1e-4;
+      const double step = moves_actuators ? (i % 2 == 0 ? 2e-3 : 1e-4) : 1e-6;
       FitVector high = x_, low = x_;
       high(i) += step;
       low(i) -= step;
       predict(high, moves_actuators ? features_of(high) : features_, jacobian_[at(i)]);
-      predict(low, moves_actuators ? features_of(low) : features_, less);
-      for (std::size_t row = 0; row < less.size(); ++row)
-        jacobian_[at(i)][row] = (jacobian_[at(i)][row] - less[row]) / (2.0 * step);
+      if (moves_actuators) predict(low, features_of(low), less);
+      const std::vector<double>& from = moves_actuators ? less : predicted_;
+      const double rate = 1.0 / (moves_actuators ? 2.0 * step : step);
+      for (std::size_t row = 0; row < from.size(); ++row)
+        jacobian_[at(i)][row] = rate * (jacobian_[at(i)][row] - from[row]);
     }
   }
 
@@ -710,10 +723,16 @@ class VehicleFit {
     return prior;
   }
 
-  bool minimise() {
-    double damping = 1e-6;
+  /// Sets the unknowns and what follows from them.
+  void move_to(const FitVector& x) {
+    x_ = x;
     features_ = features_of(x_);
     predict(x_, features_, predicted_);
+  }
+
+  bool minimise() {
+    double damping = 1e-6;
+    move_to(x_);
     double now = cost();
     FitMatrix information;
     FitVector slope;
@@ -729,7 +748,7 @@ class VehicleFit {
         FitVector step = damped.ldlt().solve(slope);
         for (int i = 0; i < I::count; ++i) {
           if (held_[at(i)]) step(i) = 0.0;
-          step(i) = std::clamp(step(i), -0.5 * prior_stddev_(i), 0.5 * prior_stddev_(i));
+          step(i) = std::clamp(step(i), -longest_(i), longest_(i));
         }
         x_ = before + step;
         Features next = features_of(x_);
@@ -751,7 +770,7 @@ class VehicleFit {
         predict(x_, features_, predicted_);
         return true;
       }
-      if (change < 1e-9) return true;
+      if (change < 1e-6) return true;
     }
     return false;
   }
@@ -775,7 +794,7 @@ class VehicleFit {
     set_normal_equations(instruments, information, slope, &scores);
     // The height windows of half a second and the corrections of the speeds depend on their
     // neighbours over that time.
-    FitMatrix spread = spread_of(scores, static_cast<std::size_t>(std::lround(0.6 / hop_)));
+    FitMatrix spread = spread_of(scores, static_cast<std::size_t>(std::lround(1.0 / hop_)));
     const FitMatrix prior = prior_information();
     for (int i = 0; i < I::count; ++i)
       for (int j = 0; j < I::count; ++j)
@@ -801,7 +820,7 @@ class VehicleFit {
   std::vector<double> weights_, slopes_;
   std::vector<RotorVector> corrections_;
   RotorLagFit rotor_lag_;
-  FitVector prior_, prior_stddev_, x_, stddevs_;
+  FitVector prior_, prior_stddev_, longest_, x_, stddevs_;
   std::array<bool, at_most> held_{};
   std::array<double, 7> rms_{0.05, 0.05, 0.05, 0.3, 0.3, 0.3, 0.05};
   Features features_;

@@ -240,7 +240,7 @@ template <int Rotors>
 /// The commands of a controller react to the noise of the IMU, which would bias the fit. The last
 /// steps therefore use instrumental variables, see detail::VehicleFit::refine().
 ///
-/// Intervals: covariance of the fit with the autocorrelation of the residuals up to 0.6 s (Newey &
+/// Intervals: covariance of the fit with the autocorrelation of the residuals up to 1 s (Newey &
 /// West 1987). They do not contain errors of the model.
 ///
 /// Allocates; takes about a second for 30 s of log. Throws std::invalid_argument if a setting or
@@ -294,7 +294,7 @@ template <int Rotors>
   do {
     do converged = fit.solve();
     while (drop_worst());
-    converged = fit.refine() && converged;
+    converged = fit.refine();
   } while (drop_worst());
 
   const detail::FitVector& x = fit.unknowns();
