@@ -1,0 +1,96 @@
+// Identifies simulated vehicles whose parameters differ from those of the Tilt-Ropter, within the
+// ranges of monte_carlo, each from one flight. A few of them; 200 in tests/run.sh --full.
+
+#include "support/full_run.hpp"
+#include "support/identification_flights.hpp"
+
+#include <tilt_ropter/estimation/vehicle_identification.hpp>
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+namespace {
+
+using namespace tilt_ropter;
+using P = VehicleParameter;
+constexpr auto count = static_cast<std::size_t>(P::count);
+
+TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
+  const int vehicles = test_support::quick_or_full(2, 200);
+  const Vehicle<4> nominal = tilt_ropter_vehicle();
+  std::array<int, count> inside{}, close{};
+  int identified = 0;
+  for (int index = 0; index < vehicles; ++index) {
+    examples::RandomStream random(1, static_cast<std::uint64_t>(index));
+    examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
+    draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
+    const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
+    const Eigen::Vector3d drag = random.uniform_vector(0.0, 0.3);
+    const auto flight = test_support::fly_for_identification(truth, nominal, draw.com_offset, draw,
+                                                             random, excitation_experiment(), drag);
+    ASSERT_TRUE(flight.flew) << index;
+    Vehicle<4> given = nominal;
+    given.body.mass = truth.body.mass;
+    const auto found = identify_vehicle(flight.log, given);
+    if (found.status == VehicleIdentificationStatus::identified) ++identified;
+    const Eigen::Vector3d& com = draw.com_offset;
+    const Eigen::Vector3d moments = truth.body.inertia.diagonal();
+    const std::array<double, count> right = {draw.thrust,
+                                             com.x(),
+                                             com.y(),
+                                             com.z(),
+                                             moments.x(),
+                                             moments.y(),
+                                             moments.z(),
+                                             truth.rotor.torque_ratio,
+                                             truth.servo.time_constant,
+                                             draw.command_delay,
+                                             truth.rotor.time_constant,
+                                             draw.command_delay,
+                                             drag.x(),
+                                             drag.y(),
+                                             drag.z(),
+                                             0.0,
+                                             0.0};
+    const std::array<double, count> allowed = {0.01 * right[0],
+                                               1e-3,
+                                               1e-3,
+                                               1e-3,
+                                               0.05 * right[4],
+                                               0.05 * right[5],
+                                               0.05 * right[6],
+                                               0.05 * right[7],
+                                               0.05 * right[8],
+                                               2e-3,
+                                               0.05 * right[10],
+                                               2e-3,
+                                               0.05,
+                                               0.05,
+                                               0.05,
+                                               2e-4,
+                                               1e-3};
+    for (std::size_t i = 0; i < count; ++i) {
+      const double error = std::abs(found.parameters[i].value - right[i]);
+      inside[i] += error <= found.parameters[i].half_width ? 1 : 0;
+      close[i] += error <= allowed[i] ? 1 : 0;
+    }
+  }
+  EXPECT_GE(identified, 0.95 * vehicles);
+  int all_inside = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    const char* name = to_string(static_cast<P>(i));
+    EXPECT_GE(close[i], 0.95 * vehicles) << name;
+    if (vehicles >= 100) {
+      EXPECT_GE(inside[i], 0.9 * vehicles) << name;
+    }
+    all_inside += inside[i];
+    RecordProperty(name, inside[i]);
+  }
+  EXPECT_GE(all_inside, 0.85 * vehicles * static_cast<double>(count));
+}
+
+}  // namespace
