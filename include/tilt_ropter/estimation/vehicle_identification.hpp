@@ -224,8 +224,8 @@ template <int Rotors>
 }  // namespace detail
 
 /// Identifies a vehicle from one flight. Geometry, rate limit and range of the servos, and all that
-/// the flight did not excite, are those of `given`. The model is that of the library: rigid body
-/// (paper, Sec. Modeling), actuators with first-order lags and dead times, thrust along the tilted
+/// the flight did not excite, are those of `given`. The model is that of the library: rigid body,
+/// actuators with first-order lags and dead times, thrust along the tilted
 /// rotor axes, linear drag, and the reaction of the arms to their own turning. The wind may be a
 /// constant horizontal force. The vehicle must not touch anything: see min_height.
 ///
