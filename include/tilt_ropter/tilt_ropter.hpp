@@ -44,11 +44,11 @@
 #include <tilt_ropter/estimation/pose_faults.hpp>
 #include <tilt_ropter/estimation/position_models.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/vehicle_fit.hpp>
 #include <tilt_ropter/estimation/vehicle_identification.hpp>
 #include <tilt_ropter/estimation/vehicle_log.hpp>
+#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
