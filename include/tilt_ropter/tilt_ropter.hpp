@@ -4,6 +4,7 @@
 /// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
 /// Including only the headers of one component compiles faster. Each header can be included alone.
 #include <tilt_ropter/actuation/actuated_body.hpp>
+#include <tilt_ropter/actuation/actuated_state.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -108,6 +109,7 @@
 
 #if __has_include(<nlopt.h>)
 #include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/control/actuator_plan.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/control/plan_in_force.hpp>
 #include <tilt_ropter/control/receding_horizon.hpp>
