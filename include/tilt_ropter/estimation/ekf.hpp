@@ -467,7 +467,10 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
     return finish(again ? EkfStatus::restarted : EkfStatus::started);
   }
   LinearisedPose<Scalar> at = filter_.linearise(arrived.pose);
-  const double jitter = stamps_.stddev();
+  // Bounded, because a wrong velocity must not make every pose credible.
+  constexpr double most = 0.1;  // effect of the jitter [m]
+  const double speed = static_cast<double>(filter_.state().velocity.norm());
+  const double jitter = std::min(stamps_.stddev(), most / std::max(speed, 1.0));
   if (jitter > 0.0)
     at.add_stamp_noise(filter_.state().velocity,
                        from_.value.angular_velocity - filter_.state().gyro_bias, Scalar(jitter));
@@ -482,6 +485,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept {
   constexpr int enough = 25;  // poses that confirm a start
+  const Scalar far(60);       // no valid pose has such a NIS
   const double noise =
       std::hypot(settings_.pose_noise.position,
                  static_cast<double>(filter_.state().velocity.norm()) * stamps_.stddev());
@@ -491,7 +495,7 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
   const bool moves_like_imu = refused_.count() >= settings_.max_rejections &&
                               refused_.duration(time) >= settings_.restart_time &&
                               refused_.lean() < Scalar(0.1);
-  const bool start_was_wrong = confirmed_ < enough && nis_ > Scalar(10) * gate(6) &&
+  const bool start_was_wrong = confirmed_ < enough && nis_ > far &&
                                refused_.smooth() >= std::min(5, settings_.max_rejections);
   const bool given_up = time - last_position_ >= settings_.give_up_time &&
                         refused_.smooth() >= settings_.max_rejections;
