@@ -70,6 +70,11 @@ class VehicleFit {
  public:
   using I = FitIndex;
   using RotorVector = Eigen::Matrix<double, Rotors, 1>;
+  // The sizes depend on Rotors, so that only code that fits a vehicle compiles their algebra.
+  using FitVector = Eigen::Matrix<double, I::count + 0 * Rotors, 1>;
+  using FitMatrix = Eigen::Matrix<double, I::count + 0 * Rotors, I::count + 0 * Rotors>;
+  using Matrix2 = Eigen::Matrix<double, 2 + 0 * Rotors, 2 + 0 * Rotors>;
+  using Matrix3 = Eigen::Matrix<double, 3 + 0 * Rotors, 3 + 0 * Rotors>;
 
   VehicleFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given,
              const VehicleFitSettings& settings)
@@ -171,12 +176,12 @@ class VehicleFit {
     x_.setZero();
     x_(I::servo_delay) = prior_(I::servo_delay) = given_.servo.dead_time;
     prior_stddev_.setOnes();
-    prior_stddev_.segment<3>(I::com).setConstant(0.1);
+    prior_stddev_.template segment<3>(I::com).setConstant(0.1);
     prior_stddev_(I::servo_delay) = prior_stddev_(I::rotor_delay) = 0.05;
-    prior_stddev_.segment<3>(I::drag).setConstant(5.0 * given_.body.mass);
+    prior_stddev_.template segment<3>(I::drag).setConstant(5.0 * given_.body.mass);
     prior_stddev_(I::arm_inertia) = 0.5 * given_.body.inertia.trace() / 3.0;
     prior_stddev_(I::arm_moment) = 0.02 * given_.body.mass;
-    prior_stddev_.segment<2>(I::wind).setConstant(0.3 * given_.body.mass * gravity);
+    prior_stddev_.template segment<2>(I::wind).setConstant(0.3 * given_.body.mass * gravity);
     stddevs_ = prior_stddev_;
     longest_ = 0.4 * prior_stddev_;
   }
@@ -290,7 +295,7 @@ class VehicleFit {
       if (gap > 0.1) continue;
       next = time + 0.5 * half;
       // The second derivative of the Hann window has to give 0, 0 and 2 for 1, t and t^2.
-      Eigen::Matrix3d moments = Eigen::Matrix3d::Zero();
+      Matrix3 moments = Matrix3::Zero();
       Eigen::Vector3d heights = Eigen::Vector3d::Zero();
       const auto height_of = [&](const Timed<MarkerPosed>& pose) {
         return pose.value.position.z() +
@@ -377,7 +382,7 @@ class VehicleFit {
     double cost = cost_of(residuals);
     const double count = std::max(1.0, static_cast<double>(Rotors * residuals.size()));
     const Eigen::Vector2d steps(1e-3, 1e-4), prior(1.0, 0.05);
-    Eigen::Matrix2d inverse = Eigen::Matrix2d::Identity(), spread = Eigen::Matrix2d::Zero();
+    Matrix2 inverse = Matrix2::Identity(), spread = Matrix2::Zero();
     for (int iteration = 0; iteration < settings_.max_iterations; ++iteration) {
       std::array<std::vector<RotorVector>, 2> slopes;
       for (int p = 0; p < 2; ++p) {
@@ -390,8 +395,7 @@ class VehicleFit {
           slopes[at(p)][j] = (slopes[at(p)][j] - high[j]) / (2.0 * steps(p));
       }
       const double variance = std::max(cost / count, 1e-12);
-      Eigen::Matrix2d information =
-          Eigen::Vector2d(prior.cwiseProduct(prior).cwiseInverse()).asDiagonal();
+      Matrix2 information = Eigen::Vector2d(prior.cwiseProduct(prior).cwiseInverse()).asDiagonal();
       spread = information;
       Eigen::Vector2d slope = Eigen::Vector2d::Zero();
       constexpr std::size_t block = 100;
@@ -421,7 +425,7 @@ class VehicleFit {
       }
       if (length <= 1e-3 || std::abs(step(0)) + 50.0 * std::abs(step(1)) < 1e-5) break;
     }
-    Eigen::Matrix2d covariance = inverse * spread * inverse;
+    Matrix2 covariance = inverse * spread * inverse;
     covariance.diagonal() += Eigen::Vector2d(1e-12, 1e-16);
     rotor_lag_ = {x(0), x(1), covariance};
     x_(I::rotor_lag) = prior_(I::rotor_lag) = x(0);
@@ -545,11 +549,11 @@ class VehicleFit {
     const double mass = given_.body.mass * (settings_.trust_mass ? 1.0 : 1.0 / scale);
     const double thrust = settings_.trust_mass ? scale : 1.0;
     const double ratio = std::exp(x(I::torque_ratio));
-    const Eigen::Vector3d com = x.segment<3>(I::com), arm = settings_.imu_position - com;
-    const Eigen::Vector3d bias = x.segment<3>(I::bias);
-    Eigen::Matrix3d inertia = given_.body.inertia;
+    const Eigen::Vector3d com = x.template segment<3>(I::com), arm = settings_.imu_position - com;
+    const Eigen::Vector3d bias = x.template segment<3>(I::bias);
+    Matrix3 inertia = given_.body.inertia;
     for (int i = 0; i < 3; ++i) inertia(i, i) *= std::exp(x(I::inertia + i));
-    const Eigen::Matrix3d inverse = inertia.inverse();
+    const Matrix3 inverse = inertia.inverse();
     Eigen::Matrix<double, 3, Rotors> sideways, upward, axis, side_torque, up_torque, place;
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& r = rotor(i);
@@ -575,7 +579,7 @@ class VehicleFit {
                   x(I::arm_inertia) * f.turning[k](i) * axis.col(i) +
                   Eigen::Vector3d(place.col(i)).cross(swing);
       }
-      force -= x.segment<3>(I::drag).cwiseProduct(w.velocity);
+      force -= x.template segment<3>(I::drag).cwiseProduct(w.velocity);
       force += x(I::wind) * w.rotation.row(0).transpose() +
                x(I::wind + 1) * w.rotation.row(1).transpose();
       const Eigen::Vector3d& rates = w.angular_velocity;
@@ -719,7 +723,7 @@ class VehicleFit {
       prior(i, i) = held_[at(i)] ? 1.0 : 1.0 / (prior_stddev_(i) * prior_stddev_(i));
     const int lag = I::rotor_lag, delay = I::rotor_delay;
     if (log_.rotor_speeds.empty() || held_[at(lag)] || held_[at(delay)]) return prior;
-    prior.block<2, 2>(lag, lag) = rotor_lag_.covariance.inverse();
+    prior.template block<2, 2>(lag, lag) = rotor_lag_.covariance.inverse();
     return prior;
   }
 
