@@ -117,6 +117,8 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::WrenchObserverd& observer() const { return observer_; }
   [[nodiscard]] const tilt_ropter::AllocationResult<Rotors>& allocated() const { return sent_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
+  /// The controller at the wrench level; there is none at the actuator level.
+  [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return *nmpc_; }
 
  private:
   [[nodiscard]] tilt_ropter::Wrenchd wrench_of(

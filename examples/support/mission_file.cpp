@@ -499,6 +499,10 @@ class Writer {
     object["type"] = "trajectory";
   }
 
+  static void write(Json&, MissionPhase, const Excitation&, MissionPhase&) {
+    throw MissionFileError("--write-mission: a mission file has no type for the mission excite");
+  }
+
   static void write_heading(Json& object, HeadingMode heading, double max_yaw_rate) {
     object["heading"] = heading == HeadingMode::fixed ? "fixed" : "along_velocity";
     if (heading == HeadingMode::along_velocity) object["max_yaw_rate_radps"] = max_yaw_rate;

@@ -44,7 +44,8 @@ TEST(LongRun, LastMissionMatchesTheSecondInRmseAndMemory) {
   truth.body.inertia *= 1.1;
   Plant<4> plant(truth);
   MissionSensors<4> sensors(1);
-  FlightController<4> controller(tilt_ropter_vehicle(), {}, MissionSensors<4>::estimation());
+  FlightController<4> controller(tilt_ropter_vehicle(), NmpcSettings{},
+                                 MissionSensors<4>::estimation());
   ActuatorState<4> command;
   std::vector<double> rmse, memory;
   int failures = 0;

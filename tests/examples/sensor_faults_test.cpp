@@ -62,7 +62,7 @@ Outcome fly(double duration, const std::string& fault_text,
   if (!fault_text.empty()) sensors.add_fault(fault);
   EkfSettings estimation = MissionSensors<4>::estimation();
   estimation.imu_position = lever;
-  FlightController<4> controller(tilt_ropter_vehicle(), {}, estimation);
+  FlightController<4> controller(tilt_ropter_vehicle(), NmpcSettings{}, estimation);
   ActuatorState<4> command = controller.lift(tilt_ropter_vehicle().body.mass * gravity);
   controller.start_with(command);
   BodyStated start;

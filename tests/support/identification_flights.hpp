@@ -1,7 +1,7 @@
 #pragma once
 
-#include "examples/support/flight_controller.hpp"
-#include "examples/support/vehicle_spread.hpp"
+#include "../../examples/support/flight_controller.hpp"
+#include "../../examples/support/vehicle_spread.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/vehicle_log.hpp>
