@@ -286,16 +286,10 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
     refuse("power.hover_w", shown(vehicle.power.hover),
            "more than electronics and servos at rest, " + shown(at_rest) + " W");
   (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
-  const auto at_com = [&vehicle](std::optional<std::size_t> arm) {
-    return arm && std::abs(vehicle.rotors[*arm].position.x()) < 1e-6 &&
-           std::abs(vehicle.rotors[*arm].position.z()) < 1e-6;
-  };
-  if (vehicle.wheels && vehicle.wheels->on_arms &&
-      (vehicle.wheels->wheel_base > 0.0 || !at_com(axle_arm(vehicle, 0)) ||
-       !at_com(axle_arm(vehicle, 1))))
+  if (vehicle.wheels && vehicle.wheels->on_arms && !(axle_arm(vehicle, 0) && axle_arm(vehicle, 1)))
     refuse("wheels.on_arms", shown(Json(true)),
-           "false, unless wheel_base_m is 0 and two arms point along -y and +y from the CoM "
-           "and end before the wheels (length_m below half_track_m)");
+           "false, unless wheel_base_m is 0 and two arms point along -y and +y, within 5 cm of the "
+           "CoM, and end before the wheels (length_m below half_track_m)");
   validate(vehicle);
   return vehicle;
 }

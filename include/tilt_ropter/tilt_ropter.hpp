@@ -3,6 +3,8 @@
 
 /// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
 /// Including only the headers of one component compiles faster. Each header can be included alone.
+/// Not here are headers that a program uses once, at a desk: model/propeller_clearance.hpp and
+/// estimation/vehicle_identification.hpp with the headers that it includes.
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuated_state.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
@@ -45,9 +47,6 @@
 #include <tilt_ropter/estimation/pose_faults.hpp>
 #include <tilt_ropter/estimation/position_models.hpp>
 #include <tilt_ropter/estimation/servo_identification.hpp>
-#include <tilt_ropter/estimation/vehicle_fit.hpp>
-#include <tilt_ropter/estimation/vehicle_identification.hpp>
-#include <tilt_ropter/estimation/vehicle_log.hpp>
 #include <tilt_ropter/estimation/velocity_models.hpp>
 #include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -64,7 +63,6 @@
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/ned.hpp>
-#include <tilt_ropter/model/propeller_clearance.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

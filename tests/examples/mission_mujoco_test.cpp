@@ -224,7 +224,7 @@ TEST(MujocoPlant, MatchesOurPlantInFlightWhenArmsAreLight) {
   MujocoParameters light = light_arms();
   light.servo_armature = 1e-4;
   MujocoParameters heavy;
-  heavy.arm_mass = 0.15;
+  heavy.arm_mass = 0.1;
   heavy.arm_height = 0.03;
   const double without_arms = distance(light);
   EXPECT_LT(without_arms, 5e-4);
@@ -295,19 +295,19 @@ TEST(MujocoPlant, RollingWheelsTurnTheirArmsAsInOurPlant) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   PlantParameters dragging;
   MujocoParameters p;
-  dragging.contact.bearing_friction = p.contact.bearing_friction = 2e-3;
+  dragging.contact.bearing_friction = p.contact.bearing_friction = 5e-4;
   Plant<4> ours(vehicle, dragging);
   MujocoPlant other(vehicle, p);
   EXPECT_NEAR(other.servo_stiffness(), ours.servo_stiffness(), 1e-12);
   Wrenchd push;
   push.force.x() = 1.5;
-  for (int i = 0; i < 1500; ++i)
+  for (int i = 0; i < 600; ++i)  // then the body has pitched by less than 0.1 rad
     ASSERT_TRUE(ours.step({}, push, 1e-3) && other.step({}, push, 1e-3));
-  EXPECT_GT(ours.bearing_torque(), 0.01);
+  EXPECT_GT(ours.bearing_torque(), 1e-3);
   EXPECT_NEAR(other.bearing_torque() / ours.bearing_torque(), 1.0, 0.05);
   for (const Eigen::Index arm : {0, 1}) {
     const double deflection = ours.actuators().tilt_angle(arm);
-    EXPECT_GT(std::abs(deflection), 4e-3);
+    EXPECT_GT(std::abs(deflection), 4e-4);
     EXPECT_NEAR(other.actuators().tilt_angle(arm) / deflection, 1.0, 0.1) << arm;
   }
 }

@@ -60,6 +60,17 @@ TEST(Vehicle, WheelsOfTheReferenceVehicleSitOnItsArms) {
   EXPECT_EQ(axle_arm(shifted, 0), 0U);
   for (RotorGeometry& rotor : shifted.rotors) rotor.position.x() += 0.1;
   EXPECT_THROW(validate(shifted), std::invalid_argument);
+  const auto has_arms = [](auto change) {
+    Vehicle<4> changed = tilt_ropter_vehicle();
+    change(changed);
+    EXPECT_NO_THROW(validate(changed));
+    return axle_arm(changed, 0) && axle_arm(changed, 1);
+  };
+  EXPECT_TRUE(has_arms([](auto& c) { c.rotors[1].position.x() = 0.01; }));
+  EXPECT_FALSE(has_arms([](auto& c) { c.rotors[1].position.x() = 0.06; }));
+  EXPECT_FALSE(has_arms([](auto& c) { c.wheels->half_track = 0.16; }));
+  EXPECT_FALSE(has_arms([](auto& c) { c.wheels->wheel_base = 0.2; }));
+  EXPECT_FALSE(has_arms([](auto& c) { c.rotors[0] = rotor_on_arm(-1.5, 0.17, Spin::clockwise); }));
   v.wheels->on_arms = false;
   EXPECT_FALSE(axle_arm(v, 0));
   v.wheels.reset();
@@ -186,12 +197,6 @@ TEST(Vehicle, RejectsEveryInvalidFieldByNameAndValue) {
       {"WheelParameters.wheel_base", "-1", [](V& v) { v.wheels->wheel_base = -1.0; }},
       {"WheelParameters.half_width", "-1", [](V& v) { v.wheels->half_width = -1.0; }},
       {"WheelParameters.inertia", "0", [](V& v) { v.wheels->inertia = 0.0; }},
-      {"WheelParameters.on_arms", "true: must be false without a wheel_base of 0",
-       [](V& v) { v.wheels->wheel_base = 0.2; }},
-      {"WheelParameters.on_arms", "true", [](V& v) { v.wheels->half_track = 0.16; }},
-      {"WheelParameters.on_arms", "true", [](V& v) { v.rotors[1].position.x() = 0.01; }},
-      {"WheelParameters.on_arms", "true",
-       [](V& v) { v.rotors[0] = rotor_on_arm(-1.5, 0.17, Spin::clockwise); }},
       {"RotorParameters.propeller_radius", "-1", [](V& v) { v.rotor.propeller_radius = -1.0; }},
       {"RotorParameters.propeller_height", "nan", [](V& v) { v.rotor.propeller_height = nan; }},
       {"Vehicle.legs", "given", [](V& v) { v.legs = LegParameters{}; }},

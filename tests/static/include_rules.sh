@@ -8,6 +8,8 @@ shopt -s inherit_errexit
 cd "$1"
 umbrella=tilt_ropter/tilt_ropter.hpp
 compiled=tilt_ropter/compiled.hpp  # for users who link to its instances
+# Used once, at a desk; each costs every includer of the umbrella a tenth of a second.
+not_in_umbrella='model/propeller_clearance.hpp estimation/vehicle_(fit|identification|log).hpp'
 headers=$(find tilt_ropter -name '*.hpp' ! -path $umbrella ! -path $compiled | sort)
 # Lines like "tilt_ropter/model/state.hpp <tilt_ropter/math/rotation.hpp>".
 includes=$(grep -rE --include='*.hpp' '^\s*#\s*include\b' tilt_ropter |
@@ -42,7 +44,8 @@ violations=$(
       echo "$header does not name its licence in the first line"
   done
   for header in $headers; do
-    grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
+    grep -qE "^tilt_ropter/(${not_in_umbrella// /|})$" <<< "$header" ||
+      grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
   done
   # With `#pragma once` the compiler does not detect circular includes.
   pairs=$(sed -nE 's/ <(tilt_ropter\/.*)>/ \1/p' <<< "$includes")

@@ -7,8 +7,11 @@ set -euo pipefail
 leads_to=$(realpath "$(dirname "${BASH_SOURCE[0]}")/leads_to.sh")
 needing=$(bash "$leads_to" "$1" nlopt.h | grep -v '^tilt_ropter/[^/]*$')
 diff - <(echo "$needing") << 'HEADERS'
+tilt_ropter/control/actuator_nmpc.hpp
+tilt_ropter/control/actuator_plan.hpp
 tilt_ropter/control/nmpc.hpp
 tilt_ropter/control/plan_in_force.hpp
+tilt_ropter/control/receding_horizon.hpp
 tilt_ropter/optimal_control/dual_method.hpp
 tilt_ropter/optimal_control/full_space.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp
