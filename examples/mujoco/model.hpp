@@ -39,7 +39,7 @@ struct MujocoParameters {
   double contact_time_constant = 0.01;  ///< solref of MuJoCo: time in which a contact settles [s]
   /// solimp of MuJoCo, below 1: a larger value is harder. The tyre is compressed by 0.6 mm; at 0.95
   /// it is so hard that rolling wheels lose contact from time to time.
-  double contact_impedance = 0.6;
+  double contact_impedance = 0.7;
   /// Friction, rolling resistance and bearing friction, as in our own plant.
   tilt_ropter::WheelContactParameters contact;
 

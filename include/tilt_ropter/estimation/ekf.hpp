@@ -257,6 +257,20 @@ class Ekf {
         0.0,
         static_cast<double>(filter_.covariance().diagonal().template segment<3>(part).maxCoeff())));
   }
+  /// Time [s] by which the pose is ahead of the estimate, along the estimate's path. Infinite if it
+  /// is not on the path, within `noise` [m], or if the marker hardly moves.
+  [[nodiscard]] double offset_along_path(const MarkerPose<Scalar>& pose,
+                                         double noise) const noexcept {
+    const InertialState<Scalar>& x = filter_.state();
+    const Vector3<Scalar> rate = from_.value.angular_velocity - x.gyro_bias,
+                          velocity = x.velocity + x.orientation * rate.cross(x.marker_position),
+                          off = pose.position - predicted_pose().position;
+    const Scalar square = velocity.squaredNorm();
+    if (!(square > Scalar(0.25))) return std::numeric_limits<double>::infinity();
+    const Scalar ahead = off.dot(velocity) / square;
+    const bool on_path = (off - ahead * velocity).norm() <= Scalar(6.0 * noise + 0.01);
+    return on_path ? static_cast<double>(ahead) : std::numeric_limits<double>::infinity();
+  }
   EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
   /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
   EkfStatus finish(EkfStatus status) noexcept;
@@ -492,6 +506,7 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
   refused_.add(time, arrived.pose, predicted_pose(), noise,
                std::min(0.3, stddev_of(InertialIndex::velocity)));
   poses_disputed_ = true;
+  stamps_.on_displaced(offset_along_path(arrived.pose, noise));
   const bool moves_like_imu = refused_.count() >= settings_.max_rejections &&
                               refused_.duration(time) >= settings_.restart_time &&
                               refused_.lean() < Scalar(0.1);

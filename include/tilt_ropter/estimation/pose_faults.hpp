@@ -71,10 +71,28 @@ class StampMonitor {
     variance_ += 0.02 * (0.5 * bounded * bounded - variance_);
   }
 
-  /// Standard deviation of a stamp [s]; zero for regular stamps.
+  /// Standard deviation of a stamp [s]; zero for regular stamps whose clock agrees with the IMU's.
   [[nodiscard]] double stddev() const noexcept {
     const double jitter = std::sqrt(variance_);
-    return jitter > negligible ? jitter : 0.0;
+    return std::max(jitter > negligible ? jitter : 0.0, offset_);
+  }
+
+  /// Processes a refused position that lies `offset` [s] along the path of the estimate, or beside
+  /// it (not finite). If enough of them lie at the same place, the clock has an offset that the
+  /// settings do not know. It then counts as an error of the stamps.
+  void on_displaced(double offset) noexcept {
+    constexpr int enough = 8;
+    constexpr double alike = 0.005;  // [s]
+    if (!(std::abs(offset) <= 1.5 * max_stddev)) {
+      displaced_ = 0;
+      return;
+    }
+    if (displaced_ == 0 || std::abs(offset - displaced_by_) > alike) {
+      displaced_ = 0;
+      displaced_by_ = offset;
+    }
+    displaced_by_ += (offset - displaced_by_) / static_cast<double>(++displaced_);
+    if (displaced_ >= enough) offset_ = std::max(offset_, std::abs(displaced_by_));
   }
 
   /// Processes the time between stamp and arrival of a measurement that was used [s].
@@ -110,7 +128,8 @@ class StampMonitor {
   static constexpr double max_stddev = 0.02, negligible = 3e-4;  // [s]
 
   double last_ = 0.0, period_ = 0.0, variance_ = 0.0;
-  double lag_ = 0.0, strange_lag_ = 0.0;
+  double lag_ = 0.0, strange_lag_ = 0.0, offset_ = 0.0, displaced_by_ = 0.0;
+  int displaced_ = 0;
   long steps_ = 0, used_ = 0;
   int strange_ = 0;
   bool has_last_ = false;

@@ -303,11 +303,11 @@ namespace detail {
     std::swap(straight.from, straight.to);
     segments.push_back({MissionPhase::ground, Transition(straight)});
   }
-  segments.insert(segments.end(), {{MissionPhase::rest, rest},
-                                   {MissionPhase::take_off, up(turned)},
-                                   {MissionPhase::hover, hover},
-                                   {MissionPhase::landing, down(above_turned)},
-                                   {MissionPhase::rest, rest}});
+  segments.push_back({MissionPhase::rest, rest});
+  segments.push_back({MissionPhase::take_off, up(turned)});
+  segments.push_back({MissionPhase::hover, hover});
+  segments.push_back({MissionPhase::landing, down(above_turned)});
+  segments.push_back({MissionPhase::rest, rest});
   return Mission(std::move(segments), p.start_time);
 }
 template <int Rotors>
