@@ -3,8 +3,9 @@
 
 /// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
 /// Including only the headers of one component compiles faster. Each header can be included alone.
-/// Not here are headers that a program uses once, at a desk: model/propeller_clearance.hpp and
-/// estimation/vehicle_identification.hpp with the headers that it includes.
+/// Not here are headers that a program uses once, at a desk: model/propeller_clearance.hpp,
+/// optimal_control/derivative_check.hpp, and clock_calibration.hpp, servo_identification.hpp and
+/// vehicle_identification.hpp of estimation/.
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuated_state.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
@@ -35,7 +36,6 @@
 #include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
-#include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/ekf_health.hpp>
@@ -46,7 +46,6 @@
 #include <tilt_ropter/estimation/measurement_queue.hpp>
 #include <tilt_ropter/estimation/pose_faults.hpp>
 #include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/servo_identification.hpp>
 #include <tilt_ropter/estimation/velocity_models.hpp>
 #include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -74,7 +73,6 @@
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/bounded_sides.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
-#include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
