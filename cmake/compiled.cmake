@@ -1,6 +1,7 @@
-# tilt_ropter::compiled has the instances that <tilt_ropter/compiled.hpp> declares. A project that
-# links to it builds it with its own flags, so that both are compiled for the same processor. This
-# project includes this file, and the installed file is included by find_package(tilt_ropter).
+# tilt_ropter::compiled has the instances that <tilt_ropter/compiled.hpp> and
+# <tilt_ropter/compiled_actuator_level.hpp> declare. A project that links to it builds it with its
+# own flags, so that both are compiled for the same processor. This project includes this file, and
+# the installed file is included by find_package(tilt_ropter).
 if(TARGET tilt_ropter_compiled)
   return()
 endif()
@@ -19,8 +20,8 @@ ${more}
   list(APPEND sources "${source}")
   set(source "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter_compiled/actuator_level_${rotors}.cpp")
   file(GENERATE OUTPUT "${source}" CONTENT
-"#include <tilt_ropter/compiled.hpp>
-TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(, ${rotors})
+"#include <tilt_ropter/compiled_actuator_level.hpp>
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(, ${rotors})
 ")
   list(APPEND sources "${source}")
 endforeach()

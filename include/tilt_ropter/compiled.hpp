@@ -2,14 +2,13 @@
 #pragma once
 
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 
 /// If the program links to tilt_ropter::compiled, include this header instead of the headers that
 /// it includes. It declares the template instances of that library, so the including file does not
 /// compile them. The library is built with the flags of the project that links to it; see
-/// cmake/compiled.cmake.
+/// cmake/compiled.cmake. For ActuatorNmpc, include compiled_actuator_level.hpp.
 ///
 /// The library also contains Ekf in double precision, which does not depend on the number of
 /// rotors.
@@ -18,13 +17,8 @@
 #define TILT_ROPTER_INSTANCES(prefix, rotors)      \
   prefix template class tilt_ropter::Nmpc<rotors>; \
   prefix template class tilt_ropter::Allocation<rotors>;
-#define TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(prefix, rotors) \
-  prefix template class tilt_ropter::ActuatorNmpc<rotors>;
 
 TILT_ROPTER_INSTANCES(extern, 4)
 TILT_ROPTER_INSTANCES(extern, 6)
 TILT_ROPTER_INSTANCES(extern, 8)
-TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 4)
-TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 6)
-TILT_ROPTER_ACTUATOR_LEVEL_INSTANCES(extern, 8)
 extern template class tilt_ropter::Ekf<double>;

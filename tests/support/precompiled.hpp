@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/compiled.hpp>
+#include <tilt_ropter/compiled_actuator_level.hpp>
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #if __has_include(<CLI/CLI.hpp>)
