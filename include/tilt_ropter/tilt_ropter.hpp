@@ -40,7 +40,10 @@
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/estimation/ekf_settings.hpp>
+#include <tilt_ropter/estimation/ekf_start.hpp>
+#include <tilt_ropter/estimation/ekf_trust.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/imu_history.hpp>
 #include <tilt_ropter/estimation/inertial_state.hpp>
 #include <tilt_ropter/estimation/measurement_model.hpp>
 #include <tilt_ropter/estimation/measurement_queue.hpp>

@@ -3,7 +3,10 @@
 
 #include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/estimation/ekf_settings.hpp>
+#include <tilt_ropter/estimation/ekf_start.hpp>
+#include <tilt_ropter/estimation/ekf_trust.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/imu_history.hpp>
 #include <tilt_ropter/estimation/measurement_model.hpp>
 #include <tilt_ropter/estimation/measurement_queue.hpp>
 #include <tilt_ropter/estimation/pose_faults.hpp>
@@ -19,28 +22,11 @@
 #include <cstddef>
 #include <limits>
 #include <type_traits>
-#include <vector>
 
 /// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
-/// error-state Kalman filter that processes measurements at their time stamps. This header is long
-/// because Ekf is one class template, so its function definitions must be in the header.
+/// error-state Kalman filter that processes measurements at their time stamps. This header decides
+/// which measurement is used and when; the headers that it includes contain the computations.
 namespace tilt_ropter {
-
-/// Standard deviations of a state that is given to Ekf::start(), per axis.
-struct StartStddev {
-  double position = 1.0;     ///< [m]
-  double velocity = 0.5;     ///< [m/s]
-  double orientation = 0.1;  ///< [rad]
-};
-
-/// Orientation of a body at rest with this specific force (body frame) and heading [rad].
-template <typename Scalar>
-[[nodiscard]] Eigen::Quaternion<Scalar> level_orientation(const Vector3<Scalar>& specific_force,
-                                                          const Scalar& heading) {
-  const auto level =
-      Eigen::Quaternion<Scalar>::FromTwoVectors(specific_force, Vector3<Scalar>::UnitZ());
-  return (quaternion_from_yaw(Scalar(heading - yaw_of(level))) * level).normalized();
-}
 
 /// Error-state Kalman filter for delayed measurements. The filter is at the time of the last
 /// measurement used, so that a delayed measurement is compared with the state at its own time. From
@@ -51,8 +37,7 @@ template <typename Scalar>
 /// Faulty poses do not move the estimate:
 ///
 /// - A pose that repeats the last pose bit for bit, while the IMU's samples change, is not used.
-/// - A pose above the gate is not used. The filter restarts at refused poses only if they have
-/// moved
+/// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
 ///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
 ///   then keeps lean, velocity and biases. If the poses only move smoothly, it restarts after
 ///   give_up_time and keeps nothing but the marker frame.
@@ -93,11 +78,11 @@ class Ekf {
   [[nodiscard]] EstimateTrust trust(double now) const noexcept;
 
   /// Time of the newest IMU sample [s]; zero before the first sample.
-  [[nodiscard]] double time() const noexcept { return newest_.time; }
+  [[nodiscard]] double time() const noexcept { return history_.newest().time; }
 
   /// Pose and twist of the body (of the CoM) at time().
   [[nodiscard]] BodyState<Scalar> state() const noexcept {
-    return body_of(newest_.value.angular_velocity - ahead_.gyro_bias);
+    return body_of(history_.newest().value.angular_velocity - ahead_.gyro_bias);
   }
 
   /// Same as state() for a loop slower than the IMU. The angular velocity is the mean of all
@@ -126,7 +111,7 @@ class Ekf {
   /// marker's position is relative to the IMU, in body axes.
   [[nodiscard]] const ErrorStateFilter<Scalar>& filter() const noexcept { return filter_; }
   /// Time of the last measurement used [s]. If none arrive, at most max_delay behind time().
-  [[nodiscard]] double filter_time() const noexcept { return from_.time; }
+  [[nodiscard]] double filter_time() const noexcept { return history_.from().time; }
   /// NIS r' S^-1 r of the last measurement that was compared, used or not.
   [[nodiscard]] Scalar nis() const noexcept { return nis_; }
   [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
@@ -140,7 +125,6 @@ class Ekf {
 
  private:
   using Sample = Timed<InertialSample<Scalar>>;
-  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
   friend class detail::StoredMeasurement<Ekf>;
 
   /// A pose and the time between its stamp and its arrival [s].
@@ -148,32 +132,8 @@ class Ekf {
     MarkerPose<Scalar> pose;
     double lag;
   };
-  /// What a restart keeps of the estimate.
-  enum class Keep { marker_frame, biases_and_velocity };
-
   static bool within(const Vector3<Scalar>& v, double limit) noexcept {
     return all_finite(v) && v.cwiseAbs().maxCoeff() <= Scalar(limit);
-  }
-
-  static InertialSample<Scalar> mean(const Sample& a, const Sample& b) noexcept {
-    return {(a.value.angular_velocity + b.value.angular_velocity) / Scalar(2),
-            (a.value.specific_force + b.value.specific_force) / Scalar(2)};
-  }
-
-  static InertialState<Scalar> step(const InertialState<Scalar>& x, const Sample& from,
-                                    const Sample& to) noexcept {
-    return propagate(x, mean(from, to), Scalar(to.time - from.time));
-  }
-
-  /// Interpolates the IMU linearly between two samples.
-  static Sample between(const Sample& a, const Sample& b, double time) noexcept {
-    const Scalar fraction = Scalar((time - a.time) / (b.time - a.time));
-    const auto blend = [fraction](const Vector3<Scalar>& from, const Vector3<Scalar>& to) {
-      return Vector3<Scalar>(from + fraction * (to - from));
-    };
-    return {time,
-            {blend(a.value.angular_velocity, b.value.angular_velocity),
-             blend(a.value.specific_force, b.value.specific_force)}};
   }
 
   [[nodiscard]] InertialSample<Scalar> to_body(const InertialSample<Scalar>& s) const noexcept {
@@ -188,10 +148,6 @@ class Ekf {
     return body;
   }
 
-  [[nodiscard]] const Sample& at(std::size_t i) const noexcept {
-    return samples_[(first_ + i) % samples_.size()];
-  }
-
   void begin_mean(const Sample& sample) noexcept {
     rate_sum_ = sample.value.angular_velocity;
     rates_ = 1;
@@ -200,14 +156,16 @@ class Ekf {
   EkfStatus begin_again(const Sample& sample, double pause) noexcept;
 
   /// Advances the filter through the samples up to `time`, if `time` is later.
-  void catch_up(double time) noexcept;
-  void advance(const Sample& to) noexcept;
-
+  void catch_up(double time) noexcept {
+    history_.catch_up(time, [this](const InertialSample<Scalar>& mean, const Scalar& duration) {
+      if (running_) filter_.predict(mean, duration);
+    });
+  }
   /// Propagates the filter's state to the newest sample.
-  void look_ahead() noexcept {
-    ahead_ = filter_.state();
-    Sample from = from_;
-    for (std::size_t i = 0; i < count_; from = at(i++)) ahead_ = step(ahead_, from, at(i));
+  void look_ahead() noexcept { ahead_ = history_.propagated(filter_.state()); }
+  /// Angular velocity at the filter's time, body frame [rad/s].
+  [[nodiscard]] Vector3<Scalar> rate() const noexcept {
+    return history_.from().value.angular_velocity - filter_.state().gyro_bias;
   }
 
   EkfStatus unused(EkfStatus status) noexcept {
@@ -239,7 +197,7 @@ class Ekf {
   EkfStatus queue(double time, const Measurement& measurement) noexcept;
 
   void used(MeasurementKind kind) noexcept {
-    last_used_[static_cast<std::size_t>(kind)] = from_.time;
+    last_used_[static_cast<std::size_t>(kind)] = filter_time();
   }
   /// Gate for a number of rows, of the same probability as settings_.gate for six.
   [[nodiscard]] Scalar gate(int rows) const noexcept {
@@ -251,19 +209,15 @@ class Ekf {
     const InertialState<Scalar>& x = filter_.state();
     return {x.position + x.orientation * x.marker_position, x.orientation * x.marker_orientation};
   }
-  /// Square root of the largest variance of a part of the state.
   [[nodiscard]] double stddev_of(int part) const noexcept {
-    return std::sqrt(std::max(
-        0.0,
-        static_cast<double>(filter_.covariance().diagonal().template segment<3>(part).maxCoeff())));
+    return detail::largest_stddev(filter_.covariance(), part);
   }
   /// Time [s] by which the pose is ahead of the estimate, along the estimate's path. Infinite if it
   /// is not on the path, within `noise` [m], or if the marker hardly moves.
   [[nodiscard]] double offset_along_path(const MarkerPose<Scalar>& pose,
                                          double noise) const noexcept {
     const InertialState<Scalar>& x = filter_.state();
-    const Vector3<Scalar> rate = from_.value.angular_velocity - x.gyro_bias,
-                          velocity = x.velocity + x.orientation * rate.cross(x.marker_position),
+    const Vector3<Scalar> velocity = x.velocity + x.orientation * rate().cross(x.marker_position),
                           off = pose.position - predicted_pose().position;
     const Scalar square = velocity.squaredNorm();
     if (!(square > Scalar(0.25))) return std::numeric_limits<double>::infinity();
@@ -274,26 +228,16 @@ class Ekf {
   EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
   /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
   EkfStatus finish(EkfStatus status) noexcept;
-  /// Starts the vehicle at the pose, with the known marker frame. The update from a much larger
-  /// covariance sets the correlation between the pose and an uncertain marker frame.
-  void start_at(const MarkerPose<Scalar>& pose, Keep keep) noexcept;
-  /// Moves and turns the estimate about the vertical, to a pose in another place.
-  void relocate(const MarkerPose<Scalar>& pose) noexcept;
-
-  static void fill(Covariance& p, int start, double stddev) noexcept {
-    p.diagonal().template segment<3>(start).setConstant(Scalar(stddev * stddev));
-  }
+  /// Too few poses have confirmed the start.
+  [[nodiscard]] bool has_just_started() const noexcept { return confirmed_ < 25; }
 
   EkfSettings settings_;
   ErrorStateFilter<Scalar> filter_;
   Matrix3<Scalar> imu_rotation_;
   Vector3<Scalar> imu_position_;
   bool has_lever_;
-  InertialState<Scalar> ahead_;  ///< filter state propagated to newest_
-  Sample from_;                  ///< IMU at the filter's time, body axes
-  Sample newest_;                ///< the last of samples_, or from_
-  std::vector<Sample> samples_;  ///< ring buffer of samples later than from_
-  std::size_t first_ = 0, count_ = 0;
+  InertialState<Scalar> ahead_;         ///< filter state propagated to the newest IMU sample
+  detail::ImuHistory<Scalar> history_;  ///< body axes
   detail::MeasurementQueue<Ekf, max_waiting> queue_;    ///< sorted by time
   Vector3<Scalar> rate_sum_ = Vector3<Scalar>::Zero();  ///< sum of rates since take_state()
   Vector3<Scalar> angular_acceleration_ = Vector3<Scalar>::Zero();
@@ -337,7 +281,7 @@ Ekf<Scalar>::Ekf(const EkfSettings& settings)
       imu_rotation_(settings.imu_orientation.toRotationMatrix().template cast<Scalar>()),
       imu_position_(settings.imu_position.template cast<Scalar>()),
       has_lever_(settings.imu_position != Eigen::Vector3d::Zero()),
-      samples_(static_cast<std::size_t>(settings.max_delay * settings.max_imu_rate) + 16) {
+      history_(static_cast<std::size_t>(settings.max_delay * settings.max_imu_rate) + 16) {
   reset();
 }
 
@@ -347,7 +291,8 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
       !within(value.specific_force, 1e5))
     return EkfStatus::rejected;
   const Sample sample{time, to_body(value)};
-  const double pause = time - newest_.time;
+  const Sample newest = history_.newest();
+  const double pause = time - newest.time;
   if (has_imu_ && pause == 0.0) return EkfStatus::duplicate;
   if (has_imu_ && pause < 0.0) {
     // The clock was set back if several samples in a row are late but follow each other.
@@ -365,13 +310,12 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
     rate_sum_ += sample.value.angular_velocity;
     ++rates_;
   }
-  if (count_ == samples_.size()) catch_up(at(0).time);
-  samples_[(first_ + count_++) % samples_.size()] = sample;
-  if (running_) ahead_ = step(ahead_, newest_, sample);
+  if (history_.is_full()) catch_up(history_.next().time);
+  history_.push(sample);
+  if (running_) ahead_ = history_.step(ahead_, newest, sample);
   if (has_lever_)
     angular_acceleration_ =
-        (sample.value.angular_velocity - newest_.value.angular_velocity) / Scalar(pause);
-  newest_ = sample;
+        (sample.value.angular_velocity - newest.value.angular_velocity) / Scalar(pause);
   catch_up(time - settings_.max_delay);
   while (queue_.has_until(time - settings_.fusion_delay)) queue_.pop().apply(*this);
   return EkfStatus::updated;
@@ -384,13 +328,12 @@ EkfStatus Ekf<Scalar>::begin_again(const Sample& sample, double pause) noexcept 
   if (running_) filter_.reset(ahead_, filter_.covariance());
   running_ = false;
   gap_ = std::abs(pause);
-  count_ = 0;
   if (pause < 0.0) {
     queue_.clear();
     has_pose_ = false;
   }
   angular_acceleration_.setZero();
-  from_ = newest_ = sample;
+  history_.begin(sample);
   begin_mean(sample);
   return gap ? EkfStatus::stopped : EkfStatus::updated;
 }
@@ -412,7 +355,7 @@ EkfStatus Ekf<Scalar>::on_pose(double time, const MarkerPose<Scalar>& pose) noex
     return unused(EkfStatus::frozen);
   }
   stamps_.on_stamp(stamp);
-  const ArrivedPose arrived{{pose.position, pose.orientation.normalized()}, newest_.time - stamp};
+  const ArrivedPose arrived{{pose.position, pose.orientation.normalized()}, this->time() - stamp};
   const EkfStatus status = queue(stamp, arrived);
   return status == EkfStatus::early ? mistimed(status, arrived.lag) : status;
 }
@@ -427,8 +370,9 @@ EkfStatus Ekf<Scalar>::on_measurement(double time, const Measurement& measuremen
 template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::queue(double time, const Measurement& measurement) noexcept {
-  if (time <= newest_.time - settings_.fusion_delay) return apply(time, measurement);
-  if (time > newest_.time + settings_.max_delay || !queue_.push(time, measurement))
+  const double newest = this->time();
+  if (time <= newest - settings_.fusion_delay) return apply(time, measurement);
+  if (time > newest + settings_.max_delay || !queue_.push(time, measurement))
     return EkfStatus::early;
   return EkfStatus::waiting;
 }
@@ -437,10 +381,9 @@ template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexcept {
   if (!running_) return EkfStatus::early;
-  if (time < from_.time) return EkfStatus::late;
+  if (time < filter_time()) return EkfStatus::late;
   catch_up(time);
-  const InertialMotion<Scalar> motion{
-      filter_.state(), from_.value.angular_velocity - filter_.state().gyro_bias, imu_position_};
+  const InertialMotion<Scalar> motion{filter_.state(), rate(), imu_position_};
   constexpr MeasurementKind kind = detail::KindOf<Measurement>::value;
   if constexpr (std::is_invocable_v<const Measurement&, const InertialMotion<Scalar>&>)
     return use(measurement(motion), kind);
@@ -464,7 +407,7 @@ EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   if (has_pose_ && time == pose_time_) return unused(EkfStatus::duplicate);
-  if (time < from_.time) return mistimed(EkfStatus::late, arrived.lag);
+  if (time < filter_time()) return mistimed(EkfStatus::late, arrived.lag);
   catch_up(time);
   has_pose_ = true;
   pose_time_ = time;
@@ -476,7 +419,8 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   }
   if (!running_) {
     const bool again = was_started_;
-    start_at(arrived.pose, again ? Keep::biases_and_velocity : Keep::marker_frame);
+    detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0, again, gap_}, settings_);
+    confirmed_ = 0;
     stamps_.on_used(arrived.lag);
     return finish(again ? EkfStatus::restarted : EkfStatus::started);
   }
@@ -485,9 +429,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   constexpr double most = 0.1;  // effect of the jitter [m]
   const double speed = static_cast<double>(filter_.state().velocity.norm());
   const double jitter = std::min(stamps_.stddev(), most / std::max(speed, 1.0));
-  if (jitter > 0.0)
-    at.add_stamp_noise(filter_.state().velocity,
-                       from_.value.angular_velocity - filter_.state().gyro_bias, Scalar(jitter));
+  if (jitter > 0.0) at.add_stamp_noise(filter_.state().velocity, rate(), Scalar(jitter));
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
   if (!(nis_ <= gate(6)) || !filter_.update(innovation, at)) return refuse(time, arrived);
@@ -498,8 +440,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
 
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept {
-  constexpr int enough = 25;  // poses that confirm a start
-  const Scalar far(60);       // no valid pose has such a NIS
+  const Scalar far(60);  // no valid pose has such a NIS
   const double noise =
       std::hypot(settings_.pose_noise.position,
                  static_cast<double>(filter_.state().velocity.norm()) * stamps_.stddev());
@@ -510,19 +451,20 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
   const bool moves_like_imu = refused_.count() >= settings_.max_rejections &&
                               refused_.duration(time) >= settings_.restart_time &&
                               refused_.lean() < Scalar(0.1);
-  const bool start_was_wrong = confirmed_ < enough && nis_ > far &&
+  const bool start_was_wrong = has_just_started() && nis_ > far &&
                                refused_.smooth() >= std::min(5, settings_.max_rejections);
   const bool given_up = time - last_position_ >= settings_.give_up_time &&
                         refused_.smooth() >= settings_.max_rejections;
   if (moves_like_imu) {
-    relocate(arrived.pose);
+    detail::relocate(filter_, arrived.pose);
   } else if (start_was_wrong || given_up) {
-    start_at(arrived.pose, Keep::marker_frame);
+    detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0}, settings_);
   } else {
     ++counts_.gated;
     watch_clock(arrived.lag);
     return EkfStatus::gated;
   }
+  confirmed_ = 0;
   return finish(EkfStatus::restarted);
 }
 
@@ -532,7 +474,7 @@ EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
   ++counts_.used;
   refused_.clear();
   poses_disputed_ = poses_mistimed_ = false;
-  last_position_ = from_.time;
+  last_position_ = filter_time();
   used(MeasurementKind::pose);
   running_ = was_started_ = true;
   look_ahead();
@@ -540,93 +482,15 @@ EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
 }
 
 template <typename Scalar>
-void Ekf<Scalar>::start_at(const MarkerPose<Scalar>& pose, Keep keep) noexcept {
-  using I = InertialIndex;
-  InertialState<Scalar> x = filter_.state();
-  x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
-  x.position = pose.position - x.orientation * x.marker_position;
-  Covariance p = Covariance::Zero();
-  if (counts_.used > 0) {
-    p.template bottomRightCorner<12, 12>() =
-        filter_.covariance().template bottomRightCorner<12, 12>();
-  } else {
-    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
-    fill(p, I::marker_position, settings_.marker_position_stddev);
-  }
-  double velocity_stddev = settings_.velocity_stddev;
-  if (keep == Keep::biases_and_velocity && was_started_) {
-    // The velocity has changed by an unknown acceleration during the gap.
-    constexpr double acceleration = 10.0;  // [m/s^2]
-    velocity_stddev = std::min(velocity_stddev, 0.5 + acceleration * gap_);
-  } else {
-    x.velocity.setZero();
-    x.gyro_bias.setZero();
-    x.accelerometer_bias.setZero();
-    p.template block<6, 12>(I::gyro_bias, I::gyro_bias).setZero();
-    p.template block<12, 6>(I::gyro_bias, I::gyro_bias).setZero();
-    fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
-    fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
-  }
-  fill(p, I::position, 1.0);
-  fill(p, I::orientation, 1.0);
-  fill(p, I::velocity, velocity_stddev);
-  filter_.reset(x, p);
-  filter_.update(pose);
-  confirmed_ = 0;
-}
-
-template <typename Scalar>
-void Ekf<Scalar>::relocate(const MarkerPose<Scalar>& pose) noexcept {
-  using I = InertialIndex;
-  InertialState<Scalar> x = filter_.state();
-  const Eigen::Quaternion<Scalar> turn = quaternion_from_yaw(yaw_of(Eigen::Quaternion<Scalar>(
-      pose.orientation * (x.orientation * x.marker_orientation).conjugate())));
-  x.orientation = (turn * x.orientation).normalized();
-  x.velocity = turn * x.velocity;
-  x.position = pose.position - x.orientation * x.marker_position;
-  Covariance p = filter_.covariance();
-  const Matrix3<Scalar> rotation = turn.toRotationMatrix();
-  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
-  p.template middleCols<3>(I::velocity) =
-      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
-  p.template middleRows<3>(I::position).setZero();
-  p.template middleCols<3>(I::position).setZero();
-  fill(p, I::position, 1.0);
-  // The heading is as good as the pose says; the lean is kept.
-  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
-  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
-  filter_.reset(x, p);
-  filter_.update(pose);
-  confirmed_ = 0;
-}
-
-template <typename Scalar>
 bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept {
-  using I = InertialIndex;
   if (!has_imu_ || !is_finite(body) || !(body.orientation.norm() > Scalar(0.1)) ||
       !(stddev.position > 0.0 && stddev.velocity > 0.0 && stddev.orientation > 0.0) ||
       !(stddev.position + stddev.velocity + stddev.orientation < 1e6))
     return false;
-  catch_up(newest_.time);
-  InertialState<Scalar> x = filter_.state();
-  x.orientation = body.orientation.normalized();
-  x.position = body.position + x.orientation * imu_position_;
-  x.velocity =
-      body.velocity + x.orientation * Vector3<Scalar>(body.angular_velocity.cross(imu_position_));
-  Covariance p = Covariance::Zero();
-  p.template bottomRightCorner<6, 6>() = filter_.covariance().template bottomRightCorner<6, 6>();
-  if (!was_started_) {
-    fill(p, I::marker_orientation, settings_.marker_orientation_stddev);
-    fill(p, I::marker_position, settings_.marker_position_stddev);
-  }
-  fill(p, I::position, stddev.position);
-  fill(p, I::velocity, stddev.velocity);
-  fill(p, I::orientation, stddev.orientation);
-  fill(p, I::gyro_bias, settings_.gyro_bias_stddev);
-  fill(p, I::accelerometer_bias, settings_.accelerometer_bias_stddev);
-  filter_.reset(x, p);
+  catch_up(time());
+  detail::start_at_state(filter_, body, stddev, imu_position_, was_started_, settings_);
   refused_.clear();
-  last_position_ = from_.time;
+  last_position_ = filter_time();
   confirmed_ = 0;
   running_ = was_started_ = true;
   look_ahead();
@@ -635,61 +499,21 @@ bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev
 
 template <typename Scalar>
 EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
-  using I = InertialIndex;
   EstimateTrust t;
   const auto since = [now](double then) {
     const double age = now - then;
     return age >= 0.0 ? age : age < 0.0 ? 0.0 : std::numeric_limits<double>::infinity();
   };
-  if (has_imu_) t.imu_age = since(newest_.time);
+  if (has_imu_) t.imu_age = since(time());
   for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = since(last_used_[i]);
   if (!was_started_) return t;
-
-  // Prediction from the filter's time by the variances of velocity, attitude and accelerometer.
-  const double dt = std::min(since(from_.time), 1e3);
-  const Covariance& p = filter_.covariance();
-  const auto variance = [&p](int row, int column) { return static_cast<double>(p(row, column)); };
-  const double lean = stddev_of(I::orientation), bias = stddev_of(I::accelerometer_bias);
-  const double density = settings_.imu_noise.accelerometer_density;
-  const double acceleration = gravity * gravity * lean * lean + bias * bias;
-  double position = 0.0, velocity = 0.0;
-  for (int i = 0; i < 3; ++i) {
-    const int r = I::position + i, v = I::velocity + i;
-    position =
-        std::max(position, variance(r, r) + 2.0 * dt * variance(r, v) + dt * dt * variance(v, v));
-    velocity = std::max(velocity, variance(v, v));
-  }
-  t.position_stddev = std::sqrt(std::max(0.0, position) + 0.25 * std::pow(dt, 4) * acceleration +
-                                density * density * std::pow(dt, 3) / 3.0);
-  t.velocity_stddev =
-      std::sqrt(std::max(0.0, velocity) + dt * dt * acceleration + density * density * dt);
-  t.orientation_stddev = std::hypot(lean, dt * stddev_of(I::gyro_bias),
-                                    settings_.imu_noise.gyro_density * std::sqrt(dt));
-
-  const EkfTrustLimits& limits = settings_.trust;
-  const auto above = [&limits](double stddev, double limit) {
-    return !(limits.confidence * stddev <= limit);
-  };
-  t.imu_silent = !(t.imu_age <= limits.imu_age);
   t.imu_stopped = !running_;
-  t.no_position = !(std::min(t.age_of(MeasurementKind::pose),
-                             t.age_of(MeasurementKind::position)) <= limits.position_age);
   t.poses_frozen = poses_frozen_;
   t.poses_disputed = poses_disputed_;
   t.poses_mistimed = poses_mistimed_;
-  t.position_error = above(t.position_stddev, limits.position_error);
-  t.velocity_error = above(t.velocity_stddev, limits.velocity_error);
-  t.orientation_error = above(t.orientation_stddev, limits.orientation_error);
-  if (t.imu_silent || t.imu_stopped || t.orientation_error)
-    t.state = EstimateState::lost;
-  else if (t.velocity_error && confirmed_ < 25 && !t.no_position)
-    t.state = EstimateState::starting;
-  else if (above(t.position_stddev, limits.lost_position_error))
-    t.state = EstimateState::position_lost;
-  else if (t.position_error || t.velocity_error)
-    t.state = EstimateState::degraded;
-  else
-    t.state = t.no_position ? EstimateState::dead_reckoning : EstimateState::good;
+  detail::predict_errors(filter_.covariance(), std::min(since(filter_time()), 1e3),
+                         settings_.imu_noise, t);
+  detail::judge(settings_.trust, has_just_started(), t);
   return t;
 }
 
@@ -697,13 +521,12 @@ template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
   poses_frozen_ = poses_disputed_ = poses_mistimed_ = false;
-  count_ = 0;
   behind_ = rates_ = confirmed_ = 0;
   pose_time_ = received_ = last_position_ = gap_ = clock_step_ = behind_time_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
   last_used_.fill(-std::numeric_limits<double>::infinity());
-  from_ = newest_ = {};
+  history_.begin({});
   queue_.clear();
   repetitions_.reset();
   stamps_.reset();
@@ -712,24 +535,8 @@ void Ekf<Scalar>::reset() noexcept {
   InertialState<Scalar> x;
   x.marker_position = (settings_.marker_position - settings_.imu_position).template cast<Scalar>();
   x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
-  filter_.reset(x, Covariance::Zero());
+  filter_.reset(x, ErrorStateFilter<Scalar>::Covariance::Zero());
   ahead_ = x;
-}
-
-template <typename Scalar>
-void Ekf<Scalar>::catch_up(double time) noexcept {
-  while (count_ > 0 && at(0).time <= time) {
-    advance(at(0));
-    first_ = (first_ + 1) % samples_.size();
-    --count_;
-  }
-  if (count_ > 0 && from_.time < time) advance(between(from_, at(0), time));
-}
-
-template <typename Scalar>
-void Ekf<Scalar>::advance(const Sample& to) noexcept {
-  if (running_) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
-  from_ = to;
 }
 
 }  // namespace tilt_ropter
