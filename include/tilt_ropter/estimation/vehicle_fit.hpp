@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/estimation/flight_windows.hpp>
+#include <tilt_ropter/estimation/rotor_lag_fit.hpp>
 #include <tilt_ropter/estimation/vehicle_log.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -17,8 +19,7 @@
 #include <limits>
 #include <vector>
 
-/// Least squares of identify_vehicle(): the flight in windows, the model of a window, its fit. This
-/// header is long because its functions are templates that share the same data.
+/// Least squares of identify_vehicle(): the model of a window of the flight, and its fit.
 namespace tilt_ropter::detail {
 
 /// Places of the unknowns in the vector of a VehicleFit. Scales are logarithms of the ratio to the
@@ -29,26 +30,6 @@ struct FitIndex {
                        arm_inertia = 15, arm_moment = 16, bias = 17, wind = 20, count = 22;
 };
 using FitVector = Eigen::Matrix<double, FitIndex::count, 1>;
-using FitMatrix = Eigen::Matrix<double, FitIndex::count, FitIndex::count>;
-
-/// Mean values over a window of the log, weighted by a Hann window. Derivatives are integrals with
-/// the derivative of the Hann window, so no signal is differentiated.
-struct FlightWindow {
-  double time = 0.0;                ///< middle of the window [s]
-  std::size_t first = 0, last = 0;  ///< IMU samples [first, last)
-  std::size_t weights = 0;          ///< of the first sample, in the list of all weights
-  Eigen::Vector3d angular_velocity, angular_acceleration, specific_force;
-  Eigen::Matrix3d rate_products;  ///< mean of w w' [rad^2/s^2]
-  Eigen::Vector3d velocity;       ///< in the body frame [m/s]
-  Eigen::Matrix3d rotation;       ///< body -> world
-};
-
-/// Unexplained vertical acceleration in a long window, without and with the accelerometer.
-struct HeightWindow {
-  std::size_t window = 0;  ///< the FlightWindow in its middle
-  double excess = 0.0;     ///< measured upward specific force - acceleration - gravity [m/s^2]
-  Eigen::Vector3d up;      ///< world z in the body frame, mean over the window
-};
 
 /// Settings of VehicleFit, see VehicleIdentificationSettings.
 struct VehicleFitSettings {
@@ -57,12 +38,6 @@ struct VehicleFitSettings {
   double min_height = 0.0;
   Eigen::Vector3d imu_position = Eigen::Vector3d::Zero();
   int max_iterations = 30;
-};
-
-/// Time constant and dead time of the rotors, from measured speeds.
-struct RotorLagFit {
-  double log_scale = 0.0, dead_time = 0.0;  ///< of the given time constants; [s]
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Identity();
 };
 
 template <int Rotors>
@@ -78,22 +53,35 @@ class VehicleFit {
 
   VehicleFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given,
              const VehicleFitSettings& settings)
-      : log_(log), given_(given), settings_(settings) {
+      : log_(log),
+        given_(given),
+        settings_(settings),
+        flight_(log, settings.window, settings.min_height, settings.imu_position),
+        windows_(flight_.windows()),
+        heights_(flight_.heights()) {
     held_.fill(false);
     set_prior();
-    set_windows();
-    set_height_windows();
     if (log.rotor_speeds.empty()) return;
-    fit_rotor_lag();
-    set_speed_corrections();
+    const RotorLagFit<Rotors> lag(log, given_, settings.max_iterations);
+    rotor_lag_covariance_ = lag.covariance;
+    x_(I::rotor_lag) = prior_(I::rotor_lag) = lag.log_scale;
+    x_(I::rotor_delay) = prior_(I::rotor_delay) = lag.dead_time;
+    prior_stddev_(I::rotor_lag) = std::sqrt(lag.covariance(0, 0));
+    prior_stddev_(I::rotor_delay) = std::sqrt(lag.covariance(1, 1));
+    corrections_ = lag.speed_corrections();
   }
+
+  VehicleFit(const VehicleFit&) = delete;  // has references to its own members
+  VehicleFit& operator=(const VehicleFit&) = delete;
 
   [[nodiscard]] const std::vector<FlightWindow>& windows() const { return windows_; }
   [[nodiscard]] const FitVector& unknowns() const { return x_; }
   [[nodiscard]] const FitVector& stddevs() const { return stddevs_; }
   [[nodiscard]] bool holds(int i) const { return held_[static_cast<std::size_t>(i)]; }
   /// Duration of all windows together [s].
-  [[nodiscard]] double duration() const { return static_cast<double>(windows_.size()) * hop_; }
+  [[nodiscard]] double duration() const {
+    return static_cast<double>(windows_.size()) * flight_.hop();
+  }
   /// Root mean square of the residuals: specific force x y z [m/s^2], angular acceleration x y z
   /// [rad/s^2], vertical acceleration [m/s^2].
   [[nodiscard]] const std::array<double, 7>& residual_rms() const { return rms_; }
@@ -186,291 +174,6 @@ class VehicleFit {
     longest_ = 0.4 * prior_stddev_;
   }
 
-  /// Mean velocity in the world [m/s] around `time`: slope of the positions within 0.05 s. Returns
-  /// false without poses on both sides.
-  bool velocity_at(double time, Eigen::Vector3d& velocity, double& height) const {
-    const auto& poses = log_.poses;
-    const double rate =
-        static_cast<double>(poses.size() - 1) / (poses.back().time - poses.front().time);
-    const double reach = std::max(0.05, 2.5 / rate);
-    double count = 0.0, sum_t = 0.0, sum_tt = 0.0;
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero(), sum_tp = Eigen::Vector3d::Zero();
-    const std::size_t middle = index_before(poses, time);
-    std::size_t i = middle;
-    while (i > 0 && poses[i - 1].time >= time - reach) --i;
-    for (; i < poses.size() && poses[i].time <= time + reach; ++i) {
-      const double t = poses[i].time - time;
-      count += 1.0;
-      sum_t += t;
-      sum_tt += t * t;
-      sum += poses[i].value.position;
-      sum_tp += t * poses[i].value.position;
-    }
-    const double spread = sum_tt - sum_t * sum_t / std::max(count, 1.0);
-    if (count < 3.0 || !(spread > 1e-9) || std::abs(sum_t) > 0.3 * reach * count) return false;
-    velocity = (sum_tp - sum_t / count * sum) / spread;
-    height = sum.z() / count;
-    return true;
-  }
-
-  void set_windows() {
-    const auto& imu = log_.imu;
-    std::vector<double> steps(imu.size() - 1);
-    for (std::size_t i = 0; i < steps.size(); ++i) steps[i] = imu[i + 1].time - imu[i].time;
-    const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-    std::nth_element(steps.begin(), middle, steps.end());
-    const double usual = *middle, half = 0.5 * std::max(settings_.window, 6.0 * usual);
-    hop_ = 0.5 * half;
-    const double begin =
-        std::max({imu.front().time, log_.poses.front().time, log_.commands.front().time + 0.5});
-    const double end =
-        std::min({imu.back().time, log_.poses.back().time, log_.commands.back().time + 0.05});
-    for (double time = begin + half; time + half <= end; time += hop_) {
-      FlightWindow w;
-      double height = 0.0;
-      Eigen::Vector3d velocity;
-      w.time = time;
-      w.first = index_before(imu, time - half) + 1;
-      w.last = index_before(imu, time + half) + 1;
-      if (w.last < w.first + 5) continue;
-      double gap = std::max(imu[w.first].time - time + half, time + half - imu[w.last - 1].time);
-      for (std::size_t i = w.first + 1; i < w.last; ++i)
-        gap = std::max(gap, imu[i].time - imu[i - 1].time);
-      if (gap > 3.0 * usual || !velocity_at(time, velocity, height)) continue;
-      if (height < settings_.min_height) continue;
-      w.rotation = orientation_at(log_.poses, time).toRotationMatrix();
-      w.velocity = w.rotation.transpose() * velocity;
-      add_weights(w, half);
-      windows_.push_back(w);
-    }
-  }
-
-  /// Weights of the Hann window and of its derivative, for uneven stamps; means of the IMU.
-  void add_weights(FlightWindow& w, double half) {
-    const auto& imu = log_.imu;
-    w.weights = weights_.size();
-    double sum = 0.0, slopes = 0.0, ramp = 0.0;
-    for (std::size_t i = w.first; i < w.last; ++i) {
-      const double t = (imu[i].time - w.time) * pi / half;
-      const double step = imu[std::min(i + 1, imu.size() - 1)].time - imu[i - 1].time;
-      weights_.push_back((1.0 + std::cos(t)) * step);
-      slopes_.push_back(std::sin(t) * step);
-      sum += weights_.back();
-      slopes += slopes_.back();
-    }
-    for (std::size_t i = w.weights; i < weights_.size(); ++i) {
-      weights_[i] /= sum;
-      slopes_[i] -= slopes * weights_[i];
-      ramp += slopes_[i] * (imu[w.first + i - w.weights].time - w.time);
-    }
-    w.angular_velocity.setZero();
-    w.angular_acceleration.setZero();
-    w.specific_force.setZero();
-    w.rate_products.setZero();
-    for (std::size_t i = w.weights; i < weights_.size(); ++i) {
-      slopes_[i] /= ramp;
-      const InertialSampled& sample = imu[w.first + i - w.weights].value;
-      w.angular_velocity += weights_[i] * sample.angular_velocity;
-      w.angular_acceleration += slopes_[i] * sample.angular_velocity;
-      w.specific_force += weights_[i] * sample.specific_force;
-    }
-    w.rate_products = w.angular_velocity * w.angular_velocity.transpose();
-  }
-
-  /// Windows of half a second in which poses and accelerometer must agree about the vertical.
-  void set_height_windows() {
-    constexpr double half = 0.25;
-    const auto& poses = log_.poses;
-    double next = -std::numeric_limits<double>::infinity();
-    for (std::size_t k = 0; k < windows_.size(); ++k) {
-      const double time = windows_[k].time;
-      if (time < next || time - half < log_.imu.front().time || time + half > log_.imu.back().time)
-        continue;
-      const std::size_t first = index_before(poses, time - half) + 1;
-      const std::size_t last = index_before(poses, time + half) + 1;
-      if (last < first + 8) continue;
-      double gap = std::max(poses[first].time - time + half, time + half - poses[last - 1].time);
-      for (std::size_t i = first + 1; i < last; ++i)
-        gap = std::max(gap, poses[i].time - poses[i - 1].time);
-      if (gap > 0.1) continue;
-      next = time + 0.5 * half;
-      // The second derivative of the Hann window has to give 0, 0 and 2 for 1, t and t^2.
-      Matrix3 moments = Matrix3::Zero();
-      Eigen::Vector3d heights = Eigen::Vector3d::Zero();
-      const auto height_of = [&](const Timed<MarkerPosed>& pose) {
-        return pose.value.position.z() +
-               (pose.value.orientation.normalized() * settings_.imu_position).z();
-      };
-      const double base = height_of(poses[first]);
-      for (std::size_t i = first; i < last; ++i) {
-        const double t = (poses[i].time - time) / half;
-        const double step = poses[std::min(i + 1, poses.size() - 1)].time - poses[i - 1].time;
-        const Eigen::Vector3d powers(1.0, t, t * t);
-        // Regression on 1, t, t^2 with instruments 1, t and the second derivative.
-        const Eigen::Vector3d tests = step * Eigen::Vector3d(1.0, t, -std::cos(pi * t));
-        moments += tests * powers.transpose();
-        heights += tests * (height_of(poses[i]) - base);
-      }
-      HeightWindow h;
-      h.window = k;
-      h.up.setZero();
-      const double acceleration = 2.0 * moments.inverse().row(2).dot(heights) / (half * half);
-      const std::size_t from = index_before(log_.imu, time - half) + 1;
-      const std::size_t until = index_before(log_.imu, time + half) + 1;
-      double sum = 0.0, force = 0.0;
-      for (std::size_t i = from; i < until; ++i) {
-        const double weight = 1.0 + std::cos((log_.imu[i].time - time) * pi / half);
-        const Eigen::Vector3d up =
-            orientation_at(poses, log_.imu[i].time).toRotationMatrix().row(2);
-        sum += weight;
-        h.up += weight * up;
-        force += weight * up.dot(log_.imu[i].value.specific_force);
-      }
-      h.up /= sum;
-      h.excess = force / sum - acceleration - gravity;
-      heights_.push_back(h);
-    }
-  }
-
-  [[nodiscard]] LagModel rotor_lag_of(int i, double log_scale, double dead_time) const {
-    return {rotor_parameters(given_, at(i)).time_constant * std::exp(log_scale), dead_time};
-  }
-
-  /// Measured minus modelled speeds at the stamps of the measurements, without each rotor's gain
-  /// and offset.
-  [[nodiscard]] std::vector<RotorVector> speed_residuals(double log_scale, double dead_time) const {
-    const auto& measured = log_.rotor_speeds;
-    std::vector<RotorVector> residuals(measured.size());
-    for (int i = 0; i < Rotors; ++i) {
-      std::vector<double> model(measured.size());
-      replay(
-          log_.commands, measured, rotor_lag_of(i, log_scale, dead_time),
-          [i](const ActuatorState<Rotors>& c) { return c.rotor_speed(i); },
-          [&](std::size_t j, double value, double) { model[j] = value; });
-      double count = 0.0, sum = 0.0, sum_y = 0.0, square = 0.0, product = 0.0;
-      const double start = log_.commands.front().time + 0.5;
-      for (std::size_t j = 0; j < model.size(); ++j) {
-        if (measured[j].time < start) continue;
-        const double y = measured[j].value(i) - model[j];
-        count += 1.0;
-        sum += model[j];
-        sum_y += y;
-      }
-      const double mean = sum / std::max(count, 1.0), mean_y = sum_y / std::max(count, 1.0);
-      for (std::size_t j = 0; j < model.size(); ++j) {
-        if (measured[j].time < start) continue;
-        square += (model[j] - mean) * (model[j] - mean);
-        product += (model[j] - mean) * (measured[j].value(i) - model[j] - mean_y);
-      }
-      const double gain = square > count ? product / square : 0.0;
-      for (std::size_t j = 0; j < model.size(); ++j)
-        residuals[j](i) = measured[j].time < start
-                              ? 0.0
-                              : measured[j].value(i) - model[j] - mean_y - gain * (model[j] - mean);
-    }
-    return residuals;
-  }
-
-  void fit_rotor_lag() {
-    const auto cost_of = [](const std::vector<RotorVector>& r) {
-      double sum = 0.0;
-      for (const RotorVector& entry : r) sum += entry.squaredNorm();
-      return sum;
-    };
-    Eigen::Vector2d x(0.0, 0.0);
-    std::vector<RotorVector> residuals = speed_residuals(x(0), x(1));
-    double cost = cost_of(residuals);
-    const double count = std::max(1.0, static_cast<double>(Rotors * residuals.size()));
-    const Eigen::Vector2d steps(1e-3, 1e-4), prior(1.0, 0.05);
-    Matrix2 inverse = Matrix2::Identity(), spread = Matrix2::Zero();
-    for (int iteration = 0; iteration < settings_.max_iterations; ++iteration) {
-      std::array<std::vector<RotorVector>, 2> slopes;
-      for (int p = 0; p < 2; ++p) {
-        Eigen::Vector2d more = x, less = x;
-        more(p) += steps(p);
-        less(p) -= steps(p);
-        const auto high = speed_residuals(more(0), more(1));
-        slopes[at(p)] = speed_residuals(less(0), less(1));
-        for (std::size_t j = 0; j < high.size(); ++j)
-          slopes[at(p)][j] = (slopes[at(p)][j] - high[j]) / (2.0 * steps(p));
-      }
-      const double variance = std::max(cost / count, 1e-12);
-      Matrix2 information = Eigen::Vector2d(prior.cwiseProduct(prior).cwiseInverse()).asDiagonal();
-      spread = information;
-      Eigen::Vector2d slope = Eigen::Vector2d::Zero();
-      constexpr std::size_t block = 100;
-      std::vector<Eigen::Vector2d> scores(residuals.size());
-      for (std::size_t j = 0; j < residuals.size(); ++j) {
-        for (int p = 0; p < 2; ++p) {
-          scores[j](p) = slopes[at(p)][j].dot(residuals[j]) / variance;
-          for (int q = 0; q < 2; ++q)
-            information(p, q) += slopes[at(p)][j].dot(slopes[at(q)][j]) / variance;
-        }
-        slope += scores[j];
-      }
-      spread += spread_of(scores, block);
-      inverse = information.inverse();
-      Eigen::Vector2d step = inverse * slope;
-      step(0) = std::clamp(step(0), -0.7, 0.7);
-      step(1) = std::clamp(step(1), -0.02, 0.02);
-      double length = 1.0;
-      for (; length > 1e-3; length *= 0.5) {
-        auto next = speed_residuals(x(0) + length * step(0), x(1) + length * step(1));
-        const double next_cost = cost_of(next);
-        if (!(next_cost < cost)) continue;
-        x += length * step;
-        cost = next_cost;
-        residuals = std::move(next);
-        break;
-      }
-      if (length <= 1e-3 || std::abs(step(0)) + 50.0 * std::abs(step(1)) < 1e-5) break;
-    }
-    Matrix2 covariance = inverse * spread * inverse;
-    covariance.diagonal() += Eigen::Vector2d(1e-12, 1e-16);
-    rotor_lag_ = {x(0), x(1), covariance};
-    x_(I::rotor_lag) = prior_(I::rotor_lag) = x(0);
-    x_(I::rotor_delay) = prior_(I::rotor_delay) = x(1);
-    prior_stddev_(I::rotor_lag) = std::sqrt(covariance(0, 0));
-    prior_stddev_(I::rotor_delay) = std::sqrt(covariance(1, 1));
-  }
-
-  /// Sum of the covariances of the scores up to a distance of `block`, with falling weights
-  /// (Bartlett's window), so that scores that depend on one another count right.
-  template <typename Score>
-  [[nodiscard]] static auto spread_of(const std::vector<Score>& scores, std::size_t block) {
-    constexpr int n = Score::RowsAtCompileTime;
-    Eigen::Matrix<double, n, n> spread = Eigen::Matrix<double, n, n>::Zero();
-    Score sum = Score::Zero();
-    for (std::size_t k = 0; k < scores.size() + block; ++k) {
-      if (k < scores.size()) sum += scores[k];
-      if (k >= block) sum -= scores[k - block];
-      for (int i = 0; i < n; ++i)
-        for (int j = 0; j < n; ++j) spread(i, j) += sum(i) * sum(j) / static_cast<double>(block);
-    }
-    return spread;
-  }
-
-  /// Slow part of measured minus modelled speed at each IMU sample: mean over 0.6 s. The model
-  /// gives the fast part, so that the noise of the measured speeds does not reach the thrusts.
-  void set_speed_corrections() {
-    const auto& measured = log_.rotor_speeds;
-    std::vector<RotorVector> sums(measured.size() + 1, RotorVector::Zero());
-    for (int i = 0; i < Rotors; ++i)
-      replay(
-          log_.commands, measured, rotor_lag_of(i, rotor_lag_.log_scale, rotor_lag_.dead_time),
-          [i](const ActuatorState<Rotors>& c) { return c.rotor_speed(i); },
-          [&](std::size_t j, double value, double) {
-            sums[j + 1](i) = sums[j](i) + measured[j].value(i) - value;
-          });
-    corrections_.resize(log_.imu.size());
-    for (std::size_t j = 0; j < log_.imu.size(); ++j) {
-      const double time = log_.imu[j].time;
-      const std::size_t from = index_before(measured, time - 0.3);
-      const std::size_t until = std::max(from, index_before(measured, time + 0.3)) + 1;
-      corrections_[j] = (sums[until] - sums[from]) / static_cast<double>(until - from);
-    }
-  }
-
   [[nodiscard]] Features features_of(const FitVector& x) const {
     Features f;
     const RotorVector zero = RotorVector::Zero();
@@ -486,7 +189,7 @@ class VehicleFit {
                          given_.servo.max_rate};
     for (int i = 0; i < Rotors; ++i) {
       replay(
-          log_.commands, imu, rotor_lag_of(i, x(I::rotor_lag), x(I::rotor_delay)),
+          log_.commands, imu, rotor_lag(given_, i, x(I::rotor_lag), x(I::rotor_delay)),
           [i](const ActuatorState<Rotors>& c) { return c.rotor_speed(i); },
           [&](std::size_t j, double value, double) { speed[j] = value; });
       if (rotor(i).tilts)
@@ -523,19 +226,11 @@ class VehicleFit {
       }
       for (std::size_t k = 0; k < windows_.size(); ++k) {
         const FlightWindow& w = windows_[k];
-        double lateral = 0.0, vertical = 0.0, turning = 0.0, sines = 0.0, cosines = 0.0;
-        for (std::size_t j = w.first, n = w.weights; j < w.last; ++j, ++n) {
-          lateral += weights_[n] * series[0][j];
-          vertical += weights_[n] * series[1][j];
-          turning += slopes_[n] * rate[j];
-          sines += slopes_[n] * series[2][j];
-          cosines += slopes_[n] * series[3][j];
-        }
-        f.lateral[k](i) = lateral;
-        f.vertical[k](i) = vertical;
-        f.turning[k](i) = turning;
-        f.sine[k](i) = sines;
-        f.cosine[k](i) = cosines;
+        f.lateral[k](i) = flight_.mean(w, series[0]);
+        f.vertical[k](i) = flight_.mean(w, series[1]);
+        f.turning[k](i) = flight_.slope(w, rate);
+        f.sine[k](i) = flight_.slope(w, series[2]);
+        f.cosine[k](i) = flight_.slope(w, series[3]);
       }
     }
     f.rate_limited = limited / std::max(1.0, moving);
@@ -660,7 +355,7 @@ class VehicleFit {
           if (k < lag[lags - 1]) return false;
           const double passed = windows_[k].time - windows_[k - lag[lags - 1]].time;
           for (int l = 0; l < lags; ++l) values(l) = value(k - lag[l]);
-          return passed < (static_cast<double>(lag[lags - 1]) + 0.5) * hop_;
+          return passed < (static_cast<double>(lag[lags - 1]) + 0.5) * flight_.hop();
         };
         Eigen::Matrix<double, lags, lags> gram;
         gram.setZero();
@@ -723,7 +418,7 @@ class VehicleFit {
       prior(i, i) = held_[at(i)] ? 1.0 : 1.0 / (prior_stddev_(i) * prior_stddev_(i));
     const int lag = I::rotor_lag, delay = I::rotor_delay;
     if (log_.rotor_speeds.empty() || held_[at(lag)] || held_[at(delay)]) return prior;
-    prior.template block<2, 2>(lag, lag) = rotor_lag_.covariance.inverse();
+    prior.template block<2, 2>(lag, lag) = rotor_lag_covariance_.inverse();
     return prior;
   }
 
@@ -798,7 +493,8 @@ class VehicleFit {
     set_normal_equations(instruments, information, slope, &scores);
     // The height windows of half a second and the corrections of the speeds depend on their
     // neighbours over that time.
-    FitMatrix spread = spread_of(scores, static_cast<std::size_t>(std::lround(1.0 / hop_)));
+    FitMatrix spread =
+        spread_of(scores, static_cast<std::size_t>(std::lround(1.0 / flight_.hop())));
     const FitMatrix prior = prior_information();
     for (int i = 0; i < I::count; ++i)
       for (int j = 0; j < I::count; ++j)
@@ -818,12 +514,11 @@ class VehicleFit {
   const VehicleLog<Rotors>& log_;
   Vehicle<Rotors> given_;
   VehicleFitSettings settings_;
-  double hop_ = 0.01;  ///< between the middles of two windows [s]
-  std::vector<FlightWindow> windows_;
-  std::vector<HeightWindow> heights_;
-  std::vector<double> weights_, slopes_;
+  FlightWindows<Rotors> flight_;
+  const std::vector<FlightWindow>& windows_;
+  const std::vector<HeightWindow>& heights_;
   std::vector<RotorVector> corrections_;
-  RotorLagFit rotor_lag_;
+  Matrix2 rotor_lag_covariance_ = Matrix2::Identity();
   FitVector prior_, prior_stddev_, longest_, x_, stddevs_;
   std::array<bool, at_most> held_{};
   std::array<double, 7> rms_{0.05, 0.05, 0.05, 0.3, 0.3, 0.3, 0.05};
