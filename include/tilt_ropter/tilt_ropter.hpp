@@ -61,6 +61,7 @@
 #include <tilt_ropter/math/singular_values.hpp>
 #include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/body_step.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/measurements.hpp>

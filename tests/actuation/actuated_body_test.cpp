@@ -1,6 +1,7 @@
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/model/rigid_body.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/full_run.hpp"
