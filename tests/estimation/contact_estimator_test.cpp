@@ -138,6 +138,9 @@ TEST(ContactEstimator, StartsOnAssumedGround) {
   Feed moving;
   moving.state.velocity.x() = 1.0;
   EXPECT_FALSE(moving(0.11, {}).on_ground);
+  Feed uncertain;  // a filter that has just started has a noisy velocity
+  uncertain.state.velocity.z() = 0.2;
+  EXPECT_TRUE(uncertain(0.11, with_lift(weight)).on_ground);
   ContactEstimatorSettings nothing;
   nothing.assumed_ground.height = -infinity;
   Feed nowhere(nothing);

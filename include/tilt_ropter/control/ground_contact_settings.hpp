@@ -41,7 +41,7 @@ struct GroundContactSettings {
   double down_force = 0.75;
   /// Vertical thrust that a rotor keeps on the ground where torques reduce its thrust [N]. See
   /// GroundThrust.
-  double rotor_thrust = 0.08;
+  double rotor_thrust = 0.06;
 };
 
 inline void validate(const GroundContactSettings& s) {
