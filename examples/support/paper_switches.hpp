@@ -31,7 +31,10 @@ struct PaperSwitch {
   using Paper = tilt_ropter::NmpcSettings;
   static const std::array<PaperSwitch, 8> all{{
       {"cost", "the cost is on F and M themselves, not on their deviation from the wrench needed",
-       [](Settings& s, const Paper& paper) { s.nmpc.wrench_reference = paper.wrench_reference; }},
+       [](Settings& s, const Paper& paper) {
+         s.nmpc.wrench_reference = paper.wrench_reference;
+         s.nmpc.problem.weights.ground_thrust = paper.problem.weights.ground_thrust;
+       }},
       {"bounds", "the boxes of the paper's table on wrench, wrench rate and body rate",
        [](Settings& s, const Paper& paper) { s.nmpc.problem.bounds = paper.problem.bounds; }},
       {"actuators", "no constraints of thrusts and servo speeds",

@@ -82,6 +82,7 @@ TEST(NmpcSettings, BoundsAndGroundThrustScaleWithWeightAndSize) {
   expect_close(s.problem.bounds.torque_min, 6.0 * usual.problem.bounds.torque_min, 1e-12);
   expect_close(s.problem.bounds.torque_rate, 6.0 * usual.problem.bounds.torque_rate, 1e-12);
   expect_close(s.problem.bounds.angular_velocity, usual.problem.bounds.angular_velocity, 1e-12);
+  EXPECT_NEAR(s.problem.weights.ground_thrust, usual.problem.weights.ground_thrust / 9.0, 1e-12);
   EXPECT_NEAR(s.ground.down_force, 3.0 * usual.ground.down_force, 1e-12);
   EXPECT_NEAR(s.ground.rotor_thrust, 3.0 * usual.ground.rotor_thrust, 1e-12);
 }

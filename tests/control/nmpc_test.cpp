@@ -126,6 +126,7 @@ TEST(Nmpc, PaperPresetMatchesThePapersTable) {
   EXPECT_TRUE(s.ground.contact_by_height);
   EXPECT_EQ(s.ground.model, GroundModel::external_wrench);
   EXPECT_EQ(s.ground.settling_speed, 0.0);
+  EXPECT_EQ(s.problem.weights.ground_thrust, 0.0);
   EXPECT_FALSE(s.actuator_constraints);
   EXPECT_TRUE((Nmpc(vehicle, s).solver().problem().upper(1).tail<12>().array() ==
                std::numeric_limits<double>::infinity())

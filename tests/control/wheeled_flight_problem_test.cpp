@@ -30,6 +30,7 @@ WheeledFlightProblem<0> random_problem(Random& random,
   WheeledFlightSettings settings;
   settings.terminal_cost = terminal;
   if (terminal == TerminalCost::weights) settings.weights.orientation << 30.0, 20.0, 10.0;
+  settings.weights.ground_thrust = 0.3;
   WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     const Stated r = random_state(random);
@@ -73,8 +74,9 @@ TEST(WheeledFlightProblem, CostModelIsGaussNewtonModelOfThePapersCost) {
   Random random(41);
   double worst = 0.0;
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
-    const WheeledFlightProblem<0> problem = random_problem(random);
+    WheeledFlightProblem<0> problem = random_problem(random);
     const int k = i % 2 == 0 ? 3 : problem.horizon();
+    problem.node(k).on_ground = i % 4 < 2;
     const NmpcWeights& w = problem.settings().weights;
     const Stated x = random_state(random);
     D::Input u;
@@ -88,6 +90,7 @@ TEST(WheeledFlightProblem, CostModelIsGaussNewtonModelOfThePapersCost) {
     const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
     Eigen::Matrix<double, 18, 1> q;
     q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
+    if (problem.node(k).on_ground) q(TangentIndex::force + 2) += w.ground_thrust;
     if (k == problem.horizon()) q *= w.terminal;
 
     WheeledFlightProblem<0>::Model model;

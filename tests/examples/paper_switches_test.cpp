@@ -27,6 +27,7 @@ std::vector<double> fields(const NmpcSettings& s, const AllocationSettings& allo
           static_cast<double>(s.ground.contact_by_height),
           static_cast<double>(s.ground.model),
           s.problem.weights.ground.x(),
+          s.problem.weights.ground_thrust,
           s.ground.settling_speed,
           allocation.lag_compensation};
 }

@@ -222,7 +222,7 @@ class WheeledFlightProblem {
     const Tangent e = error(k, x);
     if (ends_with_riccati(k)) return riccati_cost(e);
     const Tangent& q = state_weights(k);
-    double sum = 0.0;
+    double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
     for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
     for (int i = 0; k < horizon() && i < inputs; ++i) sum += u(i) * input_weights_(i) * u(i);
     return sum;
@@ -238,6 +238,9 @@ class WheeledFlightProblem {
       model.gradient(i) = 2.0 * q(i) * e(i);
       model.hessian(i, i) = 2.0 * q(i);
     }
+    constexpr int thrust = I::force + 2;
+    model.gradient(thrust) += 2.0 * ground_thrust_weight(k) * e(thrust);
+    model.hessian(thrust, thrust) += 2.0 * ground_thrust_weight(k);
     const Square weighted =
         detail::transposed(detail::scaled(by_angle, 2.0 * detail::triple_at(q, I::orientation)));
     detail::put(weighted * detail::triple_at(e, I::orientation), model.gradient, I::orientation, 0);
@@ -420,6 +423,10 @@ class WheeledFlightProblem {
     terminal_.assign(1, *P);
   }
 
+  [[nodiscard]] double ground_thrust_weight(int k) const {
+    if (!node(k).on_ground) return 0.0;
+    return (k == horizon() ? settings_.weights.terminal : 1.0) * settings_.weights.ground_thrust;
+  }
   [[nodiscard]] const Tangent& state_weights(int k) const {
     return k == horizon() ? last_state_weights_ : state_weights_;
   }

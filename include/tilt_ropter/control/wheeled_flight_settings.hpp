@@ -26,6 +26,10 @@ struct NmpcWeights {
   double terminal = 5.0;  ///< factor on the state weights at the last node, see TerminalCost
   /// Ground conditions v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2].
   Eigen::Vector3d ground{1e3, 1e3, 1e3};
+  /// Added to force.z() at nodes on the ground [1/N^2]. The thrust falls after touch-down, and
+  /// rises before take-off, with the time constant sqrt(force_rate.z() / (force.z() +
+  /// ground_thrust)) [s].
+  double ground_thrust = 0.0;
 };
 
 /// Bounds on wrench, wrench rate and body rate, all in the body frame. Infinite: no bound.
@@ -118,6 +122,7 @@ inline void validate(const NmpcWeights& w) {
   require_positive("NmpcWeights.torque_rate [s^2/(N m)^2]", w.torque_rate);
   require_positive("NmpcWeights.terminal", w.terminal);
   require_non_negative("NmpcWeights.ground", w.ground);
+  require_non_negative("NmpcWeights.ground_thrust [1/N^2]", w.ground_thrust);
 }
 
 inline void validate(const NmpcBounds& b) {
