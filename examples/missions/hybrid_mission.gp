@@ -35,6 +35,13 @@ tilt_deg(of, rotor) = column(sprintf("tilt_%s_rad_%d", of, rotor)) * 180 / pi
 speed(rotor) = column(sprintf("rotor_speed_radps_%d", rotor))
 header = system("head -n 1 ".log)
 battery = strstrt(header, "voltage_v") > 0  # 1 if the vehicle's battery is known
+# Copies the columns whose names match a regular expression into a data block in memory. For each
+# curve, gnuplot reads all columns of its source again: some 75 times the whole log without this.
+take(block, names) = sprintf("load \"< echo '%s << END'; cut -d , -f \
+  $(head -n 1 %s | tr , '\\n' | grep -nxE '%s' | cut -d : -f 1 | paste -sd ,) %s; echo END\"", \
+  block, log, names, log)
+eval take("$motion", \
+  "time_s|phase|on_ground|(position|reference)_m_.|external_force_n_z|power_w|voltage_v")
 rotors = 0
 do for [i = 1:8] { if (strstrt(header, sprintf("rotor_speed_radps_%d", i))) { rotors = i } }
 mean_speed(_) = (sum [i = 1:rotors] speed(i)) / rotors
@@ -48,15 +55,15 @@ on_phase(p) = p == now ? p : (phases = phases + 1, start[phases] = t(0), kind[ph
   flown = (p == 3 ? 1 : flown), driven = (p == 5 ? 1 : driven), now = p)
 on_mode(m) = (m == 1 - mode ? (changes = changes + 1, change[changes] = t(0)) : 0, mode = m)
 stats times using (prepare(0)):(feedback(0)) name "solve" nooutput
-stats log using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
-stats log using (t(0)) name "run" nooutput
-stats log using (x("position")):(y("position")) name "plan" nooutput
+stats $motion using (on_phase(column("phase"))):(on_mode(column("on_ground"))) nooutput
+stats $motion using (t(0)) name "run" nooutput
+stats $motion using (x("position")):(y("position")) name "plan" nooutput
 air_mean_x = NaN; air_mean_y = NaN; ground_mean_x = NaN; ground_mean_y = NaN
 if (flown) {
-  stats log using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
+  stats $motion using (only(in(3), distance_mm(0)**2)):(power(0)) name "air" nooutput
 }
 if (driven) {
-  stats log using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
+  stats $motion using (only(in(5), distance_mm(0)**2)):(power(0)) name "ground" nooutput
 }
 air_rmse = sqrt(air_mean_x); ground_rmse = sqrt(ground_mean_x)
 start[phases + 1] = run_max
@@ -94,7 +101,7 @@ set xrange [plan_min_x - 0.2 : plan_max_x + 0.2]; set yrange [plan_min_y - 0.2 :
 set zrange [0:*]
 set xlabel "x [m]" offset 0,-0.5; set ylabel "y [m]" offset 1,-0.5; set zlabel "z [m]" rotate
 set xtics 0.5 offset 0,-0.3; set ytics 0.5 offset 0.3,-0.2; set ztics 0.5
-splot log using (x("reference")):(y("reference")):(z("reference")) with lines \
+splot $motion using (x("reference")):(y("reference")):(z("reference")) with lines \
         lc rgb "#CFCFCF" lw 7 title "reference", \
       "" using (only(!in(3) && !in(5), x("position"))):(y("position")):(z("position")) \
         with lines ls 2 lc rgb ink title "take-off, hover, landing", \
@@ -110,14 +117,14 @@ eval picture("tracking_error", 1000, "Tracking error: flown minus reference posi
 eval row(1, 3, 30, 65)
 set key horizontal inside bottom right maxrows auto
 set ylabel "horizontal error [mm]"
-plot for [a = 1:2] log using (t(0)):(error_mm(a)) with lines ls 1 lc rgb axis_colour[a] \
+plot for [a = 1:2] $motion using (t(0)):(error_mm(a)) with lines ls 1 lc rgb axis_colour[a] \
   title axis_name[a]
 eval row(2, 3, 30, 65)
 set ylabel "vertical error [mm]"
-plot log using (t(0)):(error_mm(3)) with lines ls 1 lc rgb axis_colour[3] title axis_name[3]
+plot $motion using (t(0)):(error_mm(3)) with lines ls 1 lc rgb axis_colour[3] title axis_name[3]
 eval row(3, 3, 30, 65)
 set ylabel "distance to reference [mm]"; set logscale y; set yrange [0.1:*]
-plot log using (t(0)):(distance_mm(0)) with lines ls 1 lc rgb ink notitle, \
+plot $motion using (t(0)):(distance_mm(0)) with lines ls 1 lc rgb ink notitle, \
      "" using (t(0)):(only(in(3), air_rmse)) with lines lw 3 lc rgb blue \
        title sprintf("RMSE in the air %.1f mm (paper: 52 mm)", air_rmse), \
      for [k = 1:driven] "" using (t(0)):(only(in(5), ground_rmse)) with lines lw 3 lc rgb red \
@@ -128,7 +135,7 @@ eval picture("height_and_contact", 950, "Height of the centre of mass and contac
 eval row(1, 1, 30, changes ? 490 : 110)
 set ylabel "height [m]"; set yrange [0:*]; set y2range [0:1]
 flown(condition, scale) = only(condition, scale * z("position"))
-plot log using (t(0)):(column("on_ground") * 0.05) axes x1y2 with fillsteps lc rgb sand \
+plot $motion using (t(0)):(column("on_ground") * 0.05) axes x1y2 with fillsteps lc rgb sand \
        title "controller's contact mode", \
      "" using (t(0)):(z("reference")) with lines lc rgb pale lw 5 title "reference", \
      "" using (t(0)):(flown(!touching(0), 1)) with lines ls 2 lc rgb blue title "wheels free", \
@@ -140,7 +147,7 @@ do for [i = 1:(changes > 4 ? 4 : changes)] {
   set xrange [change[i] - 0.5 : change[i] + 1]
   set title sprintf("mode changes at %.2f s", change[i]) offset 0,-0.6
   set ylabel (i == 1 ? "height [mm]" : "")
-  plot log using (t(0)):(column("on_ground")) axes x1y2 with fillsteps lc rgb sand, \
+  plot $motion using (t(0)):(column("on_ground")) axes x1y2 with fillsteps lc rgb sand, \
        "" using (t(0)):(1e3 * z("reference")) with lines lc rgb pale lw 5, \
        "" using (t(0)):(flown(!touching(0), 1e3)) with lines ls 2 lc rgb blue, \
        "" using (t(0)):(flown(touching(0), 1e3)) with lines ls 2 lc rgb red
@@ -156,11 +163,12 @@ do for [i = 1:6] {
   a = (i - 1) % 3 + 1
   what = (i > 3 ? "torque_nm_" : "force_n_").axis_name[a]
   set xrange [0:run_max]; set autoscale y
-  stats log using (column("estimated_".what)) name "span" nooutput
+  eval take("$wrench", "time_s|(estimated|external)_".what)
+  stats $wrench using (column("estimated_".what)) name "span" nooutput
   set yrange [span_min - 0.15 * (span_max - span_min) : span_max + 0.15 * (span_max - span_min)]
   set ylabel sprintf(i > 3 ? "M_%s [N m]" : "F_%s [N]", axis_name[a])
   eval row(i, 6, 30, 100)
-  plot for [layer = 0:1] log using (t(0)):(column(source(layer, i).what)) with lines ls 1 \
+  plot for [layer = 0:1] $wrench using (t(0)):(column(source(layer, i).what)) with lines ls 1 \
     lc rgb (is_true(layer, i) ? ink : red) title (is_true(layer, i) ? "true" : "estimated")
   unset key
 }
@@ -171,7 +179,8 @@ eval picture("tilt_angles", 300 * rotors, \
 set key width 2; gap = 45
 do for [r = 1:rotors] {
   set xrange [0:run_max]; set autoscale y; set xtics auto
-  stats log using (t(0)):(abs(tilt_deg("command", r) - tilt_deg("true", r))) name "lag" nooutput
+  eval take("$arm", sprintf("time_s|tilt_.*_rad_%d", r))
+  stats $arm using (t(0)):(abs(tilt_deg("command", r) - tilt_deg("true", r))) name "lag" nooutput
   if (lag_max_y == 0) { set yrange [-1:1] }  # the rotor does not tilt
   do for [zoom = 0:1] {
     eval row(r, rotors, zoom ? 30 : 385, 100)
@@ -179,7 +188,7 @@ do for [r = 1:rotors] {
       set lmargin at screen 0.74; unset label; unset ylabel; set format x "%g"
       set xrange [lag_pos_max_y - 1 : lag_pos_max_y + 1]; set xtics 0.5
     } else { set ylabel sprintf("arm %d [deg]", r) }
-    plot log using (t(0)):(tilt_deg("command", r)) with lines lw 3 lc rgb pale title "commanded", \
+    plot $arm using (t(0)):(tilt_deg("command", r)) with lines lw 3 lc rgb pale title "commanded", \
          "" using (t(0)):(tilt_deg("true", r)) with lines lw 2.5 lc rgb rotor_colour[r] \
            title "true", \
          "" using (t(0)):(tilt_deg("model", r)) with lines ls 1 dt 2 lc rgb ink title "modelled"
@@ -190,13 +199,14 @@ do for [r = 1:rotors] {
 # ---- Rotor speeds
 eval picture("rotor_speeds", 900, "Rotor speeds")
 eval row(1, 2, 30, 90)
+eval take("$speed", "time_s|rotor_speed_radps_.")
 set ylabel "speed [rad/s]"; set yrange [0:*]
-plot for [r = 1:rotors] log using (t(0)):(speed(r)) with lines ls 1 lc rgb rotor_colour[r] \
+plot for [r = 1:rotors] $speed using (t(0)):(speed(r)) with lines ls 1 lc rgb rotor_colour[r] \
   title sprintf("rotor %d", r)
 unset key
 eval row(2, 2, 30, 90)
 set ylabel "speed minus mean of all [rad/s]"; set autoscale y
-plot for [r = 1:rotors] log using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
+plot for [r = 1:rotors] $speed using (t(0)):(speed(r) - mean_speed(0)) with lines ls 1 \
   lc rgb rotor_colour[r]
 
 # ---- Power, and its means over the two figure eights, as in the paper; voltage of the battery
@@ -207,12 +217,12 @@ flying takes (paper: %.1f %%)", 100 * ground_mean_y / air_mean_y, 100 * paper_gr
 eval row(1, 1 + battery, 30, 65)
 set key vertical at graph 0.66, graph 0.5 center maxrows auto
 set ylabel "power [W]"; set yrange [0:*]
-plot log using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
+plot $motion using (t(0)):(power(0)) with lines ls 1 lc rgb ink title "power", \
      "" using (t(0)):(only(in(3), air_mean_y)) with lines lw 3.5 lc rgb blue \
        title sprintf("mean in the air: %.2f W", air_mean_y), \
      for [k = 1:driven] paper_air lc rgb blue lw 1.2 dt 2 \
        title sprintf("paper: %.2f W", paper_air), \
-     for [k = 1:driven] log using (t(0)):(only(in(5), ground_mean_y)) with lines lw 3.5 lc rgb red \
+     for [k = 1:driven] $motion using (t(0)):(only(in(5), ground_mean_y)) with lines lw 3.5 lc rgb red \
        title sprintf("mean on the ground: %.2f W", ground_mean_y), \
      for [k = 1:driven] paper_ground lc rgb red lw 1.2 dt 2 \
        title sprintf("paper: %.2f W", paper_ground)
@@ -220,7 +230,7 @@ if (battery) {
   eval row(2, 2, 30, 65)
   unset key
   set ylabel "voltage under load [V]"; set autoscale y
-  plot log using (t(0)):(column("voltage_v")) with lines ls 1 lc rgb purple notitle
+  plot $motion using (t(0)):(column("voltage_v")) with lines ls 1 lc rgb purple notitle
 }
 
 # ---- Solve times: over time, and the fraction of ticks that take longer than a given time.
