@@ -23,7 +23,9 @@ array meaning[3] = ["as it is", "halved", "doubled"]
 turns = 0
 set offsets 0, 0, graph 0.06, graph 0.03
 shows(_) = turns ? column("heading_deg") : column("side_m")
-shown(k, f, value) = column("knob") == k && column("factor") == f ? value : NaN
+shown(f, value) = column("factor") == f ? value : NaN
+# Copies the rows of a knob, which is the first column, into a data block in memory.
+take(k) = sprintf("load \"< echo '$knob << END'; grep -E '^(knob|%d),' %s; echo END\"", k, log)
 
 set terminal pngcairo size 1200,1200 font "DejaVu Sans,11"
 set output "step_responses.png"
@@ -37,7 +39,8 @@ do for [k = 0:11] {
   set xrange [(turns ? 3.8 : 0.8):(turns ? 6.5 : 3.5)]
   set xlabel (row == 3 ? "time [s]" : "") offset 0,0.3
   set ylabel (place == 0 ? (turns ? "heading [deg]" : "way [m]") : "") offset 1,0
-  plot for [i = 1:3] log using (column("time_s")):(shown(k, factor[i], shows(0))) with lines \
+  eval take(k)
+  plot for [i = 1:3] $knob using (column("time_s")):(shown(factor[i], shows(0))) with lines \
     lw (i == 1 ? 4 : 2) lc rgb colour[i] title meaning[i]
   unset key
 }
