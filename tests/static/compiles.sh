@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# compiles.sh FILE "COMPILER:STANDARD..." SECONDS FLAG... [-- QUICK_SECONDS FLAG...]
+# compiles.sh FILE "COMPILER:STANDARD..." SECONDS FLAG... [-- ONCE]
 # Checks that FILE, a header or a source, compiles alone with each pair, such as clang++:c++20, in
 # at most SECONDS of processor time (0: no limit) on a machine that takes 0.6 s for <Eigen/Dense>.
-# With --, the first attempt uses the flags after it, such as a precompiled header, and passes
-# within QUICK_SECONDS. If FILE takes longer, the machine may be busy or slow: FILE is then compared
-# with <Eigen/Dense>, up to six times. Each counts with its shortest time, and the limit scales with
-# the time of <Eigen/Dense>.
+# With --, which is for g++:c++17, the first attempt uses the precompiled header ONCE of
+# eigen_once.sh if ONCE.users lists FILE, adds the time that this saves, and scales the limit. If
+# FILE takes longer, the machine may be busy or slow: FILE is then compared with <Eigen/Dense>, up
+# to six times. Each counts with its shortest time, and the limit scales with the time of
+# <Eigen/Dense>.
 set -euo pipefail
 
 file=$1
@@ -17,10 +18,17 @@ while [[ $# -gt 0 && $1 != -- ]]; do
   flags+=("$1")
   shift
 done
-quick=$limit
+quick=()
+saved=0
+scaled=$limit
 if [[ $# -gt 0 ]]; then
-  quick=$2
-  shift 2
+  read -r dense saved < "$2.seconds"
+  scaled=$(awk "BEGIN { print $limit * ($dense > 0.6 ? $dense / 0.6 : 1) }")
+  if grep -qxF "$file" "$2.users"; then
+    quick=(-include "$2" -Winvalid-pch)
+  else
+    saved=0
+  fi
 fi
 TIMEFORMAT=%U
 
@@ -41,10 +49,10 @@ for pair in $pairs; do
     echo "$pair: not installed, left out"
     continue
   fi
-  now=$(compile "\"$file\"" "$@")
-  echo "$pair: $now s"
-  holds "$limit == 0 || $now <= $quick" && continue
-  [[ $# == 0 ]] || now=$(compile "\"$file\"")
+  now=$(compile "\"$file\"" "${quick[@]}")
+  echo "$pair: $now s, and $saved s saved"
+  holds "$limit == 0 || $now + $saved <= $scaled" && continue
+  [[ ! ${quick[*]} ]] || now=$(compile "\"$file\"")
   seconds=$now
   dense=1e9
   for _ in 1 2 3 4 5 6; do
