@@ -164,32 +164,7 @@ class ErrorStateFilter {
 
   /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
   void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept {
-    using I = InertialIndex;
-    const Vector3<Scalar> turn = (sample.angular_velocity - state_.gyro_bias) * dt;
-    const Vector3<Scalar> force = sample.specific_force - state_.accelerometer_bias;
-    const Scalar half = dt / Scalar(2);
-    const Matrix3<Scalar> rotation =
-        (state_.orientation * quaternion_exp(turn / Scalar(2))).toRotationMatrix();
-    const Matrix3<Scalar> half_rotation =
-        quaternion_exp(turn / Scalar(2)).conjugate().toRotationMatrix();
-    // Derivatives of the acceleration by orientation, gyro bias and accelerometer bias. In the
-    // middle of the step, an orientation error from the start is rotated by half the turn.
-    const Matrix3<Scalar> by_middle = -rotation * skew(force);
-
-    // The nine rows of the transition matrix that differ from the identity, without the marker's
-    // columns, which are zero.
-    Eigen::Matrix<Scalar, 9, 15> f = Eigen::Matrix<Scalar, 9, 15>::Zero();
-    auto acceleration = f.template block<3, 9>(I::velocity, I::orientation);
-    acceleration.template leftCols<3>().noalias() = dt * by_middle * half_rotation;
-    acceleration.template middleCols<3>(I::gyro_bias - I::orientation).noalias() =
-        (-dt * half) * by_middle * right_jacobian(turn / Scalar(2));
-    acceleration.template rightCols<3>() = -dt * rotation;
-    f.template block<3, 9>(I::position, I::orientation) = half * acceleration;
-    f.template block<3, 3>(I::position, I::velocity).diagonal().setConstant(dt);
-    f.template topLeftCorner<6, 6>().diagonal().setOnes();
-    f.template block<3, 3>(I::orientation, I::orientation) = half_rotation * half_rotation;
-    f.template block<3, 3>(I::orientation, I::gyro_bias) = -dt * right_jacobian(turn);
-
+    const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
     const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
     const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
     // Rounding leaves an asymmetric part, which would grow from step to step.
