@@ -97,6 +97,22 @@ TEST(EkfSettings, InitialStandardDeviationsMatchSettings) {
   EXPECT_EQ(known.tail<6>(), (Eigen::Matrix<double, 6, 1>::Zero()));
 }
 
+TEST(EkfSettings, StartsWithGivenBiases) {
+  EkfSettings s;
+  s.gyro_bias << 0.01, -0.02, 0.03;
+  s.accelerometer_bias << 0.1, 0.2, -0.3;
+  s.gyro_bias_stddev = s.accelerometer_bias_stddev = 0.0;
+  Ekfd filter(s);
+  EXPECT_EQ(filter.filter().state().gyro_bias, s.gyro_bias);
+  EXPECT_EQ(filter.filter().state().accelerometer_bias, s.accelerometer_bias);
+  filter.on_imu(0.0, {});
+  filter.on_pose(0.0, {});
+  filter.on_imu(0.01, {});
+  ASSERT_TRUE(filter.running());
+  EXPECT_EQ(filter.filter().state().gyro_bias, s.gyro_bias);
+  EXPECT_EQ(filter.filter().state().accelerometer_bias, s.accelerometer_bias);
+}
+
 TEST(EkfSettings, MarkerFrameIsApplied) {
   EkfSettings s;
   Random random(219);
@@ -265,6 +281,9 @@ TEST(EkfSettings, OutOfRangeIsRejectedByName) {
             "EkfSettings.clock_offset [s] = nan: must be in [-1e+10, 1e+10]");
   EXPECT_EQ(complaint([](S& s) { s.velocity_stddev = 0.0; }),
             "EkfSettings.velocity_stddev [m/s] = 0: must be in [1e-06, 1000]");
+  EXPECT_EQ(complaint([](S& s) { s.gyro_bias.y() = nan; }),
+            "EkfSettings.gyro_bias [rad/s] = (0, nan, 0): must be in [-1000, 1000] in every entry");
+  EXPECT_NE(complaint([](S& s) { s.accelerometer_bias.x() = infinite; }), "");
   EXPECT_EQ(complaint([](S& s) { s.gyro_bias_stddev = -1.0; }),
             "EkfSettings.gyro_bias_stddev [rad/s] = -1: must be in [0, 1000]");
   EXPECT_EQ(complaint([](S& s) { s.accelerometer_bias_stddev = -1.0; }),

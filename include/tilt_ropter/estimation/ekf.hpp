@@ -535,6 +535,8 @@ void Ekf<Scalar>::reset() noexcept {
   InertialState<Scalar> x;
   x.marker_position = (settings_.marker_position - settings_.imu_position).template cast<Scalar>();
   x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
+  x.gyro_bias = settings_.gyro_bias.template cast<Scalar>();
+  x.accelerometer_bias = settings_.accelerometer_bias.template cast<Scalar>();
   filter_.reset(x, ErrorStateFilter<Scalar>::Covariance::Zero());
   ahead_ = x;
 }

@@ -58,10 +58,13 @@ struct EkfSettings {
   /// Time to add to the stamp of a pose to get the IMU's clock (see calibrate_clock).
   double clock_offset = 0.0;
 
+  /// Biases at the start, such as those of calibrate_log().
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< [rad/s]
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< [m/s^2]
   /// Initial standard deviations of the states that the first pose does not measure.
   double velocity_stddev = 15.0;           ///< of the velocity, about zero [m/s]
-  double gyro_bias_stddev = 0.1;           ///< of the gyro bias, about zero [rad/s]
-  double accelerometer_bias_stddev = 0.5;  ///< of the accelerometer bias, about zero [m/s^2]
+  double gyro_bias_stddev = 0.1;           ///< of gyro_bias [rad/s]
+  double accelerometer_bias_stddev = 0.5;  ///< of accelerometer_bias [m/s^2]
 
   /// Largest NIS of a pose that is used. One in 10^4 valid poses exceeds 27.9. Other measurements
   /// have gates of the same probability.
@@ -107,6 +110,11 @@ inline void validate(const EkfSettings& s) {
   require_in("EkfSettings.marker_position_stddev [m]", s.marker_position_stddev, 0.0, 100.0);
   require_in("EkfSettings.marker_orientation_stddev [rad]", s.marker_orientation_stddev, 0.0, 10.0);
   require_time("EkfSettings.clock_offset [s]", s.clock_offset);
+  require(detail::all_entries(s.gyro_bias, [](double x) { return std::abs(x) <= 1e3; }),
+          "EkfSettings.gyro_bias [rad/s]", s.gyro_bias, "in [-1000, 1000] in every entry");
+  require(detail::all_entries(s.accelerometer_bias, [](double x) { return std::abs(x) <= 1e3; }),
+          "EkfSettings.accelerometer_bias [m/s^2]", s.accelerometer_bias,
+          "in [-1000, 1000] in every entry");
   require_in("EkfSettings.velocity_stddev [m/s]", s.velocity_stddev, 1e-6, 1e3);
   require_in("EkfSettings.gyro_bias_stddev [rad/s]", s.gyro_bias_stddev, 0.0, 1e3);
   require_in("EkfSettings.accelerometer_bias_stddev [m/s^2]", s.accelerometer_bias_stddev, 0.0,

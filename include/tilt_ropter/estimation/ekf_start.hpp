@@ -77,8 +77,8 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
     velocity_stddev = std::min(velocity_stddev, 0.5 + acceleration * known.gap);
   } else {
     x.velocity.setZero();
-    x.gyro_bias.setZero();
-    x.accelerometer_bias.setZero();
+    x.gyro_bias = settings.gyro_bias.template cast<Scalar>();
+    x.accelerometer_bias = settings.accelerometer_bias.template cast<Scalar>();
     p.template block<6, 12>(I::gyro_bias, I::gyro_bias).setZero();
     p.template block<12, 6>(I::gyro_bias, I::gyro_bias).setZero();
     set_variance(p, I::gyro_bias, settings.gyro_bias_stddev);
