@@ -10,6 +10,7 @@
 
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/log_calibration.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <CLI/CLI.hpp>
@@ -25,6 +26,7 @@
 #include <iomanip>
 #include <iostream>
 #include <limits>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -40,8 +42,10 @@ using States = std::vector<Timed<BodyStated>>;
 struct Options {
   std::string imu, poses, truth, output = "results";
   std::vector<double> marker_rotation = {1.0, 0.0, 0.0, 0.0}, marker_lever = {0.0, 0.0, 0.0};
-  bool calibrate_clock = false, estimate_marker_pose = false, no_pictures = false;
-  double judge_from = 3.0;
+  std::vector<double> gyro_bias = {0.0, 0.0, 0.0}, accelerometer_bias = {0.0, 0.0, 0.0};
+  bool calibrate = false, calibrate_clock = false, estimate_marker_pose = false;
+  bool no_pictures = false;
+  double judge_from = 3.0, gravity_deviation = 0.0;
   EkfSettings filter;
 };
 
@@ -276,6 +280,60 @@ void print(const char* key, double value, int digits) {
   std::cout << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
 }
 
+template <typename Vector>
+std::string numbers(const Vector& values) {
+  std::ostringstream text;
+  for (Eigen::Index i = 0; i < values.size(); ++i) text << (i > 0 ? " " : "") << values(i);
+  return text.str();
+}
+
+/// Calibrates from the whole log, prints the result, and sets it in `settings`.
+void calibrate(const Options& options, const Imu& imu, const Poses& poses, EkfSettings& settings) {
+  LogCalibrationSettings how;
+  how.imu_noise = settings.imu_noise;
+  how.pose_noise = settings.pose_noise;
+  how.gravity_stddev = options.gravity_deviation;
+  const LogCalibration found = calibrate_log(imu, poses, how);
+  if (found.status != LogCalibrationStatus::calibrated) {
+    std::string why = to_string(found.status);
+    if (found.status == LogCalibrationStatus::no_clock)
+      why = std::string("the clock offset is not found: ") + to_string(found.clock);
+    if (found.status == LogCalibrationStatus::uncertain)
+      why = "the motion does not show " + found.uncertain +
+            ": the log needs more rotation about all axes";
+    throw std::runtime_error("the log cannot be calibrated: " + why);
+  }
+  settings.clock_offset = found.clock_offset;
+  settings.marker_orientation = found.marker_orientation;
+  settings.marker_position = found.marker_position;
+  settings.gyro_bias = found.gyro_bias;
+  settings.accelerometer_bias = found.accelerometer_bias;
+  const Eigen::Quaterniond& q = found.marker_orientation;
+  const auto line = [](const char* key, const auto& values) {
+    std::cout << key << ": " << numbers(values) << '\n';
+  };
+  print("clock_offset_95_s", found.clock_offset_95, 6);
+  line("marker_position_95_m", found.marker_position_95);
+  line("marker_orientation_95_rad", found.marker_orientation_95);
+  line("gyro_bias_radps", found.gyro_bias);
+  line("gyro_bias_95_radps", found.gyro_bias_95);
+  line("accelerometer_bias_mps2", found.accelerometer_bias);
+  line("accelerometer_bias_95_mps2", found.accelerometer_bias_95);
+  if (options.gravity_deviation > 0.0) {
+    line("gravity_tilt_rad", found.gravity_tilt);
+    line("gravity_tilt_95_rad", found.gravity_tilt_95);
+  }
+  print("calibration_position_residual_m", found.position_residual, 6);
+  print("calibration_orientation_residual_rad", found.orientation_residual, 6);
+  print("calibration_error_scale", found.error_scale, 2);
+  std::cout << "calibration_outliers: " << found.outliers
+            << "\nreplay with it:" << std::setprecision(6)
+            << " --clock-offset=" << found.clock_offset << " --marker-rotation "
+            << numbers(Eigen::Vector4d(q.w(), q.x(), q.y(), q.z())) << " --marker-lever "
+            << numbers(found.marker_position) << " --gyro-bias " << numbers(found.gyro_bias)
+            << " --accelerometer-bias " << numbers(found.accelerometer_bias) << '\n';
+}
+
 void replay(const Options& options) {
   const Imu imu = read_imu(options.imu);
   const Poses poses = read_poses(options.poses);
@@ -287,7 +345,11 @@ void replay(const Options& options) {
   settings.marker_position << options.marker_lever[0], options.marker_lever[1],
       options.marker_lever[2];
   const Eigen::Vector3d given_lever = settings.marker_position;
+  settings.gyro_bias = Eigen::Map<const Eigen::Vector3d>(options.gyro_bias.data());
+  settings.accelerometer_bias =
+      Eigen::Map<const Eigen::Vector3d>(options.accelerometer_bias.data());
 
+  if (options.calibrate) calibrate(options, imu, poses, settings);
   if (options.calibrate_clock || options.estimate_marker_pose) {
     const ClockCalibration found = calibrate_clock(imu, poses);
     const bool ok = found.status == ClockCalibrationStatus::calibrated;
@@ -318,7 +380,7 @@ void replay(const Options& options) {
   const Ekfd filter = fly(imu, poses, settings, "replaying the flight", truth, &log, &estimate);
   if (filter.counts().used == 0)
     throw std::runtime_error("no pose of " + options.poses + " was used during " + options.imu +
-                             ": see --calibrate-clock and --clock-offset");
+                             ": see --calibrate, --calibrate-clock and --clock-offset");
   const InertialStated& x = filter.filter().state();
 
   std::cout << "samples: " << imu.size() << "\nposes: " << poses.size()
@@ -334,7 +396,7 @@ void replay(const Options& options) {
             << '\n';
   if (5 * (filter.counts().gated + filter.counts().restarts) > filter.counts().used)
     std::cerr << "replay_flight: the gate rejected many poses: are clock and marker frame right "
-                 "(--calibrate-clock, --estimate-marker-pose)?\n";
+                 "(--calibrate)?\n";
   if (truth.empty()) return;
   const double from = imu.front().time + options.judge_from;
   const Errors plain = judge(estimate, truth, from, 0.0);
@@ -364,6 +426,10 @@ names do not:
 Files in the output directory: replay_flight.csv, the estimate at every IMU sample with standard
 deviations and errors, and replay_flight.png.
 
+--calibrate prints values with half widths of 95 % intervals (_95), residuals (RMS per axis), the
+ratio of the errors that the log shows to those of the assumed noise (calibration_error_scale), and
+the options that repeat the replay with these values. It refuses what the motion does not show.
+
 Printed, among others:
   marker_rotation_deg, marker_lever_m  difference of the marker frame from the given marker frame
   rejected                             poses that the gate rejected
@@ -384,24 +450,49 @@ int main(int argc, char** argv) {
   app.add_option("-o,--output", o.output, "directory for the estimate and its picture")
       ->take_last()
       ->capture_default_str();
+  app.add_flag("--calibrate", o.calibrate,
+               "estimate clock offset, marker frame and biases from the whole "
+               "log by least squares, with 95 % intervals");
   app.add_flag("--calibrate-clock", o.calibrate_clock,
-               "estimate the clock offset of motion capture from rotations");
+               "estimate the clock offset of motion capture from rotations")
+      ->excludes("--calibrate");
   app.add_option("--clock-offset", o.filter.clock_offset,
                  "offset to add to the time stamps of motion capture [s]")
       ->check(CLI::Range(-1e6, 1e6))
       ->excludes("--calibrate-clock")
+      ->excludes("--calibrate")
       ->capture_default_str();
   app.add_flag("--estimate-marker-pose", o.estimate_marker_pose,
-               "estimate rotation and lever arm of the marker frame");
+               "estimate rotation and lever arm of the marker frame by a first pass of the filter")
+      ->excludes("--calibrate");
   app.add_option("--marker-rotation", o.marker_rotation,
                  "rotation from marker frame to body: quaternion w x y z, or matrix row by row")
       ->expected(4, 9)
       ->check(CLI::Number)
+      ->excludes("--calibrate")
       ->capture_default_str();
   app.add_option("--marker-lever", o.marker_lever,
                  "origin of the marker frame in the body frame [m]")
       ->expected(3)
       ->check(CLI::Number)
+      ->excludes("--calibrate")
+      ->capture_default_str();
+  app.add_option("--gyro-bias", o.gyro_bias, "bias of the gyroscope at the start [rad/s]")
+      ->expected(3)
+      ->check(CLI::Number)
+      ->excludes("--calibrate")
+      ->capture_default_str();
+  app.add_option("--accelerometer-bias", o.accelerometer_bias,
+                 "bias of the accelerometer at the start [m/s^2]")
+      ->expected(3)
+      ->check(CLI::Number)
+      ->excludes("--calibrate")
+      ->capture_default_str();
+  app.add_option("--gravity-deviation", o.gravity_deviation,
+                 "with --calibrate, also estimate the direction of gravity in motion capture's "
+                 "world: its standard deviation from -z [rad]")
+      ->needs("--calibrate")
+      ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
   const auto positive = CLI::PositiveNumber;
   const auto add = [&app](const char* name, double& value, const char* text) {

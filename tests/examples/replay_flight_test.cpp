@@ -100,6 +100,39 @@ TEST_F(ReplayFlight, EstimatesClockMarkerFrameAndStateFromLogs) {
   EXPECT_NEAR(found["truth_shift_s"], 0.0, 0.002);
 }
 
+TEST_F(ReplayFlight, CalibratesFromTheWholeLogAndRepeatsTheReplay) {
+  fly(20);
+  const Outcome found = replay(logs() + " --calibrate");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_NEAR(found["clock_offset_s"], clock_offset, 3.0 * found["clock_offset_95_s"]);
+  EXPECT_LT(found["clock_offset_95_s"], 0.001);
+  EXPECT_NEAR(found["marker_rotation_deg"], 2.5 * 180.0 / 3.14159265, 0.2);
+  EXPECT_NEAR(found["marker_lever_m"], marker_position.norm(), 0.001);
+  EXPECT_LT(found["marker_position_95_m"], 0.001);
+  EXPECT_NEAR(found["gyro_bias_radps"], 0.03, 0.002);
+  EXPECT_NEAR(found["accelerometer_bias_mps2"], 0.2, 0.02);
+  EXPECT_NEAR(found["calibration_outliers"], 60, 25);
+  EXPECT_NEAR(found["calibration_position_residual_m"], 0.001, 2e-4);
+  EXPECT_LT(found["position_rmse_m"], 0.002);
+  EXPECT_LT(found["attitude_rmse_deg"], 0.3);
+  const std::string key = "replay with it: ";
+  const std::size_t start = found.output.find(key) + key.size();
+  const std::string options = found.output.substr(start, found.output.find('\n', start) - start);
+  const Outcome again = replay(logs() + ' ' + options);
+  ASSERT_EQ(again.exit_code, 0) << again.output;
+  for (const char* figure : {"position_rmse_m", "attitude_rmse_deg", "clock_offset_s"})
+    EXPECT_NEAR(again[figure], found[figure], 2e-5 + 0.01 * std::abs(found[figure])) << figure;
+  const std::string with_gyro = options.substr(0, options.find(" --accelerometer-bias"));
+  const std::string without = options.substr(0, options.find(" --gyro-bias"));
+  const auto from_start = [this](const std::string& given) {
+    return replay(logs() + ' ' + given + " --judge-from 0").figures;
+  };
+  EXPECT_NE(from_start(with_gyro), from_start(options));
+  EXPECT_NE(from_start(with_gyro), from_start(without));
+  const Outcome with_gravity = replay(logs() + " --calibrate --gravity-deviation 0.02");
+  EXPECT_NEAR(with_gravity["gravity_tilt_rad"], 0.0, 0.002) << with_gravity.output;
+}
+
 TEST_F(ReplayFlight, UsesGivenClockOffsetAndMarkerFrame) {
   fly();
   std::ostringstream given;
@@ -212,6 +245,11 @@ TEST_F(ReplayFlight, RejectsMismatchedLogsWithAHint) {
                               directory_.file("pose.csv") + "' --calibrate-clock");
   EXPECT_EQ(calm.exit_code, 1);
   EXPECT_TRUE(calm.says("cannot be calibrated")) << calm.output;
+  const Outcome still_calm = replay(" '" + directory_.file("still.csv") + "' '" +
+                                    directory_.file("pose.csv") + "' --calibrate");
+  EXPECT_EQ(still_calm.exit_code, 1);
+  EXPECT_TRUE(still_calm.says("cannot be calibrated: the clock offset is not found"))
+      << still_calm.output;
 }
 
 TEST_F(ReplayFlight, HelpAndBadArguments) {
@@ -221,6 +259,10 @@ TEST_F(ReplayFlight, HelpAndBadArguments) {
   EXPECT_GT(replay("").exit_code, 100);
   EXPECT_GT(replay("a b --gate -1").exit_code, 100);
   EXPECT_GT(replay("a b --calibrate-clock --clock-offset 1").exit_code, 100);
+  for (const char* option : {"--calibrate-clock", "--clock-offset 1", "--estimate-marker-pose",
+                             "--marker-lever 0 0 1", "--gyro-bias 0 0 1"})
+    EXPECT_GT(replay(std::string("a b --calibrate ") + option).exit_code, 100) << option;
+  EXPECT_GT(replay("a b --gravity-deviation 0.1").exit_code, 100);
   EXPECT_GT(replay("a b --marker-rotation 1 0 0 0 0").exit_code, 100);
   fly();
   EXPECT_EQ(replay(logs() + " --output /proc/nowhere").exit_code, 1);
@@ -245,6 +287,39 @@ TEST_F(ReplayFlight, EstimatesARecordedFlight) {
   EXPECT_LT(found["position_rmse_m"], 0.008);
   EXPECT_LT(found["shifted_position_rmse_m"], 0.003);
   EXPECT_NEAR(found["truth_shift_s"], -0.008, 0.002);
+}
+
+TEST_F(ReplayFlight, CalibratesARecordedFlight) {
+  const char* data = std::getenv("TILT_ROPTER_DATA");
+  if (data == nullptr || !std::filesystem::exists(std::string(data) + "/euroc_v203/imu.csv"))
+    GTEST_SKIP() << "TILT_ROPTER_DATA does not name a directory with euroc_v203";
+  const std::string source = std::string(data) + "/euroc_v203/";
+  const auto whole = [&source](const char* name) { return " '" + source + name + "'"; };
+  const Outcome found =
+      replay(whole("imu.csv") + whole("pose.csv") + whole("truth.csv") + " --calibrate");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_LT(found["shifted_position_rmse_m"], 0.003);
+  EXPECT_LT(found["shifted_attitude_rmse_deg"], 0.45);
+  EXPECT_NEAR(found["clock_offset_s"], 0.2, 0.001);
+  EXPECT_GT(found["calibration_error_scale"], 1.5);  // motion capture errs for seconds
+  // The second half alone, with these values.
+  const auto second_half = [&](const char* name) {
+    std::ifstream in(source + name);
+    std::string text, line;
+    std::getline(in, text);
+    text += '\n';
+    while (std::getline(in, line))
+      if (std::stod(line) >= 27.0) text += line + '\n';
+    return " '" + directory_.write(name, text) + "'";
+  };
+  const std::string key = "replay with it: ";
+  const std::size_t start = found.output.find(key) + key.size();
+  const std::string options = found.output.substr(start, found.output.find('\n', start) - start);
+  const Outcome half = replay(second_half("imu.csv") + second_half("pose.csv") +
+                              second_half("truth.csv") + ' ' + options);
+  ASSERT_EQ(half.exit_code, 0) << half.output;
+  EXPECT_LT(half["shifted_position_rmse_m"], 0.003);
+  EXPECT_LT(half["shifted_attitude_rmse_deg"], 0.45);
 }
 
 }  // namespace
