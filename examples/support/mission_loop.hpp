@@ -34,6 +34,7 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <variant>
 #include <vector>
 
 /// The mission loop on any plant: sensors, controller, log and figures of the hybrid mission.
@@ -58,7 +59,7 @@ struct MissionOptions {
   std::vector<std::string> faults;                 // see parse_fault()
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
-  std::string vehicle_path, level = "wrench";
+  std::string vehicle_path, model_path, level = "wrench";
   std::string imu_log;  // file for identify_vehicle, or empty
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
@@ -77,6 +78,9 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       ->capture_default_str();
   app.add_option("--vehicle", options.vehicle_path,
                  "JSON file of the vehicle to fly; default: the Tilt-Ropter");
+  app.add_option("--model", options.model_path,
+                 "JSON file of the vehicle that the controller assumes, such as identify_vehicle "
+                 "writes it; the plant keeps that of --vehicle with the errors");
   add_level(app, options.level);
   add_options(app, options.mission);
   app.add_option("--start-off", options.start_off,
@@ -182,6 +186,14 @@ template <int Rotors>
                            &rotor.min_thrust, &rotor.max_thrust})
       *thrust *= 1.0 + options.thrust_error;
   });
+  if (!options.model_path.empty()) {
+    const VehicleFile model = vehicle_or_default(options.model_path);
+    const auto* given = std::get_if<tilt_ropter::Vehicle<Rotors>>(&model.vehicle);
+    if (given == nullptr)
+      throw std::runtime_error("--model " + options.model_path +
+                               ": needs as many rotors as the vehicle that flies");
+    believed = *given;
+  }
   if (options.servo_time_constant > 0.0) believed.servo.time_constant = options.servo_time_constant;
   return {truth, believed};
 }
