@@ -45,7 +45,7 @@ Freedomd random_freedom(Random& random) {
   Freedomd freedom;
   const Eigen::Vector3d normal = random.vector(1.0).normalized();
   freedom.linear -= normal * normal.transpose();
-  freedom.angular.x() = 0.0;
+  freedom.angular << random.vector(1.0), random.vector(1.0), random.vector(1.0);
   return freedom;
 }
 
@@ -137,11 +137,12 @@ double worst_derivative_error(const Vehicle<Rotors>& vehicle, unsigned seed) {
     const auto u = random_rates<Rotors>(random);
     const Wrenchd external{random.vector(3.0), random.vector(0.3)};
     const Freedomd freedom = i % 2 == 0 ? Freedomd() : random_freedom(random);
+    const Steeringd steering = i % 3 == 0 ? Steeringd() : Steeringd{random.vector(2.0), 0.3};
     const double dt = random.uniform(0.01, 0.1);
     typename ActuatedBody<Rotors>::StateJacobian A;
     typename ActuatedBody<Rotors>::InputJacobian B;
-    const ActuatedState<Rotors> end = body.step(x, u, external, dt, freedom, A, B);
-    EXPECT_LT(difference(end, body.step(x, u, external, dt, freedom)).norm(), 1e-12);
+    const ActuatedState<Rotors> end = body.step(x, u, external, dt, freedom, A, B, steering);
+    EXPECT_LT(difference(end, body.step(x, u, external, dt, freedom, steering)).norm(), 1e-12);
     const Eigen::Matrix<double, nx, all> truth = test_support::jacobian_at_zero<nx, all>(
         [&](const Eigen::Matrix<S, all, 1>& d) -> Eigen::Matrix<S, nx, 1> {
           const ActuatedTangent<Rotors, S> dx = d.template head<nx>();
@@ -149,7 +150,9 @@ double worst_derivative_error(const Vehicle<Rotors>& vehicle, unsigned seed) {
           const Eigen::Matrix<S, nu, 1> input = u.template cast<S>() + d.template tail<nu>();
           const Wrench<S> outside{external.force.cast<S>(), external.torque.cast<S>()};
           const Freedom<S> free{freedom.linear.cast<S>(), freedom.angular.cast<S>()};
-          return difference(dual.step(moved, input, outside, S(dt), free), cast<Rotors, S>(end));
+          const Steering<S> steers{steering.speed.cast<S>(), S(steering.side)};
+          return difference(dual.step(moved, input, outside, S(dt), free, steers),
+                            cast<Rotors, S>(end));
         });
     Eigen::Matrix<double, nx, all> given;
     given << A, B;
@@ -162,6 +165,36 @@ TEST(ActuatedBody, DerivativesEqualAutomaticDifferentiation) {
   EXPECT_LT(worst_derivative_error(tilt_ropter_vehicle(), 4), 1e-12);
   EXPECT_LT(worst_derivative_error(damaged(), 5), 1e-12);
   EXPECT_LT(worst_derivative_error(test_support::tilting_hexacopter(), 6), 1e-12);
+}
+
+// A vehicle drives at 1 m/s and turns at 1.2 rad/s. Without a force of the rotors it drives a
+// circle. A force of the rotors along the axle has no effect.
+TEST(ActuatedBody, SteeredWheelsRollAlongTheHeading) {
+  const ActuatedBody<4> body(tilt_ropter_vehicle());
+  ActuatedState<4> x;
+  x.body.velocity.x() = 1.0;
+  x.body.angular_velocity.z() = 1.2;
+  Freedomd freedom;
+  freedom.linear(2, 2) = 0.0;
+  freedom.angular(0, 0) = 0.0;
+  Steeringd steering;
+  steering.speed.z() = 1.0;
+  const auto side_slip = [](const ActuatedState<4>& s) {
+    return (s.body.orientation.conjugate() * s.body.velocity).y();
+  };
+  const Eigen::Matrix<double, 8, 1> none = Eigen::Matrix<double, 8, 1>::Zero();
+  for (int k = 0; k < 20; ++k) x = body.step(x, none, {}, 0.1, freedom, steering);
+  EXPECT_NEAR(side_slip(x), 0.0, 1e-5);
+  EXPECT_NEAR(x.body.velocity.norm(), 1.0, 1e-5);
+  EXPECT_NEAR((x.body.position - Eigen::Vector3d(0.0, 1.0 / 1.2, 0.0)).norm(), 1.0 / 1.2, 1e-5);
+  x.thrust << 0.0, 0.0, 1.0, 1.0;  // front and rear push to the right
+  x.tilt_angle << 0.0, 0.0, 0.5 * pi, -0.5 * pi;
+  const auto pushed = [&](double side) {
+    steering.side = side;
+    return side_slip(body.step(x, none, {}, 0.1, freedom, steering));
+  };
+  EXPECT_LT(pushed(1.0), -0.1);
+  EXPECT_NEAR(pushed(0.0), 0.0, 1e-5);
 }
 
 TEST(ActuatedBody, LanesGiveTheSameAsDouble) {
@@ -190,11 +223,15 @@ TEST(ActuatedBody, LanesGiveTheSameAsDouble) {
   gather_all(rates, [&](int i) { return u[i]; });
   ActuatedBody<4, Lanes>::StateJacobian A;
   ActuatedBody<4, Lanes>::InputJacobian B;
-  (void)four.step(start, rates, {}, Lanes(0.1), {}, A, B);
+  const Steeringd steering{random.vector(2.0), 0.3};
+  const auto all = [](double number) { return Lanes(number); };
+  (void)four.step(start, rates, {}, Lanes(0.1), {}, A, B,
+                  {{all(steering.speed.x()), all(steering.speed.y()), all(steering.speed.z())},
+                   all(steering.side)});
   for (int i = 0; i < 4; ++i) {
     ActuatedBody<4>::StateJacobian A_of;
     ActuatedBody<4>::InputJacobian B_of;
-    (void)body.step(x[i], u[i], {}, 0.1, {}, A_of, B_of);
+    (void)body.step(x[i], u[i], {}, 0.1, {}, A_of, B_of, steering);
     for (Eigen::Index j = 0; j < A.size(); ++j) EXPECT_NEAR(A(j)[i], A_of(j), 1e-12);
     for (Eigen::Index j = 0; j < B.size(); ++j) EXPECT_NEAR(B(j)[i], B_of(j), 1e-12);
   }

@@ -31,6 +31,9 @@ Problem random_problem(Random& random) {
     node.external = {random.vector(1.0), random.vector(0.1)};
     node.on_ground = true;
     node.com_plane = {0.1, {0.05, -0.02}};
+    node.roll_axis << 0.8, 0.0, 0.6;
+    node.freedom.angular = held_about(node.roll_axis, tilt_ropter_vehicle().body.inertia.inverse());
+    node.steering = {random.vector(1.5), k % 2 == 0 ? 0.0 : 1.0};
     for (int i = 0; i < 4; ++i) {
       node.lateral_reference(i) = random.uniform(-4.0, 4.0);
       node.vertical_reference(i) = random.uniform(-4.0, 4.0);
@@ -151,8 +154,10 @@ TEST(ActuatorLevelProblem, DerivativesOfConstraintsAndGroundConditionsAreExact) 
           const auto y = moved<S>(x, d).body;
           const Vector3<S> velocity = y.orientation.conjugate() * y.velocity;
           const Vector3<S>& p = y.position;
+          const Eigen::Vector3d& roll = problem.node(2).roll_axis;
           return {
-              velocity.y(), y.angular_velocity.x(),
+              velocity.y(),
+              S(roll.x()) * y.angular_velocity.x() + S(roll.z()) * y.angular_velocity.z(),
               p.z() - S(plane.height) - S(plane.slope.x()) * p.x() - S(plane.slope.y()) * p.y()};
         });
     D::EqualitiesX H;
@@ -172,7 +177,7 @@ TEST(ActuatorLevelProblem, DeclaredTransitionPatternMatchesTheDerivatives) {
     node.freedom = {};
     if (i % 2 == 0)
       node.freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
-    node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
+    node.freedom.angular(0, 0) = i % 3 == 0 ? 0.0 : 1.0;
     D::A A;
     D::B B;
     (void)problem.step(0, random_actuated(random), random_input(random), A, B);

@@ -1,5 +1,6 @@
 #include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include "support/actuator_loop.hpp"
@@ -88,6 +89,20 @@ TEST(ActuatorNmpc, FollowsAStepWithinTheLimitsOfTheActuators) {
     EXPECT_LT(loop.rmse(), 0.01);
     EXPECT_TRUE(loop.all_planned());
   }
+}
+
+// A quadrotor with fixed rotors pitches to drive, and steers by the difference of its rotors. 174
+// mm if the model does not know that the wheels give the side force when the vehicle steers, 72 mm
+// if it holds the rotation about body x also of the pitched body.
+TEST(ActuatorNmpc, DrivesAFigureEightByLeaning) {
+  const Vehicle<4> vehicle = test_support::flat_quadrotor();
+  const Mission mission = ground_experiment(*undercarriage(vehicle));
+  ActuatorLoop<4> loop(heavier(vehicle), vehicle);
+  loop.run(mission.duration(), mission);
+  EXPECT_LT(loop.rmse(), 0.03);
+  EXPECT_LT(loop.largest_error(), 0.06);
+  EXPECT_EQ(loop.contact().mode_changes(), 0);
+  EXPECT_TRUE(loop.all_planned() && loop.sound());
 }
 
 // Moves sideways with up to 1 m/s and 2.5 m/s^2.

@@ -1,5 +1,7 @@
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/reference_wrench.hpp>
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>
 
@@ -15,6 +17,7 @@ namespace {
 const Undercarriage wheels{0.11, true, true, true};
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
 const Eigen::Matrix3d along_level_ground = Eigen::Vector3d(1, 1, 0).asDiagonal();
+const Eigen::Matrix3d about_y_and_z = Eigen::Vector3d(0, 1, 1).asDiagonal();
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 GroundContact axle_with(const GroundContactSettings& settings = {}) {
@@ -106,7 +109,7 @@ TEST(GroundContact, HoldsVerticalAndRollAndGivesForcesAlongTheGround) {
   const WheeledFlightNode ground = node_of(contact, curve), air = node_of(contact, at_height(0.5));
   EXPECT_TRUE(ground.on_ground);
   EXPECT_EQ(ground.freedom.linear, along_level_ground);
-  EXPECT_EQ(ground.freedom.angular, Eigen::Vector3d(0, 1, 1));
+  EXPECT_EQ(ground.freedom.angular, about_y_and_z);
   EXPECT_EQ(ground.external.force, Eigen::Vector3d(0.3, 3.0, 0.0));  // lateral: from the wheels
   EXPECT_EQ(ground.external.torque, contact.rolling.torque);
   EXPECT_FALSE(air.on_ground);
@@ -152,14 +155,14 @@ TEST(GroundContact, HoldsTheMotionsThatTheUndercarriagePrevents) {
     BodyStated state = measured_at(0.11);
     state.velocity.setConstant(0.1);
     state.angular_velocity.setConstant(0.2);
-    GroundContact(body, undercarriage).stop_held(state);
+    GroundContact(body, undercarriage).stop_held(node_on(undercarriage), state);
     return state;
   };
   const Undercarriage four_wheels{0.11, true, false, false}, legs{0.11, false, false, false};
   EXPECT_EQ(node_on(four_wheels).freedom.linear, along_level_ground);
-  EXPECT_EQ(node_on(four_wheels).freedom.angular, Eigen::Vector3d::Zero());
+  EXPECT_EQ(node_on(four_wheels).freedom.angular, Eigen::Matrix3d::Zero());
   EXPECT_EQ(node_on(legs).freedom.linear, Eigen::Matrix3d::Zero());
-  EXPECT_EQ(node_on(legs).freedom.angular, Eigen::Vector3d::Zero());
+  EXPECT_EQ(node_on(legs).freedom.angular, Eigen::Matrix3d::Zero());
   EXPECT_EQ(released_on(wheels).force, Eigen::Vector3d(1, 0, 3));
   EXPECT_EQ(released_on(wheels).torque, Eigen::Vector3d(0, 5, 6));
   EXPECT_EQ(released_on(four_wheels).torque, Eigen::Vector3d::Zero());
@@ -177,6 +180,57 @@ TEST(GroundContact, HoldsTheMotionsThatTheUndercarriagePrevents) {
   EXPECT_EQ(air.external.force, contact.disturbance.force);
   EXPECT_EQ(released_on(std::nullopt).force, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(stopped_on(std::nullopt).angular_velocity, Eigen::Vector3d::Constant(0.2));
+}
+
+// A pitched body on one axle turns about the axle and the ground's normal. The ground takes every
+// torque about the third direction, and no other.
+TEST(GroundContact, HoldsThePitchedBodyAboutTheDirectionInWhichItRolls) {
+  RigidBodyParameters uneven = body;
+  uneven.inertia << 0.03, 0.002, 0.004, 0.002, 0.02, -0.001, 0.004, -0.001, 0.04;
+  const GroundContact contact(uneven, wheels);
+  for (const double pitch : {-0.4, 0.0, 0.2}) {
+    WheeledFlightNode node;
+    const ReferencePoint point = at_height(0.11);
+    contact.apply(standing_at(0.0), measured_at(0.11), 0.0, point, point, node);
+    const Eigen::Quaterniond pitched(Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitY()));
+    contact.hold_rotation(pitched, node);
+    const Eigen::Vector3d rolls = pitched.conjugate() * Eigen::Vector3d::UnitX(),
+                          normal = pitched.conjugate() * Eigen::Vector3d::UnitZ(),
+                          axle = Eigen::Vector3d::UnitY();
+    const Eigen::Matrix3d& free = node.freedom.angular;
+    EXPECT_LT((node.roll_axis - rolls).norm(), 1e-12);
+    EXPECT_LT((rolls.transpose() * free).norm(), 1e-12);
+    EXPECT_LT((free * normal - normal).norm() + (free * axle - axle).norm(), 1e-12);
+    EXPECT_LT((free * uneven.inertia.inverse() * rolls).norm(), 1e-12);
+    BodyStated state = measured_at(0.11);
+    state.angular_velocity = 0.7 * normal - 0.2 * axle + 0.1 * rolls;
+    contact.stop_held(node, state);
+    EXPECT_LT((state.angular_velocity - 0.7 * normal + 0.2 * axle).norm(), 1e-12);
+    EXPECT_NEAR(detail::ground_conditions(node, state)(1), 0.0, 1e-12);
+  }
+}
+
+// The rotors can push forward only if they also push upward, because the servos reach 60 degrees.
+// Half of the tangent of this angle is the largest ratio.
+TEST(GroundContact, ThrustOnTheGroundKeepsTiltAnglesWithinTheRangeOfTheServos) {
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const GroundContactSettings settings;
+  const double unlimited = GroundThrust<4>(vehicle, settings)({{0.8, 0.0, 0.0}, {0.0, 0.0, 0.02}});
+  EXPECT_LT(unlimited, 1.2);
+  vehicle.servo.min_angle = -pi / 3.0;
+  vehicle.servo.max_angle = 0.5 * pi;
+  const GroundThrust<4> thrust(vehicle, settings);
+  const AllocationMatrix<4> allocation(vehicle);
+  for (const double force : {-1.5, -0.1, 0.0, 0.8}) {
+    Wrenchd wrench{{force, 0.0, 0.0}, {0.0, 0.0, 0.02}};
+    wrench.force.z() = thrust(wrench);
+    EXPECT_LE(wrench.force.z(), 0.5 * 1.5 * gravity);
+    Eigen::Matrix<double, 6, 1> both;
+    both << wrench.force, wrench.torque;
+    const Eigen::Matrix<double, 8, 1> thrusts = allocation.pseudoinverse * both;
+    for (int i = 0; i < 4; ++i)
+      EXPECT_LE(std::abs(thrusts(2 * i)), 0.5 * std::tan(pi / 3.0) * thrusts(2 * i + 1) + 1e-9);
+  }
 }
 
 // A vehicle on a slope is rotated with the ground. Its axle and its path lie in the ground plane.
@@ -281,11 +335,11 @@ TEST(GroundContact, ExternalWrenchModelMovesFreelyUnderTheWholeWrench) {
     EXPECT_EQ(node.external.force, contact.external.force);
     EXPECT_EQ(node.external.torque, contact.external.torque);
     EXPECT_EQ(node.freedom.linear, Eigen::Matrix3d::Identity());
-    EXPECT_EQ(node.freedom.angular, Eigen::Vector3d::Ones());
+    EXPECT_EQ(node.freedom.angular, Eigen::Matrix3d::Identity());
   }
   BodyStated rolling = measured_at(0.11);
   rolling.angular_velocity.x() = 0.3;
-  axle_with(settings).stop_held(rolling);
+  axle_with(settings).stop_held(node_of(contact, at_height(0.11), 0.11, 0.0, settings), rolling);
   EXPECT_EQ(rolling.angular_velocity.x(), 0.3);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Wrenchd needed =

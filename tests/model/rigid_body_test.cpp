@@ -104,7 +104,7 @@ TEST(RigidBody, SensitivityMatchesAutomaticDifferentiation) {
     Freedomd freedom;
     if (i % 3 == 1) {
       freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
-      freedom.angular.x() = 0.0;
+      freedom.angular << random.vector(1.0), random.vector(1.0), random.vector(1.0);
     }
     const Wrenchd external{random.vector(3.0), random.vector(0.3)};
     worst = std::max(worst, sensitivity_error(x, u, external, freedom, random.uniform(0.01, 0.1)));
@@ -190,7 +190,7 @@ TEST(RigidBody, ConstrainedDirectionsDoNotAccelerate) {
   const Eigen::Vector3d normal = Eigen::Vector3d(-0.2, 0.1, 1.0).normalized();
   Freedomd wheels_down;
   wheels_down.linear -= normal * normal.transpose();
-  wheels_down.angular.x() = 0.0;
+  wheels_down.angular(0, 0) = 0.0;
   const Stated next = body.step(x, Eigen::Matrix<double, 6, 1>::Ones(), {}, 0.1, wheels_down);
   const Eigen::Vector3d gained = next.body.velocity - x.body.velocity;
   EXPECT_NEAR(normal.dot(gained), 0.0, 1e-14);

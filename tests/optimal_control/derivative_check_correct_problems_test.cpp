@@ -130,7 +130,7 @@ TEST(DerivativeCheck, FindsNoErrorInTheTiltRopterProblem) {
       node.reference = random_state(random).body;
       node.external = {random.vector(3.0), random.vector(0.3)};
       node.on_ground = k % 2 == 0;
-      if (node.on_ground) node.freedom.linear(2, 2) = node.freedom.angular.x() = 0.0;
+      if (node.on_ground) node.freedom.linear(2, 2) = node.freedom.angular(0, 0) = 0.0;
       xs.push_back(random_state(random));
       Problem::Input u;
       u << random.vector(20.0), random.vector(4.0);

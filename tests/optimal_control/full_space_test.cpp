@@ -148,7 +148,7 @@ TEST(FullSpace, FailsForRedundantEqualities) {
     problem.node(k).on_ground = true;
     problem.node(k).com_plane.height = 0.1;
     problem.node(k).freedom.linear(2, 2) = 0.0;
-    problem.node(k).freedom.angular.x() = 0.0;
+    problem.node(k).freedom.angular(0, 0) = 0.0;
   }
   FullSpace<WheeledFlightProblem<0>> solver(problem);
   Stated x = displaced_flight();

@@ -124,7 +124,7 @@ TEST(ProblemDerivatives, DeclaredTransitionPatternMatchesTheDerivatives) {
     node.freedom = {};
     if (i % 2 == 0)
       node.freedom.linear << random.vector(1.0), random.vector(1.0), random.vector(1.0);
-    node.freedom.angular.x() = i % 3 == 0 ? 0.0 : 1.0;
+    node.freedom.angular(0, 0) = i % 3 == 0 ? 0.0 : 1.0;
     WheeledFlightProblem<0>::D::A A;
     WheeledFlightProblem<0>::D::B B;
     WheeledFlightProblem<0>::D::Input u;

@@ -94,11 +94,13 @@ class ActuatedBody {
 
   /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The rates `u` of thrusts
   /// [N/s] and tilt angles [rad/s] and the `external` wrench (body frame) are constant during the
-  /// step. The quaternion is normalised at the end. `freedom` is as in RigidBody::step().
+  /// step. The quaternion is normalised at the end. `freedom` is as in RigidBody::step(), and
+  /// `steering` is for wheels.
   [[nodiscard]] State step(const State& x, const Input& u, const Wrench<Scalar>& external,
-                           const Scalar& dt, const Freedom<Scalar>& freedom = {}) const {
+                           const Scalar& dt, const Freedom<Scalar>& freedom = {},
+                           const Steering<Scalar>& steering = {}) const {
     State next;
-    integrate<false>(x, u, external, dt, freedom, next, nullptr, nullptr);
+    integrate<false>(x, u, external, dt, freedom, steering, next, nullptr, nullptr);
     return next;
   }
 
@@ -106,12 +108,12 @@ class ActuatedBody {
   /// dx+ = A dx + B du.
   [[nodiscard]] State step(const State& x, const Input& u, const Wrench<Scalar>& external,
                            const Scalar& dt, const Freedom<Scalar>& freedom, StateJacobian& A,
-                           InputJacobian& B) const {
+                           InputJacobian& B, const Steering<Scalar>& steering = {}) const {
     State next;
     for (Eigen::Index i = 0; i < A.size(); ++i) A.coeffRef(i) = Scalar(0);
     for (Eigen::Index i = 0; i < B.size(); ++i) B.coeffRef(i) = Scalar(0);
     for (int i = 0; i < states; ++i) A.coeffRef(i, i) = Scalar(1);
-    integrate<true>(x, u, external, dt, freedom, next, &A, &B);
+    integrate<true>(x, u, external, dt, freedom, steering, next, &A, &B);
     return next;
   }
 
@@ -119,9 +121,10 @@ class ActuatedBody {
   /// entries that can be non-zero.
   [[gnu::always_inline]] inline void step_inline(const State& x, const Input& u,
                                                  const Wrench<Scalar>& external, const Scalar& dt,
-                                                 const Freedom<Scalar>& freedom, State& next,
+                                                 const Freedom<Scalar>& freedom,
+                                                 const Steering<Scalar>& steering, State& next,
                                                  StateJacobian& A, InputJacobian& B) const {
-    integrate<true>(x, u, external, dt, freedom, next, &A, &B);
+    integrate<true>(x, u, external, dt, freedom, steering, next, &A, &B);
   }
 
  private:
@@ -129,7 +132,7 @@ class ActuatedBody {
   using Square = detail::Square<Scalar>;
   using I = ActuatedIndex<Rotors>;
 
-  using BodyStep = detail::BodyStep<Scalar>;
+  using BodyStep = detail::BodyStep<Scalar, true>;
   using Column = typename BodyStep::Column;
   using Push = detail::Push<Scalar>;
 
@@ -159,7 +162,8 @@ class ActuatedBody {
   template <bool WithSensitivity>
   [[gnu::always_inline]] inline void integrate(const State& x, const Input& u,
                                                const Wrench<Scalar>& external, const Scalar& dt,
-                                               const Freedom<Scalar>& freedom, State& next,
+                                               const Freedom<Scalar>& freedom,
+                                               const Steering<Scalar>& steering, State& next,
                                                StateJacobian* A, InputJacobian* B) const {
     using detail::triple;
     using std::cos;
@@ -179,13 +183,14 @@ class ActuatedBody {
         of[n] = {of[n - 1].thrust + half_dt * rate, of[n - 1].s * c_turn + of[n - 1].c * s_turn,
                  of[n - 1].c * c_turn - of[n - 1].s * s_turn};
       for (int n = 0; n < 3; ++n) {
-        const Push push = rotor(i).at(of[n].s, of[n].c);
+        Push push = rotor(i).at(of[n].s, of[n].c);
+        push.force.y = steering.side * push.force.y;
         pushed[n].force += of[n].thrust * push.force;
         pushed[n].torque += of[n].thrust * push.torque;
       }
     }
 
-    BodyStep step(body_, dt, freedom);
+    BodyStep step(body_, dt, freedom, triple(steering.speed));
     step.template run<WithSensitivity>(body_, x.body, pushed, freedom, next.body);
     for (int i = 0; i < Rotors; ++i) {
       next.thrust.coeffRef(i) = x.thrust.coeff(i) + dt * u.coeff(i);
@@ -216,10 +221,10 @@ class ActuatedBody {
                                        z_axis.angular_velocity};
     }
     angular_velocity_by_torque[2] = step.sixth() * inverse_inertia;
+    const Triple kept[3] = {step.kept().x, step.kept().y, step.kept().z};
     for (int i = 0; i < 3; ++i) {
       const auto no_torque = [](int, Triple&) {};
-      const Triple start{Scalar(i == 0), Scalar(i == 1), Scalar(i == 2)};
-      BodyStep::template put_column<I>(step.column_of(start, no_torque), *A,
+      BodyStep::template put_column<I>(step.column_of(kept[i], no_torque), *A,
                                        I::angular_velocity + i);
     }
     Square position_by_force[3], velocity_by_force[3];
@@ -232,7 +237,8 @@ class ActuatedBody {
       const Sample(&of)[3] = samples[static_cast<std::size_t>(i)];
       Column by_thrust[3], by_angle[3];
       for (int n = 0; n < 3; ++n) {
-        const auto effect = [&](const Push& push) __attribute__((always_inline)) {
+        const auto effect = [&](Push push) __attribute__((always_inline)) {
+          push.force.y = steering.side * push.force.y;
           Column column{nothing, velocity_by_force[n] * push.force, nothing,
                         angular_velocity_by_torque[n] * push.torque};
           if (n == 2) return column;

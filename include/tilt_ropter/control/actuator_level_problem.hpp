@@ -39,6 +39,7 @@ struct ActuatorLevelNode : FlightNode {
   using Vector = Eigen::Matrix<double, Rotors, 1>;
   Vector lateral_reference = Vector::Zero();   ///< reference of T sin(alpha) [N]
   Vector vertical_reference = Vector::Zero();  ///< reference of T cos(alpha) [N]
+  Steeringd steering;  ///< wheels that steer the vehicle during the interval that starts here
 };
 
 /// Ranges of the thrusts and tilt angles, and bounds on their rates.
@@ -165,11 +166,12 @@ class ActuatorLevelProblem {
   }
   [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
                            InputJacobian& B) const {
-    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B,
+                      node(k).steering);
   }
   /// End state after the first `seconds` of interval k.
   [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
-    return body_.step(x, u, node(k).external, seconds, node(k).freedom);
+    return body_.step(x, u, node(k).external, seconds, node(k).freedom, node(k).steering);
   }
 
   /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the
@@ -215,7 +217,14 @@ class ActuatorLevelProblem {
         freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
     gather_each(
         freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
-    lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
+    Steering<Lanes> steering;
+    gather_each(
+        steering.speed, [&](int i) -> const auto& { return node(k + i).steering.speed; });
+    steering.side = gather([&](int lane) __attribute__((always_inline)) {
+      return node(k + std::min(lane, count - 1)).steering.side;
+    });
+    lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, steering, end, A,
+                       B);
     for (int i = 0; i < count; ++i) {
       const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {
         for (Eigen::Index j = 0; j < number.size(); ++j) number.coeffRef(j) = from.coeff(j)[i];

@@ -123,9 +123,13 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   // Turns the attitude so that the force that `point` needs can be given without a torque.
   void lean(ReferencePoint& point, const Wrenchd& external) const;
-  // Pitches a vehicle on one axle that cannot push forward: the thrust is at least six times the
-  // forward force, so the pitch stays below 10 degrees.
+  // Pitches a vehicle on one axle that cannot push forward: the thrust is more than eight times the
+  // forward force, so the pitch stays below 7.2 degrees.
   void lean_on_wheels(Node& node, Wrenchd& wrench) const;
+  // Sets the side force of the wheels of a vehicle that cannot push along its axle: it follows the
+  // heading, and it can only steer. The model of a vehicle that can push has the force of the
+  // reference's turn alone, see GroundContact; with this force it would steer instead of pushing.
+  void steer(Node& node) const;
   void set_actuator_command(const State& x, const typename Problem::Input& rates);
   // Thrusts and angles of the smallest thrusts.
   [[nodiscard]] State actuators_for(const Wrenchd& wrench) const noexcept;
@@ -140,6 +144,7 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   ActuatorNmpcSettings settings_;
   Vehicle<Rotors> vehicle_;
+  std::optional<Undercarriage> undercarriage_;
   ThrustInverse<Rotors> inverse_;
   ReferenceWrench<Rotors> reference_wrench_;
   std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
@@ -153,6 +158,7 @@ ActuatorNmpc<Rotors>::ActuatorNmpc(const Vehicle<Rotors>& vehicle,
            GroundContact(vehicle.body, undercarriage(vehicle), settings.ground), vehicle.body.mass),
       settings_(settings),
       vehicle_(vehicle),
+      undercarriage_(undercarriage(vehicle)),
       inverse_(vehicle),
       reference_wrench_(vehicle, settings.ground, inverse_.matrix()) {
   for (std::size_t i = 0; i < Rotors; ++i) {
@@ -229,7 +235,7 @@ ActuatedState<Rotors> ActuatorNmpc<Rotors>::initial_state(double /*time*/) const
   const ActuatorLimits<Rotors>& limits = solver_.problem().limits();
   State x;
   x.body = body_state_;
-  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
+  if (const auto& node = solver_.problem().node(0); node.on_ground) ground_.stop_held(node, x.body);
   for (int i = 0; i < Rotors; ++i) {
     const auto k = static_cast<std::size_t>(i);
     const RotorLimits& rotor = rotors_[k];
@@ -283,16 +289,35 @@ void ActuatorNmpc<Rotors>::lean(ReferencePoint& point, const Wrenchd& external) 
 
 template <int Rotors>
 void ActuatorNmpc<Rotors>::lean_on_wheels(Node& node, Wrenchd& wrench) const {
-  const std::optional<Undercarriage> support = undercarriage(vehicle_);
-  if (!support || !support->pitches || inverse_.steady_forces()(0, 0) > 0.5) return;
+  // The thrust grows smoothly with the force, otherwise the nose would have to jump up or down
+  // where the force changes its sign.
+  constexpr double least = 0.1;      // thrust / weight
+  constexpr double per_force = 8.0;  // thrust / forward force, for large forces
+  if (!undercarriage_ || !undercarriage_->pitches || inverse_.steady_forces()(0, 0) > 0.5) return;
   const double forward = wrench.force.x(),
-               total = std::max(wrench.force.z(), 6.0 * std::abs(forward));
-  if (!(total > 1e-6)) return;
-  const double half = 0.5 * std::asin(std::clamp(forward / total, -1.0, 1.0));
+               total = std::hypot(std::max(wrench.force.z(), least * vehicle_.body.mass * gravity),
+                                  per_force * forward),
+               half = 0.5 * std::asin(forward / total);
   node.reference.orientation =
       node.reference.orientation * Eigen::Quaterniond(std::cos(half), 0.0, std::sin(half), 0.0);
   wrench.force.x() = 0.0;
   wrench.force.z() = total;
+}
+
+template <int Rotors>
+void ActuatorNmpc<Rotors>::steer(Node& node) const {
+  node.steering = {};
+  if (!node.on_ground || !ground_.holds() || !undercarriage_->rolls ||
+      inverse_.steady_forces()(1, 1) > 0.5)
+    return;
+  const BodyStated& reference = node.reference;
+  const Eigen::Vector3d up = reference.orientation.conjugate() * node.com_plane.normal();
+  const double speed = (reference.orientation.conjugate() * reference.velocity).x();
+  for (int i = 0; i < 3; ++i) node.steering.speed(i) = speed * up(i);
+  node.steering.side = 0.0;
+  // GroundContact has added the side force of the reference's turn.
+  node.external.force.y() -=
+      vehicle_.body.mass * node.steering.speed.dot(reference.angular_velocity);
 }
 
 template <int Rotors>
@@ -308,8 +333,12 @@ void ActuatorNmpc<Rotors>::set_nodes() {
       lean(followed, node.external);
       node.reference.orientation = followed.orientation;
     }
+    steer(node);
     Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
-    if (leans && node.on_ground) lean_on_wheels(node, wrench);
+    if (leans && node.on_ground) {
+      lean_on_wheels(node, wrench);
+      ground_.hold_rotation(node.reference.orientation, node);
+    }
     const auto thrusts =
         inverse_.within(wrench, problem.limits().min_thrust, problem.limits().max_thrust);
     for (int i = 0; i < Rotors; ++i) {
@@ -317,6 +346,11 @@ void ActuatorNmpc<Rotors>::set_nodes() {
       node.vertical_reference(i) = thrusts(2 * i + 1);
     }
   }
+  // The condition on the angular velocity at a node is that of the interval before it. The pitch
+  // may change from one node to the next, and the model cannot follow within no time.
+  for (int k = problem.horizon(); leans && k > 0; --k)
+    if (problem.node(k).on_ground && problem.node(k - 1).on_ground)
+      problem.node(k).roll_axis = problem.node(k - 1).roll_axis;
   // The angular velocity that the leaning adds.
   for (int k = 0; leans && k < problem.horizon(); ++k) {
     BodyStated &here = problem.node(k).reference, &next = problem.node(k + 1).reference;

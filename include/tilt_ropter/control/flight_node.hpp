@@ -23,6 +23,9 @@ struct FlightNode {
   Freedomd freedom;        ///< motion that the ground leaves free during that interval
   bool on_ground = false;  ///< the paper's delta: non-holonomic conditions apply here
   GroundPlane com_plane;   ///< plane on which the CoM stays on the ground
+  /// Axis about which the axle does not turn, unit vector in the body frame: body x, if the body is
+  /// not pitched. The condition on the angular velocity at this node uses it.
+  Eigen::Vector3d roll_axis = Eigen::Vector3d::UnitX();
 };
 
 namespace detail {
@@ -62,10 +65,11 @@ template <typename Error>
   return transposed(square(body.orientation.toRotationMatrix())) * triple(body.velocity);
 }
 
-/// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject).
+/// v_By, the angular velocity about the roll axis (w_x) and the height of the CoM over its plane
+/// (paper, Eq. mpc_subject).
 [[nodiscard]] inline Eigen::Vector3d ground_conditions(const FlightNode& node,
                                                        const BodyStated& body) {
-  return {body_velocity(body).y, body.angular_velocity.x(),
+  return {body_velocity(body).y, dot(triple(node.roll_axis), triple(body.angular_velocity)),
           body.position.z() - node.com_plane.height_at(body.position)};
 }
 
@@ -81,7 +85,7 @@ void put_ground_derivatives(const FlightNode& node, const BodyStated& body, Deri
   H(0, first + 5) = to_world.y.z;
   H(0, first + 6) = velocity.z;
   H(0, first + 8) = -velocity.x;
-  H(1, first + 9) = 1.0;
+  for (int i = 0; i < 3; ++i) H(1, first + 9 + i) = node.roll_axis(i);
   H(2, first) = -node.com_plane.slope.x();
   H(2, first + 1) = -node.com_plane.slope.y();
   H(2, first + 2) = 1.0;

@@ -4,12 +4,15 @@
 #include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/body_step.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
 
 #include <algorithm>
 #include <cmath>
@@ -29,6 +32,7 @@ class GroundContact {
                 const GroundContactSettings& settings = {})
       : settings_(settings), mass_(body.mass), undercarriage_(undercarriage) {
     validate(body);
+    inverse_inertia_ = body.inertia.inverse();
     if (undercarriage) validate(*undercarriage);
     validate(settings);
   }
@@ -62,6 +66,7 @@ class GroundContact {
     const bool stands = is_on_ground(contact, measured.position);
     node.on_ground = stands && meant;
     node.freedom = {};
+    node.roll_axis = Eigen::Vector3d::UnitX();
     node.external = holds() ? contact.disturbance : contact.external;
     if (meant && !stands && settings_.settling_speed > 0.0) settle(contact, measured, ahead, node);
     if (!node.on_ground) return point;
@@ -78,9 +83,7 @@ class GroundContact {
     const Eigen::Vector3d normal = contact.ground.normal();
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) node.freedom.linear(i, j) -= normal(i) * normal(j);
-    node.freedom.angular.x() = 0.0;
-    if (!undercarriage_->pitches) node.freedom.angular.y() = 0.0;
-    if (!undercarriage_->turns) node.freedom.angular.z() = 0.0;
+    hold_rotation(laid.orientation, node);
     if (!undercarriage_->rolls) node.freedom.linear.setZero();
     node.external = contact.rolling;
     // contact.rolling contains the inertia of the rolling wheels at the present acceleration. At
@@ -92,6 +95,16 @@ class GroundContact {
     for (int i = 0; i < 3; ++i) missing(i) += gravity * node.freedom.linear(i, 2);
     node.external.force.y() = mass_ * (laid.orientation.conjugate() * missing).y();
     return laid;
+  }
+
+  /// Sets the rotations that the ground holds at a node on the ground whose body has the attitude
+  /// `orientation`. With both wheels of one axle down, the body turns about the axle (body y) and
+  /// about the ground's normal. It does not turn about the direction at right angles to both, in
+  /// which the wheels roll. This direction is body x only while the body is not pitched.
+  void hold_rotation(const Eigen::Quaterniond& orientation, FlightNode& node) const noexcept {
+    if (!undercarriage_ || !node.on_ground || !holds()) return;
+    node.roll_axis = roll_axis(orientation.conjugate() * node.com_plane.normal());
+    node.freedom.angular = rotations_left_free(node.roll_axis);
   }
 
   /// Returns the point with the vehicle standing on `ground`. Height, vertical velocity and
@@ -120,14 +133,17 @@ class GroundContact {
     return laid;
   }
 
-  /// Sets the velocities to zero that the ground holds. With both wheels down this is the roll
-  /// rate. A vehicle that turns with its nose up or down has a roll rate about body x. If the model
-  /// let this roll continue, the plan would tend to keep the nose there.
-  void stop_held(BodyStated& body) const noexcept {
+  /// Sets the velocities to zero that the ground holds at `node`. With both wheels down this is the
+  /// angular velocity about the roll axis of the node. A vehicle that is pitched more or less than
+  /// the node has an angular velocity about this axis while it turns. If the model let this
+  /// rotation continue, the plan would tend to keep the nose there.
+  void stop_held(const FlightNode& node, BodyStated& body) const noexcept {
     if (!undercarriage_ || !holds()) return;
-    body.angular_velocity.x() = 0.0;
-    if (!undercarriage_->pitches) body.angular_velocity.y() = 0.0;
-    if (!undercarriage_->turns) body.angular_velocity.z() = 0.0;
+    Eigen::Vector3d& w = body.angular_velocity;
+    const double along = node.roll_axis.dot(w);
+    for (int i = 0; i < 3; ++i) w(i) -= along * node.roll_axis(i);
+    if (!undercarriage_->pitches) w.y() = 0.0;
+    if (!undercarriage_->turns) w.z() = 0.0;
     if (!undercarriage_->rolls) body.velocity.setZero();
   }
 
@@ -149,6 +165,18 @@ class GroundContact {
     if (!settings_.contact_by_height || !undercarriage_) return contact.on_ground;
     const double above = position.z() - undercarriage_->height - expected(contact, position);
     return std::abs(above) <= settings_.height_tolerance;
+  }
+
+  // Freedom::angular with the roll axis held.
+  [[nodiscard]] Eigen::Matrix3d rotations_left_free(
+      const Eigen::Vector3d& roll_axis) const noexcept {
+    Eigen::Matrix3d kept = held_about(roll_axis, inverse_inertia_);
+    for (int i = 0; i < 3; ++i) {
+      if (!undercarriage_->pitches) kept(1, i) = 0.0;
+      if (!undercarriage_->turns) kept(2, i) = 0.0;
+      if (!undercarriage_->pitches && !undercarriage_->turns) kept(0, i) = 0.0;
+    }
+    return kept;
   }
 
   // Acceleration of the reference along its own body x [m/s^2].
@@ -189,6 +217,7 @@ class GroundContact {
 
   GroundContactSettings settings_;
   double mass_;
+  Eigen::Matrix3d inverse_inertia_ = Eigen::Matrix3d::Identity();
   std::optional<Undercarriage> undercarriage_;
 };
 

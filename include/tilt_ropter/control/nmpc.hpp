@@ -217,7 +217,8 @@ const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& mea
   Stated x;
   x.body = measured;
   x.body.orientation.normalize();
-  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);  // as in feedback()
+  if (const auto& node = solver_.problem().node(0); node.on_ground)
+    ground_.stop_held(node, x.body);  // as in feedback()
   x.wrench = plan_.wrench(solver_, time);
   set_rate(plan_.correct(solver_, time, x));
   result_.wrench = x.wrench;
@@ -244,7 +245,7 @@ template <int Rotors>
 Stated Nmpc<Rotors>::initial_state(double time) const {
   Stated x;
   x.body = body_state_;
-  if (solver_.problem().node(0).on_ground) ground_.stop_held(x.body);
+  if (const auto& node = solver_.problem().node(0); node.on_ground) ground_.stop_held(node, x.body);
   x.wrench = plan_.exists() ? plan_.wrench(solver_, time) : safe_wrench();
   return x;
 }

@@ -329,13 +329,14 @@ class ContactEstimator {
       free.force.setZero();
       held.force = external.force - air_.force;
     }
-    const auto hold_torque = [&](int axis) {
-      free.torque(axis) = 0.0;
-      held.torque(axis) = external.torque(axis) - air_.torque(axis);
+    const auto hold_torque = [&](const Eigen::Vector3d& axis) {
+      free.torque -= axis.dot(free.torque) * axis;
+      held.torque += axis.dot(external.torque - air_.torque) * axis;
     };
-    hold_torque(0);
-    if (!undercarriage_->pitches) hold_torque(1);
-    if (!undercarriage_->turns) hold_torque(2);
+    // Both wheels of an axle hold the rotation about the direction in which they roll.
+    hold_torque(undercarriage_->pitches ? roll_axis(normal) : Eigen::Vector3d::UnitX());
+    if (!undercarriage_->pitches) hold_torque(Eigen::Vector3d::UnitY());
+    if (!undercarriage_->turns) hold_torque(Eigen::Vector3d::UnitZ());
   }
 
   ContactEstimatorSettings settings_;

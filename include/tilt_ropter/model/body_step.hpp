@@ -12,15 +12,46 @@
 /// The Runge-Kutta step of a rigid body that the prediction models of both control levels share.
 namespace tilt_ropter {
 
-/// Accelerations that a support leaves free. Wheels on the ground remove the acceleration along the
-/// ground's normal and the angular acceleration about body x. The ground's reaction then needs no
-/// model.
+/// Motion that a support leaves free. Wheels on the ground remove the acceleration along the
+/// ground's normal and the rotation about the direction in which they roll. The ground's reaction
+/// then needs no model.
 template <typename Scalar>
 struct Freedom {
-  Matrix3<Scalar> linear = Matrix3<Scalar>::Identity();  ///< projection matrix, world frame
-  Vector3<Scalar> angular = Vector3<Scalar>::Ones();     ///< per body axis: 1 free, 0 held
+  /// Projection matrix of the acceleration, world frame.
+  Matrix3<Scalar> linear = Matrix3<Scalar>::Identity();
+  /// Projection matrix of the angular velocity and of its rate, body frame. At the start of a step
+  /// the angular velocity loses what the support holds. See held_about().
+  Matrix3<Scalar> angular = Matrix3<Scalar>::Identity();
 };
 using Freedomd = Freedom<double>;  ///< in double precision
+
+/// Side force of wheels that roll without slipping. The wheels give the force along body y that
+/// turns the velocity as fast as the body turns; rotors do not move the body along the axle. The
+/// defaults mean: no wheels.
+template <typename Scalar>
+struct Steering {
+  /// Acceleration along body y by the angular velocity, body frame: the speed of the wheels times
+  /// the ground's normal [m/s].
+  Vector3<Scalar> speed = Vector3<Scalar>::Zero();
+  Scalar side{1};  ///< part of the rotors' force along body y that moves the body: 1 or 0
+};
+using Steeringd = Steering<double>;  ///< in double precision
+
+/// Returns Freedom::angular for a body of this inertia that a support holds about `axis` (unit
+/// vector, body frame), as an impulse about this axis does: I - J^-1 a a' / (a' J^-1 a). `inverse`
+/// is J^-1.
+[[nodiscard]] inline Eigen::Matrix3d held_about(const Eigen::Vector3d& axis,
+                                                const Eigen::Matrix3d& inverse) noexcept {
+  double turned[3], along = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    turned[i] = inverse(i, 0) * axis.x() + inverse(i, 1) * axis.y() + inverse(i, 2) * axis.z();
+    along += axis(i) * turned[i];
+  }
+  Eigen::Matrix3d kept;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) kept(i, j) = (i == j ? 1.0 : 0.0) - turned[i] * axis(j) / along;
+  return kept;
+}
 
 namespace detail {
 
@@ -49,11 +80,13 @@ struct Push {
 /// wrench at three times: the start, the middle and the end. The quaternion is normalised at the
 /// end. Every function is inlined into the caller.
 ///
+/// With `Steers`, the force along body y also depends on w, see Steering.
+///
 /// The attitude equation is linear in q from the left. Every stage of the step is therefore
 /// q (x) (c, v), where (c, v) starts at identity and depends on w only. The dependencies form a
 /// chain: (torque, w) -> w stages -> (c, v) stages -> force stages -> (v, p). The derivative with
 /// respect to the initial attitude is the cross product with the integrated impulse.
-template <typename Scalar>
+template <typename Scalar, bool Steers = false>
 class BodyStep {
  public:
   using Triple = detail::Triple<Scalar>;
@@ -67,9 +100,12 @@ class BodyStep {
   [[gnu::always_inline]] static inline Triple none() { return {Scalar(0), Scalar(0), Scalar(0)}; }
 
   [[gnu::always_inline]] inline BodyStep(const BodyInertia<Scalar>& body, const Scalar& dt,
-                                         const Freedom<Scalar>& freedom)
+                                         const Freedom<Scalar>& freedom,
+                                         const Triple& steering = none())
       : dt_(dt), half_dt_(Scalar(0.5) * dt), sixth_(dt / Scalar(6)), third_(dt / Scalar(3)) {
-    inverse_inertia_ = scaled(square(body.inverse_inertia), triple(freedom.angular));
+    if constexpr (Steers) steering_ = body.mass * steering;
+    angular_ = square(freedom.angular);
+    inverse_inertia_ = angular_ * square(body.inverse_inertia);
   }
 
   /// Sets `next` to the state after the step. `pushes`: the wrench at start, middle and end. Keeps
@@ -86,7 +122,7 @@ class BodyStep {
     const Triple qv{qx, qy, qz};
     const Square rotation = outer(qw * qw - dot(qv, qv), two * qv, qv, (two * qw) * qv);
     const Square inertia = square(body.inertia);
-    const Triple w0 = triple(x.angular_velocity);
+    const Triple w0 = angular_ * triple(x.angular_velocity);
 
     Triple w_rate = none(), w_sum = none(), v_rate = none(), v_sum = none();
     Scalar c_rate = zero, c_sum = one;
@@ -97,7 +133,9 @@ class BodyStep {
     for (int i = 0; i < 4; ++i) {
       const int n = sample_of(i);
       const Scalar &t = time_of(i), &weight = weight_of(i);
-      const Triple w = w0 + t * w_rate, v = t * v_rate, momentum = inertia * w, f = pushes[n].force;
+      const Triple w = w0 + t * w_rate, v = t * v_rate, momentum = inertia * w;
+      Triple f = pushes[n].force;
+      if constexpr (Steers) f.y += dot(steering_, w);
       const Scalar c = one + t * c_rate, along = dot(v, f), level = c * c - dot(v, v);
       const Triple turned = level * f + (two * along) * v + (two * c) * cross(v, f);
       w_rate = inverse_inertia_ * (pushes[n].torque - cross(w, momentum));
@@ -119,6 +157,7 @@ class BodyStep {
         s.turned_by_v =
             outer(two * along, two * v, f, (-two * c) * f) + outer(zero, (-two) * f, v, none());
         const Square turn = outer(level, two * v, v, (two * c) * v);
+        if constexpr (Steers) s.turned_side = turn.y;
         velocity_by_force_[n] += weight * turn;
         if (i < 3) position_by_force_[n] += (dt_ * sixth_) * turn;
       }
@@ -155,6 +194,8 @@ class BodyStep {
   [[gnu::always_inline]] inline Square position_by_force(int n) const {
     return to_world_ * position_by_force_[n];
   }
+  /// w after the start of the step by w before it, one column per body axis.
+  [[nodiscard]] const Square& kept() const { return angular_; }
   /// Rate of w by the torque, one column per body axis.
   [[nodiscard]] const Square& inverse_inertia() const { return inverse_inertia_; }
   /// Weight of the last stage [s].
@@ -189,7 +230,8 @@ class BodyStep {
       const Scalar &t = time_of(i), &weight = weight_of(i);
       const Triple dw = start + t * dw_rate, dv = t * dv_rate;
       const Scalar dc = t * dc_rate;
-      const Triple turned = dc * s.turned_by_c + s.turned_by_v * dv;
+      Triple turned = dc * s.turned_by_c + s.turned_by_v * dv;
+      if constexpr (Steers) turned += dot(steering_, dw) * s.turned_side;
       dw_rate = s.w_by_w * dw;
       add(sample_of(i), dw_rate);
       // d((c, v) (x) w) / 2
@@ -220,6 +262,7 @@ class BodyStep {
   struct Stage {
     Square w_by_w, turned_by_v;          // d(rate of w)/dw, d(rotated force)/dv
     Triple half_w, half_v, turned_by_c;  // turned_by_c: d(rotated force)/dc
+    Triple turned_side;                  // d(rotated force)/d(force along body y), if it steers
     Scalar half_c;
   };
 
@@ -235,7 +278,9 @@ class BodyStep {
   }
 
   Scalar dt_, half_dt_, sixth_, third_;
-  Square inverse_inertia_;  // of the free axes
+  Square angular_;          // projection of w
+  Triple steering_;         // force along body y by w, if it steers
+  Square inverse_inertia_;  // of the free rotations
   Stage stages_[4];
   Square velocity_by_force_[3], position_by_force_[3];  // in the initial body frame
   Triple velocity_impulse_, position_impulse_;          // in the initial body frame

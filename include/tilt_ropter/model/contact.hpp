@@ -32,6 +32,16 @@ struct GroundPlane {
   }
 };
 
+/// Returns the direction in which wheels roll whose axle is body y, as a unit vector in the body
+/// frame. `up` is the ground's normal in the body frame. With both wheels on the ground, the body
+/// does not turn about this direction. It is body x if the body is not pitched, and also if the
+/// nose points straight up or down.
+[[nodiscard]] inline Eigen::Vector3d roll_axis(const Eigen::Vector3d& up) noexcept {
+  const double length = std::sqrt(up.x() * up.x() + up.z() * up.z());  // of y x up
+  if (!(length > 1e-3)) return Eigen::Vector3d::UnitX();
+  return {up.z() / length, 0.0, -up.x() / length};
+}
+
 /// Wrenches act at the CoM, in the body frame, like the output of the wrench observer.
 struct ContactEstimate {
   bool on_ground = false;     ///< the ground carries part of the weight, or did so recently

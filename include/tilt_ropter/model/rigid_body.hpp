@@ -143,12 +143,12 @@ class RigidBody {
     };
     const Triple axes[3] = {step.inverse_inertia().x, step.inverse_inertia().y,
                             step.inverse_inertia().z};
+    const Triple kept[3] = {step.kept().x, step.kept().y, step.kept().z};
     const auto set_columns = [&](const auto& set) __attribute__((always_inline)) {
       for (int i = 0; i < 3; ++i) {
         set(none, axes[i], none, *A, I::torque + i);
         set(none, none, axes[i], *B, I::torque + i);
-        set({Scalar(i == 0), Scalar(i == 1), Scalar(i == 2)}, none, none, *A,
-            I::angular_velocity + i);
+        set(kept[i], none, none, *A, I::angular_velocity + i);
       }
     };
     if constexpr (std::is_arithmetic_v<Scalar>) {
