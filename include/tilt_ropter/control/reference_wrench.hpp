@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/reference.hpp>
@@ -10,6 +11,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <cmath>
 
 /// The wrench that a reference needs, in the air and on the ground.
 namespace tilt_ropter {
@@ -21,7 +23,9 @@ namespace tilt_ropter {
 /// this turn the rotor pushes in every direction, and the vehicle tips.
 ///
 /// If the torque reduces a rotor's thrust by t, the rotor keeps at least min(2 t, rotor_thrust).
-/// The total is limited to half the weight, so that the other half stays on the wheels.
+/// If a servo does not reach 90 degrees to one side, the vertical thrust of its rotor is at least
+/// twice the thrust at which the lateral thrust is at the end of the servo's range. The total is
+/// limited to half the weight, so that the other half stays on the wheels.
 template <int Rotors>
 class GroundThrust {
  public:
@@ -34,7 +38,12 @@ class GroundThrust {
                const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
       : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
     for (int i = 0; i < Rotors; ++i)
-      for (int j = 0; j < 6; ++j) vertical_(i, j) = inverse(2 * i + 1, j);
+      for (int j = 0; j < 6; ++j) {
+        lateral_(i, j) = inverse(2 * i, j);
+        vertical_(i, j) = inverse(2 * i + 1, j);
+      }
+    const double least = std::min(-vehicle.servo.min_angle, vehicle.servo.max_angle);
+    if (least < 0.5 * pi) vertical_per_lateral_ = 2.0 / std::tan(std::max(least, 0.1));
   }
 
   /// Replaces the settings. The new settings must be valid.
@@ -47,15 +56,19 @@ class GroundThrust {
     double force = settings_.down_force;
     for (int i = 0; i < Rotors; ++i) {
       const double fraction = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
-      if (fraction > 1e-6)
-        force = std::max(force, (taken + std::min(2.0 * taken, settings_.rotor_thrust)) / fraction);
+      if (!(fraction > 1e-6)) continue;
+      const double lateral = std::abs(lateral_.row(i).dot(level)),
+                   kept = std::max(std::min(2.0 * taken, settings_.rotor_thrust),
+                                   vertical_per_lateral_ * lateral);
+      force = std::max(force, (taken + kept) / fraction);
     }
     return std::max(settings_.down_force, std::min(force, most_));
   }
 
  private:
   GroundContactSettings settings_;
-  Eigen::Matrix<double, Rotors, 6> vertical_;
+  Eigen::Matrix<double, Rotors, 6> lateral_, vertical_;
+  double vertical_per_lateral_ = 0.0;
   double most_;
 };
 
