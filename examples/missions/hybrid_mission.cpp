@@ -2,12 +2,10 @@
 // eight, take off again, hover, land. The plant runs at 1 kHz. Its vehicle differs from the one
 // that the controller assumes.
 
-#include "../support/mission_loop.hpp"
 #include "../support/pictures.hpp"
 #include "../support/report.hpp"
 #include "../support/run_program.hpp"
-
-#include <tilt_ropter/simulation/plant.hpp>
+#include "../support/simulated_mission.hpp"
 
 #include <CLI/CLI.hpp>
 
@@ -32,15 +30,10 @@ int main(int argc, char** argv) {
     }
     const auto write = [&](const auto& vehicle) { return write_mission(options.mission, vehicle); };
     if (std::visit(write, file.vehicle)) return 0;
-    const std::string figures = std::visit(
-        [&](const auto& vehicle) {
-          const auto vehicles = examples::vehicles(options, vehicle);
-          tilt_ropter::Plant plant(vehicles.truth);
-          return examples::fly_mission(
-              options, file, vehicles, plant, [] { return tilt_ropter::Wrenchd{}; },
-              [](const tilt_ropter::Mission&) {});  // closes the logs when it returns
-        },
-        file.vehicle);
+    const std::string figures =
+        examples::report_flight(options, file, [&](const examples::FlightProgress& on_progress) {
+          return examples::fly_simulated(options, file, on_progress);
+        });
     if (options.no_pictures) return 0;
     examples::write_report(options.output, file, figures);
     examples::draw_pictures("missions/hybrid_mission.gp", options.output);

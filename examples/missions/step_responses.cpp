@@ -148,7 +148,8 @@ void run(const Options& options) {
   const auto fly_changed = [&](const Knob* knob, double factor) {
     VehicleFile changed = file;
     if (knob != nullptr) knob->scale(changed, factor);
-    return std::visit([&](const auto& v) { return fly(options, changed, v); }, changed.vehicle);
+    return examples::with_wrench_level(changed,
+                                       [&](const auto& v) { return fly(options, changed, v); });
   };
   const std::vector<Knob> all = knobs();
   examples::Progress progress;

@@ -20,6 +20,7 @@
 #include <limits>
 #include <sstream>
 #include <string>
+#include <type_traits>
 #include <variant>
 #include <vector>
 
@@ -28,7 +29,7 @@ using namespace examples;
 namespace {
 
 struct Options {
-  std::string output = "results", vehicle, scenario = "random", level = "wrench";
+  std::string output = "results", vehicle, scenario = "random", level;
   double size = 0.0, height = 0.0, duration = 15.0, time_limit_us = 0.0;
   std::uint64_t seed = 1, first = 0, count = 10;
   bool no_pictures = false;
@@ -233,12 +234,15 @@ int main(int argc, char** argv) {
     if (options.size == 0.0) options.size = usual_size(scenario);
     if (options.height == 0.0) options.height = usual_height(scenario);
     const VehicleFile file = vehicle_or_default(options.vehicle);
+    const std::string choice = level_choice(options.level, file);
+    if (!choice.empty()) std::cout << choice << '\n';
+    options.level = level_for(options.level, file);
     std::visit(
         [&](const auto& v) {
-          if (options.level == "actuator")
-            run<ActuatorLevel>(options, v, actuator_level_settings(file, v), argv[0]);
-          else
-            run<WrenchLevel>(options, v, file.settings(), argv[0]);
+          if constexpr (HasWrenchLevel<std::decay_t<decltype(v)>>::value)
+            if (options.level == "wrench")
+              return run<WrenchLevel>(options, v, file.settings(), argv[0]);
+          run<ActuatorLevel>(options, v, actuator_level_settings(file, v), argv[0]);
         },
         file.vehicle);
     if (!options.no_pictures) draw_pictures("missions/stress_flights.gp", options.output);

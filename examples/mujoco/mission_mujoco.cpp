@@ -109,8 +109,8 @@ void fly(Options& options) {
   options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
   const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
-  if (write_mission(options.mission.mission, examples::quadrotor(file))) return;
-  const auto vehicles = examples::vehicles(options.mission, examples::quadrotor(file));
+  if (write_mission(options.mission.mission, examples::four_rotors(file))) return;
+  const auto vehicles = examples::vehicles(options.mission, examples::four_rotors(file));
   examples::MujocoPlant plant(vehicles.truth, options.mujoco);
   if (options.slow_servo > 0) {
     ServoParameters slow = vehicles.truth.servo;

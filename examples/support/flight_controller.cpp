@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 namespace examples {
@@ -22,7 +23,10 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       ekf_(estimation),
       observer_(vehicle.body, observer),
       contact_(vehicle),
-      external_(external) {}
+      external_(external) {
+  if (!has_wrench_level<Rotors>)
+    throw std::invalid_argument("FlightController: the wrench level needs 4 rotors or more");
+}
 
 template <int Rotors>
 FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
@@ -48,21 +52,26 @@ template <int Rotors>
 ActuatorState<Rotors> FlightController<Rotors>::lift(double force) const {
   Wrenchd wrench;
   wrench.force.z() = force;
-  return allocation_ ? allocation_->allocate(wrench, {}).command
-                     : actuator_nmpc_->command_for(wrench);
+  if constexpr (has_wrench_level<Rotors>)
+    if (allocation_) return allocation_->allocate(wrench, {}).command;
+  return actuator_nmpc_->command_for(wrench);
 }
 
 template <int Rotors>
 Wrenchd FlightController<Rotors>::wrench_of(const ActuatorState<Rotors>& actuators) const {
-  return allocation_ ? allocation_->wrench(actuators) : body_.wrench(actuators);
+  if constexpr (has_wrench_level<Rotors>)
+    if (allocation_) return allocation_->wrench(actuators);
+  return body_.wrench(actuators);
 }
 
 template <int Rotors>
 void FlightController<Rotors>::on_voltage(double voltage) {
   (void)actuators_.set_voltage(voltage);
-  if (allocation_) (void)allocation_->set_voltage(voltage);
-  if (nmpc_) (void)nmpc_->set_voltage(voltage);
   if (actuator_nmpc_) (void)actuator_nmpc_->set_voltage(voltage);
+  if constexpr (has_wrench_level<Rotors>) {
+    if (allocation_) (void)allocation_->set_voltage(voltage);
+    if (nmpc_) (void)nmpc_->set_voltage(voltage);
+  }
 }
 
 template <int Rotors>
@@ -146,10 +155,9 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
     contact.disturbance = contact.rolling = contact.external = {};
   const Reference& followed = mode_ == FlightMode::mission ? reference : other;
   // control() reports the status
-  if (nmpc_)
-    (void)nmpc_->prepare(time, followed, contact);
-  else
-    (void)actuator_nmpc_->prepare(time, followed, contact);
+  if (actuator_nmpc_) (void)actuator_nmpc_->prepare(time, followed, contact);
+  if constexpr (has_wrench_level<Rotors>)
+    if (nmpc_) (void)nmpc_->prepare(time, followed, contact);
 }
 
 template <int Rotors>
@@ -157,11 +165,12 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   started_ = started();
   if (!started_) return sent_.command;
   const bool measured = ekf_.running() && !ekf_.trust(time).imu_silent;
-  if (nmpc_) {
-    result_ = measured ? nmpc_->feedback(time, ekf_.take_state()) : nmpc_->hold(time);
-    sent_ = allocation_->allocate(time, result_.wrench, result_.rate, sent_);
-  } else {
-    control_actuators(time, measured);
+  if (actuator_nmpc_) control_actuators(time, measured);
+  if constexpr (has_wrench_level<Rotors>) {
+    if (nmpc_) {
+      result_ = measured ? nmpc_->feedback(time, ekf_.take_state()) : nmpc_->hold(time);
+      sent_ = allocation_->allocate(time, result_.wrench, result_.rate, sent_);
+    }
   }
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
@@ -184,10 +193,14 @@ void FlightController<Rotors>::control_actuators(double time, bool measured) {
 
 template <int Rotors>
 double FlightController<Rotors>::planned_tilt_rate() const {
-  if (actuator_nmpc_) return actuator_nmpc_->result().tilt_rate.cwiseAbs().maxCoeff();
-  return allocation_->rates(result_.wrench, result_.rate).tilt_rate.cwiseAbs().maxCoeff();
+  if constexpr (has_wrench_level<Rotors>)
+    if (allocation_)
+      return allocation_->rates(result_.wrench, result_.rate).tilt_rate.cwiseAbs().maxCoeff();
+  return actuator_nmpc_->result().tilt_rate.cwiseAbs().maxCoeff();
 }
 
+template class FlightController<2>;
+template class FlightController<3>;
 template class FlightController<4>;
 template class FlightController<6>;
 template class FlightController<8>;

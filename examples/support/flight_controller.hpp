@@ -1,8 +1,9 @@
 #pragma once
 
+#include "actuator_instances.hpp"
+
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
-#include <tilt_ropter/compiled_actuator_level.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -13,6 +14,9 @@
 
 #include <functional>
 #include <optional>
+#include <stdexcept>
+#include <type_traits>
+#include <utility>
 
 /// The onboard control loop, composed of parts of the library as in the control diagram of the
 /// paper: IMU and motion capture -> EKF -> state; servo model and rotor speeds -> applied wrench ->
@@ -38,12 +42,15 @@ enum class FlightMode {
   stopped   ///< landed like this: rotors off, for good
 };
 
-/// For 4, 6 or 8 rotors; compiled once, in flight_controller.cpp.
+/// For 2, 3, 4, 6 or 8 rotors; compiled once, in flight_controller.cpp. With 2 and 3 rotors there
+/// is no wrench level, see has_wrench_level.
 template <int Rotors>
 class FlightController {
  public:
   static constexpr double sink_speed = 0.4;  ///< of a landing without position [m/s]
 
+  /// Controls at the wrench level. Throws std::invalid_argument if the vehicle does not give every
+  /// wrench or has less than 4 rotors.
   FlightController(
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
@@ -119,15 +126,29 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
   /// The controller at the wrench level; there is none at the actuator level.
   [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return *nmpc_; }
+  [[nodiscard]] bool at_wrench_level() const { return !actuator_nmpc_; }
 
  private:
   [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
       const tilt_ropter::ActuatorState<Rotors>& actuators) const;
   void control_actuators(double time, bool measured);
 
+  // Stands in where there is no wrench level.
+  struct Nothing {
+    Nothing() = default;
+    template <typename... Arguments>
+    explicit Nothing(std::in_place_t, const Arguments&...) {}
+    [[noreturn]] const tilt_ropter::Nmpc<Rotors>& operator*() const {
+      throw std::logic_error("FlightController: there is no wrench level");
+    }
+  };
+
   // At the wrench level the first two, at the actuator level the third.
-  std::optional<tilt_ropter::Allocation<Rotors>> allocation_;
-  std::optional<tilt_ropter::Nmpc<Rotors>> nmpc_;
+  std::conditional_t<has_wrench_level<Rotors>, std::optional<tilt_ropter::Allocation<Rotors>>,
+                     Nothing>
+      allocation_;
+  std::conditional_t<has_wrench_level<Rotors>, std::optional<tilt_ropter::Nmpc<Rotors>>, Nothing>
+      nmpc_;
   std::optional<tilt_ropter::ActuatorNmpc<Rotors>> actuator_nmpc_;
   tilt_ropter::ActuatedBody<Rotors> body_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;

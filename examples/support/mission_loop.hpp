@@ -59,7 +59,8 @@ struct MissionOptions {
   std::vector<std::string> faults;                 // see parse_fault()
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
-  std::string vehicle_path, model_path, level = "wrench";
+  std::string vehicle_path, model_path;
+  std::string level;    // "wrench" or "actuator"; empty: see level_for()
   std::string imu_log;  // file for identify_vehicle, or empty
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
@@ -361,10 +362,11 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   flown.battery = BatteryFigures(vehicles.truth.battery, options.battery_charge);
   BatteryFigures& battery = flown.battery;
   flown.duration = mission.duration();
-  const bool actuator_level = options.level == "actuator";
-  if (!actuator_level)  // the actuator level has no boxes for the wrench
-    flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
-                                       vehicles.believed, settings);
+  const bool actuator_level = level_for(options.level, file) == "actuator";
+  if constexpr (has_wrench_level<Rotors>)
+    if (!actuator_level)  // the actuator level has no boxes for the wrench
+      flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
+                                         vehicles.believed, settings);
 
   MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   sensors.vibration = options.vibration;
@@ -482,22 +484,23 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   return flown;
 }
 
-/// The same for a program that flies one mission: shows its progress, prints and returns its
-/// figures.
-template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
-std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
-                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
-                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
+/// For a program that flies one mission: calls flight(on_progress), which returns a FlownMission,
+/// and shows its progress. Prints and returns the figures.
+template <typename Flight>
+std::string report_flight(const MissionOptions& options, const VehicleFile& file,
+                          const Flight& flight) {
+  const std::string choice = level_choice(options.level, file);
+  if (!choice.empty()) std::cout << choice << '\n';
   Progress progress;
-  FlownMission flown = fly(options, file, vehicles, plant, disturbance, on_step, ground_is_off,
-                           [&progress](double fraction, tilt_ropter::MissionPhase phase) {
-                             progress.show(fraction, to_string(phase));
-                           });
+  FlownMission flown = flight([&progress](double fraction, tilt_ropter::MissionPhase phase) {
+    progress.show(fraction, to_string(phase));
+  });
   progress.finish();
   for (const tilt_ropter::BoundViolation& v : flown.violations)
     std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
               << " at " << v.time << " s, allowed is " << v.allowed << '\n';
   std::ostringstream printed;
+  printed << "level: " << level_for(options.level, file) << '\n';
   flown.figures.print(printed, flown.contact_mode_changes);
   flown.battery.print(printed);
   flown.trust.print(printed, flown.counts);
@@ -505,6 +508,16 @@ std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();
   return printed.str();
+}
+
+/// The same for any plant, with the arguments of fly().
+template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
+std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
+                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
+                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
+  return report_flight(options, file, [&](const auto& on_progress) {
+    return fly(options, file, vehicles, plant, disturbance, on_step, ground_is_off, on_progress);
+  });
 }
 
 }  // namespace examples

@@ -1,11 +1,11 @@
 #pragma once
 
+#include "actuator_instances.hpp"
 #include "program_audit.hpp"
 #include "vehicle_spread.hpp"
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
-#include <tilt_ropter/compiled_actuator_level.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>

@@ -17,6 +17,8 @@
 #include <istream>
 #include <set>
 #include <sstream>
+#include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -285,7 +287,6 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   if (vehicle.power.hover <= at_rest)
     refuse("power.hover_w", shown(vehicle.power.hover),
            "more than electronics and servos at rest, " + shown(at_rest) + " W");
-  (void)AllocationMatrix<Rotors>(vehicle);  // throws below rank 6
   if (vehicle.wheels && vehicle.wheels->on_arms && !(axle_arm(vehicle, 0) && axle_arm(vehicle, 1)))
     refuse("wheels.on_arms", shown(Json(true)),
            "false, unless wheel_base_m is 0 and two arms point along -y and +y, within 5 cm of the "
@@ -316,7 +317,7 @@ VehicleFile read(const Json& root) {
     file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
   common.battery = read_battery(fields);
 
-  const std::string rotor_list = "a list of 4, 6 or 8 rotors";
+  const std::string rotor_list = "a list of 2, 3, 4, 6 or 8 rotors";
   const Json& list = fields.get("rotors", rotor_list);
   if (!list.is_array()) refuse("rotors", shown(list), rotor_list);
   const auto with = [&](auto vehicle) {
@@ -330,6 +331,12 @@ VehicleFile read(const Json& root) {
     file.vehicle = with_rotors(list, vehicle);
   };
   switch (list.size()) {
+    case 2:
+      with(Vehicle<2>{});
+      break;
+    case 3:
+      with(Vehicle<3>{});
+      break;
     case 4:
       with(Vehicle<4>{});
       break;
@@ -487,12 +494,33 @@ void write_vehicle(const VehicleFile& file, const std::string& path) {
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 
-Vehicle<4> quadrotor(const VehicleFile& file) {
+Vehicle<4> four_rotors(const VehicleFile& file) {
   const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
   if (vehicle == nullptr)
     throw VehicleFileError(file.name +
                            ": this program needs a vehicle of 4 rotors; hybrid_mission takes any");
   return *vehicle;
+}
+
+std::string reason_against_wrench_level(const VehicleFile& file) {
+  return std::visit(
+      [](const auto& vehicle) -> std::string {
+        const int rank = allocation_rank(vehicle);
+        if (rank < 6)
+          return "its rotors do not give every wrench: the allocation has rank " +
+                 std::to_string(rank) + ", must be 6";
+        if (!HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
+          return "the programs have the wrench level for 4, 6 and 8 rotors, this vehicle has " +
+                 std::to_string(vehicle.rotors.size());
+        return "";
+      },
+      file.vehicle);
+}
+
+void require_wrench_level(const VehicleFile& file) {
+  const std::string reason = reason_against_wrench_level(file);
+  if (!reason.empty())
+    throw VehicleFileError(file.name + ": the wrench level cannot control this vehicle: " + reason);
 }
 
 }  // namespace examples

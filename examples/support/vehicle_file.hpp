@@ -1,6 +1,7 @@
 #pragma once
 
 #include "input_file_error.hpp"
+#include "wrench_level.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -9,6 +10,8 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <type_traits>
+#include <utility>
 #include <variant>
 
 /// A user-defined vehicle in a JSON file: every parameter has a name with its unit.
@@ -25,7 +28,7 @@
 ///                   { "position_m": [0.1, 0.1, 0.1],             or anywhere
 ///                     "thrust_axis": [0, 0, 1],                  direction of thrust at zero tilt
 ///                     "arm_axis": [1, 0, 0],                     axis of the servo
-///                     "spin": "clockwise", "tilts": true } ],    4, 6 or 8 rotors
+///                     "spin": "clockwise", "tilts": true } ],    2, 3, 4, 6 or 8 rotors
 ///       "power": { "electronics_w": 18, "hover_w": 653.64,       and, optional, for each servo
 ///                  "servo_hold_w": 0.5,                          at rest and, in addition,
 ///                  "servo_move_j_per_rad": 0.3 },                while it moves
@@ -52,11 +55,12 @@
 namespace examples {
 
 using AnyVehicle =
-    std::variant<tilt_ropter::Vehicle<4>, tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<8>>;
+    std::variant<tilt_ropter::Vehicle<2>, tilt_ropter::Vehicle<3>, tilt_ropter::Vehicle<4>,
+                 tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<8>>;
 
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
-  AnyVehicle vehicle = tilt_ropter::tilt_ropter_vehicle();
+  AnyVehicle vehicle{tilt_ropter::tilt_ropter_vehicle()};
   double battery_wh = 0.0;  ///< 0: unknown; used only if the vehicle's battery is unknown
   tilt_ropter::AllowedErrors allowed_errors;
   tilt_ropter::NmpcBounds limits;
@@ -91,7 +95,7 @@ class VehicleFileError : public InputFileError {
 };
 
 /// Reads and checks every field, and checks that the fields fit together: a physically possible
-/// body, a geometry that gives every wrench, rotors that carry the weight, limits that allow hover.
+/// body, rotors that carry the weight, limits that allow hover. The geometry may have any rank.
 /// `file` is the name in messages. Throws VehicleFileError.
 [[nodiscard]] VehicleFile read_vehicle(std::istream& in, const std::string& file);
 [[nodiscard]] VehicleFile read_vehicle(const std::string& path);
@@ -106,6 +110,37 @@ void write_vehicle(const VehicleFile& file, const std::string& path);
 }
 
 /// For programs that need four rotors. Throws VehicleFileError for any other vehicle.
-[[nodiscard]] tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file);
+[[nodiscard]] tilt_ropter::Vehicle<4> four_rotors(const VehicleFile& file);
+
+/// Returns why the wrench level cannot control this vehicle, or an empty text: the programs contain
+/// it for 4 rotors and more, and the allocation must have rank 6.
+[[nodiscard]] std::string reason_against_wrench_level(const VehicleFile& file);
+
+/// Throws VehicleFileError if the wrench level cannot control this vehicle.
+void require_wrench_level(const VehicleFile& file);
+
+/// For programs that need four rotors and the wrench level. Throws VehicleFileError for any other
+/// vehicle.
+[[nodiscard]] inline tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file) {
+  tilt_ropter::Vehicle<4> vehicle = four_rotors(file);
+  require_wrench_level(file);
+  return vehicle;
+}
+
+/// For programs that need the wrench level: returns action(vehicle). Throws VehicleFileError if the
+/// wrench level cannot control this vehicle.
+template <typename Action>
+auto with_wrench_level(const VehicleFile& file, Action&& action) {
+  require_wrench_level(file);
+  using Result = decltype(action(std::declval<const tilt_ropter::Vehicle<4>&>()));
+  return std::visit(
+      [&](const auto& vehicle) -> Result {
+        if constexpr (HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
+          return action(vehicle);
+        else
+          throw VehicleFileError(reason_against_wrench_level(file));
+      },
+      file.vehicle);
+}
 
 }  // namespace examples

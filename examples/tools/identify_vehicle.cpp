@@ -24,6 +24,7 @@
 #include <limits>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <variant>
 #include <vector>
 
@@ -190,8 +191,15 @@ int main(int argc, char** argv) {
       app, "identify_vehicle", argc, argv,
       [&o] {
         const examples::VehicleFile file = examples::vehicle_or_default(o.vehicle_path);
-        return std::visit([&](const auto& vehicle) { return identify(o, file, vehicle); },
-                          file.vehicle);
+        return std::visit(
+            [&](const auto& vehicle) -> int {
+              if constexpr (examples::HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
+                return identify(o, file, vehicle);
+              else
+                throw examples::VehicleFileError(file.name +
+                                                 ": this program needs 4, 6 or 8 rotors");
+            },
+            file.vehicle);
       },
       2);
 }

@@ -28,7 +28,6 @@ namespace tilt_ropter {
 /// part of A; it is applied where the thrusts T_i become speeds.
 template <int Rotors>
 struct AllocationMatrix {
-  static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
   static constexpr int components = 2 * Rotors;
 
   Eigen::Matrix<double, 6, components> matrix = detail::Filled();  ///< A; rows F [1] and M [m]
@@ -37,12 +36,14 @@ struct AllocationMatrix {
 
   /// Allocates. Throws std::invalid_argument if the geometry cannot give every wrench. The message
   /// names the rank of A and the unreachable directions.
-  explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) { invert(fill(vehicle)); }
+  explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) {
+    static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
+    invert(fill(vehicle));
+  }
 
   /// Singular values of A in descending order. Torques are in units of the vehicle's size, which is
-  /// its longest arm plus torque_ratio. The rank of A is the number of singular values above 1e-6
-  /// times the largest. Accepts any geometry whose products are finite, otherwise throws
-  /// std::invalid_argument. Allocates.
+  /// its longest arm plus torque_ratio. See allocation_rank(). Accepts any geometry whose products
+  /// are finite, otherwise throws std::invalid_argument. Allocates.
   [[nodiscard]] static Eigen::Matrix<double, 6, 1> singular_values(const Vehicle<Rotors>& vehicle) {
     AllocationMatrix allocation;
     const Columns columns = allocation.fill(vehicle);
@@ -87,14 +88,15 @@ struct AllocationMatrix {
                 column);
   }
 
-  using Decomposition = SingularValues<6, components>;
+  // For two rotors, two columns of zeros.
+  using Decomposition = SingularValues<6, std::max(6, components)>;
 
   /// Decomposes A with torques in units of the vehicle's size, so that the rank depends only on the
   /// shape. At full rank the pseudo-inverse does not depend on the size.
   [[nodiscard]] Decomposition decompose(const Columns& columns) const {
-    Eigen::Matrix<double, 6, components> scaled = matrix;
+    Eigen::Matrix<double, 6, std::max(6, components)> scaled = detail::Filled();
     for (int j = 0; j < components; ++j)
-      for (int i = 3; i < 6; ++i) scaled(i, j) /= columns.size;
+      for (int i = 0; i < 6; ++i) scaled(i, j) = matrix(i, j) / (i < 3 ? 1.0 : columns.size);
     // Products of finite numbers may overflow. The rank of the decomposition is then meaningless.
     double squares = 0.0;
     for (Eigen::Index i = 0; i < scaled.size(); ++i) squares += scaled(i) * scaled(i);
@@ -168,5 +170,16 @@ struct AllocationMatrix {
                 missing);
   }
 };
+
+/// Rank of the allocation matrix of `vehicle`: the number of its singular values above 1e-6 times
+/// the largest. Below 6 the rotors do not give every wrench. Allocates. Throws as
+/// singular_values().
+template <int Rotors>
+[[nodiscard]] int allocation_rank(const Vehicle<Rotors>& vehicle) {
+  const auto singular = AllocationMatrix<Rotors>::singular_values(vehicle);
+  int rank = 0;
+  for (int i = 0; i < 6; ++i) rank += singular(i) > 1e-6 * singular(0);
+  return rank;
+}
 
 }  // namespace tilt_ropter

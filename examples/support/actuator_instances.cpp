@@ -1,0 +1,4 @@
+#include "actuator_instances.hpp"
+
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(, 2)
+TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(, 3)
