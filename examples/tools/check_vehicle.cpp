@@ -1,13 +1,17 @@
 // Checks a vehicle before it flies: the forces and torques of its actuators, intact and with each
-// rotor lost; whether propellers touch something; whether limits and mission fit the actuators; and
-// how long the battery lasts.
+// rotor lost; which control level suits it and what it cannot do; whether propellers touch
+// something; whether limits and mission fit the actuators; how long the battery lasts. Then it
+// flies the mission in simulation.
 
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
 #include "../support/run_program.hpp"
+#include "../support/simulated_mission.hpp"
+#include "../support/steady_flight.hpp"
 #include "../support/vehicle_file.hpp"
 
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
@@ -40,7 +44,7 @@ namespace {
 struct Options {
   std::string input, output = "results";
   double usable = 0.8;
-  bool no_pictures = false;
+  bool no_pictures = false, no_flight = false;
 };
 
 constexpr std::array<const char*, 6> axes = {"F_x", "F_y", "F_z", "M_x", "M_y", "M_z"};
@@ -50,11 +54,16 @@ class Findings {
  public:
   void error(const std::string& text) { add("error", text, errors_); }
   void warning(const std::string& text) { add("warning", text, warnings_); }
+  /// What the vehicle cannot do, although it flies.
+  void limitation(const std::string& text) { add("limitation", text, limitations_); }
 
-  void print() const {
+  /// `flown`: the simulated mission was flown.
+  void print(bool flown) const {
     for (const std::string& line : lines_) std::cout << line << '\n';
+    const char* good = flown ? "flies" : "no error found, but not flown";
     std::cout << "errors: " << errors_ << "\nwarnings: " << warnings_
-              << "\nverdict: " << (errors_ > 0 ? "does not fly" : "flies") << '\n';
+              << "\nlimitations: " << limitations_
+              << "\nverdict: " << (errors_ > 0 ? "does not fly" : good) << '\n';
   }
   [[nodiscard]] bool any_error() const { return errors_ > 0; }
 
@@ -65,7 +74,7 @@ class Findings {
   }
 
   std::vector<std::string> lines_;
-  int errors_ = 0, warnings_ = 0;
+  int errors_ = 0, warnings_ = 0, limitations_ = 0;
 };
 
 /// Returns a number with three significant digits, and at least all digits before the point.
@@ -266,15 +275,11 @@ void check_battery(const Vehicle<Rotors>& vehicle, double full_thrust, double us
   line("end_thrust_per_weight", lift / (vehicle.body.mass * gravity));
 }
 
+/// `driving` is the power on the ground at rest [W].
 template <int Rotors>
 void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle,
-                     double usable, Findings& findings) {
-  const Allocation<Rotors> allocation(vehicle);
-  const PowerModel power(vehicle, allocation.allocate(weight_of(vehicle), {}).command.rotor_speed);
+                     const PowerModel& power, double driving, double usable, Findings& findings) {
   line("hover_power_w", vehicle.power.hover);
-  Wrenchd pressed;
-  pressed.force.z() = file.settings().ground.down_force;
-  const double driving = power.power(allocation.allocate(pressed, {}).command.rotor_speed);
   if (vehicle.wheels) line("driving_power_w", driving);
   Eigen::Matrix<double, Rotors, 1> top;
   for (std::size_t i = 0; i < Rotors; ++i) {
@@ -299,16 +304,81 @@ void print_endurance(const examples::VehicleFile& file, const Vehicle<Rotors>& v
   if (vehicle.wheels) line("driving_min", 60.0 * usable * file.battery_wh / driving);
 }
 
+/// Flies the mission in simulation, with wrong mass and inertia, noise and delays, and reports what
+/// went wrong.
+void fly(const Options& options, const examples::VehicleFile& file, Findings& findings) {
+  constexpr double good = 0.05, bad = 0.3;  // RMSE [m]
+  constexpr double soft = 0.6, hard = 1.5;  // touchdown [m/s]
+  examples::MissionOptions mission;
+  mission.vehicle_path = options.input;
+  mission.no_log = true;
+  const examples::FlownMission flown =
+      examples::fly_simulated(mission, file, [](double, MissionPhase) {});
+  const examples::MissionFigures& figures = flown.figures;
+  const auto tracking = [&](const std::string& where, const examples::TrackingError& error) {
+    if (error.count() == 0) return;
+    line("flown_" + where + "_rmse_m", error.value());
+    const std::string text = "the simulated mission tracks with an RMSE of " +
+                             digits(1e3 * error.value()) + " mm, part: " + where;
+    if (!(error.value() < bad))
+      findings.error(text);
+    else if (error.value() > good)
+      findings.warning(text);
+  };
+  tracking("air", figures.air());
+  tracking("ground", figures.ground());
+  tracking("mission", figures.all());
+  if (file.undercarriage()) line("flown_touchdown_mps", figures.touchdown_speed());
+  line("flown_lean_max_deg", flown.lean * 180.0 / pi);
+  if (!(figures.touchdown_speed() < hard))
+    findings.error("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
+  else if (figures.touchdown_speed() > soft)
+    findings.warning("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
+  if (flown.lean > 0.5 * pi) findings.error("it tips over");
+  if (figures.failures() > 0)
+    findings.warning(std::to_string(figures.failures()) + " ticks had no plan in the mission");
+}
+
+/// Checks at the actuator level, for a vehicle of any rank.
 template <int Rotors>
-bool check(const Options& options, const examples::VehicleFile& file,
-           const Vehicle<Rotors>& vehicle) {
-  Findings findings;
+bool check_actuators(const Options& options, const examples::VehicleFile& file,
+                     const Vehicle<Rotors>& vehicle, Findings& findings) {
+  const examples::SteadyFlight<Rotors> steady = examples::steady_flight(vehicle);
+  std::cout << "hovers: " << (steady.hovers ? "yes" : "no") << '\n';
+  constexpr std::array<const char*, 3> turn = {"roll", "pitch", "yaw"};
+  for (std::size_t i = 0; i < 3; ++i)
+    if (!steady.turns[i]) findings.error(std::string("it cannot ") + turn[i] + " while it hovers");
+  check_propellers(vehicle, findings);
+  if (!steady.hovers) {
+    findings.error("the rotors do not carry the weight without torque");
+    return false;
+  }
+  line("lift_per_weight", steady.lift_per_weight);
+  line("least_thrust_in_hover_n", steady.least_thrust);
+  if (steady.lean > 0.01)
+    findings.limitation("it cannot hover level: it leans by " + digits(steady.lean * 180.0 / pi) +
+                        " deg");
+  if (!steady.pushes[0]) findings.limitation("it leans to accelerate forward");
+  if (!steady.pushes[1]) findings.limitation("it leans to accelerate sideways");
+  if (!steady.pushes[0] || !steady.pushes[1])
+    findings.limitation("roll and pitch follow from the motion, it cannot choose them");
+  if (steady.lift_per_weight < 1.1)
+    findings.error("the lift beyond hover is less than a tenth of the weight");
+  else if (steady.lift_per_weight < 1.5)
+    findings.warning("lift of less than 1.5 times the weight: slow recovery from a descent");
+  const PowerModel power(vehicle, steady.hover.rotor_speed);
+  const double share = file.settings().ground.down_force / (vehicle.body.mass * gravity);
+  const double driving = power.power((std::sqrt(share) * steady.hover.rotor_speed).eval());
+  print_endurance(file, vehicle, power, driving, options.usable, findings);
+  return true;
+}
+
+/// Checks at the wrench level.
+template <int Rotors>
+bool check_wrench(const Options& options, const examples::VehicleFile& file,
+                  const Vehicle<Rotors>& vehicle, Findings& findings) {
   const double weight = vehicle.body.mass * gravity;
   const ControlAuthority authority = control_authority(vehicle);
-  std::cout << "name: " << file.name << "\nrotors: " << Rotors << '\n';
-  line("weight_n", weight);
-  line("rank", authority.rank);
-  line("condition", authority.condition);
   std::cout << "hovers: " << (authority.hovers ? "yes" : "no") << '\n';
   line("lift_per_weight", 1.0 + authority.forward(2) / weight);
   line("least_thrust_in_hover_n", authority.least_thrust);
@@ -338,18 +408,55 @@ bool check(const Options& options, const examples::VehicleFile& file,
         "of others");
   print_losses(vehicle);
   if (authority.hovers) {
-    print_endurance(file, vehicle, options.usable, findings);
+    const Allocation<Rotors> allocation(vehicle);
+    const PowerModel power(vehicle,
+                           allocation.allocate(weight_of(vehicle), {}).command.rotor_speed);
+    Wrenchd pressed;
+    pressed.force.z() = file.settings().ground.down_force;
+    const double driving = power.power(allocation.allocate(pressed, {}).command.rotor_speed);
+    print_endurance(file, vehicle, power, driving, options.usable, findings);
     std::filesystem::create_directories(options.output);
     write_envelope(vehicle, file.limits, options.output + "/envelope.csv");
   }
-  findings.print();
-  return authority.hovers && !findings.any_error();
+  return authority.hovers;
+}
+
+struct Verdict {
+  bool flies = false, has_envelope = false;
+};
+
+template <int Rotors>
+Verdict check(const Options& options, const examples::VehicleFile& file,
+              const Vehicle<Rotors>& vehicle) {
+  Findings findings;
+  const auto singular = AllocationMatrix<Rotors>::singular_values(vehicle);
+  const int rank = allocation_rank(vehicle);
+  std::cout << "name: " << file.name << "\nrotors: " << Rotors << '\n';
+  line("weight_n", vehicle.body.mass * gravity);
+  line("rank", rank);
+  if (rank == 6) line("condition", singular(0) / singular(5));
+  const std::string reason = examples::reason_against_wrench_level(file);
+  std::cout << "level: " << examples::level_for("", file) << '\n';
+  if (!reason.empty()) findings.limitation("no control at the wrench level: " + reason);
+  bool hovers = false, has_envelope = false;
+  if constexpr (examples::has_wrench_level<Rotors>) {
+    has_envelope = reason.empty();
+    if (has_envelope) hovers = check_wrench(options, file, vehicle, findings);
+  }
+  if (!has_envelope) hovers = check_actuators(options, file, vehicle, findings);
+  const bool flown = hovers && !findings.any_error() && !options.no_flight;
+  if (flown) fly(options, file, findings);
+  findings.print(flown);
+  return {hovers && !findings.any_error(), has_envelope};
 }
 
 constexpr const char* footer = R"(
 hybrid_mission --write-vehicle writes a vehicle file as a template. Files in the output directory:
 envelope.csv and check_vehicle.png. They show the largest force without torque and the largest
-torque in hover, in the planes of the body axes.
+torque in hover, in the planes of the body axes. A vehicle that does not give every wrench has
+neither.
+
+The level is that of hybrid_mission, and the mission that of hybrid_mission with its defaults.
 
 Exit code: 0 the vehicle flies, 1 it does not fly or another error, 2 an invalid vehicle file, above
 100 wrong options.)";
@@ -360,7 +467,8 @@ int main(int argc, char** argv) {
   CLI::App app{
       "Checks a vehicle before it flies: force and torque of its actuators, intact and with a\n"
       "rotor lost; whether propellers touch something; whether limits and mission fit the\n"
-      "actuators; how long the battery lasts."};
+      "actuators; how long the battery lasts; which control level suits it and what it cannot do.\n"
+      "Then flies the hybrid mission in simulation: take-off, flight, landing, drive."};
   Options options;
   app.add_option("FILE.json", options.input, "JSON file of the vehicle; default: the Tilt-Ropter");
   app.add_option("-o,--output", options.output, "directory for the envelope and the picture")
@@ -369,13 +477,14 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.1, 1.0))
       ->capture_default_str();
   app.add_flag("--no-pictures", options.no_pictures, "write only the envelope");
+  app.add_flag("--no-flight", options.no_flight, "do not fly the mission in simulation");
   app.footer(footer);
   return examples::run_program(app, "check_vehicle", argc, argv, [&options] {
     const examples::VehicleFile file = examples::vehicle_or_default(options.input);
-    const bool flies = std::visit(
+    const Verdict verdict = std::visit(
         [&](const auto& vehicle) { return check(options, file, vehicle); }, file.vehicle);
-    if (flies && !options.no_pictures)
+    if (verdict.flies && verdict.has_envelope && !options.no_pictures)
       examples::draw_pictures("tools/check_vehicle.gp", options.output);
-    return flies ? 0 : 1;
+    return verdict.flies ? 0 : 1;
   });
 }

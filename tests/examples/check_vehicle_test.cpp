@@ -1,5 +1,6 @@
 // Runs the program check_vehicle as a user does.
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -9,7 +10,8 @@
 
 namespace {
 
-test_support::Outcome check(const std::string& vehicle, const std::string& more = "--no-pictures") {
+test_support::Outcome check(const std::string& vehicle,
+                            const std::string& more = "--no-pictures --no-flight") {
   const test_support::Directory directory("check_vehicle");
   return test_support::run(CHECK_VEHICLE_PROGRAM,
                            vehicle + " -o '" + directory.file("") + "' " + more);
@@ -31,11 +33,15 @@ test_support::Outcome check_changed(const std::string& name, const std::string& 
 
 TEST(CheckVehicle, ShippedVehiclesFly) {
   for (const char* name : {"tilt_ropter", "hexacopter", "octocopter", "five_kilograms"}) {
-    const auto told = check(shipped(name));
+    const bool flies = std::string(name) == "tilt_ropter" || test_support::quick_or_full(0, 1) == 1;
+    const auto told = check(shipped(name), flies ? "--no-pictures" : "--no-pictures --no-flight");
     EXPECT_EQ(told.exit_code, 0) << told.output;
     EXPECT_EQ(told["rank"], 6);
+    EXPECT_TRUE(told.says("level: wrench")) << told.output;
     EXPECT_EQ(told["warnings"], 0) << told.output;
-    EXPECT_TRUE(told.says("verdict: flies")) << told.output;
+    EXPECT_EQ(told["limitations"], 0) << told.output;
+    EXPECT_TRUE(told.says(flies ? "verdict: flies" : "verdict: no error found, but not flown"))
+        << told.output;
   }
 }
 
@@ -49,7 +55,7 @@ TEST(CheckVehicle, ReportsTheFiguresOfTheTiltRopter) {
 }
 
 TEST(CheckVehicle, ComputesFlightTimeFromBatteryEnergy) {
-  const auto told = check(shipped("five_kilograms"), "--no-pictures --usable 0.5");
+  const auto told = check(shipped("five_kilograms"), "--no-pictures --no-flight --usable 0.5");
   EXPECT_NEAR(told["hover_min"], 60.0 * 0.5 * 355.0 / 1900.0, 0.01);
   EXPECT_GT(told["driving_min"], 10.0 * told["hover_min"]);
 }
@@ -116,7 +122,8 @@ TEST(CheckVehicle, DrawsThePicture) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
   const test_support::Directory directory("check_vehicle");
-  const auto told = test_support::run(CHECK_VEHICLE_PROGRAM, "-o '" + directory.file("") + "'");
+  const auto told =
+      test_support::run(CHECK_VEHICLE_PROGRAM, "--no-flight -o '" + directory.file("") + "'");
   EXPECT_EQ(told.output.find("arning: "), std::string::npos) << told.output;
   EXPECT_GT(test_support::read_file(directory.file("check_vehicle.png")).size(), 10000u);
 }

@@ -1,0 +1,103 @@
+#pragma once
+
+#include <tilt_ropter/actuation/actuated_body.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/actuation/thrust_inverse.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+/// What a vehicle of any rank can do at rest and with small motions.
+namespace examples {
+
+template <int Rotors>
+struct SteadyFlight {
+  bool hovers = false;              ///< the thrusts of hover are within the limits
+  double lean = 0.0;                ///< of hover: angle of body z to the vertical [rad]
+  double lift_per_weight = 0.0;     ///< in hover, all thrusts grow by the same factor
+  double least_thrust = 0.0;        ///< of a rotor in hover [N]
+  std::array<bool, 3> pushes = {};  ///< along the body axes without a torque and without leaning
+  std::array<bool, 3> turns = {};   ///< about the body axes while it hovers
+  tilt_ropter::ActuatorState<Rotors> hover;  ///< speeds and tilt angles
+};
+
+/// Computes SteadyFlight by the smallest thrusts for hover. The vehicle must be valid.
+template <int Rotors>
+[[nodiscard]] SteadyFlight<Rotors> steady_flight(const tilt_ropter::Vehicle<Rotors>& vehicle) {
+  using namespace tilt_ropter;
+  const ThrustInverse<Rotors> inverse(vehicle);
+  const ActuatedBody<Rotors> body(vehicle);
+  const Eigen::Matrix3d& possible = inverse.steady_forces();
+  SteadyFlight<Rotors> found;
+
+  // Vertical force and torques by lateral and vertical thrusts; torques by the size.
+  Eigen::Matrix<double, 4, 2 * Rotors> turning = Eigen::Matrix<double, 4, 2 * Rotors>::Zero();
+  Eigen::Matrix<double, Rotors, 1> least, most;
+  double size = 1e-9;
+  for (std::size_t k = 0; k < Rotors; ++k) size = std::max(size, vehicle.rotors[k].position.norm());
+  for (int i = 0; i < Rotors; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    const RotorParameters& rotor = rotor_parameters(vehicle, k);
+    least(i) = vehicle.rotors[k].effectiveness * rotor.min_thrust;
+    most(i) = vehicle.rotors[k].effectiveness * rotor.max_thrust;
+    for (const bool vertical : {false, true}) {
+      if (!vertical && !vehicle.rotors[k].tilts) continue;
+      ActuatedState<Rotors> one;
+      one.thrust.setZero();
+      one.tilt_angle.setZero();
+      one.thrust(i) = 1.0;
+      one.tilt_angle(i) = vertical ? 0.0 : 0.5 * pi;
+      const Wrenchd wrench = body.wrench(one);
+      turning.col(2 * i + vertical) << wrench.force.z(), wrench.torque / size;
+    }
+  }
+  const Eigen::Matrix4d gram = turning * turning.transpose() + 1e-9 * Eigen::Matrix4d::Identity();
+  for (int axis = 0; axis < 3; ++axis) {
+    const Eigen::Vector4d wanted = Eigen::Vector4d::Unit(1 + axis);
+    const Eigen::Vector4d given = turning * (turning.transpose() * gram.ldlt().solve(wanted));
+    found.turns[static_cast<std::size_t>(axis)] = (given - wanted).norm() < 1e-3;
+    found.pushes[static_cast<std::size_t>(axis)] = possible(axis, axis) > 0.5;
+  }
+
+  const Eigen::Vector3d lift = possible.col(2);
+  if (!(lift.norm() > 1e-3) || !(lift.z() > 0.0)) return found;
+  found.lean = std::acos(std::min(lift.z() / lift.norm(), 1.0));
+  Wrenchd wanted;
+  wanted.force = vehicle.body.mass * gravity * lift.normalized();
+  const auto thrusts = inverse.within(wanted, least, most);
+  ActuatedState<Rotors> x;
+  found.least_thrust = found.lift_per_weight = std::numeric_limits<double>::infinity();
+  bool within = true;
+  for (int i = 0; i < Rotors; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    const RotorParameters& rotor = rotor_parameters(vehicle, k);
+    const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
+    x.thrust(i) = vehicle.rotors[k].tilts ? std::hypot(lateral, vertical) : vertical;
+    x.tilt_angle(i) = vehicle.rotors[k].tilts ? std::atan2(lateral, vertical) : 0.0;
+    if (!(vehicle.rotors[k].effectiveness > 0.0)) continue;
+    within = within && x.thrust(i) <= most(i) + 1e-9 &&
+             x.tilt_angle(i) <= vehicle.servo.max_angle + 1e-9 &&
+             x.tilt_angle(i) >= vehicle.servo.min_angle - 1e-9;
+    found.least_thrust = std::min(found.least_thrust, x.thrust(i));
+    found.lift_per_weight =
+        std::min(found.lift_per_weight, most(i) / std::max(x.thrust(i), 1e-3 * most(i)));
+    found.hover.rotor_speed(i) =
+        speed_from_thrust(x.thrust(i) / vehicle.rotors[k].effectiveness, rotor);
+    found.hover.tilt_angle(i) = x.tilt_angle(i);
+  }
+  const Wrenchd given = body.wrench(x);
+  const double weight = wanted.force.norm();
+  found.hovers = within && (given.force - wanted.force).norm() < 0.01 * weight &&
+                 given.torque.norm() < 0.01 * weight * size;
+  return found;
+}
+
+}  // namespace examples
