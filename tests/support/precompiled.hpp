@@ -30,6 +30,17 @@ template class detail::ThrustChoice<4>;
 template class detail::ThrustLimits<4, double>;
 template class detail::ThrustSearch<4>;
 template void validate<4>(const Vehicle<4>&);
+template EkfStatus Ekf<double>::on_measurement(double, const FlowMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const HeadingMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const HeightMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const NoSlipMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const PoseMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const PositionMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double, const RangeMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double,
+                                               const WheelSpeedMeasurement<double>&) noexcept;
+template EkfStatus Ekf<double>::on_measurement(double,
+                                               const WorldVelocityMeasurement<double>&) noexcept;
 
 }  // namespace tilt_ropter
 #endif
