@@ -120,11 +120,12 @@ struct LogCalibration {
 namespace detail {
 
 /// Trajectory of the filter, with the marker frame that it found at the end.
-[[nodiscard]] inline bool start_smoother(LogSmoother& smoother,
-                                         const std::vector<Timed<InertialSampled>>& imu,
-                                         const std::vector<Timed<MarkerPosed>>& poses,
-                                         const EkfSettings& settings) {
-  Ekfd ekf(settings);
+template <typename Scalar>
+[[nodiscard]] bool start_smoother(LogSmoother<Scalar>& smoother,
+                                  const std::vector<Timed<InertialSample<Scalar>>>& imu,
+                                  const std::vector<Timed<MarkerPose<Scalar>>>& poses,
+                                  const EkfSettings& settings) {
+  Ekf<Scalar> ekf(settings);
   std::size_t next = 0;
   while (next < poses.size() && poses[next].time + settings.clock_offset < imu.front().time) ++next;
   for (std::size_t j = 0; j + 1 < imu.size() && next < poses.size(); ++j) {
@@ -134,25 +135,25 @@ namespace detail {
          ++next)
       (void)ekf.on_pose(poses[next].time, poses[next].value);
     if (ekf.counts().used == 0 || (next == first && !smoother.nodes.empty())) continue;
-    LogSmoother::Node node;
+    typename LogSmoother<Scalar>::Node node;
     node.sample = j;
     node.first_pose = first;
     node.last_pose = next;
     node.state = ekf.filter().state();
-    const BodyStated body = ekf.state();
+    const BodyState<Scalar> body = ekf.state();
     node.state.position = body.position;
     node.state.velocity = body.velocity;
     node.state.orientation = body.orientation;
     smoother.nodes.push_back(node);
   }
   if (smoother.nodes.size() < 2) return false;
-  const InertialStated last = ekf.filter().state();
+  const InertialState<Scalar> last = ekf.filter().state();
   smoother.constants.marker_orientation = last.marker_orientation;
   smoother.constants.marker_position = last.marker_position;
   smoother.constants.clock_offset = settings.clock_offset;
-  for (LogSmoother::Node& node : smoother.nodes) {
-    InertialStated& x = node.state;
-    const Eigen::Vector3d marker = x.position + x.orientation * x.marker_position;
+  for (typename LogSmoother<Scalar>::Node& node : smoother.nodes) {
+    InertialState<Scalar>& x = node.state;
+    const Vector3<Scalar> marker = x.position + x.orientation * x.marker_position;
     x.orientation =
         (x.orientation * x.marker_orientation * last.marker_orientation.conjugate()).normalized();
     x.position = marker - x.orientation * last.marker_position;
@@ -162,13 +163,15 @@ namespace detail {
 
 /// Weights of poses from their residuals: 1 up to a limit, then falling so fast that a pose far
 /// away has no influence. Returns the number of reduced weights.
-inline int set_weights(LogSmoother& smoother) {
+template <typename Scalar>
+int set_weights(LogSmoother<Scalar>& smoother) {
   constexpr double median_3 = 2.366, limit_3 = 16.27;  // of chi-square; one in 1000 exceeds 16.27
   const auto distances = [&](int part, double stddev) {
     std::vector<double> squares;
-    for (const LogSmoother::Node& node : smoother.nodes)
+    for (const typename LogSmoother<Scalar>::Node& node : smoother.nodes)
       for (std::size_t i = node.first_pose; i < node.last_pose; ++i)
-        squares.push_back(smoother.residuals[i].segment<3>(part).squaredNorm() / (stddev * stddev));
+        squares.push_back(smoother.residuals[i].template segment<3>(part).squaredNorm() /
+                          (stddev * stddev));
     std::vector<double> sorted = squares;
     const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
     std::nth_element(sorted.begin(), middle, sorted.end());
@@ -180,7 +183,7 @@ inline int set_weights(LogSmoother& smoother) {
                             by_orientation = distances(3, smoother.pose_noise.orientation);
   int reduced = 0;
   std::size_t n = 0;
-  for (const LogSmoother::Node& node : smoother.nodes)
+  for (const typename LogSmoother<Scalar>::Node& node : smoother.nodes)
     for (std::size_t i = node.first_pose; i < node.last_pose; ++i, ++n) {
       const double excess = std::max(by_position[n], by_orientation[n]) / limit_3;
       smoother.weights[i] = excess > 1.0 ? 1.0 / (excess * excess) : 1.0;
@@ -193,13 +196,14 @@ inline int set_weights(LogSmoother& smoother) {
 /// are found again without one tenth of the log, for each tenth. This contains errors that last for
 /// seconds, such as those of a badly seen marker, which the assumed white noise does not. The ratio
 /// is pooled over the seven constants, because for each alone ten parts would be few.
-[[nodiscard]] inline double error_scale(LogSmoother& smoother) {
+template <typename Scalar>
+[[nodiscard]] double error_scale(LogSmoother<Scalar>& smoother) {
   constexpr std::size_t parts = 10;
   using Index = SmootherIndex;
   constexpr int constants = Index::size - Index::marker_orientation;
-  using Constants = Eigen::Matrix<double, constants, 1>;
-  const Eigen::Matrix<double, constants, constants> formal =
-      smoother.covariance().bottomRightCorner<constants, constants>();
+  using Constants = Eigen::Matrix<Scalar, constants, 1>;
+  const Eigen::Matrix<Scalar, constants, constants> formal =
+      smoother.covariance().template bottomRightCorner<constants, constants>();
   const std::size_t first = smoother.nodes.front().first_pose,
                     count = smoother.nodes.back().last_pose - first;
   std::array<Constants, parts> found;
@@ -207,7 +211,7 @@ inline int set_weights(LogSmoother& smoother) {
   for (std::size_t part = 0; part < parts; ++part) {
     found[part] =
         smoother.change_without(first + part * count / parts, first + (part + 1) * count / parts)
-            .tail<constants>();
+            .template tail<constants>();
     mean += found[part] / static_cast<double>(parts);
   }
   double square = 0.0;
@@ -219,51 +223,56 @@ inline int set_weights(LogSmoother& smoother) {
 
 /// Standard deviations of the unknowns before the log. What the settings do not contain is
 /// practically unknown.
-[[nodiscard]] inline LogSmoother::Vector prior_stddev(const LogCalibrationSettings& settings) {
+template <typename Scalar>
+[[nodiscard]] typename LogSmoother<Scalar>::Vector prior_stddev(
+    const LogCalibrationSettings& settings) {
   using Index = SmootherIndex;
-  LogSmoother::Vector prior = LogSmoother::Vector::Zero();
-  prior.segment<3>(Index::position).setConstant(10.0);
-  prior.segment<3>(Index::velocity).setConstant(30.0);
-  prior.segment<3>(Index::orientation).setConstant(3.0);
-  prior.segment<3>(Index::gyro_bias).setConstant(settings.gyro_bias_stddev);
-  prior.segment<3>(Index::accelerometer_bias).setConstant(settings.accelerometer_bias_stddev);
-  prior.segment<2>(Index::gravity).setConstant(gravity * settings.gravity_stddev);
-  prior.segment<3>(Index::marker_orientation).setConstant(3.0);
-  prior.segment<3>(Index::marker_position).setConstant(10.0);
+  typename LogSmoother<Scalar>::Vector prior = LogSmoother<Scalar>::Vector::Zero();
+  prior.template segment<3>(Index::position).setConstant(10.0);
+  prior.template segment<3>(Index::velocity).setConstant(30.0);
+  prior.template segment<3>(Index::orientation).setConstant(3.0);
+  prior.template segment<3>(Index::gyro_bias).setConstant(settings.gyro_bias_stddev);
+  prior.template segment<3>(Index::accelerometer_bias)
+      .setConstant(settings.accelerometer_bias_stddev);
+  prior.template segment<2>(Index::gravity).setConstant(gravity * settings.gravity_stddev);
+  prior.template segment<3>(Index::marker_orientation).setConstant(3.0);
+  prior.template segment<3>(Index::marker_position).setConstant(10.0);
   prior(Index::clock) = 1.0;
   return prior;
 }
 
 /// Sets values, intervals and status from the solution.
-inline void report(LogSmoother& smoother, const std::vector<Timed<InertialSampled>>& imu,
-                   const LogCalibrationSettings& settings, LogCalibration& result) {
+template <typename Scalar>
+void report(LogSmoother<Scalar>& smoother, const std::vector<Timed<InertialSample<Scalar>>>& imu,
+            const LogCalibrationSettings& settings, LogCalibration& result) {
   using Index = SmootherIndex;
-  const LogConstants& c = smoother.constants;
-  const InertialStated& last = smoother.nodes.back().state;
-  const LogSmoother::Vector stddev = smoother.covariance().diagonal().cwiseMax(0.0).cwiseSqrt();
+  const LogConstants<Scalar>& c = smoother.constants;
+  const InertialState<Scalar>& last = smoother.nodes.back().state;
+  const typename LogSmoother<Scalar>::Vector stddev =
+      smoother.covariance().diagonal().cwiseMax(0.0).cwiseSqrt();
   result.error_scale = error_scale(smoother);
-  const LogSmoother::Vector half_width = 1.96 * result.error_scale * stddev;
+  const typename LogSmoother<Scalar>::Vector half_width = 1.96 * result.error_scale * stddev;
   result.clock_offset = c.clock_offset;
   result.clock_offset_95 = half_width(Index::clock);
   result.marker_position = c.marker_position;
-  result.marker_position_95 = half_width.segment<3>(Index::marker_position);
+  result.marker_position_95 = half_width.template segment<3>(Index::marker_position);
   result.marker_orientation = c.marker_orientation;
-  result.marker_orientation_95 = half_width.segment<3>(Index::marker_orientation);
+  result.marker_orientation_95 = half_width.template segment<3>(Index::marker_orientation);
   result.gyro_bias = last.gyro_bias;
-  result.gyro_bias_95 = half_width.segment<3>(Index::gyro_bias);
+  result.gyro_bias_95 = half_width.template segment<3>(Index::gyro_bias);
   result.accelerometer_bias = last.accelerometer_bias;
-  result.accelerometer_bias_95 = half_width.segment<3>(Index::accelerometer_bias);
+  result.accelerometer_bias_95 = half_width.template segment<3>(Index::accelerometer_bias);
   result.gravity_tilt = c.gravity / gravity;
-  result.gravity_tilt_95 = half_width.segment<2>(Index::gravity) / gravity;
+  result.gravity_tilt_95 = half_width.template segment<2>(Index::gravity) / gravity;
   double positions = 0.0, orientations = 0.0;
   int used = 0;
-  for (const LogSmoother::Node& node : smoother.nodes) {
+  for (const typename LogSmoother<Scalar>::Node& node : smoother.nodes) {
     result.trajectory.push_back({imu[node.sample].time, node.state});
     for (std::size_t i = node.first_pose; i < node.last_pose; ++i) {
       ++result.poses;
       if (smoother.weights[i] < 1.0) continue;
-      positions += smoother.residuals[i].head<3>().squaredNorm() / 3.0;
-      orientations += smoother.residuals[i].tail<3>().squaredNorm() / 3.0;
+      positions += smoother.residuals[i].template head<3>().squaredNorm() / 3.0;
+      orientations += smoother.residuals[i].template tail<3>().squaredNorm() / 3.0;
       ++used;
     }
   }
@@ -296,10 +305,12 @@ inline void report(LogSmoother& smoother, const std::vector<Timed<InertialSample
 /// axes, and `clock.max_offset` of IMU samples before and after the poses used. Where the motion
 /// does not show an unknown the result has a status that says so. Throws std::invalid_argument if a
 /// setting is out of range. Allocates about 8 kB per pose. Takes some milliseconds per second of
-/// log, so do not call it in the control loop.
-[[nodiscard]] inline LogCalibration calibrate_log(const std::vector<Timed<InertialSampled>>& imu,
-                                                  const std::vector<Timed<MarkerPosed>>& poses,
-                                                  const LogCalibrationSettings& settings = {}) {
+/// log, so do not call it in the control loop. Scalar is double; it is a template parameter so that
+/// only code that calls the function compiles it.
+template <typename Scalar = double>
+[[nodiscard]] LogCalibration calibrate_log(const std::vector<Timed<InertialSample<Scalar>>>& imu,
+                                           const std::vector<Timed<MarkerPose<Scalar>>>& poses,
+                                           const LogCalibrationSettings& settings = {}) {
   using Index = detail::SmootherIndex;
   validate(settings);
   LogCalibration result;
@@ -320,7 +331,7 @@ inline void report(LogSmoother& smoother, const std::vector<Timed<InertialSample
   ekf.marker_orientation_stddev = 0.1;
   ekf.marker_position_stddev = 1.0;
   ekf.max_delay = 0.5;
-  detail::LogSmoother smoother(imu, poses, detail::prior_stddev(settings));
+  detail::LogSmoother<Scalar> smoother(imu, poses, detail::prior_stddev<Scalar>(settings));
   smoother.imu_noise = settings.imu_noise;
   smoother.pose_noise = settings.pose_noise;
   result.status = LogCalibrationStatus::not_converged;
@@ -334,7 +345,7 @@ inline void report(LogSmoother& smoother, const std::vector<Timed<InertialSample
   bool converged = false;
   while (!converged && result.iterations < settings.max_iterations) {
     result.outliers = detail::set_weights(smoother);
-    const detail::LogSmoother::Vector step = smoother.iterate();
+    const typename detail::LogSmoother<Scalar>::Vector step = smoother.iterate();
     ++result.iterations;
     if (!all_finite(step)) return result;
     smoother.find_residuals();
