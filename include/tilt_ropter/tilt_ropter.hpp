@@ -15,6 +15,7 @@
 #include <tilt_ropter/actuation/allocation_settings.hpp>
 #include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/actuation/servo.hpp>

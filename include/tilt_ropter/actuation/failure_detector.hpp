@@ -1,0 +1,341 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/actuation/actuated_body.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/model/wrench.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+/// Finds a failed rotor or a stuck servo from the motion of the body and the speeds of the rotors.
+namespace tilt_ropter {
+
+/// Settings of FailureDetector. The defaults find what would crash the reference vehicle, and
+/// raise no alarm for the errors of its model (tests/actuation/failure_detector_test.cpp).
+struct FailureDetectorSettings {
+  double window = 0.06;        ///< time over which forces and torques are averaged [s]
+  double confirmation = 0.05;  ///< a failure is reported if it is the explanation this long [s]
+  /// Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
+  double baseline_time = 1.0;
+  /// Smallest change of a rotor's force that is a failure, as a fraction of the thrust that each
+  /// rotor has in hover, and as a fraction of this rotor's present thrust.
+  double min_change = 0.35;
+  double min_fraction = 0.35;
+  /// Largest residual that the failure may leave unexplained, as a fraction of the residual.
+  double max_unexplained = 0.35;
+  /// A rotor whose force is smaller than this fraction of its model is lost.
+  double lost_fraction = 0.25;
+  /// The servo is all right if the force keeps its direction within this angle [rad].
+  double max_angle_error = 0.26;
+  /// A rotor is lost if its measured speed is below this fraction of the modelled speed.
+  double min_speed_fraction = 0.5;
+};
+
+inline void validate(const FailureDetectorSettings& s) {
+  require_positive("FailureDetectorSettings.window [s]", s.window);
+  require_positive("FailureDetectorSettings.confirmation [s]", s.confirmation);
+  require_positive("FailureDetectorSettings.baseline_time [s]", s.baseline_time);
+  require_positive("FailureDetectorSettings.min_change", s.min_change);
+  require_positive("FailureDetectorSettings.min_fraction", s.min_fraction);
+  require_in("FailureDetectorSettings.max_unexplained", s.max_unexplained, 0.0, 1.0);
+  require_in("FailureDetectorSettings.lost_fraction", s.lost_fraction, 0.0, 1.0);
+  require_in("FailureDetectorSettings.max_angle_error [rad]", s.max_angle_error, 0.0, pi);
+  require_in("FailureDetectorSettings.min_speed_fraction", s.min_speed_fraction, 0.0, 1.0);
+}
+
+/// What has failed.
+enum class FailureKind {
+  none,
+  servo,  ///< the rotor pushes in another direction than commanded
+  rotor   ///< the rotor pushes less than commanded
+};
+
+[[nodiscard]] constexpr const char* to_string(FailureKind kind) noexcept {
+  switch (kind) {
+    case FailureKind::none:
+      return "none";
+    case FailureKind::servo:
+      return "servo";
+    case FailureKind::rotor:
+      return "rotor";
+  }
+  return "unknown";
+}
+
+/// Result of FailureDetector.
+struct ActuatorFailure {
+  FailureKind kind = FailureKind::none;
+  std::size_t rotor = 0;       ///< index of the rotor
+  double angle = 0.0;          ///< of a stuck servo [rad]
+  double effectiveness = 1.0;  ///< of a weak rotor, a fraction; 0: lost
+  double time = 0.0;           ///< of the report [s]
+};
+
+/// Returns the vehicle that remains after `failure`, see with_stuck_servo() and with_weak_rotor().
+template <int Rotors>
+[[nodiscard]] Vehicle<Rotors> with_failure(const Vehicle<Rotors>& vehicle,
+                                           const ActuatorFailure& failure) {
+  switch (failure.kind) {
+    case FailureKind::none:
+      break;
+    case FailureKind::servo:
+      return with_stuck_servo(vehicle, failure.rotor, failure.angle);
+    case FailureKind::rotor:
+      return with_weak_rotor(vehicle, failure.rotor, failure.effectiveness);
+  }
+  return vehicle;
+}
+
+/// The difference between the wrench that moves the body and the wrench of the modelled actuators
+/// is small in normal flight, and changes slowly. If one rotor fails, this residual changes within
+/// a few ticks, and the change is the wrench of one force at this rotor, in the plane in which the
+/// rotor tilts. For each rotor, the force that explains most of the change is found by least
+/// squares. Together with the modelled force it gives the force that the rotor really has, and so
+/// the angle of a stuck servo or what is left of the thrust. Wind, a wrong mass or a wrong time
+/// constant change the wrench in ways that no single rotor explains.
+///
+/// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
+/// it is commanded. Nothing is found while the vehicle touches the ground.
+///
+/// Only the constructor throws. Nothing allocates.
+template <int Rotors>
+class FailureDetector {
+ public:
+  /// Throws std::invalid_argument if a parameter or setting is out of range.
+  explicit FailureDetector(const Vehicle<Rotors>& vehicle,
+                           const FailureDetectorSettings& settings = {})
+      : settings_(validated(settings)), body_(vehicle), parameters_(vehicle.body) {
+    validate(vehicle);
+    hover_thrust_ = vehicle.body.mass * gravity / Rotors;
+    double arm = 0.0;
+    for (const RotorGeometry& rotor : vehicle.rotors) arm = std::max(arm, rotor.position.norm());
+    per_torque_ = 1.0 / std::max(arm, 1e-3);
+    for (int i = 0; i < Rotors; ++i) {
+      tilts_[index(i)] = vehicle.rotors[index(i)].tilts;
+      lost_[index(i)] = !(vehicle.rotors[index(i)].effectiveness > 0.0);
+      for (const bool vertical : {false, true}) {
+        ActuatedState<Rotors> one;
+        one.thrust(i) = 1.0;
+        one.tilt_angle(i) = vertical ? 0.0 : 0.5 * pi;
+        columns_[index(2 * i + vertical)] = scaled(body_.wrench(one));
+      }
+    }
+  }
+
+  /// Processes one tick at `time` [s]. `sample` is as for WrenchObserver::update(). `measured` has
+  /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
+  /// [rad/s] is that of ActuatorModel, or the measured speed again if it is not measured. Set
+  /// `airborne` to false if the vehicle touches the ground or may touch it. Returns the first
+  /// failure that was found; reset() forgets it.
+  const ActuatorFailure& update(double time, const InertialSampled& sample,
+                                const ActuatorState<Rotors>& measured,
+                                const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
+                                bool airborne) noexcept {
+    const double dt = time - time_;
+    const bool valid = std::isfinite(time) && all_finite(sample.specific_force) &&
+                       all_finite(sample.angular_velocity) && all_finite(measured.rotor_speed) &&
+                       all_finite(measured.tilt_angle) && all_finite(modelled_speed);
+    if (!valid || failure_.kind != FailureKind::none) return failure_;
+    if (!started_ || !airborne || !(dt > 0.0 && dt < 0.5 * settings_.window + 0.02)) {
+      forget();
+      started_ = true;
+    } else {
+      watch_speeds(time, dt, measured, modelled_speed);
+      add(dt, sample, measured);
+      if (block_.duration >= settings_.window / blocks - 1e-6) end_block(time, sample);
+    }
+    time_ = time;
+    gyroscopic_ = gyroscopic_torque(sample.angular_velocity);
+    if (block_.duration == 0.0) start_rate_ = sample.angular_velocity;
+    return failure_;
+  }
+
+  [[nodiscard]] const ActuatorFailure& failure() const noexcept { return failure_; }
+
+  /// Starts again, as after construction.
+  void reset() noexcept {
+    failure_ = {};
+    started_ = false;
+    forget();
+  }
+
+ private:
+  using Vector6 = Eigen::Matrix<double, 6, 1>;
+  static constexpr int blocks = 6;
+
+  /// Sums over a part of the window.
+  struct Block {
+    double duration = 0.0;
+    Vector6 residual = Vector6::Zero();  ///< force [N s] and torque [N s, by the longest arm]
+    Eigen::Matrix<double, Rotors, 1> thrust = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                     lateral = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                     vertical = Eigen::Matrix<double, Rotors, 1>::Zero();
+  };
+
+  static constexpr std::size_t index(int i) { return static_cast<std::size_t>(i); }
+
+  [[nodiscard]] Vector6 scaled(const Wrenchd& wrench) const noexcept {
+    Vector6 v;
+    v << wrench.force, per_torque_ * wrench.torque;
+    return v;
+  }
+
+  [[nodiscard]] Eigen::Vector3d gyroscopic_torque(const Eigen::Vector3d& w) const noexcept {
+    return w.cross(parameters_.inertia * w);
+  }
+
+  void forget() noexcept {
+    block_ = {};
+    filled_ = next_ = 0;
+    learnt_for_ = 0.0;
+    baseline_.setZero();
+    suspect_ = -1;
+    suspected_for_ = 0.0;
+    slow_for_.fill(0.0);
+  }
+
+  void watch_speeds(double time, double dt, const ActuatorState<Rotors>& measured,
+                    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept {
+    for (int i = 0; i < Rotors; ++i) {
+      double& slow = slow_for_[index(i)];
+      const bool is_slow =
+          !lost_[index(i)] && measured.rotor_speed(i) < settings_.min_speed_fraction * modelled(i);
+      slow = is_slow ? slow + dt : 0.0;
+      if (slow >= settings_.confirmation + settings_.window && failure_.kind == FailureKind::none)
+        failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
+    }
+  }
+
+  void add(double dt, const InertialSampled& sample,
+           const ActuatorState<Rotors>& actuators) noexcept {
+    ActuatedState<Rotors> x;
+    for (int i = 0; i < Rotors; ++i) {
+      x.thrust(i) = body_.thrust(i, actuators.rotor_speed(i));
+      x.tilt_angle(i) = tilts_[index(i)] ? actuators.tilt_angle(i) : 0.0;
+      block_.thrust(i) += dt * x.thrust(i);
+      block_.lateral(i) += dt * x.thrust(i) * std::sin(x.tilt_angle(i));
+      block_.vertical(i) += dt * x.thrust(i) * std::cos(x.tilt_angle(i));
+    }
+    const Wrenchd applied = body_.wrench(x);
+    const Eigen::Vector3d gyroscopic = gyroscopic_torque(sample.angular_velocity),
+                          mean = 0.5 * (gyroscopic + gyroscopic_);
+    block_.residual += dt * scaled({parameters_.mass * sample.specific_force - applied.force,
+                                    mean - applied.torque});
+    block_.duration += dt;
+  }
+
+  void end_block(double time, const InertialSampled& sample) noexcept {
+    const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
+    block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
+    // What leaves the window is learnt, unless the window may contain a failure.
+    Block& oldest = ring_[index(next_)];
+    if (filled_ == blocks && suspect_ < 0) learn(oldest);
+    const double dt = block_.duration;
+    oldest = block_;
+    block_ = {};
+    next_ = (next_ + 1) % blocks;
+    filled_ = std::min(filled_ + 1, blocks);
+    if (learnt_for_ >= settings_.window) judge(time, dt);
+  }
+
+  // A mean at first, then exponentially weighted.
+  void learn(const Block& block) noexcept {
+    learnt_for_ += block.duration;
+    baseline_ += block.duration / std::min(learnt_for_, settings_.baseline_time) *
+                 (block.residual / block.duration - baseline_);
+  }
+
+  // Compares the window with each failure.
+  void judge(double time, double dt) noexcept {
+    Block sum;
+    for (const Block& block : ring_) {
+      sum.duration += block.duration;
+      sum.residual += block.residual;
+      sum.thrust += block.thrust;
+      sum.lateral += block.lateral;
+      sum.vertical += block.vertical;
+    }
+    const double per_second = 1.0 / sum.duration;
+    const Vector6 change = per_second * sum.residual - baseline_;
+    int best = -1;
+    double least = settings_.max_unexplained * change.norm();
+    Eigen::Vector2d force = Eigen::Vector2d::Zero();
+    for (int i = 0; i < Rotors; ++i) {
+      if (lost_[index(i)]) continue;
+      const Eigen::Vector2d fitted = fit(i, change);
+      const double rest =
+          (change - columns_[index(2 * i)] * fitted(0) - columns_[index(2 * i + 1)] * fitted(1))
+              .norm();
+      const double needed = std::max(settings_.min_change * hover_thrust_,
+                                     settings_.min_fraction * per_second * sum.thrust(i));
+      if (!(rest < least) || !(fitted.norm() > needed)) continue;
+      best = i;
+      least = rest;
+      force << per_second * sum.lateral(i) + fitted(0), per_second * sum.vertical(i) + fitted(1);
+    }
+    suspected_for_ = best >= 0 && best == suspect_ ? suspected_for_ + dt : 0.0;
+    suspect_ = best;
+    // By then nothing before the failure is left in the window.
+    const double needed_time = std::max(settings_.confirmation, sum.duration - dt) - 1e-6;
+    if (best < 0 || suspected_for_ < needed_time) return;
+    report(time, best, force, per_second * sum.thrust(best),
+           std::atan2(sum.lateral(best), sum.vertical(best)));
+  }
+
+  // Force of rotor i (lateral, vertical) that explains most of `change`.
+  [[nodiscard]] Eigen::Vector2d fit(int i, const Vector6& change) const noexcept {
+    const Vector6 &a = columns_[index(2 * i)], &b = columns_[index(2 * i + 1)];
+    const double bb = b.dot(b), by = b.dot(change);
+    if (!tilts_[index(i)]) return {0.0, by / bb};
+    const double aa = a.dot(a), ab = a.dot(b), ay = a.dot(change), d = aa * bb - ab * ab;
+    return {(bb * ay - ab * by) / d, (aa * by - ab * ay) / d};
+  }
+
+  void report(double time, int rotor, const Eigen::Vector2d& force, double thrust,
+              double angle) noexcept {
+    const double size = force.norm(), actual = std::atan2(force.x(), force.y());
+    const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
+    const bool turned =
+        std::abs(std::remainder(actual - angle, 2.0 * pi)) > settings_.max_angle_error;
+    failure_.rotor = index(rotor);
+    failure_.time = time;
+    if (fraction < settings_.lost_fraction) {
+      failure_.kind = FailureKind::rotor;
+      failure_.effectiveness = 0.0;
+    } else if (turned && tilts_[index(rotor)]) {
+      failure_.kind = FailureKind::servo;
+      failure_.angle = actual;
+    } else {
+      failure_.kind = FailureKind::rotor;
+      failure_.effectiveness = fraction;
+    }
+  }
+
+  FailureDetectorSettings settings_;
+  ActuatedBody<Rotors> body_;
+  RigidBodyParameters parameters_;
+  double hover_thrust_ = 0.0, per_torque_ = 0.0;
+  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{}, lost_{};
+  std::array<Vector6, 2 * static_cast<std::size_t>(Rotors)> columns_;
+  ActuatorFailure failure_;
+  bool started_ = false;
+  double time_ = 0.0, learnt_for_ = 0.0, suspected_for_ = 0.0;
+  Eigen::Vector3d start_rate_ = Eigen::Vector3d::Zero(),  // at the start of the block [rad/s]
+      gyroscopic_ = Eigen::Vector3d::Zero();              // at the last sample [N m]
+  Block block_;
+  std::array<Block, blocks> ring_;
+  int filled_ = 0, next_ = 0, suspect_ = -1;
+  Vector6 baseline_ = Vector6::Zero();
+  std::array<double, static_cast<std::size_t>(Rotors)> slow_for_{};
+};
+
+}  // namespace tilt_ropter
