@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -39,6 +40,8 @@ class ActuatorLoop {
         actuators_(believed),
         observer_(believed.body),
         contact_(believed),
+        detector_(believed),
+        standing_(undercarriage(believed) ? undercarriage(believed)->height : 0.0),
         nmpc_(believed, in_simulated_time(settings)) {}
 
   /// Starts at rest in hover at `position` [m], with the controller's safe command applied.
@@ -68,6 +71,7 @@ class ActuatorLoop {
     nmpc_ = tilt_ropter::ActuatorNmpc<Rotors>(believed, nmpc_.settings());
     observer_.reset();
     contact_ = tilt_ropter::ContactEstimator(believed);
+    detector_ = tilt_ropter::FailureDetector<Rotors>(believed);
   }
 
   /// One period of 10 ms. Records the largest and the mean squared distance from the reference.
@@ -76,10 +80,16 @@ class ActuatorLoop {
     using namespace tilt_ropter;
     const double time = plant_.time();
     const ActuatorState<Rotors> modelled = actuators_.update(time, command_);
-    observer_.update(time, plant_.inertial_sample(),
-                     wrench({plant_.actuators().rotor_speed, modelled.tilt_angle}));
+    const ActuatorState<Rotors> applied{plant_.actuators().rotor_speed, modelled.tilt_angle};
+    const InertialSampled sample = plant_.inertial_sample();
+    observer_.update(time, sample, wrench(applied));
     const BodyStated measured = state_sensor_.sample(time, plant_.body())->body;
-    (void)nmpc_.prepare(time, reference, contact_.update(time, measured, observer_));
+    const ContactEstimate& contact = contact_.update(time, measured, observer_);
+    const double clearance =
+        measured.position.z() - standing_ - contact.ground.height_at(measured.position);
+    detector_.update(time, sample, applied, modelled.rotor_speed,
+                     !contact.on_ground && clearance > 0.05);
+    (void)nmpc_.prepare(time, reference, contact);
     const auto& result = nmpc_.feedback(time, measured, modelled);
     command_ = result.command;
     actuators_.update(time, command_);
@@ -114,6 +124,7 @@ class ActuatorLoop {
   [[nodiscard]] const tilt_ropter::Plant<Rotors>& plant() const { return plant_; }
   [[nodiscard]] const tilt_ropter::ActuatorNmpc<Rotors>& nmpc() const { return nmpc_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
+  [[nodiscard]] const tilt_ropter::ActuatorFailure& failure() const { return detector_.failure(); }
 
   tilt_ropter::Wrenchd disturbance;  ///< acts on the plant, body frame [N; N m]
 
@@ -130,6 +141,8 @@ class ActuatorLoop {
   tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
+  tilt_ropter::FailureDetector<Rotors> detector_;
+  double standing_;  // height of the CoM on the ground [m]
   tilt_ropter::ActuatorNmpc<Rotors> nmpc_;
   tilt_ropter::ActuatorState<Rotors> command_;
   double squares_ = 0.0, largest_ = 0.0;
