@@ -23,7 +23,12 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       ekf_(estimation),
       observer_(vehicle.body, observer),
       contact_(vehicle),
-      external_(external) {
+      external_(external),
+      vehicle_(vehicle),
+      detector_(vehicle),
+      after_failure_(actuator_nmpc_settings(vehicle)) {
+  after_failure_.time_limit = settings.time_limit;
+  after_failure_.ground = settings.ground;
   if (!has_wrench_level<Rotors>)
     throw std::invalid_argument("FlightController: the wrench level needs 4 rotors or more");
 }
@@ -40,7 +45,10 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       ekf_(estimation),
       observer_(vehicle.body, observer),
       contact_(vehicle),
-      external_(external) {}
+      external_(external),
+      vehicle_(vehicle),
+      detector_(vehicle),
+      after_failure_(settings) {}
 
 template <int Rotors>
 void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {
@@ -76,15 +84,36 @@ void FlightController<Rotors>::on_voltage(double voltage) {
 
 template <int Rotors>
 void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample) {
-  applied_ = {rotor_speeds_, actuators_.update(time, sent_.command).tilt_angle};
+  const ActuatorState<Rotors>& modelled = actuators_.update(time, sent_.command);
+  applied_ = {rotor_speeds_, modelled.tilt_angle};
   ekf_.on_imu(time, sample);
-  const bool modelled = external_ != ExternalWrench::commanded;
-  observer_.update(time, ekf_.corrected(sample), wrench_of(modelled ? applied_ : sent_.command));
+  const InertialSampled corrected = ekf_.corrected(sample);
+  const bool as_modelled = external_ != ExternalWrench::commanded;
+  observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
+  detector_.update(time, corrected, applied_, modelled.rotor_speed, airborne_);
 }
 
 template <int Rotors>
 void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
   ekf_.on_pose(time, pose);
+}
+
+// Constructs the controller for the vehicle that remains. This allocates, once, and takes less than
+// a tick.
+template <int Rotors>
+void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, double time) {
+  failure_ = failure;
+  const Vehicle<Rotors> remaining = with_failure(vehicle_, failure);
+  const ActuatorState<Rotors> now{rotor_speeds_, actuators_.state().tilt_angle};
+  body_ = ActuatedBody<Rotors>(remaining);
+  actuators_ = ActuatorModel<Rotors>(remaining);
+  actuators_.reset(now, time);
+  actuator_nmpc_.emplace(remaining, after_failure_);
+  observer_.reset();  // what it has estimated since the failure is the failure
+  if constexpr (has_wrench_level<Rotors>) {
+    allocation_.reset();
+    nmpc_.reset();
+  }
 }
 
 template <int Rotors>
@@ -104,6 +133,11 @@ void FlightController<Rotors>::choose_mode(double time) {
   const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
   const bool lost = trust_.state == EstimateState::position_lost ||
                     (trust_.state == EstimateState::lost && imu_works);
+  const bool failed = detector_.failure().kind != FailureKind::none;
+  if (failed && failure_.kind == FailureKind::none && mode_ != FlightMode::stopped) {
+    go_on_without(detector_.failure(), time);
+    begin(FlightMode::emergency, time);
+  }
   switch (mode_) {
     case FlightMode::mission:
     case FlightMode::hold:
@@ -114,13 +148,16 @@ void FlightController<Rotors>::choose_mode(double time) {
       else if (trust_.state == EstimateState::good && mode_ == FlightMode::hold)
         mode_ = FlightMode::mission;
       break;
+    case FlightMode::emergency:
     case FlightMode::landing: {
       constexpr double settled = 0.3;  // on the ground for this time [s]
       if (!contact_.estimate().on_ground) carried_since_ = time;
       if (time - carried_since_ > settled)
         mode_ = FlightMode::stopped;
-      else if (trust_.state == EstimateState::good)
-        begin(FlightMode::hold, time);
+      else if (mode_ == FlightMode::emergency && lost)
+        begin(FlightMode::landing, time);
+      else if (mode_ == FlightMode::landing && trust_.state == EstimateState::good)
+        begin(failed ? FlightMode::emergency : FlightMode::hold, time);
       break;
     }
     case FlightMode::stopped:
@@ -129,25 +166,40 @@ void FlightController<Rotors>::choose_mode(double time) {
 }
 
 template <int Rotors>
+bool FlightController<Rotors>::is_off_the_ground() const {
+  constexpr double enough = 0.05;  // under the wheels [m]
+  const std::optional<Undercarriage> stands = undercarriage(vehicle_);
+  const Eigen::Vector3d position = ekf_.state().position;
+  const ContactEstimate& contact = contact_.estimate();
+  return !contact.on_ground &&
+         (!stands || position.z() - stands->height - contact.ground.height_at(position) > enough);
+}
+
+template <int Rotors>
 ReferencePoint FlightController<Rotors>::stand_in(double time) const {
   // The speed decays, so that the vehicle brakes without leaning.
   constexpr double braking = 1.0;  // time constant [s]
   const double passed = std::max(0.0, time - mode_since_);
   const double decay = std::exp(-passed / braking);
-  const Eigen::Vector3d sinking = mode_ == FlightMode::landing
-                                      ? Eigen::Vector3d(0.0, 0.0, -sink_speed)
-                                      : Eigen::Vector3d::Zero().eval();
+  Eigen::Vector3d sinking = Eigen::Vector3d::Zero();
+  if (mode_ == FlightMode::landing) sinking.z() = -sink_speed;
   const Eigen::Vector3d excess = held_.velocity - sinking;
   ReferencePoint point = held_;
   point.position += sinking * passed + excess * (braking * (1.0 - decay));
   point.velocity = sinking + excess * decay;
   point.acceleration = -excess * (decay / braking);
+  constexpr double hover = 2.0, slowly = 0.3;  // after a failure [s], [m/s]
+  if (mode_ == FlightMode::emergency && passed > hover) {
+    point.position.z() -= slowly * (passed - hover);
+    point.velocity.z() -= slowly;
+  }
   return point;
 }
 
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
+  airborne_ = ekf_.running() && is_off_the_ground();
   choose_mode(time);
   const Reference other = [this](double t) { return stand_in(t); };
   ContactEstimate contact = contact_.estimate();

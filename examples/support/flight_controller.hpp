@@ -4,6 +4,7 @@
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -34,12 +35,13 @@ enum class ExternalWrench {
   unused,     ///< none reaches the controller; the observer serves to detect the ground only
 };
 
-/// What the controller does, by the trust in the estimate.
+/// What the controller does, by the trust in the estimate and the state of the actuators.
 enum class FlightMode {
-  mission,  ///< follows the reference
-  hold,     ///< the estimate is degraded: holds the estimated position until it is good again
-  landing,  ///< position or attitude is lost: sinks by IMU and wrench until the ground carries
-  stopped   ///< landed like this: rotors off, for good
+  mission,   ///< follows the reference
+  hold,      ///< the estimate is degraded: holds the estimated position until it is good again
+  landing,   ///< position or attitude is lost: sinks by IMU and wrench until the ground carries
+  stopped,   ///< landed like this: rotors off, for good
+  emergency  ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
 };
 
 /// For 2, 3, 4, 6 or 8 rotors; compiled once, in flight_controller.cpp. With 2 and 3 rotors there
@@ -111,6 +113,9 @@ class FlightController {
                         ekf_.trust(ekf_.time()).state != tilt_ropter::EstimateState::starting);
   }
   [[nodiscard]] FlightMode mode() const { return mode_; }
+  /// The failed actuator that was found in flight, if any. The controller then goes on at the
+  /// actuator level with the vehicle that remains, and lands.
+  [[nodiscard]] const tilt_ropter::ActuatorFailure& failure() const { return failure_; }
   /// Trust in the estimate at the last prepare().
   [[nodiscard]] const tilt_ropter::EstimateTrust& trust() const { return trust_; }
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return sent_.command; }
@@ -163,13 +168,21 @@ class FlightController {
   bool started_ = false;
 
   void choose_mode(double time);
+  void go_on_without(const tilt_ropter::ActuatorFailure& failure, double time);
   void begin(FlightMode mode, double time);
+  [[nodiscard]] bool is_off_the_ground() const;
   [[nodiscard]] tilt_ropter::ReferencePoint stand_in(double time) const;
 
   FlightMode mode_ = FlightMode::mission;
   tilt_ropter::EstimateTrust trust_;
   tilt_ropter::ReferencePoint held_;  ///< of the modes hold and landing
   double mode_since_ = 0.0, carried_since_ = 0.0;
+
+  tilt_ropter::Vehicle<Rotors> vehicle_;
+  tilt_ropter::FailureDetector<Rotors> detector_;
+  tilt_ropter::ActuatorFailure failure_;
+  tilt_ropter::ActuatorNmpcSettings after_failure_;  ///< of the controller after a failure
+  bool airborne_ = false;
 };
 
 }  // namespace examples

@@ -62,6 +62,7 @@ struct MissionOptions {
   std::string vehicle_path, model_path;
   std::string level;    // "wrench" or "actuator"; empty: see level_for()
   std::string imu_log;  // file for identify_vehicle, or empty
+  std::string failure;  // see parse_failure(); empty: none. An option of hybrid_mission only
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -202,33 +203,60 @@ template <int Rotors>
 /// Figures about the trust in the estimate and what the controller made of it.
 class TrustFigures {
  public:
-  void on_control(tilt_ropter::EstimateState state, FlightMode mode, double period) {
+  void on_control(tilt_ropter::EstimateState state, FlightMode mode,
+                  const tilt_ropter::ActuatorFailure& failure, double period) {
     if (state != tilt_ropter::EstimateState::good) not_good_ += period;
     mode_ = mode;
+    failure_ = failure;
   }
 
   void on_plant(const tilt_ropter::BodyStated& body, bool touches) {
-    if (mode_ != FlightMode::landing && mode_ != FlightMode::stopped) return;
+    if (!lands()) return;
     const Eigen::Vector3d up = body.orientation * Eigen::Vector3d::UnitZ();
     if (touches && !touched_) speed_ = body.velocity.norm();
-    if (!touched_) lean_ = std::max(lean_, std::acos(std::min(1.0, up.z())));
+    const double lean = std::acos(std::clamp(up.z(), -1.0, 1.0));
+    if (!touched_) largest_lean_ = std::max(largest_lean_, lean);
+    if (!touched_) last_lean_ = lean;
     touched_ = touched_ || touches;
   }
 
   void print(std::ostream& out, const tilt_ropter::EkfCounts& counts) const {
-    constexpr std::array<const char*, 4> modes = {"mission", "hold", "landing", "stopped"};
+    constexpr std::array<const char*, 5> modes = {"mission", "hold", "landing", "stopped",
+                                                  "emergency"};
     out << std::setprecision(3) << "estimate_not_good_s: " << not_good_ << '\n'
         << "poses_used: " << counts.used << "\nposes_refused: " << counts.gated
         << "\nposes_frozen: " << counts.frozen << "\nfilter_restarts: " << counts.restarts
         << "\npose_clock_steps: " << counts.clock_steps
         << "\nflight_mode_at_end: " << modes[static_cast<std::size_t>(mode_)] << '\n';
-    if (mode_ != FlightMode::landing && mode_ != FlightMode::stopped) return;
-    out << "imu_landing_speed_mps: " << speed_
-        << "\nimu_landing_lean_deg: " << lean_ * 180.0 / tilt_ropter::pi << '\n';
+    out << "actuator_failure: " << to_string(failure_.kind) << '\n';
+    const double degrees = 180.0 / tilt_ropter::pi;
+    if (failure_.kind == tilt_ropter::FailureKind::none) {
+      if (lands())
+        out << "imu_landing_speed_mps: " << speed_
+            << "\nimu_landing_lean_deg: " << largest_lean_ * degrees << '\n';
+      return;
+    }
+    out << "failed_rotor: " << failure_.rotor + 1 << "\nfailure_found_at_s: " << failure_.time
+        << '\n';
+    if (failure_.kind == tilt_ropter::FailureKind::servo)
+      out << "stuck_at_deg: " << failure_.angle * degrees << '\n';
+    else
+      out << "thrust_left: " << failure_.effectiveness << '\n';
+    out << "emergency_landing_speed_mps: " << speed_
+        << "\nemergency_landing_lean_deg: " << last_lean_ * degrees
+        << "\nemergency_largest_lean_deg: " << largest_lean_ * degrees << '\n';
   }
 
  private:
-  double not_good_ = 0.0, speed_ = 0.0, lean_ = 0.0;
+  [[nodiscard]] bool lands() const {
+    return mode_ == FlightMode::landing || mode_ == FlightMode::emergency ||
+           mode_ == FlightMode::stopped;
+  }
+
+  double not_good_ = 0.0;
+  double speed_ = 0.0;                           // at the first touch [m/s]
+  double largest_lean_ = 0.0, last_lean_ = 0.0;  // before it [rad]
+  tilt_ropter::ActuatorFailure failure_;
   bool touched_ = false;
   FlightMode mode_ = FlightMode::mission;
 };
@@ -448,7 +476,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
-      flown.trust.on_control(controller.trust().state, controller.mode(), steps_per_tick * step);
+      flown.trust.on_control(controller.trust().state, controller.mode(), controller.failure(),
+                             steps_per_tick * step);
       if (log) {
         times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
         detail::log_row(*log, mission, plant, controller, power, &battery);
