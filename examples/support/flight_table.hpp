@@ -1,6 +1,7 @@
 #pragma once
 
 #include "csv.hpp"
+#include "flight_request.hpp"
 #include "spread_flight.hpp"
 #include "statistics.hpp"
 #include "vehicle_spread.hpp"
@@ -11,8 +12,9 @@
 #include <cstdint>
 #include <iomanip>
 #include <limits>
+#include <map>
 #include <ostream>
-#include <set>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -74,32 +76,107 @@ namespace examples {
   return value >= 0.0 && value <= 9007199254740992.0 && value == std::floor(value);
 }
 
-/// Merges the rows of several files into one table, sorted by index. Throws std::runtime_error with
-/// file and line if a file cannot be read or has another seed. Throws it also if a vehicle occurs
-/// twice, or if a seed, index or verdict is invalid.
-[[nodiscard]] inline CsvTable merge_flights(const std::vector<std::string>& files) {
+/// Returns the values separated by commas.
+template <typename Values>
+[[nodiscard]] std::string joined(const Values& values) {
+  std::ostringstream text;
+  text << std::setprecision(std::numeric_limits<double>::max_digits10);
+  for (const auto& value : values) text << (&value == &*values.begin() ? "" : ",") << value;
+  return text.str();
+}
+
+/// Returns row `i` of the table as a line of a CSV file, which reads back as the same numbers.
+[[nodiscard]] inline std::string flight_line(const CsvTable& flights, std::size_t i) {
+  std::vector<double> values;
+  for (const std::vector<double>& column : flights.columns) values.push_back(column[i]);
+  return joined(values);
+}
+
+/// Returns the line of a flight, see flight_row().
+[[nodiscard]] inline std::string flight_line(std::uint64_t seed, std::uint64_t index,
+                                             const VehicleDraw& draw, const FlightRecord& record) {
+  std::vector<double> values;
+  for (const auto& [name, value] : flight_row(seed, index, draw, record)) values.push_back(value);
+  return joined(values);
+}
+
+/// The rows of a file, and what is wrong with its last line, or an empty text. Then the table does
+/// not have this line.
+struct FlightPart {
+  CsvTable flights;
+  std::string damage;
+};
+
+/// Reads the flights of a file. A last line without an end is damage: the run that wrote it was
+/// killed. With `any_damage` a last line that cannot be read is damage, too. Throws
+/// std::runtime_error with file and line for anything else that cannot be read, and for an invalid
+/// seed, index or verdict.
+[[nodiscard]] inline FlightPart read_flights(const std::string& file, bool any_damage = false) {
+  std::string text = read_bytes(file);
+  const auto without_last_line = [](const std::string& lines) {
+    const std::size_t end = lines.empty() ? std::string::npos : lines.rfind('\n', lines.size() - 2);
+    return lines.size() < 2 || end == std::string::npos ? std::string() : lines.substr(0, end + 1);
+  };
+  const auto read = [&file](const std::string& lines) {
+    if (lines.empty()) {
+      const std::vector<std::string> names = flight_columns();
+      return CsvTable{file, names, std::vector<std::vector<double>>(names.size()), {}};
+    }
+    std::istringstream in(lines);
+    CsvTable flights = read_csv(in, file, flight_columns(), CsvNumbers::any);
+    for (std::size_t i = 0; i < flights.rows(); ++i) {
+      const std::string where = file + ':' + std::to_string(flights.lines[i]) + ": ";
+      if (!is_count(flights["seed"][i])) throw std::runtime_error(where + "no such seed");
+      if (!is_count(flights["index"][i])) throw std::runtime_error(where + "no such index");
+      const double verdict = flights["verdict"][i];
+      if (!is_count(verdict) || verdict > static_cast<double>(Verdict::grounded))
+        throw std::runtime_error(where + "no such verdict");
+    }
+    return flights;
+  };
+  FlightPart part;
+  if (!text.empty() && text.back() != '\n') {
+    const auto line = std::count(text.begin(), text.end(), '\n') + 1;
+    part.damage = file + ':' + std::to_string(line) + ": the last line is cut off";
+    text += '\n';
+    text = without_last_line(text);
+  }
+  try {
+    part.flights = read(text);
+  } catch (const std::runtime_error& error) {
+    const std::string rest = without_last_line(text);
+    if (!any_damage || !part.damage.empty() || rest.empty()) throw;
+    part.flights = read(rest);
+    part.damage = error.what();
+  }
+  return part;
+}
+
+/// Merges the rows of several files into one table, sorted by index. Appends to `damages` what is
+/// wrong with the last lines of files. Throws std::runtime_error with file and line if
+/// read_flights() throws, if a file has another seed, or if a vehicle occurs twice.
+[[nodiscard]] inline CsvTable merge_flights(const std::vector<std::string>& files,
+                                            std::vector<std::string>* damages = nullptr) {
   CsvTable all{"", flight_columns(), {}, {}};
   struct Row {
     double index;
     std::vector<double> values;
   };
   std::vector<Row> rows;
-  std::set<double> seen;
+  std::map<double, const std::string*> seen;  // the file of each vehicle
   double seed = std::numeric_limits<double>::quiet_NaN();
   for (const std::string& file : files) {
-    const CsvTable part = read_csv(file, all.names, CsvNumbers::any);
+    const FlightPart read = read_flights(file);
+    const CsvTable& part = read.flights;
+    if (damages != nullptr && !read.damage.empty()) damages->push_back(read.damage);
     for (std::size_t i = 0; i < part.rows(); ++i) {
       const std::string where = file + ':' + std::to_string(part.lines[i]) + ": ";
       Row row{part["index"][i], {}};
-      if (!is_count(part["seed"][i])) throw std::runtime_error(where + "no such seed");
-      if (!is_count(row.index)) throw std::runtime_error(where + "no such index");
       if (std::isnan(seed)) seed = part["seed"][i];
       if (!(part["seed"][i] == seed)) throw std::runtime_error(where + "the seed is another one");
-      if (!seen.insert(row.index).second)
-        throw std::runtime_error(where + "the vehicle is there twice");
-      const double verdict = part["verdict"][i];
-      if (!is_count(verdict) || verdict > static_cast<double>(Verdict::grounded))
-        throw std::runtime_error(where + "no such verdict");
+      const auto [there, is_new] = seen.emplace(row.index, &file);
+      if (!is_new)
+        throw std::runtime_error(where + "the vehicle is there twice, also in " + *there->second);
       for (const std::vector<double>& column : part.columns) row.values.push_back(column[i]);
       rows.push_back(std::move(row));
     }
@@ -112,6 +189,27 @@ namespace examples {
     all.lines.push_back(all.lines.size() + 2);
   }
   return all;
+}
+
+/// A range of vehicles.
+struct FlightRange {
+  std::uint64_t first = 0, count = 0;
+};
+
+/// Returns the vehicles from `first` to first + count - 1 that are not in the table, which is
+/// sorted by index.
+[[nodiscard]] inline std::vector<FlightRange> missing_flights(const CsvTable& flights,
+                                                              FlightRange wanted) {
+  std::vector<FlightRange> missing;
+  std::uint64_t next = wanted.first;
+  for (const double value : flights["index"]) {
+    const auto index = static_cast<std::uint64_t>(value);
+    if (index > next) missing.push_back({next, index - next});
+    next = index + 1;
+  }
+  const std::uint64_t end = wanted.first + wanted.count;
+  if (next < end) missing.push_back({next, end - next});
+  return missing;
 }
 
 /// Returns the row numbers from the worst vehicle to the best. Divergences come first. Other

@@ -75,10 +75,25 @@ class RandomStream {
 };
 
 /// False if no body can have this inertia: the sum of two principal moments must be at least the
-/// third.
+/// third. Then half the trace minus the inertia, the second moment of the mass, has no negative
+/// eigenvalue.
 [[nodiscard]] inline bool is_physical(const Eigen::Matrix3d& inertia) {
-  const Eigen::Vector3d moments = inertia.diagonal();
-  return 2.0 * moments.maxCoeff() <= moments.sum();
+  const double half = 0.5 * inertia.diagonal().sum();
+  const double x = half - inertia(0, 0), y = half - inertia(1, 1), z = half - inertia(2, 2);
+  const double xy = inertia(0, 1), xz = inertia(0, 2), yz = inertia(1, 2);
+  return x >= 0.0 && y >= 0.0 && z >= 0.0 && x * y >= xy * xy && x * z >= xz * xz &&
+         y * z >= yz * yz &&
+         x * y * z - x * yz * yz - y * xz * xz - z * xy * xy - 2.0 * xy * xz * yz >= 0.0;
+}
+
+/// Returns the inertia with moments multiplied by `factors`, and products of inertia by the
+/// geometric mean of the factors of both axes.
+[[nodiscard]] inline Eigen::Matrix3d scaled_inertia(Eigen::Matrix3d inertia,
+                                                    const Eigen::Vector3d& factors) {
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      inertia(i, j) *= i == j ? factors(i) : std::sqrt(factors(i) * factors(j));
+  return inertia;
 }
 
 /// Draws a vehicle from `random`: uniform in the ranges above, time constants and noise uniform in
@@ -89,7 +104,7 @@ class RandomStream {
   draw.mass = random.uniform(0.8, 1.2);
   do {
     draw.inertia = random.uniform_vector(0.7, 1.3);
-  } while (!is_physical(inertia * draw.inertia.asDiagonal()));
+  } while (!is_physical(scaled_inertia(inertia, draw.inertia)));
   draw.com_offset = random.uniform_vector(-0.01, 0.01);
   draw.thrust = random.uniform(0.85, 1.15);
   draw.servo_time_constant = random.log_uniform(0.5, 2.0);
@@ -106,16 +121,18 @@ class RandomStream {
 }
 
 /// Returns the vehicle that really flies. Everything that the assumed vehicle has at its CoM (arms,
-/// axle, tracked point) is offset from the true CoM. A rotor with less thrust reaches the same
-/// speed.
-[[nodiscard]] inline tilt_ropter::Vehicle<4> true_vehicle(const VehicleDraw& draw,
-                                                          tilt_ropter::Vehicle<4> vehicle) {
+/// axle, tracked point) is offset from the true CoM. A rotor with less thrust has the same range of
+/// speeds.
+template <int Rotors>
+[[nodiscard]] tilt_ropter::Vehicle<Rotors> true_vehicle(const VehicleDraw& draw,
+                                                        tilt_ropter::Vehicle<Rotors> vehicle) {
   vehicle.body.mass *= draw.mass;
-  vehicle.body.inertia = vehicle.body.inertia * draw.inertia.asDiagonal();
+  vehicle.body.inertia = scaled_inertia(vehicle.body.inertia, draw.inertia);
   for (tilt_ropter::RotorGeometry& rotor : vehicle.rotors) rotor.position -= draw.com_offset;
   tilt_ropter::change_rotor_parameters(vehicle, [&](tilt_ropter::RotorParameters& rotor) {
     rotor.thrust_coefficient *= draw.thrust;
     rotor.linear_thrust_coefficient *= draw.thrust;
+    rotor.min_thrust *= draw.thrust;
     rotor.max_thrust *= draw.thrust;
     rotor.time_constant *= draw.rotor_time_constant;
   });
