@@ -50,6 +50,16 @@ FlightRequest request_of(const Options& options) {
   return request;
 }
 
+/// Flies one vehicle. Adds its index to errors.
+SpreadFlight fly(const VehicleFile& file, const std::string& level, std::uint64_t seed,
+                 std::uint64_t index, const std::string& log_directory = "") {
+  try {
+    return fly_spread(file, level, seed, index, log_directory);
+  } catch (const std::exception& error) {
+    throw std::runtime_error("vehicle " + std::to_string(index) + ": " + error.what());
+  }
+}
+
 /// Flies the vehicles of the request that are not yet in the table at `path`, and adds them.
 void fly_all(const Options& options, const std::string& path) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
@@ -76,7 +86,7 @@ void fly_all(const Options& options, const std::string& path) {
         index = next++;
       }
       try {
-        const SpreadFlight flight = fly_spread(file, level, options.seed, index);
+        const SpreadFlight flight = fly(file, level, options.seed, index);
         const std::lock_guard<std::mutex> lock(mutex);
         if (flight.record.verdict != Verdict::ok) ++diverged;
         table.add(index, flight_line(options.seed, index, flight.draw, flight.record));
@@ -101,7 +111,7 @@ void fly_all(const Options& options, const std::string& path) {
 void replay(const Options& options, std::uint64_t index) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
   const SpreadFlight flight =
-      fly_spread(file, level_for(options.level, file), options.seed, index, options.output);
+      fly(file, level_for(options.level, file), options.seed, index, options.output);
   std::cout << "verdict: " << to_string(flight.record.verdict) << '\n'
             << std::setprecision(std::numeric_limits<double>::max_digits10);
   for (const auto& [name, value] : flight_row(options.seed, index, flight.draw, flight.record))

@@ -4,7 +4,7 @@
 #include "control_level.hpp"
 #include "flight_controller.hpp"
 #include "mission_log.hpp"
-#include "mission_loop.hpp"
+#include "mission_rows.hpp"
 #include "statistics.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>

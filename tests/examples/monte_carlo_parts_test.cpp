@@ -307,7 +307,7 @@ TEST(MonteCarloParts, EverySettingOfTheVehicleFileChangesTheFlight) {
        with(base, last, last + ", \"allowed_errors\": {\"position_m\": [0.3, 0.3, 0.3]}")},
       {"limits", with(base, last, last + ", \"limits\": {\"force_rate_nps\": [2, 2, 4]}")}};
   if (test_support::full_run()) {
-    changed.emplace_back("idle", with(base, "\"min_thrust_n\": 0.2", "\"min_thrust_n\": 3"));
+    changed.emplace_back("idle", with(base, "\"min_thrust_n\": 0.2", "\"min_thrust_n\": 6"));
     changed.emplace_back("dead_time", with(base, "\"dead_time_s\": 0.01", "\"dead_time_s\": 0.03"));
     changed.emplace_back("legs", with(base, last,
                                       last + ", \"legs\": {\"height_m\": 0.2, "

@@ -30,12 +30,16 @@ for ((from = first; from < end; from += chunk)); do
   echo "$from $((from + chunk < end ? chunk : end - from))"
 done | parallel "${options[@]}" "$(part_command '{1}' '{2}') >> $log/{1}.log 2>&1" || failed=$?
 if [[ $failed -ne 0 ]]; then
+  case $failed in
+    101) failed="more than 100" ;;
+    10[2-9] | 1[1-9][0-9] | 2[0-9][0-9]) fail "GNU parallel failed with exit code $failed" ;;
+  esac
   echo "$failed of $parts jobs failed; the first of them:" >&2
-  row=$(awk -F '\t' 'NR > 1 && ($7 != 0 || $8 != 0) { print "exit code " $7 ", signal " $8 ": " $9; exit }' \
-    "$output/parts/jobs.log")
+  row=$(awk -F '\t' 'NR > 1 && ($7 != 0 || $8 != 0) {
+      print "exit code " $7 ", signal " $8 ": " $9; exit }' "$output/parts/jobs.log")
   echo "$row" >&2
-  name=${row##*>> }
-  tail -n 3 "${name%% *}" >&2 || true
+  from=${row##* --first }
+  tail -n 3 "$output/parts/${from%% *}.log" >&2 || true
   echo "the same command goes on with the vehicles that are missing" >&2
 fi
 exec bash -c "$(merge_command)"

@@ -1,0 +1,89 @@
+#pragma once
+
+#include "battery_figures.hpp"
+#include "flight_controller.hpp"
+#include "mission_log.hpp"
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+
+#include <Eigen/Geometry>
+
+#include <string>
+#include <vector>
+
+/// The columns of the log of a mission.
+namespace examples {
+
+namespace detail {
+
+inline std::vector<std::string> mission_columns(int rotor_count, bool battery = false) {
+  std::vector<std::string> names = {"time_s", "phase", "on_ground"};
+  const auto add = [&names](const std::string& name, const std::vector<std::string>& parts) {
+    for (const std::string& part : parts) names.push_back(name + "_" + part);
+  };
+  const std::vector<std::string> axes = {"x", "y", "z"};
+  std::vector<std::string> rotors;
+  for (int i = 1; i <= rotor_count; ++i) rotors.push_back(std::to_string(i));
+  add("position_m", axes);
+  add("reference_m", axes);
+  add("velocity_mps", axes);
+  add("orientation", {"w", "x", "y", "z"});
+  add("angular_velocity_radps", axes);
+  add("command_force_n", axes);
+  add("command_torque_nm", axes);
+  add("estimated_force_n", axes);
+  add("estimated_torque_nm", axes);
+  add("external_force_n", axes);
+  add("external_torque_nm", axes);
+  add("tilt_command_rad", rotors);
+  add("tilt_model_rad", rotors);
+  add("tilt_true_rad", rotors);
+  add("rotor_speed_radps", rotors);
+  for (const char* name : {"power_w", "active_rows", "kkt"}) names.emplace_back(name);
+  add("reference_orientation", {"w", "x", "y", "z"});
+  for (const char* name :
+       {"status", "filter_running", "filter_age_s", "observer_trust", "allocation_status",
+        "ground_height_m", "ground_force_n", "estimate_state", "flight_mode", "position_stddev_m"})
+    names.emplace_back(name);
+  if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
+  return names;
+}
+
+template <typename Plant, int Rotors>
+void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& plant,
+             const FlightController<Rotors>& controller, double power,
+             const BatteryFigures* battery = nullptr) {
+  const double time = plant.time();
+  const tilt_ropter::BodyStated& body = plant.body();
+  const tilt_ropter::NmpcResult& result = controller.result();
+  const Eigen::Quaterniond& q = body.orientation;
+  log.add(time).add(static_cast<int>(mission.phase(time))).add(result.on_ground);
+  log.add_all(body.position).add_all(mission(time).position).add_all(body.velocity);
+  log.add(q.w()).add(q.x()).add(q.y()).add(q.z()).add_all(body.angular_velocity);
+  log.add_all(result.wrench.force).add_all(result.wrench.torque);
+  log.add_all(controller.external().force).add_all(controller.external().torque);
+  log.add_all(plant.external_wrench().force).add_all(plant.external_wrench().torque);
+  log.add_all(controller.command().tilt_angle).add_all(controller.applied().tilt_angle);
+  log.add_all(plant.actuators().tilt_angle).add_all(plant.actuators().rotor_speed);
+  log.add(power).add(result.report.active_constraints).add(result.report.kkt);
+  const Eigen::Quaterniond reference = mission(time).orientation;
+  log.add(reference.w()).add(reference.x()).add(reference.y()).add(reference.z());
+  const tilt_ropter::ContactEstimate& contact = controller.contact().estimate();
+  log.add(static_cast<int>(result.status)).add(controller.ekf().running());
+  log.add(time - controller.ekf().filter_time());
+  log.add(static_cast<int>(controller.observer().trust(time)));
+  log.add(static_cast<int>(controller.allocated().status));
+  log.add(contact.ground.height_at(body.position)).add(contact.ground_reaction.force.norm());
+  log.add(static_cast<int>(controller.trust().state)).add(static_cast<int>(controller.mode()));
+  log.add(controller.trust().position_stddev);
+  if (battery != nullptr && battery->known())
+    log.add(battery->load().voltage).add(battery->load().current);
+  log.end_row();
+}
+
+}  // namespace detail
+
+}  // namespace examples
