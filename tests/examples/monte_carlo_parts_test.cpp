@@ -123,7 +123,7 @@ TEST(MonteCarloParts, KilledRunIsContinuedToTheSameTable) {
   ASSERT_EQ(whole().exit_code, 0) << whole().output;
   end(start("killed", std::to_string(vehicles), 2));
   const auto there = lines_of(read_file(file("killed"))).size() - 1;
-  ASSERT_LT(there, static_cast<std::size_t>(vehicles));
+  ASSERT_GE(there, 2u);
   fs::resize_file(file("killed"), fs::file_size(file("killed")) - 20);  // within the last row
   const std::string options =
       of_hexacopter("--resume --threads 2 --count " + std::to_string(vehicles));
