@@ -109,7 +109,12 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   actuators_ = ActuatorModel<Rotors>(remaining);
   actuators_.reset(now, time);
   actuator_nmpc_.emplace(remaining, after_failure_);
-  observer_.reset();  // what it has estimated since the failure is the failure
+  // What the observer has estimated since the failure is the failure. Without it the vehicle would
+  // seem to be carried.
+  observer_.reset();
+  ContactEstimatorSettings contact = contact_.settings();
+  if (!contact_.estimate().on_ground) contact.assumed_ground = contact_.estimate().ground;
+  contact_ = ContactEstimator(remaining, contact);
   if constexpr (has_wrench_level<Rotors>) {
     allocation_.reset();
     nmpc_.reset();
@@ -151,7 +156,8 @@ void FlightController<Rotors>::choose_mode(double time) {
     case FlightMode::emergency:
     case FlightMode::landing: {
       constexpr double settled = 0.3;  // on the ground for this time [s]
-      if (!contact_.estimate().on_ground) carried_since_ = time;
+      const bool falls = mode_ == FlightMode::emergency && ekf_.state().velocity.norm() > 0.5;
+      if (!contact_.estimate().on_ground || falls) carried_since_ = time;
       if (time - carried_since_ > settled)
         mode_ = FlightMode::stopped;
       else if (mode_ == FlightMode::emergency && lost)

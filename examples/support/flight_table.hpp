@@ -62,7 +62,8 @@ namespace examples {
           {"ground_power_w", r.ground_power},
           {"touchdown_speed_mps", r.touchdown_speed},
           {"mode_changes", static_cast<double>(r.mode_changes)},
-          {"solver_failures", static_cast<double>(r.solver_failures)}};
+          {"solver_failures", static_cast<double>(r.solver_failures)},
+          {"false_alarms", static_cast<double>(r.false_alarms)}};
 }
 
 [[nodiscard]] inline std::vector<std::string> flight_columns() {
@@ -235,6 +236,9 @@ inline void print_flights(std::ostream& out, const CsvTable& flights, const std:
   out << "vehicles: " << flights.rows() << '\n';
   out << "divergences: "
       << std::count_if(verdicts.begin(), verdicts.end(), [](double v) { return v != 0.0; }) << '\n';
+  const std::vector<double>& alarms = flights["false_alarms"];
+  out << "false_alarms: "
+      << std::count_if(alarms.begin(), alarms.end(), [](double v) { return v != 0.0; }) << '\n';
   out << std::fixed << std::setprecision(4);
   out << std::left << std::setw(22) << "percentile" << std::right;
   const std::vector<double> fractions = {0.05, 0.5, 0.95, 0.99, 1.0};

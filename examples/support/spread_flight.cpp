@@ -237,6 +237,7 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   record.flight_power = air_power.value();
   record.ground_power = ground_power.value();
   record.mode_changes = controller.contact().mode_changes();
+  record.false_alarms = controller.failure().kind != FailureKind::none;
   return record;
 }
 

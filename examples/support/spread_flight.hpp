@@ -43,6 +43,7 @@ struct FlightRecord {
   double flight_power = 0.0, ground_power = 0.0;                 ///< mean power [W]
   double touchdown_speed = 0.0;  ///< largest of all touchdowns [m/s]
   int mode_changes = 0, solver_failures = 0;
+  int false_alarms = 0;  ///< 1 if the controller found a failed actuator; none fails
 };
 
 /// A vehicle and its flight.
