@@ -96,8 +96,8 @@ instrumented() {  # directory, flags
 # The results of these tests do not depend on how the tests are built.
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|format|readme_.*|without_nlopt)$'
-# These tests fly three programs in real time; instrumented programs are too slow for this.
-real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)|ReproducePaperHitl'
+# These tests fly several programs in real time; instrumented programs are too slow for this.
+real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)|ReproducePaperHitl|DdsFlight'
 
 if [[ $instead == fuzz ]]; then
   bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev nlohmann-json3-dev
@@ -124,7 +124,7 @@ if [[ $instead == sanitize ]]; then
   instrumented build-sanitize \
     "$flags -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow"
   echo "== Running the tests under ASan and UBSan, two at a time"
-  echo "   without those that only read the sources, and HitlFlight's, which fly in real time;"
+  echo "   without those that only read the sources, and those that fly in real time;"
   echo "   those that count allocations say that they cannot, as the sanitizers have the heap"
   ctest --test-dir build-sanitize --parallel 2 --output-on-failure --timeout 3600 \
     --exclude-regex "$sources_only|$real_time"
@@ -156,7 +156,7 @@ if [[ $instead == coverage ]]; then
     "-O1 -fprofile-instr-generate -fcoverage-mapping"
   rm -rf build-coverage/profiles
   echo "== Running the tests, two at a time"
-  echo "   without those that only read the sources, and HitlFlight's, which fly in real time"
+  echo "   without those that only read the sources, and those that fly in real time"
   LLVM_PROFILE_FILE=$PWD/build-coverage/profiles/%m.profraw ctest --test-dir build-coverage \
     --parallel 2 --output-on-failure --timeout 3600 --exclude-regex "$sources_only|$real_time"
   exec bash tests/coverage.sh build-coverage 95

@@ -1,25 +1,31 @@
 #pragma once
 
+#include "messages.hpp"
+
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/model/ned.hpp>
 #include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>
 
-#include <px4_msgs/msg/actuator_motors.hpp>
-#include <px4_msgs/msg/actuator_servos.hpp>
-#include <px4_msgs/msg/vehicle_odometry.hpp>
-
-#include <array>
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <optional>
 
 /// Conversion between messages of PX4 and types of the library.
 namespace loops {
 
-[[nodiscard]] inline Eigen::Vector3d vector(const std::array<float, 3>& v) {
+// Values of the fields with the same names.
+inline constexpr std::uint8_t pose_frame_ned = 1, pose_frame_frd = 2;
+inline constexpr std::uint8_t velocity_frame_ned = 1, velocity_frame_frd = 2,
+                              velocity_frame_body_frd = 3;
+inline constexpr std::uint8_t arming_state_disarmed = 1, arming_state_armed = 2;
+inline constexpr std::uint8_t nav_state_manual = 0, nav_state_offboard = 14;
+
+[[nodiscard]] inline Eigen::Vector3d vector(const float (&v)[3]) {
   return {double(v[0]), double(v[1]), double(v[2])};
 }
 
@@ -33,15 +39,14 @@ namespace loops {
 /// the body frame. Returns nothing also if a number is NaN, which means that PX4 does not know it.
 [[nodiscard]] inline std::optional<tilt_ropter::BodyStated> body_state(
     const px4_msgs::msg::VehicleOdometry& m, double origin_height) {
-  using Odometry = px4_msgs::msg::VehicleOdometry;
-  if (m.pose_frame != Odometry::POSE_FRAME_NED) return std::nullopt;
+  if (m.pose_frame != pose_frame_ned) return std::nullopt;
   tilt_ropter::NedBodyStated ned;
   ned.position = vector(m.position);
   ned.orientation = {double(m.q[0]), double(m.q[1]), double(m.q[2]), double(m.q[3])};
   ned.angular_velocity = vector(m.angular_velocity);
-  if (m.velocity_frame == Odometry::VELOCITY_FRAME_NED)
+  if (m.velocity_frame == velocity_frame_ned)
     ned.velocity = vector(m.velocity);
-  else if (m.velocity_frame == Odometry::VELOCITY_FRAME_BODY_FRD)
+  else if (m.velocity_frame == velocity_frame_body_frd)
     ned.velocity = ned.orientation * vector(m.velocity);
   else
     return std::nullopt;
@@ -51,24 +56,18 @@ namespace loops {
   return body;
 }
 
-struct Px4Actuators {
-  px4_msgs::msg::ActuatorMotors motors;
-  px4_msgs::msg::ActuatorServos servos;
-};
-
-/// Sets motors 1 to 4 and servos 1 to 4; all others are NaN (disarmed). Times are in microseconds
-/// of PX4: `now`, and `sample` for the measurement on which the outputs are based.
-[[nodiscard]] inline Px4Actuators px4_actuators(const tilt_ropter::ActuatorOutputs<4>& outputs,
-                                                std::uint64_t now, std::uint64_t sample) {
-  Px4Actuators m;
-  m.motors.timestamp = m.servos.timestamp = now;
-  m.motors.timestamp_sample = m.servos.timestamp_sample = sample;
-  m.motors.control.fill(std::numeric_limits<float>::quiet_NaN());
-  m.servos.control.fill(std::numeric_limits<float>::quiet_NaN());
-  for (std::size_t i = 0; i < 4; ++i) {
-    m.motors.control[i] = static_cast<float>(outputs.motor(static_cast<Eigen::Index>(i)));
-    m.servos.control[i] = static_cast<float>(outputs.servo(static_cast<Eigen::Index>(i)));
-  }
+/// Returns ActuatorMotors or a version of ActuatorServos whose first channels are `outputs`. All
+/// other channels are NaN (disarmed). Times are in microseconds of PX4: `now`, and `sample` for the
+/// measurement on which the outputs are based.
+template <typename Message>
+[[nodiscard]] Message px4_controls(const Eigen::Vector4d& outputs, std::uint64_t now,
+                                   std::uint64_t sample) {
+  Message m{};
+  m.timestamp = now;
+  m.timestamp_sample = sample;
+  std::fill(std::begin(m.control), std::end(m.control), std::numeric_limits<float>::quiet_NaN());
+  for (std::size_t i = 0; i < 4; ++i)
+    m.control[i] = static_cast<float>(outputs(static_cast<Eigen::Index>(i)));
   return m;
 }
 

@@ -1,10 +1,93 @@
-// A node that flies a vehicle with PX4 in offboard mode: it commands motors and servos. In a ROS 2
-// workspace, it depends on rclcpp, px4_msgs, CLI11 and tilt_ropter; do not put stand_in/ on the
-// include path there.
+// A node that flies a vehicle with PX4 in offboard mode: it commands motors and servos. It speaks
+// DDS through Cyclone DDS, as PX4 does through its uXRCE-DDS agent.
 
 #include "px4_node.hpp"
+#include "px4_topics.hpp"
 #include "run_node.hpp"
 
+#include <CLI/CLI.hpp>
+
+#include <cstdint>
+#include <string>
+#include <type_traits>
+#include <variant>
+#include <vector>
+
+namespace {
+
+using namespace px4_msgs::msg;
+
+using Servos = std::variant<dds::Publisher<ActuatorServos>, dds::Publisher<ActuatorServosV0>>;
+
+Servos servos_publisher(loops::Node& node, const loops::Px4Versions& versions) {
+  const std::string topic = versions.topic("ActuatorServos");
+  if (versions.of("ActuatorServos") == 0) return node.publisher<ActuatorServosV0>(topic, {true, 1});
+  return node.publisher<ActuatorServos>(topic, {true, 1});
+}
+
+void subscribe_to_status(loops::Node& node, loops::Px4Node& pilot,
+                         const loops::Px4Versions& versions) {
+  const std::string topic = versions.topic("VehicleStatus");
+  const auto subscribe = [&](auto message) {
+    node.subscribe<decltype(message)>(topic, dds::sensor_data,
+                                      [&pilot](const auto& m) { pilot.on_status(m); });
+  };
+  switch (versions.of("VehicleStatus")) {
+    case 0:
+      return subscribe(VehicleStatusV0{});
+    case 1:
+      return subscribe(VehicleStatusV1{});
+    case 2:
+      return subscribe(VehicleStatusV2{});
+    case 3:
+      return subscribe(VehicleStatusV3{});
+    default:
+      return subscribe(VehicleStatus{});
+  }
+}
+
+void fly(loops::Node& node, const std::vector<std::string>& choices) {
+  const loops::Px4Versions versions(choices);
+  loops::Px4Node pilot(node.parameters());
+  loops::Telemetry telemetry(node, pilot.vehicle());
+  auto mode = node.publisher<OffboardControlMode>(versions.topic("OffboardControlMode"), {true, 1});
+  auto motors = node.publisher<ActuatorMotors>(versions.topic("ActuatorMotors"), {true, 1});
+  Servos servos = servos_publisher(node, versions);
+  node.subscribe<VehicleOdometry>(versions.topic("VehicleOdometry"), dds::sensor_data,
+                                  [&](const VehicleOdometry& m) { pilot.on_odometry(m); });
+  node.subscribe<SensorCombined>(versions.topic("SensorCombined"), dds::sensor_data,
+                                 [&](const SensorCombined& m) { pilot.on_sensors(m); });
+  subscribe_to_status(node, pilot, versions);
+  node.parameters().refuse_unknown();
+  node.spin(10000000, [&](std::int64_t now) {
+    const loops::Px4Node::Output out = pilot.tick(now);
+    if (out.mode) mode.publish(*out.mode);
+    if (out.actuators) {
+      motors.publish(
+          loops::px4_controls<ActuatorMotors>(out.actuators->motor, out.now, out.sample));
+      std::visit(
+          [&](auto& publisher) {
+            using Message = typename std::decay_t<decltype(publisher)>::message_type;
+            publisher.publish(
+                loops::px4_controls<Message>(out.actuators->servo, out.now, out.sample));
+          },
+          servos);
+    }
+    if (auto snapshot = pilot.snapshot(now)) {
+      snapshot->counts = node.counts();
+      telemetry.offer(*snapshot);
+    }
+  });
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
-  return loops::run_node<loops::Px4Node>("px4_node", loops::px4_help, argc, argv);
+  CLI::App app{loops::px4_help, "px4_node"};
+  std::vector<std::string> versions;
+  app.add_option("--px4-message-version", versions,
+                 "version of a message in older firmware, as MESSAGE=VERSION: VehicleStatus=1 "
+                 "ActuatorServos=0 for PX4 1.16 and 1.17; may be given several times")
+      ->take_all();
+  return loops::run_node(app, argc, argv, [&](loops::Node& node) { fly(node, versions); });
 }

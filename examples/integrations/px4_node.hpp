@@ -1,8 +1,10 @@
 #pragma once
 
+#include "../support/vehicle_file.hpp"
 #include "hover_point.hpp"
+#include "parameters.hpp"
 #include "px4_messages.hpp"
-#include "vehicle_parameter.hpp"
+#include "telemetry.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
@@ -15,15 +17,8 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 
-#include <px4_msgs/msg/actuator_motors.hpp>
-#include <px4_msgs/msg/actuator_servos.hpp>
-#include <px4_msgs/msg/offboard_control_mode.hpp>
-#include <px4_msgs/msg/sensor_combined.hpp>
-#include <px4_msgs/msg/vehicle_odometry.hpp>
-#include <px4_msgs/msg/vehicle_status.hpp>
-#include <rclcpp/rclcpp.hpp>
-
 #include <cstdint>
+#include <iostream>
 #include <optional>
 
 namespace loops {
@@ -32,58 +27,49 @@ inline constexpr const char* px4_help =
     R"(PX4 offboard node: wrench observer, NMPC and allocation at 100 Hz, from PX4's own estimate to
 its motors and servos.
 
-Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status
-Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos
+Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status_v4
+Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos_v1
+               /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
 PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
 PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
-[s].
+[s], telemetry_rate [Hz]. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment
+variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
 and switch to offboard mode. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). Without
 odometry for max_silence the node follows its last plan; after ten times this time it publishes
 nothing, and PX4 leaves offboard mode.)";
 
-/// PX4 estimates the state; this node estimates the external wrench. PX4 does not report the rotor
-/// speeds, so speeds and angles come from the actuator model.
-class Px4Node : public rclcpp::Node {
+/// The control loop for messages of PX4, which estimates the state; this loop estimates the
+/// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
+/// actuator model. Not thread-safe.
+class Px4Node {
  public:
-  /// Throws std::invalid_argument for parameters out of range.
-  explicit Px4Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
-      : Node("tilt_ropter_px4", options),
-        file_(vehicle_parameter(*this)),
+  /// What a tick() asks to publish.
+  struct Output {
+    std::optional<px4_msgs::msg::OffboardControlMode> mode;
+    /// For ActuatorMotors and ActuatorServos, as px4_controls() makes them.
+    std::optional<tilt_ropter::ActuatorOutputs<4>> actuators;
+    std::uint64_t now = 0, sample = 0;  ///< [us]
+  };
+
+  /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
+  explicit Px4Node(Parameters& parameters)
+      : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
         vehicle_(examples::quadrotor(file_)),
-        scaling_(vehicle_, {declare_parameter("thrust_model_factor", 0.0), {}}),
+        scaling_(vehicle_, {parameters.number("thrust_model_factor", 0.0), {}}),
         allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
         contact_(vehicle_),
         nmpc_(vehicle_, file_.settings()),
-        reference_(*this),
-        origin_height_(declare_parameter(
+        reference_(parameters),
+        origin_height_(parameters.number(
             "origin_height",
             undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height)),
-        max_silence_(declare_parameter("max_silence", 0.1)) {
-    using namespace px4_msgs::msg;
-    const rclcpp::SensorDataQoS qos;
-    odometry_subscription_ = create_subscription<VehicleOdometry>(
-        "/fmu/out/vehicle_odometry", qos, [this](const VehicleOdometry& m) { on_odometry(m); });
-    sensor_subscription_ = create_subscription<SensorCombined>(
-        "/fmu/out/sensor_combined", qos, [this](const SensorCombined& m) { on_sensors(m); });
-    status_subscription_ = create_subscription<VehicleStatus>(
-        "/fmu/out/vehicle_status", qos, [this](const VehicleStatus& m) { on_status(m); });
-    mode_publisher_ = create_publisher<OffboardControlMode>("/fmu/in/offboard_control_mode", 1);
-    motor_publisher_ = create_publisher<ActuatorMotors>("/fmu/in/actuator_motors", 1);
-    servo_publisher_ = create_publisher<ActuatorServos>("/fmu/in/actuator_servos", 1);
-    timer_ = rclcpp::create_timer(this, get_clock(), rclcpp::Duration::from_seconds(0.01),
-                                  [this] { tick(); });
-  }
-
-  [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
-
- private:
-  enum class Pilot { somebody_else, nobody, this_node };
+        max_silence_(parameters.number("max_silence", 0.1)) {}
 
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
     const auto body = body_state(m, origin_height_);
@@ -101,11 +87,12 @@ class Px4Node : public rclcpp::Node {
                      allocation_.wrench(actuators_.update(time, sent_.command)));
   }
 
-  void on_status(const px4_msgs::msg::VehicleStatus& m) {
-    using Status = px4_msgs::msg::VehicleStatus;
+  /// For any version of VehicleStatus.
+  template <typename Status>
+  void on_status(const Status& m) {
     const Pilot before = pilot_;
-    const bool armed = m.arming_state == Status::ARMING_STATE_ARMED;
-    const bool offboard = m.nav_state == Status::NAVIGATION_STATE_OFFBOARD;
+    const bool armed = m.arming_state == arming_state_armed;
+    const bool offboard = m.nav_state == nav_state_offboard;
     pilot_ = !armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else;
     if (pilot_ == before) return;
     if (pilot_ != Pilot::this_node) sent_ = {};
@@ -117,33 +104,60 @@ class Px4Node : public rclcpp::Node {
       const auto status =
           observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
       if (status != tilt_ropter::CalibrationStatus::calibrated)
-        RCLCPP_WARN(get_logger(), "the observer is not calibrated: moved, or armed too soon");
+        std::cerr << "px4_node: the observer is not calibrated: moved, or armed too soon\n";
     }
   }
 
-  void tick() {
-    const auto now_us = static_cast<std::uint64_t>(now().nanoseconds() / 1000);
-    const double time = seconds(now_us), silence = time - seconds(sample_);
-    if (!body_ || silence > 10.0 * max_silence_) return;
-    px4_msgs::msg::OffboardControlMode mode;
-    mode.timestamp = now_us;
-    mode.direct_actuator = true;
+  /// One period of the controller at the time `now` [ns].
+  [[nodiscard]] Output tick(std::int64_t now) {
+    Output out;
+    out.now = static_cast<std::uint64_t>(now / 1000);
+    out.sample = sample_;
+    const double time = seconds(out.now), silence = time - seconds(sample_);
+    silent_ = !(silence <= 10.0 * max_silence_);
+    if (!body_ || silent_) return out;
     // PX4 requires this message for some time before it accepts offboard control.
-    mode_publisher_->publish(mode);
-    if (pilot_ != Pilot::this_node) return;
+    out.mode = px4_msgs::msg::OffboardControlMode{};
+    out.mode->timestamp = out.now;
+    out.mode->direct_actuator = true;
+    if (pilot_ != Pilot::this_node) return out;
 
     if (silence <= max_silence_) contact_.update(time, *body_, observer_);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
+    planned_ = has_plan(result.status);
     sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
     actuators_.update(time, sent_.command);  // takes effect now
-    const auto outputs = scaling_.outputs(sent_.command);
-    if (!outputs) return;
-    const Px4Actuators m = px4_actuators(*outputs, now_us, sample_);
-    motor_publisher_->publish(m.motors);
-    servo_publisher_->publish(m.servos);
+    out.actuators = scaling_.outputs(sent_.command);
+    return out;
   }
+
+  /// What the last tick() did, except the counts. Nothing before the first odometry.
+  [[nodiscard]] std::optional<Snapshot> snapshot(std::int64_t now) const {
+    if (!body_) return std::nullopt;
+    Snapshot s;
+    s.time = now;
+    s.body = *body_;
+    s.reference = reference_.point;
+    s.actuators = sent_.command;
+    s.contact = contact_.estimate();
+    s.estimate = silent_ ? "silent" : "of PX4";
+    s.planned = planned_ && pilot_ == Pilot::this_node;
+    s.mode = pilot_ == Pilot::this_node ? "offboard"
+             : pilot_ == Pilot::nobody  ? "disarmed"
+                                        : "flown by PX4";
+    s.level = silent_                                   ? Level::error
+              : pilot_ == Pilot::this_node && !planned_ ? Level::warning
+                                                        : Level::ok;
+    return s;
+  }
+
+  [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
+  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+
+ private:
+  enum class Pilot { somebody_else, nobody, this_node };
 
   examples::VehicleFile file_;
   tilt_ropter::Vehicle<4> vehicle_;
@@ -159,13 +173,7 @@ class Px4Node : public rclcpp::Node {
   std::uint64_t sample_ = 0;                     // time of this state [us]
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
-  rclcpp::Subscription<px4_msgs::msg::VehicleOdometry>::SharedPtr odometry_subscription_;
-  rclcpp::Subscription<px4_msgs::msg::SensorCombined>::SharedPtr sensor_subscription_;
-  rclcpp::Subscription<px4_msgs::msg::VehicleStatus>::SharedPtr status_subscription_;
-  rclcpp::Publisher<px4_msgs::msg::OffboardControlMode>::SharedPtr mode_publisher_;
-  rclcpp::Publisher<px4_msgs::msg::ActuatorMotors>::SharedPtr motor_publisher_;
-  rclcpp::Publisher<px4_msgs::msg::ActuatorServos>::SharedPtr servo_publisher_;
-  rclcpp::TimerBase::SharedPtr timer_;
+  bool silent_ = false, planned_ = false;
 };
 
 }  // namespace loops

@@ -1,10 +1,39 @@
-// A ROS 2 node that flies the vehicle. In a ROS 2 workspace, compile this file and
-// ../support/flight_controller.cpp. It depends on rclcpp, sensor_msgs, geometry_msgs,
-// actuator_msgs, CLI11 and tilt_ropter; do not put stand_in/ on the include path there.
+// A ROS 2 node that flies the vehicle. It speaks DDS, the protocol of ROS 2, through Cyclone DDS.
 
 #include "ros2_node.hpp"
 #include "run_node.hpp"
 
+#include <CLI/CLI.hpp>
+
+#include <cstdint>
+
+namespace {
+
+void fly(loops::Node& node) {
+  loops::Ros2Node pilot(node.parameters());
+  loops::Telemetry telemetry(node, pilot.vehicle());
+  auto actuators = node.publisher<actuator_msgs::msg::Actuators>("actuators", {true, 1});
+  node.subscribe<sensor_msgs::msg::Imu>("imu", dds::sensor_data,
+                                        [&](const sensor_msgs::msg::Imu& m) { pilot.on_imu(m); });
+  node.subscribe<geometry_msgs::msg::PoseStamped>(
+      "pose", dds::sensor_data,
+      [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_pose(m); });
+  node.subscribe<sensor_msgs::msg::JointState>(
+      "rotor_speeds", dds::sensor_data,
+      [&](const sensor_msgs::msg::JointState& m) { pilot.on_rotor_speeds(m); });
+  node.parameters().refuse_unknown();
+  node.spin(10000000, [&](std::int64_t now) {
+    if (const auto* command = pilot.tick(now)) actuators.publish(*command);
+    if (!pilot.started()) return;
+    loops::Snapshot snapshot = pilot.snapshot(now);
+    snapshot.counts = node.counts();
+    telemetry.offer(snapshot);
+  });
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
-  return loops::run_node<loops::Ros2Node>("ros2_node", loops::ros2_help, argc, argv);
+  CLI::App app{loops::ros2_help, "ros2_node"};
+  return loops::run_node(app, argc, argv, fly);
 }

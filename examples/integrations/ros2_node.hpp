@@ -1,20 +1,23 @@
 #pragma once
 
 #include "../support/flight_controller.hpp"
+#include "../support/vehicle_file.hpp"
 #include "hover_point.hpp"
-#include "vehicle_parameter.hpp"
+#include "messages.hpp"
+#include "parameters.hpp"
+#include "telemetry.hpp"
 
+#include <tilt_ropter/control/nmpc_result.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
 
-#include <actuator_msgs/msg/actuators.hpp>
-#include <geometry_msgs/msg/pose_stamped.hpp>
-#include <rclcpp/rclcpp.hpp>
-#include <sensor_msgs/msg/imu.hpp>
-#include <sensor_msgs/msg/joint_state.hpp>
+#include <cstdint>
+#include <iostream>
+#include <vector>
 
 namespace loops {
 
@@ -26,93 +29,124 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s] of rotors 1 to 4
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
                              rotors 1 to 4 and their servos
+               /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
-max_silence [s].
+max_silence [s], telemetry_rate [Hz]. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the
+environment variable ROS_DOMAIN_ID.
 
-The node flies as soon as it has a pose. If the IMU is silent for max_silence, the node publishes
-nothing, and the time-out of the motors ends the flight.)";
+The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
+If the IMU is silent for max_silence, the node publishes nothing, and the time-out of the motors ends
+the flight. Stamps must be times of this computer's clock.)";
 
-/// The onboard control loop as a ROS 2 node. All times are from the stamps of messages. The stamps
-/// and the clock of the node must be the same clock (use_sim_time in a simulator).
-class Ros2Node : public rclcpp::Node {
+/// The onboard control loop for messages of ROS 2. All times are from the stamps of messages. The
+/// stamps and the time of tick() must be of the same clock. Not thread-safe.
+class Ros2Node {
  public:
-  /// Throws std::invalid_argument for parameters out of range.
-  explicit Ros2Node(const rclcpp::NodeOptions& options = rclcpp::NodeOptions())
-      : Node("tilt_ropter", options),
-        vehicle_(vehicle_parameter(*this)),
-        controller_(examples::quadrotor(vehicle_), vehicle_.settings(), estimation(*this)),
-        reference_(*this),
-        max_silence_(declare_parameter("max_silence", 0.1)) {
-    const rclcpp::SensorDataQoS qos;
-    imu_subscription_ = create_subscription<sensor_msgs::msg::Imu>(
-        "imu", qos, [this](const sensor_msgs::msg::Imu& m) { on_imu(m); });
-    pose_subscription_ = create_subscription<geometry_msgs::msg::PoseStamped>(
-        "pose", qos, [this](const geometry_msgs::msg::PoseStamped& m) { on_pose(m); });
-    speed_subscription_ = create_subscription<sensor_msgs::msg::JointState>(
-        "rotor_speeds", qos, [this](const sensor_msgs::msg::JointState& m) {
-          if (m.velocity.size() == 4)
-            controller_.on_rotor_speeds(Eigen::Map<const Eigen::Vector4d>(m.velocity.data()));
-        });
-    publisher_ = create_publisher<actuator_msgs::msg::Actuators>("actuators", 1);
-    timer_ = rclcpp::create_timer(this, get_clock(), rclcpp::Duration::from_seconds(0.01),
-                                  [this] { tick(); });
-  }
-
- private:
-  template <typename Header>
-  static double seconds(const Header& header) {
-    return header.stamp.sec + 1e-9 * header.stamp.nanosec;
-  }
-
-  static tilt_ropter::EkfSettings estimation(Node& node) {
-    tilt_ropter::EkfSettings s;
-    s.pose_noise = {node.declare_parameter("position_noise", 1e-3),
-                    node.declare_parameter("orientation_noise", 3e-3)};
-    s.clock_offset = node.declare_parameter("pose_clock_offset", 0.0);
-    return s;
-  }
+  /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
+  explicit Ros2Node(Parameters& parameters)
+      : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
+        vehicle_(examples::quadrotor(file_)),
+        controller_(vehicle_, file_.settings(), estimation(parameters)),
+        reference_(parameters),
+        max_silence_(parameters.number("max_silence", 0.1)) {}
 
   void on_imu(const sensor_msgs::msg::Imu& m) {
     const auto& w = m.angular_velocity;
     const auto& f = m.linear_acceleration;  // ROS reports the specific force: 9.81 upward at rest
-    controller_.on_imu(seconds(m.header), {{w.x, w.y, w.z}, {f.x, f.y, f.z}});
+    controller_.on_imu(seconds(m.header.stamp), {{w.x, w.y, w.z}, {f.x, f.y, f.z}});
   }
 
   void on_pose(const geometry_msgs::msg::PoseStamped& m) {
     const auto& p = m.pose.position;
     const auto& q = m.pose.orientation;
-    controller_.on_pose(seconds(m.header), {{p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}});
+    controller_.on_pose(seconds(m.header.stamp), {{p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}});
   }
 
-  void tick() {
-    const rclcpp::Time now = this->now();
-    if (!controller_.started()) return;
+  void on_rotor_speeds(const sensor_msgs::msg::JointState& m) {
+    if (m.velocity._length == 4)
+      controller_.on_rotor_speeds(Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer));
+  }
+
+  /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is
+  /// valid until the next call, or nothing.
+  [[nodiscard]] const actuator_msgs::msg::Actuators* tick(std::int64_t now) {
+    if (!controller_.started()) return nullptr;
+    const double time = 1e-9 * static_cast<double>(now);
     const bool was_silent = silent_;
-    silent_ = !(now.seconds() - controller_.ekf().time() <= max_silence_);
-    if (silent_ && !was_silent) RCLCPP_WARN(get_logger(), "the IMU is silent");
-    if (silent_) return;
-    controller_.prepare(now.seconds(), [this](double time) { return reference_(time); });
-    const tilt_ropter::ActuatorState<4>& command = controller_.control(now.seconds());
-    actuator_msgs::msg::Actuators m;
-    m.header.stamp.sec = static_cast<int>(now.nanoseconds() / 1000000000);
-    m.header.stamp.nanosec = static_cast<unsigned>(now.nanoseconds() % 1000000000);
-    m.velocity.assign(command.rotor_speed.data(), command.rotor_speed.data() + 4);
-    m.position.assign(command.tilt_angle.data(), command.tilt_angle.data() + 4);
-    publisher_->publish(m);
+    silent_ = !(time - controller_.ekf().time() <= max_silence_);
+    if (silent_ && !was_silent) std::cerr << "ros2_node: the IMU is silent\n";
+    if (silent_) return nullptr;
+    controller_.prepare(time, [this](double t) { return reference_(t); });
+    const tilt_ropter::ActuatorState<4>& command = controller_.control(time);
+    for (std::size_t i = 0; i < 4; ++i) {
+      speeds_[i] = command.rotor_speed(static_cast<Eigen::Index>(i));
+      angles_[i] = command.tilt_angle(static_cast<Eigen::Index>(i));
+    }
+    message_.header.stamp = stamp(now);
+    refer_to(message_.velocity, speeds_);
+    refer_to(message_.position, angles_);
+    return &message_;
   }
 
-  examples::VehicleFile vehicle_;
+  /// What the last tick() did, except the counts.
+  [[nodiscard]] Snapshot snapshot(std::int64_t now) const {
+    using examples::FlightMode;
+    Snapshot s;
+    s.time = now;
+    s.body = controller_.ekf().state();
+    s.reference = reference_.point;
+    s.actuators = controller_.applied();
+    s.contact = controller_.contact().estimate();
+    s.estimate = to_string(controller_.trust().state);
+    s.planned = has_plan(controller_.result().status);
+    s.mode = silent_ ? "silent" : to_string(controller_.mode());
+    s.level = silent_ || controller_.mode() == FlightMode::landing ||
+                      controller_.mode() == FlightMode::stopped
+                  ? Level::error
+              : controller_.mode() == FlightMode::hold || !s.planned ? Level::warning
+                                                                     : Level::ok;
+    return s;
+  }
+
+  [[nodiscard]] bool started() const { return controller_.started(); }
+  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+
+ private:
+  static tilt_ropter::EkfSettings estimation(Parameters& parameters) {
+    tilt_ropter::EkfSettings s;
+    s.pose_noise = {parameters.number("position_noise", 1e-3),
+                    parameters.number("orientation_noise", 3e-3)};
+    s.clock_offset = parameters.number("pose_clock_offset", 0.0);
+    return s;
+  }
+
+  static const char* to_string(examples::FlightMode mode) {
+    switch (mode) {
+      case examples::FlightMode::mission:
+        return "mission";
+      case examples::FlightMode::hold:
+        return "hold";
+      case examples::FlightMode::landing:
+        return "landing";
+      case examples::FlightMode::stopped:
+        break;
+    }
+    return "stopped";
+  }
+  static const char* to_string(tilt_ropter::EstimateState state) {
+    return tilt_ropter::to_string(state);
+  }
+
+  examples::VehicleFile file_;
+  tilt_ropter::Vehicle<4> vehicle_;
   examples::FlightController<4> controller_;
   HoverPoint reference_;
   double max_silence_;
   bool silent_ = false;
-  rclcpp::Subscription<sensor_msgs::msg::Imu>::SharedPtr imu_subscription_;
-  rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr pose_subscription_;
-  rclcpp::Subscription<sensor_msgs::msg::JointState>::SharedPtr speed_subscription_;
-  rclcpp::Publisher<actuator_msgs::msg::Actuators>::SharedPtr publisher_;
-  rclcpp::TimerBase::SharedPtr timer_;
+  std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);
+  actuator_msgs::msg::Actuators message_{};
 };
 
 }  // namespace loops

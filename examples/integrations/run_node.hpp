@@ -1,39 +1,45 @@
 #pragma once
 
+#include "../support/input_file_error.hpp"
+#include "node.hpp"
+#include "parameters.hpp"
+
 #include <CLI/CLI.hpp>
-#include <rclcpp/rclcpp.hpp>
 
 #include <exception>
 #include <iostream>
-#include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 namespace loops {
 
-/// main() of a node. Arguments that are not for ROS must be --help; any other one gives exit code
-/// 2.
-template <typename Node>
-int run_node(const std::string& name, const std::string& help, int argc, const char* const* argv) {
-  CLI::App app{help, name};
-  std::vector<std::string> arguments = rclcpp::remove_ros_arguments(argc, argv);
-  // CLI11 needs the arguments in reverse order.
-  arguments = {arguments.rbegin(), arguments.rend() - 1};
+/// main() of a node: calls fly(node) and prints the counts of its ticks. `app` has the options of
+/// the program beside those of ROS 2. Exit code 2 for wrong options,
+/// parameters and vehicle files, 1 for other errors.
+template <typename Fly>
+int run_node(CLI::App& app, int argc, const char* const* argv, const Fly& fly) {
+  std::vector<std::string> arguments(argv + 1, argv + argc);
   try {
-    app.parse(arguments);
+    Parameters parameters = Parameters::from(arguments);
+    // CLI11 needs the arguments in reverse order.
+    app.parse(std::vector<std::string>(arguments.rbegin(), arguments.rend()));
+    Node node(parameters);
+    fly(node);
+    node.counts().print(std::cout);
+    return 0;
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
-  }
-  int result = 0;
-  rclcpp::init(argc, argv);
-  try {
-    rclcpp::spin(std::make_shared<Node>());
+  } catch (const std::invalid_argument& error) {
+    std::cerr << app.get_name() << ": " << error.what() << '\n';
+    return 2;
+  } catch (const examples::InputFileError& error) {
+    std::cerr << app.get_name() << ": " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
-    std::cerr << name << ": " << error.what() << '\n';
-    result = 1;
+    std::cerr << app.get_name() << ": " << error.what() << '\n';
+    return 1;
   }
-  rclcpp::shutdown();
-  return result;
 }
 
 }  // namespace loops

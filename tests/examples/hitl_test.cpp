@@ -2,16 +2,15 @@
 
 #include "../../examples/hitl/link.hpp"
 #include "../../examples/hitl/message.hpp"
+#include "support/background.hpp"
 #include "support/full_run.hpp"
 #include "support/program.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <chrono>
-#include <csignal>
 #include <cstdint>
 #include <limits>
 #include <memory>
@@ -26,6 +25,7 @@ using hitl::Datagram;
 using hitl::Message;
 using hitl::MessageType;
 using std::chrono::milliseconds;
+using test_support::Background;
 
 Message sample(MessageType type, std::uint32_t sequence = 0) {
   Message m;
@@ -183,43 +183,6 @@ TEST(HitlLink, RejectsInvalidAndTakenAddresses) {
 }
 
 // ---- Flights
-
-/// Runs a program in the background. wait() returns its exit code and its output.
-class Background {
- public:
-  Background(const std::string& program, const std::string& arguments, std::string report)
-      : report_(std::move(report)) {
-    pid_ = fork();
-    if (pid_ == 0) {
-      const std::string command =
-          "exec '" + program + "' " + arguments + " > '" + report_ + "' 2>&1";
-      execl("/bin/sh", "sh", "-c", command.c_str(), static_cast<char*>(nullptr));
-      _exit(127);
-    }
-  }
-  ~Background() {
-    if (pid_ > 0) crash();
-  }
-  Background(const Background&) = delete;
-  Background& operator=(const Background&) = delete;
-
-  void crash() {
-    kill(pid_, SIGKILL);
-    wait();
-  }
-  test_support::Outcome wait() {
-    int status = 0;
-    waitpid(pid_, &status, 0);
-    pid_ = -1;
-    test_support::Outcome outcome = test_support::run("cat", "'" + report_ + "'");
-    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-    return outcome;
-  }
-
- private:
-  std::string report_;
-  pid_t pid_ = -1;
-};
 
 class HitlFlight : public testing::Test {
  protected:

@@ -1,23 +1,19 @@
-// The ROS 2 node in flight, connected by messages to a simulated vehicle.
+// The ROS 2 node in flight in simulated time: its messages go directly to a simulated vehicle.
 
 #include "../../examples/integrations/ros2_node.hpp"
-#include "../../examples/integrations/px4_node.hpp"
-#include "../../examples/integrations/run_node.hpp"
-#include "../../examples/support/mission_sensors.hpp"
-#include "support/heavy_vehicle.hpp"
+#include "support/program.hpp"
+#include "support/ros2_vehicle.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/measurements.hpp>
-#include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -25,145 +21,159 @@
 namespace loops {
 namespace {
 
-using Eigen::Quaterniond;
 using Eigen::Vector3d;
-using test_support::heavy_vehicle;
-using tilt_ropter::Plant;
+using test_support::run;
 
-/// A vehicle with the sensors of the mission. Its clock starts at a Unix time, like the ROS clock.
-class Ros2Vehicle {
- public:
-  Ros2Vehicle() {
-    rclcpp::stand_in::now = 1700000000LL * 1000000000LL;
-    subscription_ = node_.create_subscription<actuator_msgs::msg::Actuators>(
-        "actuators", 1, [this](const actuator_msgs::msg::Actuators& m) {
-          ++commands;
-          command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.velocity.data());
-          command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.position.data());
-          stamp = m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec;
-        });
-  }
+/// A vehicle and the node, on a clock that starts at a Unix time, like the clock of ROS.
+struct Flight {
+  explicit Flight(Parameters parameters) : node(parameters) {}
 
   void fly(double seconds) {
     for (int i = 0; i < std::lround(1000.0 * seconds); ++i) {
-      if (sensing) sensors_.sense(plant, *this);
-      rclcpp::stand_in::advance(1000000);
-      ASSERT_TRUE(plant.step(command_, {Vector3d(0.3, 0.6, 0.0), Vector3d::Zero()}, 1e-3));
+      if (sensing) vehicle.sense(node);
+      ASSERT_TRUE(vehicle.step());
+      if (std::lround(1000.0 * vehicle.plant.time()) % 10 == 0)
+        if (const auto* command = node.tick(vehicle.now())) vehicle.on_command(*command);
     }
   }
 
-  // Called by MissionSensors.
-  void on_imu(double time, const tilt_ropter::InertialSampled& sample) {
-    sensor_msgs::msg::Imu m;
-    m.header = header(time);
-    const Vector3d &w = sample.angular_velocity, &f = sample.specific_force;
-    m.angular_velocity = {w.x(), w.y(), w.z()};
-    m.linear_acceleration = {f.x(), f.y(), f.z()};
-    imu_->publish(m);
-  }
-  void on_pose(double time, const tilt_ropter::MarkerPosed& pose) {
-    geometry_msgs::msg::PoseStamped m;
-    m.header = header(time);
-    m.pose.position = {pose.position.x(), pose.position.y(), pose.position.z()};
-    const Quaterniond& q = pose.orientation;
-    m.pose.orientation = {q.x(), q.y(), q.z(), q.w()};
-    pose_->publish(m);
-  }
-  void on_rotor_speeds(const Eigen::Vector4d& speeds) {
-    sensor_msgs::msg::JointState m;
-    m.velocity.assign(speeds.data(), speeds.data() + 4);
-    speeds_->publish(m);
-  }
-
-  Plant<4> plant{heavy_vehicle()};
+  test_support::Ros2Vehicle vehicle{1700000000LL * 1000000000LL};
+  Ros2Node node;
   bool sensing = true;
-  int commands = 0;
-  double stamp = 0.0;
-
- private:
-  static std_msgs::msg::Header header(double time) {
-    std_msgs::msg::Header h;
-    const auto nanoseconds = static_cast<std::int64_t>(std::llround(1e9 * time));
-    h.stamp.sec = static_cast<std::int32_t>(1700000000 + nanoseconds / 1000000000);
-    h.stamp.nanosec = static_cast<std::uint32_t>(nanoseconds % 1000000000);
-    return h;
-  }
-
-  rclcpp::Node node_{"vehicle"};
-  rclcpp::Publisher<sensor_msgs::msg::Imu>::SharedPtr imu_ =
-      node_.create_publisher<sensor_msgs::msg::Imu>("imu", 1);
-  rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_ =
-      node_.create_publisher<geometry_msgs::msg::PoseStamped>("pose", 1);
-  rclcpp::Publisher<sensor_msgs::msg::JointState>::SharedPtr speeds_ =
-      node_.create_publisher<sensor_msgs::msg::JointState>("rotor_speeds", 1);
-  rclcpp::Subscription<actuator_msgs::msg::Actuators>::SharedPtr subscription_;
-  examples::MissionSensors<4> sensors_{5};
-  tilt_ropter::ActuatorState<4> command_;
 };
 
 TEST(Ros2Node, HoversAtThePointOfItsParameters) {
-  Ros2Vehicle vehicle;
-  const Ros2Node node(rclcpp::NodeOptions().parameter_overrides(
-      {{"hover_x", 0.5}, {"hover_y", -0.3}, {"hover_z", 1.2}, {"hover_yaw", 0.4}}));
-  vehicle.fly(6.0);
+  Flight flight(
+      {{"hover_x", "0.5"}, {"hover_y", "-0.3"}, {"hover_z", "1.2"}, {"hover_yaw", "0.4"}});
+  flight.fly(6.0);
   for (int i = 0; i < 20; ++i) {
-    vehicle.fly(0.1);
-    EXPECT_LT((vehicle.plant.body().position - Vector3d(0.5, -0.3, 1.2)).norm(), 0.02);
-    EXPECT_NEAR(tilt_ropter::yaw_of(vehicle.plant.body().orientation), 0.4, 0.02);
+    flight.fly(0.1);
+    const auto& body = flight.vehicle.plant.body();
+    EXPECT_LT((body.position - Vector3d(0.5, -0.3, 1.2)).norm(), 0.02);
+    EXPECT_NEAR(tilt_ropter::yaw_of(body.orientation), 0.4, 0.02);
   }
-  EXPECT_GE(vehicle.commands, 790);  // from the first pose on, at 100 Hz
-  EXPECT_NEAR(vehicle.stamp, 1700000008.0, 1e-6);
+  EXPECT_GE(flight.vehicle.commands, 790);  // from the first pose on, at 100 Hz
+  EXPECT_NEAR(flight.vehicle.command_stamp, 1700000008.0, 1e-6);
 }
 
 TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
-  Ros2Vehicle vehicle;
-  const Ros2Node node;
-  vehicle.sensing = false;
-  vehicle.fly(0.5);
-  EXPECT_EQ(vehicle.commands, 0);
-  vehicle.sensing = true;
-  vehicle.fly(0.5);
-  EXPECT_GE(vehicle.commands, 45);
-  vehicle.sensing = false;
-  vehicle.fly(0.15);
-  const int before = vehicle.commands;
-  vehicle.fly(0.2);
-  EXPECT_EQ(vehicle.commands, before);
+  Flight flight({});
+  flight.sensing = false;
+  flight.fly(0.5);
+  EXPECT_EQ(flight.vehicle.commands, 0);
+  flight.sensing = true;
+  flight.fly(0.5);
+  EXPECT_GE(flight.vehicle.commands, 45);
+  flight.sensing = false;
+  flight.fly(0.15);
+  const int before = flight.vehicle.commands;
+  flight.fly(0.2);
+  EXPECT_EQ(flight.vehicle.commands, before);
   EXPECT_NEAR(before, 58, 3);  // commands continued for 0.1 s
-  vehicle.sensing = true;
-  vehicle.fly(0.1);
-  EXPECT_GE(vehicle.commands, before + 8);
+  EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
+  flight.sensing = true;
+  flight.fly(0.1);
+  EXPECT_GE(flight.vehicle.commands, before + 8);
+}
+
+TEST(Ros2Node, ShowsItsFlight) {
+  Flight flight({{"hover_z", "0.6"}});
+  flight.fly(3.0);
+  const Snapshot s = flight.node.snapshot(flight.vehicle.now());
+  EXPECT_EQ(s.level, Level::ok);
+  EXPECT_STREQ(s.mode, "mission");
+  FlightMessages messages(flight.node.vehicle());
+  const auto& tf = messages.transform(s);
+  ASSERT_EQ(tf.transforms._length, 1U);
+  EXPECT_STREQ(tf.transforms._buffer[0].child_frame_id, "base_link");
+  EXPECT_NEAR(tf.transforms._buffer[0].transform.translation.z, 0.6, 0.02);
+
+  // In hover the thrust arrows, in newton, carry the weight against the wind.
+  const auto& array = messages.markers(s);
+  Vector3d thrust = Vector3d::Zero();
+  for (std::uint32_t i = 0; i < array.markers._length; ++i) {
+    const auto& m = array.markers._buffer[i];
+    if (std::string(m.ns) == "thrust") {
+      ASSERT_EQ(m.points._length, 2U);
+      const auto &a = m.points._buffer[0], &b = m.points._buffer[1];
+      thrust += Vector3d(b.x - a.x, b.y - a.y, b.z - a.z) / 0.05;
+    } else if (std::string(m.ns) == "contact") {
+      EXPECT_EQ(m.action, 2);  // deleted in the air
+    } else if (std::string(m.ns) == "reference") {
+      EXPECT_EQ(m.pose.position.z, 0.6);
+    }
+  }
+  EXPECT_LT((thrust - Vector3d(-0.3, -0.6, 1.03 * 1.5 * 9.81)).norm(), 0.3);
+
+  Snapshot moved = s;
+  (void)messages.path(s);
+  for (int i = 0; i < 600; ++i) {
+    moved.body.position.x() += 0.05;
+    (void)messages.path(moved);
+  }
+  EXPECT_EQ(messages.path(moved).poses._length, 500U);
+  EXPECT_EQ(messages.path(moved).poses._buffer[499].pose.position.x, moved.body.position.x());
+
+  const auto& status = messages.diagnostics(s).status._buffer[0];
+  EXPECT_EQ(status.level, 0);
+  EXPECT_STREQ(status.message, "mission, estimate good");
+  EXPECT_STREQ(status.values._buffer[0].value, "mission");
 }
 
 TEST(Ros2Node, RejectsParametersOutOfRange) {
-  EXPECT_THROW(Ros2Node(rclcpp::NodeOptions().parameter_overrides(
-                   {rclcpp::Parameter("vehicle", std::string("nowhere.json"))})),
-               examples::VehicleFileError);
-  EXPECT_THROW(Px4Node(rclcpp::NodeOptions().parameter_overrides(
-                   {rclcpp::Parameter("vehicle", std::string("nowhere.json"))})),
-               examples::VehicleFileError);
-  EXPECT_THROW(Ros2Node(rclcpp::NodeOptions().parameter_overrides({{"position_noise", -1.0}})),
-               std::invalid_argument);
-  EXPECT_THROW(Px4Node(rclcpp::NodeOptions().parameter_overrides({{"thrust_model_factor", 2.0}})),
-               std::invalid_argument);
+  const auto node = [](Parameters parameters) { Ros2Node pilot(parameters); };
+  EXPECT_THROW(node({{"vehicle", "nowhere.json"}}), examples::VehicleFileError);
+  EXPECT_THROW(node({{"position_noise", "-1.0"}}), std::invalid_argument);
+  EXPECT_THROW(node({{"max_silence", "0.1s"}}), std::invalid_argument);
 }
 
-TEST(RunNode, PrintsHelpAndRejectsOptionsThatRosDoesNotKnow) {
-  const auto run = [](std::vector<const char*> arguments) {
-    arguments.insert(arguments.begin(), "node");
-    testing::internal::CaptureStdout();
-    testing::internal::CaptureStderr();
-    const int code =
-        run_node<Ros2Node>("node", ros2_help, static_cast<int>(arguments.size()), arguments.data());
-    return std::to_string(code) + testing::internal::GetCapturedStdout() +
-           testing::internal::GetCapturedStderr();
-  };
-  EXPECT_EQ(run({}), "0");
-  const std::string help = run({"--help"});
-  EXPECT_EQ(help[0], '0');
-  EXPECT_NE(help.find("rotor_speeds"), std::string::npos);
-  EXPECT_EQ(run({"--nonsense"})[0], '2');
-  EXPECT_EQ(run({"nonsense"})[0], '2');
+TEST(Parameters, AreTakenOutOfTheArguments) {
+  std::vector<std::string> arguments = {"--a", "--ros-args",  "-p", "x:=2.5",
+                                        "-r",  "imu:=/other", "--", "b",
+                                        "--c", "--ros-args",  "-p", "y:=text"};
+  Parameters parameters = Parameters::from(arguments);
+  EXPECT_EQ(arguments, (std::vector<std::string>{"--a", "b", "--c"}));
+  EXPECT_EQ(parameters.number("x", 1.0), 2.5);
+  EXPECT_EQ(parameters.number("z", 1.0), 1.0);
+  EXPECT_THROW(parameters.refuse_unknown(), std::invalid_argument);
+  EXPECT_EQ(parameters.text("y"), "text");
+  EXPECT_EQ(parameters.topic("pose"), "pose");
+  EXPECT_THROW(parameters.refuse_unknown(), std::invalid_argument);
+  EXPECT_EQ(parameters.topic("imu"), "/other");
+  EXPECT_NO_THROW(parameters.refuse_unknown());
+  for (const std::initializer_list<std::string> bad :
+       {std::initializer_list<std::string>{"--ros-args", "-p"},
+        {"--ros-args", "-p", "x=1"},
+        {"--ros-args", "-p", ":=1"},
+        {"--ros-args", "--log-level", "debug"}}) {
+    std::vector<std::string> words = bad;
+    EXPECT_THROW(Parameters::from(words), std::invalid_argument);
+  }
+}
+
+TEST(Dds, TopicsOfRos2HaveAPrefix) {
+  EXPECT_EQ(dds::topic_name("imu"), "rt/imu");
+  EXPECT_EQ(dds::topic_name("/fmu/in/actuator_motors"), "rt/fmu/in/actuator_motors");
+  EXPECT_STREQ(dds::descriptor<sensor_msgs::msg::Imu>().m_typename, "sensor_msgs::msg::dds_::Imu_");
+  EXPECT_STREQ(dds::descriptor<px4_msgs::msg::VehicleStatusV1>().m_typename,
+               "px4_msgs::msg::dds_::VehicleStatus_");
+}
+
+TEST(RunNode, PrintsHelpAndRejectsUnknownOptions) {
+  for (const std::string program : {ROS2_NODE_PROGRAM, PX4_NODE_PROGRAM}) {
+    const auto help = run(program, "--help");
+    EXPECT_EQ(help.exit_code, 0);
+    EXPECT_TRUE(help.says("hover_yaw")) << help.output;
+    for (const char* bad :
+         {"--nonsense", "nonsense", "--ros-args -p nonsense:=1", "--ros-args -r nonsense:=imu",
+          "--ros-args --nonsense", "--ros-args -p hover_x:=far", "--ros-args -p vehicle:=nowhere",
+          "--ros-args -p telemetry_rate:=-1"}) {
+      const auto refused = run(program, bad);
+      EXPECT_EQ(refused.exit_code, 2) << bad << '\n' << refused.output;
+    }
+  }
+  EXPECT_EQ(run("env", "ROS_DOMAIN_ID=233 '" ROS2_NODE_PROGRAM "'").exit_code, 1);
+  EXPECT_EQ(run(PX4_NODE_PROGRAM, "--px4-message-version VehicleStatus=5").exit_code, 2);
 }
 
 }  // namespace

@@ -1,0 +1,215 @@
+#pragma once
+
+#include <dds/dds.h>
+
+#include <array>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+/// Owners for what Cyclone DDS hands out. A message is a struct that idlc generated; messages.hpp
+/// says which topic types there are.
+namespace dds {
+
+class Error : public std::runtime_error {
+ public:
+  Error(const std::string& what, dds_return_t code)
+      : std::runtime_error(what + ": " + dds_strretcode(code)) {}
+};
+
+/// The description of a message for Cyclone; messages.hpp specialises it for each message.
+template <typename Message>
+const dds_topic_descriptor_t& descriptor();
+
+/// Qualities of service. All topics are volatile and keep the last `depth` messages.
+struct Quality {
+  bool reliable = true;
+  int depth = 10;
+};
+inline constexpr Quality default_quality{true, 10};  ///< of ROS 2
+inline constexpr Quality sensor_data{false, 5};      ///< of ROS 2, for sensors
+
+/// Returns the DDS topic of a ROS 2 topic. A relative name becomes one in the root name space.
+[[nodiscard]] inline std::string topic_name(const std::string& ros_topic) {
+  return (ros_topic.rfind('/', 0) == 0 ? "rt" : "rt/") + ros_topic;
+}
+
+/// Owns an entity of Cyclone.
+class Entity {
+ public:
+  /// Throws Error if `handle` is a return code for an error.
+  Entity(dds_entity_t handle, const std::string& what) : handle_(handle) {
+    if (handle < 0) throw Error("cannot create " + what, handle);
+  }
+  ~Entity() {
+    if (handle_ > 0) dds_delete(handle_);
+  }
+  Entity(Entity&& other) noexcept : handle_(std::exchange(other.handle_, 0)) {}
+  Entity& operator=(Entity&& other) noexcept {
+    std::swap(handle_, other.handle_);
+    return *this;
+  }
+  [[nodiscard]] dds_entity_t get() const { return handle_; }
+
+ private:
+  dds_entity_t handle_;
+};
+
+/// Member of a DDS domain. It must live longer than its publishers and subscribers.
+class Participant {
+ public:
+  /// Throws Error, for example if CYCLONEDDS_URI names a network interface that does not exist.
+  explicit Participant(std::uint32_t domain)
+      : entity_(dds_create_participant(domain, nullptr, nullptr),
+                "a participant in DDS domain " + std::to_string(domain)) {}
+  [[nodiscard]] dds_entity_t get() const { return entity_.get(); }
+
+ private:
+  Entity entity_;
+};
+
+namespace detail {
+
+class QualityHandle {
+ public:
+  explicit QualityHandle(const Quality& quality) : qos_(dds_create_qos()) {
+    // A full queue never makes the writer wait: then the message is lost for slow readers.
+    dds_qset_reliability(
+        qos_, quality.reliable ? DDS_RELIABILITY_RELIABLE : DDS_RELIABILITY_BEST_EFFORT, 0);
+    dds_qset_history(qos_, DDS_HISTORY_KEEP_LAST, quality.depth);
+    dds_qset_durability(qos_, DDS_DURABILITY_VOLATILE);
+  }
+  ~QualityHandle() { dds_delete_qos(qos_); }
+  QualityHandle(const QualityHandle&) = delete;
+  QualityHandle& operator=(const QualityHandle&) = delete;
+  [[nodiscard]] const dds_qos_t* get() const { return qos_; }
+
+ private:
+  dds_qos_t* qos_;
+};
+
+template <typename Message>
+Entity topic(const Participant& participant, const std::string& name) {
+  return {
+      dds_create_topic(participant.get(), &descriptor<Message>(), name.c_str(), nullptr, nullptr),
+      "topic " + name};
+}
+
+}  // namespace detail
+
+template <typename Message>
+class Publisher {
+ public:
+  using message_type = Message;
+
+  /// Throws Error.
+  Publisher(const Participant& participant, const std::string& ros_topic,
+            const Quality& quality = default_quality)
+      : topic_(detail::topic<Message>(participant, topic_name(ros_topic))),
+        writer_(dds_create_writer(participant.get(), topic_.get(),
+                                  detail::QualityHandle(quality).get(), nullptr),
+                "a writer of " + ros_topic) {}
+
+  /// Sends `message`; it is copied. Returns false if the message was not sent.
+  bool publish(const Message& message) { return dds_write(writer_.get(), &message) >= 0; }
+
+  /// Number of subscribers that are known.
+  [[nodiscard]] int subscribers() const {
+    dds_publication_matched_status_t status{};
+    dds_get_publication_matched_status(writer_.get(), &status);
+    return static_cast<int>(status.current_count);
+  }
+
+ private:
+  Entity topic_, writer_;
+};
+
+template <typename Message>
+class Subscriber {
+ public:
+  /// Throws Error.
+  Subscriber(const Participant& participant, const std::string& ros_topic,
+             const Quality& quality = default_quality)
+      : topic_(detail::topic<Message>(participant, topic_name(ros_topic))),
+        reader_(dds_create_reader(participant.get(), topic_.get(),
+                                  detail::QualityHandle(quality).get(), nullptr),
+                "a reader of " + ros_topic) {}
+
+  /// Calls action(message) for every message that has arrived, the oldest first. The message and
+  /// what it points to exist during the call only. Returns the number of messages.
+  template <typename Action>
+  int take(Action&& action) {
+    int count = 0;
+    for (Loan loan(reader_.get()); loan.size > 0; loan.renew())
+      for (int i = 0; i < loan.size; ++i)
+        if (const auto k = static_cast<std::size_t>(i); loan.info[k].valid_data) {
+          action(*static_cast<const Message*>(loan.samples[k]));
+          ++count;
+        }
+    return count;
+  }
+
+  /// Number of publishers that are known.
+  [[nodiscard]] int publishers() const {
+    dds_subscription_matched_status_t status{};
+    dds_get_subscription_matched_status(reader_.get(), &status);
+    return static_cast<int>(status.current_count);
+  }
+  [[nodiscard]] dds_entity_t reader() const { return reader_.get(); }
+
+ private:
+  /// Samples in the memory of Cyclone; the destructor gives them back.
+  struct Loan {
+    static constexpr std::size_t most = 16;
+    explicit Loan(dds_entity_t from) : reader(from) { take(); }
+    ~Loan() { give_back(); }
+    Loan(const Loan&) = delete;
+    Loan& operator=(const Loan&) = delete;
+    void renew() {
+      give_back();
+      take();
+    }
+
+    dds_entity_t reader;
+    std::array<void*, most> samples{};
+    std::array<dds_sample_info_t, most> info{};
+    int size = 0;
+
+   private:
+    void take() {
+      samples[0] = nullptr;  // Cyclone lends its memory
+      size = dds_take(reader, samples.data(), info.data(), most, most);
+    }
+    void give_back() {
+      if (size > 0) dds_return_loan(reader, samples.data(), size);
+      size = 0;
+    }
+  };
+
+  Entity topic_, reader_;
+};
+
+/// Waits until a message has arrived for one of several subscribers.
+class WaitSet {
+ public:
+  explicit WaitSet(const Participant& participant)
+      : entity_(dds_create_waitset(participant.get()), "a wait set") {}
+
+  template <typename Message>
+  void add(const Subscriber<Message>& subscriber) {
+    dds_set_status_mask(subscriber.reader(), DDS_DATA_AVAILABLE_STATUS);
+    const dds_return_t code = dds_waitset_attach(entity_.get(), subscriber.reader(), 0);
+    if (code < 0) throw Error("cannot wait for a reader", code);
+  }
+
+  /// Returns after `nanoseconds` at the latest.
+  void wait(std::int64_t nanoseconds) {
+    if (nanoseconds > 0) dds_waitset_wait(entity_.get(), nullptr, 0, nanoseconds);
+  }
+
+ private:
+  Entity entity_;
+};
+
+}  // namespace dds

@@ -1,0 +1,106 @@
+#pragma once
+
+#include "dds.hpp"
+#include "parameters.hpp"
+#include "real_time.hpp"
+
+#include <algorithm>
+#include <csignal>
+#include <cstdint>
+#include <cstdlib>
+#include <ctime>
+#include <functional>
+#include <iomanip>
+#include <memory>
+#include <ostream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace loops {
+
+/// Returns the time of the system clock [ns], which is the clock of ROS 2.
+[[nodiscard]] inline std::int64_t system_time_ns() {
+  timespec t{};
+  clock_gettime(CLOCK_REALTIME, &t);
+  return std::int64_t{t.tv_sec} * 1000000000 + t.tv_nsec;
+}
+
+/// Returns the DDS domain of ROS 2: the environment variable ROS_DOMAIN_ID, or 0. Throws
+/// std::runtime_error if it is not between 0 and 232.
+[[nodiscard]] inline std::uint32_t ros_domain() {
+  const char* text = std::getenv("ROS_DOMAIN_ID");
+  if (text == nullptr || *text == '\0') return 0;
+  char* end = nullptr;
+  const long domain = std::strtol(text, &end, 10);
+  if (*end != '\0' || domain < 0 || domain > 232)
+    throw std::runtime_error("ROS_DOMAIN_ID = " + std::string(text) + ": must be 0 to 232");
+  return static_cast<std::uint32_t>(domain);
+}
+
+/// How punctual the ticks of a node were.
+struct TickCounts {
+  long ticks = 0;      ///< that were run
+  long late = 0;       ///< ended after the next one was due, or were left out
+  double worst = 0.0;  ///< longest time from when a tick was due until its end [s]
+
+  void print(std::ostream& out) const {
+    out << "ticks: " << ticks << "\nlate_ticks: " << late << "\nworst_tick_ms: " << std::fixed
+        << std::setprecision(2) << 1e3 * worst << '\n';
+  }
+};
+
+/// One thread that hands messages to callbacks and calls a tick at a fixed rate, until SIGINT or
+/// SIGTERM. Messages that have arrived come before the tick that is due.
+class Node {
+ public:
+  /// Throws dds::Error, and std::runtime_error as ros_domain().
+  explicit Node(Parameters& parameters)
+      : parameters_(parameters), participant_(ros_domain()), waiting_(participant_) {
+    stopped_ = 0;
+    for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { stopped_ = 1; });
+  }
+
+  template <typename Message, typename Action>
+  void subscribe(const std::string& topic, const dds::Quality& quality, Action action) {
+    const auto subscriber =
+        std::make_shared<dds::Subscriber<Message>>(participant_, parameters_.topic(topic), quality);
+    waiting_.add(*subscriber);
+    receivers_.push_back([subscriber, action] { subscriber->take(action); });
+  }
+  template <typename Message>
+  [[nodiscard]] dds::Publisher<Message> publisher(const std::string& topic,
+                                                  const dds::Quality& quality) {
+    return {participant_, parameters_.topic(topic), quality};
+  }
+
+  /// Calls tick(time) every `period` [ns], with the system time [ns]. A tick that could not begin
+  /// before the next one was due is left out.
+  template <typename Tick>
+  void spin(std::int64_t period, const Tick& tick) {
+    for (std::int64_t due = now_ns() + period; stopped_ == 0;) {
+      waiting_.wait(due - now_ns());
+      for (const auto& receive : receivers_) receive();
+      if (now_ns() < due) continue;
+      tick(system_time_ns());
+      const std::int64_t passed = now_ns() - due;
+      ++counts_.ticks;
+      counts_.late += static_cast<long>(passed / period);
+      counts_.worst = std::max(counts_.worst, 1e-9 * static_cast<double>(passed));
+      due += period * std::max<std::int64_t>(1, passed / period);
+    }
+  }
+
+  [[nodiscard]] const TickCounts& counts() const { return counts_; }
+  [[nodiscard]] Parameters& parameters() { return parameters_; }
+
+ private:
+  inline static volatile std::sig_atomic_t stopped_ = 0;
+  Parameters& parameters_;
+  dds::Participant participant_;
+  dds::WaitSet waiting_;
+  std::vector<std::function<void()>> receivers_;
+  TickCounts counts_;
+};
+
+}  // namespace loops

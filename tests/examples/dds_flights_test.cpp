@@ -1,0 +1,218 @@
+// The nodes as programs of their own: they fly a simulated vehicle in real time over DDS, on the
+// loopback interface.
+
+#include "../../examples/integrations/messages.hpp"
+#include "../../examples/integrations/node.hpp"
+#include "../../examples/integrations/px4_topics.hpp"
+#include "../../examples/integrations/real_time.hpp"
+#include "support/background.hpp"
+#include "support/dds_on_loopback.hpp"
+#include "support/full_run.hpp"
+#include "support/px4_vehicle.hpp"
+#include "support/ros2_vehicle.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <string>
+
+namespace {
+
+using Eigen::Vector3d;
+using test_support::Background;
+
+/// Root mean square of a distance.
+struct Rmse {
+  double sum = 0.0;
+  int count = 0;
+  void add(const Vector3d& error) {
+    sum += error.squaredNorm();
+    ++count;
+  }
+  [[nodiscard]] double value() const { return std::sqrt(sum / std::max(1, count)); }
+};
+
+class DdsFlight : public testing::Test {
+ protected:
+  /// Calls step() once every millisecond of the clock. After a pause it catches up.
+  static void every_millisecond(double seconds, const std::function<void()>& step) {
+    const std::int64_t start = loops::now_ns();
+    for (std::int64_t i = 0; i < std::llround(1000.0 * seconds); ++i) {
+      while (!loops::sleep_until(start + i * 1000000)) continue;
+      step();
+    }
+  }
+  /// Waits until `ready` for at most 10 s.
+  static bool wait_until(const std::function<bool()>& ready) {
+    for (int i = 0; i < 1000 && !ready(); ++i) (void)loops::sleep_until(loops::now_ns() + 10000000);
+    return ready();
+  }
+
+  const bool full_ = test_support::full_run();
+  const std::uint32_t domain_ = test_support::dds_on_loopback();
+  test_support::Directory directory_{"dds_flight"};
+  dds::Participant participant_{domain_};
+};
+
+TEST_F(DdsFlight, Ros2NodeHoversAndShowsItsFlight) {
+  dds::Publisher<sensor_msgs::msg::Imu> imu(participant_, "imu");
+  dds::Publisher<geometry_msgs::msg::PoseStamped> pose(participant_, "motion_capture/pose");
+  dds::Publisher<sensor_msgs::msg::JointState> speeds(participant_, "rotor_speeds");
+  dds::Subscriber<actuator_msgs::msg::Actuators> actuators(participant_, "actuators");
+  dds::Subscriber<tf2_msgs::msg::TFMessage> tf(participant_, "/tf");
+  dds::Subscriber<nav_msgs::msg::Path> path(participant_, "path");
+  dds::Subscriber<visualization_msgs::msg::MarkerArray> markers(participant_, "markers");
+  dds::Subscriber<diagnostic_msgs::msg::DiagnosticArray> diagnostics(participant_, "/diagnostics");
+  Background node(ROS2_NODE_PROGRAM,
+                  "--ros-args -p hover_x:=0.1 -p hover_z:=0.5 -r pose:=motion_capture/pose",
+                  directory_.file("node"));
+  ASSERT_TRUE(wait_until([&] {
+    return imu.subscribers() == 1 && pose.subscribers() == 1 && speeds.subscribers() == 1 &&
+           actuators.publishers() == 1 && diagnostics.publishers() == 1;
+  }));
+
+  struct {
+    dds::Publisher<sensor_msgs::msg::Imu>& imu;
+    dds::Publisher<geometry_msgs::msg::PoseStamped>& pose;
+    dds::Publisher<sensor_msgs::msg::JointState>& speeds;
+    void on_imu(const sensor_msgs::msg::Imu& m) const { imu.publish(m); }
+    void on_pose(const geometry_msgs::msg::PoseStamped& m) const { pose.publish(m); }
+    void on_rotor_speeds(const sensor_msgs::msg::JointState& m) const { speeds.publish(m); }
+  } line{imu, pose, speeds};
+  test_support::Ros2Vehicle vehicle(loops::system_time_ns());
+  const Vector3d wanted(0.1, 0.0, 0.5);
+  const double duration = full_ ? 12.0 : 4.0, settled = full_ ? 5.0 : 2.5;
+  Rmse rmse;
+  every_millisecond(duration, [&] {
+    vehicle.sense(line);
+    actuators.take([&](const actuator_msgs::msg::Actuators& m) { vehicle.on_command(m); });
+    ASSERT_TRUE(vehicle.step());
+    if (vehicle.plant.time() > settled) rmse.add(vehicle.plant.body().position - wanted);
+  });
+  const auto flown = node.stop();
+  EXPECT_EQ(flown.exit_code, 0) << flown.output;
+  RecordProperty("rmse_mm", std::to_string(1e3 * rmse.value()));
+  RecordProperty("late_ticks", std::to_string(flown["late_ticks"]));
+  EXPECT_LT(rmse.value(), full_ ? 0.006 : 0.02) << flown.output;
+  EXPECT_GT(vehicle.commands, 90 * static_cast<int>(duration));
+  EXPECT_LE(flown["late_ticks"], (full_ ? 0.001 : 0.05) * flown["ticks"]) << flown.output;
+
+  int transforms = 0, arrays = 0, paths = 0;
+  double height = 0.0;
+  tf.take([&](const tf2_msgs::msg::TFMessage& m) {
+    ++transforms;
+    ASSERT_EQ(m.transforms._length, 1U);
+    EXPECT_STREQ(m.transforms._buffer[0].header.frame_id, "map");
+    height = m.transforms._buffer[0].transform.translation.z;
+  });
+  EXPECT_NEAR(height, 0.5, 0.05);
+  markers.take([&](const visualization_msgs::msg::MarkerArray& m) {
+    ++arrays;
+    EXPECT_EQ(m.markers._length, 8U);
+  });
+  path.take([&](const nav_msgs::msg::Path& m) { paths = static_cast<int>(m.poses._length); });
+  EXPECT_EQ(transforms, 10);  // the queue of the subscriber
+  EXPECT_EQ(arrays, 10);
+  EXPECT_GT(paths, 5);
+  std::string message;
+  diagnostics.take([&](const diagnostic_msgs::msg::DiagnosticArray& m) {
+    message = m.status._buffer[0].message;
+  });
+  EXPECT_EQ(message, "mission, estimate good");
+}
+
+/// A flight with the topics and messages of a firmware.
+template <typename Status, typename Servos>
+class Px4Line {
+ public:
+  Px4Line(const dds::Participant& participant, const loops::Px4Versions& versions)
+      : sensors_(participant, versions.topic("SensorCombined"), dds::sensor_data),
+        odometry_(participant, versions.topic("VehicleOdometry"), dds::sensor_data),
+        status_(participant, versions.topic("VehicleStatus"), dds::sensor_data),
+        mode_(participant, versions.topic("OffboardControlMode"), dds::sensor_data),
+        motors_(participant, versions.topic("ActuatorMotors"), dds::sensor_data),
+        servos_(participant, versions.topic("ActuatorServos"), dds::sensor_data) {}
+
+  [[nodiscard]] bool connected() const {
+    return sensors_.subscribers() == 1 && odometry_.subscribers() == 1 &&
+           status_.subscribers() == 1 && mode_.publishers() == 1 && motors_.publishers() == 1 &&
+           servos_.publishers() == 1;
+  }
+  void on_sensors(const px4_msgs::msg::SensorCombined& m) { sensors_.publish(m); }
+  void on_odometry(const px4_msgs::msg::VehicleOdometry& m) { odometry_.publish(m); }
+
+  /// One millisecond; PX4 repeats its status.
+  [[nodiscard]] bool step(bool armed_and_offboard) {
+    vehicle.sense(*this);
+    const auto status = vehicle.status<Status>(armed_and_offboard, armed_and_offboard);
+    if (++ticks_ % 100 == 1) status_.publish(status);
+    mode_.take([&](const px4_msgs::msg::OffboardControlMode& m) { vehicle.on_mode(m); });
+    motors_.take([&](const px4_msgs::msg::ActuatorMotors& m) { vehicle.on_motors(m); });
+    servos_.take([&](const Servos& m) { vehicle.on_servos(m); });
+    return vehicle.step();
+  }
+
+  test_support::Px4Vehicle vehicle{loops::system_time_ns()};
+
+ private:
+  dds::Publisher<px4_msgs::msg::SensorCombined> sensors_;
+  dds::Publisher<px4_msgs::msg::VehicleOdometry> odometry_;
+  dds::Publisher<Status> status_;
+  dds::Subscriber<px4_msgs::msg::OffboardControlMode> mode_;
+  dds::Subscriber<px4_msgs::msg::ActuatorMotors> motors_;
+  dds::Subscriber<Servos> servos_;
+  long ticks_ = 0;
+};
+
+constexpr const char* px4_parameters =
+    "--ros-args -p origin_height:=0.07 -p thrust_model_factor:=0.3 -p hover_z:=0.5";
+
+TEST_F(DdsFlight, Px4NodeHoversOnVersionedTopics) {
+  Px4Line<px4_msgs::msg::VehicleStatus, px4_msgs::msg::ActuatorServos> line(participant_,
+                                                                            loops::Px4Versions());
+  Background node(PX4_NODE_PROGRAM, px4_parameters, directory_.file("node"));
+  ASSERT_TRUE(wait_until([&] { return line.connected(); }));
+  auto& vehicle = line.vehicle;
+  vehicle.start = loops::system_time_ns();
+  const double armed = full_ ? 2.0 : 1.4, duration = full_ ? 12.0 : 4.9;
+  const double settled = armed + (full_ ? 5.0 : 2.5);
+  Rmse rmse;
+  every_millisecond(duration, [&] {
+    ASSERT_TRUE(line.step(vehicle.plant.time() > armed));
+    if (vehicle.plant.time() > settled)
+      rmse.add(vehicle.plant.body().position - Vector3d(0.0, 0.0, 0.5));
+  });
+  const auto flown = node.stop();
+  EXPECT_EQ(flown.exit_code, 0) << flown.output;
+  RecordProperty("rmse_mm", std::to_string(1e3 * rmse.value()));
+  EXPECT_LT(rmse.value(), full_ ? 0.006 : 0.02) << flown.output;
+  EXPECT_GT(vehicle.commands, 90 * static_cast<int>(duration - armed));
+  EXPECT_NEAR(vehicle.commands, vehicle.servo_commands, 5);
+  EXPECT_GT(vehicle.heartbeats, 90 * static_cast<int>(duration));
+  EXPECT_EQ(vehicle.wrong_modes + vehicle.wrong_outputs, 0);
+  EXPECT_LE(flown["late_ticks"], (full_ ? 0.001 : 0.05) * flown["ticks"]) << flown.output;
+}
+
+TEST_F(DdsFlight, Px4NodeSpeaksToOlderFirmware) {
+  const loops::Px4Versions versions({"VehicleStatus=1", "ActuatorServos=0"});
+  Px4Line<px4_msgs::msg::VehicleStatusV1, px4_msgs::msg::ActuatorServosV0> line(participant_,
+                                                                                versions);
+  const std::string options =
+      "--px4-message-version VehicleStatus=1 --px4-message-version ActuatorServos=0 ";
+  Background node(PX4_NODE_PROGRAM, options + px4_parameters, directory_.file("node"));
+  ASSERT_TRUE(wait_until([&] { return line.connected(); }));
+  line.vehicle.start = loops::system_time_ns();
+  every_millisecond(0.6, [&] { ASSERT_TRUE(line.step(true)); });
+  EXPECT_GT(line.vehicle.commands, 20);
+  EXPECT_GT(line.vehicle.servo_commands, 20);
+  EXPECT_EQ(node.stop().exit_code, 0);
+}
+
+}  // namespace

@@ -1,0 +1,128 @@
+#pragma once
+
+#include "../../examples/integrations/px4_messages.hpp"
+#include "heavy_vehicle.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+namespace test_support {
+
+/// A simulated vehicle that speaks in messages of PX4. It converts to NED and FRD by matrices,
+/// independently of the code of the node. Its plant is `start` [ns] behind the clock of the stamps.
+class Px4Vehicle {
+ public:
+  static constexpr double thrust_model_factor = 0.3, origin_height = 0.07;
+
+  explicit Px4Vehicle(std::int64_t start_time) : start(start_time) {}
+
+  /// Status is any version of VehicleStatus.
+  template <typename Status = px4_msgs::msg::VehicleStatus>
+  [[nodiscard]] Status status(bool armed, bool offboard) {
+    Status m{};
+    m.timestamp = now_us();
+    m.arming_state = armed ? loops::arming_state_armed : loops::arming_state_disarmed;
+    m.nav_state = offboard ? loops::nav_state_offboard : loops::nav_state_manual;
+    obeys_ = armed && offboard;
+    return m;
+  }
+
+  /// Gives the messages of this millisecond to on_sensors and on_odometry of `node`.
+  template <typename Node>
+  void sense(Node& node) {
+    const long tick = std::lround(1000.0 * plant.time());
+    if (tick % 4 == 0) node.on_sensors(sensors());
+    if (tick % 5 == 0 && estimating) node.on_odometry(odometry());
+  }
+
+  void on_mode(const px4_msgs::msg::OffboardControlMode& m) {
+    ++heartbeats;
+    if (!m.direct_actuator || m.position || m.velocity || m.acceleration || m.attitude ||
+        m.body_rate || m.thrust_and_torque)
+      ++wrong_modes;
+  }
+  void on_motors(const px4_msgs::msg::ActuatorMotors& m) {
+    ++commands;
+    last_motors = m;
+    for (std::size_t i = 0; i < 4; ++i) {
+      const double u = double(m.control[i]);
+      if (!(u >= 0.0 && u <= 1.0)) ++wrong_outputs;
+      const double thrust = 12.0 * (thrust_model_factor * u * u + (1.0 - thrust_model_factor) * u);
+      command_.rotor_speed(static_cast<int>(i)) = std::sqrt(thrust / 1.4e-6);
+    }
+  }
+  /// For any version of ActuatorServos.
+  template <typename Servos>
+  void on_servos(const Servos& m) {
+    ++servo_commands;
+    for (std::size_t i = 0; i < 4; ++i)
+      command_.tilt_angle(static_cast<int>(i)) = tilt_ropter::pi * double(m.control[i]);
+  }
+
+  /// One millisecond.
+  [[nodiscard]] bool step() {
+    tilt_ropter::Wrenchd wind;
+    if (obeys_) wind.force << 0.3, 0.6, 0.0;  // on the ground the wind would roll it away
+    return plant.step(obeys_ ? command_ : tilt_ropter::ActuatorState<4>{}, wind, 1e-3);
+  }
+  [[nodiscard]] std::int64_t now() const {
+    return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
+  }
+
+  std::int64_t start;
+  tilt_ropter::Plant<4> plant{heavy_vehicle()};
+  bool estimating = true, velocity_in_body = false;
+  int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
+  px4_msgs::msg::ActuatorMotors last_motors{};
+
+ private:
+  [[nodiscard]] std::uint64_t now_us() const { return static_cast<std::uint64_t>(now() / 1000); }
+  static void set(float (&field)[3], const Eigen::Vector3d& v) {
+    for (std::size_t i = 0; i < 3; ++i)
+      field[i] = static_cast<float>(v(static_cast<Eigen::Index>(i)));
+  }
+
+  [[nodiscard]] px4_msgs::msg::SensorCombined sensors() const {
+    px4_msgs::msg::SensorCombined m{};
+    m.timestamp = now_us();
+    const Eigen::Vector3d bias(0.05, -0.08, 0.1);
+    set(m.gyro_rad, flu_to_frd_ * plant.body().angular_velocity);
+    set(m.accelerometer_m_s2, flu_to_frd_ * (plant.specific_force() + bias));
+    return m;
+  }
+
+  [[nodiscard]] px4_msgs::msg::VehicleOdometry odometry() const {
+    px4_msgs::msg::VehicleOdometry m{};
+    m.timestamp = m.timestamp_sample = now_us();
+    const tilt_ropter::BodyStated& body = plant.body();
+    const Eigen::Matrix3d to_ned = enu_to_ned_ * body.orientation.toRotationMatrix() * flu_to_frd_;
+    const Eigen::Quaterniond q(to_ned);
+    const Eigen::Vector3d velocity = enu_to_ned_ * body.velocity;
+    m.pose_frame = loops::pose_frame_ned;
+    set(m.position, enu_to_ned_ * (body.position - Eigen::Vector3d(0, 0, origin_height)));
+    m.q[0] = static_cast<float>(q.w());
+    m.q[1] = static_cast<float>(q.x());
+    m.q[2] = static_cast<float>(q.y());
+    m.q[3] = static_cast<float>(q.z());
+    m.velocity_frame =
+        velocity_in_body ? loops::velocity_frame_body_frd : loops::velocity_frame_ned;
+    set(m.velocity, velocity_in_body ? Eigen::Vector3d(to_ned.transpose() * velocity) : velocity);
+    set(m.angular_velocity, flu_to_frd_ * body.angular_velocity);
+    return m;
+  }
+
+  const Eigen::Matrix3d enu_to_ned_ = (Eigen::Matrix3d() << 0, 1, 0, 1, 0, 0, 0, 0, -1).finished();
+  const Eigen::Matrix3d flu_to_frd_ = Eigen::Vector3d(1, -1, -1).asDiagonal();
+  tilt_ropter::ActuatorState<4> command_;
+  bool obeys_ = false;
+};
+
+}  // namespace test_support

@@ -1,0 +1,90 @@
+#pragma once
+
+#include "../../examples/integrations/messages.hpp"
+#include "../../examples/support/mission_sensors.hpp"
+#include "heavy_vehicle.hpp"
+
+#include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+namespace test_support {
+
+/// A simulated vehicle that speaks in messages of ROS 2: the heavy vehicle with the sensors of the
+/// mission, in side wind. Its plant is `start` [ns] behind the clock of the stamps.
+class Ros2Vehicle {
+ public:
+  explicit Ros2Vehicle(std::int64_t start_time) : start(start_time) {}
+
+  /// Gives the messages of this millisecond to on_imu, on_pose and on_rotor_speeds of `node`.
+  template <typename Node>
+  void sense(Node& node) {
+    Messages<Node> messages{*this, node};
+    sensors_.sense(plant, messages);
+  }
+
+  void on_command(const actuator_msgs::msg::Actuators& m) {
+    ++commands;
+    if (m.velocity._length != 4 || m.position._length != 4) return;
+    command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer);
+    command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.position._buffer);
+    command_stamp = loops::seconds(m.header.stamp);
+  }
+
+  /// One millisecond.
+  [[nodiscard]] bool step() {
+    return plant.step(command_, {Eigen::Vector3d(0.3, 0.6, 0.0), Eigen::Vector3d::Zero()}, 1e-3);
+  }
+  [[nodiscard]] std::int64_t now() const {
+    return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
+  }
+
+  std::int64_t start;
+  tilt_ropter::Plant<4> plant{heavy_vehicle()};
+  int commands = 0;
+  double command_stamp = 0.0;  ///< [s]
+
+ private:
+  /// Called by MissionSensors.
+  template <typename Node>
+  struct Messages {
+    Ros2Vehicle& vehicle;
+    Node& node;
+
+    [[nodiscard]] std_msgs::msg::Header header(double time) const {
+      return {loops::stamp(vehicle.start + static_cast<std::int64_t>(std::llround(1e9 * time))),
+              nullptr};
+    }
+    void on_imu(double time, const tilt_ropter::InertialSampled& sample) {
+      sensor_msgs::msg::Imu m{};
+      m.header = header(time);
+      m.orientation_covariance[0] = -1.0;  // not measured
+      const Eigen::Vector3d &w = sample.angular_velocity, &f = sample.specific_force;
+      m.angular_velocity = {w.x(), w.y(), w.z()};
+      m.linear_acceleration = {f.x(), f.y(), f.z()};
+      node.on_imu(m);
+    }
+    void on_pose(double time, const tilt_ropter::MarkerPosed& pose) {
+      const Eigen::Vector3d& p = pose.position;
+      const Eigen::Quaterniond& q = pose.orientation;
+      node.on_pose({header(time), {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}}});
+    }
+    void on_rotor_speeds(const Eigen::Vector4d& speeds) {
+      const std::vector<double> values(speeds.data(), speeds.data() + 4);
+      sensor_msgs::msg::JointState m{};
+      loops::refer_to(m.velocity, values);
+      node.on_rotor_speeds(m);
+    }
+  };
+
+  examples::MissionSensors<4> sensors_{5};
+  tilt_ropter::ActuatorState<4> command_;
+};
+
+}  // namespace test_support
