@@ -234,7 +234,7 @@ timeout=300
 directory=build-tests
 options=("${with_clang[@]}" -DTILT_ROPTER_BUILD_QUICKLY=ON)
 if [[ $full ]]; then
-  test_packages+=(clang-tidy chromium doxygen parallel)
+  test_packages+=(clang-tidy chromium doxygen parallel libfastrtps-dev fastddsgen)
   timeout=7200
   directory=build-full
   options=(-DTILT_ROPTER_FULL_TESTS=ON)
