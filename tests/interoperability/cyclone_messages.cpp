@@ -18,15 +18,7 @@
 
 namespace interoperability {
 
-#define MESSAGE(CPP, C)      \
-  template <Purpose purpose> \
-  void fields(Visitor<purpose>& visitor, C& message) {
-#define FIELD(NAME) visitor(message.NAME);
-#define END }
-#include <fields.inc>
-#undef MESSAGE
-#undef FIELD
-#undef END
+#include <fields_c.inc>
 
 namespace {
 

@@ -38,15 +38,7 @@
 
 namespace interoperability {
 
-#define MESSAGE(CPP, C)      \
-  template <Purpose purpose> \
-  void fields(Visitor<purpose>& visitor, CPP& message) {
-#define FIELD(NAME) visitor(message.NAME());
-#define END }
-#include <fields.inc>
-#undef MESSAGE
-#undef FIELD
-#undef END
+#include <fields_cpp.inc>
 
 namespace {
 
