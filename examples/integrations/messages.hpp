@@ -7,6 +7,7 @@
 #include <geometry_msgs.h>
 #include <nav_msgs.h>
 #include <px4_msgs.h>
+#include <rosgraph_msgs.h>
 #include <sensor_msgs.h>
 #include <tf2_msgs.h>
 #include <visualization_msgs.h>
@@ -24,6 +25,9 @@ namespace std_msgs::msg {
 using Header = std_msgs_msg_dds__Header_;
 using ColorRGBA = std_msgs_msg_dds__ColorRGBA_;
 }  // namespace std_msgs::msg
+namespace rosgraph_msgs::msg {
+using Clock = rosgraph_msgs_msg_dds__Clock_;
+}
 namespace geometry_msgs::msg {
 using Point = geometry_msgs_msg_dds__Point_;
 using Pose = geometry_msgs_msg_dds__Pose_;
@@ -88,6 +92,7 @@ inline dds_topic_descriptor_t renamed(dds_topic_descriptor_t older,
     static const dds_topic_descriptor_t d = detail::renamed(OLDER##__desc, CURRENT##__desc); \
     return d;                                                                                \
   }
+TILT_ROPTER_TOPIC(rosgraph_msgs_msg_dds__Clock)
 TILT_ROPTER_TOPIC(geometry_msgs_msg_dds__PoseStamped)
 TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__Imu)
 TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__JointState)
@@ -132,6 +137,11 @@ void refer_to(Sequence& sequence, const std::vector<Element>& elements) {
 /// The time of a stamp [s].
 [[nodiscard]] inline double seconds(const builtin_interfaces::msg::Time& stamp) {
   return stamp.sec + 1e-9 * stamp.nanosec;
+}
+
+/// The time of a stamp [ns].
+[[nodiscard]] inline std::int64_t nanoseconds(const builtin_interfaces::msg::Time& stamp) {
+  return std::int64_t{stamp.sec} * 1000000000 + stamp.nanosec;
 }
 
 /// The stamp of a time [ns].

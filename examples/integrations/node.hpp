@@ -1,6 +1,7 @@
 #pragma once
 
 #include "dds.hpp"
+#include "messages.hpp"
 #include "parameters.hpp"
 #include "real_time.hpp"
 
@@ -51,14 +52,21 @@ struct TickCounts {
 };
 
 /// One thread that hands messages to callbacks and calls a tick at a fixed rate, until SIGINT or
-/// SIGTERM. Messages that have arrived come before the tick that is due.
+/// SIGTERM. Messages that have arrived come before the tick that is due. With the parameter
+/// `use_sim_time` the time is that of the topic /clock, which may run at any speed.
 class Node {
  public:
-  /// Throws dds::Error, and std::runtime_error as ros_domain().
+  /// Throws dds::Error, std::runtime_error as ros_domain(), std::invalid_argument for a wrong
+  /// parameter.
   explicit Node(Parameters& parameters)
       : parameters_(parameters), participant_(ros_domain()), waiting_(participant_) {
     stopped_ = 0;
     for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { stopped_ = 1; });
+    if (parameters.choice("use_sim_time", false))
+      subscribe<rosgraph_msgs::msg::Clock>(
+          "/clock", {false, 1},
+          [this](const rosgraph_msgs::msg::Clock& m) { simulated_ = nanoseconds(m.clock); });
+    use_clock_ = !receivers_.empty();
   }
 
   template <typename Message, typename Action>
@@ -74,16 +82,19 @@ class Node {
     return {participant_, parameters_.topic(topic), quality};
   }
 
-  /// Calls tick(time) every `period` [ns], with the system time [ns]. A tick that could not begin
-  /// before the next one was due is left out.
+  /// Calls tick(time) every `period` [ns], with the time [ns] of the clock of ROS 2. A tick that
+  /// could not begin before the next one was due is left out.
   template <typename Tick>
   void spin(std::int64_t period, const Tick& tick) {
-    for (std::int64_t due = now_ns() + period; stopped_ == 0;) {
-      waiting_.wait(due - now_ns());
+    for (std::int64_t due = steady_time() + period; stopped_ == 0;) {
+      waiting_.wait(use_clock_ ? period : due - now_ns());
       for (const auto& receive : receivers_) receive();
-      if (now_ns() < due) continue;
-      tick(system_time_ns());
-      const std::int64_t passed = now_ns() - due;
+      // The simulation has begun, or begun again.
+      if (use_clock_ && (!clock_known_ || simulated_ < due - 2 * period)) due = simulated_;
+      clock_known_ = simulated_ > 0;
+      if (steady_time() < due || (use_clock_ && !clock_known_)) continue;
+      tick(use_clock_ ? simulated_ : system_time_ns());
+      const std::int64_t passed = steady_time() - due;
       ++counts_.ticks;
       counts_.late += static_cast<long>(passed / period);
       counts_.worst = std::max(counts_.worst, 1e-9 * static_cast<double>(passed));
@@ -95,12 +106,17 @@ class Node {
   [[nodiscard]] Parameters& parameters() { return parameters_; }
 
  private:
+  /// A clock that nobody sets [ns].
+  [[nodiscard]] std::int64_t steady_time() const { return use_clock_ ? simulated_ : now_ns(); }
+
   inline static volatile std::sig_atomic_t stopped_ = 0;
   Parameters& parameters_;
   dds::Participant participant_;
   dds::WaitSet waiting_;
   std::vector<std::function<void()>> receivers_;
   TickCounts counts_;
+  bool use_clock_ = false, clock_known_ = false;
+  std::int64_t simulated_ = 0;  // last message on /clock [ns]
 };
 
 }  // namespace loops

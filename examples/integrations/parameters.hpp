@@ -63,6 +63,13 @@ class Parameters {
       throw std::invalid_argument(name + " = " + value + ": must be a number");
     return result;
   }
+  /// The same for true or false. Throws std::invalid_argument if it is neither.
+  [[nodiscard]] bool choice(const std::string& name, bool otherwise) {
+    const std::string value = text(name, otherwise ? "true" : "false");
+    if (value != "true" && value != "false")
+      throw std::invalid_argument(name + " = " + value + ": must be true or false");
+    return value == "true";
+  }
   /// Returns the topic that is used instead of `topic`.
   [[nodiscard]] std::string topic(const std::string& topic) {
     known_topics_.insert(topic);

@@ -34,8 +34,8 @@ Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/a
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
 PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
 PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
-[s], telemetry_rate [Hz]. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment
-variable ROS_DOMAIN_ID.
+[s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock). Topics: --ros-args -r
+TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
 and switch to offboard mode. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). Without

@@ -33,12 +33,12 @@ Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and posit
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
-max_silence [s], telemetry_rate [Hz]. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the
-environment variable ROS_DOMAIN_ID.
+max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock). Topics:
+--ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
 If the IMU is silent for max_silence, the node publishes nothing, and the time-out of the motors ends
-the flight. Stamps must be times of this computer's clock.)";
+the flight. Stamps must be times of the same clock.)";
 
 /// The onboard control loop for messages of ROS 2. All times are from the stamps of messages. The
 /// stamps and the time of tick() must be of the same clock. Not thread-safe.

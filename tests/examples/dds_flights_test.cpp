@@ -40,6 +40,34 @@ struct Rmse {
   [[nodiscard]] double value() const { return std::sqrt(sum / std::max(1, count)); }
 };
 
+/// The topics of ros2_node, seen from the vehicle.
+class Ros2Line {
+ public:
+  explicit Ros2Line(const dds::Participant& participant, const std::string& pose_topic = "pose")
+      : imu_(participant, "imu"),
+        pose_(participant, pose_topic),
+        speeds_(participant, "rotor_speeds"),
+        actuators_(participant, "actuators") {}
+
+  [[nodiscard]] bool connected() const {
+    return imu_.subscribers() == 1 && pose_.subscribers() == 1 && speeds_.subscribers() == 1 &&
+           actuators_.publishers() == 1;
+  }
+  void on_imu(const sensor_msgs::msg::Imu& m) { imu_.publish(m); }
+  void on_pose(const geometry_msgs::msg::PoseStamped& m) { pose_.publish(m); }
+  void on_rotor_speeds(const sensor_msgs::msg::JointState& m) { speeds_.publish(m); }
+  /// Returns the number of commands.
+  int take(test_support::Ros2Vehicle& vehicle) {
+    return actuators_.take([&](const actuator_msgs::msg::Actuators& m) { vehicle.on_command(m); });
+  }
+
+ private:
+  dds::Publisher<sensor_msgs::msg::Imu> imu_;
+  dds::Publisher<geometry_msgs::msg::PoseStamped> pose_;
+  dds::Publisher<sensor_msgs::msg::JointState> speeds_;
+  dds::Subscriber<actuator_msgs::msg::Actuators> actuators_;
+};
+
 class DdsFlight : public testing::Test {
  protected:
   /// Calls step() once every millisecond of the clock. After a pause it catches up.
@@ -63,10 +91,7 @@ class DdsFlight : public testing::Test {
 };
 
 TEST_F(DdsFlight, Ros2NodeHoversAndShowsItsFlight) {
-  dds::Publisher<sensor_msgs::msg::Imu> imu(participant_, "imu");
-  dds::Publisher<geometry_msgs::msg::PoseStamped> pose(participant_, "motion_capture/pose");
-  dds::Publisher<sensor_msgs::msg::JointState> speeds(participant_, "rotor_speeds");
-  dds::Subscriber<actuator_msgs::msg::Actuators> actuators(participant_, "actuators");
+  Ros2Line line(participant_, "motion_capture/pose");
   dds::Subscriber<tf2_msgs::msg::TFMessage> tf(participant_, "/tf");
   dds::Subscriber<nav_msgs::msg::Path> path(participant_, "path");
   dds::Subscriber<visualization_msgs::msg::MarkerArray> markers(participant_, "markers");
@@ -74,26 +99,15 @@ TEST_F(DdsFlight, Ros2NodeHoversAndShowsItsFlight) {
   Background node(ROS2_NODE_PROGRAM,
                   "--ros-args -p hover_x:=0.1 -p hover_z:=0.5 -r pose:=motion_capture/pose",
                   directory_.file("node"));
-  ASSERT_TRUE(wait_until([&] {
-    return imu.subscribers() == 1 && pose.subscribers() == 1 && speeds.subscribers() == 1 &&
-           actuators.publishers() == 1 && diagnostics.publishers() == 1;
-  }));
+  ASSERT_TRUE(wait_until([&] { return line.connected() && diagnostics.publishers() == 1; }));
 
-  struct {
-    dds::Publisher<sensor_msgs::msg::Imu>& imu;
-    dds::Publisher<geometry_msgs::msg::PoseStamped>& pose;
-    dds::Publisher<sensor_msgs::msg::JointState>& speeds;
-    void on_imu(const sensor_msgs::msg::Imu& m) const { imu.publish(m); }
-    void on_pose(const geometry_msgs::msg::PoseStamped& m) const { pose.publish(m); }
-    void on_rotor_speeds(const sensor_msgs::msg::JointState& m) const { speeds.publish(m); }
-  } line{imu, pose, speeds};
   test_support::Ros2Vehicle vehicle(loops::system_time_ns());
   const Vector3d wanted(0.1, 0.0, 0.5);
   const double duration = full_ ? 12.0 : 4.0, settled = full_ ? 5.0 : 2.5;
   Rmse rmse;
   every_millisecond(duration, [&] {
     vehicle.sense(line);
-    actuators.take([&](const actuator_msgs::msg::Actuators& m) { vehicle.on_command(m); });
+    line.take(vehicle);
     ASSERT_TRUE(vehicle.step());
     if (vehicle.plant.time() > settled) rmse.add(vehicle.plant.body().position - wanted);
   });
@@ -127,6 +141,39 @@ TEST_F(DdsFlight, Ros2NodeHoversAndShowsItsFlight) {
     message = m.status._buffer[0].message;
   });
   EXPECT_EQ(message, "mission, estimate good");
+}
+
+TEST_F(DdsFlight, Ros2NodeFollowsTheClockOfASimulation) {
+  Ros2Line line(participant_);
+  dds::Publisher<rosgraph_msgs::msg::Clock> clock(participant_, "/clock");
+  Background node(ROS2_NODE_PROGRAM, "--ros-args -p use_sim_time:=true -p hover_z:=0.5",
+                  directory_.file("node"));
+  ASSERT_TRUE(wait_until([&] { return line.connected() && clock.subscribers() == 1; }));
+  // The simulation begins long ago and waits for the command of every tick, so that its speed is
+  // that of this computer.
+  test_support::Ros2Vehicle vehicle(1000000000LL);
+  int unanswered = 0;
+  const std::int64_t start = loops::now_ns();
+  for (int i = 0; i < 4000; ++i) {
+    vehicle.sense(line);
+    if (i % 10 == 0) {
+      clock.publish({loops::stamp(vehicle.now())});
+      const std::int64_t patience = vehicle.commands > 0 ? 500000000 : 5000000;
+      const std::int64_t end = loops::now_ns() + patience;
+      int commands = 0;
+      while ((commands = line.take(vehicle)) == 0 && loops::now_ns() < end)
+        (void)loops::sleep_until(loops::now_ns() + 100000);
+      unanswered += commands == 0 ? 1 : 0;
+    }
+    ASSERT_TRUE(vehicle.step());
+  }
+  const auto flown = node.stop();
+  EXPECT_EQ(flown.exit_code, 0) << flown.output;
+  EXPECT_LE(unanswered, 10) << flown.output;  // before the first pose
+  EXPECT_LT((vehicle.plant.body().position - Vector3d(0.0, 0.0, 0.5)).norm(), 0.02);
+  EXPECT_NEAR(vehicle.command_stamp, 1.0 + 3.99, 1e-6);
+  EXPECT_NEAR(flown["ticks"], 400, 2);
+  RecordProperty("speed", std::to_string(4e9 / static_cast<double>(loops::now_ns() - start)));
 }
 
 /// A flight with the topics and messages of a firmware.

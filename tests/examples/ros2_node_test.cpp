@@ -167,7 +167,7 @@ TEST(RunNode, PrintsHelpAndRejectsUnknownOptions) {
     for (const char* bad :
          {"--nonsense", "nonsense", "--ros-args -p nonsense:=1", "--ros-args -r nonsense:=imu",
           "--ros-args --nonsense", "--ros-args -p hover_x:=far", "--ros-args -p vehicle:=nowhere",
-          "--ros-args -p telemetry_rate:=-1"}) {
+          "--ros-args -p telemetry_rate:=-1", "--ros-args -p use_sim_time:=1"}) {
       const auto refused = run(program, bad);
       EXPECT_EQ(refused.exit_code, 2) << bad << '\n' << refused.output;
     }

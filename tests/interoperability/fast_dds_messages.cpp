@@ -12,6 +12,7 @@
 #include <geometry_msgsPubSubTypes.h>
 #include <nav_msgsPubSubTypes.h>
 #include <px4_msgsPubSubTypes.h>
+#include <rosgraph_msgsPubSubTypes.h>
 #include <sensor_msgsPubSubTypes.h>
 #include <tf2_msgsPubSubTypes.h>
 #include <visualization_msgsPubSubTypes.h>
