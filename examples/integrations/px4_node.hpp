@@ -17,6 +17,7 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 
+#include <cmath>
 #include <cstdint>
 #include <iostream>
 #include <optional>
@@ -47,6 +48,8 @@ nothing, and PX4 leaves offboard mode.)";
 /// actuator model. Not thread-safe.
 class Px4Node {
  public:
+  static constexpr double max_clock_difference = 5.0;  ///< without a message on stderr [s]
+
   /// What a tick() asks to publish.
   struct Output {
     std::optional<px4_msgs::msg::OffboardControlMode> mode;
@@ -114,7 +117,12 @@ class Px4Node {
     out.now = static_cast<std::uint64_t>(now / 1000);
     out.sample = sample_;
     const double time = seconds(out.now), silence = time - seconds(sample_);
-    silent_ = !(silence <= 10.0 * max_silence_);
+    silent_ = !(std::abs(silence) <= 10.0 * max_silence_);
+    if (body_ && !warned_ && std::abs(silence) > max_clock_difference) {
+      std::cerr << "px4_node: the odometry is " << silence
+                << " s old; if it still arrives, the clocks differ: see UXRCE_DDS_SYNCT\n";
+      warned_ = true;
+    }
     if (!body_ || silent_) return out;
     // PX4 requires this message for some time before it accepts offboard control.
     out.mode = px4_msgs::msg::OffboardControlMode{};
@@ -173,7 +181,7 @@ class Px4Node {
   std::uint64_t sample_ = 0;                     // time of this state [us]
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
-  bool silent_ = false, planned_ = false;
+  bool silent_ = false, planned_ = false, warned_ = false;
 };
 
 }  // namespace loops

@@ -15,8 +15,11 @@
 
 #include <Eigen/Core>
 
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <iostream>
+#include <optional>
 #include <vector>
 
 namespace loops {
@@ -44,6 +47,8 @@ the flight. Stamps must be times of the same clock.)";
 /// stamps and the time of tick() must be of the same clock. Not thread-safe.
 class Ros2Node {
  public:
+  static constexpr double max_clock_difference = 1.0;  ///< [s]
+
   /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
   explicit Ros2Node(Parameters& parameters)
       : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
@@ -52,7 +57,14 @@ class Ros2Node {
         reference_(parameters),
         max_silence_(parameters.number("max_silence", 0.1)) {}
 
+  /// Ignores a sample whose stamp is more than `max_clock_difference` from the last tick.
   void on_imu(const sensor_msgs::msg::Imu& m) {
+    if (!(std::abs(seconds(m.header.stamp) - now_.value_or(seconds(m.header.stamp))) <=
+          max_clock_difference)) {
+      if (foreign_stamps_++ == 0)
+        std::cerr << "ros2_node: stamps of the IMU are not times of this node's clock\n";
+      return;
+    }
     const auto& w = m.angular_velocity;
     const auto& f = m.linear_acceleration;  // ROS reports the specific force: 9.81 upward at rest
     controller_.on_imu(seconds(m.header.stamp), {{w.x, w.y, w.z}, {f.x, f.y, f.z}});
@@ -72,8 +84,9 @@ class Ros2Node {
   /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is
   /// valid until the next call, or nothing.
   [[nodiscard]] const actuator_msgs::msg::Actuators* tick(std::int64_t now) {
-    if (!controller_.started()) return nullptr;
     const double time = 1e-9 * static_cast<double>(now);
+    now_ = time;
+    if (!controller_.started()) return nullptr;
     const bool was_silent = silent_;
     silent_ = !(time - controller_.ekf().time() <= max_silence_);
     if (silent_ && !was_silent) std::cerr << "ros2_node: the IMU is silent\n";
@@ -145,6 +158,8 @@ class Ros2Node {
   HoverPoint reference_;
   double max_silence_;
   bool silent_ = false;
+  std::optional<double> now_;  // of the last tick [s]
+  long foreign_stamps_ = 0;
   std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);
   actuator_msgs::msg::Actuators message_{};
 };

@@ -12,6 +12,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <limits>
 #include <stdexcept>
 #include <string>
@@ -124,6 +125,18 @@ TEST(Px4Node, StopsSendingOneSecondAfterOdometryIsLost) {
   EXPECT_EQ(flight.vehicle.commands, commands);
   EXPECT_EQ(flight.vehicle.heartbeats, heartbeats);
   EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+}
+
+TEST(Px4Node, SendsNothingIfItsClockIsNotThatOfPx4) {
+  for (const std::int64_t difference : {-2000000000LL, 2000000000LL, 1700000000000000000LL}) {
+    Flight flight;
+    flight.say(true, true);
+    flight.fly(0.1);
+    EXPECT_GT(flight.vehicle.commands, 5);
+    const Px4Node::Output out = flight.node.tick(flight.vehicle.now() + difference);
+    EXPECT_FALSE(out.mode || out.actuators);
+    EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+  }
 }
 
 TEST(Px4Node, RejectsParametersOutOfRange) {

@@ -14,6 +14,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -74,6 +75,75 @@ TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
   flight.sensing = true;
   flight.fly(0.1);
   EXPECT_GE(flight.vehicle.commands, before + 8);
+}
+
+/// Disturbs a flight with `spoilt` messages among the good ones, and expects finite commands
+/// throughout and hover afterwards.
+template <typename Spoil>
+void expect_to_survive(const std::string& what, const Spoil& spoilt) {
+  SCOPED_TRACE(what);
+  Flight flight({{"hover_z", "0.6"}});
+  flight.fly(3.0);
+  for (int i = 0; i < 30; ++i) {
+    spoilt(flight);
+    flight.fly(0.01);
+    ASSERT_TRUE(flight.vehicle.command().rotor_speed.allFinite());
+    ASSERT_TRUE(flight.vehicle.command().tilt_angle.allFinite());
+  }
+  flight.fly(4.0);
+  EXPECT_LT((flight.vehicle.plant.body().position - Vector3d(0.0, 0.0, 0.6)).norm(), 0.03);
+}
+
+TEST(Ros2Node, SurvivesMessagesThatAreNotNumbersOrAreHuge) {
+  for (const double bad : {std::numeric_limits<double>::quiet_NaN(),
+                           -std::numeric_limits<double>::infinity(), 1e300}) {
+    const std::string value = std::to_string(bad);
+    const auto header = [](const Flight& flight) {
+      return std_msgs::msg::Header{stamp(flight.vehicle.now()), nullptr};
+    };
+    expect_to_survive("angular velocity " + value, [&](Flight& flight) {
+      sensor_msgs::msg::Imu m{};
+      m.header = header(flight);
+      m.angular_velocity.y = bad;
+      flight.node.on_imu(m);
+    });
+    expect_to_survive("acceleration " + value, [&](Flight& flight) {
+      sensor_msgs::msg::Imu m{};
+      m.header = header(flight);
+      m.linear_acceleration = {bad, bad, bad};
+      flight.node.on_imu(m);
+    });
+    expect_to_survive("position " + value, [&](Flight& flight) {
+      flight.node.on_pose({header(flight), {{0.0, bad, 0.6}, {0.0, 0.0, 0.0, 1.0}}});
+    });
+    expect_to_survive("orientation " + value, [&](Flight& flight) {
+      flight.node.on_pose({header(flight), {{0.0, 0.0, 0.6}, {0.0, 0.0, bad, 1.0}}});
+    });
+    expect_to_survive("rotor speed " + value, [&](Flight& flight) {
+      const std::vector<double> speeds = {1000.0, bad, 1000.0, 1000.0};
+      sensor_msgs::msg::JointState m{};
+      refer_to(m.velocity, speeds);
+      flight.node.on_rotor_speeds(m);
+    });
+  }
+}
+
+TEST(Ros2Node, SurvivesStampsOfOtherTimes) {
+  for (const builtin_interfaces::msg::Time time :
+       {builtin_interfaces::msg::Time{0, 0}, builtin_interfaces::msg::Time{-1, 4000000000U},
+        builtin_interfaces::msg::Time{1700001000, 0},
+        builtin_interfaces::msg::Time{2147483647, 0}}) {
+    const std::string seconds = std::to_string(time.sec);
+    expect_to_survive("IMU of " + seconds, [&](Flight& flight) {
+      sensor_msgs::msg::Imu m{};
+      m.header.stamp = time;
+      m.linear_acceleration.z = 9.81;
+      flight.node.on_imu(m);
+    });
+    expect_to_survive("pose of " + seconds, [&](Flight& flight) {
+      flight.node.on_pose({{time, nullptr}, {{0.0, 0.0, 0.6}, {0.0, 0.0, 0.0, 1.0}}});
+    });
+  }
 }
 
 TEST(Ros2Node, ShowsItsFlight) {

@@ -41,6 +41,7 @@ class Ros2Vehicle {
   [[nodiscard]] bool step() {
     return plant.step(command_, {Eigen::Vector3d(0.3, 0.6, 0.0), Eigen::Vector3d::Zero()}, 1e-3);
   }
+  [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
   [[nodiscard]] std::int64_t now() const {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
   }
