@@ -151,6 +151,9 @@ TEST(FailureDetector, IgnoresInvalidInput) {
     detector.update(i % 2 == 0 ? nan : 11.0, {}, actuators, actuators.rotor_speed, true);
     detector.update(11.0, {Eigen::Vector3d::Constant(nan), {}}, actuators, actuators.rotor_speed,
                     true);
+    detector.update(11.0, {Eigen::Vector3d::Constant(1e300), {}}, actuators, actuators.rotor_speed,
+                    true);
+    detector.update(11.0, {}, actuators, Eigen::Vector4d::Constant(nan), true);
     actuators.tilt_angle(1) = nan;
     detector.update(11.0, {}, actuators, actuators.rotor_speed, true);
     actuators.tilt_angle(1) = 0.0;

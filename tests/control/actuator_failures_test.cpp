@@ -13,9 +13,8 @@
 #include "support/control_loop.hpp"
 #include "support/full_run.hpp"
 
-// An actuator fails in hover. The controller is informed 0.1 s later, and the landing begins 3 s
-// after the failure. Each flight prints one line. The table of examples/README.md comes from these
-// lines.
+// An actuator fails in hover. The controller at the wrench level is informed 0.1 s later, and the
+// landing begins 3 s after the failure. Each flight prints one line.
 
 namespace {
 

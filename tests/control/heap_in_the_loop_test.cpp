@@ -5,6 +5,7 @@
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/battery.hpp>
+#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
@@ -115,6 +116,7 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
   ActuatorModel<4> actuators(vehicle);
   WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
+  FailureDetector<4> detector(vehicle);
   NmpcSettings settings = test_support::in_simulated_time();
   settings.problem.bounds.force_rate << 3.0, 3.0, 10.0;  // makes constraints active
   Nmpc nmpc(vehicle, settings);
@@ -179,6 +181,9 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
       const Wrenchd wrench =
           watch("Allocation::wrench", [&] { return allocation.wrench(applied); });
       (void)watch("WrenchObserver", [&] { return observer.update(time, *m, wrench); });
+      (void)watch("FailureDetector", [&] {
+        return detector.update(time, *m, applied, actuators.state().rotor_speed, i % 300 != 0).kind;
+      });
     }
     if (i % 25 == 0) {
       settings.ground.down_force = i % 2 == 0 ? 0.75 : 1.0;

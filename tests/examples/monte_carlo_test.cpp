@@ -80,6 +80,7 @@ TEST(MonteCarlo, FliesVehiclesWithUnknownParameters) {
     EXPECT_GT(flights["ground_rmse_m"][i], 0.0) << flights["index"][i];
     EXPECT_LT(flights["ground_rmse_m"][i], 0.10) << flights["index"][i];
     EXPECT_EQ(flights["solver_failures"][i], 0.0) << flights["index"][i];
+    EXPECT_EQ(flights["false_alarms"][i], 0.0) << flights["index"][i];
     EXPECT_GT(flights["time_s"][i], 75.0) << flights["index"][i];
   }
   EXPECT_NE(whole.output.find("divergences: 0\n"), std::string::npos) << whole.output;
@@ -255,6 +256,10 @@ TEST(MonteCarlo, ThousandVehiclesFlyWithoutDivergence) {
       static_cast<double>(std::count_if(verdicts.begin(), verdicts.end(),
                                         [](double verdict) { return verdict != 0.0; })),
       0);
+  const std::vector<double>& alarms = flights["false_alarms"];
+  test_support::check_at_most(30, "1000 healthy flights: false alarms",
+                              static_cast<double>(std::count(alarms.begin(), alarms.end(), 1.0)),
+                              0);
   test_support::check_at_most(13, "1000 vehicles: 95 % of air runs [m]",
                               examples::percentile(flights["air_rmse_m"], 0.95), 0.025);
   test_support::check_at_most(13, "1000 vehicles: 95 % of ground runs [m]",

@@ -135,15 +135,18 @@ class FailureDetector {
   /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
   /// [rad/s] is that of ActuatorModel, or the measured speed again if it is not measured. Set
   /// `airborne` to false if the vehicle touches the ground or may touch it. Returns the first
-  /// failure that was found; reset() forgets it.
+  /// failure that was found; reset() forgets it. Ignores numbers that are not finite or above 1e6.
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
                                 bool airborne) noexcept {
     const double dt = time - time_;
-    const bool valid = std::isfinite(time) && all_finite(sample.specific_force) &&
-                       all_finite(sample.angular_velocity) && all_finite(measured.rotor_speed) &&
-                       all_finite(measured.tilt_angle) && all_finite(modelled_speed);
+    const auto plausible = [](const auto& values) {
+      return (values.array().abs() <= 1e6).all();  // false for NaN
+    };
+    const bool valid = std::isfinite(time) && plausible(sample.specific_force) &&
+                       plausible(sample.angular_velocity) && plausible(measured.rotor_speed) &&
+                       plausible(measured.tilt_angle) && plausible(modelled_speed);
     if (!valid || failure_.kind != FailureKind::none) return failure_;
     if (!started_ || !airborne || !(dt > 0.0 && dt < 0.5 * settings_.window + 0.02)) {
       forget();
