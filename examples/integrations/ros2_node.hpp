@@ -143,6 +143,8 @@ class Ros2Node {
         return "hold";
       case examples::FlightMode::landing:
         return "landing";
+      case examples::FlightMode::emergency:
+        return "emergency";
       case examples::FlightMode::stopped:
         break;
     }
