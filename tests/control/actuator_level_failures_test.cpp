@@ -161,9 +161,9 @@ std::vector<Flight> few_failures(Knowledge knowledge) {
   return flights;
 }
 
-// Before the angular velocity had a lower price, the servo of rotor 3 stuck at -90 degrees was
-// lost in the eight with two of five seeds: the plan turned on to keep a bound that the vehicle had
-// already passed.
+// With four passes per tick instead of six, the servo of rotor 3 stuck at -90 degrees was lost in
+// the eight with two of five seeds. Many constraints are then active: the angular velocity is above
+// its bound.
 TEST(ActuatorLevelFailures, LandsSoftAndLevelIfToldAfter100Milliseconds) {
   const auto flights =
       test_support::full_run() ? all_failures(Knowledge::told, 5) : few_failures(Knowledge::told);

@@ -39,9 +39,9 @@ struct ActuatorLevelBounds {
 /// Penalties for violating a constraint by one unit. A constraint whose multiplier would exceed its
 /// penalty is relaxed. Infinite: a hard constraint. Bounds on the inputs are always hard.
 struct ActuatorLevelPenalties {
-  double thrust = 1e4;              ///< range of the thrusts [1/N]
-  double tilt_angle = 1e4;          ///< range of the tilt angles [1/rad]
-  double angular_velocity = 100.0;  ///< for comfort; a measured state may violate them [s/rad]
+  double thrust = 1e4;            ///< range of the thrusts [1/N]
+  double tilt_angle = 1e4;        ///< range of the tilt angles [1/rad]
+  double angular_velocity = 1e4;  ///< for comfort; a measured state may violate them [s/rad]
 };
 
 /// Settings of the problem, in addition to the vehicle.

@@ -14,10 +14,11 @@
 namespace tilt_ropter {
 
 /// real_time_settings() with a lower limit on passes. A pass takes longer than at the wrench level.
-/// In the flights of the example stress_flights, four passes recover as fast as ten.
+/// In the flights of the example stress_flights, four passes recover as fast as ten. After the
+/// failure of an actuator, six are needed: with four, 2 of 320 flights were lost.
 [[nodiscard]] inline optimal_control::SolverSettings actuator_real_time_settings() {
   optimal_control::SolverSettings s = real_time_settings();
-  s.program.max_passes = 4;
+  s.program.max_passes = 6;
   return s;
 }
 
