@@ -9,13 +9,75 @@
 #include <cstddef>
 #include <limits>
 #include <optional>
-#include <utility>
 #include <vector>
 
 /// Independent check of the residual of a quadratic program in a real-time iteration: it is
 /// recomputed from the functions of the problem. It uses nothing computed by the solver but its
 /// plan and multipliers.
 namespace examples {
+
+namespace detail {
+
+/// A node of the quadratic program and the step that the solver took there. The sizes are known at
+/// run time only: the residual is then compiled once, and not for each problem.
+struct AuditNode {
+  Eigen::MatrixXd A, B, C, E, hessian;
+  Eigen::VectorXd dx, du, gap, gradient, value, multipliers, lower, upper;
+  std::vector<bool> relaxed;
+};
+
+template <typename Matrix>
+[[nodiscard]] Eigen::Map<const Eigen::MatrixXd> entries(const Matrix& m) {
+  return {m.data(), m.rows(), m.cols()};
+}
+template <typename Vector>
+[[nodiscard]] double largest(const Vector& v) {
+  return entries(v).cwiseAbs().maxCoeff();
+}
+
+/// Returns the residual of a program whose steps differ from those of its equations by `worst`.
+[[nodiscard]] inline double program_residual(const std::vector<AuditNode>& nodes, double worst) {
+  double largest_term = 0.0, stationarity = 0.0, largest_multiplier = 0.0;
+  for (const AuditNode& node : nodes)
+    largest_multiplier = std::max(largest_multiplier, largest(node.multipliers));
+  const Eigen::Index nx = nodes[0].dx.size(), nu = nodes[0].du.size();
+  Eigen::VectorXd adjoint = Eigen::VectorXd::Zero(nx);
+  for (std::size_t i = nodes.size(); i-- > 0;) {
+    const AuditNode& n = nodes[i];
+    const auto lxx = n.hessian.topLeftCorner(nx, nx), lxu = n.hessian.block(0, nx, nx, nu),
+               luu = n.hessian.block(nx, nx, nu, nu);
+    Eigen::VectorXd predicted = n.value + n.C * n.dx;
+    if (i + 1 < nodes.size()) {
+      predicted += n.E * n.du;
+      const Eigen::VectorXd cost = n.gradient.segment(nx, nu) + lxu.transpose() * n.dx + luu * n.du;
+      const Eigen::VectorXd by_rows = n.E.transpose() * n.multipliers,
+                            by_continuity = n.B.transpose() * adjoint;
+      largest_term =
+          std::max({largest_term, largest(cost), largest(by_rows), largest(by_continuity)});
+      stationarity = std::max(stationarity, (cost + by_rows + by_continuity).cwiseAbs().maxCoeff());
+      adjoint = (n.A.transpose() * adjoint).eval();
+      adjoint += lxu * n.du;
+    }
+    adjoint += n.gradient.head(nx) + lxx * n.dx + n.C.transpose() * n.multipliers;
+    for (Eigen::Index r = 0; r < predicted.size(); ++r) {
+      const double over = predicted(r) - n.upper(r), under = n.lower(r) - predicted(r),
+                   m = n.multipliers(r);
+      const double outside = std::max(over, under);
+      const double unit = 1.0 + std::abs(over > under ? n.upper(r) : n.lower(r));
+      if (outside > 0.0 && !n.relaxed[static_cast<std::size_t>(r)])
+        worst = std::max(worst, outside / unit);
+      if (m != 0.0)
+        worst = std::max(worst, std::min(std::abs(m) / (1.0 + largest_multiplier),
+                                         -(m > 0.0 ? over : under) / unit));
+    }
+  }
+  const double all = std::max(worst, stationarity / (1.0 + largest_term));
+  return worst + stationarity < std::numeric_limits<double>::infinity()
+             ? all
+             : std::numeric_limits<double>::infinity();
+}
+
+}  // namespace detail
 
 /// For problems without active equalities.
 template <typename Problem>
@@ -57,75 +119,55 @@ class ProgramAudit {
   // Steps are computed from the inputs: a difference of states does not represent rotations above
   // half a turn.
   [[nodiscard]] double residual(const Solver& solver) {
+    using detail::entries;
     const Problem& problem = *problem_;
-    const int horizon = solver.horizon();
-    double worst = 0.0, largest_term = 0.0, stationarity = 0.0, largest_multiplier = 0.0;
-    steps_.assign(states_.size(), problem.difference(solver.state(0), states_[0]));
-    derivatives_.resize(states_.size());
-    for (int k = 0; k <= horizon; ++k) {
+    double worst = 0.0;
+    nodes_.resize(states_.size());
+    nodes_[0].dx = entries(problem.difference(solver.state(0), states_[0]).eval());
+    for (int k = 0; k <= solver.horizon(); ++k) {
       const auto i = static_cast<std::size_t>(k);
-      largest_multiplier =
-          std::max(largest_multiplier, solver.constraint_multipliers(k).cwiseAbs().maxCoeff());
-      worst = std::max(worst,
-                       problem.difference(solver.state(k), problem.retract(states_[i], steps_[i]))
-                           .cwiseAbs()
-                           .maxCoeff());
-      if (k == horizon) break;
-      auto& [A, B] = derivatives_[i];
-      const State end = problem.step(k, states_[i], inputs_[i], A, B);
-      steps_[i + 1] = problem.difference(end, states_[i + 1]) + A * steps_[i] +
-                      B * (solver.input(k) - inputs_[i]);
-    }
-    typename D::Tangent adjoint = D::Tangent::Zero();
-    for (int k = horizon; k >= 0; --k) {
-      const auto i = static_cast<std::size_t>(k);
-      const typename D::Tangent& dx = steps_[i];
+      detail::AuditNode& node = nodes_[i];
+      const typename D::Tangent dx = D::Tangent::Map(node.dx.data());
+      const typename D::Tangent difference =
+          problem.difference(solver.state(k), problem.retract(states_[i], dx));
+      worst = std::max(worst, detail::largest(difference));
       const typename D::Input du = solver.input(k) - inputs_[i];
-      typename Solver::Constraints multipliers = solver.constraint_multipliers(k);
-      tilt_ropter::optimal_control::QuadraticModel<D::nx, D::nu> model;
-      problem.cost_model(k, states_[i], inputs_[i], model);
       typename D::ConstraintsX C = D::ConstraintsX::Zero();
       typename D::ConstraintsU E = D::ConstraintsU::Zero();
       problem.constraint_derivatives(k, states_[i], inputs_[i], C, E);
-      const typename D::Constraints value = problem.constraint_values(k, states_[i], inputs_[i]);
-      typename D::Constraints predicted = value + C * dx;
-      if (k < horizon) {
-        predicted += E * du;
-        const auto& [A, B] = derivatives_[i];
-        const typename D::Input cost = model.lu() + model.lux() * dx + model.luu() * du;
-        const typename D::Input by_rows = E.transpose() * multipliers,
-                                by_continuity = B.transpose() * adjoint;
-        for (const auto* term : {&cost, &by_rows, &by_continuity})
-          largest_term = std::max(largest_term, term->cwiseAbs().maxCoeff());
-        stationarity =
-            std::max(stationarity, (cost + by_rows + by_continuity).cwiseAbs().maxCoeff());
-        adjoint = (A.transpose() * adjoint).eval();
-        adjoint += model.lux().transpose() * du;
-      }
-      adjoint += model.lx() + model.lxx() * dx + C.transpose() * multipliers;
-      for (int r = 0; r < D::nc; ++r) {
-        const double over = predicted(r) - problem.upper(k)(r),
-                     under = problem.lower(k)(r) - predicted(r), m = multipliers(r);
-        const double outside = std::max(over, under);
-        const double unit =
-            1.0 + std::abs(over > under ? problem.upper(k)(r) : problem.lower(k)(r));
-        if (outside > 0.0 && !solver.relaxed(k, r)) worst = std::max(worst, outside / unit);
-        if (m != 0.0)
-          worst = std::max(worst, std::min(std::abs(m) / (1.0 + largest_multiplier),
-                                           -(m > 0.0 ? over : under) / unit));
-      }
+      tilt_ropter::optimal_control::QuadraticModel<D::nx, D::nu> model;
+      problem.cost_model(k, states_[i], inputs_[i], model);
+      const typename D::Constraints value = problem.constraint_values(k, states_[i], inputs_[i]),
+                                    lower = problem.lower(k), upper = problem.upper(k);
+      node.du = entries(du);
+      node.C = entries(C);
+      node.E = entries(E);
+      node.hessian = entries(model.hessian);
+      node.gradient = entries(model.gradient);
+      node.value = entries(value);
+      node.lower = entries(lower);
+      node.upper = entries(upper);
+      node.multipliers = entries(solver.constraint_multipliers(k));
+      node.relaxed.resize(D::nc);
+      for (int r = 0; r < D::nc; ++r)
+        node.relaxed[static_cast<std::size_t>(r)] = solver.relaxed(k, r);
+      if (k == solver.horizon()) break;
+      typename D::A A;
+      typename D::B B;
+      const State end = problem.step(k, states_[i], inputs_[i], A, B);
+      const typename D::Tangent gap = problem.difference(end, states_[i + 1]);
+      node.A = entries(A);
+      node.B = entries(B);
+      node.gap = entries(gap);
+      nodes_[i + 1].dx = node.gap + node.A * node.dx + node.B * node.du;
     }
-    const double all = std::max(worst, stationarity / (1.0 + largest_term));
-    return worst + stationarity < std::numeric_limits<double>::infinity()
-               ? all
-               : std::numeric_limits<double>::infinity();
+    return detail::program_residual(nodes_, worst);
   }
 
   std::optional<Problem> problem_;
   std::vector<State> states_;
   std::vector<typename D::Input> inputs_;
-  std::vector<typename D::Tangent> steps_;
-  std::vector<std::pair<typename D::A, typename D::B>> derivatives_;
+  std::vector<detail::AuditNode> nodes_;
 };
 
 }  // namespace examples
