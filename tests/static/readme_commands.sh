@@ -3,8 +3,9 @@
 # Runs the commands of all README files (lines indented by four spaces) in their order, in a copy of
 # the sources, README.md of the top folder first. A fenced block without a language after a command
 # is its expected output: these lines must appear in the output in this order. Without `full`, skips
-# commands that build or fly for minutes, and uses the programs in BUILD. Generates the files of the
-# user that the commands name.
+# commands that build or fly for minutes, draws the pictures of hybrid_mission once, flies fewer of
+# many flights, and uses the programs in BUILD. Generates the files of the user that the commands
+# name.
 set -euo pipefail
 source=$1
 build=$2
@@ -43,6 +44,17 @@ missing() {  # file
     END { while (at < n) print wanted[++at] }' "$1" output.txt
 }
 
+shorter() {  # sets `command` to one that takes less time and needs the same of program and README
+  case $command in
+    *--no-pictures* | *--write-*) ;;
+    build/examples/hybrid_mission*)
+      [[ ! $drawn ]] || command=${command/hybrid_mission/hybrid_mission --no-pictures}
+      drawn=1 ;;
+    *stress_flights*) command=${command/--count 20/--count 5} ;;
+  esac
+}
+
+drawn=
 ran=0
 failed=0
 compared=0
@@ -64,6 +76,7 @@ for step in steps/[0-9][0-9][0-9]; do
     cmake* | g++* | ./examples/run.sh* | *hitl_* | *reproduce_paper*)
       [[ $full ]] || { echo "== in the long form: $command" && continue; } ;;
   esac
+  [[ $full ]] || shorter
   echo "== $command"
   ran=$((ran + 1))
   if ! bash -c "$command" > output.txt 2>&1 < /dev/null; then
