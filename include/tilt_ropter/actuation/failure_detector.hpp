@@ -26,17 +26,18 @@ struct FailureDetectorSettings {
   double confirmation = 0.05;  ///< a failure is reported if it is the explanation this long [s]
   /// Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
   double baseline_time = 1.0;
-  /// Smallest change of a rotor's force that is a failure, as a fraction of the thrust that each
-  /// rotor has in hover, and as a fraction of this rotor's present thrust.
+  /// Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
+  /// rotor carries in hover.
   double min_change = 0.35;
-  double min_fraction = 0.35;
+  double min_fraction = 0.35;  ///< the same, as a fraction of this rotor's present thrust
   /// Largest residual that the failure may leave unexplained, as a fraction of the residual.
   double max_unexplained = 0.35;
   /// A rotor whose force is smaller than this fraction of its model is lost.
   double lost_fraction = 0.25;
   /// The servo is all right if the force keeps its direction within this angle [rad].
   double max_angle_error = 0.26;
-  /// A rotor is lost if its measured speed is below this fraction of the modelled speed.
+  /// A rotor is lost if its measured speed is below this fraction of the modelled speed, and if its
+  /// thrust is also smaller by min_change.
   double min_speed_fraction = 0.5;
 };
 
@@ -104,7 +105,8 @@ template <int Rotors>
 /// constant change the wrench in ways that no single rotor explains.
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
-/// it is commanded. Nothing is found while the vehicle touches the ground.
+/// it is commanded. Nothing is found while the vehicle touches the ground, in the first 0.2 s of a
+/// flight, and with less than 20 ticks per second.
 ///
 /// Only the constructor throws. Nothing allocates.
 template <int Rotors>
@@ -148,7 +150,7 @@ class FailureDetector {
                        plausible(sample.angular_velocity) && plausible(measured.rotor_speed) &&
                        plausible(measured.tilt_angle) && plausible(modelled_speed);
     if (!valid || failure_.kind != FailureKind::none) return failure_;
-    if (!started_ || !airborne || !(dt > 0.0 && dt < 0.5 * settings_.window + 0.02)) {
+    if (!started_ || !airborne || !(dt > 0.0 && dt <= longest_gap)) {
       forget();
       started_ = true;
     } else {
@@ -173,7 +175,8 @@ class FailureDetector {
 
  private:
   using Vector6 = Eigen::Matrix<double, 6, 1>;
-  static constexpr int blocks = 6;
+  static constexpr int blocks = 6;             // of a window
+  static constexpr double longest_gap = 0.05;  // between two ticks [s]
 
   /// Sums over a part of the window.
   struct Block {
@@ -210,8 +213,10 @@ class FailureDetector {
                     const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept {
     for (int i = 0; i < Rotors; ++i) {
       double& slow = slow_for_[index(i)];
-      const bool is_slow =
-          !lost_[index(i)] && measured.rotor_speed(i) < settings_.min_speed_fraction * modelled(i);
+      const double speed = measured.rotor_speed(i),
+                   missing = body_.thrust(i, modelled(i)) - body_.thrust(i, speed);
+      const bool is_slow = speed < settings_.min_speed_fraction * modelled(i) &&
+                           missing > settings_.min_change * hover_thrust_;
       slow = is_slow ? slow + dt : 0.0;
       if (slow >= settings_.confirmation + settings_.window && failure_.kind == FailureKind::none)
         failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
