@@ -3,7 +3,7 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: examples/run.sh [--mujoco | --paper] [-- OPTION...]
+usage: examples/run.sh [--mujoco | --hitl | --paper] [-- OPTION...]
 
 Installs missing Debian packages with apt-get, builds hybrid_mission for this processor into
 build-examples/ and runs it: take off, fly a figure eight, land, drive a figure eight, take off
@@ -12,6 +12,9 @@ flight, to results/.
 
   --mujoco      fly the same mission in MuJoCo (mission_mujoco) and write log, pictures and a film
                 to results/mujoco/
+  --hitl        fly the same mission in real time with hardware in the loop: three programs that
+                exchange ROS 2 messages over DDS; print their figures and write them to
+                results/hitl/
   --paper       reproduce the paper (reproduce_paper): its three flights in our plant and in MuJoCo,
                 the servo's identification, hardware in the loop, ablations; tables and pictures to
                 results/paper/ (three minutes)
@@ -21,9 +24,11 @@ HELP
 }
 
 mujoco=
+hitl=
 paper=
 case ${1-} in
   --mujoco) mujoco=1 && shift ;;
+  --hitl) hitl=1 && shift ;;
   --paper) paper=1 && shift ;;
 esac
 case ${1-} in
@@ -42,6 +47,9 @@ fi
 if [[ $paper ]]; then
   packages+=(libmujoco-dev)
 fi
+if [[ $hitl || $paper ]]; then
+  packages+=(cyclonedds-dev cyclonedds-tools)
+fi
 bash cmake/install_missing.sh "${packages[@]}"
 
 echo "== Configuring and building into build-examples/"
@@ -49,15 +57,23 @@ cmake --log-level=WARNING -S . -B build-examples -G Ninja -DCMAKE_BUILD_TYPE=Rel
   -DTILT_ROPTER_WERROR=ON -DTILT_ROPTER_NATIVE=ON
 targets=(hybrid_mission)
 if [[ $mujoco ]]; then targets=(mission_mujoco); fi
-if [[ $paper ]]; then
-  targets=(reproduce_paper hitl_onboard hitl_flight_controller hitl_simulator)
-fi
+hitl_programs=(hitl_onboard hitl_flight_controller hitl_simulator)
+if [[ $hitl ]]; then targets=("${hitl_programs[@]}"); fi
+if [[ $paper ]]; then targets=(reproduce_paper "${hitl_programs[@]}"); fi
 cmake --build build-examples --parallel "$(nproc)" --target "${targets[@]}"
 
 if [[ $paper ]]; then
   echo "== Reproducing the paper"
   build-examples/examples/reproduce_paper --output results/paper --hitl --ablations "$@"
   echo "== The tables, logs and pictures are in $PWD/results/paper, unless told otherwise"
+  exit 0
+fi
+
+if [[ $hitl ]]; then
+  echo "== Flying the hybrid mission with hardware in the loop, in real time"
+  bash examples/hitl/fly.sh build-examples/examples results/hitl "$@"
+  cat results/hitl/hitl_*.txt
+  echo "== What the programs printed is in $PWD/results/hitl"
   exit 0
 fi
 

@@ -13,7 +13,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstdint>
 #include <exception>
 #include <iostream>
 #include <optional>
@@ -25,7 +24,6 @@ using namespace tilt_ropter;
 namespace {
 
 constexpr double period = 0.002;       // period of the actuator commands [s]
-constexpr double hold = 0.05;          // largest age of a wrench that is followed [s]
 constexpr double descend_after = 2.0;  // time without a wrench until the force fades [s]
 
 /// Wrench while no wrench arrives. The force is the low-pass filtered force of the wrenches so far,
@@ -65,18 +63,24 @@ class SafeWrench {
   double time_ = 0.0;
 };
 
-void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
-         const std::string& vehicle_path) {
+void run(const hitl::BadLine& line, const std::string& vehicle_path) {
   const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(vehicle_path));
   const Allocation<4> allocation(vehicle);
-  hitl::Link link(addresses.flight_controller, {addresses.simulator, addresses.onboard}, line);
+  const dds::Participant participant(loops::ros_domain());
+  hitl::Rival<actuator_msgs::msg::Actuators> rival(participant, hitl::actuators_topic);
+  hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
+  hitl::Inbox<tilt_ropter_msgs::msg::WrenchCommand> wrenches(participant,
+                                                             hitl::wrench_command_topic, line);
+  hitl::FlightOver flight_over(participant);
+  dds::Publisher<actuator_msgs::msg::Actuators> actuators(participant, hitl::actuators_topic.name,
+                                                          hitl::actuators_topic.offered());
+  hitl::Encoder encoder;
   SafeWrench safe(vehicle.body.inertia);
   hitl::Times lateness;
   AllocationResult<4> sent;
-  std::optional<hitl::Message> asked;  // the last wrench
+  std::optional<hitl::WrenchCommand> asked;  // the last wrench
   auto asked_at = hitl::Clock::now();
-  std::uint32_t vehicle_session = 0;
-  long cycles = 0, misses = 0, silences = 0;
+  long cycles = 0, misses = 0, silences = 0, vehicles = 0;
   bool silent = false;
   std::cerr << "hitl_flight_controller: waiting for a wrench\n";
   const auto start = hitl::Clock::now();
@@ -89,77 +93,72 @@ void run(const hitl::Addresses& addresses, const hitl::BadLine& line,
     lateness.add(late.count());
     if (late.count() > 1e6 * period) ++misses;
 
-    while (const auto m = link.receive()) {
-      if (m->type == hitl::MessageType::end) over = asked.has_value();
-      if (m->type == hitl::MessageType::inertial) {
-        if (m->session != vehicle_session) {  // simulator restarted: a new vehicle on the ground
-          vehicle_session = m->session;
-          asked.reset();
-          sent = {};
-          safe = SafeWrench(vehicle.body.inertia);
-        }
-        safe.on_gyro(m->time, {m->values[0], m->values[1], m->values[2]});
+    rival.check(now);
+    imu.take(now, [&](const hitl::Inertial& m) {
+      if (imu.sessions() != vehicles) {  // simulator restarted: a new vehicle on the ground
+        vehicles = imu.sessions();
+        asked.reset();
+        sent = {};
+        safe = SafeWrench(vehicle.body.inertia);
       }
-      if (m->type == hitl::MessageType::wrench) {
-        asked = m;
-        asked_at = now;
-      }
-    }
+      safe.on_gyro(m.time, m.sample.angular_velocity);
+    });
+    wrenches.take(now, [&](const hitl::WrenchCommand& m) {
+      asked = m;
+      asked_at = now;
+    });
+    over = flight_over.reported() && asked.has_value();
     if (!asked) continue;
 
     const double age = std::chrono::duration<double>(now - asked_at).count();
     const bool was_silent = silent;
-    silent = age > hold;
-    if (silent && !was_silent) ++silences;
+    silent = wrenches.silent();
+    if (silent && !was_silent) {
+      ++silences;
+      std::cerr << "hitl_flight_controller: hitl_onboard is "
+                << (wrenches.sender_lives() ? "silent\n" : "gone\n");
+    }
     Wrenchd wrench, rate;
     if (silent) {
       wrench = safe.wrench(age);
     } else {
-      const auto part = [&asked](int index) {
-        return Eigen::Map<const Eigen::Vector3d>(asked->values.data() + 3 * index);
-      };
-      rate = {part(2), part(3)};
+      rate = asked->rate;
       const double ahead = std::min(age, 0.01);  // the rate is valid for one tick
-      wrench = {part(0) + ahead * rate.force, part(1) + ahead * rate.torque};
+      wrench = {asked->wrench.force + ahead * rate.force,
+                asked->wrench.torque + ahead * rate.torque};
       safe.follow(wrench);
     }
     const double time = std::chrono::duration<double>(now - start).count();
     sent = allocation.allocate(time, wrench, rate, sent);
-    hitl::Message m;
-    m.type = hitl::MessageType::actuators;
-    m.time = asked->time;
-    m.stamp = asked->stamp;
-    Eigen::Map<Eigen::Matrix<double, 8, 1>>(m.values.data()) << sent.command.rotor_speed,
-        sent.command.tilt_angle;
-    link.send(0, m);
-    link.send(1, m);
+    actuators.publish(encoder.encode(hitl::ActuatorCommand{asked->time, sent.command}));
     ++cycles;
   }
   lateness.print(std::cout, "flight_controller_lateness");
   std::cout << "flight_controller_cycles: " << cycles
             << "\nflight_controller_deadline_misses: " << misses
             << "\nwrench_silences: " << silences << '\n';
-  link.print(std::cout, "wrench", hitl::MessageType::wrench);
-  std::cout << "flight_controller_foreign_datagrams: " << link.foreign() << '\n';
+  wrenches.print(std::cout, "wrench");
+  std::cout << "flight_controller_foreign_datagrams: "
+            << wrenches.counts().rejected + imu.counts().rejected << '\n';
 }
 
 constexpr const char* footer = R"(
 Between two wrenches it extrapolates the last wrench with its rate, for at most 10 ms. After 50 ms
 without a wrench it keeps the mean force and holds the attitude with the gyroscope. After 2 s the
 force fades by 5 % per second. If restarted in flight, it sends nothing until a wrench arrives, and
-the simulator holds the last command. It ends when the simulator reports the end of the flight.)";
+the simulator holds the last command. It ends when the simulator reports the end of the flight.
+The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.)";
 
 }  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: allocation and actuator commands at 500 Hz."};
-  hitl::Addresses addresses;
   hitl::BadLine line;
   std::string vehicle;
-  hitl::add_options(app, addresses, line, vehicle);
+  hitl::add_options(app, line, vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_flight_controller", argc, argv, [&] {
-    run(addresses, line, vehicle);
+    run(line, vehicle);
     return 0;
   });
 }

@@ -18,12 +18,13 @@
 
 #include <chrono>
 #include <cmath>
-#include <cstdint>
+#include <deque>
 #include <exception>
 #include <iostream>
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 using namespace tilt_ropter;
 
@@ -45,39 +46,26 @@ class Onboard {
         mission_(hybrid_mission(vehicle_)) {}
 
   /// Stores the actuator command of the flight controller.
-  void on_actuators(const hitl::Message& m) {
-    command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.values.data());
-    command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.values.data() + 4);
+  void on_actuators(const ActuatorState<4>& command) { command_ = command; }
+  void on_pose(const hitl::Pose& m) { ekf_.on_pose(m.time, m.pose); }
+  void on_rotor_speeds(const Eigen::Vector4d& speed) { rotor_speed_ = speed; }
+
+  void on_inertial(const hitl::Inertial& m) {
+    const ActuatorState<4> applied{rotor_speed_, actuators_.update(m.time, command_).tilt_angle};
+    ekf_.on_imu(m.time, m.sample);
+    observer_.update(m.time, ekf_.corrected(m.sample), allocation_.wrench(applied));
   }
 
-  void on_pose(const hitl::Message& m) {
-    ekf_.on_pose(m.time, {{m.values[0], m.values[1], m.values[2]},
-                          {m.values[3], m.values[4], m.values[5], m.values[6]}});
-  }
-
-  void on_inertial(const hitl::Message& m) {
-    const InertialSampled sample{Eigen::Map<const Eigen::Vector3d>(m.values.data()),
-                                 Eigen::Map<const Eigen::Vector3d>(m.values.data() + 3)};
-    const ActuatorState<4> applied{Eigen::Map<const Eigen::Vector4d>(m.values.data() + 6),
-                                   actuators_.update(m.time, command_).tilt_angle};
-    ekf_.on_imu(m.time, sample);
-    observer_.update(m.time, ekf_.corrected(sample), allocation_.wrench(applied));
-  }
-
-  /// Returns the message with the wrench at `time`, or nothing before the state is known.
-  std::optional<hitl::Message> control(double time) {
+  /// Returns the wrench at `time` of the simulation, or nothing before the state is known.
+  std::optional<hitl::WrenchCommand> control(double time) {
     if (!ekf_.running()) return std::nullopt;
     const BodyStated state = ekf_.take_state();
     contact_.update(time, state, observer_);
-    (void)nmpc_.prepare(time, mission_, contact_.estimate());
+    const auto reference = [this](double t) { return mission_(t - hitl::head_start); };
+    (void)nmpc_.prepare(time, reference, contact_.estimate());
     const NmpcResult& result = nmpc_.feedback(time, state);
     if (!has_plan(result.status)) ++failures_;
-    hitl::Message m;
-    m.type = hitl::MessageType::wrench;
-    m.time = time;
-    Eigen::Map<Eigen::Matrix<double, 12, 1>>(m.values.data()) << result.wrench.force,
-        result.wrench.torque, result.rate.force, result.rate.torque;
-    return m;
+    return hitl::WrenchCommand{time, result.wrench, result.rate, contact_.estimate().on_ground};
   }
 
   [[nodiscard]] long failures() const { return failures_; }
@@ -92,71 +80,114 @@ class Onboard {
   Nmpc<4> nmpc_;
   Mission mission_;
   ActuatorState<4> command_;
+  Eigen::Vector4d rotor_speed_ = Eigen::Vector4d::Zero();
   long failures_ = 0;
 };
 
-void run(const hitl::Addresses& addresses, const hitl::BadLine& line, const std::string& vehicle) {
+/// Counts how often a sender became silent, and says so.
+class Silences {
+ public:
+  explicit Silences(const char* sender) : sender_(sender) {}
+  template <typename Message>
+  void watch(const hitl::Inbox<Message>& inbox) {
+    if (inbox.silent() && !silent_) {
+      ++count_;
+      std::cerr << "hitl_onboard: " << sender_
+                << (inbox.sender_lives() ? " is silent\n" : " is gone\n");
+    }
+    silent_ = inbox.silent();
+  }
+  [[nodiscard]] long count() const { return count_; }
+
+ private:
+  const char* sender_;
+  bool silent_ = true;
+  long count_ = 0;
+};
+
+void run(const hitl::BadLine& line, const std::string& vehicle) {
   const examples::VehicleFile file = examples::vehicle_or_default(vehicle);
-  hitl::Link link(addresses.onboard, {addresses.simulator, addresses.flight_controller}, line);
+  const dds::Participant participant(loops::ros_domain());
+  hitl::Rival<tilt_ropter_msgs::msg::WrenchCommand> rival(participant, hitl::wrench_command_topic);
+  hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
+  hitl::Inbox<sensor_msgs::msg::JointState> speeds(participant, hitl::rotor_speeds_topic, line);
+  hitl::Inbox<geometry_msgs::msg::PoseStamped> poses(participant, hitl::pose_topic, line);
+  hitl::Inbox<actuator_msgs::msg::Actuators> echo(participant, hitl::actuators_topic, line);
+  hitl::FlightOver flight_over(participant);
+  dds::WaitSet waiting(participant);
+  waiting.add(imu.subscriber());
+  dds::Publisher<tilt_ropter_msgs::msg::WrenchCommand> commands(
+      participant, hitl::wrench_command_topic.name, hitl::wrench_command_topic.offered());
+  dds::Publisher<geometry_msgs::msg::WrenchStamped> shown(participant, hitl::shown_wrench_topic);
+  hitl::Encoder encoder;
   hitl::Times durations;
   auto onboard = std::make_unique<Onboard>(file);
-  std::uint32_t session = 0;
+  std::vector<hitl::Inertial> samples;         // new
+  std::deque<hitl::RotorSpeeds> rotor_speeds;  // not older than the newest sample
+  Silences simulator("hitl_simulator"), flight_controller("hitl_flight_controller");
   double next = 0.0;
   long ticks = 0, misses = 0, failures = 0, missions = 0;
   std::cerr << "hitl_onboard: waiting for the simulator\n";
   for (bool over = false; !over && hitl::interrupted == 0;) {
-    link.wait(hitl::Clock::now() + std::chrono::milliseconds(100));
+    waiting.wait(100 * hitl::millisecond);
     const auto woken = hitl::Clock::now();
-    std::optional<hitl::Message> newest;  // newest inertial message
-    while (const auto m = link.receive()) {
-      switch (m->type) {
-        case hitl::MessageType::inertial:
-          if (missions == 0 || m->session != session) {  // a new vehicle, a new mission
-            session = m->session;
-            ++missions;
-            onboard = std::make_unique<Onboard>(file);
-            next = std::ceil(m->time / tick) * tick;
-          }
-          onboard->on_inertial(*m);
-          newest = m;
-          break;
-        case hitl::MessageType::pose:
-          onboard->on_pose(*m);
-          break;
-        case hitl::MessageType::actuators:
-          onboard->on_actuators(*m);
-          break;
-        case hitl::MessageType::end:
-          over = missions > 0;
-          break;
-        case hitl::MessageType::wrench:
-          break;
+    rival.check(woken);
+    bool new_vehicle = false;
+    samples.clear();
+    imu.take(woken, [&](const hitl::Inertial& m) {
+      if (imu.sessions() != missions) {  // a new vehicle, a new mission
+        missions = imu.sessions();
+        new_vehicle = true;
+        samples.clear();
       }
+      samples.push_back(m);
+    });
+    if (new_vehicle) {
+      onboard = std::make_unique<Onboard>(file);
+      next = std::ceil(samples.front().time / tick) * tick;
+      rotor_speeds.clear();
     }
-    if (!newest || newest->time < next - 1e-6) continue;
+    echo.take(woken, [&](const hitl::ActuatorCommand& m) { onboard->on_actuators(m.command); });
+    speeds.take(woken, [&](const hitl::RotorSpeeds& m) { rotor_speeds.push_back(m); });
+    for (const hitl::Inertial& m : samples) {
+      for (; !rotor_speeds.empty() && rotor_speeds.front().time <= m.time; rotor_speeds.pop_front())
+        onboard->on_rotor_speeds(rotor_speeds.front().speed);
+      onboard->on_inertial(m);
+    }
+    while (rotor_speeds.size() > 1000) rotor_speeds.pop_front();  // the IMU is silent
+    poses.take(woken, [&](const hitl::Pose& m) { onboard->on_pose(m); });
+    over = flight_over.reported() && missions > 0;
+    simulator.watch(imu);
+    flight_controller.watch(echo);
+    if (samples.empty() || samples.back().time < next - 1e-6) continue;
     // A skipped tick and a tick longer than a period are missed deadlines.
-    const long behind = std::lround(std::floor((newest->time - next) / tick + 1e-6));
+    const double time = samples.back().time;
+    const long behind = std::lround(std::floor((time - next) / tick + 1e-6));
     misses += behind;
     next += tick * static_cast<double>(behind + 1);
     const long failed_before = onboard->failures();
-    auto wrench = onboard->control(newest->time);
+    const auto wrench = onboard->control(time);
     failures += onboard->failures() - failed_before;
     if (!wrench) continue;
-    wrench->stamp = newest->stamp;
-    link.send(1, *wrench);
+    commands.publish(encoder.encode(*wrench));
     const std::chrono::duration<double, std::micro> taken = hitl::Clock::now() - woken;
     durations.add(taken.count());
     ++ticks;
     if (taken.count() > 1e6 * tick) ++misses;
+    shown.publish(encoder.shown(*wrench));
   }
   durations.print(std::cout, "onboard_tick");
   std::cout << "onboard_ticks: " << ticks << "\nonboard_deadline_misses: " << misses
             << "\nonboard_solver_failures: " << failures << "\nonboard_missions: " << missions
+            << "\nsimulator_silences: " << simulator.count()
+            << "\nflight_controller_silences: " << flight_controller.count() << '\n';
+  imu.print(std::cout, "inertial");
+  poses.print(std::cout, "pose");
+  echo.print(std::cout, "actuators_echo");
+  std::cout << "onboard_foreign_datagrams: "
+            << imu.counts().rejected + speeds.counts().rejected + poses.counts().rejected +
+                   echo.counts().rejected
             << '\n';
-  link.print(std::cout, "inertial", hitl::MessageType::inertial);
-  link.print(std::cout, "pose", hitl::MessageType::pose);
-  link.print(std::cout, "actuators_echo", hitl::MessageType::actuators);
-  std::cout << "onboard_foreign_datagrams: " << link.foreign() << '\n';
 }
 
 constexpr const char* footer = R"(
@@ -165,19 +196,18 @@ Without messages from the simulator it waits and sends nothing to the flight con
 simulator restarts, it starts a new mission. Without messages from the flight controller it
 continues with the last known actuator command. If restarted in flight, it continues the mission at
 the simulator's time, after the first pose. It ends when the simulator reports the end of the
-flight.)";
+flight. The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.)";
 
 }  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
-  hitl::Addresses addresses;
   hitl::BadLine line;
   std::string vehicle;
-  hitl::add_options(app, addresses, line, vehicle);
+  hitl::add_options(app, line, vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_onboard", argc, argv, [&] {
-    run(addresses, line, vehicle);
+    run(line, vehicle);
     return 0;
   });
 }

@@ -16,20 +16,22 @@
 
 #include <CLI/CLI.hpp>
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <exception>
 #include <iostream>
 #include <string>
 #include <thread>
+#include <vector>
 
 using namespace tilt_ropter;
 
 namespace {
 
 struct Options {
-  hitl::Addresses addresses;
   hitl::BadLine line;
   std::string vehicle;
   std::int64_t seed = 1;
@@ -37,31 +39,7 @@ struct Options {
   double until = 0.0;
 };
 
-constexpr double step = 1e-3;          // time step of the plant [s]
-constexpr double head_start = 3.0;     // time on the ground for all programs to connect [s]
-constexpr double command_timeout = 1;  // the rotors stop after this time without commands [s]
-
-hitl::Message inertial(double time, const ImuSensor::Measurement& imu,
-                       const Eigen::Vector4d& rotor_speeds) {
-  hitl::Message m;
-  m.type = hitl::MessageType::inertial;
-  m.time = time;
-  m.stamp = hitl::nanoseconds_now();
-  Eigen::Map<Eigen::Matrix<double, 10, 1>>(m.values.data()) << imu.angular_velocity,
-      imu.specific_force, rotor_speeds;
-  return m;
-}
-
-hitl::Message pose(double time, const PoseSensor::Measurement& seen) {
-  hitl::Message m;
-  m.type = hitl::MessageType::pose;
-  m.time = time;
-  m.stamp = hitl::nanoseconds_now();
-  const Eigen::Quaterniond& q = seen.orientation;
-  Eigen::Map<Eigen::Matrix<double, 7, 1>>(m.values.data()) << seen.position, q.w(), q.x(), q.y(),
-      q.z();
-  return m;
-}
+constexpr double step = 1e-3;  // time step of the plant [s]
 
 int simulate(const Options& options) {
   const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
@@ -85,17 +63,27 @@ int simulate(const Options& options) {
   examples::MissionFigures figures(HybridMissionSettings{}.flight_height, options.vehicle.empty());
   const double end = options.until > 0.0 ? options.until : mission.duration();
 
-  hitl::Link link(options.addresses.simulator,
-                  {options.addresses.onboard, options.addresses.flight_controller}, options.line);
+  const dds::Participant participant(loops::ros_domain());
+  hitl::Rival<sensor_msgs::msg::Imu> rival(participant, hitl::imu_topic);
+  dds::Publisher<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic.name,
+                                            hitl::imu_topic.offered());
+  dds::Publisher<sensor_msgs::msg::JointState> rotor_speeds(
+      participant, hitl::rotor_speeds_topic.name, hitl::rotor_speeds_topic.offered());
+  dds::Publisher<geometry_msgs::msg::PoseStamped> poses(participant, hitl::pose_topic.name,
+                                                        hitl::pose_topic.offered());
+  dds::Publisher<rosgraph_msgs::msg::Clock> clock(participant, "/clock", {true, 1});
+  dds::Publisher<std_msgs::msg::Bool> flight_over(participant, hitl::flight_over_topic, {true, 1});
+  hitl::Inbox<actuator_msgs::msg::Actuators> actuators(participant, hitl::actuators_topic,
+                                                       options.line);
+  hitl::Encoder encoder;
   hitl::Times round_trip, lateness;
-  Eigen::Vector4d speeds = Eigen::Vector4d::Zero();
-  std::uint64_t answered = 0;  // latest sample stamp that a command has returned
-  double commanded_at = -1e9;
-  long commands = 0, misses = 0, silences = 0;
+  std::vector<hitl::Clock::time_point> sent_at;  // the IMU sample of each step
+  std::size_t answered = 0;                      // latest step whose sample led to a command
+  long misses = 0, silences = 0;
   bool silent = true;
   examples::Progress progress;
   const auto start = hitl::Clock::now();
-  double time = -head_start;
+  double time = -hitl::head_start;
   for (long i = 0; time < end && hitl::interrupted == 0; ++i) {
     const auto due = start + i * std::chrono::milliseconds(1);
     std::this_thread::sleep_until(due);
@@ -103,39 +91,44 @@ int simulate(const Options& options) {
     lateness.add(late.count());
     if (late.count() > 1000.0) ++misses;
 
-    while (const auto m = link.receive()) {
-      if (m->type != hitl::MessageType::actuators) continue;
-      command.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m->values.data());
-      command.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m->values.data() + 4);
-      commanded_at = time;
-      ++commands;
-      if (m->stamp > answered) {
-        round_trip.add(static_cast<double>(hitl::nanoseconds_now() - m->stamp) / 1e3);
-        answered = m->stamp;
+    const auto now = hitl::Clock::now();
+    rival.check(now);
+    actuators.take(now, [&](const hitl::ActuatorCommand& m) {
+      command = m.command;
+      const auto sample = static_cast<std::size_t>(std::max(0L, std::lround(m.time / step)));
+      if (sample > answered && sample <= sent_at.size()) {
+        const std::chrono::duration<double, std::micro> passed = now - sent_at[sample - 1];
+        round_trip.add(passed.count());
+        answered = sample;
       }
-    }
+    });
+    const bool commanded = actuators.sessions() > 0;
     const bool was_silent = silent;
-    silent = time - commanded_at > command_timeout;
-    if (silent && (stands || commands > 0)) command.rotor_speed.setZero();
-    if (silent && !was_silent) ++silences;
-    if (time >= 0.0 && commands == 0) {
+    silent = actuators.silent();
+    if (silent && (stands || commanded)) command.rotor_speed.setZero();
+    if (silent && !was_silent) {
+      ++silences;
+      std::cerr << "hitl_simulator: hitl_flight_controller is "
+                << (actuators.sender_lives() ? "silent\n" : "gone\n");
+    }
+    if (time >= 0.0 && !commanded) {
       std::cerr << "hitl_simulator: no actuator commands received: are hitl_onboard and "
                    "hitl_flight_controller running?\n";
       return 1;
     }
 
     if (!plant.step(command, {}, step)) throw std::runtime_error("the plant rejected a step");
-    time = plant.time() - head_start;
+    time = plant.time() - hitl::head_start;
     if (const auto m = sensors.rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
-      speeds = m->rotor_speed;
-    if (const auto m = sensors.imu.sample(plant.time(), plant.body().angular_velocity,
-                                          plant.specific_force())) {
-      const hitl::Message message = inertial(m->time - head_start, *m, speeds);
-      link.send(0, message);
-      link.send(1, message);
-    }
+      rotor_speeds.publish(encoder.encode(hitl::RotorSpeeds{m->time, m->rotor_speed}));
+    sent_at.push_back(hitl::Clock::now());
+    if (const auto m =
+            sensors.imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force()))
+      imu.publish(
+          encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
     if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
-      link.send(0, pose(m->time - head_start, *m));
+      poses.publish(encoder.encode(hitl::Pose{m->time, {m->position, m->orientation}}));
+    if (i % 10 == 0) clock.publish({loops::stamp(std::llround(1e9 * plant.time()))});
     if (time >= 0.0)
       figures.on_plant(mission.phase(time), plant.body().position, mission(time).position,
                        plant.body().velocity.z(), power.power(plant.actuators().rotor_speed),
@@ -144,8 +137,7 @@ int simulate(const Options& options) {
       progress.show(std::max(0.0, time / end),
                     time < 0.0 ? "waiting" : to_string(mission.phase(time)));
   }
-  for (int i = 0; i < 5; ++i)  // repeated, since messages can be lost
-    for (const std::size_t peer : {0U, 1U}) link.send(peer, {});
+  flight_over.publish({true});  // reliable: DDS repeats it until it has arrived
   progress.finish();
   figures.print_flight(std::cout);
   std::cout << "final_position_error_m: " << std::setprecision(4)
@@ -154,8 +146,8 @@ int simulate(const Options& options) {
   lateness.print(std::cout, "simulator_lateness");
   std::cout << "simulator_deadline_misses: " << misses << "\nactuator_silences: " << silences
             << '\n';
-  link.print(std::cout, "actuators", hitl::MessageType::actuators);
-  std::cout << "foreign_datagrams: " << link.foreign() << '\n';
+  actuators.print(std::cout, "actuators");
+  std::cout << "foreign_datagrams: " << actuators.counts().rejected << '\n';
   return 0;
 }
 
@@ -164,6 +156,8 @@ Flies the hybrid mission in real time with hitl_onboard and hitl_flight_controll
 must arrive within 3 s after the start. Without new actuator commands it holds the last command;
 after 1 s the rotors stop. If restarted in flight, it starts a new mission, and the other programs
 follow.
+
+The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 
 Exit code: 0 the mission is over, 1 no commands received or another error, 2 an invalid vehicle
 file, above 100 wrong options.)";
@@ -187,7 +181,7 @@ int main(int argc, char** argv) {
                  "end the flight at this mission time; 0: full mission [s]")
       ->check(CLI::Range(0.0, 1000.0))
       ->capture_default_str();
-  hitl::add_options(app, options.addresses, options.line, options.vehicle);
+  hitl::add_options(app, options.line, options.vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_simulator", argc, argv, [&] { return simulate(options); });
 }

@@ -1,155 +1,206 @@
 #pragma once
 
-#include <array>
+#include "../integrations/messages.hpp"
+
+#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/model/wrench.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <optional>
+#include <string>
+#include <vector>
 
-/// Messages between the three programs of the hardware-in-the-loop simulation. One UDP datagram is
-/// one message with a size fixed by its type. Integers and IEEE 754 doubles have the least
-/// significant byte first:
-///
-///     bytes   field
-///     0-3     "TRHL"
-///     4       version, 1
-///     5       type
-///     6-7     size of the datagram
-///     8-11    session: random number from the start of the sender, to detect a restart
-///     12-15   sequence: counts the sender's messages of this type from 1
-///     16-23   time of the simulated clock that belongs to the content [s]
-///     24-31   stamp: the simulator's clock when it sent the sample that led to this message [ns]
-///     32-35   CRC-32 (IEEE 802.3) of all other bytes
-///     36-     doubles, as many as the type defines
+/// What the three programs of the hardware-in-the-loop simulation exchange: topics, and the
+/// contents of their messages. Stamps are the time of the simulation, which begins at zero; the
+/// mission begins `head_start` later.
 namespace hitl {
 
-enum class MessageType : std::uint8_t {
-  inertial = 1,   ///< angular velocity (3), specific force (3), rotor speeds (4); body frame
-  pose = 2,       ///< position (3), orientation w, x, y, z; of the body in the world
-  wrench = 3,     ///< force (3), torque (3) and their rates (6); body frame
-  actuators = 4,  ///< rotor speeds (4), tilt angles (4)
-  end = 5         ///< the flight is over
-};
+inline constexpr double head_start = 3.0;  ///< on the ground, for all programs to connect [s]
 
-constexpr std::size_t max_values = 12;
-constexpr std::size_t header_size = 36;
+struct Topic {
+  const char* name;
+  std::int64_t deadline;  ///< after this time without a message its sender is silent [ns]
+  int depth;              ///< number of messages that a receiver keeps until it takes them
 
-/// Returns the number of doubles in a message of this type; no value for an unknown type.
-constexpr std::optional<std::size_t> value_count(MessageType type) {
-  switch (type) {
-    case MessageType::inertial:
-      return 10;
-    case MessageType::pose:
-      return 7;
-    case MessageType::wrench:
-      return 12;
-    case MessageType::actuators:
-      return 8;
-    case MessageType::end:
-      return 0;
+  [[nodiscard]] dds::Quality offered() const { return quality(true); }
+  [[nodiscard]] dds::Quality requested() const { return quality(false); }
+
+ private:
+  [[nodiscard]] dds::Quality quality(bool reliable) const {
+    constexpr std::int64_t lease = 500000000;
+    return {reliable, depth, deadline, lease};
   }
-  return std::nullopt;
-}
-
-struct Message {
-  MessageType type = MessageType::end;
-  std::uint32_t session = 0, sequence = 0;
-  double time = 0.0;
-  std::uint64_t stamp = 0;
-  std::array<double, max_values> values{};  ///< only the first value_count(type) values are used
 };
 
-struct Datagram {
-  std::array<std::uint8_t, header_size + 8 * max_values> bytes{};
-  std::size_t size = 0;
+inline constexpr std::int64_t millisecond = 1000000;  // [ns]
+// From hitl_simulator, at 1 kHz; the pose at 100 Hz.
+inline constexpr Topic imu_topic{"hitl/imu", 100 * millisecond, 200};
+inline constexpr Topic rotor_speeds_topic{"hitl/rotor_speeds", 100 * millisecond, 200};
+inline constexpr Topic pose_topic{"hitl/pose", 1000 * millisecond, 50};
+// From hitl_onboard, at 100 Hz.
+inline constexpr Topic wrench_command_topic{"hitl/wrench_command", 50 * millisecond, 10};
+// From hitl_flight_controller, at 500 Hz.
+inline constexpr Topic actuators_topic{"hitl/actuators", 1000 * millisecond, 50};
+// From hitl_simulator, true at the end of a flight; reliable.
+inline constexpr const char* flight_over_topic = "hitl/flight_over";
+// From hitl_onboard, the commanded wrench again, for rviz2.
+inline constexpr const char* shown_wrench_topic = "hitl/wrench";
+
+// Contents of the messages. `time` is the stamp [s].
+struct Inertial {
+  double time = 0.0;
+  tilt_ropter::InertialSampled sample;
+};
+struct RotorSpeeds {
+  double time = 0.0;
+  Eigen::Vector4d speed = Eigen::Vector4d::Zero();  ///< [rad/s]
+};
+struct Pose {
+  double time = 0.0;
+  tilt_ropter::MarkerPosed pose;
+};
+/// `time` is that of the IMU sample that led to the command.
+struct WrenchCommand {
+  double time = 0.0;
+  tilt_ropter::Wrenchd wrench, rate;  ///< body frame
+  bool on_ground = false;
+};
+struct ActuatorCommand {
+  double time = 0.0;  ///< of the WrenchCommand
+  tilt_ropter::ActuatorState<4> command;
 };
 
 namespace detail {
 
-template <typename Integer>
-void put(std::uint8_t* to, Integer value) {
-  for (std::size_t i = 0; i < sizeof value; ++i)
-    to[i] = static_cast<std::uint8_t>(static_cast<std::uint64_t>(value) >> (8 * i));
+inline Eigen::Vector3d vector(const geometry_msgs::msg::Vector3& v) {
+  return {v.x, v.y, v.z};
 }
-
-template <typename Integer>
-Integer get(const std::uint8_t* from) {
-  std::uint64_t value = 0;
-  for (std::size_t i = 0; i < sizeof(Integer); ++i)
-    value |= static_cast<std::uint64_t>(from[i]) << (8 * i);
-  return static_cast<Integer>(value);
+inline geometry_msgs::msg::Vector3 message(const Eigen::Vector3d& v) {
+  return {v.x(), v.y(), v.z()};
 }
-
-inline void put_double(std::uint8_t* to, double value) {
-  std::uint64_t bits = 0;
-  std::memcpy(&bits, &value, sizeof bits);
-  put(to, bits);
+inline tilt_ropter::Wrenchd wrench(const geometry_msgs::msg::Wrench& m) {
+  return {vector(m.force), vector(m.torque)};
 }
-
-inline double get_double(const std::uint8_t* from) {
-  const auto bits = get<std::uint64_t>(from);
-  double value = 0.0;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
+inline geometry_msgs::msg::Wrench message(const tilt_ropter::Wrenchd& w) {
+  return {message(w.force), message(w.torque)};
 }
-
-/// Returns the CRC-32 of the datagram without the field that contains it.
-inline std::uint32_t checksum(const std::uint8_t* bytes, std::size_t size) {
-  std::uint32_t crc = 0xffffffffU;
-  for (std::size_t i = 0; i < size; ++i) {
-    if (i >= 32 && i < header_size) continue;
-    crc ^= bytes[i];
-    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1U) ^ ((crc & 1U) != 0U ? 0xedb88320U : 0U);
-  }
-  return ~crc;
+template <typename Sequence>
+std::optional<Eigen::Vector4d> four(const Sequence& sequence) {
+  if (sequence._length != 4) return std::nullopt;
+  const Eigen::Vector4d values = Eigen::Map<const Eigen::Vector4d>(sequence._buffer);
+  return tilt_ropter::all_finite(values) ? std::optional(values) : std::nullopt;
 }
-
-constexpr std::array<std::uint8_t, 5> greeting = {'T', 'R', 'H', 'L', 1};
 
 }  // namespace detail
 
-[[nodiscard]] inline Datagram encode(const Message& m) {
-  using namespace detail;
-  Datagram d;
-  const std::size_t count = value_count(m.type).value_or(0);
-  d.size = header_size + 8 * count;
-  std::uint8_t* const bytes = d.bytes.data();
-  std::memcpy(bytes, greeting.data(), greeting.size());
-  put(bytes + 5, static_cast<std::uint8_t>(m.type));
-  put(bytes + 6, static_cast<std::uint16_t>(d.size));
-  put(bytes + 8, m.session);
-  put(bytes + 12, m.sequence);
-  put_double(bytes + 16, m.time);
-  put(bytes + 24, m.stamp);
-  for (std::size_t i = 0; i < count; ++i) put_double(bytes + header_size + 8 * i, m.values[i]);
-  put(bytes + 32, checksum(bytes, d.size));
-  return d;
+// decode() returns nothing for a message with a number that is not finite or for another number of
+// rotors than four.
+
+[[nodiscard]] inline std::optional<Inertial> decode(const sensor_msgs::msg::Imu& m) {
+  const Inertial i{loops::seconds(m.header.stamp),
+                   {detail::vector(m.angular_velocity), detail::vector(m.linear_acceleration)}};
+  if (!i.sample.angular_velocity.allFinite() || !i.sample.specific_force.allFinite())
+    return std::nullopt;
+  return i;
 }
 
-/// Decodes a datagram. Returns nothing for an invalid datagram: another protocol or version,
-/// truncated, damaged, or with a number that is not finite.
-[[nodiscard]] inline std::optional<Message> decode(const std::uint8_t* bytes, std::size_t size) {
-  using namespace detail;
-  if (size < header_size || std::memcmp(bytes, greeting.data(), greeting.size()) != 0)
-    return std::nullopt;
-  Message m;
-  m.type = static_cast<MessageType>(bytes[5]);
-  const auto count = value_count(m.type);
-  if (!count || size != header_size + 8 * *count || get<std::uint16_t>(bytes + 6) != size ||
-      get<std::uint32_t>(bytes + 32) != checksum(bytes, size))
-    return std::nullopt;
-  m.session = get<std::uint32_t>(bytes + 8);
-  m.sequence = get<std::uint32_t>(bytes + 12);
-  m.time = get_double(bytes + 16);
-  m.stamp = get<std::uint64_t>(bytes + 24);
-  bool finite = std::isfinite(m.time);
-  for (std::size_t i = 0; i < *count; ++i) {
-    m.values[i] = get_double(bytes + header_size + 8 * i);
-    finite = finite && std::isfinite(m.values[i]);
-  }
-  if (!finite) return std::nullopt;
-  return m;
+[[nodiscard]] inline std::optional<RotorSpeeds> decode(const sensor_msgs::msg::JointState& m) {
+  const auto speed = detail::four(m.velocity);
+  if (!speed) return std::nullopt;
+  return RotorSpeeds{loops::seconds(m.header.stamp), *speed};
 }
+
+[[nodiscard]] inline std::optional<Pose> decode(const geometry_msgs::msg::PoseStamped& m) {
+  const auto& p = m.pose.position;
+  const auto& q = m.pose.orientation;
+  const Pose pose{loops::seconds(m.header.stamp), {{p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}}};
+  if (!pose.pose.position.allFinite() || !pose.pose.orientation.coeffs().allFinite())
+    return std::nullopt;
+  return pose;
+}
+
+[[nodiscard]] inline std::optional<WrenchCommand> decode(
+    const tilt_ropter_msgs::msg::WrenchCommand& m) {
+  const WrenchCommand c{loops::seconds(m.header.stamp), detail::wrench(m.wrench),
+                        detail::wrench(m.rate), m.on_ground};
+  if (!tilt_ropter::is_finite(c.wrench) || !tilt_ropter::is_finite(c.rate)) return std::nullopt;
+  return c;
+}
+
+[[nodiscard]] inline std::optional<ActuatorCommand> decode(const actuator_msgs::msg::Actuators& m) {
+  const auto speed = detail::four(m.velocity), angle = detail::four(m.position);
+  if (!speed || !angle) return std::nullopt;
+  return ActuatorCommand{loops::seconds(m.header.stamp), {*speed, *angle}};
+}
+
+/// Makes messages. They refer to memory of this object and stay valid until the next call of the
+/// same function.
+class Encoder {
+ public:
+  [[nodiscard]] const sensor_msgs::msg::Imu& encode(const Inertial& i) {
+    imu_.header = header(i.time, base_link_);
+    imu_.orientation_covariance[0] = -1.0;  // not measured
+    imu_.angular_velocity = detail::message(i.sample.angular_velocity);
+    imu_.linear_acceleration = detail::message(i.sample.specific_force);
+    return imu_;
+  }
+  [[nodiscard]] const sensor_msgs::msg::JointState& encode(const RotorSpeeds& r) {
+    joints_.header = header(r.time, base_link_);
+    loops::refer_to(joints_.name, names_);
+    fill(joints_.velocity, speeds_, r.speed);
+    return joints_;
+  }
+  [[nodiscard]] const geometry_msgs::msg::PoseStamped& encode(const Pose& p) {
+    const Eigen::Vector3d& r = p.pose.position;
+    const Eigen::Quaterniond& q = p.pose.orientation;
+    pose_.header = header(p.time, map_);
+    pose_.pose = {{r.x(), r.y(), r.z()}, {q.x(), q.y(), q.z(), q.w()}};
+    return pose_;
+  }
+  [[nodiscard]] const tilt_ropter_msgs::msg::WrenchCommand& encode(const WrenchCommand& c) {
+    command_ = {header(c.time, base_link_), detail::message(c.wrench), detail::message(c.rate),
+                c.on_ground};
+    return command_;
+  }
+  [[nodiscard]] const geometry_msgs::msg::WrenchStamped& shown(const WrenchCommand& c) {
+    shown_ = {header(c.time, base_link_), detail::message(c.wrench)};
+    return shown_;
+  }
+  [[nodiscard]] const actuator_msgs::msg::Actuators& encode(const ActuatorCommand& c) {
+    actuators_.header = header(c.time, base_link_);
+    fill(actuators_.velocity, speeds_, c.command.rotor_speed);
+    fill(actuators_.position, angles_, c.command.tilt_angle);
+    return actuators_;
+  }
+
+ private:
+  [[nodiscard]] static std_msgs::msg::Header header(double time, const std::string& frame) {
+    return {loops::stamp(std::llround(1e9 * time)), loops::in_message(frame)};
+  }
+  template <typename Sequence>
+  static void fill(Sequence& sequence, std::vector<double>& memory, const Eigen::Vector4d& values) {
+    memory.assign(values.data(), values.data() + values.size());
+    loops::refer_to(sequence, memory);
+  }
+
+  const std::string base_link_ = "base_link", map_ = "map";
+  std::vector<std::string> rotors_{"rotor_1", "rotor_2", "rotor_3", "rotor_4"};
+  std::vector<char*> names_{loops::in_message(rotors_[0]), loops::in_message(rotors_[1]),
+                            loops::in_message(rotors_[2]), loops::in_message(rotors_[3])};
+  std::vector<double> speeds_, angles_;
+  sensor_msgs::msg::Imu imu_{};
+  sensor_msgs::msg::JointState joints_{};
+  geometry_msgs::msg::PoseStamped pose_{};
+  tilt_ropter_msgs::msg::WrenchCommand command_{};
+  geometry_msgs::msg::WrenchStamped shown_{};
+  actuator_msgs::msg::Actuators actuators_{};
+};
 
 }  // namespace hitl

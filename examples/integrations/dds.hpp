@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 /// Owners for what Cyclone DDS hands out. A message is a struct that idlc generated; messages.hpp
@@ -22,10 +23,14 @@ class Error : public std::runtime_error {
 template <typename Message>
 const dds_topic_descriptor_t& descriptor();
 
-/// Qualities of service. All topics are volatile and keep the last `depth` messages.
+/// Qualities of service. All topics are volatile and keep the last `depth` messages. A subscriber
+/// hears publishers that offer at least what it requests.
 struct Quality {
   bool reliable = true;
   int depth = 10;
+  std::int64_t deadline = DDS_INFINITY;  ///< longest time between messages [ns]
+  std::int64_t lease = DDS_INFINITY;     ///< a publisher that is silent on the wire is dead [ns]
+  bool ignore_own = false;  ///< of a subscriber: hear no publisher of the same participant
 };
 inline constexpr Quality default_quality{true, 10};  ///< of ROS 2
 inline constexpr Quality sensor_data{false, 5};      ///< of ROS 2, for sensors
@@ -79,6 +84,10 @@ class QualityHandle {
         qos_, quality.reliable ? DDS_RELIABILITY_RELIABLE : DDS_RELIABILITY_BEST_EFFORT, 0);
     dds_qset_history(qos_, DDS_HISTORY_KEEP_LAST, quality.depth);
     dds_qset_durability(qos_, DDS_DURABILITY_VOLATILE);
+    dds_qset_deadline(qos_, quality.deadline);
+    dds_qset_liveliness(qos_, DDS_LIVELINESS_AUTOMATIC, quality.lease);
+    dds_qset_ignorelocal(qos_,
+                         quality.ignore_own ? DDS_IGNORELOCAL_PARTICIPANT : DDS_IGNORELOCAL_NONE);
   }
   ~QualityHandle() { dds_delete_qos(qos_); }
   QualityHandle(const QualityHandle&) = delete;
@@ -136,15 +145,20 @@ class Subscriber {
                                   detail::QualityHandle(quality).get(), nullptr),
                 "a reader of " + ros_topic) {}
 
-  /// Calls action(message) for every message that has arrived, the oldest first. The message and
-  /// what it points to exist during the call only. Returns the number of messages.
+  /// Calls action(message) or action(message, info) for every message that has arrived, the oldest
+  /// first. The message and what it points to exist during the call only. Returns the number of
+  /// messages.
   template <typename Action>
   int take(Action&& action) {
     int count = 0;
     for (Loan loan(reader_.get()); loan.size > 0; loan.renew())
       for (int i = 0; i < loan.size; ++i)
         if (const auto k = static_cast<std::size_t>(i); loan.info[k].valid_data) {
-          action(*static_cast<const Message*>(loan.samples[k]));
+          const auto& message = *static_cast<const Message*>(loan.samples[k]);
+          if constexpr (std::is_invocable_v<Action, const Message&, const dds_sample_info_t&>)
+            action(message, loan.info[k]);
+          else
+            action(message);
           ++count;
         }
     return count;
@@ -155,6 +169,25 @@ class Subscriber {
     dds_subscription_matched_status_t status{};
     dds_get_subscription_matched_status(reader_.get(), &status);
     return static_cast<int>(status.current_count);
+  }
+  /// Number of publishers that are alive.
+  [[nodiscard]] int alive_publishers() const {
+    dds_liveliness_changed_status_t status{};
+    dds_get_liveliness_changed_status(reader_.get(), &status);
+    return static_cast<int>(status.alive_count);
+  }
+  /// Returns whether the deadline was missed since the last call. DDS watches it while a publisher
+  /// is alive, from the first message on.
+  [[nodiscard]] bool missed_deadline() {
+    dds_requested_deadline_missed_status_t status{};
+    dds_get_requested_deadline_missed_status(reader_.get(), &status);
+    return status.total_count_change > 0;
+  }
+  /// Number of messages that DDS knows to be lost.
+  [[nodiscard]] long lost() const {
+    dds_sample_lost_status_t status{};
+    dds_get_sample_lost_status(reader_.get(), &status);
+    return static_cast<long>(status.total_count);
   }
   [[nodiscard]] dds_entity_t reader() const { return reader_.get(); }
 

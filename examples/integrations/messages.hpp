@@ -9,7 +9,9 @@
 #include <px4_msgs.h>
 #include <rosgraph_msgs.h>
 #include <sensor_msgs.h>
+#include <std_msgs.h>
 #include <tf2_msgs.h>
+#include <tilt_ropter_msgs.h>
 #include <visualization_msgs.h>
 
 #include <cstdint>
@@ -22,6 +24,7 @@ namespace builtin_interfaces::msg {
 using Time = builtin_interfaces_msg_dds__Time_;
 }
 namespace std_msgs::msg {
+using Bool = std_msgs_msg_dds__Bool_;
 using Header = std_msgs_msg_dds__Header_;
 using ColorRGBA = std_msgs_msg_dds__ColorRGBA_;
 }  // namespace std_msgs::msg
@@ -33,6 +36,9 @@ using Point = geometry_msgs_msg_dds__Point_;
 using Pose = geometry_msgs_msg_dds__Pose_;
 using PoseStamped = geometry_msgs_msg_dds__PoseStamped_;
 using TransformStamped = geometry_msgs_msg_dds__TransformStamped_;
+using Vector3 = geometry_msgs_msg_dds__Vector3_;
+using Wrench = geometry_msgs_msg_dds__Wrench_;
+using WrenchStamped = geometry_msgs_msg_dds__WrenchStamped_;
 }  // namespace geometry_msgs::msg
 namespace sensor_msgs::msg {
 using Imu = sensor_msgs_msg_dds__Imu_;
@@ -40,6 +46,9 @@ using JointState = sensor_msgs_msg_dds__JointState_;
 }  // namespace sensor_msgs::msg
 namespace actuator_msgs::msg {
 using Actuators = actuator_msgs_msg_dds__Actuators_;
+}
+namespace tilt_ropter_msgs::msg {
+using WrenchCommand = tilt_ropter_msgs_msg_dds__WrenchCommand_;
 }
 namespace nav_msgs::msg {
 using Path = nav_msgs_msg_dds__Path_;
@@ -93,10 +102,13 @@ inline dds_topic_descriptor_t renamed(dds_topic_descriptor_t older,
     return d;                                                                                \
   }
 TILT_ROPTER_TOPIC(rosgraph_msgs_msg_dds__Clock)
+TILT_ROPTER_TOPIC(std_msgs_msg_dds__Bool)
 TILT_ROPTER_TOPIC(geometry_msgs_msg_dds__PoseStamped)
+TILT_ROPTER_TOPIC(geometry_msgs_msg_dds__WrenchStamped)
 TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__Imu)
 TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__JointState)
 TILT_ROPTER_TOPIC(actuator_msgs_msg_dds__Actuators)
+TILT_ROPTER_TOPIC(tilt_ropter_msgs_msg_dds__WrenchCommand)
 TILT_ROPTER_TOPIC(nav_msgs_msg_dds__Path)
 TILT_ROPTER_TOPIC(tf2_msgs_msg_dds__TFMessage)
 TILT_ROPTER_TOPIC(visualization_msgs_msg_dds__MarkerArray)

@@ -6,7 +6,6 @@
 #include <unistd.h>
 
 #include <cstdlib>
-#include <filesystem>
 #include <map>
 #include <sstream>
 #include <stdexcept>
@@ -17,29 +16,17 @@
 /// one computer and in real time.
 namespace examples::paper {
 
-/// Runs hitl_onboard, hitl_flight_controller and hitl_simulator of the directory `programs`. Their
-/// output goes to hitl_*.txt in `output`. The flight ends at mission time `until` [s]; 0: at the
-/// end of the mission. Throws std::runtime_error if the simulator fails.
+/// Runs hitl_onboard, hitl_flight_controller and hitl_simulator of the directory `programs`, in a
+/// DDS domain of their own unless ROS_DOMAIN_ID names one. Their output goes to hitl_*.txt in
+/// `output`. The flight ends at mission time `until` [s]; 0: at the end of the mission. Throws
+/// std::runtime_error if the simulator fails.
 [[nodiscard]] inline std::vector<Figures> fly_hardware_in_the_loop(const std::string& programs,
                                                                    const std::string& output,
                                                                    double until) {
-  std::filesystem::create_directories(output);
-  const int port = 20000 + static_cast<int>(getpid() % 10000) * 3;  // others may fly, too
-  std::string addresses;
-  int next = port;
-  for (const char* name : {"--simulator", "--onboard", "--flight-controller"})
-    addresses += std::string(" ") + name + " 127.0.0.1:" + std::to_string(next++);
-  const auto command = [&](const std::string& name) {
-    return '\'' + programs + "/hitl_" + name + '\'' + addresses;
-  };
-  const auto to = [&](const std::string& name) {
-    return " > '" + output + "/hitl_" + name + ".txt' 2>&1";
-  };
-  const std::string script = command("onboard") + to("onboard") + " & " +
-                             command("flight_controller") + to("flight_controller") + " & " +
-                             command("simulator") + " --until " + std::to_string(until) + " > '" +
-                             output + "/hitl_simulator.txt'; code=$?; [ $code = 0 ] && " +
-                             "wait || kill $(jobs -p); exit $code";
+  // Others may fly, too. Higher domains have ports that Linux gives to any program.
+  setenv("ROS_DOMAIN_ID", std::to_string(1 + getpid() % 100).c_str(), 0);
+  const std::string script = "bash '" TILT_ROPTER_EXAMPLES_DIR "/hitl/fly.sh' '" + programs +
+                             "' '" + output + "' --until " + std::to_string(until);
   if (std::system(script.c_str()) != 0)
     throw std::runtime_error("hitl_simulator failed: see " + output + "/hitl_simulator.txt");
 

@@ -1,5 +1,6 @@
 // Runs reproduce_paper with hardware in the loop, in real time.
 
+#include "support/dds_on_loopback.hpp"
 #include "support/full_run.hpp"
 #include "support/program.hpp"
 
@@ -11,6 +12,7 @@ namespace {
 
 TEST(ReproducePaperHitl, StartsTheThreeProgramsAndReadsTheirFigures) {
   if (!test_support::full_run()) GTEST_SKIP() << "only in the full run";
+  test_support::dds_on_loopback();
   const test_support::Directory directory("reproduce_paper_hitl");
   const test_support::Outcome loop = test_support::run(
       REPRODUCE_PAPER_PROGRAM,  // set by CMake

@@ -14,7 +14,9 @@
 #include <px4_msgsPubSubTypes.h>
 #include <rosgraph_msgsPubSubTypes.h>
 #include <sensor_msgsPubSubTypes.h>
+#include <std_msgsPubSubTypes.h>
 #include <tf2_msgsPubSubTypes.h>
+#include <tilt_ropter_msgsPubSubTypes.h>
 #include <visualization_msgsPubSubTypes.h>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
