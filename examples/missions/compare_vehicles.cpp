@@ -146,9 +146,8 @@ Exit code: 0 success, 1 an error, 2 an invalid vehicle file, above 100 wrong opt
 int main(int argc, char** argv) {
   CLI::App app{
       "Compares full actuation with leaning: flies the same mission with a vehicle, with the same\n"
-      "vehicle whose servos are locked, and with other vehicles. Each vehicle is controlled at "
-      "the\n"
-      "level that suits it."};
+      "vehicle whose servos are locked, and with other vehicles. Each is controlled at the level\n"
+      "that suits it."};
   Options options;
   options.others = {TILT_ROPTER_EXAMPLES_DIR "/vehicles/bicopter.json"};
   app.add_option("--vehicle", options.vehicle,

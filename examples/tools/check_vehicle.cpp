@@ -458,8 +458,8 @@ neither.
 
 The level is that of hybrid_mission, and the mission that of hybrid_mission with its defaults.
 
-Exit code: 0 the vehicle flies, 1 it does not fly or another error, 2 an invalid vehicle file, above
-100 wrong options.)";
+Exit code: 0 the vehicle flies (with --no-flight: no error was found), 1 it does not fly or another
+error, 2 an invalid vehicle file, above 100 wrong options.)";
 
 }  // namespace
 
