@@ -1,5 +1,7 @@
-// The wrench observer and the state estimator with an IMU at 1 kHz.
+// The wrench observer, the failure detector and the state estimator with an IMU at 1 kHz.
 
+#include <tilt_ropter/actuation/failure_detector.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
@@ -53,6 +55,23 @@ void observer_update_with_everything(benchmark::State& state) {
 
 BENCHMARK(observer_update);
 BENCHMARK(observer_update_with_everything);
+
+void failure_detector_update(benchmark::State& state) {
+  FailureDetector<4> detector(vehicle);
+  ActuatorState<4> actuators;
+  actuators.rotor_speed.setConstant(
+      speed_from_thrust(0.25 * vehicle.body.mass * gravity, vehicle.rotor));
+  double time = 0.0;
+  for (auto _ : state) {
+    time += 1e-3;
+    actuators.tilt_angle(0) = -actuators.tilt_angle(0) + 0.1;
+    benchmark::DoNotOptimize(detector.update(time, {Eigen::Vector3d(0.1, 0.2, 0.3), specific_force},
+                                             actuators, actuators.rotor_speed, true));
+  }
+  if (detector.failure().kind != FailureKind::none) state.SkipWithError("it has found a failure");
+}
+
+BENCHMARK(failure_detector_update);
 
 // Measurements of ten seconds of a flight.
 struct Log {
