@@ -14,7 +14,7 @@ flight, to results/.
                 to results/mujoco/
   --hitl        fly the same mission in real time with hardware in the loop: three programs that
                 exchange ROS 2 messages over DDS; print their figures and write them to
-                results/hitl/
+                results/hitl/; -- --plant mujoco flies in MuJoCo
   --paper       reproduce the paper (reproduce_paper): its three flights in our plant and in MuJoCo,
                 the servo's identification, hardware in the loop, ablations; tables and pictures to
                 results/paper/ (three minutes)
@@ -44,7 +44,7 @@ packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann
 if [[ $mujoco ]]; then
   packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)
 fi
-if [[ $paper ]]; then
+if [[ $paper || ($hitl && $* == *mujoco*) ]]; then
   packages+=(libmujoco-dev)
 fi
 if [[ $hitl || $paper ]]; then

@@ -97,7 +97,7 @@ instrumented() {  # directory, flags
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|format|parses_bites|readme_.*|without_nlopt)$'
 # These tests fly several programs in real time; instrumented programs are too slow for this.
-real_time='HitlFlight\.(FliesOverLoopback|SurvivesABadLine)|ReproducePaperHitl|DdsFlight'
+real_time='HitlFlight\.(Flies|SurvivesABadLine)|ReproducePaperHitl|DdsFlight'
 
 if [[ $instead == fuzz ]]; then
   bash cmake/install_missing.sh "${packages[@]}" clang libclang-rt-dev nlohmann-json3-dev

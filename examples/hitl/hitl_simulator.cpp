@@ -8,6 +8,10 @@
 #include "link.hpp"
 #include "options.hpp"
 
+#ifdef HITL_SIMULATOR_MUJOCO
+#include "../mujoco/plant.hpp"
+#endif
+
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -23,6 +27,7 @@
 #include <cstdint>
 #include <exception>
 #include <iostream>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -33,7 +38,7 @@ namespace {
 
 struct Options {
   hitl::BadLine line;
-  std::string vehicle;
+  std::string vehicle, plant = "plant";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   double until = 0.0;
@@ -41,12 +46,9 @@ struct Options {
 
 constexpr double step = 1e-3;  // time step of the plant [s]
 
-int simulate(const Options& options) {
-  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  Vehicle<4> truth = examples::quadrotor(file);
-  truth.body.mass *= 1.0 + options.mass_error;
-  truth.body.inertia *= 1.0 + options.inertia_error;
-  Plant<4> plant(truth);
+/// Flies `plant`, which is a Plant<4> or a MujocoPlant of the vehicle `truth`.
+template <typename SimulatedPlant>
+int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& plant) {
   ActuatorState<4> command;
   const bool stands = undercarriage(truth).has_value();
   examples::MissionSensors<4> sensors(static_cast<std::uint64_t>(options.seed));
@@ -151,6 +153,21 @@ int simulate(const Options& options) {
   return 0;
 }
 
+int simulate(const Options& options) {
+  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
+  Vehicle<4> truth = examples::quadrotor(file);
+  truth.body.mass *= 1.0 + options.mass_error;
+  truth.body.inertia *= 1.0 + options.inertia_error;
+  if (options.plant == "plant") return simulate(options, truth, Plant<4>(truth));
+#ifdef HITL_SIMULATOR_MUJOCO
+  examples::MujocoParameters parameters;
+  parameters.seen = false;
+  return simulate(options, truth, examples::MujocoPlant(truth, parameters));
+#else
+  throw std::runtime_error("--plant mujoco: built without MuJoCo (Debian: libmujoco-dev)");
+#endif
+}
+
 constexpr const char* footer = R"(
 Flies the hybrid mission in real time with hitl_onboard and hitl_flight_controller. Their commands
 must arrive within 3 s after the start. Without new actuator commands it holds the last command;
@@ -167,6 +184,9 @@ file, above 100 wrong options.)";
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: the vehicle, its sensors and the world, in real time."};
   Options options;
+  app.add_option("--plant", options.plant, "plant: that of this library; mujoco: MuJoCo")
+      ->check(CLI::IsMember({"plant", "mujoco"}))
+      ->capture_default_str();
   app.add_option("--seed", options.seed, "random seed of the sensor noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
