@@ -4,6 +4,7 @@
 #include "support/program.hpp"
 #include "support/ros2_vehicle.hpp"
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>
@@ -87,8 +88,8 @@ void expect_to_survive(const std::string& what, const Spoil& spoilt) {
   for (int i = 0; i < 30; ++i) {
     spoilt(flight);
     flight.fly(0.01);
-    ASSERT_TRUE(flight.vehicle.command().rotor_speed.allFinite());
-    ASSERT_TRUE(flight.vehicle.command().tilt_angle.allFinite());
+    ASSERT_TRUE(tilt_ropter::all_finite(flight.vehicle.command().rotor_speed));
+    ASSERT_TRUE(tilt_ropter::all_finite(flight.vehicle.command().tilt_angle));
   }
   flight.fly(4.0);
   EXPECT_LT((flight.vehicle.plant.body().position - Vector3d(0.0, 0.0, 0.6)).norm(), 0.03);

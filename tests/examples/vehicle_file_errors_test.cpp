@@ -232,7 +232,7 @@ TEST(VehicleFile, ProgramsForFourRotorsRejectOtherVehicles) {
 #ifdef HITL_SIMULATOR_PROGRAM  // with Cyclone DDS
            HITL_SIMULATOR_PROGRAM, HITL_ONBOARD_PROGRAM, HITL_FLIGHT_CONTROLLER_PROGRAM,
 #endif
-           MONTE_CARLO_PROGRAM, RT_LOOP_PROGRAM}) {
+           RT_LOOP_PROGRAM}) {
     const auto told = test_support::run(program, "--vehicle " + shipped("hexacopter"));
     EXPECT_EQ(told.exit_code, 2) << program;
     EXPECT_NE(told.output.find("a vehicle of 4 rotors"), std::string::npos) << told.output;
