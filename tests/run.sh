@@ -84,7 +84,7 @@ build() {  # directory, CMake options
 benchmark_packages=(libbenchmark-dev)
 test_packages=(clang clang-format libgtest-dev "${benchmark_packages[@]}" libcli11-dev
   nlohmann-json3-dev gnuplot-nox fonts-dejavu-core libjs-three node-d3 libmujoco-dev libegl-dev libgl1
-  libgl1-mesa-dri cyclonedds-dev cyclonedds-tools pkgconf time)
+  libgl1-mesa-dri cyclonedds-dev cyclonedds-tools openssl pkgconf time)
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
