@@ -25,7 +25,8 @@
 
 /// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
 /// error-state Kalman filter that processes measurements at their time stamps. This header decides
-/// which measurement is used and when; the headers that it includes contain the computations.
+/// which measurement is used and when; the headers that it includes contain the computations. It is
+/// long because these decisions share one queue, one history and one state, so they are one class.
 namespace tilt_ropter {
 
 /// Error-state Kalman filter for delayed measurements. The filter is at the time of the last
