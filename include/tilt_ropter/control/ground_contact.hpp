@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/body_step.hpp>
 #include <tilt_ropter/model/contact.hpp>
@@ -12,7 +13,6 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <Eigen/LU>
 
 #include <algorithm>
 #include <cmath>
@@ -32,7 +32,7 @@ class GroundContact {
                 const GroundContactSettings& settings = {})
       : settings_(settings), mass_(body.mass), undercarriage_(undercarriage) {
     validate(body);
-    inverse_inertia_ = body.inertia.inverse();
+    inverse_inertia_ = detail::inverse(body.inertia);
     if (undercarriage) validate(*undercarriage);
     validate(settings);
   }

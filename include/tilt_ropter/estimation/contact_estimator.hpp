@@ -267,9 +267,8 @@ class ContactEstimator {
            external.torque.norm() <= largest;
   }
 
-  static Eigen::Vector3d kept(const Eigen::Vector3d& bandwidth, double dt) noexcept {
-    return bandwidth.unaryExpr([dt](double k) { return std::exp(-k * dt); });
-  }
+  // What a first-order filter keeps of its last output.
+  static double kept(double bandwidth, double dt) noexcept { return std::exp(-bandwidth * dt); }
 
   // Mean input of the first-order filters between the last output and this output.
   [[nodiscard]] Wrenchd unfiltered(const Wrenchd& external, const Eigen::Vector3d& force_bandwidth,
@@ -278,8 +277,12 @@ class ContactEstimator {
     if (!(dt > 0.0) || dt > 0.5) return external;
     const auto undone = [dt](const Eigen::Vector3d& now, const Eigen::Vector3d& before,
                              const Eigen::Vector3d& bandwidth) {
-      const Eigen::Array3d e = kept(bandwidth, dt).array();
-      return Eigen::Vector3d((now.array() - e * before.array()) / (1.0 - e).max(1e-3));
+      Eigen::Vector3d input;
+      for (int i = 0; i < 3; ++i) {
+        const double e = kept(bandwidth(i), dt);
+        input(i) = (now(i) - e * before(i)) / std::max(1.0 - e, 1e-3);
+      }
+      return input;
     };
     return {undone(external.force, last_.force, force_bandwidth),
             undone(external.torque, last_.torque, torque_bandwidth)};
@@ -287,8 +290,10 @@ class ContactEstimator {
 
   static void fade(Wrenchd& w, const Eigen::Vector3d& force_bandwidth,
                    const Eigen::Vector3d& torque_bandwidth, double dt) noexcept {
-    w.force = w.force.cwiseProduct(kept(force_bandwidth, dt));
-    w.torque = w.torque.cwiseProduct(kept(torque_bandwidth, dt));
+    for (int i = 0; i < 3; ++i) {
+      w.force(i) *= kept(force_bandwidth(i), dt);
+      w.torque(i) *= kept(torque_bandwidth(i), dt);
+    }
   }
 
   void place_ground(const BodyStated& body, double fraction) noexcept {
@@ -305,8 +310,9 @@ class ContactEstimator {
     GroundPlane& ground = estimate_.ground;
     Eigen::Vector2d slope = ground.slope;
     const auto learn = [&](const Eigen::Vector3d& line) {  // `line` lies in the plane
-      const Eigen::Vector2d level = line.head<2>();
-      slope += fraction * level * (line.z() - slope.dot(level)) / level.squaredNorm();
+      const double x = line.x(), y = line.y();
+      const double part = fraction * (line.z() - slope.x() * x - slope.y() * y) / (x * x + y * y);
+      slope += Eigen::Vector2d(part * x, part * y);
     };
     learn(body.orientation * Eigen::Vector3d::UnitY());
     if (!undercarriage_->pitches) learn(body.orientation * Eigen::Vector3d::UnitX());

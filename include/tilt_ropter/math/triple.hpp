@@ -152,6 +152,16 @@ template <typename Derived>
     const Eigen::MatrixBase<Derived>& m) {
   return square_at(m.derived(), 0, 0);
 }
+/// Returns the inverse of a 3x3 matrix, from its cofactors. Compiles faster than Eigen's.
+inline Eigen::Matrix3d inverse(const Eigen::Matrix3d& m) noexcept {
+  const auto [x, y, z] = square(m);
+  const Triple<double> yz = cross(y, z), zx = cross(z, x), xy = cross(x, y);
+  const double determinant = dot(x, yz);
+  Eigen::Matrix3d result;
+  result << yz.x, yz.y, yz.z, zx.x, zx.y, zx.z, xy.x, xy.y, xy.z;
+  for (int i = 0; i < 9; ++i) result(i) /= determinant;
+  return result;
+}
 /// Writes the entries row, row + 1, row + 2 of a column.
 template <typename Scalar, typename Matrix>
 [[gnu::always_inline]] inline void put(const Triple<Scalar>& a, Matrix& m, int row, int column) {

@@ -7,7 +7,6 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <Eigen/LU>
 
 /// The Runge-Kutta step of a rigid body that the prediction models of both control levels share.
 namespace tilt_ropter {
@@ -62,7 +61,7 @@ struct BodyInertia {
   Matrix3<Scalar> inertia, inverse_inertia;  // about the CoM, body frame [kg m^2]
 
   explicit BodyInertia(const RigidBodyParameters& parameters) : mass(Scalar(parameters.mass)) {
-    const Eigen::Matrix3d inverse = parameters.inertia.inverse();
+    const Eigen::Matrix3d inverse = detail::inverse(parameters.inertia);
     for (int i = 0; i < 9; ++i) {
       inertia(i) = Scalar(parameters.inertia(i));
       inverse_inertia(i) = Scalar(inverse(i));

@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <string>
 #include <utility>
@@ -38,14 +39,14 @@ class SampledPath {
       require_time(name + ".time [s]", sample.time);
       require_finite(name + ".position [m]", sample.position);
       require_finite(name + ".yaw [rad]", sample.yaw);
-      Knot knot{sample.time, {}, Values::Zero()};
-      knot.value << sample.position, sample.yaw;
+      const Eigen::Vector3d& p = sample.position;
+      Knot knot{sample.time, {p.x(), p.y(), p.z(), sample.yaw}, {}};
       if (i > 0) {
         const Knot& last = knots_.back();
         require(knot.time - last.time >= 1e-6, name + ".time [s]", knot.time,
                 "1e-6 or more after the sample before it, " + std::to_string(last.time));
-        knot.value(3) = last.value(3) + yaw_of(quaternion_from_yaw(sample.yaw) *
-                                               quaternion_from_yaw(last.value(3)).conjugate());
+        knot.value[3] = last.value[3] + yaw_of(quaternion_from_yaw(sample.yaw) *
+                                               quaternion_from_yaw(last.value[3]).conjugate());
       }
       knots_.push_back(knot);
     }
@@ -75,20 +76,22 @@ class SampledPath {
                          [](double instant, const Knot& knot) { return instant < knot.time; });
     const Knot &a = *(after - 1), &b = *after;
     const double whole = b.time - a.time, y = (inside - a.time) / whole, x = 1.0 - y;
-    const Values value =
-        x * a.value + y * b.value +
-        whole * whole / 6.0 * ((x * x * x - x) * a.curvature + (y * y * y - y) * b.curvature);
-    const Values rate =
-        (b.value - a.value) / whole +
-        whole / 6.0 * ((1.0 - 3.0 * x * x) * a.curvature + (3.0 * y * y - 1.0) * b.curvature);
-    const Values curvature = x * a.curvature + y * b.curvature;
+    Values value, rate, curvature;
+    for (std::size_t k = 0; k < value.size(); ++k) {
+      const double ca = a.curvature[k], cb = b.curvature[k];
+      value[k] = x * a.value[k] + y * b.value[k] +
+                 whole * whole / 6.0 * ((x * x * x - x) * ca + (y * y * y - y) * cb);
+      rate[k] = (b.value[k] - a.value[k]) / whole +
+                whole / 6.0 * ((1.0 - 3.0 * x * x) * ca + (3.0 * y * y - 1.0) * cb);
+      curvature[k] = x * ca + y * cb;
+    }
     ReferencePoint point;
-    point.position = value.head<3>();
-    point.velocity = rate.head<3>();
-    point.acceleration = curvature.head<3>();
-    point.orientation = quaternion_from_yaw(value(3));
-    point.angular_velocity.z() = rate(3);
-    point.angular_acceleration.z() = curvature(3);
+    point.position = {value[0], value[1], value[2]};
+    point.velocity = {rate[0], rate[1], rate[2]};
+    point.acceleration = {curvature[0], curvature[1], curvature[2]};
+    point.orientation = quaternion_from_yaw(value[3]);
+    point.angular_velocity.z() = rate[3];
+    point.angular_acceleration.z() = curvature[3];
     return point;
   }
 
@@ -104,7 +107,7 @@ class SampledPath {
   }
 
  private:
-  using Values = Eigen::Vector4d;  // position, yaw
+  using Values = std::array<double, 4>;  // position, yaw
   struct Knot {
     double time;
     Values value, curvature;
@@ -118,18 +121,22 @@ class SampledPath {
     for (std::size_t i = 0; i <= last; ++i) {
       const double before = i > 0 ? knots_[i].time - knots_[i - 1].time : 0.0,
                    after = i < last ? knots_[i + 1].time - knots_[i].time : 0.0;
-      Values right = Values::Zero();
-      if (i < last) right += (knots_[i + 1].value - knots_[i].value) / after;
-      if (i > 0) right -= (knots_[i].value - knots_[i - 1].value) / before;
-      double diagonal = (before + after) / 3.0;
-      if (i > 0) {
-        diagonal -= before / 6.0 * above[i - 1];
-        right -= before / 6.0 * knots_[i - 1].curvature;
-      }
+      Knot& knot = knots_[i];
+      const double diagonal = (before + after) / 3.0 - (i > 0 ? before / 6.0 * above[i - 1] : 0.0);
       above[i] = after / 6.0 / diagonal;
-      knots_[i].curvature = right / diagonal;
+      for (std::size_t k = 0; k < knot.value.size(); ++k) {
+        double right = 0.0;
+        if (i < last) right += (knots_[i + 1].value[k] - knot.value[k]) / after;
+        if (i > 0) {
+          right -= (knot.value[k] - knots_[i - 1].value[k]) / before;
+          right -= before / 6.0 * knots_[i - 1].curvature[k];
+        }
+        knot.curvature[k] = right / diagonal;
+      }
     }
-    for (std::size_t i = last; i-- > 0;) knots_[i].curvature -= above[i] * knots_[i + 1].curvature;
+    for (std::size_t i = last; i-- > 0;)
+      for (std::size_t k = 0; k < 4; ++k)
+        knots_[i].curvature[k] -= above[i] * knots_[i + 1].curvature[k];
   }
 
   std::vector<Knot> knots_;

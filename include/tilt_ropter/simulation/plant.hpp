@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -10,7 +11,6 @@
 #include <tilt_ropter/simulation/wheel_contact.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/LU>
 
 #include <algorithm>
 #include <array>
@@ -116,7 +116,7 @@ class Plant {
   explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {})
       : vehicle_(validated(vehicle)),
         parameters_(validated(parameters)),
-        inertia_inverse_(vehicle.body.inertia.inverse()),
+        inertia_inverse_(detail::inverse(vehicle.body.inertia)),
         mounts_(mounts()),
         axle_arms_(axle_arms()),
         min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),

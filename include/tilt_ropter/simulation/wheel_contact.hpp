@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -72,12 +73,7 @@ inline void validate(const WheelContactParameters& p) {
       std::hypot(mount.centre.y(), std::hypot(mount.centre.x(), mount.centre.z()) + mount.radius);
   const double load = 3.0 * body.mass * gravity;
   // Velocity of the rim or of the contact point per impulse [1/kg].
-  // The norm of the inverse inertia, from its cofactors.
-  const Eigen::Vector3d x = body.inertia.col(0), y = body.inertia.col(1), z = body.inertia.col(2);
-  const Eigen::Vector3d yz = y.cross(z), zx = z.cross(x), xy = x.cross(y);
-  const double inverse_norm =
-      std::sqrt(yz.squaredNorm() + zx.squaredNorm() + xy.squaredNorm()) / std::abs(x.dot(yz));
-  const double of_body = 1.0 / body.mass + lever * lever * inverse_norm;
+  const double of_body = 1.0 / body.mass + lever * lever * detail::inverse(body.inertia).norm();
   const double of_spin = mount.locked ? 0.0 : mount.radius * mount.radius / mount.inertia;
   return std::max({p.bearing_friction / mount.inertia, p.bristle_damping * (of_spin + of_body),
                    p.rolling_resistance * load * of_spin / p.rolling_regularisation,
