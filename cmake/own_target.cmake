@@ -54,8 +54,9 @@ function(tilt_ropter_own_target target)
   set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 endfunction()
 
-# Precompiles `header` for all targets of tilt_ropter_quickly(); ARGN: libraries that it needs.
-function(tilt_ropter_precompile header)
+# Precompiles `header` for all targets of tilt_ropter_quickly(). `instances` is a source that defines
+# the template instances that the header declares. ARGN: libraries that the header needs.
+function(tilt_ropter_precompile header instances)
   set(source "${CMAKE_CURRENT_BINARY_DIR}/precompiled.cpp")
   file(GENERATE OUTPUT "${source}" CONTENT "")
   add_library(precompiled OBJECT "${source}")
@@ -73,7 +74,13 @@ function(tilt_ropter_precompile header)
     add_custom_command(OUTPUT "${object}"
       COMMAND "${CMAKE_CXX_COMPILER}" ${how} -fPIC -c -o "${object}" "${read_once}"
       DEPENDS $<TARGET_OBJECTS:precompiled> VERBATIM)
-    tilt_ropter_library_of(precompiled_library "${object}" ${TILT_ROPTER_COMPILED} ${ARGN})
+    add_library(precompiled_instances OBJECT "${instances}")
+    tilt_ropter_own_target(precompiled_instances)
+    target_link_libraries(precompiled_instances PRIVATE ${ARGN})
+    target_compile_options(precompiled_instances PRIVATE ${TILT_ROPTER_QUICKLY} -O1)
+    target_precompile_headers(precompiled_instances REUSE_FROM precompiled)
+    tilt_ropter_library_of(precompiled_library
+      "${object};$<TARGET_OBJECTS:precompiled_instances>" ${TILT_ROPTER_COMPILED} ${ARGN})
     set_target_properties(precompiled_library PROPERTIES
       LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}")
     # Flags for checks that only parse a source.
@@ -101,8 +108,7 @@ function(tilt_ropter_fast_target target)
   tilt_ropter_own_target(${target})
   if(TARGET precompiled)
     set(level -O0)
-    set(runs_longer check_vehicle identify_servo identify_vehicle mission_support replay_flight
-      stress_flights)
+    set(runs_longer check_vehicle identify_servo replay_flight stress_flights)
     if(target IN_LIST runs_longer)
       set(level -O1)
     endif()

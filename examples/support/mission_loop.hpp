@@ -428,7 +428,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     seen.z() += height_error_at(plant.time());
     if (height_is_off && phase == MissionPhase::ground) seen.z() = wanted.z();
     power = power_model.power(plant.actuators().rotor_speed,
-                              (plant.actuators().tilt_angle - tilt) / step);
+                              ((plant.actuators().tilt_angle - tilt) / step).eval());
     battery.on_plant(phase, plant.time(), power, step);
     figures.on_plant(phase, seen, wanted, plant.body().velocity.z(), power,
                      plant.normal_forces().sum() > 0.0);

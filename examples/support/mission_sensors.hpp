@@ -58,13 +58,15 @@ struct MissionSensors {
     if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
       controller.on_rotor_speeds(m->rotor_speed);
     if (auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force())) {
-      // Near 100 Hz: a loop with a single sample per tick sees this vibration as a slow
-      // oscillation.
-      constexpr double frequency = 97.0;  // [Hz]
-      const double now =
-          vibration * std::sqrt(2.0) * std::sin(2.0 * tilt_ropter::pi * frequency * time);
-      m->angular_velocity.array() += now;
-      m->specific_force.array() += 10.0 * now;
+      if (vibration > 0.0) {
+        // Near 100 Hz: a loop with a single sample per tick sees this vibration as a slow
+        // oscillation.
+        constexpr double frequency = 97.0;  // [Hz]
+        const double now =
+            vibration * std::sqrt(2.0) * std::sin(2.0 * tilt_ropter::pi * frequency * time);
+        m->angular_velocity.array() += now;
+        m->specific_force.array() += 10.0 * now;
+      }
       controller.on_imu(m->time, *m);
     }
     tilt_ropter::BodyStated seen = plant.body();

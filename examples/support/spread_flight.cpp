@@ -204,8 +204,8 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
     const MissionPhase phase = mission.phase(plant.time());
     const double square =
         (body_at_centre().position - mission(plant.time()).position).squaredNorm();
-    power_now =
-        power.power(plant.actuators().rotor_speed, (plant.actuators().tilt_angle - tilt) / step);
+    power_now = power.power(plant.actuators().rotor_speed,
+                            ((plant.actuators().tilt_angle - tilt) / step).eval());
     battery.on_plant(phase, plant.time(), power_now, step);
     error.add_square(square);
     if (phase == MissionPhase::air) {

@@ -1,6 +1,10 @@
 #pragma once
 
 #include <tilt_ropter/compiled_actuator_level.hpp>
+#include <tilt_ropter/estimation/clock_calibration.hpp>
+#include <tilt_ropter/estimation/log_calibration.hpp>
+#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/estimation/vehicle_identification.hpp>
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #if __has_include(<CLI/CLI.hpp>)
@@ -13,34 +17,58 @@
 #include <sstream>
 
 /// Headers that tests and programs precompile together (see TILT_ROPTER_BUILD_QUICKLY), and
-/// templates that many of them instantiate. With TILT_ROPTER_COMPILES_ONCE, these templates are
-/// compiled here, once.
+/// template instances that many of them use. With TILT_ROPTER_COMPILES_ONCE, these instances are
+/// compiled once, in precompiled_instances.cpp. `prefix` is `extern` for a declaration.
+#define TILT_ROPTER_TEST_INSTANCES(prefix)                                                         \
+  prefix template struct AllocationMatrix<4>;                                                      \
+  prefix template class ActuatorModel<4>;                                                          \
+  prefix template class Ekf<float>;                                                                \
+  prefix template class ErrorStateFilter<double>;                                                  \
+  prefix template class ErrorStateFilter<float>;                                                   \
+  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<0>>;                \
+  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<4>>;                \
+  prefix template class FailureDetector<4>;                                                        \
+  prefix template class Plant<4>;                                                                  \
+  prefix template class Plant<6>;                                                                  \
+  prefix template class RotorSpeedSensor<4>;                                                       \
+  prefix template class WrenchObserver<double>;                                                    \
+  prefix template class detail::ThrustChoice<4>;                                                   \
+  prefix template class detail::ThrustLimits<4, double>;                                           \
+  prefix template class detail::ThrustSearch<4>;                                                   \
+  prefix template ClockCalibration calibrate_clock(const std::vector<Timed<InertialSampled>>&,     \
+                                                   const std::vector<Timed<MarkerPosed>>&,         \
+                                                   const ClockCalibrationSettings&);               \
+  prefix template LogCalibration calibrate_log(const std::vector<Timed<InertialSampled>>&,         \
+                                               const std::vector<Timed<MarkerPosed>>&,             \
+                                               const LogCalibrationSettings&);                     \
+  prefix template VehicleIdentification<4> identify_vehicle(                                       \
+      const VehicleLog<4>&, const Vehicle<4>&, const VehicleIdentificationSettings&);              \
+  prefix template void validate<4>(const Vehicle<4>&);                                             \
+  prefix template double PowerModel::power(const Eigen::MatrixBase<Eigen::Vector4d>&,              \
+                                           const Eigen::MatrixBase<Eigen::Vector4d>&)              \
+      const noexcept;                                                                              \
+  prefix template Wrenchd Allocation<4>::wrench(const ActuatorState<4>&) const noexcept;           \
+  prefix template EkfStatus Ekf<double>::on_measurement(double,                                    \
+                                                        const FlowMeasurement<double>&) noexcept;  \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const HeadingMeasurement<double>&) noexcept;                                         \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const HeightMeasurement<double>&) noexcept;                                          \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const NoSlipMeasurement<double>&) noexcept;                                          \
+  prefix template EkfStatus Ekf<double>::on_measurement(double,                                    \
+                                                        const PoseMeasurement<double>&) noexcept;  \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const PositionMeasurement<double>&) noexcept;                                        \
+  prefix template EkfStatus Ekf<double>::on_measurement(double,                                    \
+                                                        const RangeMeasurement<double>&) noexcept; \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const WheelSpeedMeasurement<double>&) noexcept;                                      \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const WorldVelocityMeasurement<double>&) noexcept;
+
 #ifdef TILT_ROPTER_COMPILES_ONCE
 namespace tilt_ropter {
-
-template struct AllocationMatrix<4>;
-template class ActuatorModel<4>;
-template class ErrorStateFilter<double>;
-template class optimal_control::MultipleShooting<WheeledFlightProblem<0>>;
-template class optimal_control::MultipleShooting<WheeledFlightProblem<4>>;
-template class Plant<4>;
-template class Plant<6>;
-template class WrenchObserver<double>;
-template class detail::ThrustChoice<4>;
-template class detail::ThrustLimits<4, double>;
-template class detail::ThrustSearch<4>;
-template void validate<4>(const Vehicle<4>&);
-template EkfStatus Ekf<double>::on_measurement(double, const FlowMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const HeadingMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const HeightMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const NoSlipMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const PoseMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const PositionMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double, const RangeMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double,
-                                               const WheelSpeedMeasurement<double>&) noexcept;
-template EkfStatus Ekf<double>::on_measurement(double,
-                                               const WorldVelocityMeasurement<double>&) noexcept;
-
-}  // namespace tilt_ropter
+TILT_ROPTER_TEST_INSTANCES(extern)
+}
 #endif
