@@ -240,7 +240,7 @@ int run(const Options& options, const std::string& program) {
 }
 
 constexpr const char* footer = R"(
-Any vehicle file is taken: 2, 3, 4, 6 or 8 rotors, with wheels, with legs or with neither. The
+Any vehicle file is taken: 2 to 8 rotors, with wheels, with legs or with neither. The
 vehicle flies the part of the mission that it can do, at the level of control that it needs.
 
 Files in the output directory: monte_carlo.csv, one row per vehicle; monte_carlo.run, what the run

@@ -260,7 +260,9 @@ double FlightController<Rotors>::planned_tilt_rate() const {
 template class FlightController<2>;
 template class FlightController<3>;
 template class FlightController<4>;
+template class FlightController<5>;
 template class FlightController<6>;
+template class FlightController<7>;
 template class FlightController<8>;
 
 }  // namespace examples

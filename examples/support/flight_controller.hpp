@@ -44,8 +44,8 @@ enum class FlightMode {
   emergency  ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
 };
 
-/// For 2, 3, 4, 6 or 8 rotors; compiled once, in flight_controller.cpp. With 2 and 3 rotors there
-/// is no wrench level, see has_wrench_level.
+/// For 2 to 8 rotors; compiled once, in flight_controller.cpp. With 2, 3, 5 and 7 rotors there is
+/// no wrench level, see has_wrench_level.
 template <int Rotors>
 class FlightController {
  public:

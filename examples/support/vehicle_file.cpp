@@ -317,7 +317,7 @@ VehicleFile read(const Json& root) {
     file.battery_wh = fields.number("battery_wh", {0.1, 1e6, "W h"});
   common.battery = read_battery(fields);
 
-  const std::string rotor_list = "a list of 2, 3, 4, 6 or 8 rotors";
+  const std::string rotor_list = "a list of 2 to 8 rotors";
   const Json& list = fields.get("rotors", rotor_list);
   if (!list.is_array()) refuse("rotors", shown(list), rotor_list);
   const auto with = [&](auto vehicle) {
@@ -340,8 +340,14 @@ VehicleFile read(const Json& root) {
     case 4:
       with(Vehicle<4>{});
       break;
+    case 5:
+      with(Vehicle<5>{});
+      break;
     case 6:
       with(Vehicle<6>{});
+      break;
+    case 7:
+      with(Vehicle<7>{});
       break;
     case 8:
       with(Vehicle<8>{});

@@ -28,7 +28,7 @@
 ///                   { "position_m": [0.1, 0.1, 0.1],             or anywhere
 ///                     "thrust_axis": [0, 0, 1],                  direction of thrust at zero tilt
 ///                     "arm_axis": [1, 0, 0],                     axis of the servo
-///                     "spin": "clockwise", "tilts": true } ],    2, 3, 4, 6 or 8 rotors
+///                     "spin": "clockwise", "tilts": true } ],    2 to 8 rotors
 ///       "power": { "electronics_w": 18, "hover_w": 653.64,       and, optional, for each servo
 ///                  "servo_hold_w": 0.5,                          at rest and, in addition,
 ///                  "servo_move_j_per_rad": 0.3 },                while it moves
@@ -56,7 +56,8 @@ namespace examples {
 
 using AnyVehicle =
     std::variant<tilt_ropter::Vehicle<2>, tilt_ropter::Vehicle<3>, tilt_ropter::Vehicle<4>,
-                 tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<8>>;
+                 tilt_ropter::Vehicle<5>, tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<7>,
+                 tilt_ropter::Vehicle<8>>;
 
 struct VehicleFile {
   std::string name = "Tilt-Ropter";

@@ -7,10 +7,10 @@
 /// Which vehicles the programs control at the wrench level.
 namespace examples {
 
-/// True if the programs contain the wrench level for this number of rotors. They fly 2 and 3 rotors
-/// at the actuator level only.
+/// True if the programs contain the wrench level for this number of rotors. They fly 2, 3, 5 and 7
+/// rotors at the actuator level only.
 template <int Rotors>
-inline constexpr bool has_wrench_level = Rotors >= 4;
+inline constexpr bool has_wrench_level = Rotors == 4 || Rotors == 6 || Rotors == 8;
 
 /// The same for the type of a vehicle.
 template <typename AnyVehicle>

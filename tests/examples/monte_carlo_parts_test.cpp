@@ -265,8 +265,9 @@ void expect_same_replay(const std::string& directory, const Outcome& flown) {
 
 TEST(MonteCarloParts, PrintedCommandRepeatsAnyVehicleToTheBit) {
   const bool full = test_support::full_run();
-  for (const std::string name : {"bicopter", "coaxial_octocopter", "hexacopter", "octocopter",
-                                 "quadrotor", "tricopter", "five_kilograms"})
+  for (const std::string name :
+       {"bicopter", "coaxial_octocopter", "hexacopter", "octocopter", "quadrotor", "tricopter",
+        "five_kilograms", "quadrotor_with_pusher", "hexacopter_with_pusher"})
     if (full || name == "bicopter" || name == "octocopter") {
       const int count = full ? 8 : 1;
       const Outcome flown =

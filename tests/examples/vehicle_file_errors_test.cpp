@@ -83,7 +83,7 @@ std::vector<Wrong> wrong_files() {
       {"\"power\"",
        "\"limits\": {\"torque_min_nm\": [0, 2, 0]}, \"power\"",
        {"limits.torque_min_nm[1] = 2", "at most torque_max_nm[1], 1.5 N m"}},
-      {"\"rotors\": [", "\"rotors\": [[],", {"rotors = a list of 5", "2, 3, 4, 6 or 8"}},
+      {"\"rotors\": [", "\"rotors\": [[], [], [], [], [],", {"rotors = a list of 9", "2 to 8"}},
       {"\"azimuth_deg\": 90.0,\n      \"length_m\": 0.17",
        "\"position_m\": [0, 0.2, 0], \"thrust_axis\": [0, 1, 1], \"arm_axis\": [0, 1, 0]",
        {"rotors[1].arm_axis = 45 deg", "right angle"}},

@@ -38,6 +38,8 @@ const std::vector<Expected>& vehicles() {
       {"quadrotor", "actuator", 0.005, 0.03, 4},
       {"bicopter", "actuator", 0.005, 0.03, 4},
       {"tricopter", "actuator", 0.005, 0.03, 4},
+      {"quadrotor_with_pusher", "actuator", 0.005, 0.04, 4},
+      {"hexacopter_with_pusher", "actuator", 0.005, 0.0, 2},
       {"coaxial_octocopter", "actuator", 0.005, 0.0, 2},
   };
   return all;
