@@ -64,6 +64,7 @@ class OffscreenContext {
 
 /// Writes mission.mp4 during the mission and a picture in each figure eight, air.png and
 /// ground.png. finish() writes mission.gif.
+template <int Rotors>
 class Film {
  public:
   static constexpr int width = 960, height = 540;
@@ -71,7 +72,7 @@ class Film {
   static constexpr double frames_per_second = 10;  ///< frame rate of the film
 
   /// Throws std::runtime_error if rendering is impossible here or ffmpeg is missing.
-  Film(const MujocoPlant& plant, const std::string& directory)
+  Film(const MujocoPlant<Rotors>& plant, const std::string& directory)
       : plant_(plant), directory_(directory), pixels_(3 * width * height) {
     if (std::system("ffmpeg -version > /dev/null 2>&1") != 0)
       throw std::runtime_error("ffmpeg is missing");
@@ -202,7 +203,7 @@ class Film {
     const std::size_t oldest = trail_.size() > 60 ? trail_.size() - 60 : 0;
     for (std::size_t i = oldest + 1; i < trail_.size(); ++i)
       connect(mjGEOM_CAPSULE, 0.008, trail_[i - 1], trail_[i], flown);
-    for (int i = 0; i < 4; ++i) {
+    for (int i = 0; i < Rotors; ++i) {
       const int site =
           mj_name2id(&plant_.model(), mjOBJ_SITE, ("rotor" + std::to_string(i + 1)).c_str());
       const Eigen::Map<const Eigen::Vector3d> at(plant_.data().site_xpos + 3 * site);
@@ -217,7 +218,7 @@ class Film {
     mjr_readPixels(pixels_.data(), nullptr, all, &renderer_);
   }
 
-  const MujocoPlant& plant_;
+  const MujocoPlant<Rotors>& plant_;
   std::string directory_;
   OffscreenContext context_;
   std::vector<unsigned char> pixels_;

@@ -26,6 +26,7 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <variant>
 
 using namespace tilt_ropter;
 
@@ -43,10 +44,11 @@ struct Options {
 };
 
 #ifdef MISSION_MUJOCO_FILM
-using Film = examples::Film;
+using examples::Film;
 #else
+template <int Rotors>
 struct Film {
-  Film(const examples::MujocoPlant&, const std::string&) {
+  Film(const examples::MujocoPlant<Rotors>&, const std::string&) {
     throw std::runtime_error("built without EGL (Debian: libegl-dev)");
   }
   void on_step(const Mission&) {}
@@ -55,10 +57,11 @@ struct Film {
 #endif
 
 /// Records a film if possible. Otherwise prints the reason, and the mission continues.
+template <int Rotors>
 class MaybeFilm {
  public:
-  MaybeFilm(bool wanted, const examples::MujocoPlant& plant, const std::string& directory) {
-    if (wanted) attempt([&] { film_ = std::make_unique<Film>(plant, directory); });
+  MaybeFilm(bool wanted, const examples::MujocoPlant<Rotors>& plant, const std::string& directory) {
+    if (wanted) attempt([&] { film_ = std::make_unique<Film<Rotors>>(plant, directory); });
   }
   void on_step(const Mission& mission) {
     if (film_) attempt([&] { film_->on_step(mission); });
@@ -78,7 +81,7 @@ class MaybeFilm {
     }
   }
 
-  std::unique_ptr<Film> film_;
+  std::unique_ptr<Film<Rotors>> film_;
 };
 
 /// Wind as a force at the CoM [N]: a mean along the y axis of the world, and gusts in all axes with
@@ -103,16 +106,19 @@ class Wind {
   Eigen::Vector3d gust_ = Eigen::Vector3d::Zero();
 };
 
-void fly(Options& options) {
-  options.mujoco.seen = options.film;
-  options.mujoco.slope = options.slope_deg * pi / 180.0;
-  options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
-  options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
-  const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
-  if (write_mission(options.mission.mission, examples::four_rotors(file))) return;
-  const auto vehicles = examples::vehicles(options.mission, examples::four_rotors(file));
-  examples::MujocoPlant plant(vehicles.truth, options.mujoco);
+template <int Rotors>
+void fly(const Options& options, const examples::VehicleFile& file,
+         const Vehicle<Rotors>& vehicle) {
+  const auto vehicles = examples::vehicles(options.mission, vehicle);
+  const examples::MujocoParameters mujoco =
+      examples::with_fitting_arms(vehicles.truth, options.mujoco);
+  if (mujoco.arm_mass < options.mujoco.arm_mass)
+    std::cerr << "the arms weigh " << mujoco.arm_mass << " kg instead of "
+              << options.mujoco.arm_mass << " kg, so that they fit into this vehicle\n";
+  examples::MujocoPlant<Rotors> plant(vehicles.truth, mujoco);
   if (options.slow_servo > 0) {
+    require(options.slow_servo <= Rotors, "--slow-servo", options.slow_servo,
+            "at most " + std::to_string(Rotors) + ", the number of rotors");
     ServoParameters slow = vehicles.truth.servo;
     slow.time_constant *= options.slow_factor;
     slow.max_rate /= options.slow_factor;
@@ -138,6 +144,19 @@ void fly(Options& options) {
   if (options.mission.no_pictures) return;
   examples::write_report(options.mission.output, file, flown + attitude.str());
   examples::draw_pictures("missions/hybrid_mission.gp", options.mission.output);
+}
+
+void fly(Options& options) {
+  options.mujoco.seen = options.film;
+  options.mujoco.slope = options.slope_deg * pi / 180.0;
+  options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
+  options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
+  const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
+  std::visit(
+      [&](const auto& vehicle) {
+        if (!write_mission(options.mission.mission, vehicle)) fly(options, file, vehicle);
+      },
+      file.vehicle);
 }
 
 }  // namespace
@@ -183,9 +202,9 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 2.0))
       ->capture_default_str();
   app.add_option("--slow-servo", options.slow_servo,
-                 "arm (1 to 4) whose servo has the time constant times --slow-factor and the "
+                 "arm (from 1) whose servo has the time constant times --slow-factor and the "
                  "speed divided by it; 0: none")
-      ->check(CLI::Range(0, 4))
+      ->check(CLI::Range(0, 8))
       ->capture_default_str();
   app.add_option("--slow-factor", options.slow_factor, "factor for --slow-servo")
       ->check(CLI::Range(0.1, 20.0))

@@ -12,10 +12,11 @@
 #include <cstddef>
 #include <ostream>
 #include <sstream>
+#include <stdexcept>
 #include <string>
 
 /// The Tilt-Ropter as an MJCF model, written from the parameters of a Vehicle: base on a free
-/// joint, four arms on hinges with rotors and servos, wheels on free hinges or legs, and the
+/// joint, arms on hinges with rotors and servos, wheels on free hinges or legs, and the
 /// ground. This header is long because it contains the complete text of the model.
 namespace examples {
 
@@ -96,7 +97,8 @@ inline void validate(const MujocoParameters& p) {
 }
 
 /// Returns the number of wheels.
-[[nodiscard]] inline std::size_t wheel_count(const tilt_ropter::Vehicle<4>& vehicle) {
+template <int Rotors>
+[[nodiscard]] std::size_t wheel_count(const tilt_ropter::Vehicle<Rotors>& vehicle) {
   if (!vehicle.wheels) return 0;
   return vehicle.wheels->wheel_base > 0.0 ? 4 : 2;
 }
@@ -148,9 +150,10 @@ inline std::string placed(const Eigen::Isometry3d& pose) {
 
 /// Adds a wheel with its axle. `wheel` is its pose and `inner` the inner end of its axle, both in
 /// the frame of the body that carries it.
-inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
-                      const MujocoParameters& p, std::size_t index, const Eigen::Isometry3d& wheel,
-                      const Eigen::Vector3d& inner) {
+template <int Rotors>
+void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<Rotors>& vehicle,
+               const MujocoParameters& p, std::size_t index, const Eigen::Isometry3d& wheel,
+               const Eigen::Vector3d& inner) {
   const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
   const std::string n = std::to_string(index + 1);
   const double radius = vehicle.wheels->radius;
@@ -189,8 +192,9 @@ inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
 
 /// Returns the inertia of the base. Throws std::invalid_argument if arms and wheels have more mass
 /// or inertia than the vehicle.
-[[nodiscard]] inline BaseInertia base_inertia(const tilt_ropter::Vehicle<4>& vehicle,
-                                              const MujocoParameters& p) {
+template <int Rotors>
+[[nodiscard]] BaseInertia base_inertia(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                       const MujocoParameters& p) {
   BaseInertia base;
   base.mass = vehicle.body.mass;
   base.inertia = vehicle.body.inertia;  // about the CoM of the vehicle at this point
@@ -199,7 +203,7 @@ inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
     base.com -= mass * at;
     base.inertia -= detail::point_inertia(mass, at) + own;
   };
-  for (std::size_t i = 0; i < 4; ++i) {
+  for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
     const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
     take(p.arm_mass, rotor * Eigen::Vector3d(0.0, 0.0, p.arm_height),
          rotor.linear() * p.arm_inertia.asDiagonal() * rotor.linear().transpose());
@@ -219,13 +223,33 @@ inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
   return base;
 }
 
-/// Returns the MJCF text. Names: body `base`; joints `root`, `tilt1`.. `tilt4`, `wheel1`.. with the
+/// Returns `p` with arms and wheels whose mass and inertia are halved until they fit into the
+/// vehicle: a light vehicle cannot have the arms of the Tilt-Ropter. Returns `p` if no size fits.
+template <int Rotors>
+[[nodiscard]] MujocoParameters with_fitting_arms(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                                 const MujocoParameters& p) {
+  MujocoParameters lighter = p;
+  for (int halvings = 0; halvings < 6; ++halvings) {
+    try {
+      (void)base_inertia(vehicle, lighter);
+      return lighter;
+    } catch (const std::invalid_argument&) {
+      lighter.arm_mass *= 0.5;
+      lighter.arm_inertia *= 0.5;
+      lighter.wheel_mass *= 0.5;
+    }
+  }
+  return p;
+}
+
+/// Returns the MJCF text. Names: body `base`; joints `root`, `tilt1`.., `wheel1`.. with the
 /// index of wheel_in_body; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the
 /// CoM at zero tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction
 /// torque act at the site of the rotor, which tilts with its arm. A servo is a speed loop. Geoms
 /// have no mass.
-[[nodiscard]] inline std::string mujoco_model(const tilt_ropter::Vehicle<4>& vehicle,
-                                              const MujocoParameters& p = {}) {
+template <int Rotors>
+[[nodiscard]] std::string mujoco_model(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                       const MujocoParameters& p = {}) {
   using detail::numbers;
   tilt_ropter::validate(vehicle);
   validate(p);
@@ -304,7 +328,7 @@ inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
     <geom type="cylinder" size="0.006 0.012" pos="0 0 0.036" material="metal"/>
     <geom type="sphere" size="0.009" pos="0.068 0 0.006" material="carbon"/>
 )";
-  for (std::size_t i = 0; i < 4; ++i) {
+  for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
     const std::string n = std::to_string(i + 1);
     const Eigen::Isometry3d rotor = rotor_in_body(vehicle, i);
     const double arm = rotor.translation().norm();
@@ -371,12 +395,12 @@ inline void add_wheel(std::ostream& xml, const tilt_ropter::Vehicle<4>& vehicle,
         << quoted(numbers(half, half, half)) << "/>\n    </body>\n";
   }
   xml << "  </body>\n</worldbody>\n<actuator>\n";
-  for (std::size_t i = 0; i < 4; ++i)
+  for (std::size_t i = 0; i < vehicle.rotors.size(); ++i)
     xml << "  <motor name=\"thrust" << i + 1 << "\" site=\"rotor" << i + 1 << "\" gear=\"0 0 1 0 0 "
         << numbers(-static_cast<int>(vehicle.rotors[i].spin) *
                    rotor_parameters(vehicle, i).torque_ratio)
         << "\"/>\n";
-  for (std::size_t i = 0; i < 4; ++i)
+  for (std::size_t i = 0; i < vehicle.rotors.size(); ++i)
     xml << "  <velocity name=\"servo" << i + 1 << "\" joint=\"tilt" << i + 1
         << "\" kv=" << quoted(numbers(p.servo_damping)) << R"( forcelimited="true" forcerange=)"
         << quoted(numbers(-p.servo_torque, p.servo_torque)) << "/>\n";

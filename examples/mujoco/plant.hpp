@@ -33,12 +33,13 @@ namespace examples {
 /// bodies and computes the contacts. This class computes the lag of rotors and servos, which MuJoCo
 /// does not model. A servo turns its arm through the joint of MuJoCo: the reaction acts on the
 /// body, and the thrust, the weight and the inertia of the arm act against the servo.
+template <int Rotors>
 class MujocoPlant {
  public:
   /// Starts at time zero, on the ground with stopped rotors; a vehicle without wheels or legs
   /// starts at the height of the ground. Throws std::invalid_argument for invalid parameters, and
   /// std::runtime_error if MuJoCo rejects the model.
-  explicit MujocoPlant(const tilt_ropter::Vehicle<4>& vehicle,
+  explicit MujocoPlant(const tilt_ropter::Vehicle<Rotors>& vehicle,
                        const MujocoParameters& parameters = {})
       : vehicle_(vehicle),
         servo_stiffness_(parameters.servo_damping / vehicle.servo.time_constant),
@@ -50,7 +51,7 @@ class MujocoPlant {
     root_ = joint("root");
     const auto address = [this](int j) { return model_->jnt_qposadr[j]; };
     const auto dof = [this](int j) { return model_->jnt_dofadr[j]; };
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < rotors; ++i) {
       const std::string n = std::to_string(i + 1);
       tilt_angle_[i] = address(joint("tilt" + n));
       thrust_[i] = id(mjOBJ_ACTUATOR, "thrust" + n);
@@ -72,7 +73,8 @@ class MujocoPlant {
   }
 
   /// Sets body and actuators; the wheels stand still and the time is zero.
-  void reset(const tilt_ropter::BodyStated& body, const tilt_ropter::ActuatorState<4>& actuators) {
+  void reset(const tilt_ropter::BodyStated& body,
+             const tilt_ropter::ActuatorState<Rotors>& actuators) {
     mj_resetData(model_.get(), data_.get());
     Eigen::Map<Eigen::Matrix<mjtNum, 7, 1>> q(data_->qpos + model_->jnt_qposadr[root_]);
     Eigen::Map<Twist> v(data_->qvel + model_->jnt_dofadr[root_]);
@@ -80,7 +82,7 @@ class MujocoPlant {
     q << body.position, unit.w(), unit.x(), unit.y(), unit.z();
     v << body.velocity, body.angular_velocity;
     actuators_ = actuators;
-    for (std::size_t i = 0; i < 4; ++i)
+    for (std::size_t i = 0; i < rotors; ++i)
       data_->qpos[tilt_angle_[i]] = actuators.tilt_angle(static_cast<Eigen::Index>(i));
     disturbance_ = {};
     tilt_commands_ = {{-std::numeric_limits<double>::infinity(), actuators.tilt_angle}};
@@ -97,8 +99,8 @@ class MujocoPlant {
   /// Advances the plant by `dt` [s] with constant command and constant disturbance, a wrench at the
   /// CoM in the body frame. Returns false if an argument is not finite, if dt is out of range, or
   /// if MuJoCo reports an invalid state. After an invalid state the plant must not be used.
-  bool step(const tilt_ropter::ActuatorState<4>& command, const tilt_ropter::Wrenchd& disturbance,
-            double dt) {
+  bool step(const tilt_ropter::ActuatorState<Rotors>& command,
+            const tilt_ropter::Wrenchd& disturbance, double dt) {
     if (!(dt > 0.0 && dt <= 10.0) || !tilt_ropter::all_finite(command.rotor_speed) ||
         !tilt_ropter::all_finite(command.tilt_angle) || !tilt_ropter::is_finite(disturbance))
       return false;
@@ -107,8 +109,8 @@ class MujocoPlant {
     const int steps = std::max(1, static_cast<int>(std::ceil(dt / longest_step_ - 1e-6)));
     model_->opt.timestep = dt / steps;
     tilt_commands_.emplace_back(data_->time, command.tilt_angle);
-    Eigen::Vector4d passed, speed;
-    for (std::size_t i = 0; i < 4; ++i) {
+    PerRotor passed, speed;
+    for (std::size_t i = 0; i < rotors; ++i) {
       const auto k = static_cast<Eigen::Index>(i);
       const tilt_ropter::RotorParameters& rotor = tilt_ropter::rotor_parameters(vehicle_, i);
       passed(k) = -std::expm1(-dt / steps / rotor.time_constant);
@@ -117,7 +119,7 @@ class MujocoPlant {
       speed(k) = std::min(std::max(command.rotor_speed(k), least), top_speed_fraction_ * most);
     }
     for (int i = 0; i < steps; ++i) {
-      const Eigen::Vector4d change = passed.cwiseProduct(speed - actuators_.rotor_speed);
+      const PerRotor change = passed.cwiseProduct(speed - actuators_.rotor_speed);
       actuators_.rotor_speed += 0.5 * change;  // value in the middle of the step, to first order
       apply();
       mj_step(model_.get(), data_.get());
@@ -149,7 +151,7 @@ class MujocoPlant {
 
   [[nodiscard]] double time() const { return data_->time; }
   [[nodiscard]] const tilt_ropter::BodyStated& body() const { return body_; }
-  [[nodiscard]] const tilt_ropter::ActuatorState<4>& actuators() const { return actuators_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& actuators() const { return actuators_; }
 
   /// Wrench of the ground and the disturbance on the body, at the origin of the body frame, in the
   /// body frame. Excludes the torque of the ground that turns the wheels, and also bearings and
@@ -179,12 +181,14 @@ class MujocoPlant {
     return {data_->qvel[wheel_dof_.at(0)], data_->qvel[wheel_dof_.at(1)]};
   }
 
-  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+  [[nodiscard]] const tilt_ropter::Vehicle<Rotors>& vehicle() const { return vehicle_; }
   /// Model and data of MuJoCo, for pictures and tests.
   [[nodiscard]] const mjModel& model() const { return *model_; }
   [[nodiscard]] mjData& data() const { return *data_; }
 
  private:
+  static constexpr std::size_t rotors = static_cast<std::size_t>(Rotors);
+  using PerRotor = Eigen::Matrix<double, Rotors, 1>;
   struct Delete {
     void operator()(mjModel* model) const { mj_deleteModel(model); }
     void operator()(mjData* data) const { mj_deleteData(data); }
@@ -235,7 +239,7 @@ class MujocoPlant {
 
   /// Passes rotor thrusts, servo speeds and disturbance to MuJoCo.
   void apply() {
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < rotors; ++i) {
       const tilt_ropter::ServoParameters& servo = servos_[i];
       data_->ctrl[thrust_[i]] = thrust(i);
       const double target = std::clamp(heard(i), servo.min_angle, servo.max_angle);
@@ -258,7 +262,7 @@ class MujocoPlant {
     body_.orientation = Eigen::Quaterniond(q[3], q[4], q[5], q[6]);
     body_.velocity = v.head<3>();
     body_.angular_velocity = v.tail<3>();
-    for (std::size_t i = 0; i < 4; ++i)
+    for (std::size_t i = 0; i < rotors; ++i)
       actuators_.tilt_angle(static_cast<Eigen::Index>(i)) = data_->qpos[tilt_angle_[i]];
     specific_force_ = Eigen::Map<const Eigen::Vector3d>(data_->sensordata + accelerometer_);
 
@@ -275,22 +279,22 @@ class MujocoPlant {
     }
   }
 
-  tilt_ropter::Vehicle<4> vehicle_;
+  tilt_ropter::Vehicle<Rotors> vehicle_;
   double servo_stiffness_;
-  std::array<tilt_ropter::ServoParameters, 4> servos_;
+  std::array<tilt_ropter::ServoParameters, rotors> servos_;
   Model model_;
   std::unique_ptr<mjData, Delete> data_;
   int base_ = 0, root_ = 0, accelerometer_ = 0;
-  std::array<int, 4> tilt_angle_{}, thrust_{}, servo_{};  ///< indices in the arrays of MuJoCo
+  std::array<int, rotors> tilt_angle_{}, thrust_{}, servo_{};  ///< indices in the arrays of MuJoCo
   std::vector<int> wheel_dof_, contact_;
   double longest_step_ = model_->opt.timestep;
   /// Fraction of the top speed of the rotors at the present voltage.
   double top_speed_fraction_ = 1.0;
   tilt_ropter::Wrenchd disturbance_, external_;
   tilt_ropter::BodyStated body_;
-  tilt_ropter::ActuatorState<4> actuators_;
+  tilt_ropter::ActuatorState<Rotors> actuators_;
   /// Time of the command [s], angles [rad].
-  std::deque<std::pair<double, Eigen::Vector4d>> tilt_commands_;
+  std::deque<std::pair<double, PerRotor>> tilt_commands_;
   Eigen::Vector3d specific_force_ = Eigen::Vector3d::Zero();
   Eigen::Vector4d normal_forces_ = Eigen::Vector4d::Zero();
 };

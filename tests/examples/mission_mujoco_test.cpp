@@ -43,7 +43,7 @@ Flight run(const std::string& arguments) {
 
 // Mass matrix of the six degrees of freedom of the base, about the origin of the body frame, with
 // fixed arms and free wheels. Linear part in world axes, angular part in body axes.
-Eigen::Matrix<double, 6, 6> mass_matrix(const MujocoPlant& plant) {
+Eigen::Matrix<double, 6, 6> mass_matrix(const MujocoPlant<4>& plant) {
   const mjModel& model = plant.model();
   Eigen::MatrixXd m(model.nv, model.nv);
   mj_fullM(&model, m.data(), plant.data().qM);
@@ -364,6 +364,42 @@ TEST(MissionMujoco, FliesAMissionFromAFile) {
   EXPECT_GT(flight["min_voltage_V"], 15.0);
   EXPECT_GT(flight["max_current_A"], 653.64 / 16.8);
   EXPECT_EQ(run("--mission-file nowhere.json").exit_code, 2);
+}
+
+// Flies six rotors that tilt and seven that do not; every vehicle file in a full run.
+TEST(MissionMujoco, FliesVehiclesOfAnyNumberOfRotors) {
+  std::vector<std::string> names = {"hexacopter", "hexacopter_with_pusher"};
+  if (test_support::full_run()) {
+    names.clear();
+    for (const auto& entry : fs::directory_iterator(VEHICLES_DIR))
+      if (entry.path().extension() == ".json") names.push_back(entry.path().stem().string());
+    EXPECT_GE(names.size(), 11u);
+  }
+  for (const std::string& name : names) {
+    Flight flight = run("--vehicle '" VEHICLES_DIR "/" + name + ".json'");
+    ASSERT_EQ(flight.exit_code, 0) << name << '\n' << flight.output;
+    EXPECT_LE(flight["air_rmse_m"], 0.010) << name;
+    EXPECT_LE(flight["mission_rmse_m"], 0.020) << name;
+    EXPECT_LE(flight["touchdown_speed_mps"], 0.2) << name;
+    EXPECT_EQ(flight["solver_failures"], 0) << name;
+    EXPECT_EQ(flight["tipped_over"], 0) << name;
+  }
+  const Flight refused = run("--slow-servo 5");
+  EXPECT_NE(refused.exit_code, 0);
+  EXPECT_TRUE(refused.says("--slow-servo = 5")) << refused.output;
+}
+
+// Arms of the Tilt-Ropter's mass do not fit into a vehicle of 1 kg.
+TEST(MujocoModel, ArmsAreLighterWhereTheyDoNotFit) {
+  const MujocoParameters usual;
+  EXPECT_EQ(with_fitting_arms(tilt_ropter_vehicle(), usual).arm_mass, usual.arm_mass);
+  Vehicle<4> light = tilt_ropter_vehicle();
+  light.body.mass = 0.5;
+  light.body.inertia *= 0.3;
+  EXPECT_THROW((void)base_inertia(light, usual), std::invalid_argument);
+  const MujocoParameters fitting = with_fitting_arms(light, usual);
+  EXPECT_LT(fitting.arm_mass, usual.arm_mass);
+  EXPECT_GT(base_inertia(light, fitting).mass, 0.0);
 }
 
 // Tries one option; all in a full run.

@@ -5,7 +5,7 @@
 
 namespace examples {
 
-static void place(MujocoPlant& plant, const tilt_ropter::BodyStated& body,
+static void place(MujocoPlant<4>& plant, const tilt_ropter::BodyStated& body,
                   const tilt_ropter::ActuatorState<4>& actuators) {
   plant.reset(body, actuators);
 }
@@ -13,7 +13,7 @@ static void place(MujocoPlant& plant, const tilt_ropter::BodyStated& body,
 namespace {
 
 TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeAndNoBounce) {
-  test_support::land_and_take_off<MujocoPlant>("MuJoCo", 10);
+  test_support::land_and_take_off<MujocoPlant<4>>("MuJoCo", 10);
 }
 
 }  // namespace
