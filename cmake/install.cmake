@@ -25,7 +25,9 @@ install(FILES
   "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropterConfigVersion.cmake"
   cmake/FindNLopt.cmake
   cmake/compiled.cmake
+  cmake/vehicle_file.cmake
   DESTINATION "${package_dir}")
+install(DIRECTORY examples/vehicle_file DESTINATION "${package_dir}")
 
 if(NOT top_level)
   return()
@@ -38,6 +40,7 @@ set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE all)
 set(CPACK_DEBIAN_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_PACKAGE_DEPENDS "libeigen3-dev (>= 3.3.7), libnlopt-dev (>= 2.6)")
+set(CPACK_DEBIAN_PACKAGE_SUGGESTS "nlohmann-json3-dev (>= 3.7)")  # for the vehicle files
 set(CPACK_SOURCE_GENERATOR TGZ)
 set(CPACK_SOURCE_IGNORE_FILES "/\\.git/" "/build[^/]*/" "/results/")
 include(CPack)

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "hover_point.hpp"
 #include "parameters.hpp"
 #include "px4_messages.hpp"

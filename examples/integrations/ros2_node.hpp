@@ -1,7 +1,7 @@
 #pragma once
 
 #include "../support/flight_controller.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "hover_point.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"

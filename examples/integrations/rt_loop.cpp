@@ -1,7 +1,7 @@
 // A real-time loop: hovers at a fixed rate with real-time scheduling and reports the latencies.
 
 #include "../support/run_program.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "latencies.hpp"
 #include "real_time.hpp"
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "../support/input_file_error.hpp"
+#include "../vehicle_file/tilt_ropter/input_file_error.hpp"
 #include "node.hpp"
 #include "parameters.hpp"
 
@@ -33,7 +33,7 @@ int run_node(CLI::App& app, int argc, const char* const* argv, const Fly& fly) {
   } catch (const std::invalid_argument& error) {
     std::cerr << app.get_name() << ": " << error.what() << '\n';
     return 2;
-  } catch (const examples::InputFileError& error) {
+  } catch (const tilt_ropter::InputFileError& error) {
     std::cerr << app.get_name() << ": " << error.what() << '\n';
     return 2;
   } catch (const std::exception& error) {

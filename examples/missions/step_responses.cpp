@@ -7,7 +7,7 @@
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>

@@ -8,7 +8,7 @@
 #include "../support/run_program.hpp"
 #include "../support/statistics.hpp"
 #include "../support/stress_flight.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 
 #include <CLI/CLI.hpp>
 

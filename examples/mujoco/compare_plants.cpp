@@ -1,7 +1,7 @@
 // Compares our plant with MuJoCo: the same vehicle under the same commands, without a controller.
 
 #include "../support/run_program.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "plant.hpp"
 
 #include <tilt_ropter/actuation/rotor.hpp>

@@ -2,7 +2,7 @@
 
 #include "../support/mission_loop.hpp"
 #include "../support/progress.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 #ifdef REPRODUCE_PAPER_MUJOCO  // set by CMake if MuJoCo is found
 #include "../mujoco/plant.hpp"
 #endif

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "vehicle_file.hpp"
+#include "vehicle_choice.hpp"
 
 #include <tilt_ropter/control/actuator_nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

@@ -1,6 +1,6 @@
 #include "mission_file.hpp"
 
-#include "json_fields.hpp"
+#include "../vehicle_file/tilt_ropter/json_fields.hpp"
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -26,13 +26,13 @@ namespace examples {
 namespace {
 
 using namespace tilt_ropter;
-using json_fields::Fields;
-using json_fields::Json;
-using json_fields::list_of;
-using json_fields::Range;
-using json_fields::refuse;
-using json_fields::rounded;
-using json_fields::shown;
+using tilt_ropter::json_fields::Fields;
+using tilt_ropter::json_fields::Json;
+using tilt_ropter::json_fields::list_of;
+using tilt_ropter::json_fields::Range;
+using tilt_ropter::json_fields::refuse;
+using tilt_ropter::json_fields::rounded;
+using tilt_ropter::json_fields::shown;
 
 constexpr double degree = pi / 180.0;
 constexpr std::size_t most_segments = 200;
@@ -132,7 +132,7 @@ class Reader {
       fields.refuse_unknown();
       return segments;
     } catch (const std::invalid_argument& error) {
-      throw json_fields::Error(path(i) + " (" + type + "): " + error.what());
+      throw tilt_ropter::json_fields::Error(path(i) + " (" + type + "): " + error.what());
     }
   }
 
@@ -143,10 +143,10 @@ class Reader {
       try {
         return read_trajectory((directory_ / file).string(), undercarriage_).segments();
       } catch (const std::exception& error) {
-        throw json_fields::Error(fields.name("file") + ": " + error.what());
+        throw tilt_ropter::json_fields::Error(fields.name("file") + ": " + error.what());
       }
     }
-    if (!place) throw json_fields::Error("start is missing: must be an object");
+    if (!place) throw tilt_ropter::json_fields::Error("start is missing: must be an object");
     const bool may_move = type == "stop" || type == "way_points" || type == "figure_eight";
     if (place->moves() && !may_move)
       refuse(path(i) + ".type", '"' + type + '"',
@@ -209,8 +209,9 @@ class Reader {
       s.to.yaw = fields.number("yaw_deg", degrees) * degree;
     } else if (type == "turn") {  // into the heading in which the next segment starts
       if (i + 1 >= list_.size())
-        throw json_fields::Error(fields.name("yaw_deg") + " is missing: must be a number " +
-                                 degrees.text() + " in the last segment");
+        throw tilt_ropter::json_fields::Error(fields.name("yaw_deg") +
+                                              " is missing: must be a number " + degrees.text() +
+                                              " in the last segment");
       s.to.yaw = yaw_of(start_of_next(i, place).orientation);
     }
     s.duration = fields.number("duration_s", seconds, 0.0);
@@ -294,8 +295,9 @@ class Reader {
       s.direction = fields.number("direction_deg", degrees) * degree;
     } else if (place.moves()) {  // starts in the direction of motion
       if (!place.speed_known)
-        throw json_fields::Error(path(i) + ".direction_deg is missing: must be a number " +
-                                 degrees.text() + " after an end_velocity_mps of \"next\"");
+        throw tilt_ropter::json_fields::Error(
+            path(i) + ".direction_deg is missing: must be a number " + degrees.text() +
+            " after an end_velocity_mps of \"next\"");
       const Eigen::Vector3d& v = place.point.velocity;
       s.direction = std::atan2(v.y(), v.x()) - heading_at_crossing(s.amplitude);
     } else if (s.heading == HeadingMode::along_velocity) {  // starts in the present heading
@@ -516,9 +518,9 @@ class Writer {
 Mission read_mission(std::istream& in, const std::string& file,
                      const std::optional<Undercarriage>& undercarriage) {
   try {
-    return read(json_fields::parse(in), file, undercarriage);
+    return read(tilt_ropter::json_fields::parse(in), file, undercarriage);
   } catch (const Json::exception& error) {
-    throw MissionFileError(file + ": " + json_fields::message_of(error));
+    throw MissionFileError(file + ": " + tilt_ropter::json_fields::message_of(error));
   } catch (const std::exception& error) {
     throw MissionFileError(file + ": " + error.what());
   }
@@ -546,7 +548,7 @@ void write_mission(const Mission& mission, const std::optional<Undercarriage>& u
         {{{"type", "trajectory"}, {"file", std::filesystem::absolute(trajectory).string()}}});
   }
   std::ofstream out(path);
-  out << json_fields::text_of(root) << '\n';
+  out << tilt_ropter::json_fields::text_of(root) << '\n';
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "input_file_error.hpp"
+#include "../vehicle_file/tilt_ropter/input_file_error.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -25,7 +25,7 @@
 namespace examples {
 
 /// An invalid mission file: the message contains file, segment, field, value and allowed values.
-class MissionFileError : public InputFileError {
+class MissionFileError : public tilt_ropter::InputFileError {
  public:
   using InputFileError::InputFileError;
 };

@@ -13,7 +13,7 @@
 #include "paper_switches.hpp"
 #include "progress.hpp"
 #include "sensor_suite.hpp"
-#include "vehicle_file.hpp"
+#include "vehicle_choice.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/reference_check.hpp>

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "vehicle_file.hpp"
+#include "vehicle_choice.hpp"
 
 #include <CLI/CLI.hpp>
 
@@ -18,7 +18,7 @@ int run_program(CLI::App& app, const char* name, int argc, char** argv, const Ru
   CLI11_PARSE(app, argc, argv);
   try {
     return run();
-  } catch (const InputFileError& error) {
+  } catch (const tilt_ropter::InputFileError& error) {
     std::cerr << name << ": " << error.what() << '\n';
     return 2;
   } catch (const std::exception& error) {

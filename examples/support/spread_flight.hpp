@@ -1,6 +1,6 @@
 #pragma once
 
-#include "vehicle_file.hpp"
+#include "vehicle_choice.hpp"
 #include "vehicle_spread.hpp"
 
 #include <cstdint>

@@ -8,7 +8,7 @@
 #include "../support/run_program.hpp"
 #include "../support/simulated_mission.hpp"
 #include "../support/steady_flight.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>

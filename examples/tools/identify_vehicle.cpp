@@ -6,7 +6,7 @@
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
 #include "../support/run_program.hpp"
-#include "../support/vehicle_file.hpp"
+#include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/vehicle_identification.hpp>

@@ -4,7 +4,7 @@
 
 #include "../../examples/support/mission_loop.hpp"
 #include "../../examples/support/mission_sensors.hpp"
-#include "../../examples/support/vehicle_file.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>

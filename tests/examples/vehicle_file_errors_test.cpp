@@ -1,6 +1,6 @@
 // Invalid vehicle files are rejected with an error that names the field.
 
-#include "../../examples/support/vehicle_file.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 
 #include "support/program.hpp"
 #include "support/vehicle_files.hpp"

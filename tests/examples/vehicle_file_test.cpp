@@ -1,6 +1,6 @@
 // Vehicle files are read and written without loss, and their vehicles fly without tuning.
 
-#include "../../examples/support/vehicle_file.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 
 #include "support/program.hpp"
 #include "support/vehicle_files.hpp"

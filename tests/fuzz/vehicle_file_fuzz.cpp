@@ -1,7 +1,7 @@
 // Reader of vehicle files: any bytes give a vehicle that the library accepts, or an error with the
 // file's name.
 
-#include "../../examples/support/vehicle_file.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 #include "fuzz/input.hpp"
 
 #include <sstream>

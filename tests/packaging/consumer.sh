@@ -7,7 +7,7 @@ way=$1
 source=$2
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
-cp -r "$source"/tests/packaging/{consumer,core} "$away"
+cp -r "$source"/tests/packaging/{consumer,core,vehicle_file} "$away"
 cd "$away/consumer"
 
 case $way in
@@ -25,7 +25,12 @@ case $way in
     build/consumer
     cmake -S ../core -B build_core -DCMAKE_PREFIX_PATH="$away/moved"
     cmake --build build_core
-    build_core/core ;;
+    build_core/core
+    cmake -S ../vehicle_file -B build_vehicle_file -DCMAKE_PREFIX_PATH="$away/moved"
+    cmake --build build_vehicle_file
+    read_it=(build_vehicle_file/vehicle_file "$source/examples/vehicles/hexacopter_with_pusher.json")
+    [[ $("${read_it[@]}") == "hexacopter with pusher, on legs: 7 rotors" ]]
+    if build_vehicle_file/vehicle_file /dev/null; then exit 1; fi ;;
   packed)  # as .deb and as sources; the .deb is also used by pkg-config
     cmake -S "$source" -B "$away/build" -DCMAKE_INSTALL_PREFIX=/usr -DTILT_ROPTER_BUILD_EXAMPLES=OFF
     (cd "$away/build" && cpack -G DEB && cpack --config CPackSourceConfig.cmake)

@@ -15,5 +15,5 @@ check() {  # source README at_least
   done
   [[ ! $missing ]] || { echo "not in $2:$missing" && exit 1; }
 }
-check support/vehicle_file.cpp vehicles/README.md 40
+check vehicle_file/tilt_ropter/vehicle_file.cpp vehicles/README.md 40
 check support/mission_file.cpp missions/README.md 30

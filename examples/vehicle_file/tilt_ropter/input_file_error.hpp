@@ -2,7 +2,7 @@
 
 #include <stdexcept>
 
-namespace examples {
+namespace tilt_ropter {
 
 /// An invalid input file: the message contains file, field, value and the allowed values. The
 /// programs then return 2.
@@ -11,4 +11,4 @@ class InputFileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-}  // namespace examples
+}  // namespace tilt_ropter

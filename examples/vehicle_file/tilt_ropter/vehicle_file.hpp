@@ -1,17 +1,13 @@
 #pragma once
 
 #include "input_file_error.hpp"
-#include "wrench_level.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <iosfwd>
-#include <limits>
 #include <optional>
 #include <string>
-#include <type_traits>
-#include <utility>
 #include <variant>
 
 /// A user-defined vehicle in a JSON file: every parameter has a name with its unit.
@@ -52,42 +48,32 @@
 /// `rotor` may also contain `linear_thrust_coefficient_n_s_per_rad` (default zero): thrust =
 /// thrust_coefficient speed^2 + linear_thrust_coefficient speed. An entry of `rotors` may contain
 /// any field of `rotor`; the value then replaces the common one for this rotor.
-namespace examples {
+namespace tilt_ropter {
 
-using AnyVehicle =
-    std::variant<tilt_ropter::Vehicle<2>, tilt_ropter::Vehicle<3>, tilt_ropter::Vehicle<4>,
-                 tilt_ropter::Vehicle<5>, tilt_ropter::Vehicle<6>, tilt_ropter::Vehicle<7>,
-                 tilt_ropter::Vehicle<8>>;
+using AnyVehicle = std::variant<Vehicle<2>, Vehicle<3>, Vehicle<4>, Vehicle<5>, Vehicle<6>,
+                                Vehicle<7>, Vehicle<8>>;
 
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
-  AnyVehicle vehicle{tilt_ropter::tilt_ropter_vehicle()};
+  AnyVehicle vehicle{tilt_ropter_vehicle()};
   double battery_wh = 0.0;  ///< 0: unknown; used only if the vehicle's battery is unknown
-  tilt_ropter::AllowedErrors allowed_errors;
-  tilt_ropter::NmpcBounds limits;
+  AllowedErrors allowed_errors;
+  NmpcBounds limits;
 
   /// Returns the undercarriage (wheels or legs), if there is one.
-  [[nodiscard]] std::optional<tilt_ropter::Undercarriage> undercarriage() const {
+  [[nodiscard]] std::optional<Undercarriage> undercarriage() const {
     return std::visit([](const auto& v) { return tilt_ropter::undercarriage(v); }, vehicle);
   }
 
   /// Returns the settings of the controller for this vehicle.
-  [[nodiscard]] tilt_ropter::NmpcSettings settings() const {
-    auto s = std::visit(
-        [this](const auto& v) { return tilt_ropter::nmpc_settings(v, allowed_errors); }, vehicle);
+  [[nodiscard]] NmpcSettings settings() const {
+    auto s =
+        std::visit([this](const auto& v) { return nmpc_settings(v, allowed_errors); }, vehicle);
     s.problem.bounds = limits;
     s.ground.planned_height = 0.0;  // as in the missions
     return s;
   }
 };
-
-/// Returns the same settings without a time limit: in a simulation, time stands still while the
-/// controller computes, and the results are the same on every machine.
-[[nodiscard]] inline tilt_ropter::NmpcSettings in_simulated_time(
-    tilt_ropter::NmpcSettings settings) {
-  settings.time_limit = std::numeric_limits<double>::infinity();
-  return settings;
-}
 
 /// An invalid vehicle: the message contains file, field, value and the allowed values.
 class VehicleFileError : public InputFileError {
@@ -105,43 +91,4 @@ class VehicleFileError : public InputFileError {
 /// the file cannot be written.
 void write_vehicle(const VehicleFile& file, const std::string& path);
 
-/// Returns the Tilt-Ropter if `path` is empty, otherwise the vehicle in this file.
-[[nodiscard]] inline VehicleFile vehicle_or_default(const std::string& path) {
-  return path.empty() ? VehicleFile{} : read_vehicle(path);
-}
-
-/// For programs that need four rotors. Throws VehicleFileError for any other vehicle.
-[[nodiscard]] tilt_ropter::Vehicle<4> four_rotors(const VehicleFile& file);
-
-/// Returns why the wrench level cannot control this vehicle, or an empty text: the programs contain
-/// it for 4 rotors and more, and the allocation must have rank 6.
-[[nodiscard]] std::string reason_against_wrench_level(const VehicleFile& file);
-
-/// Throws VehicleFileError if the wrench level cannot control this vehicle.
-void require_wrench_level(const VehicleFile& file);
-
-/// For programs that need four rotors and the wrench level. Throws VehicleFileError for any other
-/// vehicle.
-[[nodiscard]] inline tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file) {
-  tilt_ropter::Vehicle<4> vehicle = four_rotors(file);
-  require_wrench_level(file);
-  return vehicle;
-}
-
-/// For programs that need the wrench level: returns action(vehicle). Throws VehicleFileError if the
-/// wrench level cannot control this vehicle.
-template <typename Action>
-auto with_wrench_level(const VehicleFile& file, Action&& action) {
-  require_wrench_level(file);
-  using Result = decltype(action(std::declval<const tilt_ropter::Vehicle<4>&>()));
-  return std::visit(
-      [&](const auto& vehicle) -> Result {
-        if constexpr (HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
-          return action(vehicle);
-        else
-          throw VehicleFileError(reason_against_wrench_level(file));
-      },
-      file.vehicle);
-}
-
-}  // namespace examples
+}  // namespace tilt_ropter

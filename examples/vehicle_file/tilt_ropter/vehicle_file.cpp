@@ -22,10 +22,9 @@
 #include <utility>
 #include <vector>
 
-namespace examples {
+namespace tilt_ropter {
 namespace {
 
-using namespace tilt_ropter;
 using json_fields::Fields;
 using json_fields::Json;
 using json_fields::list_of;
@@ -500,33 +499,4 @@ void write_vehicle(const VehicleFile& file, const std::string& path) {
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 
-Vehicle<4> four_rotors(const VehicleFile& file) {
-  const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
-  if (vehicle == nullptr)
-    throw VehicleFileError(file.name +
-                           ": this program needs a vehicle of 4 rotors; hybrid_mission takes any");
-  return *vehicle;
-}
-
-std::string reason_against_wrench_level(const VehicleFile& file) {
-  return std::visit(
-      [](const auto& vehicle) -> std::string {
-        const int rank = allocation_rank(vehicle);
-        if (rank < 6)
-          return "its rotors do not give every wrench: the allocation has rank " +
-                 std::to_string(rank) + ", must be 6";
-        if (!HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
-          return "the programs have the wrench level for 4, 6 and 8 rotors, this vehicle has " +
-                 std::to_string(vehicle.rotors.size());
-        return "";
-      },
-      file.vehicle);
-}
-
-void require_wrench_level(const VehicleFile& file) {
-  const std::string reason = reason_against_wrench_level(file);
-  if (!reason.empty())
-    throw VehicleFileError(file.name + ": the wrench level cannot control this vehicle: " + reason);
-}
-
-}  // namespace examples
+}  // namespace tilt_ropter

@@ -17,7 +17,7 @@
 
 /// Strict reading of JSON files: every field has a range, and unknown fields are errors. Messages
 /// name the field, its value and the allowed values.
-namespace examples::json_fields {
+namespace tilt_ropter::json_fields {
 
 using Json = nlohmann::ordered_json;
 
@@ -239,4 +239,4 @@ class Fields {
   return text;
 }
 
-}  // namespace examples::json_fields
+}  // namespace tilt_ropter::json_fields
