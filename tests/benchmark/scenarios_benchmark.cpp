@@ -1,9 +1,13 @@
 // The three scenarios of the benchmark's optimal-control problem in one table, beside published
-// results of other solvers.
+// results of other solvers, and a flight at the actuator level.
 
 #include "../../examples/support/statistics.hpp"
 #include "dense_riccati.hpp"
 #include "scenarios.hpp"
+
+#include <tilt_ropter/planning/experiments.hpp>
+
+#include "support/actuator_loop.hpp"
 
 #include <algorithm>
 #include <chrono>
@@ -26,8 +30,10 @@ using tilt_ropter::optimal_control::SolveStatus;
 constexpr const char* usage = R"(usage: scenarios_benchmark [--repeat R]
 
 Runs STEP (one solve from cold, 100 R times), AIR (figure eight in the air, 500 ticks, R times; one
-real-time iteration a tick, and to a KKT residual of 1e-6 each tick) and GROUND (figure eight on the
-ground, likewise one iteration a tick), on one thread. Prints for each
+real-time iteration a tick, and to a KKT residual of 1e-6 each tick), GROUND (figure eight on the
+ground, likewise one iteration a tick) and ACTUATORS (the paper's figure eight in the air, flown by
+ActuatorNmpc with four tilting rotors: 20 states, 8 inputs, 20 intervals), on one thread. Prints for
+each
 
   median, p99                wall time of a solve or an iteration [us]
   linearise, factorise,      median of the phases of one iteration [us]: `rows` are gradients of the
@@ -110,6 +116,21 @@ bool run_loop(const Scenario& scenario, double (ClosedLoop::*control)(), int rep
   return loop.sound();
 }
 
+bool run_actuator_level() {
+  const tilt_ropter::Vehicle<4> vehicle = tilt_ropter::tilt_ropter_vehicle();
+  const tilt_ropter::Mission mission = tilt_ropter::aerial_experiment();
+  test_support::ActuatorLoop<4> loop(vehicle, vehicle);
+  loop.start(mission(0.0).position);
+  Row row;
+  while (loop.plant().time() < mission.duration()) {
+    const SolveReport& report = loop.tick(mission).report;
+    row.add(loop.controller_us(), report);
+  }
+  row.print("ACTUATORS  one tick", text("%.5f m", loop.rmse()),
+            "           -           -           -  -");
+  return loop.all_planned() && loop.sound();
+}
+
 void run_yardstick(int repeat) {
   using Clock = std::chrono::steady_clock;
   benchmarks::DenseRiccati riccati;
@@ -153,6 +174,7 @@ int main(int argc, char** argv) {
   sound = run_loop(benchmarks::ground(), &ClosedLoop::iterate, repeat, "GROUND real-time iteration",
                    "         184         346           -  0.0108 m") &&
           sound;
+  sound = run_actuator_level() && sound;
   run_yardstick(repeat);
   if (!sound) std::fputs("a solve did not reach what was asked\n", stderr);
   return sound ? 0 : 1;

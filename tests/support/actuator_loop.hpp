@@ -12,6 +12,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 
@@ -89,8 +90,12 @@ class ActuatorLoop {
         measured.position.z() - standing_ - contact.ground.height_at(measured.position);
     detector_.update(time, sample, applied, modelled.rotor_speed,
                      !contact.on_ground && clearance > 0.05);
+    const auto start = std::chrono::steady_clock::now();
     (void)nmpc_.prepare(time, reference, contact);
     const auto& result = nmpc_.feedback(time, measured, modelled);
+    const std::chrono::duration<double, std::micro> passed =
+        std::chrono::steady_clock::now() - start;
+    controller_us_ = passed.count();
     command_ = result.command;
     actuators_.update(time, command_);
     for (int i = 0; i < 20; ++i) sound_ = plant_.step(command_, disturbance, 5e-4) && sound_;
@@ -121,6 +126,8 @@ class ActuatorLoop {
   [[nodiscard]] int solved() const { return solved_; }
   [[nodiscard]] int ticks() const { return ticks_; }
   [[nodiscard]] bool sound() const { return sound_; }
+  /// Time of prepare() and feedback() in the last tick [us].
+  [[nodiscard]] double controller_us() const { return controller_us_; }
   [[nodiscard]] const tilt_ropter::Plant<Rotors>& plant() const { return plant_; }
   [[nodiscard]] const tilt_ropter::ActuatorNmpc<Rotors>& nmpc() const { return nmpc_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
@@ -145,7 +152,7 @@ class ActuatorLoop {
   double standing_;  // height of the CoM on the ground [m]
   tilt_ropter::ActuatorNmpc<Rotors> nmpc_;
   tilt_ropter::ActuatorState<Rotors> command_;
-  double squares_ = 0.0, largest_ = 0.0;
+  double squares_ = 0.0, largest_ = 0.0, controller_us_ = 0.0;
   int ticks_ = 0, planned_ = 0, solved_ = 0;
   bool sound_ = true;
 };
