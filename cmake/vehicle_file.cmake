@@ -5,14 +5,17 @@
 if(TARGET tilt_ropter_vehicle_file)
   return()
 endif()
-set(folder "${CMAKE_CURRENT_LIST_DIR}/vehicle_file")  # if installed
-if(NOT IS_DIRECTORY "${folder}")
-  set(folder "${CMAKE_CURRENT_LIST_DIR}/../examples/vehicle_file")
-endif()
-add_library(tilt_ropter_vehicle_file STATIC EXCLUDE_FROM_ALL
-  "${folder}/tilt_ropter/vehicle_file.cpp")
-add_library(tilt_ropter::vehicle_file ALIAS tilt_ropter_vehicle_file)
-target_include_directories(tilt_ropter_vehicle_file PUBLIC "${folder}")
-target_link_libraries(tilt_ropter_vehicle_file PUBLIC tilt_ropter::core
-  PRIVATE nlohmann_json::nlohmann_json)
-set_target_properties(tilt_ropter_vehicle_file PROPERTIES POSITION_INDEPENDENT_CODE ON)
+function(tilt_ropter_add_vehicle_file)  # a function, so that no variable of the user changes
+  set(folder "${CMAKE_CURRENT_LIST_DIR}/vehicle_file")  # if installed
+  if(NOT IS_DIRECTORY "${folder}")
+    set(folder "${CMAKE_CURRENT_LIST_DIR}/../examples/vehicle_file")
+  endif()
+  add_library(tilt_ropter_vehicle_file STATIC EXCLUDE_FROM_ALL
+    "${folder}/tilt_ropter/vehicle_file.cpp")
+  add_library(tilt_ropter::vehicle_file ALIAS tilt_ropter_vehicle_file)
+  target_include_directories(tilt_ropter_vehicle_file PUBLIC "${folder}")
+  target_link_libraries(tilt_ropter_vehicle_file PUBLIC tilt_ropter::core
+    PRIVATE nlohmann_json::nlohmann_json)
+  set_target_properties(tilt_ropter_vehicle_file PROPERTIES POSITION_INDEPENDENT_CODE ON)
+endfunction()
+tilt_ropter_add_vehicle_file()
