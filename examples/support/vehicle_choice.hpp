@@ -38,7 +38,7 @@ using tilt_ropter::write_vehicle;
 [[nodiscard]] tilt_ropter::Vehicle<4> four_rotors(const VehicleFile& file);
 
 /// Returns why the wrench level cannot control this vehicle, or an empty text: the programs contain
-/// it for 4 rotors and more, and the allocation must have rank 6.
+/// it for 4, 6 and 8 rotors, and the allocation must have rank 6.
 [[nodiscard]] std::string reason_against_wrench_level(const VehicleFile& file);
 
 /// Throws VehicleFileError if the wrench level cannot control this vehicle.

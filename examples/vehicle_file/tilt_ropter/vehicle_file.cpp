@@ -1,8 +1,8 @@
+// SPDX-License-Identifier: BSD-3-Clause
 #include "vehicle_file.hpp"
 
 #include "json_fields.hpp"
 
-#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <Eigen/Core>
@@ -10,12 +10,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <fstream>
 #include <istream>
-#include <set>
 #include <sstream>
 #include <string>
 #include <type_traits>
@@ -329,31 +327,12 @@ VehicleFile read(const Json& root) {
     vehicle.battery = common.battery;
     file.vehicle = with_rotors(list, vehicle);
   };
-  switch (list.size()) {
-    case 2:
-      with(Vehicle<2>{});
-      break;
-    case 3:
-      with(Vehicle<3>{});
-      break;
-    case 4:
-      with(Vehicle<4>{});
-      break;
-    case 5:
-      with(Vehicle<5>{});
-      break;
-    case 6:
-      with(Vehicle<6>{});
-      break;
-    case 7:
-      with(Vehicle<7>{});
-      break;
-    case 8:
-      with(Vehicle<8>{});
-      break;
-    default:
-      refuse("rotors", "a list of " + std::to_string(list.size()), rotor_list);
-  }
+  const auto with_their_number = [&](const auto&... vehicles) {
+    return ((vehicles.rotors.size() == list.size() && (with(vehicles), true)) || ...);
+  };
+  if (!with_their_number(Vehicle<2>{}, Vehicle<3>{}, Vehicle<4>{}, Vehicle<5>{}, Vehicle<6>{},
+                         Vehicle<7>{}, Vehicle<8>{}))
+    refuse("rotors", "a list of " + std::to_string(list.size()), rotor_list);
 
   if (const Json* errors = fields.find("allowed_errors")) {
     Fields inner(*errors, "allowed_errors");

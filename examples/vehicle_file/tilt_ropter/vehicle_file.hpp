@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
 #include "input_file_error.hpp"
@@ -50,13 +51,16 @@
 /// any field of `rotor`; the value then replaces the common one for this rotor.
 namespace tilt_ropter {
 
+/// A vehicle of any number of rotors that a file may have.
 using AnyVehicle = std::variant<Vehicle<2>, Vehicle<3>, Vehicle<4>, Vehicle<5>, Vehicle<6>,
                                 Vehicle<7>, Vehicle<8>>;
 
+/// What a vehicle file says. By default the Tilt-Ropter.
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
   AnyVehicle vehicle{tilt_ropter_vehicle()};
-  double battery_wh = 0.0;  ///< 0: unknown; used only if the vehicle's battery is unknown
+  /// Energy of the battery [Wh]. 0: unknown. Used only if the vehicle's battery is unknown.
+  double battery_wh = 0.0;
   AllowedErrors allowed_errors;
   NmpcBounds limits;
 
@@ -65,7 +69,7 @@ struct VehicleFile {
     return std::visit([](const auto& v) { return tilt_ropter::undercarriage(v); }, vehicle);
   }
 
-  /// Returns the settings of the controller for this vehicle.
+  /// Returns the settings of Nmpc for this vehicle, with the allowed errors and limits of the file.
   [[nodiscard]] NmpcSettings settings() const {
     auto s =
         std::visit([this](const auto& v) { return nmpc_settings(v, allowed_errors); }, vehicle);
