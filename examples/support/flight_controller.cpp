@@ -1,5 +1,7 @@
 #include "flight_controller.hpp"
 
+#include <tilt_ropter/math/clock.hpp>
+
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -134,6 +136,11 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
 
 template <int Rotors>
 void FlightController<Rotors>::choose_mode(double time) {
+  if (clock_was_set_back(time, time_)) {
+    mode_since_ += time - time_;
+    carried_since_ += time - time_;
+  }
+  time_ = time;
   trust_ = ekf_.trust(time);
   const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
   const bool lost = trust_.state == EstimateState::position_lost ||

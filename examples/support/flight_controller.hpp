@@ -175,8 +175,8 @@ class FlightController {
 
   FlightMode mode_ = FlightMode::mission;
   tilt_ropter::EstimateTrust trust_;
-  tilt_ropter::ReferencePoint held_;  ///< of the modes hold and landing
-  double mode_since_ = 0.0, carried_since_ = 0.0;
+  tilt_ropter::ReferencePoint held_;                            ///< of the modes hold and landing
+  double mode_since_ = 0.0, carried_since_ = 0.0, time_ = 0.0;  ///< time_: of the last prepare()
 
   tilt_ropter::Vehicle<Rotors> vehicle_;
   tilt_ropter::FailureDetector<Rotors> detector_;

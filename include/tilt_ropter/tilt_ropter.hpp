@@ -53,6 +53,7 @@
 #include <tilt_ropter/estimation/velocity_models.hpp>
 #include <tilt_ropter/estimation/wheel_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/clock.hpp>
 #include <tilt_ropter/math/entries.hpp>
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/lanes.hpp>

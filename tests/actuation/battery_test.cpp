@@ -188,12 +188,20 @@ TEST(Battery, InvalidInputChangesNothing) {
     EXPECT_TRUE(std::isfinite(battery.load(bad).voltage));
     EXPECT_EQ(battery.endurance(bad), 0.0);
   }
-  for (const double bad : {nan, infinity, -infinity, 9.0})
+  for (const double bad : {nan, infinity, -infinity, 9.95})
     EXPECT_EQ(battery.update(bad, 500.0), BatteryStatus::rejected);
   EXPECT_EQ(battery.endurance(500.0, nan), 0.0);
   EXPECT_EQ(battery.state_of_charge(), charge);
   EXPECT_EQ(battery.update(11.0, 500.0), BatteryStatus::ok);
   EXPECT_LT(battery.state_of_charge(), charge);
+}
+
+TEST(Battery, GoesOnAfterTheClockWasSetBack) {
+  Battery battery(paper_battery()), undisturbed(paper_battery());
+  for (const double time : {100.0, 110.0, 10.0, 20.0}) (void)battery.update(time, 500.0);
+  for (const double time : {0.0, 20.0}) (void)undisturbed.update(time, 500.0);
+  EXPECT_NEAR(battery.state_of_charge(), undisturbed.state_of_charge(), 1e-12);
+  EXPECT_LT(battery.state_of_charge(), 1.0);
 }
 
 TEST(Battery, AnyInputGivesFiniteResults) {

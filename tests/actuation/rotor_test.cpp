@@ -215,6 +215,18 @@ TEST(Rotor, IgnoresNonFiniteAndLateInput) {
   EXPECT_EQ(rotor.update(0.03, 800.0), undisturbed.update(0.03, 800.0));
 }
 
+// The call that sets the clock back has no duration.
+TEST(Rotor, GoesOnAfterTheClockWasSetBack) {
+  Rotord rotor(parameters()), undisturbed(parameters());
+  for (int i = 0; i < 100; ++i) {
+    const double command = 1000.0 + 300.0 * std::sin(0.3 * i);
+    rotor.update(0.01 * i + (i < 50 ? 100.0 : -1e3), command);
+    undisturbed.update(0.01 * (i < 50 ? i : i - 1), command);
+    EXPECT_NEAR(rotor.speed(), undisturbed.speed(), 1e-6) << i;
+  }
+  EXPECT_GT(rotor.speed(), 700.0);
+}
+
 TEST(Rotor, KeepsLimitsForRandomInput) {
   test_support::Random random(3);
   const std::vector<double> pool{nan,    infinity, -infinity, 0.0,  5e-324, 1e300,

@@ -178,6 +178,20 @@ TEST(Servo, IgnoresNonFiniteAndLateInput) {
   EXPECT_EQ(servo.update(0.2, 0.1), undisturbed.update(0.2, 0.1));
 }
 
+// The call that sets the clock back has no duration.
+TEST(Servo, GoesOnAfterTheClockWasSetBack) {
+  for (const double dead_time : {0.0, 0.025}) {
+    Servod servo(parameters(dead_time)), undisturbed(parameters(dead_time));
+    for (int i = 0; i < 100; ++i) {
+      const double command = std::sin(0.3 * i);
+      servo.update(0.01 * i + (i < 50 ? 100.0 : -1e3), command);
+      undisturbed.update(0.01 * (i < 50 ? i : i - 1), command);
+      EXPECT_NEAR(servo.angle(), undisturbed.angle(), 1e-9) << i;
+    }
+    EXPECT_GT(std::abs(servo.rate()), 1.0);
+  }
+}
+
 TEST(Servo, KeepsRangeForRandomInput) {
   test_support::Random random(4);
   const std::vector<double> pool{nan,    infinity, -infinity, 0.0,  5e-324, 1e300,

@@ -48,8 +48,20 @@ struct Outcome {
   long restarts = 0;
 };
 
+// The controller in another clock than that of the plant.
+struct OtherClock {
+  FlightController<4>& controller;
+  double ahead = 0.0;  // of the plant's clock [s]
+  void on_imu(double time, const InertialSampled& sample) {
+    controller.on_imu(time + ahead, sample);
+  }
+  void on_pose(double time, const MarkerPosed& pose) { controller.on_pose(time + ahead, pose); }
+  void on_rotor_speeds(const Eigen::Vector4d& speeds) { controller.on_rotor_speeds(speeds); }
+};
+
+// At 5 s the clock of all sensors and ticks is set forward by `clock_step` [s].
 Outcome fly(double duration, const std::string& fault_text,
-            const Eigen::Vector3d& lever = Eigen::Vector3d::Zero()) {
+            const Eigen::Vector3d& lever = Eigen::Vector3d::Zero(), double clock_step = 0.0) {
   Vehicle<4> truth = tilt_ropter_vehicle();
   truth.body.mass *= 1.03;
   truth.body.inertia *= 1.1;
@@ -70,12 +82,15 @@ Outcome fly(double duration, const std::string& fault_text,
   plant.reset(start, command);
   Outcome o;
   bool touched = false;
+  OtherClock clock{controller};
   for (int i = 0; i < static_cast<int>(duration * 1000.0); ++i) {
     const double t = plant.time();
-    sensors.sense(plant, controller);
+    if (i == 5000) clock.ahead = clock_step;
+    sensors.sense(plant, clock);
     if (i % 10 == 0 && controller.started()) {
-      controller.prepare(t, circle);
-      command = controller.control(t);
+      const double now = t + clock.ahead;
+      controller.prepare(now, [&clock](double time) { return circle(time - clock.ahead); });
+      command = controller.control(now);
       if (t > fault.start && controller.trust().state != EstimateState::good)
         o.not_good_after = std::min(o.not_good_after, t - fault.start);
     }
@@ -132,6 +147,18 @@ TEST(SensorFaults, JitterAndClockStepsAreTolerated) {
   expect_near_reference("pose_clock_step:start=5,size=-1");
 }
 
+// The clock of the computer is corrected in flight, or a simulation begins again.
+TEST(SensorFaults, SettingTheClockIsSurvived) {
+  for (const double step : {-1000.0, -4.0, -0.5, -0.05, 0.05, 0.5, 1000.0}) {
+    SCOPED_TRACE(step);
+    const Outcome o = fly(9.0, "", Eigen::Vector3d::Zero(), step);
+    std::printf("clock step %g s: error %.3f m\n", step, o.error);
+    EXPECT_LT(o.error, 0.15);
+    EXPECT_LT(o.at_end, 0.03);
+    EXPECT_EQ(o.mode, FlightMode::mission);
+  }
+}
+
 TEST(SensorFaults, VibrationIsAveraged) {
   for (const char* frequency : {"50", "97", "200"})
     expect_near_reference(std::string("imu_vibration:start=0,size=0.2,frequency=") + frequency);
@@ -153,16 +180,22 @@ TEST(SensorFaults, LeverArmOfTheImuIsKnown) {
 }
 
 TEST(SensorFaults, LosingAllPositionsEndsInALevelLanding) {
-  for (const char* fault : {"pose_dropout:start=4", "pose_freeze:start=4"}) {
+  struct Case {
+    const char* fault;
+    double clock_step;  // while it sinks [s]
+  };
+  for (const auto& [fault, clock_step] :
+       {Case{"pose_dropout:start=4", 0.0}, Case{"pose_dropout:start=4", -100.0},
+        Case{"pose_freeze:start=4", 0.0}}) {
     SCOPED_TRACE(fault);
-    const Outcome o = fly(20.0, fault);
+    const Outcome o = fly(20.0, fault, Eigen::Vector3d::Zero(), clock_step);
     EXPECT_LT(o.not_good_after, 0.15);  // 20 ms of them are the delay of the poses
     EXPECT_EQ(o.mode, FlightMode::stopped);
     EXPECT_TRUE(o.rotors_off);
     EXPECT_LT(o.touchdown, 1.0);
     EXPECT_LT(o.lean, 0.2);
-    std::printf("%s: touch-down %.2f m/s, lean %.1f deg\n", fault, o.touchdown,
-                o.lean * 180.0 / pi);
+    std::printf("%s, clock step %g s: touch-down %.2f m/s, lean %.1f deg\n", fault, clock_step,
+                o.touchdown, o.lean * 180.0 / pi);
   }
 }
 

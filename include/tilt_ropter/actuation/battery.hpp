@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/clock.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -66,10 +67,12 @@ class Battery {
   /// Lets `power` [W] flow from the last update until `time` [s], at constant power. The first
   /// update only starts the clock. While the battery cannot give the power (`overloaded`), it gives
   /// its largest power. The charge stops at zero (`empty`). Rejects a time that is not finite or
-  /// before the last time, and a power that is negative or above 1e12 W.
+  /// before the last time, and a power that is negative or above 1e12 W. If clock_was_set_back(),
+  /// the clock starts again and the charge does not change.
   BatteryStatus update(double time, double power) noexcept {
-    if (!std::isfinite(time) || (started_ && time < time_) || !usable(power))
-      return BatteryStatus::rejected;
+    if (!std::isfinite(time) || !usable(power)) return BatteryStatus::rejected;
+    if (clock_was_set_back(time, time_)) started_ = false;
+    if (started_ && time < time_) return BatteryStatus::rejected;
     const double passed = started_ ? time - time_ : 0.0;
     time_ = time;
     started_ = true;

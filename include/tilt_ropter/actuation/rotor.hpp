@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/clock.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <algorithm>
@@ -101,12 +102,15 @@ class Rotor {
   /// Advances the speed to `time` [s] under the earlier command. Then accepts `command` [rad/s],
   /// clamped to [min_speed, max_speed], for the time after `time`. The first update starts the
   /// clock and does not change the speed. Ignores a command or time that is not finite, and a time
-  /// before the last time. Returns the speed at `time`.
+  /// before the last time. If clock_was_set_back(), the clock starts again and the speed does not
+  /// change. Returns the speed at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
-    const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
-                        abs(command) < Scalar(std::numeric_limits<double>::infinity());
+    const bool usable =
+        std::isfinite(time) && abs(command) < Scalar(std::numeric_limits<double>::infinity());
     if (!usable) return speed_;
+    if (clock_was_set_back(time, time_)) started_ = false;
+    if (started_ && time < time_) return speed_;
     if (started_) {
       const Scalar passed = Scalar(-std::expm1((time_ - time) / parameters_.time_constant));
       speed_ = bounded(speed_ + passed * (command_ - speed_));

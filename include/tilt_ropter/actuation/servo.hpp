@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/clock.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <array>
@@ -36,12 +37,15 @@ class Servo {
   /// Advances the angle to `time` [s] under the earlier commands. Then accepts `command` [rad],
   /// clamped to the range, which acts from time + dead_time on. The first update starts the clock
   /// and does not change the angle. Ignores a command or time that is not finite, and a time before
-  /// the last time. Returns the angle at `time`.
+  /// the last time. If clock_was_set_back(), the clock starts again and the angle does not change.
+  /// Returns the angle at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
-    const bool usable = std::isfinite(time) && (!started_ || time >= time_) &&
-                        abs(command) < Scalar(std::numeric_limits<double>::infinity());
+    const bool usable =
+        std::isfinite(time) && abs(command) < Scalar(std::numeric_limits<double>::infinity());
     if (!usable) return angle_;
+    if (started_ && clock_was_set_back(time, time_)) set_clock(time);
+    if (started_ && time < time_) return angle_;
     if (!started_) time_ = time;
     started_ = true;
     push(time + parameters_.dead_time, bounded(command));
@@ -78,6 +82,12 @@ class Servo {
     double time = 0.0;  ///< time at which the command takes effect [s]
     Scalar command{};
   };
+
+  // The waiting commands keep their remaining dead time.
+  void set_clock(double time) noexcept {
+    for (std::size_t i = 0; i < waiting_; ++i) queue_[(first_ + i) % capacity].time += time - time_;
+    time_ = time;
+  }
 
   void push(double time, const Scalar& command) noexcept {
     const double spacing = parameters_.dead_time / static_cast<double>(capacity - 1);

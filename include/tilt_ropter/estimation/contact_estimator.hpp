@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/math/clock.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -112,8 +113,8 @@ class ContactEstimator {
   /// Processes the state of the body (of the CoM) and the output of the observer since the last
   /// call (its take_external()) at `time` [s]. Call it once per tick or more often. Ignores numbers
   /// that are not finite or above 1e6. Ignores wrenches above ten times the weight (torque: ten
-  /// times the weight at one metre). Ignores a time that is not after the last time, unless it is
-  /// earlier by a second or more: then the clock was set.
+  /// times the weight at one metre). Ignores a time that is not after the last time, unless
+  /// clock_was_set_back().
   const ContactEstimate& update(double time, const BodyStated& body,
                                 WrenchObserverd& observer) noexcept {
     return update(time, body, observer.take_external(), observer.settings().force_bandwidth,
@@ -133,7 +134,7 @@ class ContactEstimator {
     BodyStated body = measured;
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
-    if (started_ && dt <= 0.0 && dt > -1.0) return estimate_;
+    if (started_ && dt <= 0.0 && !clock_was_set_back(time, time_)) return estimate_;
     estimate_.external = external;
     if (!undercarriage_) return update_in_the_air(time, external);
     dt = std::max(dt, 0.0);
