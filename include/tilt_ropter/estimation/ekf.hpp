@@ -54,7 +54,9 @@ class Ekf {
   /// Throws std::invalid_argument if a setting is out of range.
   explicit Ekf(const EkfSettings& settings = {});
 
-  /// Processes an IMU sample taken at `time` [s]. This clock is the reference for all times.
+  /// Processes an IMU sample taken at `time` [s]. This clock is the reference for all times. If it
+  /// is set back, five samples at most are late. The estimate then goes on from where it was, and
+  /// restarts at the next pose if this pose is elsewhere.
   EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept;
 
   /// Processes a pose of the marker frame taken at `time` [s] in motion capture's clock.
@@ -155,6 +157,7 @@ class Ekf {
   }
 
   EkfStatus begin_again(const Sample& sample, double pause) noexcept;
+  EkfStatus set_clock(const Sample& sample) noexcept;
 
   /// Advances the filter through the samples up to `time`, if `time` is later.
   void catch_up(double time) noexcept {
@@ -226,6 +229,7 @@ class Ekf {
     const bool on_path = (off - ahead * velocity).norm() <= Scalar(6.0 * noise + 0.01);
     return on_path ? static_cast<double>(ahead) : std::numeric_limits<double>::infinity();
   }
+  EkfStatus start_at(const ArrivedPose& arrived) noexcept;
   EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
   /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
   EkfStatus finish(EkfStatus status) noexcept;
@@ -251,6 +255,7 @@ class Ekf {
   double last_position_ = 0.0;  ///< time of the last pose used
   double gap_ = 0.0;            ///< length of the last gap of the IMU
   double behind_time_ = 0.0;    ///< time of the last late IMU sample
+  double behind_since_ = 0.0;   ///< time of the first of consecutive late IMU samples
   double clock_step_ = 0.0;
   Scalar nis_ = Scalar(0);
   int behind_ = 0;     ///< consecutive late IMU samples
@@ -259,6 +264,7 @@ class Ekf {
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_ = {};
   bool has_imu_ = false, has_pose_ = false, running_ = false, was_started_ = false;
   bool poses_frozen_ = false, poses_disputed_ = false, poses_mistimed_ = false;
+  bool clock_was_set_ = false;  ///< back, no pose was used since
 };
 using Ekfd = Ekf<double>;  ///< in double precision
 
@@ -298,12 +304,14 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
   if (has_imu_ && pause < 0.0) {
     // The clock was set back if several samples in a row are late but follow each other.
     behind_ = behind_ > 0 && time <= behind_time_ ? 1 : behind_ + 1;
+    if (behind_ == 1) behind_since_ = time;
     behind_time_ = time;
     if (behind_ < std::min(settings_.max_rejections, 5)) return EkfStatus::late;
   }
   behind_ = 0;
   repetitions_.on_imu(value);
-  if (!has_imu_ || pause < 0.0 || pause > settings_.max_imu_gap) return begin_again(sample, pause);
+  if (has_imu_ && pause < 0.0) return set_clock(sample);
+  if (!has_imu_ || pause > settings_.max_imu_gap) return begin_again(sample, pause);
   constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
   if (rates_ == 0 || rates_ == most) {
     begin_mean(sample);
@@ -328,15 +336,35 @@ EkfStatus Ekf<Scalar>::begin_again(const Sample& sample, double pause) noexcept 
   has_imu_ = true;
   if (running_) filter_.reset(ahead_, filter_.covariance());
   running_ = false;
-  gap_ = std::abs(pause);
-  if (pause < 0.0) {
-    queue_.clear();
-    has_pose_ = false;
-  }
+  gap_ = pause;
   angular_acceleration_.setZero();
   history_.begin(sample);
   begin_mean(sample);
   return gap ? EkfStatus::stopped : EkfStatus::updated;
+}
+
+// The estimate goes on, because there may be no pose. The samples that were late at first have
+// their duration; nobody knows what passed before them.
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::set_clock(const Sample& sample) noexcept {
+  const double step = behind_since_ - time();
+  for (double& last : last_used_) last += step;
+  last_position_ += step;
+  queue_.clear();
+  refused_.clear();
+  has_pose_ = false;
+  gap_ = std::abs(step);
+  if (running_) {
+    running_ = sample.time - behind_since_ <= settings_.max_imu_gap;
+    const Sample newest{behind_since_, history_.newest().value};
+    if (running_) ahead_ = history_.step(ahead_, newest, sample);
+    filter_.reset(ahead_, filter_.covariance());
+  }
+  clock_was_set_ = running_;
+  angular_acceleration_.setZero();
+  history_.begin(sample);
+  begin_mean(sample);
+  return running_ ? EkfStatus::updated : EkfStatus::stopped;
 }
 
 template <typename Scalar>
@@ -418,13 +446,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
     gap_ = time - last_position_;
     running_ = false;
   }
-  if (!running_) {
-    const bool again = was_started_;
-    detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0, again, gap_}, settings_);
-    confirmed_ = 0;
-    stamps_.on_used(arrived.lag);
-    return finish(again ? EkfStatus::restarted : EkfStatus::started);
-  }
+  if (!running_) return start_at(arrived);
   LinearisedPose<Scalar> at = filter_.linearise(arrived.pose);
   // Bounded, because a wrong velocity must not make every pose credible.
   constexpr double most = 0.1;  // effect of the jitter [m]
@@ -433,10 +455,20 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   if (jitter > 0.0) at.add_stamp_noise(filter_.state().velocity, rate(), Scalar(jitter));
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
-  if (!(nis_ <= gate(6)) || !filter_.update(innovation, at)) return refuse(time, arrived);
+  if (!(nis_ <= gate(6)) || !filter_.update(innovation, at))
+    return clock_was_set_ ? start_at(arrived) : refuse(time, arrived);
   stamps_.on_used(arrived.lag);
   ++confirmed_;
   return finish(EkfStatus::updated);
+}
+
+template <typename Scalar>
+EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
+  const bool again = was_started_;
+  detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0, again, gap_}, settings_);
+  confirmed_ = 0;
+  stamps_.on_used(arrived.lag);
+  return finish(again ? EkfStatus::restarted : EkfStatus::started);
 }
 
 template <typename Scalar>
@@ -474,7 +506,7 @@ EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
   if (status == EkfStatus::restarted) ++counts_.restarts;
   ++counts_.used;
   refused_.clear();
-  poses_disputed_ = poses_mistimed_ = false;
+  poses_disputed_ = poses_mistimed_ = clock_was_set_ = false;
   last_position_ = filter_time();
   used(MeasurementKind::pose);
   running_ = was_started_ = true;
@@ -493,6 +525,7 @@ bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev
   refused_.clear();
   last_position_ = filter_time();
   confirmed_ = 0;
+  clock_was_set_ = false;
   running_ = was_started_ = true;
   look_ahead();
   return true;
@@ -521,9 +554,9 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
 template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
-  poses_frozen_ = poses_disputed_ = poses_mistimed_ = false;
+  poses_frozen_ = poses_disputed_ = poses_mistimed_ = clock_was_set_ = false;
   behind_ = rates_ = confirmed_ = 0;
-  pose_time_ = received_ = last_position_ = gap_ = clock_step_ = behind_time_ = 0.0;
+  pose_time_ = received_ = last_position_ = gap_ = clock_step_ = behind_time_ = behind_since_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
   last_used_.fill(-std::numeric_limits<double>::infinity());
