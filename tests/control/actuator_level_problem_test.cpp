@@ -30,6 +30,7 @@ Problem random_problem(Random& random) {
     node.reference = test_support::random_state(random).body;
     node.external = {random.vector(1.0), random.vector(0.1)};
     node.on_ground = true;
+    node.stays_on_ground = random.uniform(0.0, 1.0) < 0.5;
     node.com_plane = {0.1, {0.05, -0.02}};
     node.roll_axis << 0.8, 0.0, 0.6;
     node.freedom.angular = held_about(node.roll_axis, tilt_ropter_vehicle().body.inertia.inverse());
@@ -87,7 +88,7 @@ Eigen::Matrix<S, 20, 1> residual(const ActuatedState<4, S>& x, const Problem::No
   const Eigen::Vector3d weights[] = {w.position, w.velocity, w.orientation, w.angular_velocity};
   for (int i = 0; i < 12; ++i) e(i) = e(i) * S(std::sqrt(weights[i / 3](i % 3)));
   for (int i = 0; i < 4; ++i) {
-    const S root(std::sqrt(w.thrust));
+    const S root(std::sqrt(node.stays_on_ground ? w.thrust_on_ground : w.thrust));
     e(12 + i) = root * (x.thrust(i) * sin(x.tilt_angle(i)) - S(node.lateral_reference(i)));
     e(16 + i) = root * (x.thrust(i) * cos(x.tilt_angle(i)) - S(node.vertical_reference(i)));
   }

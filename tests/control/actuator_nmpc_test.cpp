@@ -270,7 +270,7 @@ TEST(ActuatorNmpcSettings, DefaultsEqualTheSettingsOfTheReferenceVehicle) {
   const ActuatorLevelWeights &a = computed.problem.weights, &b = given.problem.weights;
   const auto close = [](double x, double y) { return std::abs(x / y - 1.0) < 1e-3; };
   EXPECT_TRUE(close(a.thrust, b.thrust) && close(a.thrust_rate, b.thrust_rate) &&
-              close(a.tilt_rate, b.tilt_rate));
+              close(a.tilt_rate, b.tilt_rate) && close(a.thrust_on_ground, b.thrust_on_ground));
   for (int i = 0; i < 3; ++i)
     EXPECT_TRUE(close(a.position(i), b.position(i)) && close(a.velocity(i), b.velocity(i)) &&
                 close(a.orientation(i), b.orientation(i)) &&
@@ -286,6 +286,7 @@ TEST(ActuatorNmpcSettings, RejectsWhatIsOutOfRange) {
     EXPECT_THROW(controller.set_settings(s), std::invalid_argument);
   };
   rejects([](auto& s) { s.problem.weights.thrust = -1.0; });
+  rejects([](auto& s) { s.problem.weights.thrust_on_ground = nan; });
   rejects([](auto& s) { s.problem.weights.tilt_rate = 0.0; });
   rejects([](auto& s) { s.problem.weights.position.x() = nan; });
   rejects([](auto& s) { s.problem.bounds.tilt_rate_fraction = 1.5; });

@@ -39,6 +39,7 @@ struct ActuatorLevelNode : FlightNode {
   using Vector = Eigen::Matrix<double, Rotors, 1>;
   Vector lateral_reference = Vector::Zero();   ///< reference of T sin(alpha) [N]
   Vector vertical_reference = Vector::Zero();  ///< reference of T cos(alpha) [N]
+  bool stays_on_ground = false;                ///< see ActuatorLevelWeights::thrust_on_ground
   Steeringd steering;  ///< wheels that steer the vehicle during the interval that starts here
 };
 
@@ -250,7 +251,7 @@ class ActuatorLevelProblem {
     for (int i = 0; i < Rotors; ++i) {
       const double lateral = x.thrust(i) * std::sin(x.tilt_angle(i)) - n.lateral_reference(i),
                    vertical = x.thrust(i) * std::cos(x.tilt_angle(i)) - n.vertical_reference(i);
-      states_sum += settings_.weights.thrust * (lateral * lateral + vertical * vertical);
+      states_sum += thrust_weight(n) * (lateral * lateral + vertical * vertical);
       inputs_sum += settings_.weights.thrust_rate * u(i) * u(i) +
                     settings_.weights.tilt_rate * u(Rotors + i) * u(Rotors + i);
     }
@@ -274,7 +275,7 @@ class ActuatorLevelProblem {
     detail::put(weighted * detail::triple_at(e, orientation_error), model.gradient, I::orientation,
                 0);
     detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
-    const double by_thrust = 2.0 * factor * settings_.weights.thrust;
+    const double by_thrust = 2.0 * factor * thrust_weight(n);
     for (int i = 0; i < Rotors; ++i) {
       // The derivatives (sin, cos) by the thrust and T (cos, -sin) by the angle are orthogonal.
       const double thrust = x.thrust(i), s = std::sin(x.tilt_angle(i)),
@@ -333,6 +334,10 @@ class ActuatorLevelProblem {
  private:
   using BodyVector = Eigen::Matrix<double, 12, 1>;
   static constexpr int orientation_error = 6;
+
+  [[nodiscard]] double thrust_weight(const Node& n) const {
+    return n.stays_on_ground ? settings_.weights.thrust_on_ground : settings_.weights.thrust;
+  }
 
   [[nodiscard]] BodyVector body_weights() const {
     const ActuatorLevelWeights& w = settings_.weights;

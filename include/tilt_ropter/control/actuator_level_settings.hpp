@@ -20,6 +20,10 @@ struct ActuatorLevelWeights {
   /// Of the deviation of each rotor's thrust vector (T sin alpha, T cos alpha) from its reference,
   /// which is the smallest thrust that the reference motion needs [1/N^2].
   double thrust = 0.15;
+  /// The same while the plan begins and ends on the ground, if the vehicle drives without leaning.
+  /// There the thrusts are a fifteenth of those in the air and carry nothing, so every deviation
+  /// costs power.
+  double thrust_on_ground = 2.25;
   double thrust_rate = 0.02;  ///< of each rotor [s^2/N^2]
   double tilt_rate = 0.003;   ///< of each rotor [s^2/rad^2]
   double terminal = 5.0;      ///< factor on the state weights at the last node
@@ -59,6 +63,7 @@ inline void validate(const ActuatorLevelWeights& w) {
   require_non_negative("ActuatorLevelWeights.orientation [1/rad^2]", w.orientation);
   require_non_negative("ActuatorLevelWeights.angular_velocity [s^2/rad^2]", w.angular_velocity);
   require_non_negative("ActuatorLevelWeights.thrust [1/N^2]", w.thrust);
+  require_non_negative("ActuatorLevelWeights.thrust_on_ground [1/N^2]", w.thrust_on_ground);
   require_positive("ActuatorLevelWeights.thrust_rate [s^2/N^2]", w.thrust_rate);
   require_positive("ActuatorLevelWeights.tilt_rate [s^2/rad^2]", w.tilt_rate);
   require_positive("ActuatorLevelWeights.terminal", w.terminal);

@@ -123,6 +123,8 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
 
   // Turns the attitude so that the force that `point` needs can be given without a torque.
   void lean(ReferencePoint& point, const Wrenchd& external) const;
+  // True if the vehicle can push forward without leaning.
+  [[nodiscard]] bool pushes() const { return inverse_.steady_forces()(0, 0) > 0.5; }
   // Pitches a vehicle on one axle that cannot push forward: the thrust is more than eight times the
   // forward force, so the pitch stays below 7.2 degrees.
   void lean_on_wheels(Node& node, Wrenchd& wrench) const;
@@ -293,7 +295,7 @@ void ActuatorNmpc<Rotors>::lean_on_wheels(Node& node, Wrenchd& wrench) const {
   // where the force changes its sign.
   constexpr double least = 0.1;      // thrust / weight
   constexpr double per_force = 8.0;  // thrust / forward force, for large forces
-  if (!undercarriage_ || !undercarriage_->pitches || inverse_.steady_forces()(0, 0) > 0.5) return;
+  if (!undercarriage_ || !undercarriage_->pitches || pushes()) return;
   const double forward = wrench.force.x(),
                total = std::hypot(std::max(wrench.force.z(), least * vehicle_.body.mass * gravity),
                                   per_force * forward),
@@ -346,6 +348,10 @@ void ActuatorNmpc<Rotors>::set_nodes() {
       node.vertical_reference(i) = thrusts(2 * i + 1);
     }
   }
+  // A vehicle that drives by leaning needs its thrust there.
+  const bool stays =
+      pushes() && problem.node(0).on_ground && problem.node(problem.horizon()).on_ground;
+  for (int k = 0; k <= problem.horizon(); ++k) problem.node(k).stays_on_ground = stays;
   // The condition on the angular velocity at a node is that of the interval before it. The pitch
   // may change from one node to the next, and the model cannot follow within no time.
   for (int k = problem.horizon(); leans && k > 0; --k)

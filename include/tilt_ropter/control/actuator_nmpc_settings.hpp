@@ -61,8 +61,9 @@ struct AllowedActuatorErrors {
   Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
   Eigen::Vector3d angular_velocity{0.3162, 0.3162, 0.3162};  ///< body [rad/s]
   double thrust = 0.7019;                                    ///< of each rotor [thrust in hover]
-  double thrust_rate = 1.922;  ///< of each rotor [thrust in hover / s]
-  double tilt_rate = 18.26;    ///< of each rotor [rad/s]
+  double thrust_on_ground = 0.1813;  ///< of each rotor while it stays on the ground [same]
+  double thrust_rate = 1.922;        ///< of each rotor [thrust in hover / s]
+  double tilt_rate = 18.26;          ///< of each rotor [rad/s]
 };
 
 inline void validate(const AllowedActuatorErrors& e) {
@@ -71,6 +72,7 @@ inline void validate(const AllowedActuatorErrors& e) {
   require_positive("AllowedActuatorErrors.orientation [rad]", e.orientation);
   require_positive("AllowedActuatorErrors.angular_velocity [rad/s]", e.angular_velocity);
   require_positive("AllowedActuatorErrors.thrust [thrust in hover]", e.thrust);
+  require_positive("AllowedActuatorErrors.thrust_on_ground [thrust in hover]", e.thrust_on_ground);
   require_positive("AllowedActuatorErrors.thrust_rate [thrust in hover / s]", e.thrust_rate);
   require_positive("AllowedActuatorErrors.tilt_rate [rad/s]", e.tilt_rate);
 }
@@ -95,6 +97,7 @@ template <int Rotors>
   w.orientation = weigh_all(errors.orientation);
   w.angular_velocity = weigh_all(errors.angular_velocity);
   w.thrust = weigh(hover * errors.thrust);
+  w.thrust_on_ground = weigh(hover * errors.thrust_on_ground);
   w.thrust_rate = weigh(hover * errors.thrust_rate);
   w.tilt_rate = weigh(errors.tilt_rate);
   return s;
