@@ -56,6 +56,7 @@ template <int Rotors>
 void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {
   sent_.command = command;
   rotor_speeds_ = command.rotor_speed;
+  actuators_.reset(command);
 }
 
 template <int Rotors>

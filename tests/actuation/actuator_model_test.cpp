@@ -45,6 +45,19 @@ TEST(ActuatorModel, ResetSetsEveryActuator) {
   EXPECT_EQ(model.update(6.0, state).tilt_angle.head<3>(), state.tilt_angle.head<3>());
 }
 
+TEST(ActuatorModel, ResetWithoutATimeHoldsUntilTheNextUpdate) {
+  ActuatorModel<4> model(tilt_ropter_vehicle());
+  ActuatorState<4> state, command;
+  state.rotor_speed.setConstant(500.0);
+  state.tilt_angle.setConstant(0.3);
+  model.update(1e6, command);
+  model.reset(state);
+  EXPECT_EQ(model.update(5.0, command).rotor_speed, state.rotor_speed);
+  EXPECT_EQ(model.state().tilt_angle, state.tilt_angle);
+  EXPECT_LT(model.update(5.1, command).rotor_speed.maxCoeff(), 100.0);
+  EXPECT_LT(model.state().tilt_angle.maxCoeff(), 0.2);
+}
+
 TEST(ActuatorModel, FixedRotorsKeepAngleZero) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.rotors[1].tilts = false;

@@ -10,6 +10,7 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 #include <optional>
 
 /// Model of all rotors and tilt servos of a vehicle.
@@ -59,8 +60,10 @@ class ActuatorModel {
     return true;
   }
 
-  /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s].
-  void reset(const ActuatorState<Rotors, Scalar>& state, double time) noexcept {
+  /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s]. Without a time,
+  /// at that of the next update.
+  void reset(const ActuatorState<Rotors, Scalar>& state,
+             double time = std::numeric_limits<double>::quiet_NaN()) noexcept {
     for (std::size_t i = 0; i < Rotors; ++i) {
       const auto row = static_cast<Eigen::Index>(i);
       rotors_[i].reset(state.rotor_speed(row), time);

@@ -20,9 +20,9 @@ struct ActuatorLevelWeights {
   /// Of the deviation of each rotor's thrust vector (T sin alpha, T cos alpha) from its reference,
   /// which is the smallest thrust that the reference motion needs [1/N^2].
   double thrust = 0.15;
-  /// The same while the plan begins and ends on the ground, if the vehicle drives without leaning.
-  /// There the thrusts are a fifteenth of those in the air and carry nothing, so every deviation
-  /// costs power.
+  /// The same from 0.5 s after touch-down on, while the plan ends on the ground, if the vehicle
+  /// drives without leaning. There the thrusts are a fifteenth of those in the air and carry
+  /// nothing, so every deviation costs power.
   double thrust_on_ground = 2.25;
   double thrust_rate = 0.02;  ///< of each rotor [s^2/N^2]
   double tilt_rate = 0.003;   ///< of each rotor [s^2/rad^2]

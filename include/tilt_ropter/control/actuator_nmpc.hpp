@@ -23,6 +23,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <optional>
 
 /// Controller at the level of thrusts and tilt angles, for any vehicle that can hover or drive:
@@ -150,7 +151,9 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   ThrustInverse<Rotors> inverse_;
   ReferenceWrench<Rotors> reference_wrench_;
   std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
-  ActuatorState<Rotors> measured_;  // last good measurement
+  ActuatorState<Rotors> measured_;                                 // last good measurement
+  double last_in_air_ = -std::numeric_limits<double>::infinity();  // [s]
+  bool landed_ = true;
 };
 
 template <int Rotors>
@@ -225,6 +228,9 @@ const ActuatorNmpcResult<Rotors>& ActuatorNmpc<Rotors>::hold(double time) noexce
 template <int Rotors>
 void ActuatorNmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact) {
   this->begin(time, contact);
+  if (!contact_.on_ground || !(time >= last_in_air_)) last_in_air_ = time;
+  constexpr double landing = 0.5;  // from the first wheel until all stand, on a slope [s]
+  landed_ = time - last_in_air_ > landing;
 }
 
 template <int Rotors>
@@ -350,7 +356,7 @@ void ActuatorNmpc<Rotors>::set_nodes() {
   }
   // A vehicle that drives by leaning needs its thrust there.
   const bool stays =
-      pushes() && problem.node(0).on_ground && problem.node(problem.horizon()).on_ground;
+      landed_ && pushes() && problem.node(0).on_ground && problem.node(problem.horizon()).on_ground;
   for (int k = 0; k <= problem.horizon(); ++k) problem.node(k).stays_on_ground = stays;
   // The condition on the angular velocity at a node is that of the interval before it. The pitch
   // may change from one node to the next, and the model cannot follow within no time.
