@@ -54,11 +54,13 @@ struct Figures {
 struct ControllerChoice {
   const char* name;
   std::vector<std::string> as_in_paper;  ///< see paper_switches()
+  std::string level = "wrench";          ///< of control, see level_for()
 };
 
 [[nodiscard]] inline const std::vector<ControllerChoice>& controllers() {
   static const std::vector<ControllerChoice> all{
       {"library", {}},
+      {"library_actuator_level", {}, "actuator"},
       {"preset", {"all"}},  // paper_nmpc_settings()
       {"preset_wider_bounds",
        {"cost", "actuators", "contact", "ground", "conditions", "descent", "lead"}}};
@@ -82,6 +84,7 @@ struct ControllerChoice {
         flight.options.mission.name = experiment == "hybrid" ? "rolling" : experiment;
         if (experiment == "hybrid") flight.options.start_off = 0.5;
         flight.options.as_in_paper = controller.as_in_paper;
+        flight.options.level = controller.level;
         flights.push_back(flight);
       }
   return flights;

@@ -185,7 +185,8 @@ int main(int argc, char** argv) {
   for (const ControllerChoice& controller : controllers()) names.emplace_back(controller.name);
   app.add_option("--settings", o.settings,
                  "fly with these settings only, separated by commas: library (the library's own), "
-                 "preset (the paper as printed), preset_wider_bounds (the paper's equations with "
+                 "library_actuator_level (the same, planning thrusts and tilt angles), preset (the "
+                 "paper as printed), preset_wider_bounds (the paper's equations with "
                  "the library's bounds); default: all")
       ->delimiter(',')
       ->check(CLI::IsMember(names));
