@@ -2,6 +2,7 @@
 // hitl_onboard and hitl_flight_controller, and applies the actuator commands of
 // hitl_flight_controller.
 
+#include "../support/loss_watch.hpp"
 #include "../support/mission_figures.hpp"
 #include "../support/mission_sensors.hpp"
 #include "../support/progress.hpp"
@@ -84,6 +85,7 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   long misses = 0, silences = 0;
   bool silent = true;
   examples::Progress progress;
+  examples::LossWatch loss;
   const auto start = hitl::Clock::now();
   double time = -hitl::head_start;
   for (long i = 0; time < end && hitl::interrupted == 0; ++i) {
@@ -130,6 +132,7 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
           encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
     if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
       poses.publish(encoder.encode(hitl::Pose{m->time, {m->position, m->orientation}}));
+    if (!silent) loss.on_step(time, 0.0, plant.body().orientation);
     if (i % 10 == 0) clock.publish({loops::stamp(std::llround(1e9 * plant.time()))});
     if (time >= 0.0)
       figures.on_plant(mission.phase(time), plant.body().position, mission(time).position,
@@ -150,7 +153,9 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
             << '\n';
   actuators.print(std::cout, "actuators");
   std::cout << "foreign_datagrams: " << actuators.counts().rejected << '\n';
-  return 0;
+  if (loss.sentence().empty()) return 0;
+  std::cerr << "hitl_simulator: " << loss.sentence() << '\n';
+  return 1;
 }
 
 int simulate(const Options& options) {
@@ -176,8 +181,8 @@ follow.
 
 The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 
-Exit code: 0 the mission is over, 1 no commands received or another error, 2 an invalid vehicle
-file, above 100 wrong options.)";
+Exit code: 0 the mission is over, 1 the vehicle tipped over, no commands received or another error,
+2 an invalid vehicle file, above 100 wrong options.)";
 
 }  // namespace
 

@@ -102,12 +102,14 @@ void write(const std::vector<Row>& rows, const std::string& path) {
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 
-void run(const Options& options) {
+/// Returns the exit code.
+int run(const Options& options) {
   std::vector<examples::VehicleFile> files;
   files.push_back(examples::vehicle_or_default(options.vehicle));
   files.push_back(locked(files.front()));
   for (const std::string& path : options.others) files.push_back(examples::read_vehicle(path));
   std::vector<Row> rows;
+  std::vector<std::string> losses;
   examples::Progress progress;
   for (const examples::VehicleFile& file : files) {
     examples::MissionOptions flight;
@@ -119,6 +121,7 @@ void run(const Options& options) {
         examples::fly_simulated(flight, file, [&](double fraction, tilt_ropter::MissionPhase) {
           progress.show((before + fraction) / all, file.name);
         });
+    if (!flown.loss.empty()) losses.push_back(file.name + ": " + flown.loss);
     Row row;
     row.name = file.name;
     row.level = examples::level_for("", file);
@@ -130,6 +133,8 @@ void run(const Options& options) {
   progress.finish();
   print(rows);
   write(rows, options.output + "/compare_vehicles.csv");
+  for (const std::string& loss : losses) std::cerr << "compare_vehicles: " << loss << '\n';
+  return losses.empty() ? 0 : 1;
 }
 
 constexpr const char* footer = R"(
@@ -139,7 +144,8 @@ eights in the air and on the ground.
 Files in the output directory: compare_vehicles.csv, one row per vehicle; vehicle_1/, vehicle_2/,
 ... with the log of each flight as hybrid_mission writes it; and compare_vehicles.png.
 
-Exit code: 0 success, 1 an error, 2 an invalid vehicle file, above 100 wrong options.)";
+Exit code: 0 success, 1 a vehicle was lost or another error, 2 an invalid vehicle file, above 100
+wrong options.)";
 
 }  // namespace
 
@@ -165,9 +171,9 @@ int main(int argc, char** argv) {
   app.add_flag("--no-pictures", options.no_pictures, "write only the table and the logs");
   app.footer(footer);
   return examples::run_program(app, "compare_vehicles", argc, argv, [&options] {
-    run(options);
+    const int lost = run(options);
     if (!options.no_pictures)
       examples::draw_pictures("missions/compare_vehicles.gp", options.output);
-    return 0;
+    return lost;
   });
 }

@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
       "an actuator fails in flight: servo:rotor=2,angle=90,start=20 sticks at this angle "
       "[deg], rotor:rotor=1,effectiveness=0,start=20 keeps this fraction of its thrust. "
       "The controller is not told; it has to find the failure, and lands");
+  app.footer(examples::mission_exit_codes);
   std::string write_path;
   app.add_option("--write-vehicle", write_path,
                  "write the vehicle to this JSON file as a template, without flying");
@@ -35,13 +36,14 @@ int main(int argc, char** argv) {
     }
     const auto write = [&](const auto& vehicle) { return write_mission(options.mission, vehicle); };
     if (std::visit(write, file.vehicle)) return 0;
-    const std::string figures =
+    const examples::FlightReport report =
         examples::report_flight(options, file, [&](const examples::FlightProgress& on_progress) {
           return examples::fly_simulated(options, file, on_progress);
         });
-    if (options.no_pictures) return 0;
-    examples::write_report(options.output, file, figures);
-    examples::draw_pictures("missions/hybrid_mission.gp", options.output);
-    return 0;
+    if (!options.no_pictures) {
+      examples::write_report(options.output, file, report.figures);
+      examples::draw_pictures("missions/hybrid_mission.gp", options.output);
+    }
+    return report.exit_code("hybrid_mission");
   });
 }

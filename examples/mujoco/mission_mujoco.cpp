@@ -106,9 +106,9 @@ class Wind {
   Eigen::Vector3d gust_ = Eigen::Vector3d::Zero();
 };
 
+/// Returns the exit code.
 template <int Rotors>
-void fly(const Options& options, const examples::VehicleFile& file,
-         const Vehicle<Rotors>& vehicle) {
+int fly(const Options& options, const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle) {
   const auto vehicles = examples::vehicles(options.mission, vehicle);
   const examples::MujocoParameters mujoco =
       examples::with_fitting_arms(vehicles.truth, options.mujoco);
@@ -128,33 +128,36 @@ void fly(const Options& options, const examples::VehicleFile& file,
   std::filesystem::create_directories(options.mission.output);
   MaybeFilm film(options.film, plant, options.mission.output);
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
-  const std::string flown = examples::fly_mission(  // the logs are closed when it returns
-      options.mission, file, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
-      [&](const Mission& mission) {
-        upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
-        film.on_step(mission);
-      },
-      options.mujoco.ground_height != 0.0 || options.mujoco.slope != 0.0);
+  const examples::FlightReport flown =
+      examples::fly_mission(  // the logs are closed when it returns
+          options.mission, file, vehicles, plant, [&] { return wind.on(plant.body(), 1e-3); },
+          [&](const Mission& mission) {
+            upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
+            film.on_step(mission);
+          },
+          options.mujoco.ground_height != 0.0 || options.mujoco.slope != 0.0);
   film.finish();
   std::ostringstream attitude;
   attitude << "lean_max_deg: " << std::fixed << std::setprecision(2)
            << std::acos(upright) * 180.0 / pi << '\n'
            << "tipped_over: " << (upright < 0.5) << '\n';
   std::cout << attitude.str();
-  if (options.mission.no_pictures) return;
-  examples::write_report(options.mission.output, file, flown + attitude.str());
-  examples::draw_pictures("missions/hybrid_mission.gp", options.mission.output);
+  if (!options.mission.no_pictures) {
+    examples::write_report(options.mission.output, file, flown.figures + attitude.str());
+    examples::draw_pictures("missions/hybrid_mission.gp", options.mission.output);
+  }
+  return flown.exit_code("mission_mujoco");
 }
 
-void fly(Options& options) {
+int fly(Options& options) {
   options.mujoco.seen = options.film;
   options.mujoco.slope = options.slope_deg * pi / 180.0;
   options.mujoco.torsional_friction = 1e-3 * options.tyre_scrub;
   options.mujoco.slope_direction = options.slope_direction_deg * pi / 180.0;
   const examples::VehicleFile file = examples::vehicle_or_default(options.mission.vehicle_path);
-  std::visit(
+  return std::visit(
       [&](const auto& vehicle) {
-        if (!write_mission(options.mission.mission, vehicle)) fly(options, file, vehicle);
+        return write_mission(options.mission.mission, vehicle) ? 0 : fly(options, file, vehicle);
       },
       file.vehicle);
 }
@@ -166,6 +169,7 @@ int main(int argc, char** argv) {
   Options options;
   options.mission.output = "results/mujoco";
   examples::add_options(app, options.mission);
+  app.footer(examples::mission_exit_codes);
   app.add_option("--slope", options.slope_deg, "slope of the ground [deg]")
       ->check(CLI::Range(-20.0, 20.0))
       ->capture_default_str();
@@ -214,8 +218,6 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--film,!--no-film", options.film,
                "also record mission.mp4, mission.gif, air.png, ground.png (needs EGL, ffmpeg)");
-  return examples::run_program(app, "mission_mujoco", argc, argv, [&options] {
-    fly(options);
-    return 0;
-  });
+  return examples::run_program(app, "mission_mujoco", argc, argv,
+                               [&options] { return fly(options); });
 }

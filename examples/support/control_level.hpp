@@ -50,7 +50,7 @@ template <int Rotors>
   errors.angular_velocity = file.allowed_errors.angular_velocity;
   tilt_ropter::ActuatorNmpcSettings settings = tilt_ropter::actuator_nmpc_settings(vehicle, errors);
   settings.problem.bounds.angular_velocity = file.limits.angular_velocity;
-  settings.ground.planned_height = 0.0;  // as in the missions
+  file.ground.apply_to(settings.ground);
   return settings;
 }
 

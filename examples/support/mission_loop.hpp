@@ -5,6 +5,7 @@
 #include "fault_option.hpp"
 #include "flight_controller.hpp"
 #include "identification_log.hpp"
+#include "loss_watch.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
 #include "mission_log.hpp"
@@ -272,6 +273,7 @@ struct FlownMission {
   double duration = 0.0;  ///< of the mission [s]
   double elapsed = 0.0;   ///< [s], on the clock
   double lean = 0.0;      ///< largest angle of body z to world z [rad]
+  std::string loss;       ///< how the vehicle was lost; empty if it was not
   std::vector<tilt_ropter::BoundViolation> violations;  ///< bounds that the reference passes
 };
 
@@ -338,7 +340,9 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   const ExternalWrench external = observer_inputs().at(options.observer);
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, vehicles.believed);
   actuator_settings.time_limit = settings.time_limit;
+  const double down_force = actuator_settings.ground.down_force;
   actuator_settings.ground = settings.ground;
+  if (options.ground_thrust < 0.0) actuator_settings.ground.down_force = down_force;
   FlightController<Rotors> controller =
       actuator_level ? FlightController<Rotors>(vehicles.believed, actuator_settings,
                                                 suite.estimation(), observer, external)
@@ -388,6 +392,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   battery.on_plant(mission.phase(0.0), plant.time(), power, 0.0);
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
   IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
+  LossWatch loss;
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -435,21 +440,44 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     if (phase == MissionPhase::ground)
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
     upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
+    const bool follows = controller.mode() == FlightMode::mission;
+    if (controller.mode() != FlightMode::stopped)
+      loss.on_step(plant.time(), follows ? (seen - wanted).norm() - options.start_off : 0.0,
+                   plant.body().orientation);
     on_step(mission);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   flown.elapsed = elapsed.count();
   flown.lean = std::acos(std::max(-1.0, upright));
+  flown.loss = loss.sentence();
   flown.contact_mode_changes = controller.contact().mode_changes();
   flown.counts = controller.ekf().counts();
   return flown;
 }
 
+/// For the help of a program that returns FlightReport::exit_code().
+inline constexpr const char* mission_exit_codes =
+    "Exit code: 0 the mission was flown, 1 the vehicle was lost (more than 2 m from its reference\n"
+    "or 60 degrees from upright) or another error, 2 an invalid vehicle or mission file, above "
+    "100\n"
+    "wrong options.";
+
+struct FlightReport {
+  std::string figures;  ///< as they were printed
+  std::string loss;     ///< as in FlownMission
+
+  /// The exit code of `program`: 1 if the vehicle was lost, which this says on stderr.
+  [[nodiscard]] int exit_code(const char* program) const {
+    if (!loss.empty()) std::cerr << program << ": " << loss << '\n';
+    return loss.empty() ? 0 : 1;
+  }
+};
+
 /// For a program that flies one mission: calls flight(on_progress), which returns a FlownMission,
 /// and shows its progress. Prints and returns the figures.
 template <typename Flight>
-std::string report_flight(const MissionOptions& options, const VehicleFile& file,
-                          const Flight& flight) {
+FlightReport report_flight(const MissionOptions& options, const VehicleFile& file,
+                           const Flight& flight) {
   const std::string choice = level_choice(options.level, file);
   if (!choice.empty()) std::cout << choice << '\n';
   Progress progress;
@@ -468,14 +496,14 @@ std::string report_flight(const MissionOptions& options, const VehicleFile& file
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();
-  return printed.str();
+  return {printed.str(), flown.loss};
 }
 
 /// The same for any plant, with the arguments of fly().
 template <int Rotors, typename Plant, typename Disturbance, typename OnStep>
-std::string fly_mission(const MissionOptions& options, const VehicleFile& file,
-                        const MissionVehicles<Rotors>& vehicles, Plant& plant,
-                        Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
+FlightReport fly_mission(const MissionOptions& options, const VehicleFile& file,
+                         const MissionVehicles<Rotors>& vehicles, Plant& plant,
+                         Disturbance&& disturbance, OnStep&& on_step, bool ground_is_off = false) {
   return report_flight(options, file, [&](const auto& on_progress) {
     return fly(options, file, vehicles, plant, disturbance, on_step, ground_is_off, on_progress);
   });

@@ -3,6 +3,7 @@
 #include "battery_figures.hpp"
 #include "control_level.hpp"
 #include "flight_controller.hpp"
+#include "loss_watch.hpp"
 #include "mission_log.hpp"
 #include "mission_rows.hpp"
 #include "statistics.hpp"
@@ -132,7 +133,6 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   const NmpcSettings settings = in_simulated_time(file.settings());
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, believed);
   actuator_settings.time_limit = settings.time_limit;
-  actuator_settings.ground = settings.ground;
   FlightController<Rotors> controller =
       level == "actuator" ? FlightController<Rotors>(believed, actuator_settings, estimation)
                           : FlightController<Rotors>(believed, settings, estimation);
@@ -222,9 +222,9 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
       record.touchdown_speed = std::max(record.touchdown_speed, -plant.body().velocity.z());
     was_touching = touching;
     const bool should_fly = phase == MissionPhase::air || phase == MissionPhase::hover;
-    if (square > 4.0)
+    if (square > lost_distance * lost_distance)
       record.verdict = Verdict::lost;
-    else if (plant.body().orientation.toRotationMatrix()(2, 2) < 0.5)
+    else if (is_tipped(plant.body().orientation))
       record.verdict = Verdict::tipped;
     else if ((should_fly && touching) ||
              (stands && i + 1 == steps && body_at_centre().position.z() > stands->height + 0.05))

@@ -334,7 +334,7 @@ void fly(const Options& options, const examples::VehicleFile& file, Findings& fi
     findings.error("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
   else if (figures.touchdown_speed() > soft)
     findings.warning("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
-  if (flown.lean > 0.5 * pi) findings.error("it tips over");
+  if (!flown.loss.empty()) findings.error("in the simulated mission " + flown.loss);
   if (figures.failures() > 0)
     findings.warning(std::to_string(figures.failures()) + " ticks had no plan in the mission");
 }
@@ -367,7 +367,8 @@ bool check_actuators(const Options& options, const examples::VehicleFile& file,
   else if (steady.lift_per_weight < 1.5)
     findings.warning("lift of less than 1.5 times the weight: slow recovery from a descent");
   const PowerModel power(vehicle, steady.hover.rotor_speed);
-  const double share = file.settings().ground.down_force / (vehicle.body.mass * gravity);
+  const double share = examples::actuator_level_settings(file, vehicle).ground.down_force /
+                       (vehicle.body.mass * gravity);
   const double driving = power.power((std::sqrt(share) * steady.hover.rotor_speed).eval());
   print_endurance(file, vehicle, power, driving, options.usable, findings);
   return true;

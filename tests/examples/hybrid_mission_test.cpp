@@ -165,7 +165,7 @@ TEST(HybridMission, ActuatorLevelIsAtLeastAsGoodAsTheWrenchLevel) {
     ASSERT_EQ(actuator.exit_code, 0) << actuator.output;
     for (const char* rmse : {"air_rmse_m", "ground_rmse_m", "mission_rmse_m"})
       EXPECT_LE(actuator[rmse], wrench[rmse]) << rmse << servo;
-    EXPECT_GE(actuator["power_saved_percent"], wrench["power_saved_percent"] - 0.5) << servo;
+    EXPECT_GE(actuator["power_saved_percent"], wrench["power_saved_percent"]) << servo;
     EXPECT_EQ(actuator["tilt_rate_exceeded_share"], 0.0) << servo;
     EXPECT_EQ(actuator["contact_mode_changes"], 4) << servo;
     EXPECT_EQ(actuator["solver_failures"], 0) << servo;
@@ -265,6 +265,13 @@ TEST(HybridMission, FliesAsInThePaper) {
   ASSERT_EQ(flight.exit_code, 0) << flight.output;
   EXPECT_LE(flight["air_rmse_m"], flight["paper_air_rmse_m"]);
   EXPECT_GT(flight["air_rmse_m"], 2.0 * flown()["air_rmse_m"]);
+}
+
+TEST(HybridMission, SaysThatTheVehicleWasLost) {
+  const Flight heavy = run("--mission air --thrust-error -0.5 --mass-error 1 --no-pictures");
+  EXPECT_EQ(heavy.exit_code, 1);
+  EXPECT_NE(heavy.output.find("hybrid_mission: the vehicle "), std::string::npos) << heavy.output;
+  EXPECT_GT(heavy["air_rmse_m"], 0.5);  // the figures are there
 }
 
 TEST(HybridMission, HelpAndBadArguments) {

@@ -85,6 +85,7 @@ TEST(VehicleFile, ReadAndWriteRoundTripKeepsAllFields) {
     VehicleFile file = examples::read_vehicle(shipped(name));
     file.limits.angular_velocity << 1.0, 2.0, 3.5;  // differs from the default
     file.battery_wh = 12.5;
+    file.ground = {0.625, 0.0625, 0.25};
     std::visit(
         [](auto& vehicle) {
           vehicle.battery = {14.8, 5.25, 16.5, 13.25, 0.0125};
@@ -102,6 +103,9 @@ TEST(VehicleFile, ReadAndWriteRoundTripKeepsAllFields) {
     const VehicleFile again = examples::read_vehicle(once);
     EXPECT_EQ(again.limits.angular_velocity, file.limits.angular_velocity);
     EXPECT_EQ(again.battery_wh, file.battery_wh);
+    EXPECT_EQ(again.settings().ground.down_force, 0.625);
+    EXPECT_EQ(again.settings().ground.rotor_thrust, 0.0625);
+    EXPECT_EQ(again.settings().ground.settling_speed, 0.25);
     std::visit(
         [&](const auto& vehicle) {
           const auto& written = std::get<std::decay_t<decltype(vehicle)>>(file.vehicle);

@@ -242,6 +242,14 @@ void for_limits(Bounds& b, const Action& action) {
   action("torque_rate_nmps", up_to("N m/s"), b.torque_rate);
 }
 
+/// Calls action(key, range, field) for each field of VehicleFileGround.
+template <typename Ground, typename Action>
+void for_ground(Ground& g, const Action& action) {
+  action("down_force_n", Range{0.0, 1e6, "N"}, g.down_force);
+  action("rotor_thrust_n", Range{0.0, 1e6, "N"}, g.rotor_thrust);
+  action("settling_speed_mps", Range{0.01, 10.0, "m/s"}, g.settling_speed);
+}
+
 void require_limits(const NmpcBounds& limits, double weight) {
   for (Eigen::Index i = 0; i < 3; ++i) {
     const std::string at = '[' + std::to_string(i) + ']';
@@ -350,6 +358,13 @@ VehicleFile read(const Json& root) {
     });
     inner.refuse_unknown();
   }
+  if (const Json* ground = fields.find("ground")) {
+    Fields inner(*ground, "ground");
+    for_ground(file.ground, [&](const char* key, const Range& range, auto& value) {
+      if (inner.find(key) != nullptr) value = inner.number(key, range);
+    });
+    inner.refuse_unknown();
+  }
   fields.refuse_unknown();
   require_limits(file.limits, common.body.mass * gravity);
   return file;
@@ -449,6 +464,9 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
   std::size_t i = 0;
   for_limits(file.limits, [&](const char* key, const Range&, const Eigen::Vector3d& value) {
     if (!value.isApprox(defaults[i++], 1e-9)) root["limits"][key] = list_of(value);
+  });
+  for_ground(file.ground, [&](const char* key, const Range&, const std::optional<double>& value) {
+    if (value) root["ground"][key] = *value;
   });
   return root;
 }

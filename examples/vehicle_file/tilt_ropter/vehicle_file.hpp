@@ -40,7 +40,8 @@
 ///       "battery_capacity_ah": 5.3, "battery_full_v": 16.8,      all four or none: voltages
 ///       "battery_empty_v": 13.2, "battery_resistance_ohm": 0.012,   without load
 ///       "allowed_errors": { "position_m": [0.13, 0.13, 0.11] },  fields of AllowedErrors
-///       "limits": { "force_max_n": [6, 6, 30] } }                fields of NmpcBounds
+///       "limits": { "force_max_n": [6, 6, 30] },                 fields of NmpcBounds
+///       "ground": { "down_force_n": 0.75 } }                     fields of GroundContactSettings
 ///
 /// All values are in the body frame (x forward, y left, z up) with the CoM as its origin.
 /// `thrust_axis` and `arm_axis` need not be unit vectors. A rotor that does not tilt needs no
@@ -55,6 +56,20 @@ namespace tilt_ropter {
 using AnyVehicle = std::variant<Vehicle<2>, Vehicle<3>, Vehicle<4>, Vehicle<5>, Vehicle<6>,
                                 Vehicle<7>, Vehicle<8>>;
 
+/// Settings on the ground that a file may have. What is absent follows from the vehicle.
+struct VehicleFileGround {
+  /// As in GroundContactSettings [N], [N], [m/s].
+  std::optional<double> down_force, rotor_thrust, settling_speed;
+
+  /// Replaces what is there, for references that were planned for a ground at height zero.
+  void apply_to(GroundContactSettings& settings) const {
+    settings.planned_height = 0.0;
+    settings.down_force = down_force.value_or(settings.down_force);
+    settings.rotor_thrust = rotor_thrust.value_or(settings.rotor_thrust);
+    settings.settling_speed = settling_speed.value_or(settings.settling_speed);
+  }
+};
+
 /// What a vehicle file says. By default the Tilt-Ropter.
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
@@ -63,18 +78,19 @@ struct VehicleFile {
   double battery_wh = 0.0;
   AllowedErrors allowed_errors;
   NmpcBounds limits;
+  VehicleFileGround ground;
 
   /// Returns the undercarriage (wheels or legs), if there is one.
   [[nodiscard]] std::optional<Undercarriage> undercarriage() const {
     return std::visit([](const auto& v) { return tilt_ropter::undercarriage(v); }, vehicle);
   }
 
-  /// Returns the settings of Nmpc for this vehicle, with the allowed errors and limits of the file.
+  /// Returns the settings of Nmpc for this vehicle, with what the file says.
   [[nodiscard]] NmpcSettings settings() const {
     auto s =
         std::visit([this](const auto& v) { return nmpc_settings(v, allowed_errors); }, vehicle);
     s.problem.bounds = limits;
-    s.ground.planned_height = 0.0;  // as in the missions
+    ground.apply_to(s.ground);
     return s;
   }
 };

@@ -78,8 +78,9 @@ inline void validate(const AllowedActuatorErrors& e) {
 }
 
 /// Returns settings with which a vehicle flies without tuning: weights of one over the square of
-/// the allowed error. The settings for the ground are those of nmpc_settings(). Throws
-/// std::invalid_argument if the errors are out of range or the vehicle has no mass or size.
+/// the allowed error. The settings for the ground are those of nmpc_settings(), except that
+/// slow servos raise down_force by half as much. Throws std::invalid_argument if the errors are out
+/// of range or the vehicle has no mass or size.
 template <int Rotors>
 [[nodiscard]] ActuatorNmpcSettings actuator_nmpc_settings(
     const Vehicle<Rotors>& vehicle, const AllowedActuatorErrors& errors = {}) {
@@ -90,6 +91,10 @@ template <int Rotors>
   };
   ActuatorNmpcSettings s;
   s.ground = nmpc_settings(vehicle).ground;
+  // The plan respects the speed of the servos: half of the thrust that slow ones add is enough.
+  const double with_fast_servos =
+      GroundContactSettings().down_force * vehicle.body.mass / tilt_ropter_vehicle().body.mass;
+  s.ground.down_force = 0.5 * (with_fast_servos + s.ground.down_force);
   const double hover = vehicle.body.mass * gravity / Rotors;
   ActuatorLevelWeights& w = s.problem.weights;
   w.position = weigh_all(errors.position);
