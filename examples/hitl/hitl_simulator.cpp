@@ -132,7 +132,7 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
           encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
     if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
       poses.publish(encoder.encode(hitl::Pose{m->time, {m->position, m->orientation}}));
-    if (!silent) loss.on_step(time, 0.0, plant.body().orientation);
+    if (!silent) loss.on_step(time, 0.0, examples::is_tipped(plant.body().orientation));
     if (i % 10 == 0) clock.publish({loops::stamp(std::llround(1e9 * plant.time()))});
     if (time >= 0.0)
       figures.on_plant(mission.phase(time), plant.body().position, mission(time).position,

@@ -22,9 +22,8 @@ class LossWatch {
  public:
   /// Call this after each step, unless the rotors have been stopped on the ground. `distance` [m]
   /// is that from the reference, zero if the vehicle no longer has to follow it.
-  void on_step(double time, double distance, const Eigen::Quaterniond& orientation) {
+  void on_step(double time, double distance, bool tipped) {
     if (!sentence_.empty()) return;
-    const bool tipped = is_tipped(orientation);
     if (!tipped && !(distance > lost_distance)) return;
     std::array<char, 100> text{};
     (void)std::snprintf(

@@ -441,9 +441,12 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
     upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
     const bool follows = controller.mode() == FlightMode::mission;
+    const bool touches = plant.normal_forces().sum() > 0.0;
+    // An actuator that fails may turn the vehicle far before it recovers.
+    const bool tipped = is_tipped(plant.body().orientation) && (options.failure.empty() || touches);
     if (controller.mode() != FlightMode::stopped)
       loss.on_step(plant.time(), follows ? (seen - wanted).norm() - options.start_off : 0.0,
-                   plant.body().orientation);
+                   tipped);
     on_step(mission);
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
