@@ -153,7 +153,7 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
   ActuatorState<Rotors> measured_;                                 // last good measurement
   double last_in_air_ = -std::numeric_limits<double>::infinity();  // [s]
-  bool landed_ = true;
+  bool landed_ = true;  // see ActuatorLevelWeights::thrust_on_ground
 };
 
 template <int Rotors>

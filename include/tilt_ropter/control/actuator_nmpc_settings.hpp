@@ -61,7 +61,7 @@ struct AllowedActuatorErrors {
   Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
   Eigen::Vector3d angular_velocity{0.3162, 0.3162, 0.3162};  ///< body [rad/s]
   double thrust = 0.7019;                                    ///< of each rotor [thrust in hover]
-  double thrust_on_ground = 0.1813;  ///< of each rotor while it stays on the ground [same]
+  double thrust_on_ground = 0.1813;  ///< the same on the ground [thrust in hover]
   double thrust_rate = 1.922;        ///< of each rotor [thrust in hover / s]
   double tilt_rate = 18.26;          ///< of each rotor [rad/s]
 };
