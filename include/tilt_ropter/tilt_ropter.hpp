@@ -38,6 +38,7 @@
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/estimation/disputes.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/estimation/ekf_settings.hpp>

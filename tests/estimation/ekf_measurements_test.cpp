@@ -339,6 +339,9 @@ TEST(EkfMeasurements, StatusesAndGate) {
   const BodyStated before = ekf.state();
   EXPECT_EQ(ekf.on_measurement(1.005, HeightMeasurement<double>{50.0, 0.1, Vector3d::Zero()}),
             EkfStatus::gated);
+  EXPECT_EQ(ekf.on_measurement(1.005, HeightMeasurement<double>{1e300, 0.1, Vector3d::Zero()}),
+            EkfStatus::gated);
+  EXPECT_TRUE(std::isfinite(ekf.nis()));
   EXPECT_EQ(ekf.state().position, before.position);
   imu(1.01);
   EXPECT_NEAR(ekf.trust(1.02).age_of(MeasurementKind::height), 0.01, 1e-9);  // the one that waited

@@ -3,6 +3,7 @@
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include "support/level_circle.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -19,23 +20,7 @@ namespace tilt_ropter {
 namespace {
 
 using Eigen::Vector3d;
-
-// A level circle at constant speed, heading along world x.
-struct Circle {
-  double radius = 4.0, speed = 2.0;  // [m], [m/s]
-
-  [[nodiscard]] BodyStated body(double t) const {
-    const double w = speed / radius;
-    BodyStated b;
-    b.position << radius * std::sin(w * t), -radius * std::cos(w * t), 1.5;
-    b.velocity << speed * std::cos(w * t), speed * std::sin(w * t), 0.0;
-    return b;
-  }
-  [[nodiscard]] Vector3d specific_force(double t) const {
-    const double w = speed / radius;
-    return {-speed * w * std::sin(w * t), speed * w * std::cos(w * t), gravity};
-  }
-};
+using Circle = test_support::LevelCircle;
 
 struct Outcome {
   double position = 0.0, velocity = 0.0;  // largest errors after the first two seconds
@@ -123,6 +108,21 @@ TEST(EkfSensorFaults, PosesOfAnotherObjectAreNotFollowed) {
   }
 }
 
+// The covariance grows until the gate takes any pose. Only poses that come back are used again.
+TEST(EkfSensorFaults, PosesOfAnotherObjectAreNeverFollowed) {
+  for (const double size : {0.0, 0.5, 3.0}) {
+    const Outcome for_good = fly({}, 28.0, {fault(Kind::pose_ghost, 8.0, 20.0, size)});
+    EXPECT_EQ(for_good.counts.restarts, 0) << size;
+    EXPECT_LT(for_good.counts.used, 850) << size;  // those on the path of the object
+    EXPECT_LT(for_good.position, 5.0) << size;     // by the IMU alone, for 20 s
+    EXPECT_NE(for_good.states.back(), EstimateState::good);
+    const Outcome back = fly({}, 20.0, {fault(Kind::pose_ghost, 8.0, 8.0, size)});
+    EXPECT_LE(back.counts.restarts, 1) << size;
+    EXPECT_LT(back.at_end, 0.01) << size;
+    EXPECT_EQ(back.states.back(), EstimateState::good);
+  }
+}
+
 TEST(EkfSensorFaults, JumpsThatEndAreIgnored) {
   for (const double size : {0.05, 0.2, 0.5})
     for (const double duration : {0.1, 0.5, 0.9}) {
@@ -152,6 +152,11 @@ TEST(EkfSensorFaults, StampJitterIsMeasuredAndTolerated) {
   EXPECT_LT(o.position, 0.05);
   EXPECT_LT(o.velocity, 0.15);
   EXPECT_EQ(o.states.back(), EstimateState::good);
+  // Jitter beyond the period of 10 ms: most poses are late or refused, but they are no other
+  // object.
+  const Outcome wild = fly({}, 30.0, {fault(Kind::pose_jitter, 5.0, 25.0, 0.015)});
+  EXPECT_EQ(wild.counts.restarts, 0);
+  EXPECT_LT(wild.position, 0.5);
 }
 
 TEST(EkfSensorFaults, ClockStepsAreCorrected) {

@@ -159,6 +159,7 @@ TEST(EkfSettings, RestartsAfterMaxRejectionsInARow) {
     EkfSettings s;
     s.max_rejections = most;
     s.restart_time = 0.0;
+    s.restart_distance = 10.0;  // so soon no motion confirms the poses
     Ekfd ekf(s);
     fly(ekf, record(flight, 5.0, 18));
     const auto far = [&](int i) {  // the origin of motion capture is 7 m higher
@@ -293,12 +294,17 @@ TEST(EkfSettings, OutOfRangeIsRejectedByName) {
             "EkfSettings.max_rejections = 0: must be at least 1");
   EXPECT_EQ(complaint([](S& s) { s.restart_time = -1.0; }),
             "EkfSettings.restart_time [s] = -1: must be in [0, 60]");
+  EXPECT_EQ(complaint([](S& s) { s.restart_distance = nan; }),
+            "EkfSettings.restart_distance [m] = nan: must be in [0, 1e+06]");
   EXPECT_EQ(complaint([](S& s) { s.give_up_time = 0.5; }),
             "EkfSettings.give_up_time [s] = 0.5: must be in [1, 600]");
   EXPECT_EQ(complaint([](S& s) { s.max_imu_rate = 0.0; }),
             "EkfSettings.max_imu_rate [Hz] = 0: must be in [1, 100000]");
   EXPECT_EQ(complaint([](S& s) { s.fusion_delay = 0.3; }),
             "EkfSettings.fusion_delay [s] = 0.3: must be in [0, 0.2]");
+  EXPECT_EQ(complaint([](S& s) { s.imu_position_stddev = s.marker_position_stddev = 0.01; }),
+            "EkfSettings.marker_position_stddev [m] = 0.01: must be 0 if imu_position_stddev is "
+            "above 0");
   EXPECT_EQ(complaint([](S& s) { s.imu_position.x() = nan; }),
             "EkfSettings.imu_position [m] = (nan, 0, 0): must be in [-100, 100] in every entry");
   EXPECT_EQ(complaint([](S& s) { s.imu_orientation.w() = 2.0; }),

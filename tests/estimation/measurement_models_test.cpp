@@ -138,6 +138,41 @@ TEST(MeasurementModels, HeightAndRangeJacobiansAreExact) {
   });
 }
 
+// The tilt error has an effect of second order: its mean leaves the residual, and its variance is
+// part of the noise.
+TEST(MeasurementModels, RangeCountsTheTiltErrorToSecondOrder) {
+  Random random(12);
+  for (int run = 0; run < 20; ++run) {
+    InertialMotiond at = nearly_level(random);
+    RangeMeasurement<double> m;
+    m.sensor = random.vector(0.2);
+    m.direction = (random.vector(0.3) - Vector3d::UnitZ()).normalized();
+    m.stddev = 1e-3;
+    const double range = -linearise(m, at).residual(0);
+    const Vector3d stddev(0.05, 0.03, 0.04);
+    at.orientation_covariance = stddev.cwiseAbs2().asDiagonal();
+    m.range = range;
+    const auto counted = linearise(m, at);
+    double sum = 0.0, squares = 0.0;
+    constexpr int samples = 20000;
+    for (int i = 0; i < samples; ++i) {
+      const Vector3d turn = stddev.cwiseProduct(test_support::normal_vector(random, 1.0));
+      InertialMotiond true_motion = at;
+      true_motion.state.orientation = at.state.orientation * quaternion_exp(turn);
+      true_motion.orientation_covariance.setZero();
+      RangeMeasurement<double> zero = m;
+      zero.range = 0.0;
+      const double beyond = -linearise(zero, true_motion).residual(0) - range -
+                            counted.jacobian.middleCols<3>(InertialIndex::orientation).dot(turn);
+      sum += beyond;
+      squares += beyond * beyond;
+    }
+    const double mean = sum / samples, variance = squares / samples - mean * mean;
+    EXPECT_NEAR(-counted.residual(0), mean, 0.05 * std::abs(mean) + 1e-4);
+    EXPECT_NEAR(counted.noise(0) - m.stddev * m.stddev, variance, 0.1 * variance + 1e-7);
+  }
+}
+
 TEST(MeasurementModels, FlowJacobianIsExact) {
   expect_exact([](Random& random) {
     FlowMeasurement<double> m;

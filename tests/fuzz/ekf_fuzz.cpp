@@ -16,14 +16,19 @@ namespace {
 
 EkfSettings any_settings(fuzz::Input& input) {
   EkfSettings s;
-  if (input.coin()) s.marker_position_stddev = 0.01, s.marker_orientation_stddev = 0.02;
+  if (input.coin()) s.marker_orientation_stddev = 0.02;
+  if (input.coin()) (input.coin() ? s.imu_position_stddev : s.marker_position_stddev) = 0.05;
   if (input.coin()) return s;
-  input.vary_all(s.imu_noise.gyro_density, s.imu_noise.accelerometer_density,
-                 s.imu_noise.gyro_bias_walk, s.imu_noise.accelerometer_bias_walk,
-                 s.pose_noise.position, s.pose_noise.orientation, s.marker_position,
-                 s.marker_orientation.coeffs(), s.marker_position_stddev,
-                 s.marker_orientation_stddev, s.clock_offset, s.velocity_stddev, s.gyro_bias_stddev,
-                 s.accelerometer_bias_stddev, s.gate, s.max_rejections, s.max_delay, s.max_imu_gap);
+  input.vary_all(
+      s.imu_noise.gyro_density, s.imu_noise.accelerometer_density, s.imu_noise.gyro_bias_walk,
+      s.imu_noise.accelerometer_bias_walk, s.pose_noise.position, s.pose_noise.orientation,
+      s.imu_position, s.imu_orientation.coeffs(), s.imu_position_stddev, s.marker_position,
+      s.marker_orientation.coeffs(), s.marker_position_stddev, s.marker_orientation_stddev,
+      s.clock_offset, s.gyro_bias, s.accelerometer_bias, s.velocity_stddev, s.gyro_bias_stddev,
+      s.accelerometer_bias_stddev, s.gate, s.max_rejections, s.restart_time, s.restart_distance,
+      s.give_up_time, s.max_delay, s.max_imu_rate, s.fusion_delay, s.max_imu_gap,
+      s.trust.position_error, s.trust.velocity_error, s.trust.orientation_error,
+      s.trust.lost_position_error, s.trust.confidence, s.trust.position_age, s.trust.imu_age);
   return s;
 }
 
@@ -35,7 +40,8 @@ void expect_sound(const Ekfd& ekf) {
   fuzz::expect(std::abs(ekf.state().orientation.norm() - 1.0) < 1e-3,
                "the orientation is of unit length");
   fuzz::expect(all_finite(x.gyro_bias) && all_finite(x.accelerometer_bias) &&
-                   all_finite(x.marker_position) && all_finite(x.marker_orientation.coeffs()),
+                   all_finite(x.marker_position) && all_finite(ekf.imu_position()) &&
+                   all_finite(x.marker_orientation.coeffs()),
                "biases and marker frame are finite");
   fuzz::expect(all_finite(ekf.filter().covariance()), "the covariance is finite");
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/estimation/disputes.hpp>
 #include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/estimation/ekf_settings.hpp>
 #include <tilt_ropter/estimation/ekf_start.hpp>
@@ -37,11 +38,13 @@ namespace tilt_ropter {
 ///
 /// Faulty poses do not move the estimate:
 ///
-/// - A pose that repeats the last pose bit for bit, while the IMU's samples change, is not used.
+/// - A pose, position or velocity that repeats an earlier one bit for bit, while the IMU's samples
+///   change, is not used.
 /// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
 ///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
-///   then keeps lean, velocity and biases. If the poses only move smoothly, it restarts after
-///   give_up_time and keeps nothing but the marker frame.
+///   then keeps lean, velocity and biases. If the poses move smoothly along a path of at least
+///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. Positions and
+///   velocities have the first kind of restart. See detail::Dispute.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -65,8 +68,8 @@ class Ekf {
   /// Processes any other measurement, taken at `time` [s] in the IMU's clock. `measurement` is
   /// plain data of at most 512 bytes: a measurement of position_models.hpp, velocity_models.hpp or
   /// wheel_models.hpp, or a callable that takes an InertialMotion<Scalar> and returns a Linearised.
-  /// It is used once the filter has started with a pose or by start(). See
-  /// EkfSettings::fusion_delay for sensors with different delays.
+  /// It is used once the filter has started with a pose or by start(). A callable is not checked
+  /// for repetitions. See EkfSettings::fusion_delay for sensors with different delays.
   template <typename Measurement>
   EkfStatus on_measurement(double time, const Measurement& measurement) noexcept;
 
@@ -105,9 +108,17 @@ class Ekf {
     const InertialSample<Scalar> turned = to_body(sample);
     const Vector3<Scalar> rate = turned.angular_velocity - ahead_.gyro_bias;
     Vector3<Scalar> force = turned.specific_force - ahead_.accelerometer_bias;
-    if (has_lever_)
-      force -= angular_acceleration_.cross(imu_position_) + rate.cross(rate.cross(imu_position_));
+    if (has_lever_) {
+      const Vector3<Scalar> place = imu_position();
+      force -= angular_acceleration_.cross(place) + rate.cross(rate.cross(place));
+    }
     return {rate, force};
+  }
+
+  /// Position of the IMU in the body frame [m], estimated if imu_position_stddev is above zero.
+  [[nodiscard]] Vector3<Scalar> imu_position() const noexcept {
+    if (!finds_imu()) return imu_position_;
+    return marker_position_ - filter_.state().marker_position;
   }
 
   /// Filter at filter_time(): state of the IMU with biases and marker frame, and covariance. The
@@ -135,6 +146,8 @@ class Ekf {
     MarkerPose<Scalar> pose;
     double lag;
   };
+  [[nodiscard]] bool finds_imu() const noexcept { return settings_.imu_position_stddev > 0.0; }
+
   static bool within(const Vector3<Scalar>& v, double limit) noexcept {
     return all_finite(v) && v.cwiseAbs().maxCoeff() <= Scalar(limit);
   }
@@ -146,8 +159,9 @@ class Ekf {
   [[nodiscard]] BodyState<Scalar> body_of(const Vector3<Scalar>& rate) const noexcept {
     BodyState<Scalar> body{ahead_.position, ahead_.velocity, ahead_.orientation, rate};
     if (!has_lever_) return body;
-    body.position -= ahead_.orientation * imu_position_;
-    body.velocity -= ahead_.orientation * rate.cross(imu_position_);
+    const Vector3<Scalar> place = imu_position();
+    body.position -= ahead_.orientation * place;
+    body.velocity -= ahead_.orientation * rate.cross(place);
     return body;
   }
 
@@ -188,8 +202,9 @@ class Ekf {
     clock_step_ += clock;
     ++counts_.clock_steps;
     queue_.clear();
-    refused_.clear();
+    pose_dispute().clear();
   }
+  [[nodiscard]] detail::Dispute<Scalar>& pose_dispute() noexcept { return disputes_[0]; }
 
   /// Uses a measurement that is not ahead of the IMU.
   EkfStatus apply(double time, const ArrivedPose& arrived) noexcept;
@@ -198,10 +213,16 @@ class Ekf {
   template <typename Measurement>
   EkfStatus use(const Measurement& at, MeasurementKind kind) noexcept;
   template <typename Measurement>
+  EkfStatus use_disputable(const Measurement& at, MeasurementKind kind, int part) noexcept;
+  template <typename Measurement>
   EkfStatus queue(double time, const Measurement& measurement) noexcept;
 
   void used(MeasurementKind kind) noexcept {
     last_used_[static_cast<std::size_t>(kind)] = filter_time();
+    if (is_position(kind)) poses_disputed_ = poses_mistimed_ = false;
+  }
+  static constexpr bool is_position(MeasurementKind kind) noexcept {
+    return kind == MeasurementKind::pose || kind == MeasurementKind::position;
   }
   /// Gate for a number of rows, of the same probability as settings_.gate for six.
   [[nodiscard]] Scalar gate(int rows) const noexcept {
@@ -216,6 +237,17 @@ class Ekf {
   [[nodiscard]] double stddev_of(int part) const noexcept {
     return detail::largest_stddev(filter_.covariance(), part);
   }
+  /// Standard deviation of the positions of poses, by noise and stamps [m].
+  [[nodiscard]] double position_noise() const noexcept {
+    return std::hypot(settings_.pose_noise.position,
+                      static_cast<double>(filter_.state().velocity.norm()) * stamps_.stddev());
+  }
+  /// Distance of a pose from the estimate, position [m] plus angle [rad].
+  [[nodiscard]] double distance_to(const MarkerPose<Scalar>& pose) const noexcept {
+    const MarkerPose<Scalar> here = predicted_pose();
+    return static_cast<double>((pose.position - here.position).norm() +
+                               pose.orientation.angularDistance(here.orientation));
+  }
   /// Time [s] by which the pose is ahead of the estimate, along the estimate's path. Infinite if it
   /// is not on the path, within `noise` [m], or if the marker hardly moves.
   [[nodiscard]] double offset_along_path(const MarkerPose<Scalar>& pose,
@@ -229,6 +261,12 @@ class Ekf {
     const bool on_path = (off - ahead * velocity).norm() <= Scalar(6.0 * noise + 0.01);
     return on_path ? static_cast<double>(ahead) : std::numeric_limits<double>::infinity();
   }
+  /// Goes on after a short gap of the IMU, for measurements other than poses.
+  bool resume() noexcept {
+    if (was_started_) running_ = detail::resume(filter_, filter_time() - stopped_at_, rate());
+    doubtful_ = running_;
+    return running_;
+  }
   EkfStatus start_at(const ArrivedPose& arrived) noexcept;
   EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
   /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
@@ -239,7 +277,7 @@ class Ekf {
   EkfSettings settings_;
   ErrorStateFilter<Scalar> filter_;
   Matrix3<Scalar> imu_rotation_;
-  Vector3<Scalar> imu_position_;
+  Vector3<Scalar> imu_position_, marker_position_;  ///< of the settings
   bool has_lever_;
   InertialState<Scalar> ahead_;         ///< filter state propagated to the newest IMU sample
   detail::ImuHistory<Scalar> history_;  ///< body axes
@@ -249,13 +287,13 @@ class Ekf {
   int rates_ = 0;
   detail::RepetitionDetector<Scalar> repetitions_;
   detail::StampMonitor stamps_;
-  detail::RefusedPoses<Scalar> refused_;
-  double pose_time_ = 0.0;      ///< time of the last pose compared
-  double received_ = 0.0;       ///< stamp of the last pose received
-  double last_position_ = 0.0;  ///< time of the last pose used
-  double gap_ = 0.0;            ///< length of the last gap of the IMU
-  double behind_time_ = 0.0;    ///< time of the last late IMU sample
-  double behind_since_ = 0.0;   ///< time of the first of consecutive late IMU samples
+  std::array<detail::Dispute<Scalar>, 3> disputes_;  ///< of poses, positions, velocities
+  double pose_time_ = 0.0;                           ///< time of the last pose compared
+  double received_ = 0.0;                            ///< stamp of the last pose received
+  double last_position_ = 0.0;                       ///< time of the last pose used
+  double stopped_at_ = 0.0;                          ///< last time at which the filter ran
+  double behind_time_ = 0.0;                         ///< time of the last late IMU sample
+  double behind_since_ = 0.0;  ///< time of the first of consecutive late IMU samples
   double clock_step_ = 0.0;
   Scalar nis_ = Scalar(0);
   int behind_ = 0;     ///< consecutive late IMU samples
@@ -264,7 +302,7 @@ class Ekf {
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_ = {};
   bool has_imu_ = false, has_pose_ = false, running_ = false, was_started_ = false;
   bool poses_frozen_ = false, poses_disputed_ = false, poses_mistimed_ = false;
-  bool clock_was_set_ = false;  ///< back, no pose was used since
+  bool doubtful_ = false;  ///< clock set back or gap bridged, and no pose was used since
 };
 using Ekfd = Ekf<double>;  ///< in double precision
 
@@ -287,7 +325,8 @@ Ekf<Scalar>::Ekf(const EkfSettings& settings)
       filter_(settings.imu_noise, settings.pose_noise),
       imu_rotation_(settings.imu_orientation.toRotationMatrix().template cast<Scalar>()),
       imu_position_(settings.imu_position.template cast<Scalar>()),
-      has_lever_(settings.imu_position != Eigen::Vector3d::Zero()),
+      marker_position_(settings.marker_position.template cast<Scalar>()),
+      has_lever_(settings.imu_position != Eigen::Vector3d::Zero() || finds_imu()),
       history_(static_cast<std::size_t>(settings.max_delay * settings.max_imu_rate) + 16) {
   reset();
 }
@@ -334,9 +373,11 @@ template <typename Scalar>
 EkfStatus Ekf<Scalar>::begin_again(const Sample& sample, double pause) noexcept {
   const bool gap = has_imu_;
   has_imu_ = true;
-  if (running_) filter_.reset(ahead_, filter_.covariance());
+  if (running_) {
+    filter_.reset(ahead_, filter_.covariance());
+    stopped_at_ = sample.time - pause;
+  }
   running_ = false;
-  gap_ = pause;
   angular_acceleration_.setZero();
   history_.begin(sample);
   begin_mean(sample);
@@ -351,16 +392,19 @@ EkfStatus Ekf<Scalar>::set_clock(const Sample& sample) noexcept {
   for (double& last : last_used_) last += step;
   last_position_ += step;
   queue_.clear();
-  refused_.clear();
+  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.clear();
   has_pose_ = false;
-  gap_ = std::abs(step);
+  // After a single wrong stamp the time since the filter ran is still known.
+  const double stopped_for = sample.time - stopped_at_;
+  if (running_ || !(stopped_for >= 0.0 && stopped_for < 1.0))
+    stopped_at_ = sample.time - std::abs(step);
   if (running_) {
     running_ = sample.time - behind_since_ <= settings_.max_imu_gap;
     const Sample newest{behind_since_, history_.newest().value};
     if (running_) ahead_ = history_.step(ahead_, newest, sample);
     filter_.reset(ahead_, filter_.covariance());
   }
-  clock_was_set_ = running_;
+  doubtful_ = running_;
   angular_acceleration_.setZero();
   history_.begin(sample);
   begin_mean(sample);
@@ -393,7 +437,16 @@ template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::on_measurement(double time, const Measurement& measurement) noexcept {
   if (!std::isfinite(time)) return EkfStatus::rejected;
-  return has_imu_ ? queue(time, measurement) : EkfStatus::early;
+  if (!has_imu_) return EkfStatus::early;
+  constexpr MeasurementKind kind = detail::KindOf<Measurement>::value;
+  if (const Vector3<Scalar>* value = detail::vector_of<Scalar>(measurement)) {
+    const bool frozen = repetitions_.repeats(*value);
+    if (is_position(kind)) poses_frozen_ = frozen;
+    if (frozen) return EkfStatus::frozen;
+  }
+  const EkfStatus status = queue(time, measurement);
+  if (is_position(kind) && status == EkfStatus::early) poses_mistimed_ = true;
+  return status;
 }
 
 template <typename Scalar>
@@ -409,21 +462,40 @@ EkfStatus Ekf<Scalar>::queue(double time, const Measurement& measurement) noexce
 template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexcept {
-  if (!running_) return EkfStatus::early;
-  if (time < filter_time()) return EkfStatus::late;
-  catch_up(time);
-  const InertialMotion<Scalar> motion{filter_.state(), rate(), imu_position_};
+  if (!running_ && (time < filter_time() || !resume())) return EkfStatus::early;
   constexpr MeasurementKind kind = detail::KindOf<Measurement>::value;
-  if constexpr (std::is_invocable_v<const Measurement&, const InertialMotion<Scalar>&>)
-    return use(measurement(motion), kind);
-  else
-    return use(linearise(measurement, motion), kind);
+  if (time < filter_time()) {
+    if (is_position(kind)) poses_mistimed_ = true;
+    return EkfStatus::late;
+  }
+  catch_up(time);
+  const InertialMotion<Scalar> motion{filter_.state(), rate(), imu_position(),
+                                      filter_.covariance().template block<3, 3>(
+                                          InertialIndex::orientation, InertialIndex::orientation)};
+  auto at = [&] {
+    if constexpr (std::is_invocable_v<const Measurement&, const InertialMotion<Scalar>&>)
+      return measurement(motion);
+    else
+      return linearise(measurement, motion);
+  }();
+  if (finds_imu()) {
+    // Another place of the IMU moves the body as another position and velocity of the IMU do.
+    using I = InertialIndex;
+    const Matrix3<Scalar> rotation = motion.state.orientation.toRotationMatrix();
+    at.by(I::marker_position) += at.by(I::position) * rotation +
+                                 at.by(I::velocity) * rotation * skew(motion.angular_velocity);
+  }
+  return use(at, kind);
 }
 
 template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept {
   if (!at.valid || !at.is_finite()) return EkfStatus::rejected;
+  if constexpr (Measurement::rows == 3) {
+    if (kind == MeasurementKind::position) return use_disputable(at, kind, InertialIndex::position);
+    if (kind == MeasurementKind::velocity) return use_disputable(at, kind, InertialIndex::velocity);
+  }
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
   if (!(nis_ <= gate(Measurement::rows)) || !filter_.update(innovation, at))
@@ -431,6 +503,45 @@ EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept
   used(kind);
   look_ahead();
   return EkfStatus::updated;
+}
+
+// For a position or a velocity; `part` is where it is in the state. The names and units are those
+// of a position.
+template <typename Scalar>
+template <typename Measurement>
+EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kind,
+                                      int part) noexcept {
+  using std::sqrt;
+  const bool is_place = part == InertialIndex::position;
+  detail::Dispute<Scalar>& dispute = disputes_[is_place ? 1 : 2];
+  const InertialState<Scalar>& x = filter_.state();
+  const Vector3<Scalar> here = is_place ? x.position : x.velocity,
+                        off = at.jacobian.template middleCols<3>(part).transpose() *
+                              at.residual;  // world
+  const double distance = static_cast<double>(off.norm()), time = filter_time(),
+               noise = static_cast<double>(sqrt(at.noise.diagonal().maxCoeff()));
+  const auto innovation = filter_.innovation_of(at);
+  nis_ = innovation.distance;
+  EkfStatus status = EkfStatus::updated;
+  if (nis_ <= gate(3) && dispute.accepts(time, distance, 6.0 * noise, settings_.restart_time) &&
+      filter_.update(innovation, at)) {
+    dispute.on_used(here);
+  } else {
+    // Error by lean and bias [m/s^2]. With it a velocity is believed only after a motion.
+    constexpr double acceleration = 0.3;
+    const double rate_stddev =
+        is_place ? std::min(0.3, stddev_of(InertialIndex::velocity)) : acceleration;
+    dispute.on_refused(time, distance, {here + off}, {here}, noise, rate_stddev);
+    if (is_place) poses_disputed_ = true;
+    if (!dispute.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_))
+      return EkfStatus::gated;
+    detail::shift(filter_, part, off, at);
+    dispute.on_restart(here);
+    status = EkfStatus::restarted;
+  }
+  used(kind);
+  look_ahead();
+  return status;
 }
 
 template <typename Scalar>
@@ -443,7 +554,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   // With such an attitude error an update is far from linear.
   constexpr double linear = 0.3;  // [rad]
   if (running_ && stddev_of(InertialIndex::orientation) > linear) {
-    gap_ = time - last_position_;
+    stopped_at_ = last_position_;
     running_ = false;
   }
   if (!running_) return start_at(arrived);
@@ -455,8 +566,12 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   if (jitter > 0.0) at.add_stamp_noise(filter_.state().velocity, rate(), Scalar(jitter));
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
-  if (!(nis_ <= gate(6)) || !filter_.update(innovation, at))
-    return clock_was_set_ ? start_at(arrived) : refuse(time, arrived);
+  const double small = std::max(0.1, 6.0 * position_noise());  // the controller can follow [m]
+  if (!(nis_ <= gate(6)) ||
+      !pose_dispute().accepts(time, distance_to(arrived.pose), small, settings_.restart_time) ||
+      !filter_.update(innovation, at))
+    return doubtful_ ? start_at(arrived) : refuse(time, arrived);
+  pose_dispute().on_used(filter_.state().position);
   stamps_.on_used(arrived.lag);
   ++confirmed_;
   return finish(EkfStatus::updated);
@@ -465,7 +580,8 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
   const bool again = was_started_;
-  detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0, again, gap_}, settings_);
+  detail::start_at_pose(filter_, arrived.pose,
+                        {counts_.used > 0, again, filter_time() - stopped_at_}, settings_);
   confirmed_ = 0;
   stamps_.on_used(arrived.lag);
   return finish(again ? EkfStatus::restarted : EkfStatus::started);
@@ -474,20 +590,19 @@ EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept {
   const Scalar far(60);  // no valid pose has such a NIS
-  const double noise =
-      std::hypot(settings_.pose_noise.position,
-                 static_cast<double>(filter_.state().velocity.norm()) * stamps_.stddev());
-  refused_.add(time, arrived.pose, predicted_pose(), noise,
-               std::min(0.3, stddev_of(InertialIndex::velocity)));
+  const double noise = position_noise();
+  detail::Dispute<Scalar>& dispute = pose_dispute();
+  dispute.on_refused(time, distance_to(arrived.pose), arrived.pose, predicted_pose(), noise,
+                     std::min(0.3, stddev_of(InertialIndex::velocity)));
   poses_disputed_ = true;
   stamps_.on_displaced(offset_along_path(arrived.pose, noise));
-  const bool moves_like_imu = refused_.count() >= settings_.max_rejections &&
-                              refused_.duration(time) >= settings_.restart_time &&
-                              refused_.lean() < Scalar(0.1);
-  const bool start_was_wrong = has_just_started() && nis_ > far &&
-                               refused_.smooth() >= std::min(5, settings_.max_rejections);
-  const bool given_up = time - last_position_ >= settings_.give_up_time &&
-                        refused_.smooth() >= settings_.max_rejections;
+  const detail::RefusedPoses<Scalar>& refused = dispute.refused();
+  const bool moves_like_imu = dispute.moves_like_imu(time, settings_.max_rejections, settings_) &&
+                              refused.lean() < Scalar(0.1);
+  const bool start_was_wrong = has_just_started() && dispute.is_proven() && nis_ > far &&
+                               refused.smooth() >= std::min(5, settings_.max_rejections);
+  const bool given_up = time - last_position_ >= settings_.give_up_time && dispute.is_proven() &&
+                        refused.smooth() >= settings_.max_rejections && refused.extent() > 0.3;
   if (moves_like_imu) {
     detail::relocate(filter_, arrived.pose);
   } else if (start_was_wrong || given_up) {
@@ -497,7 +612,8 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
     watch_clock(arrived.lag);
     return EkfStatus::gated;
   }
-  confirmed_ = 0;
+  if (!start_was_wrong) dispute.on_restart(filter_.state().position);
+  if (!moves_like_imu) confirmed_ = 0;
   return finish(EkfStatus::restarted);
 }
 
@@ -505,8 +621,8 @@ template <typename Scalar>
 EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
   if (status == EkfStatus::restarted) ++counts_.restarts;
   ++counts_.used;
-  refused_.clear();
-  poses_disputed_ = poses_mistimed_ = clock_was_set_ = false;
+  pose_dispute().clear();
+  doubtful_ = false;
   last_position_ = filter_time();
   used(MeasurementKind::pose);
   running_ = was_started_ = true;
@@ -521,11 +637,11 @@ bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev
       !(stddev.position + stddev.velocity + stddev.orientation < 1e6))
     return false;
   catch_up(time());
-  detail::start_at_state(filter_, body, stddev, imu_position_, was_started_, settings_);
-  refused_.clear();
+  detail::start_at_state(filter_, body, stddev, imu_position(), was_started_, settings_);
+  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.reset();
   last_position_ = filter_time();
   confirmed_ = 0;
-  clock_was_set_ = false;
+  doubtful_ = false;
   running_ = was_started_ = true;
   look_ahead();
   return true;
@@ -545,8 +661,11 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   t.poses_frozen = poses_frozen_;
   t.poses_disputed = poses_disputed_;
   t.poses_mistimed = poses_mistimed_;
-  detail::predict_errors(filter_.covariance(), std::min(since(filter_time()), 1e3),
-                         settings_.imu_noise, t);
+  for (const detail::Dispute<Scalar>& dispute : disputes_)
+    t.unconfirmed = t.unconfirmed || !dispute.is_proven();
+  typename ErrorStateFilter<Scalar>::Covariance p = filter_.covariance();
+  if (finds_imu()) detail::move_to_body(p, filter_.state().orientation, rate(), imu_position());
+  detail::predict_errors(p, std::min(since(filter_time()), 1e3), settings_.imu_noise, t);
   detail::judge(settings_.trust, has_just_started(), t);
   return t;
 }
@@ -554,9 +673,10 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
 template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
-  poses_frozen_ = poses_disputed_ = poses_mistimed_ = clock_was_set_ = false;
+  poses_frozen_ = poses_disputed_ = poses_mistimed_ = doubtful_ = false;
   behind_ = rates_ = confirmed_ = 0;
-  pose_time_ = received_ = last_position_ = gap_ = clock_step_ = behind_time_ = behind_since_ = 0.0;
+  pose_time_ = received_ = last_position_ = stopped_at_ = clock_step_ = behind_time_ =
+      behind_since_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
   last_used_.fill(-std::numeric_limits<double>::infinity());
@@ -564,7 +684,7 @@ void Ekf<Scalar>::reset() noexcept {
   queue_.clear();
   repetitions_.reset();
   stamps_.reset();
-  refused_.clear();
+  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.reset();
   angular_acceleration_.setZero();
   InertialState<Scalar> x;
   x.marker_position = (settings_.marker_position - settings_.imu_position).template cast<Scalar>();

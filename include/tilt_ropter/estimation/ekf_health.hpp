@@ -17,13 +17,13 @@ enum class EkfStatus {
   started,    ///< first pose: the filter starts at this pose
   restarted,  ///< the filter restarts at this pose, after rejections or a gap of the IMU
   waiting,    ///< ahead of the IMU, or of fusion_delay: used when its time comes
-  stopped,    ///< IMU sample after a gap: the estimate is frozen until the next pose
+  stopped,    ///< IMU sample after a gap: the estimate is frozen (see max_imu_gap)
   gated,      ///< too unlikely (NIS above the gate)
   duplicate,  ///< stamp was seen before
   late,       ///< older than an IMU sample, or a measurement, that was already used
   early,      ///< too far ahead of the IMU, before its first sample, or too many wait
   rejected,   ///< not finite, not a rotation, or absurd (1e3 rad/s, 1e5 m/s^2, 1e6 m)
-  frozen      ///< the same pose as before, bit for bit, while the IMU's samples changed
+  frozen      ///< the same values as before, bit for bit, while the IMU's samples changed
 };
 
 [[nodiscard]] inline const char* to_string(EkfStatus status) {
@@ -70,12 +70,16 @@ struct EstimateTrust {
   double velocity_stddev = 0.0;     ///< [m/s]
   double orientation_stddev = 0.0;  ///< [rad]
   // Reasons. Several may apply.
-  bool imu_silent = false;         ///< no IMU sample within imu_age
-  bool imu_stopped = false;        ///< gap of the IMU, no pose since
-  bool no_position = false;        ///< no pose or position within position_age
-  bool poses_frozen = false;       ///< the last pose was a repetition
-  bool poses_disputed = false;     ///< the last pose was refused by the gate
-  bool poses_mistimed = false;     ///< the last pose was late or early
+  bool imu_silent = false;      ///< no IMU sample within imu_age
+  bool imu_stopped = false;     ///< gap of the IMU, nothing used since
+  bool no_position = false;     ///< no pose or position within position_age
+  bool poses_frozen = false;    ///< the last pose or position was a repetition
+  bool poses_disputed = false;  ///< the last pose or position was refused by the gate
+  bool poses_mistimed = false;  ///< the last pose or position was late or early
+  /// The filter has restarted at measurements of something at rest, and no motion has confirmed
+  /// since that they are those of the vehicle. Hold the position, then land: the descent confirms
+  /// them or has them refused.
+  bool unconfirmed = false;
   bool position_error = false;     ///< predicted position error above its limit
   bool velocity_error = false;     ///< predicted velocity error above its limit
   bool orientation_error = false;  ///< predicted attitude error above its limit

@@ -45,6 +45,11 @@ struct EkfSettings {
   /// Pose of the IMU in the body frame: position [m], and rotation IMU -> body.
   Eigen::Vector3d imu_position = Eigen::Vector3d::Zero();
   Eigen::Quaterniond imu_orientation = Eigen::Quaterniond::Identity();
+  /// Standard deviation of imu_position [m]. Zero switches its estimation off. The estimate takes
+  /// the positions of marker and sensors in the body frame as known, and needs motion like that of
+  /// the marker frame. At most one of imu_position_stddev and marker_position_stddev is above zero,
+  /// because the measurements show only the difference of the two positions.
+  double imu_position_stddev = 0.0;
 
   /// Pose of the marker frame M in the body frame: origin of M [m], and rotation M -> body.
   Eigen::Vector3d marker_position = Eigen::Vector3d::Zero();
@@ -74,8 +79,13 @@ struct EkfSettings {
   /// Shortest time of consecutive refused poses before the filter restarts at them. They must move
   /// like the IMU during all this time. A jump that ends earlier is ignored.
   double restart_time = 1.0;
-  /// Time without a used pose after which the filter restarts at poses that move smoothly, although
-  /// they do not move like the IMU. Then the estimate itself may be wrong.
+  /// Largest distance over which the filter restarts like this at rest, where no motion shows that
+  /// the poses are those of the vehicle [m]. Angles count, 1 rad as 1 m. An object at rest beside a
+  /// vehicle that hovers looks the same, and the estimate must not fall to the ground with it.
+  double restart_distance = 0.6;
+  /// Time without a used pose after which the filter restarts at poses that move smoothly, along a
+  /// path of at least 0.3 m, although they do not move like the IMU. Then the estimate itself may
+  /// be wrong. Of an object at rest this is not believed.
   double give_up_time = 6.0;
   /// Largest time by which a measurement may arrive after, or before, the IMU sample of the same
   /// time.
@@ -87,7 +97,7 @@ struct EkfSettings {
   /// several sensors; at most max_delay.
   double fusion_delay = 0.0;
   /// Longest pause of the IMU that is bridged. After a longer pause the next pose restarts the
-  /// filter.
+  /// filter. After at most 0.4 s any other measurement lets it go on, with a larger covariance.
   double max_imu_gap = 0.1;
 
   EkfTrustLimits trust;  ///< allowed errors, for Ekf::trust()
@@ -105,9 +115,13 @@ inline void validate(const EkfSettings& s) {
   };
   require_place("EkfSettings.imu_position [m]", s.imu_position);
   require_rotation("EkfSettings.imu_orientation", s.imu_orientation);
+  require_in("EkfSettings.imu_position_stddev [m]", s.imu_position_stddev, 0.0, 100.0);
   require_place("EkfSettings.marker_position [m]", s.marker_position);
   require_rotation("EkfSettings.marker_orientation", s.marker_orientation);
   require_in("EkfSettings.marker_position_stddev [m]", s.marker_position_stddev, 0.0, 100.0);
+  require(s.imu_position_stddev == 0.0 || s.marker_position_stddev == 0.0,
+          "EkfSettings.marker_position_stddev [m]", s.marker_position_stddev,
+          "0 if imu_position_stddev is above 0");
   require_in("EkfSettings.marker_orientation_stddev [rad]", s.marker_orientation_stddev, 0.0, 10.0);
   require_time("EkfSettings.clock_offset [s]", s.clock_offset);
   require(detail::all_entries(s.gyro_bias, [](double x) { return std::abs(x) <= 1e3; }),
@@ -122,6 +136,7 @@ inline void validate(const EkfSettings& s) {
   require_positive("EkfSettings.gate", s.gate);
   require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
   require_in("EkfSettings.restart_time [s]", s.restart_time, 0.0, 60.0);
+  require_in("EkfSettings.restart_distance [m]", s.restart_distance, 0.0, 1e6);
   require_in("EkfSettings.give_up_time [s]", s.give_up_time, s.restart_time, 600.0);
   require_in("EkfSettings.max_delay [s]", s.max_delay, 1e-6, 10.0);
   require_in("EkfSettings.max_imu_rate [Hz]", s.max_imu_rate, 1.0, 1e5);

@@ -40,11 +40,43 @@ void set_variance(Covariance& p, int part, double stddev) noexcept {
   p.diagonal().template segment<3>(part).setConstant(Scalar(stddev * stddev));
 }
 
-/// Sets the variance of the marker frame to that of the settings.
+/// Sets the variance of the marker frame, relative to the IMU, to that of the settings.
 template <typename Covariance>
 void set_marker_variance(Covariance& p, const EkfSettings& settings) noexcept {
   set_variance(p, InertialIndex::marker_orientation, settings.marker_orientation_stddev);
-  set_variance(p, InertialIndex::marker_position, settings.marker_position_stddev);
+  set_variance(p, InertialIndex::marker_position,
+               std::max(settings.marker_position_stddev, settings.imu_position_stddev));
+}
+
+/// Changes the covariance of IMU and marker frame to that of the body's position and velocity, if
+/// the position of the IMU is estimated. `body_to_imu`: position of the IMU in the body frame [m].
+/// `sign` -1 is the opposite change.
+template <typename Scalar, typename Covariance>
+void move_to_body(Covariance& p, const Eigen::Quaternion<Scalar>& orientation,
+                  const Vector3<Scalar>& angular_velocity, const Vector3<Scalar>& body_to_imu,
+                  Scalar sign = Scalar(1)) noexcept {
+  using I = InertialIndex;
+  const Matrix3<Scalar> rotation = sign * orientation.toRotationMatrix();
+  const Matrix3<Scalar> position_by_turn = rotation * skew(body_to_imu),
+                        velocity_by_turn =
+                            rotation * skew(Vector3<Scalar>(angular_velocity.cross(body_to_imu))),
+                        velocity_by_place = rotation * skew(angular_velocity),
+                        velocity_by_bias = -rotation * skew(body_to_imu);
+  const auto rows = [&p](int start) { return p.template middleRows<3>(start); };
+  rows(I::position) +=
+      (position_by_turn * rows(I::orientation) + rotation * rows(I::marker_position)).eval();
+  rows(I::velocity) +=
+      (velocity_by_turn * rows(I::orientation) + velocity_by_bias * rows(I::gyro_bias) +
+       velocity_by_place * rows(I::marker_position))
+          .eval();
+  const auto columns = [&p](int start) { return p.template middleCols<3>(start); };
+  columns(I::position) += (columns(I::orientation) * position_by_turn.transpose() +
+                           columns(I::marker_position) * rotation.transpose())
+                              .eval();
+  columns(I::velocity) += (columns(I::orientation) * velocity_by_turn.transpose() +
+                           columns(I::gyro_bias) * velocity_by_bias.transpose() +
+                           columns(I::marker_position) * velocity_by_place.transpose())
+                              .eval();
 }
 
 /// What the filter knows before it starts at a pose.
@@ -117,6 +149,50 @@ void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) 
   filter.update(pose);
 }
 
+/// Moves one part of the state, position or velocity, by `off` (world frame), to the measurement
+/// `at` that was refused there.
+template <typename Scalar, typename Measurement>
+void shift(ErrorStateFilter<Scalar>& filter, int part, const Vector3<Scalar>& off,
+           Measurement at) noexcept {
+  InertialState<Scalar> x = filter.state();
+  (part == InertialIndex::position ? x.position : x.velocity) += off;
+  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
+  p.template middleRows<3>(part).setZero();
+  p.template middleCols<3>(part).setZero();
+  set_variance(p, part, 1.0);
+  filter.reset(x, p);
+  at.residual.setZero();
+  (void)filter.update(filter.innovation_of(at), at);
+}
+
+/// Goes on after `gap` [s] without IMU samples, during which the vehicle accelerated and turned in
+/// an unknown way. `angular_velocity`: after the gap, body frame [rad/s]. Returns false and changes
+/// nothing if the gap is so long that the attitude is lost.
+template <typename Scalar>
+[[nodiscard]] bool resume(ErrorStateFilter<Scalar>& filter, double gap,
+                          const Vector3<Scalar>& angular_velocity) noexcept {
+  using I = InertialIndex;
+  constexpr double longest = 0.4;            // [s]
+  constexpr double turn = 1.0, push = 10.0;  // stddev of the unknown [rad/s], [m/s^2]
+  if (!(gap <= longest)) return false;
+  const Scalar dt(gap);
+  InertialState<Scalar> x = filter.state();
+  x.position += dt * x.velocity;
+  x.orientation =
+      (x.orientation * quaternion_exp(Vector3<Scalar>(dt * angular_velocity))).normalized();
+  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
+  p.template middleRows<3>(I::position) += dt * p.template middleRows<3>(I::velocity);
+  p.template middleCols<3>(I::position) += dt * p.template middleCols<3>(I::velocity);
+  const auto add = [&p](int part, double stddev) {
+    p.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
+  };
+  add(I::orientation, turn * gap);
+  add(I::velocity, push * gap);
+  add(I::position, push * gap * gap / 2.0);
+  filter.reset(x, p);
+  return true;
+}
+
 /// Starts at a state of the body (of the CoM). `imu_position` is that of the IMU, body frame [m].
 template <typename Scalar>
 void start_at_state(ErrorStateFilter<Scalar>& filter, const BodyState<Scalar>& body,
@@ -137,6 +213,8 @@ void start_at_state(ErrorStateFilter<Scalar>& filter, const BodyState<Scalar>& b
   set_variance(p, I::orientation, stddev.orientation);
   set_variance(p, I::gyro_bias, settings.gyro_bias_stddev);
   set_variance(p, I::accelerometer_bias, settings.accelerometer_bias_stddev);
+  if (settings.imu_position_stddev > 0.0)
+    move_to_body(p, x.orientation, body.angular_velocity, imu_position, Scalar(-1));
   filter.reset(x, p);
 }
 

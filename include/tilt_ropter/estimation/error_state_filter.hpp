@@ -125,8 +125,8 @@ template <typename Scalar, int Rows>
 struct MeasurementInnovation {
   Eigen::Matrix<Scalar, Rows, 1> residual;       ///< measured - predicted
   Eigen::Matrix<Scalar, Rows, Rows> covariance;  ///< S, covariance of the residual
-  /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if rounding has
-  /// made S indefinite.
+  /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if it overflows,
+  /// or if rounding has made S indefinite.
   Scalar distance;
   /// P H', cross-covariance of the state's error and the residual.
   Eigen::Matrix<Scalar, InertialIndex::size, Rows> correlation;
@@ -192,8 +192,10 @@ class ErrorStateFilter {
     in.covariance = (s + s.transpose()) / Scalar(2);
     at.add_noise(in.covariance);
     const auto factor = in.covariance.llt();
-    in.distance = factor.info() == Eigen::Success ? in.residual.dot(factor.solve(in.residual))
-                                                  : std::numeric_limits<Scalar>::max();
+    in.distance = std::numeric_limits<Scalar>::max();
+    if (factor.info() != Eigen::Success) return in;
+    const Scalar square = in.residual.dot(factor.solve(in.residual));
+    if (square < in.distance) in.distance = square;  // huge residuals overflow
     return in;
   }
 

@@ -20,6 +20,8 @@ struct InertialMotion {
   InertialState<Scalar> state;                                 ///< of the filter, at the IMU
   Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< gyro minus bias, body [rad/s]
   Vector3<Scalar> imu_position = Vector3<Scalar>::Zero();      ///< of the IMU, body frame [m]
+  /// Covariance of the orientation error, body frame [rad^2], for models that are far from linear.
+  Matrix3<Scalar> orientation_covariance = Matrix3<Scalar>::Zero();
 };
 using InertialMotiond = InertialMotion<double>;  ///< in double precision
 

@@ -1,29 +1,27 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/estimation/inertial_state.hpp>
-#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
-/// Detectors of faulty poses, for Ekf: repetitions, wrong stamps, and poses that are elsewhere.
-/// Nothing here throws or allocates.
+/// Detectors of faulty measurements, for Ekf: repetitions and wrong stamps. Nothing here throws or
+/// allocates.
 namespace tilt_ropter::detail {
 
-/// Finds poses that repeat the last pose bit for bit. A tracker with noise never does this. A
-/// simulation without noise does it at rest, but then the IMU's samples repeat as well.
+/// Finds measurements that repeat an earlier one bit for bit. A sensor with noise never does this.
+/// A simulation without noise does it at rest, but then the IMU's samples repeat as well.
 template <typename Scalar>
 class RepetitionDetector {
  public:
   void on_imu(const InertialSample<Scalar>& sample) noexcept {
     if (sample.angular_velocity != imu_.angular_velocity ||
         sample.specific_force != imu_.specific_force)
-      imu_changed_ = true;
+      ++imu_changes_;
     imu_ = sample;
   }
 
@@ -32,20 +30,67 @@ class RepetitionDetector {
     const bool same = has_pose_ && pose.position == pose_.position &&
                       (pose.orientation.coeffs() == pose_.orientation.coeffs() ||
                        pose.orientation.coeffs() == -pose_.orientation.coeffs());
-    if (same && imu_changed_) return true;
+    if (same && pose_changes_ != imu_changes_) return true;
     has_pose_ = true;
-    imu_changed_ = false;
+    pose_changes_ = imu_changes_;
     pose_ = pose;
+    return false;
+  }
+
+  /// Returns true if the position or velocity `value` is one of the last eight, of all sensors,
+  /// and the samples of the IMU changed since. A velocity of zero may repeat: the user knows that
+  /// the vehicle stands.
+  [[nodiscard]] bool repeats(const Vector3<Scalar>& value) noexcept {
+    if (value == Vector3<Scalar>::Zero()) return false;
+    ++received_;
+    Vector* oldest = &vectors_[0];
+    for (Vector& v : vectors_) {
+      if (v.received > 0 && v.value == value) {
+        v.received = received_;
+        return v.imu_changes != imu_changes_;
+      }
+      if (v.received < oldest->received) oldest = &v;
+    }
+    *oldest = {value, received_, imu_changes_};
     return false;
   }
 
   void reset() noexcept { *this = RepetitionDetector(); }
 
  private:
+  struct Vector {
+    Vector3<Scalar> value = Vector3<Scalar>::Zero();
+    long received = 0;  ///< when, in counts of received vectors; 0: empty
+    long imu_changes = 0;
+  };
   InertialSample<Scalar> imu_;
   MarkerPose<Scalar> pose_;
-  bool has_pose_ = false, imu_changed_ = false;
+  std::array<Vector, 8> vectors_;
+  long imu_changes_ = 0, pose_changes_ = 0, received_ = 0;
+  bool has_pose_ = false;
 };
+
+/// The value by which repetitions of a measurement are found; null if they are not looked for.
+template <typename Scalar>
+const Vector3<Scalar>* vector_of(const PositionMeasurement<Scalar>& m) noexcept {
+  return &m.position;
+}
+template <typename Scalar>
+const Vector3<Scalar>* vector_of(const PoseMeasurement<Scalar>& m) noexcept {
+  return &m.position;
+}
+template <typename Scalar>
+const Vector3<Scalar>* vector_of(const WorldVelocityMeasurement<Scalar>& m) noexcept {
+  return &m.velocity;
+}
+template <typename Scalar>
+const Vector3<Scalar>* vector_of(const BodyVelocityMeasurement<Scalar>& m) noexcept {
+  return &m.velocity;
+}
+template <typename Scalar, typename Measurement>
+const Vector3<Scalar>* vector_of(const Measurement&) noexcept {
+  return nullptr;
+}
 
 /// Measures the jitter of stamps of a periodic sensor, and finds steps of its clock.
 class StampMonitor {
@@ -133,86 +178,6 @@ class StampMonitor {
   long steps_ = 0, used_ = 0;
   int strange_ = 0;
   bool has_last_ = false;
-};
-
-/// Watches the poses that the gate refuses, and says whether they move like the IMU but elsewhere.
-/// Elsewhere means a constant displacement and a constant rotation about the vertical.
-template <typename Scalar>
-class RefusedPoses {
- public:
-  void clear() noexcept { count_ = smooth_ = 0; }
-
-  /// Processes a refused pose at `time` [s]. `predicted` is the pose that the filter expects, of
-  /// position error `stddev` [m] and velocity error `velocity_stddev` [m/s].
-  void add(double time, const MarkerPose<Scalar>& pose, const MarkerPose<Scalar>& predicted,
-           double stddev, double velocity_stddev) noexcept {
-    const Eigen::Quaternion<Scalar> turn = pose.orientation * predicted.orientation.conjugate();
-    if (count_ == 0 || !moves_like_imu(time, pose, predicted, turn, stddev, velocity_stddev)) {
-      count_ = 0;
-      first_time_ = time;
-      first_ = pose;
-      first_predicted_ = predicted;
-      turn_ = turn;
-      yaw_ = yaw_of(turn);
-    }
-    ++count_;
-    watch_smoothness(time, pose.position, stddev);
-  }
-
-  /// Number of poses in a row that move like the IMU, and their duration [s].
-  [[nodiscard]] int count() const noexcept { return count_; }
-  [[nodiscard]] double duration(double now) const noexcept { return now - first_time_; }
-  /// Number of poses in a row whose positions lie on a smooth path.
-  [[nodiscard]] int smooth() const noexcept { return smooth_; }
-  /// Rotation about the vertical from the estimate to the poses [rad].
-  [[nodiscard]] Scalar yaw() const noexcept { return yaw_; }
-  /// Lean of that rotation [rad]: the poses and the estimate disagree about the vertical.
-  [[nodiscard]] Scalar lean() const noexcept {
-    using std::abs;
-    using std::acos;
-    const Vector3<Scalar> up = turn_ * Vector3<Scalar>::UnitZ();
-    return acos(std::clamp(up.z(), Scalar(-1), Scalar(1)));
-  }
-
- private:
-  [[nodiscard]] bool moves_like_imu(double time, const MarkerPose<Scalar>& pose,
-                                    const MarkerPose<Scalar>& predicted,
-                                    const Eigen::Quaternion<Scalar>& turn, double stddev,
-                                    double velocity_stddev) const noexcept {
-    const double dt = time - first_time_;
-    if (!(dt > 0.0)) return false;
-    const Vector3<Scalar> moved = pose.position - first_.position;
-    const Vector3<Scalar> expected =
-        quaternion_from_yaw(yaw_) * (predicted.position - first_predicted_.position);
-    const double most = 6.0 * stddev + (3.0 * velocity_stddev + 0.02) * dt;
-    return static_cast<double>((moved - expected).norm()) <= most &&
-           turn.angularDistance(turn_) < Scalar(0.1);
-  }
-
-  // Positions on a smooth path: the change of velocity between three poses is an acceleration of at
-  // most 30 m/s^2, beyond noise.
-  void watch_smoothness(double time, const Vector3<Scalar>& position, double stddev) noexcept {
-    const double dt = time - last_time_;
-    if (smooth_ > 0 && !(dt > 1e-4 && dt < 0.5)) smooth_ = 0;
-    if (smooth_ > 0) {
-      const Vector3<Scalar> velocity = (position - last_) / Scalar(dt);
-      const double change = static_cast<double>((velocity - velocity_).norm());
-      const double most = 30.0 * (dt + last_step_) + 12.0 * stddev / std::min(dt, last_step_);
-      if (smooth_ > 1 && change > most) smooth_ = 0;
-      velocity_ = velocity;
-      last_step_ = dt;
-    }
-    ++smooth_;
-    last_ = position;
-    last_time_ = time;
-  }
-
-  double first_time_ = 0.0, last_time_ = 0.0, last_step_ = 0.0;
-  MarkerPose<Scalar> first_, first_predicted_;
-  Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();
-  Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero();
-  Scalar yaw_ = Scalar(0);
-  int count_ = 0, smooth_ = 0;
 };
 
 }  // namespace tilt_ropter::detail

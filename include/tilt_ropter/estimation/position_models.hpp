@@ -54,8 +54,9 @@ template <typename Scalar>
 }
 
 /// Distance to a plane along a beam, one row: r = (c - n'x) / (n'R d), with the sensor at x and the
-/// beam d in the body frame. Not valid if the beam does not meet the ground within 80 degrees of
-/// its normal.
+/// beam d in the body frame. Over level ground a tilt has an effect of second order only, r a^2
+/// / 2. At 10 m and 45 mrad this is 1 cm: its mean and variance are part of the residual and the
+/// noise. Not valid if the beam does not meet the ground within 80 degrees of its normal.
 template <typename Scalar>
 [[nodiscard]] Linearised<Scalar, 1> linearise(const RangeMeasurement<Scalar>& m,
                                               const InertialMotion<Scalar>& at) noexcept {
@@ -74,7 +75,19 @@ template <typename Scalar>
   h.by(I::orientation) = (n.transpose() * point.position_by_turn -
                           range * n.transpose() * point.rotation * skew(m.direction)) /
                          descent;
-  h.noise(0) = m.stddev * m.stddev;
+  // Second derivatives of the sensor's height, of the descent and of their quotient by the turn.
+  const Vector3<Scalar> up = point.rotation.transpose() * n;
+  const auto bend = [&up](const Vector3<Scalar>& arm) -> Matrix3<Scalar> {
+    const Matrix3<Scalar> product = up * arm.transpose();
+    return (product + product.transpose()) / Scalar(2) - up.dot(arm) * Matrix3<Scalar>::Identity();
+  };
+  const Vector3<Scalar> rise = point.arm.cross(up), fall = up.cross(m.direction);
+  const Matrix3<Scalar> product = (rise - range * fall) * fall.transpose() / (descent * descent);
+  const Matrix3<Scalar> curvature =
+      (bend(point.arm) + range * bend(m.direction)) / descent - product - product.transpose();
+  const Matrix3<Scalar> spread = curvature * at.orientation_covariance;
+  h.residual(0) -= spread.trace() / Scalar(2);
+  h.noise(0) = m.stddev * m.stddev + (spread * spread).trace() / Scalar(2);
   return h;
 }
 
