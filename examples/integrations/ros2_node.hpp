@@ -87,6 +87,7 @@ class Ros2Node {
     const double time = 1e-9 * static_cast<double>(now);
     now_ = time;
     if (!controller_.started()) return nullptr;
+    controller_.on_tick(time);
     const bool was_silent = silent_;
     silent_ = !(time - controller_.ekf().time() <= max_silence_);
     if (silent_ && !was_silent) std::cerr << "ros2_node: the IMU is silent\n";

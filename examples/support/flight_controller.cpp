@@ -86,7 +86,8 @@ void FlightController<Rotors>::on_voltage(double voltage) {
 }
 
 template <int Rotors>
-void FlightController<Rotors>::on_imu(double time, const InertialSampled& sample) {
+void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sample) {
+  const double time = imu_clock_.on_sample(stamp);
   const ActuatorState<Rotors>& modelled = actuators_.update(time, sent_.command);
   applied_ = {rotor_speeds_, modelled.tilt_angle};
   ekf_.on_imu(time, sample);
@@ -124,8 +125,27 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   }
 }
 
+// Changes the speed at which the vehicle settles on the expected ground. Where the height is not
+// known, a vehicle that settles slowly may hover above the true ground.
+template <int Rotors>
+void FlightController<Rotors>::settle_at(double speed) {
+  const auto set = [speed](auto& controller) {
+    auto settings = controller.settings();
+    if (settings.ground.settling_speed == 0.0) return;  // it follows the reference as it is
+    settings.ground.settling_speed = speed;
+    controller.set_settings(settings);
+  };
+  if (actuator_nmpc_) set(*actuator_nmpc_);
+  if constexpr (has_wrench_level<Rotors>)
+    if (nmpc_) set(*nmpc_);
+}
+
 template <int Rotors>
 void FlightController<Rotors>::begin(FlightMode mode, double time) {
+  if (mode == FlightMode::landing)
+    settle_at(sink_speed);
+  else if (mode_ == FlightMode::landing)
+    settle_at(after_failure_.ground.settling_speed);
   mode_ = mode;
   mode_since_ = carried_since_ = time;
   const BodyStated body = ekf_.state();
@@ -133,6 +153,8 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
   held_.position = body.position;
   held_.velocity = body.velocity;
   held_.orientation = quaternion_from_yaw(yaw_of(body.orientation));
+  sunk_ = sink_ = 0.0;
+  sink_to_ = contact_.estimate().ground.height_at(body.position);
 }
 
 template <int Rotors>
@@ -141,11 +163,14 @@ void FlightController<Rotors>::choose_mode(double time) {
     mode_since_ += time - time_;
     carried_since_ += time - time_;
   }
+  const double passed = time - time_;
   time_ = time;
+  const bool was_unconfirmed = trust_.unconfirmed;
   trust_ = ekf_.trust(time);
   const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
   const bool lost = trust_.state == EstimateState::position_lost ||
                     (trust_.state == EstimateState::lost && imu_works);
+  const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;
   const bool failed = detector_.failure().kind != FailureKind::none;
   if (failed && failure_.kind == FailureKind::none && mode_ != FlightMode::stopped) {
     go_on_without(detector_.failure(), time);
@@ -154,15 +179,18 @@ void FlightController<Rotors>::choose_mode(double time) {
   switch (mode_) {
     case FlightMode::mission:
     case FlightMode::hold:
-      if (lost)
+      // Who holds for long does not know where.
+      if (lost || (mode_ == FlightMode::hold && time - mode_since_ > longest_hold))
         begin(FlightMode::landing, time);
-      else if (trust_.state == EstimateState::degraded && mode_ == FlightMode::mission)
+      else if ((trust_.state == EstimateState::degraded && mode_ == FlightMode::mission) ||
+               (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground))
         begin(FlightMode::hold, time);
-      else if (trust_.state == EstimateState::good && mode_ == FlightMode::hold)
+      else if (is_good && mode_ == FlightMode::hold)
         mode_ = FlightMode::mission;
       break;
     case FlightMode::emergency:
     case FlightMode::landing: {
+      if (mode_ == FlightMode::landing) sink(passed);
       constexpr double settled = 0.3;  // on the ground for this time [s]
       const bool falls = mode_ == FlightMode::emergency && ekf_.state().velocity.norm() > 0.5;
       if (!contact_.estimate().on_ground || falls) carried_since_ = time;
@@ -170,7 +198,7 @@ void FlightController<Rotors>::choose_mode(double time) {
         mode_ = FlightMode::stopped;
       else if (mode_ == FlightMode::emergency && lost)
         begin(FlightMode::landing, time);
-      else if (mode_ == FlightMode::landing && trust_.state == EstimateState::good)
+      else if (mode_ == FlightMode::landing && is_good)
         begin(failed ? FlightMode::emergency : FlightMode::hold, time);
       break;
     }
@@ -180,8 +208,14 @@ void FlightController<Rotors>::choose_mode(double time) {
 }
 
 template <int Rotors>
+double FlightController<Rotors>::height_stddev() const {
+  constexpr int z = InertialIndex::position + 2;
+  return std::sqrt(std::max(0.0, ekf_.filter().covariance()(z, z)));
+}
+
+template <int Rotors>
 bool FlightController<Rotors>::is_off_the_ground() const {
-  constexpr double enough = 0.05;  // under the wheels [m]
+  const double enough = 0.05 + 3.0 * height_stddev();  // under the wheels [m]
   const std::optional<Undercarriage> stands = undercarriage(vehicle_);
   const Eigen::Vector3d position = ekf_.state().position;
   const ContactEstimate& contact = contact_.estimate();
@@ -189,19 +223,42 @@ bool FlightController<Rotors>::is_off_the_ground() const {
          (!stands || position.z() - stands->height - contact.ground.height_at(position) > enough);
 }
 
+// Time constant at which the speed decays, so that the vehicle brakes without leaning [s].
+constexpr double braking = 1.0;
+
+// Fast where the ground is certainly far, because without position the errors grow with time. Fast
+// again below the expected ground, because then the estimate is wrong, perhaps the speed as well.
+template <int Rotors>
+void FlightController<Rotors>::sink(double duration) {
+  constexpr double margin = 0.5, reach = 1.0;  // [m]
+  const std::optional<Undercarriage> stands = undercarriage(vehicle_);
+  const double height = ekf_.state().position.z() - (stands ? stands->height : 0.0) - sink_to_;
+  const double off =
+      std::isfinite(height) ? std::max(height - margin - height_stddev(), -height - margin) : 0.0;
+  const double wanted =
+      sink_speed + (fastest_sink - sink_speed) * std::clamp(off / reach, 0.0, 1.0);
+  constexpr double acceleration = 0.5;  // [m/s^2]
+  const double step = std::clamp(duration, 0.0, 0.1);
+  sink_ += std::clamp(wanted - sink_, -acceleration * step, acceleration * step);
+  sunk_ += sink_ * step;
+  // The estimated position may step by metres, for example when a range finder shows that the
+  // vehicle leans. The vehicle does not follow it.
+  const double braked = braking * (1.0 - std::exp(-std::max(0.0, time_ - mode_since_) / braking));
+  held_.position.head<2>() = ekf_.state().position.head<2>() - braked * held_.velocity.head<2>();
+}
+
 template <int Rotors>
 ReferencePoint FlightController<Rotors>::stand_in(double time) const {
-  // The speed decays, so that the vehicle brakes without leaning.
-  constexpr double braking = 1.0;  // time constant [s]
   const double passed = std::max(0.0, time - mode_since_);
   const double decay = std::exp(-passed / braking);
-  Eigen::Vector3d sinking = Eigen::Vector3d::Zero();
-  if (mode_ == FlightMode::landing) sinking.z() = -sink_speed;
-  const Eigen::Vector3d excess = held_.velocity - sinking;
   ReferencePoint point = held_;
-  point.position += sinking * passed + excess * (braking * (1.0 - decay));
-  point.velocity = sinking + excess * decay;
-  point.acceleration = -excess * (decay / braking);
+  point.position += held_.velocity * (braking * (1.0 - decay));
+  point.velocity = held_.velocity * decay;
+  point.acceleration = -held_.velocity * (decay / braking);
+  if (mode_ == FlightMode::landing) {
+    point.position.z() -= sunk_ + sink_ * (time - time_);
+    point.velocity.z() -= sink_;
+  }
   constexpr double hover = 2.0, slowly = 0.3;  // after a failure [s], [m/s]
   if (mode_ == FlightMode::emergency && passed > hover) {
     point.position.z() -= slowly * (passed - hover);
@@ -212,6 +269,7 @@ ReferencePoint FlightController<Rotors>::stand_in(double time) const {
 
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
+  on_tick(time);
   if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
   airborne_ = ekf_.running() && is_off_the_ground();
   choose_mode(time);

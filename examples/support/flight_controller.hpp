@@ -1,6 +1,7 @@
 #pragma once
 
 #include "actuator_instances.hpp"
+#include "imu_clock.hpp"
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
@@ -39,7 +40,7 @@ enum class ExternalWrench {
 enum class FlightMode {
   mission,   ///< follows the reference
   hold,      ///< the estimate is degraded: holds the estimated position until it is good again
-  landing,   ///< position or attitude is lost: sinks by IMU and wrench until the ground carries
+  landing,   ///< position or attitude is lost, or it held for too long: sinks by IMU and wrench
   stopped,   ///< landed like this: rotors off, for good
   emergency  ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
 };
@@ -49,7 +50,9 @@ enum class FlightMode {
 template <int Rotors>
 class FlightController {
  public:
-  static constexpr double sink_speed = 0.4;  ///< of a landing without position [m/s]
+  /// Speed of a landing without position [m/s]: near the ground, and where the ground is far.
+  static constexpr double sink_speed = 0.4, fastest_sink = 0.8;
+  static constexpr double longest_hold = 10.0;  ///< then the vehicle lands [s]
 
   /// Controls at the wrench level. Throws std::invalid_argument if the vehicle does not give every
   /// wrench or has less than 4 rotors.
@@ -80,8 +83,9 @@ class FlightController {
   /// speeds at this voltage. voltage_ratio() says which voltages are ignored.
   void on_voltage(double voltage);
 
-  /// A sample of the IMU, at any rate.
-  void on_imu(double time, const tilt_ropter::InertialSampled& sample);
+  /// A sample of the IMU, at any rate, in the clock of the ticks. If the clock of the IMU is set,
+  /// the samples count as if it had not been.
+  void on_imu(double stamp, const tilt_ropter::InertialSampled& sample);
 
   /// A pose from motion capture, taken at `time` [s]; it may arrive late.
   void on_pose(double time, const tilt_ropter::MarkerPosed& pose);
@@ -97,6 +101,10 @@ class FlightController {
                       const tilt_ropter::StartStddev& stddev = {}) {
     ekf_.start(body, stddev);
   }
+
+  /// For a tick in which prepare() is not called, such as while the IMU is silent: the stamps of
+  /// the IMU are judged by the time of the ticks.
+  void on_tick(double time) { imu_clock_.on_tick(time); }
 
   /// Call this before the last measurements of a tick arrive. The reference is not followed in
   /// every FlightMode.
@@ -157,6 +165,7 @@ class FlightController {
   std::optional<tilt_ropter::ActuatorNmpc<Rotors>> actuator_nmpc_;
   tilt_ropter::ActuatedBody<Rotors> body_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;
+  ImuClock imu_clock_;
   tilt_ropter::Ekfd ekf_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
@@ -169,13 +178,17 @@ class FlightController {
 
   void choose_mode(double time);
   void go_on_without(const tilt_ropter::ActuatorFailure& failure, double time);
+  void settle_at(double speed);
   void begin(FlightMode mode, double time);
+  [[nodiscard]] double height_stddev() const;  ///< of the estimate [m]
   [[nodiscard]] bool is_off_the_ground() const;
+  void sink(double duration);
   [[nodiscard]] tilt_ropter::ReferencePoint stand_in(double time) const;
 
   FlightMode mode_ = FlightMode::mission;
   tilt_ropter::EstimateTrust trust_;
-  tilt_ropter::ReferencePoint held_;                            ///< of the modes hold and landing
+  tilt_ropter::ReferencePoint held_;                ///< of the modes hold and landing
+  double sunk_ = 0.0, sink_ = 0.0, sink_to_ = 0.0;  ///< of a landing [m], [m/s], ground [m]
   double mode_since_ = 0.0, carried_since_ = 0.0, time_ = 0.0;  ///< time_: of the last prepare()
 
   tilt_ropter::Vehicle<Rotors> vehicle_;

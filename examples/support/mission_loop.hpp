@@ -393,6 +393,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
   IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
   LossWatch loss;
+  double away_until = 0.0;  // the vehicle was not on its mission, and may take some time to return
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -440,7 +441,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     if (phase == MissionPhase::ground)
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
     upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
-    const bool follows = controller.mode() == FlightMode::mission;
+    if (controller.mode() != FlightMode::mission) away_until = plant.time() + 5.0;
+    const bool follows = plant.time() >= away_until;
     const bool touches = plant.normal_forces().sum() > 0.0;
     // An actuator that fails may turn the vehicle far before it recovers.
     const bool tipped = is_tipped(plant.body().orientation) && (options.failure.empty() || touches);

@@ -2,12 +2,14 @@
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
 #include <Eigen/Core>
 
 #include <cmath>
 #include <cstdint>
+#include <vector>
 
 namespace examples {
 
@@ -24,6 +26,7 @@ struct MissionSensors {
   void add_fault(const tilt_ropter::SensorFault& fault) {
     imu.add_fault(fault);
     poses.add_fault(fault);
+    faults.push_back(fault);
   }
 
   static tilt_ropter::ImuSensorParameters imu_parameters() {
@@ -85,6 +88,7 @@ struct MissionSensors {
   tilt_ropter::ImuSensor imu;
   tilt_ropter::RotorSpeedSensor<Rotors> rotor_speeds;
   tilt_ropter::PoseSensor poses;
+  std::vector<tilt_ropter::SensorFault> faults;  // as given
 };
 
 }  // namespace examples

@@ -10,12 +10,14 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/sensor_faults.hpp>
 
 #include <Eigen/Core>
 
 #include <cmath>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 namespace examples {
 
@@ -74,7 +76,7 @@ class SuiteSensors {
       sensors.pose_drift += noise_.draw<3>(0.01 * root);
       sensors.yaw_drift += 0.003 * root * noise_.draw();
     }
-    if (suite_ == SensorSuite::gps) sense_gps(plant, controller);
+    if (suite_ == SensorSuite::gps) sense_gps(plant, sensors.faults, controller);
     if (suite_ == SensorSuite::wheels) sense_wheels(plant, sensors, controller);
     ++tick_;
   }
@@ -83,14 +85,34 @@ class SuiteSensors {
   static constexpr double gps_delay = 0.1;  // [s]
 
   struct Fix {
-    double time;
+    double time = 0.0;
     tilt_ropter::PositionMeasurement<double> position;
     tilt_ropter::WorldVelocityMeasurement<double> velocity;
     tilt_ropter::HeadingMeasurement<double> heading;
   };
 
+  /// The faults of poses are those of the fixes. Returns false if there is no fix.
+  bool disturb(const std::vector<tilt_ropter::SensorFault>& faults, double now, Fix& fix) {
+    using Kind = tilt_ropter::SensorFaultKind;
+    bool sent = true;
+    for (const tilt_ropter::SensorFault& fault : faults) {
+      if (!fault.acts(now)) continue;
+      if (fault.kind == Kind::pose_dropout) sent = false;
+      if (fault.kind == Kind::pose_freeze) {
+        fix = last_fix_;
+        fix.time = now;
+      }
+      if (fault.kind == Kind::pose_jump) fix.position.position.x() += fault.size;
+      if (fault.kind == Kind::pose_ghost) fix.position.position << fault.size, 0.0, 0.0;
+      if (fault.kind == Kind::pose_clock_step) fix.time += fault.size;
+      if (fault.kind == Kind::pose_jitter) fix.time += fault.size * noise_.draw();
+    }
+    return sent;
+  }
+
   template <typename Plant, typename Controller>
-  void sense_gps(const Plant& plant, Controller& controller) {
+  void sense_gps(const Plant& plant, const std::vector<tilt_ropter::SensorFault>& faults,
+                 Controller& controller) {
     const double time = plant.time();
     const tilt_ropter::BodyStated& truth = plant.body();
     if (!started_ && controller.ekf().time() > 0.0) {  // the place of the start is known
@@ -115,7 +137,8 @@ class SuiteSensors {
           noise_.draw<3>(0.05);
       fix.velocity.covariance = 0.05 * 0.05 * Eigen::Matrix3d::Identity();
       fix.heading = {tilt_ropter::yaw_of(truth.orientation) + 0.01 * noise_.draw(), 0.01};
-      fixes_.push(time + gps_delay, fix);
+      if (disturb(faults, time, fix)) fixes_.push(time + gps_delay, fix);
+      last_fix_ = fix;
     }
     if (const auto fix = fixes_.pop(time)) {
       controller.on_measurement(fix->time, fix->position);
@@ -161,6 +184,7 @@ class SuiteSensors {
   tilt_ropter::Vehicle<Rotors> vehicle_;
   tilt_ropter::GaussianNoise noise_;
   tilt_ropter::detail::DelayQueue<Fix> fixes_;
+  Fix last_fix_;
   long tick_ = 0;
   bool started_ = false;
 };

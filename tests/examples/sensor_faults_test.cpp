@@ -164,10 +164,18 @@ TEST(SensorFaults, VibrationIsAveraged) {
     expect_near_reference(std::string("imu_vibration:start=0,size=0.2,frequency=") + frequency);
 }
 
+// The clock of the IMU alone is set, also by less than the time that the models need to notice.
+TEST(SensorFaults, ClockStepsOfTheImuAreSurvived) {
+  for (const char* size : {"1", "-1", "0.2", "-0.2", "0.08", "-0.08", "0.04", "-0.04", "-0.02"})
+    expect_near_reference(std::string("imu_clock_step:start=5,size=") + size);
+  expect_near_reference("imu_clock_step:start=5,size=-1,duration=0.001");  // one wrong stamp
+  expect_near_reference("imu_clock_step:start=5,size=1000,duration=0.001");
+}
+
 TEST(SensorFaults, SilentImuIsReportedAndSurvived) {
   const Outcome o = fly(9.0, "imu_dropout:start=5,duration=0.3");
   EXPECT_LT(o.not_good_after, 0.1);
-  EXPECT_LT(o.error, 0.5);
+  EXPECT_LT(o.error, 0.15);
   EXPECT_LT(o.at_end, 0.05);
   EXPECT_EQ(o.mode, FlightMode::mission);
   std::printf("imu_dropout error %.3f m\n", o.error);
