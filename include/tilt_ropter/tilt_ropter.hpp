@@ -38,6 +38,7 @@
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/estimation/contact_estimator_settings.hpp>
 #include <tilt_ropter/estimation/disputes.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/ekf_health.hpp>
@@ -72,6 +73,7 @@
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/model/vehicle_parts.hpp>
 #include <tilt_ropter/model/wrench.hpp>
 #include <tilt_ropter/optimal_control/active_set.hpp>
 #include <tilt_ropter/optimal_control/adjoint_batch.hpp>
@@ -98,13 +100,16 @@
 #include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
+#include <tilt_ropter/planning/minimum_snap_settings.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/sampled_path.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 #include <tilt_ropter/simulation/delay_queue.hpp>
 #include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/imu_sensor.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
+#include <tilt_ropter/simulation/sensor_core.hpp>
 #include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 #include <tilt_ropter/simulation/wheel_contact.hpp>

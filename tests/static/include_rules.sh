@@ -11,7 +11,7 @@ umbrella=tilt_ropter/tilt_ropter.hpp
 compiled='tilt_ropter/compiled.hpp tilt_ropter/compiled_actuator_level.hpp'
 # Used once, at a desk; each costs every includer of the umbrella a tenth of a second.
 not_in_umbrella='model/propeller_clearance.hpp optimal_control/derivative_check.hpp
-estimation/(clock_calibration|flight_windows|log_(calibration|smoother)|rotor_lag_fit|
+estimation/(clock_calibration|flight_windows|log_(calibration(_settings)?|smoother)|rotor_lag_fit|
 servo_identification|vehicle_(fit|identification|log)|window_model).hpp'
 headers=$(find tilt_ropter -name '*.hpp' ! -path $umbrella ! -path 'tilt_ropter/compiled*' | sort)
 # Lines like "tilt_ropter/model/state.hpp <tilt_ropter/math/rotation.hpp>".

@@ -31,6 +31,8 @@
 /// the plan exactly. The speed limit of a servo becomes a bound on one input. And actuators that
 /// are faster than an interval need no shorter interval. ActuatorNmpc inverts the lags to turn
 /// rates into commands.
+///
+/// This header is long because one class must provide all functions that MultipleShooting needs.
 namespace tilt_ropter {
 
 /// Node of the actuator level.

@@ -28,6 +28,9 @@
 
 /// Controller at the level of thrusts and tilt angles, for any vehicle that can hover or drive:
 /// tilting or fixed rotors, any rank of the allocation matrix. It needs no allocation.
+///
+/// This header is long because the same class sets up the problem and turns its solution into
+/// commands, for every kind of vehicle.
 namespace tilt_ropter {
 
 /// Call prepare(), measure, then call feedback(), at any rate. Faults have the same effects as in
