@@ -95,7 +95,7 @@ instrumented() {  # directory, flags
 }
 # The results of these tests do not depend on how the tests are built.
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
-sources_only+='|^(fast_math|format|parses_bites|readme_.*|without_nlopt)$'
+sources_only+='|^(fast_math|format|lengths|parses_bites|readme_.*|without_nlopt)$'
 # These tests fly several programs in real time; instrumented programs are too slow for this.
 real_time='HitlFlight\.(Flies|SurvivesABadLine)|ReproducePaperHitl|DdsFlight'
 

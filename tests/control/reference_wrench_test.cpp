@@ -1,0 +1,78 @@
+// Wrench of a reference, and the thrust on the ground.
+
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/reference_wrench.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace tilt_ropter {
+namespace {
+
+TEST(ReferenceWrench, AcceleratesAndCompensatesDisturbanceInAirAndOnGround) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const ReferenceWrench<4> wrench(vehicle, {});
+  ReferencePoint point;
+  point.acceleration << 1.0, 2.0, 0.0;
+  const Wrenchd wind{Eigen::Vector3d(0.5, 0.0, 0.0), Eigen::Vector3d(0.0, 0.05, 0.0)};
+  const Wrenchd air = wrench(point, wind, false), ground = wrench(point, wind, true);
+  EXPECT_LT((air.force - Eigen::Vector3d(1.0, 3.0, 1.5 * gravity)).norm(), 1e-12);
+  EXPECT_EQ(air.torque, Eigen::Vector3d(0.0, -0.05, 0.0));
+  EXPECT_EQ(ground.force.y(), 0.0);
+  EXPECT_EQ(ground.force.z(), GroundThrust<4>(vehicle, {})(ground));
+  EXPECT_GT(ground.force.z(), 0.75);  // above down_force, because of the torque
+}
+
+// Upward component of each rotor's thrust for `wrench` with this vertical force [N].
+Eigen::Vector4d vertical_thrusts(Wrenchd wrench, double force) {
+  wrench.force.z() = force;
+  Eigen::Matrix<double, 6, 1> packed;
+  packed << wrench.force, wrench.torque;
+  const Eigen::Matrix<double, 8, 1> thrusts =
+      AllocationMatrix<4>(tilt_ropter_vehicle()).pseudoinverse * packed;
+  return {thrusts(1), thrusts(3), thrusts(5), thrusts(7)};
+}
+
+TEST(GroundThrust, EqualsDownForceWithoutTorque) {
+  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
+  EXPECT_EQ(thrust({}), 0.75);
+  EXPECT_EQ(thrust({Eigen::Vector3d(0.5, 0.0, 7.0), Eigen::Vector3d::Zero()}), 0.75);
+  // Torque from noise of the estimate, or from a CoM that is half a millimetre off the axle.
+  EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0075, 0.0)}), 0.75);
+}
+
+TEST(GroundThrust, KeepsEveryRotorPushingUpwardUnderTorque) {
+  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
+  for (const double torque : {-0.18, -0.1, 0.05, 0.147}) {  // last: CoM 1 cm off the axle
+    const Wrenchd wrench{Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d(0.0, torque, 0.02)};
+    const double force = thrust(wrench);
+    const Eigen::Vector4d before = vertical_thrusts(wrench, 0.0);
+    const double taken = -before.minCoeff();
+    EXPECT_NEAR(vertical_thrusts(wrench, force).minCoeff(),
+                std::min(2.0 * taken, GroundContactSettings{}.rotor_thrust), 1e-9)
+        << torque;
+  }
+}
+
+TEST(GroundThrust, RotorThrustTakesEffectUpToHalfTheWeight) {
+  const Wrenchd pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
+  GroundContactSettings settings;
+  settings.rotor_thrust = 0.0;
+  const double none = GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched);
+  EXPECT_NEAR(vertical_thrusts(pitched, none).minCoeff(), 0.0, 1e-9);
+  settings.rotor_thrust = 0.5;
+  EXPECT_NEAR(GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched), none + 4.0 * 0.5, 1e-9);
+  settings.rotor_thrust = 100.0;
+  const Wrenchd tipping{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 5.0, 0.0)};
+  EXPECT_DOUBLE_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 0.5 * 1.5 * gravity);
+  settings.down_force = 10.0;  // the user's down_force is not limited
+  EXPECT_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 10.0);
+  settings.rotor_thrust = -0.1;
+  EXPECT_THROW(validate(settings), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace tilt_ropter
