@@ -110,6 +110,52 @@ TEST(EkfDisputes, FixesThatStandStillAreNotFollowed) {
   }
 }
 
+// Poses that come through on_measurement(). From 8 s to 8 s + duration they are those of an object
+// at rest, or displaced by `origin`.
+struct Measured {
+  int restarts = 0;
+  double largest = 0.0, at_end = 0.0;  // error, without the displacement [m]
+};
+Measured fly_by_measurements(double duration, bool is_object, const Vector3d& origin) {
+  Ekfd ekf;
+  const Circle circle;
+  test_support::Random random(8);
+  Measured result;
+  for (int i = 0; i <= 24000; ++i) {
+    const double t = 1e-3 * i;
+    const BodyStated truth = circle.body(t);
+    ekf.on_imu(t, {random.vector(2e-3), circle.specific_force(t) + random.vector(0.02)});
+    if (i == 0) ekf.start(truth, {0.02, 0.05, 0.02});
+    if (i % 20 != 10) continue;
+    const bool acts = t > 8.0 && t < 8.0 + duration;
+    PoseMeasurement<double> m;
+    m.position = acts && is_object ? Vector3d(1.0, 0.0, 1.5) : truth.position;
+    if (acts && !is_object) m.position += origin;
+    m.position += random.vector(2e-3);
+    m.orientation = quaternion_exp(random.vector(5e-3));
+    m.covariance.diagonal() << Vector3d::Constant(4e-6), Vector3d::Constant(25e-6);
+    if (ekf.on_measurement(t, m) == EkfStatus::restarted) ++result.restarts;
+    result.at_end = (ekf.state().position - truth.position).norm();
+    if (t > 2.0) result.largest = std::max(result.largest, result.at_end);
+  }
+  return result;
+}
+
+TEST(EkfDisputes, MeasuredPosesOfAnotherObjectAreNotFollowed) {
+  for (const double duration : {1.0, 4.0, 8.0}) {
+    const Measured object = fly_by_measurements(duration, true, {});
+    EXPECT_EQ(object.restarts, 0) << duration;
+    EXPECT_LT(object.largest, 0.05 * duration * duration) << duration;  // by the IMU alone
+    EXPECT_LT(object.at_end, 0.02) << duration;
+  }
+}
+
+TEST(EkfDisputes, MeasuredPosesOfAMovedOriginAreFollowed) {
+  const Measured moved = fly_by_measurements(100.0, false, {0.0, 3.0, 0.0});
+  EXPECT_EQ(moved.restarts, 1);
+  EXPECT_NEAR(moved.at_end, 3.0, 0.02);
+}
+
 // A vehicle that is known to stand has the velocity zero at every measurement.
 TEST(EkfDisputes, VelocityZeroMayRepeat) {
   Ekfd ekf;

@@ -76,6 +76,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
       const Eigen::Vector3d place = input.vector(2.0);
       ekf->on_measurement(stamp, PositionMeasurement<double>{place, Eigen::Matrix3d::Identity(),
                                                              input.vector(1.0)});
+      PoseMeasurement<double> pose;
+      pose.position = place + input.vector(1.0);
+      pose.orientation = input.orientation();
+      pose.sensor = input.vector(1.0);
+      ekf->on_measurement(stamp, pose);
       fuzz::expect(!std::isnan(ekf->trust(stamp).position_stddev), "the trust is a number");
     } else {
       const Eigen::Vector3d position = input.vector(2.0);

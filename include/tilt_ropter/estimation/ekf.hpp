@@ -43,8 +43,9 @@ namespace tilt_ropter {
 /// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
 ///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
 ///   then keeps lean, velocity and biases. If the poses move smoothly along a path of at least
-///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. Positions and
-///   velocities have the first kind of restart. See detail::Dispute.
+///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. Positions,
+///   velocities and poses through on_measurement() have the first kind of restart; such a pose must
+///   also agree about the orientation. See detail::Dispute.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -287,7 +288,7 @@ class Ekf {
   int rates_ = 0;
   detail::RepetitionDetector<Scalar> repetitions_;
   detail::StampMonitor stamps_;
-  std::array<detail::Dispute<Scalar>, 3> disputes_;  ///< of poses, positions, velocities
+  std::array<detail::Dispute<Scalar>, 4> disputes_;  ///< of on_pose(), positions, velocities, poses
   double pose_time_ = 0.0;                           ///< time of the last pose compared
   double received_ = 0.0;                            ///< stamp of the last pose received
   double last_position_ = 0.0;                       ///< time of the last pose used
@@ -492,9 +493,10 @@ template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept {
   if (!at.valid || !at.is_finite()) return EkfStatus::rejected;
-  if constexpr (Measurement::rows == 3) {
-    if (kind == MeasurementKind::position) return use_disputable(at, kind, InertialIndex::position);
-    if (kind == MeasurementKind::velocity) return use_disputable(at, kind, InertialIndex::velocity);
+  if constexpr (Measurement::rows == 3 || Measurement::rows == 6) {
+    if (is_position(kind)) return use_disputable(at, kind, InertialIndex::position);
+    if (Measurement::rows == 3 && kind == MeasurementKind::velocity)
+      return use_disputable(at, kind, InertialIndex::velocity);
   }
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
@@ -505,25 +507,33 @@ EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept
   return EkfStatus::updated;
 }
 
-// For a position or a velocity; `part` is where it is in the state. The names and units are those
-// of a position.
+// For a position, a velocity, or a pose with its position in the first rows; `part` is where it is
+// in the state. The names and units are those of a position.
 template <typename Scalar>
 template <typename Measurement>
 EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kind,
                                       int part) noexcept {
   using std::sqrt;
+  constexpr bool is_pose = Measurement::rows == 6;
   const bool is_place = part == InertialIndex::position;
-  detail::Dispute<Scalar>& dispute = disputes_[is_place ? 1 : 2];
+  detail::Dispute<Scalar>& dispute = disputes_[is_pose ? 3 : is_place ? 1 : 2];
   const InertialState<Scalar>& x = filter_.state();
   const Vector3<Scalar> here = is_place ? x.position : x.velocity,
-                        off = at.jacobian.template middleCols<3>(part).transpose() *
-                              at.residual;  // world
+                        off = at.jacobian.template block<3, 3>(0, part).transpose() *
+                              at.residual.template head<3>();  // world
   const double distance = static_cast<double>(off.norm()), time = filter_time(),
-               noise = static_cast<double>(sqrt(at.noise.diagonal().maxCoeff()));
+               noise = static_cast<double>(sqrt(at.noise.diagonal().template head<3>().maxCoeff()));
+  MarkerPose<Scalar> there{here + off};
+  if constexpr (is_pose)
+    there.orientation = quaternion_exp(Vector3<Scalar>(
+        x.orientation *
+        (at.jacobian.template block<3, 3>(3, InertialIndex::orientation).transpose() *
+         at.residual.template tail<3>())));
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
   EkfStatus status = EkfStatus::updated;
-  if (nis_ <= gate(3) && dispute.accepts(time, distance, 6.0 * noise, settings_.restart_time) &&
+  if (nis_ <= gate(Measurement::rows) &&
+      dispute.accepts(time, distance, 6.0 * noise, settings_.restart_time) &&
       filter_.update(innovation, at)) {
     dispute.on_used(here);
   } else {
@@ -531,9 +541,10 @@ EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kin
     constexpr double acceleration = 0.3;
     const double rate_stddev =
         is_place ? std::min(0.3, stddev_of(InertialIndex::velocity)) : acceleration;
-    dispute.on_refused(time, distance, {here + off}, {here}, noise, rate_stddev);
+    dispute.on_refused(time, distance, there, {here}, noise, rate_stddev);
     if (is_place) poses_disputed_ = true;
-    if (!dispute.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_))
+    if (!dispute.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
+        !(there.orientation.angularDistance(Eigen::Quaternion<Scalar>::Identity()) < Scalar(0.1)))
       return EkfStatus::gated;
     detail::shift(filter_, part, off, at);
     dispute.on_restart(here);
