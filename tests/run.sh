@@ -167,6 +167,7 @@ if [[ $instead == tidy ]]; then
     libclang-rt-dev clang-tidy
   configure build-tidy "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_BENCHMARKS=ON \
     -DTILT_ROPTER_BUILD_FUZZERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
+  cmake --build build-tidy --target ros2_messages  # generates headers
   echo "== Reading every source, and every header as it is included"
   exec run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
 fi

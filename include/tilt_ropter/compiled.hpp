@@ -14,9 +14,11 @@
 /// rotors.
 
 /// Instances for one number of rotors. `prefix` is `extern` for a declaration.
+// NOLINTBEGIN(bugprone-macro-parentheses): `extern` cannot be in parentheses.
 #define TILT_ROPTER_INSTANCES(prefix, rotors)      \
   prefix template class tilt_ropter::Nmpc<rotors>; \
   prefix template class tilt_ropter::Allocation<rotors>;
+// NOLINTEND(bugprone-macro-parentheses)
 
 TILT_ROPTER_INSTANCES(extern, 4)
 TILT_ROPTER_INSTANCES(extern, 6)

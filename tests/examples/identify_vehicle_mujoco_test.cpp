@@ -55,9 +55,8 @@ TEST(IdentifyVehicleMujoco, FindsTheVehicleAndFliesAsWellAsWithTheTruth) {
   directory.write("truth.json", truth);
   const std::string mission = test_support::full_run() ? "" : "--mission air ";
   const auto errors = [&](const std::string& model, int seed) {
-    const Outcome flown =
-        run(MISSION_MUJOCO_PROGRAM, mission + "--model '" + directory.file(model) + "' --seed " +
-                                        std::to_string(seed) + output);
+    Outcome flown = run(MISSION_MUJOCO_PROGRAM, mission + "--model '" + directory.file(model) +
+                                                    "' --seed " + std::to_string(seed) + output);
     EXPECT_EQ(flown.exit_code, 0) << flown.output;
     EXPECT_EQ(flown["solver_failures"], 0);
     return flown;

@@ -238,7 +238,7 @@ std::string changed_vehicle(const test_support::Directory& directory, const char
                             const std::function<void(tilt_ropter::Vehicle<4>&)>& change) {
   VehicleFile file;
   change(std::get<tilt_ropter::Vehicle<4>>(file.vehicle));
-  const std::string path = directory.file(std::string(name) + ".json");
+  std::string path = directory.file(std::string(name) + ".json");
   examples::write_vehicle(file, path);
   return path;
 }

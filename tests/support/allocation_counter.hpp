@@ -153,11 +153,13 @@ inline nlopt_result optimize(nlopt_opt optimizer, double* x, double* value) {
 
 // The functions of NLopt that the library calls in its loop. The use of the heap by a function that
 // is missing here does not count as NLopt's, so a test detects it.
+// NOLINTBEGIN(bugprone-macro-parentheses): the arguments have them.
 #define TILT_ROPTER_TEST_NLOPT(name, parameters, arguments)                  \
   nlopt_result name parameters {                                             \
     const test_support::detail::Acting nlopt(test_support::HeapUser::nlopt); \
     return test_support::detail::nlopts_own<name>(#name) arguments;          \
   }
+// NOLINTEND(bugprone-macro-parentheses)
 extern "C" {
 
 TILT_ROPTER_TEST_NLOPT(nlopt_force_stop, (nlopt_opt o), (o))

@@ -70,7 +70,7 @@ class GroundContact {
     node.external = holds() ? contact.disturbance : contact.external;
     if (meant && !stands && settings_.settling_speed > 0.0) settle(contact, measured, ahead, node);
     if (!node.on_ground) return point;
-    const ReferencePoint laid = on_ground(contact.ground, point);
+    ReferencePoint laid = on_ground(contact.ground, point);
     node.reference = {laid.position, laid.velocity, laid.orientation, laid.angular_velocity};
     node.com_plane = contact.ground;
     node.com_plane.height += undercarriage_->height;

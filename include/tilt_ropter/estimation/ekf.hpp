@@ -96,7 +96,7 @@ class Ekf {
   /// samples since the last call, including the newest sample. A single sample of a gyroscope that
   /// vibrates with the rotors is aliased. The mean is half a tick old.
   [[nodiscard]] BodyState<Scalar> take_state() noexcept {
-    const BodyState<Scalar> taken =
+    BodyState<Scalar> taken =
         rates_ > 0 ? body_of(rate_sum_ / Scalar(rates_) - ahead_.gyro_bias) : state();
     rates_ = 0;
     return taken;

@@ -175,7 +175,7 @@ template <typename Scalar>
   constexpr double longest = 0.4;            // [s]
   constexpr double turn = 1.0, push = 10.0;  // stddev of the unknown [rad/s], [m/s^2]
   if (!(gap <= longest)) return false;
-  const Scalar dt(gap);
+  const Scalar dt = static_cast<Scalar>(gap);
   InertialState<Scalar> x = filter.state();
   x.position += dt * x.velocity;
   x.orientation =

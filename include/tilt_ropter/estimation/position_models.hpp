@@ -99,7 +99,8 @@ template <typename Scalar>
   using std::sin;
   using I = InertialIndex;
   const Matrix3<Scalar> rotation = at.state.orientation.toRotationMatrix();
-  const Scalar x = rotation(0, 0), y = rotation(1, 0), square = x * x + y * y;
+  const Scalar &x = rotation(0, 0), &y = rotation(1, 0);
+  const Scalar square = x * x + y * y;
   Linearised<Scalar, 1> h;
   h.valid = square > Scalar(0.01);
   if (!h.valid) return h;

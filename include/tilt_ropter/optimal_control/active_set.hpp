@@ -134,7 +134,7 @@ class ActiveSet {
   void add_terms(const Program& program, int k, double* hessian, double* gradient) {
     constexpr int width = Program::width, rows = Program::rows;
     for (int i = 0; i < Constraints; ++i) {
-      const int assumed = state(k, i);
+      const signed char assumed = state(k, i);
       if (assumed == 0) continue;
       const auto& n = program.node(k);
       double row[static_cast<std::size_t>(width)];
