@@ -23,11 +23,11 @@ the benchmarks.
                a finding. The build takes about 5 minutes
   --sanitize   run the tests with ASan and UBSan in build-sanitize/, the programs with threads with
                TSan in build-sanitize-threads/, and some tests of the normal build with valgrind.
-               45 minutes
+               90 minutes
   --coverage   run the tests and write a table of the lines of include/ that they reach, and the
                lines as HTML, to build-coverage/report/; fails below 95 %. 45 minutes
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
-               fuzz target. 15 minutes
+               fuzz target. 45 minutes
   --variants   run the tests of the library with other compiler options in build-variants/: for this
                processor, with -ffast-math, with clang's libc++, and without optimisation. 90
                minutes; 5 minutes for each variant except the last

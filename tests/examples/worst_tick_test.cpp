@@ -105,7 +105,7 @@ TEST(WorstTick, EveryFlightRecoversWithinBoundsInBoundedTime) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   double worst = 0.0;
   const Totals t = fly_all(quick_or_full(10, 1000), [&](const StressStart& start) {
-    const StressRecord r = examples::fly_stress(vehicle, stress_settings(vehicle), start, 15.0);
+    StressRecord r = examples::fly_stress(vehicle, stress_settings(vehicle), start, 15.0);
     if (r.worst_us() > worst * examples::percentile(r.hover_us, 0.5))
       worst = std::max(worst, worst_ratio(vehicle, start, r));
     return r;

@@ -168,7 +168,7 @@ TEST(DerivativeCheck, FindsEntriesOfAAndBThatAreNotSet) {
     State step(int k, const State& x, const Input& u, Eigen::Matrix2d& A,
                Eigen::Matrix2d& B) const {
       const double before = B(0, 1);
-      const State end = Circle<>::step(k, x, u, A, B);
+      State end = Circle<>::step(k, x, u, A, B);
       B(0, 1) = before;
       return end;
     }

@@ -74,7 +74,7 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   if (difference < -1e-6) {
     double gap = 0.0;
     for (int k = 0; k <= horizon; ++k) {
-      const auto m = solver.constraint_multipliers(k);
+      const auto& m = solver.constraint_multipliers(k);
       const auto value = problem.constraint_values(k, solver.state(k), solver.input(k));
       for (int i = 0; i < Constraints; ++i) {
         const double bound = m(i) > 0.0 ? problem.upper(k)(i) : problem.lower(k)(i);

@@ -175,7 +175,8 @@ class ActuatedBody {
     Push pushed[3];
     for (Push& p : pushed) p = {triple(external.force), triple(external.torque)};
     for (int i = 0; i < Rotors; ++i) {
-      const Scalar rate = u.coeff(i), turn = half_dt * u.coeff(Rotors + i);
+      const Scalar& rate = u.coeff(i);
+      const Scalar turn = half_dt * u.coeff(Rotors + i);
       const Scalar s_turn = sin(turn), c_turn = cos(turn);
       Sample(&of)[3] = samples[static_cast<std::size_t>(i)];
       of[0] = {x.thrust.coeff(i), sin(x.tilt_angle.coeff(i)), cos(x.tilt_angle.coeff(i))};

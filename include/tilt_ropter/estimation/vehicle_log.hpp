@@ -71,7 +71,7 @@ template <typename List>
 [[nodiscard]] inline Eigen::Quaterniond orientation_at(const std::vector<Timed<MarkerPosed>>& poses,
                                                        double time) {
   const std::size_t i = index_before(poses, time), next = std::min(i + 1, poses.size() - 1);
-  const Eigen::Quaterniond from = poses[i].value.orientation.normalized();
+  Eigen::Quaterniond from = poses[i].value.orientation.normalized();
   if (next == i) return from;
   const double part = (time - poses[i].time) / (poses[next].time - poses[i].time);
   const Eigen::Quaterniond to = poses[next].value.orientation.normalized();
