@@ -68,6 +68,20 @@ TEST(EkfDisputes, OneShortRestartAtRestIsBelieved) {
   EXPECT_NEAR(far.speed, 1.0, 0.5);
 }
 
+// Flies the circle for 24 s by IMU. Calls sense(i, t, truth, random) after each sample, at 1 kHz.
+template <typename Sense>
+void fly_circle(Ekfd& ekf, unsigned seed, const Sense& sense) {
+  const Circle circle;
+  test_support::Random random(seed);
+  for (int i = 0; i <= 24000; ++i) {
+    const double t = 1e-3 * i;
+    const BodyStated truth = circle.body(t);
+    ekf.on_imu(t, {random.vector(2e-3), circle.specific_force(t) + random.vector(0.02)});
+    if (i == 0) ekf.start(truth, {0.02, 0.05, 0.02});
+    sense(i, t, truth, random);
+  }
+}
+
 // A receiver that repeats its last fix, bit for bit or with noise.
 TEST(EkfDisputes, FixesThatStandStillAreNotFollowed) {
   struct Case {
@@ -76,20 +90,15 @@ TEST(EkfDisputes, FixesThatStandStillAreNotFollowed) {
   for (const auto& [noise, duration, limit] :
        {Case{0.0, 2.0, 0.15}, Case{0.0, 10.0, 3.0}, Case{1.0, 2.0, 0.15}, Case{1.0, 10.0, 3.0}}) {
     Ekfd ekf;
-    const Circle circle;
-    test_support::Random random(6);
+    const double width = noise, until = 10.0 + duration;  // lambdas capture no structured bindings
     BodyStated frozen;
     double largest = 0.0, at_end = 0.0;
     int repeated = 0;
-    for (int i = 0; i <= 24000; ++i) {
-      const double t = 1e-3 * i;
-      const BodyStated truth = circle.body(t);
-      ekf.on_imu(t, {random.vector(2e-3), circle.specific_force(t) + random.vector(0.02)});
-      if (i == 0) ekf.start(truth, {0.02, 0.05, 0.02});
-      if (i % 100 != 50) continue;
-      const bool stands = t > 10.0 && t < 10.0 + duration;
+    fly_circle(ekf, 6, [&](int i, double t, const BodyStated& truth, test_support::Random& random) {
+      if (i % 100 != 50) return;
+      const bool stands = t > 10.0 && t < until;
       BodyStated fix = frozen;
-      if (!stands || noise > 0.0) {
+      if (!stands || width > 0.0) {
         if (!stands) fix = truth;
         fix.position += random.vector(0.03);
         fix.velocity += random.vector(0.08);
@@ -100,10 +109,10 @@ TEST(EkfDisputes, FixesThatStandStillAreNotFollowed) {
       if (ekf.on_measurement(t, place) == EkfStatus::frozen) ++repeated;
       if (ekf.on_measurement(t, speed) == EkfStatus::frozen) ++repeated;
       ekf.on_measurement(t, HeadingMeasurement<double>{0.01 * random.uniform(-1.0, 1.0), 0.01});
-      EXPECT_EQ(ekf.trust(t).poses_frozen, stands && noise == 0.0) << t;
+      EXPECT_EQ(ekf.trust(t).poses_frozen, stands && width == 0.0) << t;
       at_end = (ekf.state().position - truth.position).norm();
       if (t > 2.0) largest = std::max(largest, at_end);
-    }
+    });
     EXPECT_LT(largest, limit) << noise << ' ' << duration;
     EXPECT_LT(at_end, 0.1) << noise << ' ' << duration;
     EXPECT_EQ(repeated, noise > 0.0 ? 0 : static_cast<int>(20.0 * duration));
@@ -118,15 +127,9 @@ struct Measured {
 };
 Measured fly_by_measurements(double duration, bool is_object, const Vector3d& origin) {
   Ekfd ekf;
-  const Circle circle;
-  test_support::Random random(8);
   Measured result;
-  for (int i = 0; i <= 24000; ++i) {
-    const double t = 1e-3 * i;
-    const BodyStated truth = circle.body(t);
-    ekf.on_imu(t, {random.vector(2e-3), circle.specific_force(t) + random.vector(0.02)});
-    if (i == 0) ekf.start(truth, {0.02, 0.05, 0.02});
-    if (i % 20 != 10) continue;
+  fly_circle(ekf, 8, [&](int i, double t, const BodyStated& truth, test_support::Random& random) {
+    if (i % 20 != 10) return;
     const bool acts = t > 8.0 && t < 8.0 + duration;
     PoseMeasurement<double> m;
     m.position = acts && is_object ? Vector3d(1.0, 0.0, 1.5) : truth.position;
@@ -137,13 +140,13 @@ Measured fly_by_measurements(double duration, bool is_object, const Vector3d& or
     if (ekf.on_measurement(t, m) == EkfStatus::restarted) ++result.restarts;
     result.at_end = (ekf.state().position - truth.position).norm();
     if (t > 2.0) result.largest = std::max(result.largest, result.at_end);
-  }
+  });
   return result;
 }
 
 TEST(EkfDisputes, MeasuredPosesOfAnotherObjectAreNotFollowed) {
   for (const double duration : {1.0, 4.0, 8.0}) {
-    const Measured object = fly_by_measurements(duration, true, {});
+    const Measured object = fly_by_measurements(duration, true, Vector3d::Zero());
     EXPECT_EQ(object.restarts, 0) << duration;
     EXPECT_LT(object.largest, 0.05 * duration * duration) << duration;  // by the IMU alone
     EXPECT_LT(object.at_end, 0.02) << duration;

@@ -15,17 +15,22 @@ namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-// Measurements of a pose sensor at 100 Hz with this fault from 1 s to 2 s; the truth moves along x.
-std::vector<PoseSensor::Measurement> broken_poses(SensorFaultKind kind, double size) {
-  PoseSensorParameters p;
-  p.delay = 0.0;
-  PoseSensor sensor(p, 9);
+// This fault from 1 s to 2 s.
+SensorFault fault_of(SensorFaultKind kind, double size) {
   SensorFault fault;
   fault.kind = kind;
   fault.start = 1.0;
   fault.duration = 1.0;
   fault.size = size;
-  sensor.add_fault(fault);
+  return fault;
+}
+
+// Measurements of a pose sensor at 100 Hz with this fault; the truth moves along x.
+std::vector<PoseSensor::Measurement> broken_poses(SensorFaultKind kind, double size) {
+  PoseSensorParameters p;
+  p.delay = 0.0;
+  PoseSensor sensor(p, 9);
+  sensor.add_fault(fault_of(kind, size));
   std::vector<PoseSensor::Measurement> all;
   for (int i = 0; i < 300; ++i) {
     BodyStated truth;
@@ -69,12 +74,7 @@ TEST(SensorFaults, ImuFaultsActDuringTheirTimeOnly) {
     p.gyro_noise_density = p.accelerometer_noise_density = 0.0;
     p.gyro_bias_walk = p.accelerometer_bias_walk = 0.0;
     ImuSensor sensor(p, 4);
-    SensorFault fault;
-    fault.kind = kind;
-    fault.start = 1.0;
-    fault.duration = 1.0;
-    fault.size = size;
-    sensor.add_fault(fault);
+    sensor.add_fault(fault_of(kind, size));
     std::vector<ImuSensor::Measurement> all;
     for (int i = 0; i < 3000; ++i)
       if (const auto m = sensor.sample(1e-3 * i, {3.0, 0.0, 0.0}, {0.0, 0.0, 9.81}))

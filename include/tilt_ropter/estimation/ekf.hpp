@@ -69,8 +69,9 @@ class Ekf {
   /// Processes any other measurement, taken at `time` [s] in the IMU's clock. `measurement` is
   /// plain data of at most 512 bytes: a measurement of position_models.hpp, velocity_models.hpp or
   /// wheel_models.hpp, or a callable that takes an InertialMotion<Scalar> and returns a Linearised.
-  /// It is used once the filter has started with a pose or by start(). A callable is not checked
-  /// for repetitions. See EkfSettings::fusion_delay for sensors with different delays.
+  /// It is used once the filter has started with a pose or by start(). A callable has the gate
+  /// alone: it is not checked for repetitions, and the filter does not restart at it. See
+  /// EkfSettings::fusion_delay for sensors with different delays.
   template <typename Measurement>
   EkfStatus on_measurement(double time, const Measurement& measurement) noexcept;
 
@@ -78,7 +79,8 @@ class Ekf {
   /// changes nothing before the first IMU sample or if a number is not finite or not positive.
   bool start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept;
 
-  /// False before the first pose and after a gap of the IMU. Do not use state() for control then.
+  /// False before the first pose or start(), and after a gap of the IMU until a measurement is
+  /// used. Do not use state() for control then.
   [[nodiscard]] bool running() const noexcept { return running_; }
 
   /// Reliability of the estimate at `now` [s], in the IMU's clock.

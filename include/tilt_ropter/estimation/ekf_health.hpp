@@ -15,7 +15,7 @@ namespace tilt_ropter {
 enum class EkfStatus {
   updated,    ///< used
   started,    ///< first pose: the filter starts at this pose
-  restarted,  ///< the filter restarts at this pose, after rejections or a gap of the IMU
+  restarted,  ///< the filter restarts at this measurement, after rejections or a gap of the IMU
   waiting,    ///< ahead of the IMU, or of fusion_delay: used when its time comes
   stopped,    ///< IMU sample after a gap: the estimate is frozen (see max_imu_gap)
   gated,      ///< too unlikely (NIS above the gate)
