@@ -76,7 +76,9 @@ struct LinearisedPose {
   void add_stamp_noise(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
                        const Scalar& stddev) noexcept {
     has_stamp_noise = true;
-    stamp_noise << velocity + by_turn * angular_velocity, to_marker * angular_velocity;
+    stamp_noise.template head<3>() = velocity;
+    stamp_noise.template head<3>() += by_turn * angular_velocity;
+    stamp_noise.template tail<3>() = to_marker * angular_velocity;
     stamp_noise *= stddev;
   }
 
