@@ -9,6 +9,9 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -94,6 +97,66 @@ TEST(ActuatorConstraints, DerivativesAreExact) {
                       error(test_support::omnidirectional_octocopter(), wrench, rate)});
   }
   test_support::check_at_most(7, "actuator constraints: derivatives' relative error", worst, 1e-12);
+}
+
+// Second derivatives of the thrusts by differences of the first.
+template <int Rotors>
+void expect_exact_curvature(const Vehicle<Rotors>& vehicle, const Vector6& wrench, Random& random) {
+  const ActuatorConstraints<Rotors> constraints(vehicle);
+  using Values = typename ActuatorConstraints<Rotors>::Values;
+  using Jacobian = Eigen::Matrix<double, 3 * Rotors, 6>;
+  Values multipliers = Values::Zero();
+  for (int i = 0; i < 3 * Rotors; ++i) multipliers(i) = random.uniform(-10.0, 10.0);
+  const Values that_count = [&] {
+    Values some = multipliers.cwiseMax(0.0);
+    some.template head<2 * Rotors>().setZero();
+    return some;
+  }();
+  const auto gradient = [&](const Vector6& at) -> Vector6 {
+    Jacobian by_wrench = Jacobian::Zero(), by_rate = Jacobian::Zero();
+    constraints.derivatives(at, Vector6::Zero(), by_wrench, by_rate);
+    return by_wrench.transpose() * that_count;
+  };
+  using Square = Eigen::Matrix<double, 6, 6>;
+  Square expected;
+  const double step = 1e-6 * wrench.norm();
+  for (int j = 0; j < 6; ++j)
+    expected.col(j) =
+        (gradient(wrench + step * Vector6::Unit(j)) - gradient(wrench - step * Vector6::Unit(j))) /
+        (2.0 * step);
+  Square curvature = Square::Ones();  // is added to what is there
+  constraints.add_curvature(wrench, multipliers, curvature);
+  curvature -= Square::Ones();
+  EXPECT_LT((curvature - expected).norm(), 1e-5 * (1.0 + expected.norm()));
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Square>(curvature).eigenvalues().minCoeff(),
+            -1e-12 * (1.0 + curvature.norm()));
+}
+
+TEST(ActuatorConstraints, CurvatureOfThrustLimitsIsExact) {
+  Random random(57);
+  for (int i = 0; i < 200; ++i) {
+    const double size = std::pow(10.0, random.uniform(0.5, 2.0));
+    const Vector6 wrench = random_wrench(random, size, 0.1 * size);
+    expect_exact_curvature(tilt_ropter_vehicle(), wrench, random);
+    expect_exact_curvature(test_support::tilting_hexacopter(), wrench, random);
+    expect_exact_curvature(test_support::omnidirectional_octocopter(), wrench, random);
+  }
+}
+
+TEST(ActuatorConstraints, CurvatureIsFiniteAtAnyThrust) {
+  Random random(58);
+  const ActuatorConstraints<4> constraints(tilt_ropter_vehicle());
+  const Eigen::Matrix<double, 12, 1> prices = Eigen::Matrix<double, 12, 1>::Constant(1e4);
+  const double least = ActuatorConstraintSettings{}.hold_thrust;
+  for (const double size : {0.0, 1e-170, 1e-150, 1e-12, 1e-3, 1.0, 1e6}) {
+    Eigen::Matrix<double, 6, 6> curvature = Eigen::Matrix<double, 6, 6>::Zero();
+    constraints.add_curvature(random_wrench(random, size, 0.1 * size), prices, curvature);
+    EXPECT_TRUE(curvature.allFinite()) << size;
+    EXPECT_LT(curvature.norm(), 4 * 1e4 * 1e3 / least) << size;
+  }
+  Eigen::Matrix<double, 6, 6> nothing = Eigen::Matrix<double, 6, 6>::Zero();
+  ActuatorConstraints<4>().add_curvature(Vector6::Ones(), prices, nothing);
+  EXPECT_EQ(nothing.norm(), 0.0);
 }
 
 TEST(ActuatorConstraints, ZeroThrustHasFiniteSatisfiedConstraintsAndDerivatives) {

@@ -42,7 +42,7 @@ double planned_thrust(double voltage, double& top) {
     point.position.z() += 3.0;
     return point;
   };
-  for (int i = 0; i < 10; ++i) {
+  for (int i = 0; i < 40; ++i) {
     (void)nmpc.prepare(0.01 * i, above, in_the_air({}));
     EXPECT_TRUE(has_plan(nmpc.feedback(0.01 * i, hovering()).status));
   }

@@ -127,6 +127,36 @@ TEST(DerivativeCheck, ReturnsTheWorstErrorFirst) {
   EXPECT_EQ(errors[2].node, 1);
 }
 
+TEST(DerivativeCheck, FindsMistakesOfTheCurvature) {
+  struct Curved : Circle<> {
+    void add_curvature(int k, const State&, const Input&,
+                       const ProblemConstraints<Circle<>>::Values& multipliers,
+                       const Eigen::Vector2d& costate, QuadraticModel<2, 2>& model) const {
+      if (k != 2) return;
+      model.lxx()(0, 1) += multipliers(0) + costate(0);
+      if (symmetric) model.lxx()(1, 0) += multipliers(0) + costate(0);
+    }
+    void cost_model(int k, const State& x, const Input& u, QuadraticModel<2, 2>& model) const {
+      const double before = model.lxx()(0, 1);
+      Circle<>::cost_model(k, x, u, model);
+      if (keeps) model.lxx()(0, 1) = model.lxx()(1, 0) = before;
+    }
+    bool symmetric = true, keeps = false;
+  };
+  Curved problem;
+  EXPECT_EQ(sentences(errors_on_the_way(problem)), "");
+  problem.symmetric = false;
+  const std::vector<DerivativeError> asymmetric = errors_on_the_way(problem);
+  ASSERT_EQ(asymmetric.size(), 1U) << sentences(asymmetric);
+  EXPECT_EQ(asymmetric[0].callback, "add_curvature: lxx");
+  EXPECT_EQ(asymmetric[0].node, 2);
+  problem.symmetric = true;
+  problem.keeps = true;
+  const std::vector<DerivativeError> left = errors_on_the_way(problem);
+  ASSERT_EQ(left.size(), 2U) << sentences(left);
+  EXPECT_EQ(left[0].callback, "cost_model: Hessian after add_curvature, minus before");
+}
+
 TEST(DerivativeCheck, ToStringDescribesTheError) {
   EXPECT_EQ(to_string({"step: A", 0, 3, 7, 0.5, 0.25}),
             "step: A(3, 7) at node 0 is 0.5, expected 0.25");

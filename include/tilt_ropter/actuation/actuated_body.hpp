@@ -74,6 +74,18 @@ class ActuatedBody {
     return wrench;
   }
 
+  /// Force of rotor i at a thrust of 1 N, body frame, and its derivative by the tilt angle
+  /// `angle` [rad]; both are zero for a lost rotor.
+  struct Direction {
+    detail::Triple<Scalar> force, derivative;
+  };
+  [[nodiscard]] Direction direction(int i, const Scalar& angle) const {
+    using std::cos;
+    using std::sin;
+    const Scalar s = sin(angle), c = cos(angle);
+    return {rotor(i).at(s, c).force, rotor(i).derivative_at(s, c).force};
+  }
+
   /// Thrust of rotor i [N] at `speed` [rad/s].
   [[nodiscard]] Scalar thrust(int i, const Scalar& speed) const {
     const auto k = static_cast<std::size_t>(i);

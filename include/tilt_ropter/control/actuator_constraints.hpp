@@ -157,6 +157,30 @@ class ActuatorConstraints {
     }
   }
 
+  /// Adds the second derivatives of the thrust constraints by the wrench to `hessian` (6 x 6), each
+  /// times its multiplier. `multipliers`: of all constraints; those <= 0 add nothing. The thrust is
+  /// a convex function of the wrench, so the sum is positive semidefinite. Below hold_thrust the
+  /// second derivative at hold_thrust is used, so it is finite. The tilt-rate constraints are not
+  /// convex and add nothing.
+  template <typename Multipliers, typename Hessian>
+  void add_curvature(const Vector& wrench, const Multipliers& multipliers,
+                     Hessian&& hessian) const {
+    for (int i = 0; i < Rotors; ++i) {
+      const double multiplier = multipliers(2 * Rotors + i);
+      if (!(enabled_ && multiplier > 0.0)) continue;
+      const Rotor r = rotor(i, wrench, Vector::Zero());
+      if (!(r.square > 0.0)) continue;
+      const double thrust = std::sqrt(r.square);
+      Vector across;  // derivative of the thrust at right angles to its direction
+      for (int j = 0; j < 6; ++j)
+        across(j) = (r.vertical / thrust) * pseudoinverse_(2 * i, j) -
+                    (r.lateral / thrust) * pseudoinverse_(2 * i + 1, j);
+      const double factor = multiplier / std::fmax(thrust, std::sqrt(hold_square_));
+      for (int k = 0; k < 6; ++k)
+        for (int j = 0; j < 6; ++j) hessian(j, k) += factor * across(j) * across(k);
+    }
+  }
+
  private:
   struct Rotor {
     double lateral, vertical, lateral_rate, vertical_rate;  // T_l, T_v [N], dT_l, dT_v [N/s]

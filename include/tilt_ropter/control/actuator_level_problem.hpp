@@ -261,6 +261,10 @@ class ActuatorLevelProblem {
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
+    for (int i = 0; i < 3; ++i)  // entries of add_curvature()
+      for (int j = 0; j < Rotors; ++j)
+        model.hessian(I::orientation + i, I::tilt_angle + j) =
+            model.hessian(I::tilt_angle + j, I::orientation + i) = 0.0;
     const Node& n = node(k);
     const double factor = k == horizon() ? settings_.weights.terminal : 1.0;
     const BodyVector q = body_weights();
@@ -294,6 +298,34 @@ class ActuatorLevelProblem {
       model.gradient(states + i) = r * u(i);
       model.hessian(states + i, states + i) = r;
     }
+  }
+
+  /// Adds the curvature of the directions of the rotors' forces, as WheeledFlightProblem does for
+  /// the total force. For a rotor with the thrust T along e, with e' = de/dalpha and a, the part of
+  /// the costate along -e, this is a T |e x dtheta - e' dalpha|^2 / 2: the change of its direction
+  /// in the world.
+  void add_curvature(int k, const State& x, const Input&, const Constraints& /*multipliers*/,
+                     const Tangent& costate, Model& model) const {
+    const detail::Triple<double> none{0.0, 0.0, 0.0},
+        wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval, costate,
+                                       I::position);
+    detail::Square<double> turning =
+        detail::square_at(model.hessian, I::orientation, I::orientation);
+    for (int i = 0; i < Rotors; ++i) {
+      const auto [e, derivative] = body_.direction(i, x.tilt_angle(i));
+      const double a = -x.thrust(i) * detail::dot(wanted, e);
+      if (!(a > 0.0)) continue;
+      turning += a * detail::outer(1.0, -1.0 * e, e, none);
+      const detail::Triple<double> both = a * detail::cross(e, derivative);
+      const int column = I::tilt_angle + i;
+      model.hessian(column, column) += a * detail::dot(derivative, derivative);
+      for (int j = 0; j < 3; ++j) {
+        const double part = j == 0 ? both.x : j == 1 ? both.y : both.z;
+        model.hessian(I::orientation + j, column) += part;
+        model.hessian(column, I::orientation + j) += part;
+      }
+    }
+    detail::put(turning, model.hessian, I::orientation, I::orientation);
   }
 
   [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {

@@ -60,6 +60,19 @@ template <typename Error>
          square(body.orientation.toRotationMatrix());
 }
 
+/// Derivative of the cost of all later nodes by a constant force on the body during the interval
+/// that starts at `node`, body frame [1/N], to first order in the length of the interval [s]. The
+/// parts (dp, dv) of the costate begin in row `first`.
+template <typename Costate>
+[[nodiscard]] Triple<double> force_costate(const FlightNode& node, const BodyStated& body,
+                                           double mass, double interval, const Costate& costate,
+                                           int first) {
+  const Triple<double> by_velocity =
+      triple_at(costate, first + 3) + (0.5 * interval) * triple_at(costate, first);
+  return (interval / mass) * (transposed(square(body.orientation.toRotationMatrix())) *
+                              (transposed(square(node.freedom.linear)) * by_velocity));
+}
+
 /// Velocity in the body frame [m/s].
 [[nodiscard]] inline Triple<double> body_velocity(const BodyStated& body) {
   return transposed(square(body.orientation.toRotationMatrix())) * triple(body.velocity);

@@ -229,6 +229,7 @@ class WheeledFlightProblem {
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
+    clear_curvature(model);
     const Tangent e = error(k, x);
     const Square by_angle =
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
@@ -249,6 +250,38 @@ class WheeledFlightProblem {
       model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
       model.hessian(states + i, states + i) = 2.0 * input_weights_(i);
     }
+  }
+
+  /// Adds the curvature of the thrust limits and of the force's direction. While the costate asks
+  /// for more force along F than there is, only its direction can change. With f = |F|, e = F / f,
+  /// a the part of the costate along -F and dF_e the part of dF across e, the second-order term of
+  /// the dynamics in (dF, dtheta) is a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to
+  /// first order in the length of the interval. The first part is the change of the direction in
+  /// the world, and convex. The second part is left out: active limits of the thrust balance it.
+  ///
+  /// Without these terms the steps at a limit of the thrust are too long: in a climb with a weak
+  /// battery each plan violates the limits more than the last one.
+  void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
+                     const Tangent& costate, Model& model) const {
+    if constexpr (Rotors > 0)
+      actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
+                               model.hessian.template topLeftCorner<6, 6>());
+    const Triple force = detail::triple(x.wrench.force),
+                 wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval,
+                                                costate, I::position);
+    const double f = std::sqrt(detail::dot(force, force)), a = -detail::dot(wanted, force) / f;
+    if (!(a > 0.0)) return;  // also for zero force
+    const Triple none{0.0, 0.0, 0.0}, e = (1.0 / f) * force;
+    const Square across = detail::outer(1.0, -1.0 * e, e, none),
+                 turn = detail::outer(0.0, none, none, -a * e);
+    const auto add = [&model](const Square& block, int row, int column) {
+      detail::put(detail::square_at(model.hessian, row, column) + block, model.hessian, row,
+                  column);
+    };
+    add(a / f * across, I::force, I::force);
+    add(a * f * across, I::orientation, I::orientation);
+    add(turn, I::force, I::orientation);
+    add(detail::transposed(turn), I::orientation, I::force);
   }
 
   [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {
@@ -310,6 +343,15 @@ class WheeledFlightProblem {
     detail::put(detail::triple(w.force_rate), all, I::force, 0);
     detail::put(detail::triple(w.torque_rate), all, I::torque, 0);
     return all;
+  }
+
+  // Sets those entries to zero that add_curvature() changes and cost_model() does not set.
+  static void clear_curvature(Model& model) {
+    model.hessian.template topLeftCorner<6, 6>().setZero();
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 3; ++i)
+        model.hessian(I::force + i, I::orientation + j) =
+            model.hessian(I::orientation + i, I::force + j) = 0.0;
   }
 
   void set_weights() {

@@ -69,6 +69,7 @@ class DerivativeCheck {
     check_retraction(k, x);
     if (k < problem_.horizon()) check_step(k, x, u);
     check_cost(k, x, u);
+    if constexpr (optimal_control::HasCurvature<Problem>::value) check_curvature(k, x, u);
     if constexpr (AllConstraints::count > 0) check_constraints(k, x, u);
     if constexpr (D::ne > 0) check_equalities(k, x);
   }
@@ -268,6 +269,27 @@ class DerivativeCheck {
     expect_finite_matrix("cost_model: lux", k, model.lux());
   }
 
+  // cost_model() must set all entries again that add_curvature() changed.
+  void check_curvature(int k, const State& x, const Input& u) {
+    optimal_control::QuadraticModel<D::nx, D::nu> expected, model;
+    problem_.cost_model(k, x, u, expected);
+    problem_.cost_model(k, x, u, model);
+    const typename AllConstraints::Values multipliers = AllConstraints::Values::Ones();
+    const Tangent costate = Tangent::Constant(k < problem_.horizon() ? 1.0 : 0.0);
+    problem_.add_curvature(k, x, u, multipliers, costate, model);
+    expect_symmetric("add_curvature: lxx", k, model.lxx());
+    expect_symmetric("add_curvature: luu", k, model.luu());
+    expect_finite_matrix("add_curvature: lux", k, model.lux());
+    expect_zero("add_curvature: change of the gradient", k, model.gradient - expected.gradient);
+    problem_.cost_model(k, x, u, model);
+    const auto left = model.hessian - expected.hessian;
+    for (int i = 0; i < D::nx + D::nu; ++i)
+      for (int j = 0; j < D::nx + D::nu; ++j)
+        if (std::isfinite(expected.hessian(i, j)))
+          expect("cost_model: Hessian after add_curvature, minus before", k, i, j, left(i, j), 0.0,
+                 0.0);
+  }
+
   void check_constraints(int k, const State& x, const Input& u) {
     using Values = typename AllConstraints::Values;
     const bool own_end = AllConstraints::of_end >= 0 && k == problem_.horizon();
@@ -339,8 +361,9 @@ namespace tilt_ropter::optimal_control {
 /// - difference() with retract(): each is the inverse of the other, to first order;
 /// - entries of A and B that are zero in TransitionPattern with zero;
 /// - the two overloads of step() with each other, and step_lanes(), if it exists, with them;
-/// - cost_model: lxx and luu with their transposes. Their values are not checked, because
-///   Gauss-Newton Hessians are not the second derivatives of the cost.
+/// - cost_model and add_curvature: lxx and luu with their transposes. Their values are not checked,
+///   because Gauss-Newton Hessians are not the second derivatives of the cost;
+/// - the Hessian of cost_model() before and after a call of add_curvature().
 ///
 /// All numbers must be finite. Bounds and penalties must not be NaN.
 ///

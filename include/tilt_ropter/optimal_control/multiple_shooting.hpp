@@ -31,9 +31,10 @@ Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_R
 #endif
 
 /// Sequential quadratic programming on a multiple-shooting problem (Bock & Plitt 1984) with a
-/// Gauss-Newton Hessian: linearise, solve the quadratic program by Riccati passes and NLopt, step.
-/// One such iteration is the real-time iteration (Diehl, Bock & Schlöder 2005). It is split into
-/// prepare(), before the measurement, and feedback(), after it.
+/// Gauss-Newton Hessian, and the curvature that the problem adds to it: linearise, solve the
+/// quadratic program by Riccati passes and NLopt, step. One such iteration is the real-time
+/// iteration (Diehl, Bock & Schlöder 2005). It is split into prepare(), before the measurement, and
+/// feedback(), after it.
 ///
 /// This header is long because the real-time iteration and solve() share the linearisation, the
 /// factorisation and the report.
@@ -66,6 +67,8 @@ class MultipleShooting {
         trial_(horizon_),
         equalities_(horizon_, settings.max_multiplier),
         search_(horizon_, settings) {
+    if constexpr (HasCurvature<Problem>::value)
+      costates_.assign(static_cast<std::size_t>(horizon_) + 1, Tangent::Zero());
     lanes_A_.setIdentity();
     detail::fill(lanes_B_, 0.0);
   }
@@ -325,6 +328,11 @@ class MultipleShooting {
     finite = finite && std::isfinite(report_.kkt) && std::isfinite(report_.cost) &&
              std::isfinite(report_.max_equality);
     if (!finite) report_.kkt = std::numeric_limits<double>::infinity();
+    if constexpr (HasCurvature<Problem>::value)
+      for (int k = 0; k <= horizon_; ++k)
+        problem_.add_curvature(k, here_.x(k), here_.u(k), program_.node(k).multiplier,
+                               costates_[static_cast<std::size_t>(k)],
+                               program_.riccati.stage(k).cost);
     report_.linearise_us = since(start);
     return finite;
   }
@@ -377,6 +385,8 @@ class MultipleShooting {
         [&](int k, const auto& sum, const auto&) {
           for (int j = nx; k < horizon_ && j < nx + nu; ++j)
             residual = std::max(residual, std::abs(sum(j)));
+          if constexpr (HasCurvature<Problem>::value)
+            if (k > 0) detail::copy_first(nx, sum, costates_[static_cast<std::size_t>(k - 1)]);
         });
     for (const auto& [k, i] : program_.active()) {
       const auto& node = program_.node(k);
@@ -480,6 +490,7 @@ class MultipleShooting {
   Trajectory<Problem> here_, trial_;
   AugmentedLagrangian<Problem> equalities_;
   StepSearch<Problem, Program> search_;
+  std::vector<Tangent> costates_;  // of the end of each interval, for add_curvature(); the last: 0
   Eigen::Matrix<Lanes, nx, nx> lanes_A_;
   Eigen::Matrix<Lanes, nx, nu> lanes_B_;
   SolveReport report_;

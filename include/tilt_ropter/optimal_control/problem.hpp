@@ -48,6 +48,16 @@
 ///
 ///     using TransitionPattern = ...;  // entries of A and B that can be non-zero: FullTransition
 ///
+///     // adds second derivatives of constraints and dynamics to lxx, lux and luu of a node, without
+///     // the parts that are not positive semidefinite. The solver calls it after cost_model(),
+///     // which must then set every entry that this function changes. multipliers: of the node's
+///     // constraints, > 0 at the upper bound. costate: derivative of the cost of all later nodes by
+///     // the end of interval k, zero for k = N. A Gauss-Newton Hessian lacks these terms; where
+///     // multipliers are large, iterations may not converge without them.
+///     void add_curvature(int k, const State& x, const D::Input& u,
+///                        const ProblemConstraints<Problem>::Values& multipliers,
+///                        const D::Tangent& costate, QuadraticModel<nx, nu>& m) const;
+///
 ///     // a quadratic penalty weight v^2 / 2 on a violation v, until its slope reaches the price:
 ///     // the multiplier is min(weight v, penalty); infinite: no quadratic penalty
 ///     const D::Constraints& quadratic_penalty(int k) const;
@@ -175,5 +185,11 @@ template <typename Problem>
 struct TransitionPatternOf<Problem, std::void_t<typename Problem::TransitionPattern>> {
   using type = typename Problem::TransitionPattern;
 };
+
+/// True for a problem that has add_curvature().
+template <typename Problem, typename = void>
+struct HasCurvature : std::false_type {};
+template <typename Problem>
+struct HasCurvature<Problem, std::void_t<decltype(&Problem::add_curvature)>> : std::true_type {};
 
 }  // namespace tilt_ropter::optimal_control
