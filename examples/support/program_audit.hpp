@@ -94,9 +94,11 @@ class ProgramAudit {
     problem_ = solver.problem();
     states_.clear();
     inputs_.clear();
+    multipliers_.clear();
     for (int k = 0; k <= solver.horizon(); ++k) {
       states_.push_back(solver.state(k));
       inputs_.push_back(solver.input(k));
+      multipliers_.push_back(solver.constraint_multipliers(k));
     }
   }
 
@@ -111,6 +113,7 @@ class ProgramAudit {
     for (std::size_t k = 0; k < states_.size(); ++k) {
       states_[k] = solver.state(0);
       inputs_[k].setZero();
+      multipliers_[k].setZero();
     }
     return std::min(warm, residual(solver));
   }
@@ -161,12 +164,31 @@ class ProgramAudit {
       node.gap = entries(gap);
       nodes_[i + 1].dx = node.gap + node.A * node.dx + node.B * node.du;
     }
+    if constexpr (tilt_ropter::optimal_control::HasCurvature<Problem>::value) add_curvature();
     return detail::program_residual(nodes_, worst);
+  }
+
+  // With the multipliers of the program before, and the costates that follow from them.
+  void add_curvature() {
+    typename D::Tangent costate = D::Tangent::Zero();
+    for (std::size_t i = nodes_.size(); i-- > 0;) {
+      detail::AuditNode& node = nodes_[i];
+      const int k = static_cast<int>(i);
+      tilt_ropter::optimal_control::QuadraticModel<D::nx, D::nu> model;
+      problem_->cost_model(k, states_[i], inputs_[i], model);
+      problem_->add_curvature(k, states_[i], inputs_[i], multipliers_[i], costate, model);
+      node.hessian = detail::entries(model.hessian);
+      const Eigen::VectorXd multipliers = detail::entries(multipliers_[i]);
+      Eigen::VectorXd gradient = node.gradient.head(D::nx) + node.C.transpose() * multipliers;
+      if (i + 1 < nodes_.size()) gradient += node.A.transpose() * costate;
+      costate = D::Tangent::Map(gradient.data());
+    }
   }
 
   std::optional<Problem> problem_;
   std::vector<State> states_;
   std::vector<typename D::Input> inputs_;
+  std::vector<typename D::Constraints> multipliers_;
   std::vector<detail::AuditNode> nodes_;
 };
 

@@ -1,5 +1,6 @@
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/actuator_constraints.hpp>
+#include <tilt_ropter/math/finite.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"
@@ -151,7 +152,7 @@ TEST(ActuatorConstraints, CurvatureIsFiniteAtAnyThrust) {
   for (const double size : {0.0, 1e-170, 1e-150, 1e-12, 1e-3, 1.0, 1e6}) {
     Eigen::Matrix<double, 6, 6> curvature = Eigen::Matrix<double, 6, 6>::Zero();
     constraints.add_curvature(random_wrench(random, size, 0.1 * size), prices, curvature);
-    EXPECT_TRUE(curvature.allFinite()) << size;
+    EXPECT_TRUE(all_finite(curvature)) << size;
     EXPECT_LT(curvature.norm(), 4 * 1e4 * 1e3 / least) << size;
   }
   Eigen::Matrix<double, 6, 6> nothing = Eigen::Matrix<double, 6, 6>::Zero();

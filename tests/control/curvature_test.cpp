@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/control/actuator_level_problem.hpp>
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/math/finite.hpp>
 
 #include "support/random.hpp"
 #include "support/states.hpp"
@@ -55,7 +56,7 @@ typename Problem::StateJacobian curvature_of(const Problem& problem,
 
 template <typename Matrix>
 void expect_convex(const Matrix& curvature) {
-  EXPECT_TRUE(curvature.allFinite());
+  EXPECT_TRUE(all_finite(curvature));
   EXPECT_LT((curvature - curvature.transpose()).norm(), 1e-12 * (1.0 + curvature.norm()));
   EXPECT_GT(Eigen::SelfAdjointEigenSolver<Matrix>(curvature).eigenvalues().minCoeff(),
             -1e-12 * (1.0 + curvature.norm()));
