@@ -9,7 +9,10 @@ namespace tilt_ropter {
 
 /// Source of the wrench of an NmpcResult.
 enum class NmpcStatus {
-  solved,  ///< the wrench comes from a plan for this measurement, and the program is solved
+  /// The wrench comes from a plan for this measurement, and the program is solved. In the program,
+  /// constraints that are not linear, such as the limits of the thrust, are linearised at the last
+  /// plan. SolveReport::max_violation tells how much that plan violates them.
+  solved,
   /// The wrench comes from a plan for this measurement, but the program reached its limit on time
   /// or passes, or it relaxed a hard constraint. SolveReport tells which. The plan is finite, and
   /// the command is within the bounds.
