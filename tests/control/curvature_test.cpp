@@ -84,8 +84,10 @@ TEST(Curvature, OfTheForceIsExactButForTheConcavePart) {
     const Eigen::Vector3d force = x.wrench.force, e = force.normalized();
     const auto costate =
         costate_along<WheeledFlightProblem<4>>(e, x.body, random, I::position, I::velocity);
-    const auto curvature =
-        curvature_of(problem, x, WheeledFlightProblem<4>::Constraints::Zero(), costate);
+    auto multipliers = WheeledFlightProblem<4>::Constraints::Zero().eval();
+    EXPECT_EQ(curvature_of(problem, x, multipliers, costate).norm(), 0.0);
+    multipliers(WheeledFlightProblem<4>::Part::force + 2) = 1.0;  // a limit acts
+    const auto curvature = curvature_of(problem, x, multipliers, costate);
     auto expected = second_derivatives(problem, x, costate);
     expect_convex(curvature);
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - e * e.transpose();

@@ -252,17 +252,20 @@ class WheeledFlightProblem {
     }
   }
 
-  /// Adds the curvature of the thrust limits and of the force's direction. While the costate asks
-  /// for more force along F than there is, only its direction can change. With f = |F|, e = F / f,
-  /// a the part of the costate along -F and dF_e the part of dF across e, the second-order term of
-  /// the dynamics in (dF, dtheta) is a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to
-  /// first order in the length of the interval. The first part is the change of the direction in
-  /// the world, and convex. The second part is left out: active limits of the thrust balance it.
+  /// Adds the curvature of the thrust limits and of the force's direction at a node where a limit
+  /// of the force acts. The costate asks for more force along F than there is, and only its
+  /// direction can change. With f = |F|, e = F / f, a the part of the costate along -F and dF_e the
+  /// part of dF across e, the second-order term of the dynamics in (dF, dtheta) is
+  /// a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to first order in the length of the
+  /// interval. The first part is the change of the direction in the world, and convex. The second
+  /// part is left out: the curvature of the limits balances it. Where no limit acts nothing does,
+  /// and the Gauss-Newton Hessian is the better one.
   ///
   /// Without these terms the steps at a limit of the thrust are too long: in a climb with a weak
   /// battery each plan violates the limits more than the last one.
   void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
                      const Tangent& costate, Model& model) const {
+    if (!force_is_limited(multipliers)) return;
     if constexpr (Rotors > 0)
       actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
                                model.hessian.template topLeftCorner<6, 6>());
@@ -343,6 +346,14 @@ class WheeledFlightProblem {
     detail::put(detail::triple(w.force_rate), all, I::force, 0);
     detail::put(detail::triple(w.torque_rate), all, I::torque, 0);
     return all;
+  }
+
+  // Returns true if a bound on the force or a thrust limit has a multiplier.
+  static bool force_is_limited(const Constraints& multipliers) {
+    bool limited = false;
+    for (int i = 0; i < 3; ++i) limited |= multipliers(Part::force + i) != 0.0;
+    for (int i = constraints - Rotors; i < constraints; ++i) limited |= multipliers(i) > 0.0;
+    return limited;
   }
 
   // Sets those entries to zero that add_curvature() changes and cost_model() does not set.
