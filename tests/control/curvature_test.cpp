@@ -116,7 +116,10 @@ TEST(Curvature, OfTheThrustsIsExactForParallelRotors) {
     x.body.angular_velocity.setZero();
     const auto costate =
         costate_along<Problem>(Eigen::Vector3d::UnitZ(), x.body, random, I::position, I::velocity);
-    const auto curvature = curvature_of(problem, x, Problem::Constraints::Zero(), costate);
+    auto multipliers = Problem::Constraints::Zero().eval();
+    EXPECT_EQ(curvature_of(problem, x, multipliers, costate).norm(), 0.0);
+    multipliers(Problem::Part::thrust) = 1.0;  // a limit acts
+    const auto curvature = curvature_of(problem, x, multipliers, costate);
     const auto expected = second_derivatives(problem, x, costate);
     expect_convex(curvature);
     EXPECT_GT(curvature.norm(), 0.0);

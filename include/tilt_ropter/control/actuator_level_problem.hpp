@@ -300,12 +300,15 @@ class ActuatorLevelProblem {
     }
   }
 
-  /// Adds the curvature of the directions of the rotors' forces, as WheeledFlightProblem does for
-  /// the total force. For a rotor with the thrust T along e, with e' = de/dalpha and a, the part of
-  /// the costate along -e, this is a T |e x dtheta - e' dalpha|^2 / 2: the change of its direction
-  /// in the world.
-  void add_curvature(int k, const State& x, const Input&, const Constraints& /*multipliers*/,
+  /// Adds the curvature of the directions of the rotors' forces at a node where the limit of a
+  /// thrust acts, as WheeledFlightProblem does for the total force. For a rotor with the thrust T
+  /// along e, with e' = de/dalpha and a, the part of the costate along -e, this is a T |e x dtheta
+  /// - e' dalpha|^2 / 2: the change of its direction in the world.
+  void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
                      const Tangent& costate, Model& model) const {
+    bool limited = false;
+    for (int i = 0; i < Rotors; ++i) limited |= multipliers(Part::thrust + i) > 0.0;
+    if (!limited) return;
     const detail::Triple<double> none{0.0, 0.0, 0.0},
         wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval, costate,
                                        I::position);
