@@ -108,11 +108,8 @@ void expect_exact_curvature(const Vehicle<Rotors>& vehicle, const Vector6& wrenc
   using Jacobian = Eigen::Matrix<double, 3 * Rotors, 6>;
   Values multipliers = Values::Zero();
   for (int i = 0; i < 3 * Rotors; ++i) multipliers(i) = random.uniform(-10.0, 10.0);
-  const Values that_count = [&] {
-    Values some = multipliers.cwiseMax(0.0);
-    some.template head<2 * Rotors>().setZero();
-    return some;
-  }();
+  Values that_count = multipliers.cwiseMax(0.0);
+  that_count.template head<2 * Rotors>().setZero();
   const auto gradient = [&](const Vector6& at) -> Vector6 {
     Jacobian by_wrench = Jacobian::Zero(), by_rate = Jacobian::Zero();
     constraints.derivatives(at, Vector6::Zero(), by_wrench, by_rate);

@@ -74,16 +74,21 @@ class ActuatedBody {
     return wrench;
   }
 
-  /// Force of rotor i at a thrust of 1 N, body frame, and its derivative by the tilt angle
-  /// `angle` [rad]; both are zero for a lost rotor.
+  /// Direction of the force of a rotor.
   struct Direction {
-    detail::Triple<Scalar> force, derivative;
+    Vector3<Scalar> along;       ///< unit vector, body frame
+    Vector3<Scalar> derivative;  ///< of `along` by the tilt angle [1/rad]
   };
+  /// Direction of the force of rotor i at the tilt angle `angle` [rad]. For a lost rotor both
+  /// vectors are zero; for a rotor that does not tilt, at its angle of zero, the derivative is.
   [[nodiscard]] Direction direction(int i, const Scalar& angle) const {
     using std::cos;
     using std::sin;
     const Scalar s = sin(angle), c = cos(angle);
-    return {rotor(i).at(s, c).force, rotor(i).derivative_at(s, c).force};
+    Direction d;
+    detail::put(rotor(i).at(s, c).force, d.along, 0, 0);
+    detail::put(rotor(i).derivative_at(s, c).force, d.derivative, 0, 0);
+    return d;
   }
 
   /// Thrust of rotor i [N] at `speed` [rad/s].

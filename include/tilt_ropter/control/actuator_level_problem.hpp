@@ -300,9 +300,10 @@ class ActuatorLevelProblem {
     }
   }
 
-  /// Adds the curvature of the directions of the rotors' forces at a node where the limit of a
-  /// thrust acts, as WheeledFlightProblem does for the total force. For a rotor with the thrust T
-  /// along e, with e' = de/dalpha and a, the part of the costate along -e, this is a T |e x dtheta
+  /// Adds the curvature of the directions of the rotors' forces to the Hessian (see problem.hpp) at
+  /// a node where the limit of a thrust acts, as WheeledFlightProblem does for the total force. For
+  /// a rotor with the thrust T along e, with e' = de/dalpha and a, the part of the costate along
+  /// -e, this is a T |e x dtheta
   /// - e' dalpha|^2 / 2: the change of its direction in the world.
   void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
                      const Tangent& costate, Model& model) const {
@@ -315,7 +316,9 @@ class ActuatorLevelProblem {
     detail::Square<double> turning =
         detail::square_at(model.hessian, I::orientation, I::orientation);
     for (int i = 0; i < Rotors; ++i) {
-      const auto [e, derivative] = body_.direction(i, x.tilt_angle(i));
+      const auto direction = body_.direction(i, x.tilt_angle(i));
+      const auto e = detail::triple(direction.along),
+                 derivative = detail::triple(direction.derivative);
       const double a = -x.thrust(i) * detail::dot(wanted, e);
       if (!(a > 0.0)) continue;
       turning += a * detail::outer(1.0, -1.0 * e, e, none);

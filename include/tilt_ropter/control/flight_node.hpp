@@ -61,8 +61,9 @@ template <typename Error>
 }
 
 /// Derivative of the cost of all later nodes by a constant force on the body during the interval
-/// that starts at `node`, body frame [1/N], to first order in the length of the interval [s]. The
-/// parts (dp, dv) of the costate begin in row `first`.
+/// that starts at `node`, body frame [1/N], to first order in the length `interval` [s] of this
+/// interval. `mass` [kg]. `costate` is that of the end of the interval, see add_curvature() in
+/// problem.hpp; its parts (dp, dv) begin in row `first`.
 template <typename Costate>
 [[nodiscard]] Triple<double> force_costate(const FlightNode& node, const BodyStated& body,
                                            double mass, double interval, const Costate& costate,

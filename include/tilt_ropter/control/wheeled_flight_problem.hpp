@@ -252,14 +252,14 @@ class WheeledFlightProblem {
     }
   }
 
-  /// Adds the curvature of the thrust limits and of the force's direction at a node where a limit
-  /// of the force acts. The costate asks for more force along F than there is, and only its
-  /// direction can change. With f = |F|, e = F / f, a the part of the costate along -F and dF_e the
-  /// part of dF across e, the second-order term of the dynamics in (dF, dtheta) is
-  /// a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to first order in the length of the
-  /// interval. The first part is the change of the direction in the world, and convex. The second
-  /// part is left out: the curvature of the limits balances it. Where no limit acts nothing does,
-  /// and the Gauss-Newton Hessian is the better one.
+  /// Adds the curvature of the thrust limits and of the force's direction to the Hessian (see
+  /// problem.hpp) at a node where a limit of the force acts. The costate asks for more force along
+  /// F than there is, and only its direction can change. With f = |F|, e = F / f, a the part of the
+  /// costate along -F and dF_e the part of dF across e, the second-order term of the dynamics in
+  /// (dF, dtheta) is a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to first order in the
+  /// length of the interval. The first part is the change of the direction in the world, and
+  /// convex. The second part is left out: the curvature of the limits balances it. Where no limit
+  /// acts nothing does, and the Gauss-Newton Hessian is the better one.
   ///
   /// Without these terms the steps at a limit of the thrust are too long: in a climb with a weak
   /// battery each plan violates the limits more than the last one.

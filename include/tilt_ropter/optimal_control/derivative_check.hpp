@@ -14,7 +14,6 @@
 #include <limits>
 #include <sstream>
 #include <string>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -76,7 +75,7 @@ class DerivativeCheck {
 
   /// Compares step_lanes() with step() for all intervals, if the problem has step_lanes().
   void check_lanes(const std::vector<State>& xs, const std::vector<Input>& us) {
-    if constexpr (HasLanes<Problem>::value)
+    if constexpr (optimal_control::HasLanes<Problem>::value)
       for (int k = 0; k < problem_.horizon(); k += Lanes::count)
         check_lanes(k, std::min(Lanes::count, problem_.horizon() - k), xs, us);
   }
@@ -93,10 +92,6 @@ class DerivativeCheck {
  private:
   using AllConstraints = optimal_control::ProblemConstraints<Problem>;
   using Pattern = typename optimal_control::TransitionPatternOf<Problem>::type;
-  template <typename P, typename = void>
-  struct HasLanes : std::false_type {};
-  template <typename P>
-  struct HasLanes<P, std::void_t<decltype(&P::step_lanes)>> : std::true_type {};
   static constexpr double nan = std::numeric_limits<double>::quiet_NaN(),
                           infinity = std::numeric_limits<double>::infinity();
 

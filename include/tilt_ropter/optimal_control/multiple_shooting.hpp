@@ -20,7 +20,6 @@
 #include <cstddef>
 #include <limits>
 #include <optional>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -31,10 +30,11 @@ Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_R
 #endif
 
 /// Sequential quadratic programming on a multiple-shooting problem (Bock & Plitt 1984) with a
-/// Gauss-Newton Hessian, and the curvature that the problem adds to it: linearise, solve the
-/// quadratic program by Riccati passes and NLopt, step. One such iteration is the real-time
-/// iteration (Diehl, Bock & Schlöder 2005). It is split into prepare(), before the measurement, and
-/// feedback(), after it.
+/// Gauss-Newton Hessian, and the curvature that the problem adds to it (sequential convex quadratic
+/// programming; Verschueren, van Duijkeren, Quirynen & Diehl 2016): linearise, solve the quadratic
+/// program by Riccati passes and NLopt, step. One such iteration is the real-time iteration (Diehl,
+/// Bock & Schlöder 2005). It is split into prepare(), before the measurement, and feedback(), after
+/// it.
 ///
 /// This header is long because the real-time iteration and solve() share the linearisation, the
 /// factorisation and the report.
@@ -275,10 +275,6 @@ class MultipleShooting {
 
  private:
   using Program = QuadraticProgram<nx, nu, nc, typename TransitionPatternOf<Problem>::type>;
-  template <typename P, typename = void>
-  struct HasLanes : std::false_type {};
-  template <typename P>
-  struct HasLanes<P, std::void_t<decltype(&P::step_lanes)>> : std::true_type {};
 
   static const SolverSettings& checked(const SolverSettings& settings) {
     validate(settings);

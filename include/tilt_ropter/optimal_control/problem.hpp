@@ -186,6 +186,12 @@ struct TransitionPatternOf<Problem, std::void_t<typename Problem::TransitionPatt
   using type = typename Problem::TransitionPattern;
 };
 
+/// True for a problem that has step_lanes().
+template <typename Problem, typename = void>
+struct HasLanes : std::false_type {};
+template <typename Problem>
+struct HasLanes<Problem, std::void_t<decltype(&Problem::step_lanes)>> : std::true_type {};
+
 /// True for a problem that has add_curvature().
 template <typename Problem, typename = void>
 struct HasCurvature : std::false_type {};
