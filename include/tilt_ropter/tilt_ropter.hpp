@@ -28,6 +28,7 @@
 #include <tilt_ropter/control/actuator_level_problem.hpp>
 #include <tilt_ropter/control/actuator_level_settings.hpp>
 #include <tilt_ropter/control/actuator_nmpc_settings.hpp>
+#include <tilt_ropter/control/cost_after_horizon.hpp>
 #include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/ground_contact_settings.hpp>

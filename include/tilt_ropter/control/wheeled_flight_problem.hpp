@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/control/actuator_constraints.hpp>
+#include <tilt_ropter/control/cost_after_horizon.hpp>
 #include <tilt_ropter/control/flight_node.hpp>
 #include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/math/lanes.hpp>
@@ -220,7 +221,7 @@ class WheeledFlightProblem {
   /// For the last node see TerminalCost.
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
-    if (ends_with_riccati(k)) return riccati_cost(e);
+    if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e);
     const Tangent& q = state_weights(k);
     double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
     for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
@@ -233,7 +234,8 @@ class WheeledFlightProblem {
     const Tangent e = error(k, x);
     const Square by_angle =
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
-    if (ends_with_riccati(k)) return set_riccati_model(e, by_angle, model);
+    if (ends_with_riccati(k))
+      return after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
     const Tangent& q = state_weights(k);
     for (int i = 0; i < states; ++i) {
       model.gradient(i) = 2.0 * q(i) * e(i);
@@ -417,43 +419,8 @@ class WheeledFlightProblem {
   [[nodiscard]] bool ends_with_riccati(int k) const {
     return k == horizon() && settings_.terminal_cost == TerminalCost::riccati;
   }
-
-  // Rotation from the world axes to axes that turn with the heading of the last node's reference.
-  // In level hover the error dynamics are the same for all headings if position, velocity and
-  // orientation errors (world axes) are turned by the heading. The other errors are in body axes.
-  [[nodiscard]] Square to_heading() const {
-    return detail::square(
-        quaternion_from_yaw(-yaw_of(nodes_.back().reference.orientation)).toRotationMatrix());
-  }
-
-  // A separate function: inlined, it would make the code of all other nodes slower.
-  [[nodiscard]] [[gnu::noinline]] double riccati_cost(Tangent e) const {
-    const Square turn = to_heading();
-    for (const int i : {I::position, I::velocity, I::orientation})
-      detail::put(turn * detail::triple_at(e, i), e, i, 0);
-    double sum = 0.0;
-    for (int j = 0; j < states; ++j)
-      for (int i = 0; i < states; ++i) sum += e(i) * terminal_.front()(i, j) * e(j);
-    return sum;
-  }
-  // e' T' P T e, where T has 3x3 blocks on the diagonal, and its derivatives by the state.
-  [[gnu::noinline]] void set_riccati_model(const Tangent& e, const Square& by_angle,
-                                           Model& model) const {
-    const StateJacobian& P = terminal_.front();
-    const Square one = detail::outer(1.0, Triple{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}),
-                 turn = to_heading();
-    const Square of_error[6] = {one, one, turn, turn, turn, one},
-                 of_state[6] = {one, one, turn, turn, turn * by_angle, one};
-    for (int i = 0; i < 6; ++i) {
-      const Square back = 2.0 * detail::transposed(of_state[i]);
-      Triple gradient{0.0, 0.0, 0.0};
-      for (int j = 0; j < 6; ++j) {
-        const Square block = back * detail::square_at(P, 3 * i, 3 * j);
-        gradient += block * (of_error[j] * detail::triple_at(e, 3 * j));
-        detail::put(block * of_state[j], model.hessian, 3 * i, 3 * j);
-      }
-      detail::put(gradient, model.gradient, 3 * i, 0);
-    }
+  [[nodiscard]] double heading_of_end() const {
+    return yaw_of(nodes_.back().reference.orientation);
   }
 
   // At heading zero the tangent coordinates equal those of the error, to first order.
@@ -473,7 +440,7 @@ class WheeledFlightProblem {
     require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
             "used with weights by which every error that stays costs something, as NmpcWeights."
             "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
-    terminal_.assign(1, *P);
+    after_horizon_.assign(1, detail::CostAfterHorizon(*P));
   }
 
   [[nodiscard]] double ground_thrust_weight(int k) const {
@@ -498,7 +465,7 @@ class WheeledFlightProblem {
   std::vector<WheeledFlightNode> nodes_;
   Tangent state_weights_, last_state_weights_;
   Input input_weights_;
-  std::vector<StateJacobian> terminal_;  // P of TerminalCost::riccati, else empty
+  std::vector<detail::CostAfterHorizon> after_horizon_;  // of TerminalCost::riccati, else empty
   Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
