@@ -303,8 +303,7 @@ class ActuatorLevelProblem {
   /// Adds the curvature of the directions of the rotors' forces to the Hessian (see problem.hpp) at
   /// a node where the limit of a thrust acts, as WheeledFlightProblem does for the total force. For
   /// a rotor with the thrust T along e, with e' = de/dalpha and a, the part of the costate along
-  /// -e, this is a T |e x dtheta
-  /// - e' dalpha|^2 / 2: the change of its direction in the world.
+  /// -e, this is a T |e x dtheta - e' dalpha|^2 / 2: the change of its direction in the world.
   void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
                      const Tangent& costate, Model& model) const {
     bool limited = false;
