@@ -25,7 +25,7 @@ the benchmarks.
                TSan in build-sanitize-threads/, and some tests of the normal build with valgrind.
                90 minutes
   --coverage   run the tests and write a table of the lines of include/ that they reach, and the
-               lines as HTML, to build-coverage/report/; fails below 95 %. 45 minutes
+               lines as HTML, to build-coverage/report/; fails below 95 %. 90 minutes
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
                fuzz target. 45 minutes
   --variants   run the tests of the library with other compiler options in build-variants/: for this

@@ -82,13 +82,23 @@ struct FiniteCheck {
   [[gnu::always_inline]] inline void add(double number) { single += number * 0.0; }
   template <typename Index>
   [[gnu::always_inline]] inline void add(const double* numbers, Index count) {
-    const Index whole = count - count % Width;
-    for (Index i = 0; i < whole; i += Width) {
+    Packet<Width> sums[4]{};  // each addition to one sum would wait for the last
+    Index i = 0;
+    for (; i + 4 * Width <= count; i += 4 * Width) {
+#pragma GCC unroll 4
+      for (int j = 0; j < 4; ++j) {
+        Packet<Width> packet;
+        load<Width>(numbers + i + Width * j, packet);
+        sums[j] += packet * 0.0;
+      }
+    }
+    packets += (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    for (; i + Width <= count; i += Width) {
       Packet<Width> packet;
       load<Width>(numbers + i, packet);
       add(packet);
     }
-    for (Index i = 0; i < count % Width; ++i) add(numbers[whole + i]);
+    for (; i < count; ++i) add(numbers[i]);
   }
   [[gnu::always_inline]] inline bool passed() const {
     double sum = single + pairs[0] + pairs[1];

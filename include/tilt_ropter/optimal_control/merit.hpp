@@ -48,8 +48,6 @@ class Merit {
   /// function along the step of the program.
   double update(const Program& program, int horizon) {
     double slope = 0.0;
-    // Multiplier of the continuity constraint at the end of interval k.
-    Tangent adjoint = Tangent::Zero();
     for (int k = horizon; k >= 0; --k) {
       const auto& s = program.riccati.stage(k);
       const auto& node = program.node(k);
@@ -67,10 +65,9 @@ class Merit {
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
-        for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), adjoint(i));
+        for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), program.costate(k + 1)(i));
         slope -= weighted_norm(defect_weight, s.defect.data());
       }
-      adjoint = adjoint_before(program, k, adjoint);
     }
     return slope;
   }
@@ -111,20 +108,6 @@ class Merit {
   static void follow(double& weight, double multiplier) {
     const double m = 1.1 * std::abs(multiplier);
     weight = std::max(m, 0.5 * (weight + m));
-  }
-
-  // Multiplier of the continuity constraint that ends at node k, from the multiplier `after` of the
-  // constraint that ends at the next node (k < N).
-  [[nodiscard]] static Tangent adjoint_before(const Program& program, int k, const Tangent& after) {
-    typename Program::Vector gradient;
-    program.template cost_gradient<2>(k, program.step(k), program.damping(), gradient);
-    program.template add_constraint_gradients<2>(k, program.node(k).multiplier.data(), gradient);
-    const auto& transition = program.riccati.stage(k).transition;
-    Tangent before;
-    for (int j = 0; j < D::nx; ++j) before(j) = gradient(j);
-    for (int i = 0; k < program.horizon() && i < D::nx; ++i)
-      for (int j = 0; j < D::nx; ++j) before(j) += transition(j, i) * after(i);
-    return before;
   }
 
   [[nodiscard]] static double weighted_norm(const Tangent& weight, const double* defect) {

@@ -77,7 +77,6 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
   /// Time that the last prepare() needed for the gradients of the dual's first working set.
   [[nodiscard]] SolverClock::duration gradients_time() const { return gradients_time_; }
-  [[nodiscard]] double damping() const { return damping_; }  ///< damping of the last prepare()
   /// True if the deadline interrupted the last solve(). The next solve() then continues the same
   /// program for another initial step; it needs no new program and no prepare().
   [[nodiscard]] bool goes_on() const { return goes_on_; }

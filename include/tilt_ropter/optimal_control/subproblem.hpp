@@ -37,7 +37,8 @@ class Subproblem {
   explicit Subproblem(int horizon)
       : riccati(horizon),
         nodes_(static_cast<std::size_t>(horizon) + 1),
-        steps_(nodes_.size(), detail::Filled()) {
+        steps_(nodes_.size(), detail::Filled()),
+        costates_(nodes_.size(), Tangent::Zero()) {
     active_.reserve(static_cast<std::size_t>(Constraints) * nodes_.size());
   }
 
@@ -134,6 +135,10 @@ class Subproblem {
       }
       return excess;
     });
+  }
+  /// Multiplier of the continuity constraint that ends at node k >= 1, as of the last residual().
+  [[nodiscard]] const Tangent& costate(int k) const {
+    return costates_[static_cast<std::size_t>(k)];
   }
   /// Largest violation in the last prediction, at least zero; infinite if a number was not finite.
   [[nodiscard]] double excess() const { return excess_; }
@@ -360,7 +365,7 @@ class Subproblem {
     return sum;
   }
 
-  /// Residual of the step with the multipliers in the nodes. Requires predict().
+  /// Residual of the step with the multipliers in the nodes. Requires predict(). Sets costate().
   [[nodiscard]] ProgramResidual residual(double damping) {
     collect_active();
     ProgramResidual r;
@@ -373,6 +378,7 @@ class Subproblem {
             cost += 0.5 * (g(j) + riccati.stage(k).cost.gradient(j)) * step(k)(j);
         },
         [&](int k, const Vector& sum, const Vector& own) {
+          detail::copy_first(States, sum, costates_[static_cast<std::size_t>(k)]);
           for (int j = States; k < horizon() && j < width; ++j) {
             r.stationarity = std::max(r.stationarity, std::abs(sum(j)));
             largest_term = std::max(largest_term, std::abs(own(j)));
@@ -460,6 +466,7 @@ class Subproblem {
 
   std::vector<Node> nodes_;
   std::vector<Vector> steps_;
+  std::vector<Tangent> costates_;
   std::vector<ActiveConstraint> active_;
   double excess_ = 0.0;
 };
