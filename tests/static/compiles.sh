@@ -1,40 +1,21 @@
 #!/usr/bin/env bash
-# compiles.sh FILE "COMPILER:STANDARD..." SECONDS FLAG... [-- ONCE]
+# compiles.sh FILE "COMPILER:STANDARD..." SECONDS FLAG...
 # Checks that FILE, a header or a source, compiles alone with each pair, such as clang++:c++20, in
 # at most SECONDS of processor time (0: no limit) on a machine that takes 0.6 s for <Eigen/Dense>.
-# With --, which is for g++:c++17, the first attempt uses the precompiled header ONCE of
-# eigen_once.sh if ONCE.users lists FILE, adds the time that this saves, and scales the limit. If
-# FILE takes longer, the machine may be busy or slow: FILE is then compared with <Eigen/Dense>, up
-# to six times. Each counts with its shortest time, and the limit scales with the time of
+# If FILE takes longer, the machine may be busy or slow: FILE is then compared with <Eigen/Dense>,
+# up to six times. Each counts with its shortest time, and the limit scales with the time of
 # <Eigen/Dense>.
 set -euo pipefail
 
 file=$1
 pairs=$2
 limit=$3
-shift 3
-flags=()
-while [[ $# -gt 0 && $1 != -- ]]; do
-  flags+=("$1")
-  shift
-done
-quick=()
-saved=0
-scaled=$limit
-if [[ $# -gt 0 ]]; then
-  read -r dense saved < "$2.seconds"
-  scaled=$(awk "BEGIN { print $limit * ($dense > 0.6 ? $dense / 0.6 : 1) }")
-  if grep -qxF "$file" "$2.users"; then
-    quick=(-include "$2" -Winvalid-pch)
-  else
-    saved=0
-  fi
-fi
+flags=("${@:4}")
 TIMEFORMAT=%U
 
-compile() {  # header, flags: prints seconds
+compile() {  # header: prints seconds
   exec 3>&2
-  { time "$compiler" "-std=$standard" -O2 -c -o /dev/null "${flags[@]}" "${@:2}" -x c++ - \
+  { time "$compiler" "-std=$standard" -O2 -c -o /dev/null "${flags[@]}" -x c++ - \
     <<< "#include $1" 2>&3; } 2>&1
 }
 
@@ -49,11 +30,9 @@ for pair in $pairs; do
     echo "$pair: not installed, left out"
     continue
   fi
-  now=$(compile "\"$file\"" "${quick[@]}")
-  echo "$pair: $now s, and $saved s saved"
-  holds "$limit == 0 || $now + $saved <= $scaled" && continue
-  [[ ! ${quick[*]} ]] || now=$(compile "\"$file\"")
-  seconds=$now
+  seconds=$(compile "\"$file\"")
+  echo "$pair: $seconds s"
+  holds "$limit == 0 || $seconds <= $limit" && continue
   dense=1e9
   for _ in 1 2 3 4 5 6; do
     now=$(compile '<Eigen/Dense>')

@@ -3,10 +3,6 @@
 # Precompiles headers that many headers include, for parses.sh. DIRECTORY/NUMBER.hpp includes one of
 # them; DIRECTORY/NUMBER.users lists the headers that include it, themselves or through other
 # headers. The precompiled header hides no missing include of these.
-#
-# Writes to DIRECTORY/included the headers that another header includes, so that they compile in
-# less time than this header. The umbrella header and compiled*.hpp do not count: their limit is
-# higher.
 set -euo pipefail
 shopt -s inherit_errexit
 
@@ -39,8 +35,3 @@ for header in math/rotation model/vehicle model/rigid_body optimal_control/multi
   users=$(bash "$here/leads_to.sh" "$include" "tilt_ropter/$header.hpp" | sed "s|^|$include/|")
   add "tilt_ropter/$header.hpp" "$users"
 done
-
-cd "$include"
-grep -rE --include='*.hpp' '^\s*#\s*include <tilt_ropter/' tilt_ropter |
-  grep -vE '^tilt_ropter/(tilt_ropter|compiled[a-z_]*)\.hpp:' |
-  sed -E "s|.*<([^>]*)>.*|$include/\1|" | LC_ALL=C sort -u > "$directory/included"

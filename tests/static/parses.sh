@@ -1,21 +1,13 @@
 #!/usr/bin/env bash
-# parses.sh DIRECTORY COMPILER HEADER FLAG... -- COMMAND...
-# Checks that HEADER is correct alone if DIRECTORY/included of headers_once.sh lists it: it is only
-# parsed, with the last precompiled header in DIRECTORY that it includes. The check of the header
-# that includes it measures its time and generates its code. Runs COMMAND for all other headers.
+# parses.sh DIRECTORY COMPILER HEADER FLAG...
+# Checks that HEADER is correct alone: parses it with the last precompiled header in DIRECTORY, of
+# headers_once.sh, that it includes.
 set -euo pipefail
 
 directory=$1
 compiler=$2
 header=$3
-shift 3
-flags=(-std=c++17)
-while [[ $1 != -- ]]; do
-  flags+=("$1")
-  shift
-done
-shift
-grep -qxF "$header" "$directory/included" || exec "$@"
+flags=(-std=c++17 "${@:4}")
 
 parse() {
   "$compiler" "${flags[@]}" "$@" -fsyntax-only -x c++ - <<< "#include \"$header\""

@@ -70,7 +70,7 @@ for step in steps/[0-9][0-9][0-9]; do
   command=$(< "$step")
   case $command in
     ./tests/run.sh*) echo "== not here, it runs this test: $command" && continue ;;
-    *compile_cost*) echo "== in the test compile_cost: $command" && continue ;;
+    *compile_cost*) echo "== in the long form, the test compile_cost: $command" && continue ;;
     *monte_carlo*) echo "== in the long form of monte_carlo_test: $command" && continue ;;
     *missions/cluster/*) echo "== in the long form of monte_carlo_parts_test: $command" && continue ;;
     cmake* | g++* | ./examples/run.sh* | *hitl_* | *reproduce_paper*)
