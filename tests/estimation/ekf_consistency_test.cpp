@@ -15,7 +15,6 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <string>
@@ -117,16 +116,17 @@ TEST(Ekf, NeesAndNisAreConsistent) {
 TEST(Ekf, NeesIsConsistentWithMarkerFrameEstimation) {
   // The initial error of the marker frame persists, so that it affects all instants of a run. In 30
   // sets of 100 runs, one set had a fraction of 0.73 and the others had 0.91 to 0.99. The median of
-  // three sets is tested.
-  std::array<double, 3> fractions{};
-  for (unsigned i = 0; i < 3; ++i) {
+  // three sets is tested; the short form tests one set.
+  const unsigned sets = full_run() ? 3 : 1;
+  std::vector<double> fractions(sets);
+  for (unsigned i = 0; i < sets; ++i) {
     const Consistency c = consistency<21>(3000 + 200 * i, 0.01, 0.02);
     EXPECT_NEAR(c.mean_nees, 1.0, 0.06);
     EXPECT_GT(c.nis, 0.9);
     fractions[i] = c.nees;
   }
   std::sort(fractions.begin(), fractions.end());
-  EXPECT_GT(fractions[1], 0.9);
+  EXPECT_GT(fractions[sets / 2], 0.9);
 }
 
 TEST(Ekf, ConvergesFromAnyInitialOrientation) {

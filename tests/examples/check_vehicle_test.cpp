@@ -33,7 +33,7 @@ test_support::Outcome check_changed(const std::string& name, const std::string& 
 
 TEST(CheckVehicle, ShippedVehiclesFly) {
   for (const char* name : {"tilt_ropter", "hexacopter", "octocopter", "five_kilograms"}) {
-    const bool flies = std::string(name) == "tilt_ropter" || test_support::quick_or_full(0, 1) == 1;
+    const bool flies = test_support::full_run();
     const auto told = check(shipped(name), flies ? "--no-pictures" : "--no-pictures --no-flight");
     EXPECT_EQ(told.exit_code, 0) << told.output;
     EXPECT_EQ(told["rank"], 6);

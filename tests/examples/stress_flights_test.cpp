@@ -1,5 +1,6 @@
 // Runs the program stress_flights as a user does: scenarios, output files and options.
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -20,11 +21,13 @@ Outcome fly(const Directory& directory, const std::string& options) {
 
 TEST(StressFlights, EveryScenarioRecoversWithinBounds) {
   const Directory directory("stress_flights");
+  const int count = test_support::quick_or_full(1, 2);
   for (const char* scenario : {"step", "yaw", "knocked", "thrown", "inverted", "random"}) {
-    const Outcome told = fly(directory, std::string("--count 2 --seed 5 --scenario ") + scenario);
+    const Outcome told =
+        fly(directory, "--count " + std::to_string(count) + " --seed 5 --scenario " + scenario);
     ASSERT_EQ(told.exit_code, 0) << told.output;
     EXPECT_EQ(told.figures.at("scenario"), scenario);
-    EXPECT_EQ(told["flights"], 2.0);
+    EXPECT_EQ(told["flights"], count);
     EXPECT_EQ(told["recovered_fraction"], 1.0) << scenario;
     EXPECT_LE(told["worst_bound_ratio"], 1.0) << scenario;
     EXPECT_GT(told["worst_bound_ratio"], 0.1) << scenario;

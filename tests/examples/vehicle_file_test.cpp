@@ -2,6 +2,7 @@
 
 #include "../../examples/support/vehicle_choice.hpp"
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 #include "support/vehicle_files.hpp"
 
@@ -243,7 +244,8 @@ std::string changed_vehicle(const test_support::Directory& directory, const char
   return path;
 }
 
-// A vehicle on legs, one without undercarriage, and one whose servos have a dead time.
+// A vehicle on legs, one without undercarriage, and one whose servos have a dead time. The short
+// form flies only the first in MuJoCo.
 TEST(VehicleFile, ProgramsAcceptVehiclesWithoutWheelsOrWithDeadTime) {
   using tilt_ropter::Vehicle;
   const test_support::Directory directory("vehicle_file");
@@ -264,7 +266,8 @@ TEST(VehicleFile, ProgramsAcceptVehiclesWithoutWheelsOrWithDeadTime) {
         "--vehicle '" + c.path + "' --no-pictures --output '" + directory.file("out") + "' ";
     std::vector<std::string> missions{HYBRID_MISSION_PROGRAM};
 #ifdef MISSION_MUJOCO_PROGRAM
-    missions.emplace_back(MISSION_MUJOCO_PROGRAM);
+    if (&c == &cases.front() || test_support::full_run())
+      missions.emplace_back(MISSION_MUJOCO_PROGRAM);
 #endif
     for (const std::string& program : missions) {
       const auto flight = test_support::run(program, with);

@@ -41,9 +41,9 @@ std::vector<Case> cases(int random_states) {
     all.push_back({"step", Scenario::step, size, quick_or_full(1, 5)});
   all.push_back({"yaw", Scenario::yaw, 180.0, quick_or_full(1, 5)});
   all.push_back({"knocked", Scenario::knocked, examples::usual_size(Scenario::knocked),
-                 quick_or_full(2, 20)});
-  all.push_back({"thrown", Scenario::thrown, 6.0, quick_or_full(2, 20)});
-  all.push_back({"inverted", Scenario::inverted, 180.0, quick_or_full(2, 20)});
+                 quick_or_full(1, 20)});
+  all.push_back({"thrown", Scenario::thrown, 6.0, quick_or_full(1, 20)});
+  all.push_back({"inverted", Scenario::inverted, 180.0, quick_or_full(1, 20)});
   all.push_back({"random", Scenario::random, 1.0, random_states});
   return all;
 }
@@ -104,7 +104,7 @@ double worst_ratio(const Vehicle<4>& vehicle, const StressStart& start, const St
 TEST(WorstTick, EveryFlightRecoversWithinBoundsInBoundedTime) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   double worst = 0.0;
-  const Totals t = fly_all(quick_or_full(10, 1000), [&](const StressStart& start) {
+  const Totals t = fly_all(quick_or_full(5, 1000), [&](const StressStart& start) {
     StressRecord r = examples::fly_stress(vehicle, stress_settings(vehicle), start, 15.0);
     if (r.worst_us() > worst * examples::percentile(r.hover_us, 0.5))
       worst = std::max(worst, worst_ratio(vehicle, start, r));
@@ -142,7 +142,7 @@ TEST(WorstTick, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
       return r;
     }
   };
-  const Totals t = fly_all(quick_or_full(5, 200), fly);
+  const Totals t = fly_all(quick_or_full(3, 200), fly);
   check_at_least(20, "flights that recovered, share", 1.0 * t.recovered / t.flights, 1.0);
   check_at_most(20, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
   // The measured times include interruptions by the machine.
