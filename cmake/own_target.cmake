@@ -54,8 +54,8 @@ function(tilt_ropter_own_target target)
   set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
 endfunction()
 
-# Precompiles `header` for all targets of tilt_ropter_quickly(). `instances` is a source that defines
-# the template instances that the header declares. ARGN: libraries that the header needs.
+# Precompiles `header` for all targets of tilt_ropter_quickly(). For each of `instances` the header
+# has a macro TILT_ROPTER_*_TEST_INSTANCES. ARGN: libraries that the header needs.
 function(tilt_ropter_precompile header instances)
   set(source "${CMAKE_CURRENT_BINARY_DIR}/precompiled.cpp")
   file(GENERATE OUTPUT "${source}" CONTENT "")
@@ -71,10 +71,22 @@ function(tilt_ropter_precompile header instances)
     target_compile_options(precompiled PRIVATE ${how} -fpch-codegen)
     set(read_once "${CMAKE_CURRENT_BINARY_DIR}/CMakeFiles/precompiled.dir/cmake_pch.hxx.pch")
     set(object "${CMAKE_CURRENT_BINARY_DIR}/precompiled.o")
+    separate_arguments(all_flags UNIX_COMMAND "${CMAKE_CXX_FLAGS}")
     add_custom_command(OUTPUT "${object}"
-      COMMAND "${CMAKE_CXX_COMPILER}" ${how} -fPIC -c -o "${object}" "${read_once}"
+      COMMAND "${CMAKE_CXX_COMPILER}" ${all_flags} ${how} -fPIC -c -o "${object}" "${read_once}"
       DEPENDS $<TARGET_OBJECTS:precompiled> VERBATIM)
-    add_library(precompiled_instances OBJECT "${instances}")
+    set(sources)
+    foreach(group IN LISTS instances)
+      set(source "${CMAKE_CURRENT_BINARY_DIR}/precompiled_${group}.cpp")
+      file(GENERATE OUTPUT "${source}" CONTENT
+"#include \"${header}\"
+namespace tilt_ropter {
+TILT_ROPTER_${group}_TEST_INSTANCES()
+}
+")
+      list(APPEND sources "${source}")
+    endforeach()
+    add_library(precompiled_instances OBJECT ${sources})
     tilt_ropter_own_target(precompiled_instances)
     target_link_libraries(precompiled_instances PRIVATE ${ARGN})
     target_compile_options(precompiled_instances PRIVATE ${TILT_ROPTER_QUICKLY} -O1)
@@ -83,9 +95,6 @@ function(tilt_ropter_precompile header instances)
       "${object};$<TARGET_OBJECTS:precompiled_instances>" ${TILT_ROPTER_COMPILED} ${ARGN})
     set_target_properties(precompiled_library PROPERTIES
       LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}")
-    # Flags for checks that only parse a source.
-    set(TILT_ROPTER_READ_ONCE -Xclang -include-pch -Xclang "${read_once}" -Xclang -fno-validate-pch
-      PARENT_SCOPE)
   endif()
 endfunction()
 # Makes a target use the precompiled header. If the code of the header is compiled once, `level` is
