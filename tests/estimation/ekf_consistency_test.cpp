@@ -109,8 +109,8 @@ Consistency consistency(unsigned seed, double marker_position_stddev,
 
 TEST(Ekf, NeesAndNisAreConsistent) {
   const Consistency c = consistency<15>(2000, 0.0, 0.0);
-  test_support::check_at_least(10, "EKF: share of time with NEES in its 95 % band", c.nees, 0.9);
-  test_support::check_at_least(10, "EKF: share of time with NIS in its 95 % band", c.nis, 0.9);
+  test_support::check_at_least(10, "EKF: fraction of time with NEES in its 95 % band", c.nees, 0.9);
+  test_support::check_at_least(10, "EKF: fraction of time with NIS in its 95 % band", c.nis, 0.9);
 }
 
 TEST(Ekf, NeesIsConsistentWithMarkerFrameEstimation) {

@@ -271,7 +271,7 @@ TEST_F(SolveInstances, RandomInstancesConvergeAndReportsMatchRecomputation) {
     EXPECT_LE(result.number(i, "max_defect"), 1e-6) << row.at("id");
     EXPECT_LE(result.number(i, "max_violation"), 1e-6) << row.at("id");
   }
-  test_support::check_at_least(6, "solver: share of wild instances that converge",
+  test_support::check_at_least(6, "solver: fraction of wild instances that converge",
                                static_cast<double>(converged) / count, full ? 0.995 : 0.99);
 
   // The summary must agree. Report and recomputation differ by rounding of one step at most, since

@@ -110,7 +110,7 @@ TEST(WorstTick, EveryFlightRecoversWithinBoundsInBoundedTime) {
       worst = std::max(worst, worst_ratio(vehicle, start, r));
     return r;
   });
-  check_at_least(19, "flights that recovered, share", 1.0 * t.recovered / t.flights, 1.0);
+  check_at_least(19, "flights that recovered, fraction", 1.0 * t.recovered / t.flights, 1.0);
   check_at_most(19, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
   check_at_most(19, "unsolved ticks called solved", t.unsolved_called_solved, 0.0);
   check_at_most(19, "Riccati passes in a tick, besides the first", t.most_passes, 10.0);
@@ -143,10 +143,10 @@ TEST(WorstTick, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
     }
   };
   const Totals t = fly_all(quick_or_full(3, 200), fly);
-  check_at_least(20, "flights that recovered, share", 1.0 * t.recovered / t.flights, 1.0);
+  check_at_least(20, "flights that recovered, fraction", 1.0 * t.recovered / t.flights, 1.0);
   check_at_most(20, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
   // The measured times include interruptions by the machine.
-  check_at_most(20, "share of ticks longer than the limit and a fifth",
+  check_at_most(20, "fraction of ticks longer than the limit and a fifth",
                 static_cast<double>(late) / static_cast<double>(ticks), 2e-3);
 }
 

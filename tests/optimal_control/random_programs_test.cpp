@@ -108,9 +108,9 @@ TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
                               t.worst_difference, 1e-6);
   test_support::check_at_most(23, "residual of solved programs, counted again", t.worst_residual,
                               1e-5);
-  test_support::check_at_least(23, "infeasible programs that say so, share",
+  test_support::check_at_least(23, "infeasible programs that say so, fraction",
                                1.0 * t.infeasible_told / t.infeasible, 0.99);
-  test_support::check_at_most(23, "others called infeasible, share",
+  test_support::check_at_most(23, "others called infeasible, fraction",
                               1.0 * t.feasible_called_infeasible / t.programs, 1e-2);
 }
 
