@@ -11,10 +11,11 @@ warnings as errors, and runs every test. The last lines are the summary. Uses cl
 third of the time of GCC. GCC builds what users build: examples/run.sh, the installed package and
 the benchmarks.
 
-  --full       build with GCC; also run the long forms of the tests (TILT_ROPTER_FULL=1), compile
-               every test and example with clang as C++20, run clang-tidy, build the reference as
-               --docs does, and open the page about a flight in Chromium. Ends with a table of
-               required and measured values. 45 minutes
+  --full       build with GCC; also run the long forms of the tests (TILT_ROPTER_FULL=1), read every
+               test and example with clang as C++20, compile every header with both compilers
+               and measure its time, run clang-tidy on all headers, build the reference as --docs
+               does, and open the page about a flight in Chromium. Ends with a table of required
+               and measured values
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --fuzz SECONDS
