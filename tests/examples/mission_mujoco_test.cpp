@@ -68,7 +68,7 @@ TEST(MissionMujoco, FliesAMissionFromAFile) {
   EXPECT_EQ(run("--mission-file nowhere.json").exit_code, 2);
 }
 
-// Flies seven rotors, of which six tilt; every vehicle file in a full run.
+// Flies seven rotors that do not tilt; every vehicle file in a full run.
 TEST(MissionMujoco, FliesVehiclesOfAnyNumberOfRotors) {
   std::vector<std::string> names = {"hexacopter_with_pusher"};
   if (test_support::full_run()) {
