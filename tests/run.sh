@@ -3,7 +3,7 @@ set -euo pipefail
 
 usage() {
   cat <<'HELP'
-usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize --coverage | --tidy |
+usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
                     --variants | --aarch64 | --docs]
 
 Installs missing Debian packages with apt-get, builds tests and examples into build-tests/ with
@@ -25,8 +25,7 @@ the benchmarks.
   --sanitize   run the tests with ASan and UBSan in build-sanitize/, the programs with threads with
                TSan in build-sanitize-threads/, and some tests of the normal build with valgrind
   --coverage   run the tests and write a table of the lines of include/ that they reach, and the
-               lines as HTML, to build-coverage/report/; fails below 95 %. With --sanitize, one build
-               and one run serve both, in build-sanitize-coverage/
+               lines as HTML, to build-coverage/report/; fails below 95 %
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
                fuzz target. 45 minutes
   --variants   run the tests of the library with other compiler options in build-variants/: for this
@@ -48,16 +47,12 @@ refuse() {  # reason
 }
 
 full=
-sanitize=
-coverage=
 instead=
 fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
     --full) full=1 ;;
-    --sanitize) sanitize=1 ;;
-    --coverage) coverage=1 ;;
-    --benchmark | --tidy | --variants | --aarch64 | --docs)
+    --benchmark | --sanitize | --coverage | --tidy | --variants | --aarch64 | --docs)
       instead=${1#--}
       ;;
     --fuzz)
@@ -93,6 +88,11 @@ test_packages=(clang clang-format libgtest-dev "${benchmark_packages[@]}" libcli
 with_clang=(-DCMAKE_CXX_COMPILER=clang++)
 with_tests=(-DTILT_ROPTER_BUILD_TESTS=ON -DTILT_ROPTER_BUILD_EXAMPLES=ON
   -DTILT_ROPTER_BUILD_BENCHMARKS=OFF)
+# Without NDEBUG, so that the assertions of Eigen stay active.
+instrumented() {  # directory, flags
+  build "$1" "${with_clang[@]}" "${with_tests[@]}" -DTILT_ROPTER_BUILD_QUICKLY=ON \
+    -DCMAKE_CXX_FLAGS_RELEASE= -DCMAKE_CXX_FLAGS="$2"
+}
 # The results of these tests do not depend on how the tests are built.
 sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|format|lengths|parses_bites|readme_.*|without_nlopt)$'
@@ -118,34 +118,19 @@ if [[ $instead == benchmark ]]; then
   exit 0
 fi
 
-if [[ $sanitize || $coverage ]]; then
+if [[ $instead == sanitize ]]; then
   bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" libclang-rt-dev llvm valgrind
-  directory=build
-  debug="-O1 -gline-tables-only -fno-omit-frame-pointer -fno-sanitize-recover=all"
-  flags=$debug
-  if [[ $sanitize ]]; then
-    directory+=-sanitize
-    flags+=" -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow"
-  fi
-  if [[ $coverage ]]; then
-    directory+=-coverage
-    flags+=" -fprofile-instr-generate -fcoverage-mapping"
-    rm -rf $directory/profiles
-  fi
-  # Without NDEBUG, so that the assertions of Eigen stay active. During the build, CMake asks each
-  # test program for its test names; this must write no profile.
-  LLVM_PROFILE_FILE=/dev/null build $directory "${with_clang[@]}" "${with_tests[@]}" \
-    -DTILT_ROPTER_BUILD_QUICKLY=ON -DCMAKE_CXX_FLAGS_RELEASE= -DCMAKE_CXX_FLAGS="$flags"
-  echo "== Running the tests compiled with $flags, two at a time"
+  flags="-O1 -gline-tables-only -fno-omit-frame-pointer -fno-sanitize-recover=all"
+  instrumented build-sanitize \
+    "$flags -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow"
+  echo "== Running the tests under ASan and UBSan, two at a time"
   echo "   without those that only read the sources, and those that fly in real time;"
-  echo "   those that count allocations say that they cannot, as a sanitizer has the heap"
-  LLVM_PROFILE_FILE=$PWD/$directory/profiles/%m.profraw ctest --test-dir $directory \
-    --parallel 2 --output-on-failure --timeout 3600 --exclude-regex "$sources_only|$real_time"
-fi
+  echo "   those that count allocations say that they cannot, as the sanitizers have the heap"
+  ctest --test-dir build-sanitize --parallel 2 --output-on-failure --timeout 3600 \
+    --exclude-regex "$sources_only|$real_time"
 
-if [[ $sanitize ]]; then
   configure build-sanitize-threads "${with_clang[@]}" -DTILT_ROPTER_BUILD_TESTS=OFF \
-    -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$debug -fsanitize=thread"
+    -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS="$flags -fsanitize=thread"
   cmake --build build-sanitize-threads --target monte_carlo reproduce_paper
   echo "== Running monte_carlo and reproduce_paper in three threads under TSan"
   build-sanitize-threads/examples/monte_carlo --count 6 --threads 3 --no-pictures \
@@ -161,9 +146,21 @@ if [[ $sanitize ]]; then
     echo "== Running $test under valgrind"
     valgrind --quiet --error-exitcode=1 build-tests/tests/"$test" --gtest_brief=1
   done
+  exit 0
 fi
-[[ ! $coverage ]] || bash tests/coverage.sh $directory 95
-[[ ! $sanitize && ! $coverage ]] || exit 0
+
+if [[ $instead == coverage ]]; then
+  bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" libclang-rt-dev llvm
+  # During the build, CMake asks each test program for its test names; this must write no profile.
+  LLVM_PROFILE_FILE=/dev/null instrumented build-coverage \
+    "-O1 -fprofile-instr-generate -fcoverage-mapping"
+  rm -rf build-coverage/profiles
+  echo "== Running the tests, two at a time"
+  echo "   without those that only read the sources, and those that fly in real time"
+  LLVM_PROFILE_FILE=$PWD/build-coverage/profiles/%m.profraw ctest --test-dir build-coverage \
+    --parallel 2 --output-on-failure --timeout 3600 --exclude-regex "$sources_only|$real_time"
+  exec bash tests/coverage.sh build-coverage 95
+fi
 
 if [[ $instead == tidy ]]; then
   bash cmake/install_missing.sh "${packages[@]}" "${test_packages[@]}" \
