@@ -94,7 +94,7 @@ instrumented() {  # directory, flags, CMake options
     -DCMAKE_CXX_FLAGS="$2" "${@:3}"
 }
 # The results of these tests do not depend on how the tests are built.
-sources_only='^(header|clang|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
+sources_only='^(header|clang|gcc|reads|docs|packaging)\.|^include_rules|^(comment_program|compiles_bites)$'
 sources_only+='|^(fast_math|format|lengths|parses_bites|readme_.*|without_nlopt)$'
 # These tests fly several programs in real time; instrumented programs are too slow for this.
 real_time='HitlFlight\.(Flies|SurvivesABadLine)|ReproducePaperHitl|DdsFlight'

@@ -98,7 +98,8 @@ struct FiniteCheck {
       load<Width>(numbers + i, packet);
       add(packet);
     }
-    for (; i < count; ++i) add(numbers[i]);
+    // Counted downwards: GCC 12 warns about a loop that counts i upwards from here to `count`.
+    for (Index left = count % Width; left > 0; --left) add(numbers[count - left]);
   }
   [[gnu::always_inline]] inline bool passed() const {
     double sum = single + pairs[0] + pairs[1];
