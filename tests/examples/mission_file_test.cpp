@@ -88,9 +88,10 @@ TEST(MissionFile, OneFileFitsVehiclesOfDifferentHeights) {
   const Undercarriage large{0.3, true, true, true};
   examples::write_mission(hybrid_experiment(*wheels), wheels, path);
   const Mission mission = examples::read_mission(path, large);
-  for (const MissionSegment& segment : mission.segments())
-    if (segment.phase == MissionPhase::ground)
-      EXPECT_NEAR(segment(segment.start_time()).position.z(), 0.3, 1e-12);
+  for (const MissionSegment& segment : mission.segments()) {
+    if (segment.phase != MissionPhase::ground) continue;
+    EXPECT_NEAR(segment(segment.start_time()).position.z(), 0.3, 1e-12);
+  }
 }
 
 TEST(MissionFile, WrittenHybridMissionFliesTheSame) {
