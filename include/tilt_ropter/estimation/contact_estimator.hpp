@@ -141,10 +141,9 @@ class ContactEstimator {
     const double load = lift - air_lift_, rising = rising_of(body);
     const bool near = std::abs(clearance) < settings_.leave_height;
     const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
-    const bool stands = !started_ && near && body.velocity.norm() < 0.1;
     // The velocity of a filter that has just started is uncertain, but such a load is not.
     const bool starts_carried = !started_ && load > settings_.carried_load * weight_;
-    if (stands || starts_carried || (load > enough && rising < 0.1)) {
+    if (starts_carried || (load > enough && rising < 0.1)) {
       estimate_.on_ground = estimate_.ground_known = true;
       unloaded_for_ = 0.0;
       if (!near) estimate_.ground.slope.setZero();
