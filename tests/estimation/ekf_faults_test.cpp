@@ -248,6 +248,26 @@ void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
   EXPECT_LT(e.orientation, 0.03) << seed;
 }
 
+TEST(Ekf, StampsBeyondAnyClockDoNotSetTheClock) {
+  const Flight flight(1);
+  for (const double stamp : {1e300, -1e300, 1e11}) {
+    SCOPED_TRACE(stamp);
+    Random random(2);
+    Ekfd ekf;
+    for (int i = 0; i < 600; ++i) {
+      const double t = imu_period * i;
+      ekf.on_imu(t, flight.imu(t));
+      if (i % 2 != 0) continue;
+      const MarkerPosed pose = noisy(flight.pose(t), {}, random);
+      const bool beyond = i >= 200 && i < 300;
+      EXPECT_EQ(ekf.on_pose(beyond ? stamp : t, pose) == EkfStatus::updated, !beyond && i > 0);
+    }
+    EXPECT_EQ(ekf.clock_step(), 0.0);
+    EXPECT_TRUE(ekf.running());
+    EXPECT_LT(errors(ekf, flight).position, 0.02);
+  }
+}
+
 // Settings at the ends of their ranges. If rounding errors exceed the noise of a pose, the estimate
 // is inaccurate, but it must stay finite.
 template <typename Scalar>

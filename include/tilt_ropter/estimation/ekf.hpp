@@ -200,6 +200,8 @@ class Ekf {
     return unused(status);
   }
   void watch_clock(double lag) noexcept {
+    // Clocks differ by less than 300 years. Larger numbers would leave no digits for the stamps.
+    if (!(std::abs(lag) < 1e10)) return;
     const double clock = stamps_.on_unused(lag, settings_.max_rejections);
     if (clock == 0.0) return;
     clock_step_ += clock;
