@@ -39,7 +39,7 @@ expect() {  # what for, what is seen, what should be
 }
 phases=$(awk -F, 'NR > 1 && $2 != phase { ++count; phase = $2 } NR == 2 { count = 1 }
   END { print count }' "$away/hybrid_mission.csv")
-figures=$(grep -c '^[a-z_0-9]*: ' "$away/figures.txt")
+figures=$(grep -c '^[A-Za-z_0-9]*: ' "$away/figures.txt")
 drawn() {  # plots, scene, answers
   echo "<html lang=\"en\" data-drawn=\"plots $1 scene $2 phases $phases figures $figures\" data-answers=\"$3\">"
 }
