@@ -153,7 +153,7 @@ BENCHMARK_CAPTURE(air, iteration, all)
 BENCHMARK_CAPTURE(air, prepare, in_prepare)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, linearise, in_linearise)->Arg(20)->UseManualTime();
 BENCHMARK_CAPTURE(air, factorise, in_factorise)->Arg(20)->UseManualTime();
-// A few nanoseconds: until they are as long in sum as the others measure, 20 minutes would pass.
+// Some 30 ns per tick: without a number of ticks this would run for 20 minutes.
 BENCHMARK_CAPTURE(air, rows, with_constraints)->Arg(20)->Iterations(20000)->UseManualTime();
 BENCHMARK_CAPTURE(air, feedback, in_feedback)->Arg(20)->UseManualTime();
 BENCHMARK(air_to_convergence)->UseManualTime();

@@ -64,6 +64,7 @@ class Ekf {
   EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept;
 
   /// Processes a pose of the marker frame taken at `time` [s] in motion capture's clock.
+  /// Poses whose stamps are all off by the same time correct the clock, if it is below 1e10 s.
   EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept;
 
   /// Processes any other measurement, taken at `time` [s] in the IMU's clock. `measurement` is
