@@ -248,19 +248,18 @@ void expect_survival(unsigned seed, int calls, const EkfSettings& settings) {
   EXPECT_LT(e.orientation, 0.03) << seed;
 }
 
-TEST(Ekf, StampsBeyondAnyClockDoNotSetTheClock) {
+// The IMU sends one sample with an absurd stamp and is silent for a while. The poses go on.
+TEST(Ekf, StampBeyondAnyClockDoesNotSetTheClock) {
   const Flight flight(1);
   for (const double stamp : {1e300, -1e300, 1e11}) {
     SCOPED_TRACE(stamp);
     Random random(2);
     Ekfd ekf;
-    for (int i = 0; i < 600; ++i) {
+    for (int i = 0; i < 1000; ++i) {
       const double t = imu_period * i;
-      ekf.on_imu(t, flight.imu(t));
-      if (i % 2 != 0) continue;
-      const MarkerPosed pose = noisy(flight.pose(t), {}, random);
-      const bool beyond = i >= 200 && i < 300;
-      EXPECT_EQ(ekf.on_pose(beyond ? stamp : t, pose) == EkfStatus::updated, !beyond && i > 0);
+      if (i <= 200 || i > 240) ekf.on_imu(i == 200 ? stamp : t, flight.imu(t));
+      ekf.on_pose(t, noisy(flight.pose(t), {}, random));
+      ASSERT_TRUE(is_finite(ekf)) << i;
     }
     EXPECT_EQ(ekf.clock_step(), 0.0);
     EXPECT_TRUE(ekf.running());
