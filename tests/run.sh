@@ -27,7 +27,7 @@ the benchmarks.
   --coverage   run the tests and write a table of the lines of include/ that they reach, and the
                lines as HTML, to build-coverage/report/; fails below 95 %
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
-               fuzz target. 45 minutes
+               fuzz target. 35 minutes
   --variants   run the tests of the library with other compiler options in build-variants/: for this
                processor, with -ffast-math, with clang's libc++, and without optimisation. 90
                minutes; 5 minutes for each variant except the last
