@@ -2,7 +2,7 @@
 # fast_math.sh INCLUDE_DIR COMPILER EIGEN_DIR
 # Every header that tests whether a number is finite includes math/finite.hpp, which refuses
 # -ffast-math with a message and accepts it with -fno-finite-math-only. No header and no test uses
-# Eigen's test, which that flag does not save.
+# Eigen's test, which that flag does not save, or multiplies by zero. The check of packets is run.
 set -euo pipefail
 
 tests=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -13,6 +13,10 @@ headers=$(grep -rlE 'isfinite|isnan|is_finite|all_finite' --include='*.hpp' tilt
 test "$(wc -l <<< "$headers")" -gt 10
 if grep -rnE 'allFinite\(\)|hasNaN\(\)' --include='*.[ch]pp' tilt_ropter "$tests" | grep -v '///'; then
   echo "use all_finite() of math/finite.hpp"
+  exit 1
+fi
+if grep -rnE '\* 0\.0\b|\b0\.0 \*' --include='*.hpp' tilt_ropter; then
+  echo "-ffast-math makes zero of 0 * x even if x is NaN: use std::isfinite()"
   exit 1
 fi
 refusing=$(bash "$tests/static/leads_to.sh" . "$finite"; echo "$finite")
@@ -28,3 +32,9 @@ if output=$("${compile[@]}" -E -o /dev/null - <<< "#include <$finite>" 2>&1) ||
   exit 1
 fi
 "${compile[@]}" -w -fsyntax-only -fno-finite-math-only - <<< '#include <tilt_ropter/tilt_ropter.hpp>'
+
+program=$(mktemp)
+trap 'rm -f "$program"' EXIT
+"${compile[@]}" -O2 -fno-finite-math-only "$tests/math/packet_test.cpp" -x none -lgtest_main -lgtest \
+  -pthread -o "$program"
+"$program" --gtest_brief=1

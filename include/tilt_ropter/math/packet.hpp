@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstring>
 #include <type_traits>
 #include <utility>
 
@@ -71,28 +72,40 @@ template <int Width>
 #endif
 }
 
-/// Checks whether all numbers passed to add() are finite.
+/// Checks whether all numbers passed to add() are finite. Tests the exponents, which are all ones
+/// in infinity and NaN, as integers: with -ffast-math, compilers replace 0 * x by 0, even if they
+/// are told that x can be NaN.
 template <int Width>
 struct FiniteCheck {
-  Packet<Width> packets{};
-  Packet<2> pairs{};
-  double single = 0.0;
+  static constexpr unsigned long long exponent = 0x7FF0000000000000, one = 0x0010000000000000,
+                                      sign = 0x8000000000000000;
+  template <int Count>
+  struct BitsType {
+    typedef unsigned long long type [[gnu::vector_size(8 * Count)]];
+  };
+  template <int Count>
+  using Bits = typename BitsType<Count>::type;
 
-  [[gnu::always_inline]] inline void add(const Packet<Width>& numbers) { packets += numbers * 0.0; }
-  [[gnu::always_inline]] inline void add(double number) { single += number * 0.0; }
+  // The sign bit of an entry is set after a number that is not finite.
+  Bits<Width> packets{};
+  Bits<2> pairs{};
+  unsigned long long single = 0;
+
+  [[gnu::always_inline]] inline void add(const Packet<Width>& numbers) {
+    packets |= (reinterpret_cast<Bits<Width>>(numbers) & exponent) + one;
+  }
+  [[gnu::always_inline]] inline void add_pair(const Packet<2>& numbers) {
+    pairs |= (reinterpret_cast<Bits<2>>(numbers) & exponent) + one;
+  }
+  [[gnu::always_inline]] inline void add(double number) {
+    unsigned long long bits;
+    std::memcpy(&bits, &number, sizeof bits);
+    single |= (bits & exponent) + one;
+  }
   template <typename Index>
   [[gnu::always_inline]] inline void add(const double* numbers, Index count) {
-    Packet<Width> sums[4]{};  // each addition to one sum would wait for the last
     Index i = 0;
-    for (; i + 4 * Width <= count; i += 4 * Width) {
 #pragma GCC unroll 4
-      for (int j = 0; j < 4; ++j) {
-        Packet<Width> packet;
-        load<Width>(numbers + i + Width * j, packet);
-        sums[j] += packet * 0.0;
-      }
-    }
-    packets += (sums[0] + sums[1]) + (sums[2] + sums[3]);
     for (; i + Width <= count; i += Width) {
       Packet<Width> packet;
       load<Width>(numbers + i, packet);
@@ -102,10 +115,10 @@ struct FiniteCheck {
     for (Index left = count % Width; left > 0; --left) add(numbers[count - left]);
   }
   [[gnu::always_inline]] inline bool passed() const {
-    double sum = single + pairs[0] + pairs[1];
+    unsigned long long all = single | pairs[0] | pairs[1];
 #pragma GCC unroll 4
-    for (int i = 0; i < Width; ++i) sum += packets[i];
-    return sum == 0.0;  // false for NaN
+    for (int i = 0; i < Width; ++i) all |= packets[i];
+    return (all & sign) == 0;
   }
 };
 
@@ -149,7 +162,8 @@ template <int Width, int Rows, int Columns>
     Packet<2> square[2];
     load<2>(from + Rows * j + i, square[0]);
     load<2>(from + Rows * (j + 1) + i, square[1]);
-    check.pairs += (square[0] + square[1]) * 0.0;
+    check.add_pair(square[0]);
+    check.add_pair(square[1]);
     transpose(square);
     store<2>(to + stride * i + j, square[0]);
     store<2>(to + stride * (i + 1) + j, square[1]);

@@ -94,7 +94,8 @@ class AugmentedLagrangian {
           if (factor == 0.0) continue;
           for (auto b = columns; b != end; ++b) model.lxx()(*b, *a) += factor * H(i, *b);
         }
-        if (added.count == 0) largest += 0.0 * slope;  // NaN if the slope is not finite
+        if (added.count == 0 && !std::isfinite(slope))
+          largest = std::numeric_limits<double>::quiet_NaN();  // no entry of the model shows it
       }
     }
     return largest;
