@@ -23,6 +23,7 @@
 #include <cstddef>
 #include <limits>
 #include <type_traits>
+#include <utility>
 
 /// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
 /// error-state Kalman filter that processes measurements at their time stamps. This header decides
@@ -43,9 +44,10 @@ namespace tilt_ropter {
 /// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
 ///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
 ///   then keeps lean, velocity and biases. If the poses move smoothly along a path of at least
-///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. Positions,
-///   velocities and poses through on_measurement() have the first kind of restart; such a pose must
-///   also agree about the orientation. See detail::Dispute.
+///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. If that estimate
+///   does not last for give_up_time either, it keeps nothing, and doubts the last step of the
+///   poses' clock. Positions, velocities and poses through on_measurement() have the first kind of
+///   restart; such a pose must also agree about the orientation. See detail::Dispute.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -205,10 +207,22 @@ class Ekf {
     if (!(std::abs(lag) < 1e10)) return;
     const double clock = stamps_.on_unused(lag, settings_.max_rejections);
     if (clock == 0.0) return;
+    other_clock_step_ = clock_step_;
     clock_step_ += clock;
     ++counts_.clock_steps;
     queue_.clear();
     pose_dispute().clear();
+  }
+  /// Takes the last step of the poses' clock back, or makes it again, if poses with the lag of this
+  /// one are then in time. This one has the wrong stamp, so the next one starts the filter.
+  void try_other_clock(double lag) noexcept {
+    const double change = other_clock_step_ - clock_step_;
+    if (change == 0.0 || !(std::abs(lag - change) < settings_.max_delay)) return;
+    std::swap(clock_step_, other_clock_step_);
+    stamps_.on_correction(change);
+    queue_.clear();
+    stopped_at_ = -std::numeric_limits<double>::infinity();
+    running_ = false;
   }
   [[nodiscard]] detail::Dispute<Scalar>& pose_dispute() noexcept { return disputes_[0]; }
 
@@ -297,10 +311,11 @@ class Ekf {
   double pose_time_ = 0.0;                           ///< time of the last pose compared
   double received_ = 0.0;                            ///< stamp of the last pose received
   double last_position_ = 0.0;                       ///< time of the last pose used
-  double stopped_at_ = 0.0;                          ///< last time at which the filter ran
-  double behind_time_ = 0.0;                         ///< time of the last late IMU sample
+  double given_up_at_ = 0.0;   ///< time of the last restart after give_up_time
+  double stopped_at_ = 0.0;    ///< last time at which the filter ran
+  double behind_time_ = 0.0;   ///< time of the last late IMU sample
   double behind_since_ = 0.0;  ///< time of the first of consecutive late IMU samples
-  double clock_step_ = 0.0;
+  double clock_step_ = 0.0, other_clock_step_ = 0.0;  ///< in force, and before the last step
   Scalar nis_ = Scalar(0);
   int behind_ = 0;     ///< consecutive late IMU samples
   int confirmed_ = 0;  ///< poses used since the start
@@ -397,6 +412,7 @@ EkfStatus Ekf<Scalar>::set_clock(const Sample& sample) noexcept {
   const double step = behind_since_ - time();
   for (double& last : last_used_) last += step;
   last_position_ += step;
+  given_up_at_ += step;
   queue_.clear();
   for (detail::Dispute<Scalar>& dispute : disputes_) dispute.clear();
   has_pose_ = false;
@@ -596,8 +612,12 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
   const bool again = was_started_;
+  // Poses on a smooth path that the gate refused until the attitude was lost: the velocity or the
+  // biases are wrong.
+  const bool refuted = pose_dispute().refused().smooth() >= settings_.max_rejections;
   detail::start_at_pose(filter_, arrived.pose,
-                        {counts_.used > 0, again, filter_time() - stopped_at_}, settings_);
+                        {counts_.used > 0, again && !refuted, filter_time() - stopped_at_},
+                        settings_);
   confirmed_ = 0;
   stamps_.on_used(arrived.lag);
   return finish(again ? EkfStatus::restarted : EkfStatus::started);
@@ -619,10 +639,14 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
                                refused.smooth() >= std::min(5, settings_.max_rejections);
   const bool given_up = time - last_position_ >= settings_.give_up_time && dispute.is_proven() &&
                         refused.smooth() >= settings_.max_rejections && refused.extent() > 0.3;
+  // If the estimate does not last for give_up_time twice in a row, what was kept is wrong.
+  const bool nothing_held =
+      given_up && !moves_like_imu && last_position_ - given_up_at_ < settings_.give_up_time;
   if (moves_like_imu) {
     detail::relocate(filter_, arrived.pose);
   } else if (start_was_wrong || given_up) {
-    detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0}, settings_);
+    detail::start_at_pose(filter_, arrived.pose, {counts_.used > 0 && !nothing_held}, settings_);
+    if (given_up) given_up_at_ = time;
   } else {
     ++counts_.gated;
     watch_clock(arrived.lag);
@@ -630,7 +654,9 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
   }
   if (!start_was_wrong) dispute.on_restart(filter_.state().position);
   if (!moves_like_imu) confirmed_ = 0;
-  return finish(EkfStatus::restarted);
+  const EkfStatus status = finish(EkfStatus::restarted);
+  if (nothing_held) try_other_clock(arrived.lag);
+  return status;
 }
 
 template <typename Scalar>
@@ -691,10 +717,11 @@ void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
   poses_frozen_ = poses_disputed_ = poses_mistimed_ = doubtful_ = false;
   behind_ = rates_ = confirmed_ = 0;
-  pose_time_ = received_ = last_position_ = stopped_at_ = clock_step_ = behind_time_ =
-      behind_since_ = 0.0;
+  pose_time_ = received_ = last_position_ = stopped_at_ = clock_step_ = other_clock_step_ =
+      behind_time_ = behind_since_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
+  given_up_at_ = -std::numeric_limits<double>::infinity();
   last_used_.fill(-std::numeric_limits<double>::infinity());
   history_.begin({});
   queue_.clear();
@@ -703,8 +730,7 @@ void Ekf<Scalar>::reset() noexcept {
   for (detail::Dispute<Scalar>& dispute : disputes_) dispute.reset();
   angular_acceleration_.setZero();
   InertialState<Scalar> x;
-  x.marker_position = (settings_.marker_position - settings_.imu_position).template cast<Scalar>();
-  x.marker_orientation = settings_.marker_orientation.template cast<Scalar>();
+  detail::set_marker_frame(x, settings_);
   x.gyro_bias = settings_.gyro_bias.template cast<Scalar>();
   x.accelerometer_bias = settings_.accelerometer_bias.template cast<Scalar>();
   filter_.reset(x, ErrorStateFilter<Scalar>::Covariance::Zero());

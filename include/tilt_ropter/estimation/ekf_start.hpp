@@ -40,6 +40,13 @@ void set_variance(Covariance& p, int part, double stddev) noexcept {
   p.diagonal().template segment<3>(part).setConstant(Scalar(stddev * stddev));
 }
 
+/// Sets the marker frame, relative to the IMU, to that of the settings.
+template <typename Scalar>
+void set_marker_frame(InertialState<Scalar>& x, const EkfSettings& settings) noexcept {
+  x.marker_position = (settings.marker_position - settings.imu_position).template cast<Scalar>();
+  x.marker_orientation = settings.marker_orientation.template cast<Scalar>();
+}
+
 /// Sets the variance of the marker frame, relative to the IMU, to that of the settings.
 template <typename Covariance>
 void set_marker_variance(Covariance& p, const EkfSettings& settings) noexcept {
@@ -94,6 +101,7 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
   using I = InertialIndex;
   using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
   InertialState<Scalar> x = filter.state();
+  if (!known.marker_frame) set_marker_frame(x, settings);
   x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
   x.position = pose.position - x.orientation * x.marker_position;
   Covariance p = Covariance::Zero();

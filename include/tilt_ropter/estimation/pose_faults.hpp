@@ -167,6 +167,13 @@ class StampMonitor {
     return strange_lag_ - lag_;
   }
 
+  /// The stamps are corrected by `change` [s] more than before.
+  void on_correction(double change) noexcept {
+    lag_ -= change;
+    strange_ = 0;
+    has_last_ = false;
+  }
+
   void reset() noexcept { *this = StampMonitor(); }
 
  private:
