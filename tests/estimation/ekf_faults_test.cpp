@@ -1,6 +1,8 @@
 // Missing poses, outliers, restarts and arbitrary input.
 
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/ekf_start.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 
 #include "support/check_table.hpp"
 #include "support/ekf_flights.hpp"
@@ -12,6 +14,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include <algorithm>
 #include <cmath>
@@ -305,6 +308,26 @@ TEST(Ekf, StaysFiniteAtTheEndsOfSettingsRanges) {
     expect_finite_at_the_ends<double>(ends);
     expect_finite_at_the_ends<float>(ends);
   }
+}
+
+// A wrong marker frame must not stay with the standard deviation of the settings.
+TEST(Ekf, StartWithoutKnownMarkerFrameTakesThatOfTheSettings) {
+  EkfSettings s;
+  s.imu_position = {0.02, 0.0, -0.01};
+  s.marker_position = {0.1, 0.0, 0.05};
+  s.marker_orientation = quaternion_exp(Eigen::Vector3d(0.0, 0.3, 1.0));
+  s.marker_position_stddev = 0.01;
+  s.marker_orientation_stddev = 0.02;
+  ErrorStateFilter<double> filter(s.imu_noise, s.pose_noise);
+  InertialStated wrong;
+  wrong.marker_position = {9.0, -5.0, 3.0};
+  wrong.marker_orientation = quaternion_exp(Eigen::Vector3d(1.5, 0.0, 0.0));
+  filter.reset(wrong, ErrorStateFilter<double>::Covariance::Identity());
+  detail::start_at_pose(filter, MarkerPosed{{1.0, 2.0, 3.0}, s.marker_orientation}, {}, s);
+  const InertialStated& x = filter.state();
+  EXPECT_LT((x.marker_position - (s.marker_position - s.imu_position)).norm(), 1e-12);
+  EXPECT_LT(x.marker_orientation.angularDistance(s.marker_orientation), 1e-12);
+  EXPECT_LT(x.orientation.angularDistance(Eigen::Quaterniond::Identity()), 1e-12);
 }
 
 // In the last four runs, a filter that kept a wrong velocity, marker frame or step of the clock did
