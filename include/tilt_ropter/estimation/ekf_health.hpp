@@ -40,7 +40,7 @@ struct EkfCounts {
   long gated = 0;
   long unused = 0;       ///< duplicate, late, early, rejected or frozen
   long frozen = 0;       ///< frozen poses among the unused poses
-  long clock_steps = 0;  ///< steps of the poses' clock that were corrected
+  long clock_steps = 0;  ///< corrections of the poses' clock; taking one back does not count
 };
 
 /// Reliability of the estimate, from good to bad. A supervisor acts on it: fly, hold, land by IMU.
