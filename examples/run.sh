@@ -39,7 +39,8 @@ case ${1-} in
 esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann-json3-dev
+# make is for the builds that the READMEs tell the user to do next.
+packages=(g++ cmake make ninja-build libeigen3-dev libnlopt-dev libcli11-dev nlohmann-json3-dev
   gnuplot-nox fonts-dejavu-core libjs-three node-d3)
 if [[ $mujoco ]]; then
   packages+=(libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri ffmpeg)

@@ -67,7 +67,7 @@ while [[ $# -gt 0 ]]; do
   shift
 done
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-packages=(g++ cmake ninja-build libeigen3-dev libnlopt-dev)
+packages=(g++ cmake make ninja-build libeigen3-dev libnlopt-dev)
 
 configure() {  # directory, CMake options
   echo "== Configuring $1/"
