@@ -23,7 +23,6 @@
 #include <cstddef>
 #include <limits>
 #include <type_traits>
-#include <utility>
 
 /// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
 /// error-state Kalman filter that processes measurements at their time stamps. This header decides
@@ -138,7 +137,7 @@ class Ekf {
   /// Measured jitter of the poses' stamps [s], zero if they are regular.
   [[nodiscard]] double stamp_stddev() const noexcept { return stamps_.stddev(); }
   /// Step of the poses' clock that is added to their stamps [s].
-  [[nodiscard]] double clock_step() const noexcept { return clock_step_; }
+  [[nodiscard]] double clock_step() const noexcept { return stamps_.clock_step(); }
 
   /// Restores the state after construction.
   void reset() noexcept;
@@ -203,23 +202,15 @@ class Ekf {
     return unused(status);
   }
   void watch_clock(double lag) noexcept {
-    // Clocks differ by less than 300 years. Larger numbers would leave no digits for the stamps.
-    if (!(std::abs(lag) < 1e10)) return;
-    const double clock = stamps_.on_unused(lag, settings_.max_rejections);
-    if (clock == 0.0) return;
-    other_clock_step_ = clock_step_;
-    clock_step_ += clock;
+    if (!stamps_.on_unused(lag, settings_.max_rejections)) return;
     ++counts_.clock_steps;
     queue_.clear();
     pose_dispute().clear();
   }
-  /// Takes the last step of the poses' clock back, or makes it again, if poses with the lag of this
-  /// one are then in time. This one has the wrong stamp, so the next one starts the filter.
+  /// Doubts the last step of the poses' clock. If the clock changes, the pose with this `lag` had
+  /// the wrong stamp, so the next one starts the filter.
   void try_other_clock(double lag) noexcept {
-    const double change = other_clock_step_ - clock_step_;
-    if (change == 0.0 || !(std::abs(lag - change) < settings_.max_delay)) return;
-    std::swap(clock_step_, other_clock_step_);
-    stamps_.on_correction(change);
+    if (!stamps_.swap_clocks(lag, settings_.max_delay)) return;
     queue_.clear();
     stopped_at_ = -std::numeric_limits<double>::infinity();
     running_ = false;
@@ -315,7 +306,6 @@ class Ekf {
   double stopped_at_ = 0.0;    ///< last time at which the filter ran
   double behind_time_ = 0.0;   ///< time of the last late IMU sample
   double behind_since_ = 0.0;  ///< time of the first of consecutive late IMU samples
-  double clock_step_ = 0.0, other_clock_step_ = 0.0;  ///< in force, and before the last step
   Scalar nis_ = Scalar(0);
   int behind_ = 0;     ///< consecutive late IMU samples
   int confirmed_ = 0;  ///< poses used since the start
@@ -441,7 +431,7 @@ EkfStatus Ekf<Scalar>::on_pose(double time, const MarkerPose<Scalar>& pose) noex
       !(abs(length - Scalar(1)) < Scalar(0.1)))
     return unused(EkfStatus::rejected);
   if (!has_imu_) return unused(EkfStatus::early);
-  const double stamp = time + settings_.clock_offset + clock_step_;
+  const double stamp = time + settings_.clock_offset + clock_step();
   if (counts_.used > 0 && stamp == received_) return unused(EkfStatus::duplicate);
   received_ = stamp;
   poses_frozen_ = repetitions_.repeats(pose);
@@ -717,8 +707,7 @@ void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
   poses_frozen_ = poses_disputed_ = poses_mistimed_ = doubtful_ = false;
   behind_ = rates_ = confirmed_ = 0;
-  pose_time_ = received_ = last_position_ = stopped_at_ = clock_step_ = other_clock_step_ =
-      behind_time_ = behind_since_ = 0.0;
+  pose_time_ = received_ = last_position_ = stopped_at_ = behind_time_ = behind_since_ = 0.0;
   nis_ = Scalar(0);
   counts_ = {};
   given_up_at_ = -std::numeric_limits<double>::infinity();

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 /// Detectors of faulty measurements, for Ekf: repetitions and wrong stamps. Nothing here throws or
 /// allocates.
@@ -92,10 +93,13 @@ const Vector3<Scalar>* vector_of(const Measurement&) noexcept {
   return nullptr;
 }
 
-/// Measures the jitter of stamps of a periodic sensor, and finds steps of its clock.
+/// Measures the jitter of stamps of a periodic sensor, and corrects steps of its clock.
 class StampMonitor {
  public:
-  /// Processes a stamp in the sensor's clock [s].
+  /// Sum of the steps of the sensor's clock [s], to be added to its stamps.
+  [[nodiscard]] double clock_step() const noexcept { return clock_step_; }
+
+  /// Processes a corrected stamp [s].
   void on_stamp(double stamp) noexcept {
     const double step = stamp - last_;
     const bool known = has_last_;
@@ -146,14 +150,16 @@ class StampMonitor {
     strange_ = 0;
   }
 
-  /// Processes the time between stamp and arrival of a measurement that could not be used [s].
-  /// Returns the step of the sensor's clock if `needed` measurements in a row arrived with the same
-  /// strange lag, or zero.
-  [[nodiscard]] double on_unused(double lag, int needed) noexcept {
+  /// Processes the time between stamp and arrival of a measurement that could not be used [s]. If
+  /// `needed` measurements in a row arrived with the same strange lag, the sensor's clock has
+  /// stepped. Then corrects clock_step() and returns true.
+  bool on_unused(double lag, int needed) noexcept {
+    // Clocks differ by less than 300 years. Larger numbers would leave no digits for the stamps.
+    if (!(std::abs(lag) < 1e10)) return false;
     constexpr double same = 0.02, strange = 0.03;  // [s]
     if (used_ == 0 || std::abs(lag - lag_) < strange) {
       strange_ = 0;
-      return 0.0;
+      return false;
     }
     if (strange_ == 0 || std::abs(lag - strange_lag_) > same) {
       strange_ = 0;
@@ -161,17 +167,24 @@ class StampMonitor {
     }
     ++strange_;
     strange_lag_ += (lag - strange_lag_) / static_cast<double>(strange_);
-    if (strange_ < needed) return 0.0;
+    if (strange_ < needed) return false;
+    other_clock_step_ = clock_step_;
+    clock_step_ += strange_lag_ - lag_;
     strange_ = 0;
     has_last_ = false;
-    return strange_lag_ - lag_;
+    return true;
   }
 
-  /// The stamps are corrected by `change` [s] more than before.
-  void on_correction(double change) noexcept {
+  /// Takes the last step of the clock back, or makes it again, if a measurement with this `lag` [s]
+  /// would then be in time. Returns true if clock_step() changed.
+  bool swap_clocks(double lag, double max_delay) noexcept {
+    const double change = other_clock_step_ - clock_step_;
+    if (change == 0.0 || !(std::abs(lag - change) < max_delay)) return false;
+    std::swap(clock_step_, other_clock_step_);
     lag_ -= change;
     strange_ = 0;
     has_last_ = false;
+    return true;
   }
 
   void reset() noexcept { *this = StampMonitor(); }
@@ -181,6 +194,7 @@ class StampMonitor {
 
   double last_ = 0.0, period_ = 0.0, variance_ = 0.0;
   double lag_ = 0.0, strange_lag_ = 0.0, offset_ = 0.0, displaced_by_ = 0.0;
+  double clock_step_ = 0.0, other_clock_step_ = 0.0;  ///< in force, and before the last step
   int displaced_ = 0;
   long steps_ = 0, used_ = 0;
   int strange_ = 0;
