@@ -3,6 +3,7 @@
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <string>
 
@@ -26,7 +27,9 @@ int main(int argc, char** argv) {
   const Allocation allocation(vehicle);
   WrenchObserverd observer(vehicle.body, observer_settings(20.0));
   ContactEstimator contact(vehicle);  // estimates the ground and its force
-  Nmpc nmpc(vehicle);
+  NmpcSettings control = nmpc_settings(vehicle);
+  control.time_limit = HUGE_VAL;  // none, as time is simulated; on a robot, keep the default
+  Nmpc nmpc(vehicle, control);
   const PowerModel power(vehicle);
   AllocationResult<4> sent;
   double worst = 0.0, energy = 0.0;

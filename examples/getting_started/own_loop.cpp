@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/tilt_ropter.hpp>
 
+#include <cmath>
 #include <cstdio>
 #include <string>
 
@@ -18,12 +19,12 @@ int main(int argc, char** argv) {
   Ekfd ekf;                                          // position, velocity, attitude, biases
   WrenchObserverd observer(vehicle.body, observer_settings(20.0));  // external force and torque
   ContactEstimator contact(vehicle);                                // the ground's part of it
-  Nmpc nmpc(vehicle);                                               // the controller
-  const auto reference = [](double) {  // any callable: time -> ReferencePoint
-    ReferencePoint point;
-    point.position << 0.0, 0.0, 1.5;
-    return point;
-  };
+  NmpcSettings settings = nmpc_settings(vehicle);
+  settings.time_limit = HUGE_VAL;  // none, as time is simulated; on a robot, keep the default
+  Nmpc nmpc(vehicle, settings);
+  ReferencePoint hover;
+  hover.position << 0.0, 0.0, 1.5;
+  const auto reference = [&hover](double) { return hover; };  // any callable: time -> point
 
   Plant<4> robot(vehicle);  // your robot and its sensors go here; these are simulated
   ImuSensor imu({}, 1);
@@ -39,7 +40,7 @@ int main(int argc, char** argv) {
       observer.update(m->time, ekf.corrected(*m), allocation.wrench(applied));
     }
     if (const auto m = poses.sample(time, robot.body())) ekf.on_pose(m->time, *m);
-    if (i % 10 == 0 && ekf.running()) {  // not before the first pose, nor without an IMU
+    if (i % 10 == 0 && ekf.running()) {  // it has a pose and an IMU
       const BodyStated state = ekf.take_state();
       contact.update(time, state, observer);
       (void)nmpc.prepare(time, reference, contact.estimate());  // feedback() has the status
@@ -53,7 +54,7 @@ int main(int argc, char** argv) {
                   robot.body().position.z(), observer.external().force.x(),
                   observer.external().force.y(), observer.external().force.z());
   }
-  const double error = (robot.body().position - reference(0.0).position).norm();
+  const double error = (robot.body().position - hover.position).norm();
   std::printf("position error %.4f m\n", error);
   return error < 0.02 ? 0 : 1;
 }
