@@ -28,6 +28,7 @@
 /// error-state Kalman filter that processes measurements at their time stamps. This header decides
 /// which measurement is used and when; the headers that it includes contain the computations. It is
 /// long because these decisions share one queue, one history and one state, so they are one class.
+/// The mounting of the IMU and the check of its clock are here too: only this class uses them.
 namespace tilt_ropter {
 
 /// Error-state Kalman filter for delayed measurements. The filter is at the time of the last

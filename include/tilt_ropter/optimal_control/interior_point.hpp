@@ -34,7 +34,8 @@ namespace tilt_ropter::optimal_control {
 ///
 /// This header is long because the steps of an iteration work on the same eighteen vectors, with
 /// one number for each side of each bounded constraint. The steps are listed in the order in which
-/// they run.
+/// they run. Some need only these vectors and not the program. No other method uses these steps, so
+/// they are not a class of their own.
 template <int States, int Inputs, int Constraints, typename Pattern>
 class InteriorPoint {
  public:
