@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
-# Measures the compile time of a program that uses Nmpc, as a multiple of a program that includes
-# only Eigen/Dense, and the memory of the compiler (check 27): header-only, with -g, and with the
+# The compile cost of a program that uses Nmpc, as a multiple of a program that includes only
+# Eigen/Dense, and the memory of the compiler (check 27): header-only, with -g, and with the
 # instances of tilt_ropter::compiled. Uses -O2, as a Release build of a user may do.
 #
-# usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full]
-# `full` also measures -g.
+# usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full | count [FLAG...]]
+# Measures processor time; `full` also measures -g. `count` measures no time: it counts the bytes
+# that GCC allocates while it compiles, which are the same on a busy machine and grow with what it
+# parses, instantiates and optimises. It also counts those of the umbrella header, and compiles with
+# the flags, which may make warnings errors.
 set -euo pipefail
-compiler=$1 include=$2 eigen=$3 form=${4-}
+compiler=$1 include=$2 eigen=$3 form=${4-} flags=("${@:5}")
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
@@ -25,6 +28,30 @@ int main() {
 CPP
 
 sed 's|control/nmpc.hpp|compiled.hpp|' "$away/nmpc.cpp" > "$away/compiled.cpp"
+
+if [[ $form == count ]]; then
+  echo '#include <tilt_ropter/tilt_ropter.hpp>' > "$away/umbrella.cpp"
+  count() {  # source: sets `bytes` [MB] and `peak` [MB] of the compiler
+    /usr/bin/time -f 'peak %M' "$compiler" -std=c++17 -O2 -ftime-report "${flags[@]}" \
+      -I "$include" -isystem "$eigen" -c "$away/$1.cpp" -o /dev/null 2> "$away/report" ||
+      { cat "$away/report" >&2; exit 1; }
+    bytes=$(awk '/^ *TOTAL/ { n = $NF + 0; u = substr($NF, length($NF))
+      print u == "k" ? n / 1024 : u == "G" ? 1024 * n : n }' "$away/report")
+    peak=$(awk '$1 == "peak" { print int($2 / 1024) }' "$away/report")
+  }
+  count eigen
+  unit=$bytes result=0
+  for limit in umbrella:3.2 compiled:3.0 nmpc:5.9; do
+    count "${limit%:*}"
+    awk -v name="${limit%:*}" -v most="${limit#*:}" -v bytes="$bytes" -v unit="$unit" \
+      -v peak="$peak" -v most_peak=$most_megabytes 'BEGIN {
+        printf "%s: %d MB, %.2f times Eigen/Dense, at most %s; peak %d MB, at most %d\n", \
+          name, bytes, bytes / unit, most, peak, most_peak
+        exit !(bytes > 0 && unit > 0 && bytes <= most * unit && peak > 0 && peak <= most_peak) }' ||
+      result=1
+  done
+  exit $result
+fi
 
 cost() {  # source, flags: processor time [s] and memory [MB]
   /usr/bin/time -f '%U %S %M' -o "$away/cost" "$compiler" -std=c++17 -O2 "${@:2}" \
