@@ -137,8 +137,9 @@ struct StressRecord {
   double worst_solved = 0.0;       ///< largest recomputed residual of a tick with the status solved
   /// Number of ticks with the status solved and a residual above the limit.
   int unsolved_called_solved = 0;
-  /// Numbers of approximate and failed ticks; largest number of Riccati passes in a tick.
-  int approximate = 0, failures = 0, most_passes = 0;
+  int approximate = 0, failures = 0;  ///< numbers of approximate and failed ticks
+  /// Most Riccati passes, rounds of NLopt and gradient evaluations by NLopt in a tick.
+  int most_passes = 0, most_rounds = 0, most_evaluations = 0;
   /// Processor time of ticks before and after the disturbance [us].
   std::vector<double> hover_us, tick_us;
   std::vector<StressSample> samples;  ///< ten samples per second
@@ -325,6 +326,8 @@ template <template <int> class Level, int Rotors, typename Settings>
       ++record.failures;
     }
     record.most_passes = std::max(record.most_passes, result.report.passes);
+    record.most_rounds = std::max(record.most_rounds, result.report.rounds);
+    record.most_evaluations = std::max(record.most_evaluations, result.report.evaluations);
     record.worst_bound_ratio = std::max(record.worst_bound_ratio, control.largest_bound_ratio());
     control.command_result(time);
     actuators.update(time, control.command());

@@ -62,6 +62,8 @@ class DualMethod {
   [[nodiscard]] int capacity() const { return capacity_; }
   [[nodiscard]] bool late() const { return dual_.late(); }  ///< the deadline has passed
   [[nodiscard]] int rounds() const { return rounds_; }      ///< rounds of the last solve()
+  /// Gradient evaluations by NLopt since construction.
+  [[nodiscard]] long evaluations() const { return dual_.evaluations(); }
 
   /// Builds the first working set and computes its gradients. Requires the factorisation of
   /// `program` without terms. Returns false if the working set has more than capacity()

@@ -421,6 +421,7 @@ class MultipleShooting {
     if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();
+    report_.evaluations = program_.evaluations();
     report_.program_residual = program_.residual();
     if (status == ProgramStatus::failed) return SolveStatus::failed;
     report_.active_constraints = static_cast<int>(program_.active().size());

@@ -91,6 +91,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   ProgramStatus solve(const Tangent& dx0, std::optional<SolverClock::time_point> deadline = {}) {
     deadline_ = deadline;
     late_ = false;
+    rounds_ = 0;
+    evaluations_before_ = dual_.evaluations();
     if (!goes_on_) {
       passes_ = 0;
       solve_by_method(dx0);
@@ -156,8 +158,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   [[nodiscard]] bool late() const { return late_; }  ///< the last solve() ended at the deadline
   /// Passes of the last solve() and of the solves that it continued, without the pass of prepare().
   [[nodiscard]] int passes() const { return passes_; }
-  /// Rounds of the working set in the dual method.
-  [[nodiscard]] int rounds() const { return dual_.rounds(); }
+  /// Rounds of the working set in the dual method, zero if the last solve() did not use it.
+  [[nodiscard]] int rounds() const { return rounds_; }
+  /// Gradient evaluations by NLopt in the last solve().
+  [[nodiscard]] int evaluations() const {
+    return static_cast<int>(dual_.evaluations() - evaluations_before_);
+  }
 
  private:
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
@@ -185,6 +191,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     if (by_dual_) {
       using Outcome = typename DualMethod<States, Inputs, Constraints, Pattern>::Outcome;
       const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
+      rounds_ = dual_.rounds();
       if (outcome == Outcome::solved && solved()) return;
       if (settings_.method == ProgramMethod::dual) {
         late_ = dual_.late();
@@ -374,7 +381,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   // in the last prepare().
   SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
-  int passes_ = 0;
+  int passes_ = 0, rounds_ = 0;
+  long evaluations_before_ = 0;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
   bool unsolved_ = false;  // the last program was interrupted: its multipliers are a bad guess
