@@ -5,6 +5,8 @@ if(TILT_ROPTER_WERROR)
   list(APPEND TILT_ROPTER_WARNINGS -Werror)
 endif()
 
+set(TILT_ROPTER_STANDARD 17 CACHE STRING "C++ standard of our own programs: 17 or 20")
+
 # Optional: compile for this processor. All files of a program must be compiled for the same
 # processor, because it determines the memory layout of matrices in Eigen.
 set(TILT_ROPTER_PROCESSOR)
@@ -51,7 +53,8 @@ endif()
 function(tilt_ropter_own_target target)
   target_link_libraries(${target} PRIVATE ${TILT_ROPTER_COMPILED})
   target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
-  set_target_properties(${target} PROPERTIES CXX_STANDARD 17 CXX_EXTENSIONS OFF)
+  set_target_properties(${target} PROPERTIES
+    CXX_STANDARD ${TILT_ROPTER_STANDARD} CXX_EXTENSIONS OFF)
 endfunction()
 
 # Precompiles `header` for all targets of tilt_ropter_quickly(). For each of `instances` the header

@@ -1,0 +1,56 @@
+# The builds of tests/run.sh, by name. One of them by hand:
+#   cmake -DPRESET=plain -C cmake/presets.cmake -S . -B build-tests -G Ninja
+# (CMake would read a CMakePresets.json only from the top folder.)
+cmake_policy(SET CMP0057 NEW)  # IN_LIST
+
+macro(set_all)
+  foreach(entry IN ITEMS ${ARGN})
+    string(REGEX MATCH "^([^=]*)=(.*)$" _ "${entry}")
+    set(${CMAKE_MATCH_1} "${CMAKE_MATCH_2}" CACHE STRING "from cmake/presets.cmake")
+  endforeach()
+endmacro()
+
+# Compiled quickly by clang, where nothing else is said; without examples: the library alone.
+set(clang CMAKE_CXX_COMPILER=clang++)
+set(quick ${clang} TILT_ROPTER_BUILD_QUICKLY=ON)
+set(library TILT_ROPTER_BUILD_TESTS=ON TILT_ROPTER_BUILD_EXAMPLES=OFF)
+set(programs TILT_ROPTER_BUILD_TESTS=OFF TILT_ROPTER_BUILD_EXAMPLES=ON)
+set(everything TILT_ROPTER_BUILD_TESTS=ON TILT_ROPTER_BUILD_EXAMPLES=ON)
+set(nothing TILT_ROPTER_BUILD_TESTS=OFF TILT_ROPTER_BUILD_EXAMPLES=OFF)
+set(debuggable "-O1 -gline-tables-only -fno-omit-frame-pointer -fno-sanitize-recover=all")
+set(variant ${quick} ${library} CMAKE_BUILD_TYPE=None)
+
+set(plain ${quick} ${everything})
+set(full ${everything} CMAKE_CXX_COMPILER=g++ TILT_ROPTER_FULL_TESTS=ON)
+# Without NDEBUG, so that the assertions of Eigen stay active.
+set(sanitize ${quick} ${everything} CMAKE_CXX_FLAGS_RELEASE= "CMAKE_CXX_FLAGS=${debuggable}\
+ -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow")
+set(sanitize_threads ${clang} ${programs} CMAKE_BUILD_TYPE=None
+  "CMAKE_CXX_FLAGS=${debuggable} -fsanitize=thread")
+# Without the shared code of TILT_ROPTER_BUILD_QUICKLY, of which clang counts only a part of the
+# lines.
+set(coverage ${clang} ${library} CMAKE_BUILD_TYPE=None
+  "CMAKE_CXX_FLAGS=-O1 -fprofile-instr-generate -fcoverage-mapping")
+# Read as C++20. GCC compiles everything as C++17 in the full run.
+set(tidy ${clang} ${everything} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_BUILD_FUZZERS=ON
+  TILT_ROPTER_STANDARD=20 CMAKE_EXPORT_COMPILE_COMMANDS=ON)
+set(native ${variant} "CMAKE_CXX_FLAGS=-O3 -march=native")
+set(fast_math ${variant} "CMAKE_CXX_FLAGS=-O2 -ffast-math -fno-finite-math-only")
+set(libcxx ${variant} "CMAKE_CXX_FLAGS=-O1 -stdlib=libc++"
+  TILT_ROPTER_GTEST_SOURCE=/usr/src/googletest)
+set(unoptimised ${variant} CMAKE_CXX_FLAGS=-O0)
+set(for_aarch64 CMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake
+  CMAKE_PREFIX_PATH=${CMAKE_SOURCE_DIR}/build-aarch64/sysroot/usr)
+set(aarch64 ${library} ${for_aarch64} TILT_ROPTER_BUILD_QUICKLY=ON)
+set(mission ${programs} CMAKE_CXX_COMPILER=g++)
+set(mission_aarch64 ${programs} ${for_aarch64})
+set(benchmark ${nothing} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_NATIVE=ON)
+set(fuzz ${clang} ${nothing} CMAKE_BUILD_TYPE=None TILT_ROPTER_BUILD_FUZZERS=ON)
+
+set(presets aarch64 benchmark coverage fast_math full fuzz libcxx mission mission_aarch64 native
+  plain sanitize sanitize_threads tidy unoptimised)
+if(NOT PRESET IN_LIST presets)
+  message(FATAL_ERROR "PRESET = ${PRESET}: must be one of ${presets}")
+endif()
+set_all(${${PRESET}})
+set_all(CMAKE_BUILD_TYPE=Release TILT_ROPTER_WERROR=ON)  # where the preset says nothing else
