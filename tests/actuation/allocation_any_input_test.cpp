@@ -1,4 +1,5 @@
 // Any input gives a finite command within limits, or is rejected.
+// CTest: optimised
 
 #include <tilt_ropter/actuation/allocation.hpp>
 

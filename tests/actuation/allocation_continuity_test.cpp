@@ -1,4 +1,5 @@
 // Thrusts and tilt angles change without jumps, and arms with small thrust turn slowly.
+// CTest: optimised
 
 #include <tilt_ropter/actuation/allocation.hpp>
 

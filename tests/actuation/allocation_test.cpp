@@ -1,4 +1,5 @@
 // The result is exact where the wrench is reachable and reports what is lost where it is not.
+// CTest: optimised
 
 #include <tilt_ropter/actuation/allocation.hpp>
 

@@ -1,3 +1,5 @@
+// CTest: optimised
+
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/thrust_search.hpp>
 

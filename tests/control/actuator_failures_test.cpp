@@ -1,3 +1,5 @@
+// CTest: flight
+
 #include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/transition.hpp>

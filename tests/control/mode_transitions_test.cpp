@@ -1,3 +1,5 @@
+// CTest: flight
+
 #include "support/mode_transitions.hpp"
 
 #include <tilt_ropter/simulation/plant.hpp>

@@ -1,5 +1,6 @@
 // The position of the world's origin does not change a flight. Height zero has no special meaning;
 // only the height of the ground matters.
+// CTest: flight
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>

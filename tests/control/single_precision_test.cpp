@@ -1,5 +1,6 @@
 // Model and estimation in single precision, as on a microcontroller, in closed loop with NMPC and
 // plant.
+// CTest: optimised
 
 #include "support/simulated_time.hpp"
 

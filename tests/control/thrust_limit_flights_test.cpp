@@ -1,6 +1,7 @@
 // Vehicles with little more thrust than their weight fly far steps with every thrust at its limit.
 // Without the curvature of limits and directions in the Hessian (add_curvature() of the problems),
 // the plans of a quarter of these flights diverge until the vehicle falls.
+// CTest: flight
 
 #include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/control/nmpc.hpp>

@@ -1,3 +1,5 @@
+// CTest: optimised
+
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 
 #include "support/autodiff.hpp"

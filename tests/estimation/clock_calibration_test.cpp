@@ -1,3 +1,5 @@
+// CTest: optimised
+
 #include <tilt_ropter/estimation/clock_calibration.hpp>
 
 #include "support/flights.hpp"

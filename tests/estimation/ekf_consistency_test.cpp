@@ -1,4 +1,5 @@
 // The errors of the estimate are as large as its covariance says, and they converge.
+// CTest: optimised
 
 #include <tilt_ropter/estimation/ekf.hpp>
 

@@ -1,4 +1,5 @@
 // Missing poses, outliers, restarts and arbitrary input.
+// CTest: optimised
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/ekf_start.hpp>

@@ -1,4 +1,5 @@
 // Accuracy of the fit and of its confidence intervals, with and without noise.
+// CTest: optimised
 
 #include <tilt_ropter/estimation/servo_identification.hpp>
 

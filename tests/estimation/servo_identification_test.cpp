@@ -1,4 +1,5 @@
 // Which logs and settings are accepted and which are rejected, and why.
+// CTest: optimised
 
 #include <tilt_ropter/estimation/servo_identification.hpp>
 

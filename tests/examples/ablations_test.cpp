@@ -1,4 +1,5 @@
 // Each ablation of reproduce_paper is seen to act, in a short flight.
+// CTest: flight
 
 #include "../../examples/paper/ablations.hpp"
 

@@ -1,6 +1,7 @@
 // Runs hybrid_mission with an actuator that fails at 4 m. The controller has to find the failure,
 // with the noise of all sensors and a model that is wrong by 3 % of the mass and 10 % of the
 // inertia, and to land without the actuator.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

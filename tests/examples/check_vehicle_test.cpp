@@ -1,4 +1,5 @@
 // Runs the program check_vehicle as a user does.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

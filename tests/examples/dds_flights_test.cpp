@@ -1,5 +1,6 @@
 // The nodes as programs of their own: they fly a simulated vehicle in real time over DDS, on the
 // loopback interface.
+// CTest: real_time dds
 
 #include "../../examples/integrations/messages.hpp"
 #include "../../examples/integrations/node.hpp"

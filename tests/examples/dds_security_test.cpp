@@ -1,6 +1,7 @@
 // DDS Security with the certificates of examples/integrations/security.sh, over DDS on the loopback
 // interface: a stranger without a certificate, or with one of another authority, hears nothing and
 // commands nothing.
+// CTest: dds
 
 #include "../../examples/integrations/messages.hpp"
 #include "support/dds_on_loopback.hpp"

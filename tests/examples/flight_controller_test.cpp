@@ -1,4 +1,5 @@
 // What the parts of the control loop on board are worth: each is taken away in a short flight.
+// CTest: flight
 
 #include "../../examples/support/flight_controller.hpp"
 

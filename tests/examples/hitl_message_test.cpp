@@ -1,4 +1,5 @@
 // Hardware in the loop: contents of messages.
+// CTest: dds
 
 #include "../../examples/hitl/message.hpp"
 

@@ -1,5 +1,6 @@
 // Hardware in the loop: the bad line, silence, and flights of the three programs over DDS on the
 // loopback interface.
+// CTest: real_time dds
 
 #include "../../examples/hitl/link.hpp"
 #include "../../examples/hitl/message.hpp"

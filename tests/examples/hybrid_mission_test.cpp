@@ -1,4 +1,5 @@
 // Runs the program hybrid_mission as a user does and checks the figures that it prints.
+// CTest: flight one_process
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

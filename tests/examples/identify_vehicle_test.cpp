@@ -1,4 +1,5 @@
 // Runs hybrid_mission --excite and identify_vehicle as a user does.
+// CTest: flight one_process
 
 #include "support/program.hpp"
 

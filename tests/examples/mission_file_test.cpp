@@ -1,4 +1,5 @@
 // Missions in JSON files: what is written is flown again, what is wrong is named.
+// CTest: flight
 
 #include "../../examples/support/mission_file.hpp"
 #include "support/program.hpp"

@@ -1,4 +1,5 @@
 // Runs the program mission_mujoco as a user does.
+// CTest: flight one_process mujoco
 
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"

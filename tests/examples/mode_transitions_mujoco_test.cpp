@@ -1,3 +1,5 @@
+// CTest: flight mujoco
+
 #include "../../examples/mujoco/plant.hpp"
 #include "support/mode_transitions.hpp"
 

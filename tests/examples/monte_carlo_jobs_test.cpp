@@ -1,5 +1,6 @@
 // Scripts that spread a run of monte_carlo over jobs, with GNU parallel or Slurm: a job that is
 // killed is continued, and the result is that of one run to the bit.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/monte_carlo_runs.hpp"

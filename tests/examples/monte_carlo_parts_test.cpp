@@ -1,5 +1,6 @@
 // Runs of monte_carlo that are interrupted, continued, spread over jobs and merged: no vehicle is
 // lost or flown twice, and the result is that of one run to the bit. With any vehicle.
+// CTest: flight one_process
 
 #include "support/full_run.hpp"
 #include "support/monte_carlo_runs.hpp"

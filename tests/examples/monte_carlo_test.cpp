@@ -1,4 +1,5 @@
 // Runs the program monte_carlo as a user does. A full run flies a thousand vehicles.
+// CTest: flight
 
 #include "../../examples/support/flight_table.hpp"
 #include "support/check_table.hpp"

@@ -1,3 +1,5 @@
+// CTest: flight
+
 #include "../../examples/support/paper_switches.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>

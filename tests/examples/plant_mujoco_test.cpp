@@ -1,4 +1,5 @@
 // Compares the MuJoCo model of the vehicle with the parameters of the vehicle and with our plant.
+// CTest: mujoco
 
 #include "../../examples/mujoco/plant.hpp"
 #include "support/program.hpp"

@@ -1,4 +1,5 @@
 // The PX4 node in flight in simulated time: its messages go directly to a simulated vehicle.
+// CTest: dds
 
 #include "../../examples/integrations/px4_node.hpp"
 #include "../../examples/integrations/px4_topics.hpp"

@@ -1,4 +1,5 @@
 // Runs reproduce_paper with hardware in the loop, in real time.
+// CTest: real_time dds
 
 #include "support/dds_on_loopback.hpp"
 #include "support/full_run.hpp"

@@ -1,4 +1,5 @@
 // Runs the program reproduce_paper as a user does, and checks its tables against its logs.
+// CTest: flight
 
 #include "../../examples/paper/control_diagram.hpp"
 #include "../../examples/paper/frames_drawing.hpp"

@@ -1,4 +1,5 @@
 // The ROS 2 node in flight in simulated time: its messages go directly to a simulated vehicle.
+// CTest: dds
 
 #include "../../examples/integrations/ros2_node.hpp"
 #include "support/program.hpp"

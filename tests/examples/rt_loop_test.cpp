@@ -1,4 +1,5 @@
 // Runs the program rt_loop as a user does.
+// CTest: real_time
 
 #include "support/program.hpp"
 #include "support/sanitizer.hpp"

@@ -1,5 +1,6 @@
 // The loop of the missions with sensors that lie (tests/README.md, check 25): the vehicle stays
 // near its reference where the IMU is good, and lands where the position is lost.
+// CTest: flight
 
 #include "../../examples/support/fault_option.hpp"
 #include "../../examples/support/flight_controller.hpp"

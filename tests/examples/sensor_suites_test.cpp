@@ -1,5 +1,6 @@
 // hybrid_mission with each set of sensors, and with faults of them. What is lost in the air ends in
 // a level landing, from any height. What comes back is used again.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

@@ -1,4 +1,5 @@
 // Runs the program step_responses as a user does and checks the effect of tuning.
+// CTest: flight
 
 #include "support/program.hpp"
 

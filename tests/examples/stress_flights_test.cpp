@@ -1,4 +1,5 @@
 // Runs the program stress_flights as a user does: scenarios, output files and options.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

@@ -1,4 +1,5 @@
 // Vehicle files are read and written without loss, and their vehicles fly without tuning.
+// CTest: flight
 
 #include "../../examples/support/vehicle_choice.hpp"
 

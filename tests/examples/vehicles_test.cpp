@@ -1,5 +1,6 @@
 // Flies the vehicles of examples/vehicles as a user does: at the level that suits them, with
 // default weights.
+// CTest: flight
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

@@ -1,3 +1,5 @@
+// CTest: optimised
+
 #include <tilt_ropter/model/propeller_clearance.hpp>
 
 #include <gtest/gtest.h>

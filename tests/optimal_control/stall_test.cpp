@@ -1,4 +1,5 @@
 // Problems on which an earlier solve() cycled forever: a prescribed terminal state, from far away.
+// CTest: optimised
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
