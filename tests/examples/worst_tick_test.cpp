@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <vector>
 
 namespace tilt_ropter {
 namespace {
@@ -64,8 +65,9 @@ class Counting : public examples::WrenchLevel<Rotors> {
   long before_ = 0;
 };
 
-// A clock that advances by a microsecond whenever it is read makes the limit a number of readings.
-// The solver reads it before and after every pass, so the limit leaves two passes at most.
+// A clock that advances by a microsecond whenever it is read makes the limit a number of readings:
+// three for each pass, so that the limit leaves time for two passes. The readings after the last
+// pass that fits take as long as two passes.
 TEST(WorstTick, EveryFlightRecoversWithALimitOfTwoPasses) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const auto hover = examples::stress_start(examples::Scenario::step, 0.1, 10.0, 1, 0);
@@ -76,7 +78,7 @@ TEST(WorstTick, EveryFlightRecoversWithALimitOfTwoPasses) {
   int most = 0, late = 0;
   const test_support::Totals t =
       test_support::fly_all(quick_or_full(3, 200), [&](const examples::StressStart& start) {
-        const StressRecord r = examples::fly_stress<Counting>(
+        const examples::StressRecord r = examples::fly_stress<Counting>(
             vehicle, stress_settings(vehicle, 1e-6 * limit), start, 15.0);
         for (const int readings : Counting<4>::readings) most = std::max(most, readings);
         late += Counting<4>::late;
@@ -84,7 +86,7 @@ TEST(WorstTick, EveryFlightRecoversWithALimitOfTwoPasses) {
       });
   check_at_least(20, "flights that recovered, fraction, of a limit in readings of the clock",
                  1.0 * t.recovered / t.flights, 1.0);
-  check_at_most(20, "readings of the clock in a tick over the limit", 1.0 * most / limit, 1.2);
+  check_at_most(20, "readings of the clock in a tick beyond the limit", most - limit, 6.0);
   EXPECT_LE(t.worst_bound_ratio, 1.0);
   EXPECT_GT(late, 10);  // or the limit says nothing
 }

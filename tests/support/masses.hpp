@@ -87,9 +87,9 @@ struct MeanWork {
   double active = 0.0, passes = 0.0;
 };
 
-/// Runs `count` iterations: measure(iterate) calls iterate(). If `flips` is true, the target changes
-/// its sign in every iteration, which is the worst case for warm starts. Otherwise the target is
-/// nearly constant.
+/// Runs `count` iterations: measure(iterate) calls iterate(). If `flips` is true, the target
+/// changes its sign in every iteration, which is the worst case for warm starts. Otherwise the
+/// target is nearly constant.
 template <typename Measure>
 MeanWork iterate_masses(int horizon, bool flips, int count, const Measure& measure) {
   using namespace tilt_ropter::optimal_control;
