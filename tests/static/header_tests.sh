@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# header_tests.sh SOURCE_DIR
+# Checks that every header of the library has a test file of its name, or a line in the table of
+# CONTRIBUTING.md that names the tests that hold it, and that these exist.
+set -euo pipefail
+shopt -s inherit_errexit
+
+cd "$1"
+table=$(grep -E '^\| `[a-z_]+/[a-z_]+`' .github/CONTRIBUTING.md)
+result=0
+say() {
+  echo "$1"
+  result=1
+}
+for header in $(find include/tilt_ropter -mindepth 2 -name '*.hpp' | LC_ALL=C sort); do
+  name=$(basename "$header" .hpp)
+  own=$(find tests -name "${name}_test.cpp" -o -name "${name}_*_test.cpp")
+  line=$(grep -cF "\`$(basename "$(dirname "$header")")/$name\`" <<< "$table" || true)
+  [[ $own || $line != 0 ]] || say "$header: no test of its name, and no line in CONTRIBUTING.md"
+done
+for name in $(cut -d '|' -f 2 <<< "$table" | grep -oE '[a-z_]+/[a-z_]+'); do
+  [[ -e include/tilt_ropter/$name.hpp ]] || say "CONTRIBUTING.md: no header $name.hpp"
+done
+for test in $(cut -d '|' -f 3 <<< "$table" | grep -oE '[a-z_/.]+'); do
+  [[ $test == *.sh && -e tests/$test || -n $(find tests -name "$test.cpp") ]] ||
+    say "CONTRIBUTING.md: no test $test"
+done
+exit $result
