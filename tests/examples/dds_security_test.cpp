@@ -6,12 +6,15 @@
 #include "../../examples/integrations/messages.hpp"
 #include "support/dds_on_loopback.hpp"
 #include "support/program.hpp"
+#include "support/wait_until.hpp"
 
 #include <gtest/gtest.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <chrono>
+#include <csignal>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
@@ -41,6 +44,7 @@ class Talker {
       : heard_(directory.file(name + ".heard")), said_(directory.file(name + ".said")) {
     pid_ = fork();
     if (pid_ != 0) return;
+    prctl(PR_SET_PDEATHSIG, SIGKILL);  // it does not outlive a test that crashes
     int code = 1;
     try {
       if (std::freopen(said_.c_str(), "w", stderr) != nullptr)  // Cyclone reports strangers
@@ -88,8 +92,7 @@ class Talker {
     message.header.frame_id = sender.data();
     Names names;
     std::ofstream out(heard_);
-    // The number of turns limits the life of a process whose parent has crashed.
-    for (int i = 0; i < 3000 && !std::filesystem::exists(end); ++i) {
+    while (!std::filesystem::exists(end)) {
       publisher.publish(message);
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
       subscriber.take([&](const PoseStamped& m) {
@@ -140,8 +143,10 @@ TEST(DdsSecurity, StrangersHearAndCommandNothing) {
       if (talker.heard().empty()) return false;
     return true;
   };
-  for (int i = 0; i < 200 && !all_hear(); ++i)
-    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  EXPECT_TRUE(test_support::wait_until([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    return all_hear();
+  }));
   std::this_thread::sleep_for(std::chrono::seconds(1));  // for what must not arrive
   directory.write("end", "");
   for (std::size_t i = 0; i < talkers.size(); ++i) {

@@ -6,6 +6,7 @@
 #include "support/monte_carlo_runs.hpp"
 #include "support/program.hpp"
 #include "support/vehicle_files.hpp"
+#include "support/wait_until.hpp"
 
 #include <gtest/gtest.h>
 
@@ -80,11 +81,11 @@ void expect_script_continues(const std::string& name, const std::string& kill_on
   Outcome interrupted;
   std::thread script([&] { interrupted = run_script(); });
   const std::string part = output + "/parts/25/monte_carlo.csv";
-  for (int i = 0; i < 6000; ++i) {
-    const std::string text = read_file(part);
-    if (std::count(text.begin(), text.end(), '\n') > 10) break;
+  EXPECT_TRUE(test_support::wait_until([&] {
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
+    const std::string text = read_file(part);
+    return std::count(text.begin(), text.end(), '\n') > 10;
+  }));
   EXPECT_TRUE(works(kill_one));
   script.join();
   EXPECT_EQ(interrupted.exit_code, 3) << interrupted.output;

@@ -6,6 +6,7 @@
 #include "support/monte_carlo_runs.hpp"
 #include "support/program.hpp"
 #include "support/vehicle_files.hpp"
+#include "support/wait_until.hpp"
 
 #include <gtest/gtest.h>
 #include <sys/types.h>
@@ -72,11 +73,11 @@ pid_t start(const std::string& directory, const std::string& count, std::ptrdiff
           "--threads", "1", "--no-pictures", "--output", output.c_str(), nullptr);
     _exit(127);
   }
-  for (int i = 0; i < 6000; ++i) {
-    const std::string text = read_file(file(directory));
-    if (std::count(text.begin(), text.end(), '\n') > rows) break;
+  EXPECT_TRUE(test_support::wait_until([&] {
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
+    const std::string text = read_file(file(directory));
+    return std::count(text.begin(), text.end(), '\n') > rows;
+  }));
   return child;
 }
 
