@@ -1,7 +1,9 @@
 #pragma once
 
+#include "../support/vehicle_choice.hpp"
 #include "parameters.hpp"
 
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 
@@ -19,5 +21,14 @@ struct HoverPoint {
 
   tilt_ropter::ReferencePoint point;
 };
+
+/// Returns the settings of the controller of a node. With `use_sim_time` they have no time limit:
+/// a simulated clock runs at any speed, and may wait for the command.
+[[nodiscard]] inline tilt_ropter::NmpcSettings controller_settings(
+    const examples::VehicleFile& file, Parameters& parameters) {
+  const tilt_ropter::NmpcSettings settings = file.settings();
+  return parameters.choice("use_sim_time", false) ? examples::in_simulated_time(settings)
+                                                  : settings;
+}
 
 }  // namespace loops

@@ -67,7 +67,7 @@ class Px4Node {
         actuators_(vehicle_),
         observer_(vehicle_.body),
         contact_(vehicle_),
-        nmpc_(vehicle_, file_.settings()),
+        nmpc_(vehicle_, controller_settings(file_, parameters)),
         reference_(parameters),
         origin_height_(parameters.number(
             "origin_height",

@@ -13,7 +13,8 @@ void fly(loops::Node& node) {
   loops::Ros2Node pilot(node.parameters());
   loops::Telemetry telemetry(node, pilot.vehicle());
   auto actuators = node.publisher<actuator_msgs::msg::Actuators>("actuators", {true, 1});
-  node.subscribe<sensor_msgs::msg::Imu>("imu", dds::sensor_data,
+  constexpr dds::Quality many_samples{false, 100};  // those of a tick that comes late
+  node.subscribe<sensor_msgs::msg::Imu>("imu", many_samples,
                                         [&](const sensor_msgs::msg::Imu& m) { pilot.on_imu(m); });
   node.subscribe<geometry_msgs::msg::PoseStamped>(
       "pose", dds::sensor_data,

@@ -53,7 +53,7 @@ class Ros2Node {
   explicit Ros2Node(Parameters& parameters)
       : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
         vehicle_(examples::quadrotor(file_)),
-        controller_(vehicle_, file_.settings(), estimation(parameters)),
+        controller_(vehicle_, controller_settings(file_, parameters), estimation(parameters)),
         reference_(parameters),
         max_silence_(parameters.number("max_silence", 0.1)) {}
 

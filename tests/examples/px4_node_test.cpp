@@ -48,11 +48,9 @@ struct Flight {
 
   test_support::Px4Vehicle vehicle{5000000000LL};
   px4_msgs::msg::ActuatorServos servos{};
-  Parameters parameters{{"origin_height", "0.07"},
-                        {"thrust_model_factor", "0.3"},
-                        {"hover_x", "0.3"},
-                        {"hover_y", "0.6"},
-                        {"hover_yaw", "-0.5"}};
+  Parameters parameters{
+      {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
+      {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_yaw", "-0.5"}};
   Px4Node node{parameters};
 };
 

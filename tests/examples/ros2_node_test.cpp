@@ -19,6 +19,7 @@
 #include <limits>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace loops {
@@ -26,6 +27,8 @@ namespace {
 
 using Eigen::Vector3d;
 using test_support::run;
+
+const std::pair<const std::string, std::string> simulated{"use_sim_time", "true"};
 
 /// A vehicle and the node, on a clock that starts at a Unix time, like the clock of ROS.
 struct Flight {
@@ -46,8 +49,11 @@ struct Flight {
 };
 
 TEST(Ros2Node, HoversAtThePointOfItsParameters) {
-  Flight flight(
-      {{"hover_x", "0.5"}, {"hover_y", "-0.3"}, {"hover_z", "1.2"}, {"hover_yaw", "0.4"}});
+  Flight flight({simulated,
+                 {"hover_x", "0.5"},
+                 {"hover_y", "-0.3"},
+                 {"hover_z", "1.2"},
+                 {"hover_yaw", "0.4"}});
   flight.fly(6.0);
   for (int i = 0; i < 20; ++i) {
     flight.fly(0.1);
@@ -60,7 +66,7 @@ TEST(Ros2Node, HoversAtThePointOfItsParameters) {
 }
 
 TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
-  Flight flight({});
+  Flight flight({simulated});
   flight.sensing = false;
   flight.fly(0.5);
   EXPECT_EQ(flight.vehicle.commands, 0);
@@ -84,7 +90,7 @@ TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
 template <typename Spoil>
 void expect_to_survive(const std::string& what, const Spoil& spoilt) {
   SCOPED_TRACE(what);
-  Flight flight({{"hover_z", "0.6"}});
+  Flight flight({simulated, {"hover_z", "0.6"}});
   flight.fly(3.0);
   for (int i = 0; i < 30; ++i) {
     spoilt(flight);
@@ -149,7 +155,7 @@ TEST(Ros2Node, SurvivesStampsOfOtherTimes) {
 }
 
 TEST(Ros2Node, ShowsItsFlight) {
-  Flight flight({{"hover_z", "0.6"}});
+  Flight flight({simulated, {"hover_z", "0.6"}});
   flight.fly(3.0);
   const Snapshot s = flight.node.snapshot(flight.vehicle.now());
   EXPECT_EQ(s.level, Level::ok);
@@ -197,6 +203,12 @@ TEST(Ros2Node, RejectsParametersOutOfRange) {
   EXPECT_THROW(node({{"vehicle", "nowhere.json"}}), examples::VehicleFileError);
   EXPECT_THROW(node({{"position_noise", "-1.0"}}), std::invalid_argument);
   EXPECT_THROW(node({{"max_silence", "0.1s"}}), std::invalid_argument);
+}
+
+TEST(ControllerSettings, HaveNoTimeLimitOnASimulatedClock) {
+  Parameters usual, on_simulated_clock{simulated};
+  EXPECT_EQ(controller_settings({}, usual).time_limit, tilt_ropter::NmpcSettings().time_limit);
+  EXPECT_TRUE(std::isinf(controller_settings({}, on_simulated_clock).time_limit));
 }
 
 TEST(Parameters, AreTakenOutOfTheArguments) {
