@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # fly.sh PROGRAMS OUTPUT [OPTION...]
 # Flies the mission with hitl_onboard, hitl_flight_controller and hitl_simulator of the directory
-# PROGRAMS. What they print goes to OUTPUT/hitl_*.txt. The options of the line and --vehicle go to
-# all three programs, the others to hitl_simulator, whose exit code is that of this script.
+# PROGRAMS. What they print goes to OUTPUT/hitl_*.txt. The options of the line, --lock-step and
+# --vehicle go to all three programs, the others to hitl_simulator, whose exit code is that of this
+# script.
 set -euo pipefail
 
 programs=$1
@@ -12,8 +13,8 @@ all=()
 vehicle=()
 while [[ $# -gt 0 ]]; do
   case $1 in
-    --loss | --spike-share | --spike | --vehicle) all+=("$1" "${2-}") && shift ;;
-    --loss=* | --spike-share=* | --spike=* | --vehicle=*) all+=("$1") ;;
+    --loss | --spike-share | --spike | --vehicle | --lock-step) all+=("$1" "${2-}") && shift ;;
+    --loss=* | --spike-share=* | --spike=* | --vehicle=* | --lock-step=*) all+=("$1") ;;
     *) vehicle+=("$1") ;;
   esac
   shift

@@ -63,15 +63,18 @@ class SafeWrench {
   double time_ = 0.0;
 };
 
-void run(const hitl::BadLine& line, const std::string& vehicle_path) {
+void run(const hitl::Line& line, const std::string& vehicle_path) {
   const Vehicle<4> vehicle = examples::quadrotor(examples::vehicle_or_default(vehicle_path));
   const Allocation<4> allocation(vehicle);
+  const bool lock_step = line.lock_step > 0.0;
   const dds::Participant participant(loops::ros_domain());
   hitl::Rival<actuator_msgs::msg::Actuators> rival(participant, hitl::actuators_topic);
   hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
   hitl::Inbox<tilt_ropter_msgs::msg::WrenchCommand> wrenches(participant,
                                                              hitl::wrench_command_topic, line);
   hitl::FlightOver flight_over(participant);
+  dds::WaitSet waiting(participant);
+  waiting.add(wrenches.subscriber());
   dds::Publisher<actuator_msgs::msg::Actuators> actuators(participant, hitl::actuators_topic.name,
                                                           hitl::actuators_topic.offered());
   hitl::Encoder encoder;
@@ -83,18 +86,23 @@ void run(const hitl::BadLine& line, const std::string& vehicle_path) {
   long cycles = 0, misses = 0, silences = 0, vehicles = 0;
   bool silent = false;
   std::cerr << "hitl_flight_controller: waiting for a wrench\n";
-  const auto start = hitl::Clock::now();
+  hitl::Clock::time_point start, now;
+  if (!lock_step) start = hitl::Clock::now();
   bool over = false;
   for (long i = 0; !over && hitl::interrupted == 0; ++i) {
-    const auto due = start + i * std::chrono::milliseconds(2);
-    std::this_thread::sleep_until(due);
-    const auto now = hitl::Clock::now();
-    const std::chrono::duration<double, std::micro> late = now - due;
-    lateness.add(late.count());
-    if (late.count() > 1e6 * period) ++misses;
-
-    rival.check(now);
+    if (lock_step) {
+      waiting.wait(2 * hitl::millisecond);
+    } else {
+      const auto due = start + i * std::chrono::milliseconds(2);
+      std::this_thread::sleep_until(due);
+      now = hitl::Clock::now();
+      const std::chrono::duration<double, std::micro> late = now - due;
+      lateness.add(late.count());
+      if (late.count() > 1e6 * period) ++misses;
+    }
+    rival.check(hitl::Clock::now());
     imu.take(now, [&](const hitl::Inertial& m) {
+      if (lock_step) now = hitl::time_point(m.time);
       if (imu.sessions() != vehicles) {  // simulator restarted: a new vehicle on the ground
         vehicles = imu.sessions();
         asked.reset();
@@ -103,7 +111,9 @@ void run(const hitl::BadLine& line, const std::string& vehicle_path) {
       }
       safe.on_gyro(m.time, m.sample.angular_velocity);
     });
+    bool fresh = false;  // a new wrench
     wrenches.take(now, [&](const hitl::WrenchCommand& m) {
+      fresh = true;
       asked = m;
       asked_at = now;
     });
@@ -119,6 +129,10 @@ void run(const hitl::BadLine& line, const std::string& vehicle_path) {
                 << (wrenches.sender_lives() ? "silent\n" : "gone\n");
     }
     Wrenchd wrench, rate;
+    if (lock_step && !fresh && !silent) {  // again, for a bad line
+      actuators.publish(encoder.encode(hitl::ActuatorCommand{asked->time, sent.command}));
+      continue;
+    }
     if (silent) {
       wrench = safe.wrench(age);
     } else {
@@ -147,13 +161,14 @@ Between two wrenches it extrapolates the last wrench with its rate, for at most 
 without a wrench it keeps the mean force and holds the attitude with the gyroscope. After 2 s the
 force fades by 5 % per second. If restarted in flight, it sends nothing until a wrench arrives, and
 the simulator holds the last command. It ends when the simulator reports the end of the flight.
+With --lock-step its clock is the time of the IMU, and it computes one command for each wrench.
 The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.)";
 
 }  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: allocation and actuator commands at 500 Hz."};
-  hitl::BadLine line;
+  hitl::Line line;
   std::string vehicle;
   hitl::add_options(app, line, vehicle);
   app.footer(footer);

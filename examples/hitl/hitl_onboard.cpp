@@ -35,14 +35,14 @@ constexpr double tick = 0.01;  // period of the controller [s]
 /// The onboard control loop, from the sensors to the wrench.
 class Onboard {
  public:
-  explicit Onboard(const examples::VehicleFile& file)
+  Onboard(const examples::VehicleFile& file, const NmpcSettings& settings)
       : vehicle_(examples::quadrotor(file)),
         allocation_(vehicle_),
         actuators_(vehicle_),
         ekf_(examples::MissionSensors<4>::estimation()),
         observer_(vehicle_.body, observer_settings(20.0)),
         contact_(vehicle_),
-        nmpc_(vehicle_, file.settings()),
+        nmpc_(vehicle_, settings),
         mission_(hybrid_mission(vehicle_)) {}
 
   /// Stores the actuator command of the flight controller.
@@ -105,8 +105,10 @@ class Silences {
   long count_ = 0;
 };
 
-void run(const hitl::BadLine& line, const std::string& vehicle) {
+void run(const hitl::Line& line, const std::string& vehicle) {
   const examples::VehicleFile file = examples::vehicle_or_default(vehicle);
+  const NmpcSettings settings =
+      line.lock_step > 0.0 ? examples::in_simulated_time(file.settings()) : file.settings();
   const dds::Participant participant(loops::ros_domain());
   hitl::Rival<tilt_ropter_msgs::msg::WrenchCommand> rival(participant, hitl::wrench_command_topic);
   hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
@@ -121,8 +123,9 @@ void run(const hitl::BadLine& line, const std::string& vehicle) {
   dds::Publisher<geometry_msgs::msg::WrenchStamped> shown(participant, hitl::shown_wrench_topic);
   hitl::Encoder encoder;
   hitl::Times durations;
-  auto onboard = std::make_unique<Onboard>(file);
+  auto onboard = std::make_unique<Onboard>(file, settings);
   std::vector<hitl::Inertial> samples;         // new
+  hitl::Clock::time_point simulated;           // time of the newest sample
   std::deque<hitl::RotorSpeeds> rotor_speeds;  // not older than the newest sample
   Silences simulator("hitl_simulator"), flight_controller("hitl_flight_controller");
   double next = 0.0;
@@ -131,10 +134,11 @@ void run(const hitl::BadLine& line, const std::string& vehicle) {
   for (bool over = false; !over && hitl::interrupted == 0;) {
     waiting.wait(100 * hitl::millisecond);
     const auto woken = hitl::Clock::now();
+    auto now = line.lock_step > 0.0 ? simulated : woken;
     rival.check(woken);
     bool new_vehicle = false;
     samples.clear();
-    imu.take(woken, [&](const hitl::Inertial& m) {
+    imu.take(now, [&](const hitl::Inertial& m) {
       if (imu.sessions() != missions) {  // a new vehicle, a new mission
         missions = imu.sessions();
         new_vehicle = true;
@@ -142,20 +146,22 @@ void run(const hitl::BadLine& line, const std::string& vehicle) {
       }
       samples.push_back(m);
     });
+    if (!samples.empty()) simulated = hitl::time_point(samples.back().time);
+    if (line.lock_step > 0.0) now = simulated;
     if (new_vehicle) {
-      onboard = std::make_unique<Onboard>(file);
+      onboard = std::make_unique<Onboard>(file, settings);
       next = std::ceil(samples.front().time / tick) * tick;
       rotor_speeds.clear();
     }
-    echo.take(woken, [&](const hitl::ActuatorCommand& m) { onboard->on_actuators(m.command); });
-    speeds.take(woken, [&](const hitl::RotorSpeeds& m) { rotor_speeds.push_back(m); });
+    echo.take(now, [&](const hitl::ActuatorCommand& m) { onboard->on_actuators(m.command); });
+    speeds.take(now, [&](const hitl::RotorSpeeds& m) { rotor_speeds.push_back(m); });
     for (const hitl::Inertial& m : samples) {
       for (; !rotor_speeds.empty() && rotor_speeds.front().time <= m.time; rotor_speeds.pop_front())
         onboard->on_rotor_speeds(rotor_speeds.front().speed);
       onboard->on_inertial(m);
     }
     while (rotor_speeds.size() > 1000) rotor_speeds.pop_front();  // the IMU is silent
-    poses.take(woken, [&](const hitl::Pose& m) { onboard->on_pose(m); });
+    poses.take(now, [&](const hitl::Pose& m) { onboard->on_pose(m); });
     over = flight_over.reported() && missions > 0;
     simulator.watch(imu);
     flight_controller.watch(echo);
@@ -202,7 +208,7 @@ flight. The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
-  hitl::BadLine line;
+  hitl::Line line;
   std::string vehicle;
   hitl::add_options(app, line, vehicle);
   app.footer(footer);

@@ -38,14 +38,15 @@ using namespace tilt_ropter;
 namespace {
 
 struct Options {
-  hitl::BadLine line;
+  hitl::Line line;
   std::string vehicle, plant = "plant";
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   double until = 0.0;
 };
 
-constexpr double step = 1e-3;  // time step of the plant [s]
+constexpr double step = 1e-3;       // time step of the plant [s]
+constexpr long steps_of_tick = 10;  // of hitl_onboard
 
 /// Flies `plant`, which is a Plant<4> or a MujocoPlant of the vehicle `truth`.
 template <typename SimulatedPlant>
@@ -78,6 +79,8 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   dds::Publisher<std_msgs::msg::Bool> flight_over(participant, hitl::flight_over_topic, {true, 1});
   hitl::Inbox<actuator_msgs::msg::Actuators> actuators(participant, hitl::actuators_topic,
                                                        options.line);
+  dds::WaitSet waiting(participant);
+  waiting.add(actuators.subscriber());
   hitl::Encoder encoder;
   hitl::Times round_trip, lateness;
   std::vector<hitl::Clock::time_point> sent_at;  // the IMU sample of each step
@@ -86,26 +89,42 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   bool silent = true;
   examples::Progress progress;
   examples::LossWatch loss;
+  const bool lock_step = options.line.lock_step > 0.0;
+  const auto take = [&] {
+    const auto now = hitl::Clock::now();
+    actuators.take(
+        lock_step ? hitl::time_point(plant.time()) : now, [&](const hitl::ActuatorCommand& m) {
+          command = m.command;
+          const auto sample = static_cast<std::size_t>(std::max(0L, std::lround(m.time / step)));
+          if (sample > answered && sample <= sent_at.size()) {
+            const std::chrono::duration<double, std::micro> passed = now - sent_at[sample - 1];
+            round_trip.add(passed.count());
+            answered = sample;
+          }
+        });
+  };
   const auto start = hitl::Clock::now();
   double time = -hitl::head_start;
   for (long i = 0; time < end && hitl::interrupted == 0; ++i) {
-    const auto due = start + i * std::chrono::milliseconds(1);
-    std::this_thread::sleep_until(due);
-    const std::chrono::duration<double, std::micro> late = hitl::Clock::now() - due;
-    lateness.add(late.count());
-    if (late.count() > 1000.0) ++misses;
-
-    const auto now = hitl::Clock::now();
-    rival.check(now);
-    actuators.take(now, [&](const hitl::ActuatorCommand& m) {
-      command = m.command;
-      const auto sample = static_cast<std::size_t>(std::max(0L, std::lround(m.time / step)));
-      if (sample > answered && sample <= sent_at.size()) {
-        const std::chrono::duration<double, std::micro> passed = now - sent_at[sample - 1];
-        round_trip.add(passed.count());
-        answered = sample;
+    if (!lock_step) {
+      const auto due = start + i * std::chrono::milliseconds(1);
+      std::this_thread::sleep_until(due);
+      const std::chrono::duration<double, std::micro> late = hitl::Clock::now() - due;
+      lateness.add(late.count());
+      if (late.count() > 1000.0) ++misses;
+    }
+    rival.check(hitl::Clock::now());
+    take();
+    if (lock_step && i % steps_of_tick == 0) {
+      // The first ticks have no command: hitl_onboard has no pose yet, or is not connected.
+      const double most = actuators.sessions() > 0 ? options.line.lock_step
+                                                   : std::min(options.line.lock_step, 0.05);
+      const auto until = hitl::Clock::now() + hitl::time_point(most).time_since_epoch();
+      while (answered < sent_at.size() && hitl::Clock::now() < until) {
+        waiting.wait(10 * hitl::millisecond);
+        take();
       }
-    });
+    }
     const bool commanded = actuators.sessions() > 0;
     const bool was_silent = silent;
     silent = actuators.silent();
@@ -125,13 +144,13 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
     time = plant.time() - hitl::head_start;
     if (const auto m = sensors.rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
       rotor_speeds.publish(encoder.encode(hitl::RotorSpeeds{m->time, m->rotor_speed}));
-    sent_at.push_back(hitl::Clock::now());
-    if (const auto m =
-            sensors.imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force()))
-      imu.publish(
-          encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
     if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
       poses.publish(encoder.encode(hitl::Pose{m->time, {m->position, m->orientation}}));
+    sent_at.push_back(hitl::Clock::now());
+    if (const auto m =  // last, because a tick on board begins when it arrives
+        sensors.imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force()))
+      imu.publish(
+          encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
     if (!silent) loss.on_step(time, 0.0, examples::is_tipped(plant.body().orientation));
     if (i % 10 == 0) clock.publish({loops::stamp(std::llround(1e9 * plant.time()))});
     if (time >= 0.0)
@@ -178,6 +197,10 @@ Flies the hybrid mission in real time with hitl_onboard and hitl_flight_controll
 must arrive within 3 s after the start. Without new actuator commands it holds the last command;
 after 1 s the rotors stop. If restarted in flight, it starts a new mission, and the other programs
 follow.
+
+With --lock-step it waits for the command to each tick of hitl_onboard: the flight takes less time
+than in reality on a fast computer, and is the same, but takes longer, on a slow or busy computer.
+Where a program is missing, each tick takes the given time.
 
 The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 

@@ -20,12 +20,21 @@ namespace hitl {
 
 using Clock = std::chrono::steady_clock;
 
-/// Model of a bad line for received messages, to test its effects.
-struct BadLine {
+/// How messages are received: a model of a bad line, to test its effects, and lock step.
+struct Line {
   double loss = 0.0;            ///< fraction of the messages that are lost
   double spike_fraction = 0.0;  ///< fraction of the messages that are late by `spike`
   double spike = 0.02;          ///< delay of a late message [s]
+  /// Longest time that the simulation waits for a command [s]. The only clock is then the time of
+  /// the simulation. 0: real time.
+  double lock_step = 0.0;
 };
+
+/// Returns the time [s] of a clock that begins at zero, as a time of Clock.
+[[nodiscard]] inline Clock::time_point time_point(double time) {
+  return Clock::time_point(
+      std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(time)));
+}
 
 /// Counts of the messages of one topic.
 struct ArrivalCounts {
@@ -36,25 +45,28 @@ struct ArrivalCounts {
   long rejected = 0;  ///< contents that decode() refuses
 };
 
-/// Receives the messages of one topic, through a bad line, and says when their sender is silent.
+/// Receives the messages of one topic, and says when their sender is silent.
 template <typename Message>
 class Inbox {
  public:
   using Content = typename decltype(decode(std::declval<const Message&>()))::value_type;
 
   /// Throws dds::Error.
-  Inbox(const dds::Participant& participant, const Topic& topic, const BadLine& line)
-      : subscriber_(participant, topic.name, topic.requested()),
+  Inbox(const dds::Participant& participant, const Topic& topic, const Line& line)
+      : subscriber_(participant, topic.name, topic.requested(line.lock_step > 0.0)),
         deadline_(topic.deadline),
         line_(line),
         random_(std::random_device{}()) {}
 
   /// Calls action(content) for every message that has arrived. Messages come in the order in which
   /// they were sent; overtaken messages are dropped. Call this often: it also detects silence.
+  /// `now` is the time of the simulation in lock step, otherwise that of Clock.
   template <typename Action>
   void take(Clock::time_point now, Action&& action) {
     // DDS watches the deadline while a sender lives. It does not know what the bad line takes away.
-    const bool unwatched = subscriber_.alive_publishers() == 0 || line_.loss > 0.0;
+    const bool unwatched =
+        line_.lock_step > 0.0 || subscriber_.alive_publishers() == 0 || line_.loss > 0.0;
+    if (now < arrived_) held_back_.clear();  // the simulation has begun again
     if (subscriber_.missed_deadline() || (unwatched && now - arrived_ > deadline_)) silent_ = true;
     for (; !held_back_.empty() && held_back_.front().due <= now; held_back_.pop_front())
       deliver(held_back_.front(), now, action);
@@ -131,7 +143,7 @@ class Inbox {
 
   dds::Subscriber<Message> subscriber_;
   std::chrono::nanoseconds deadline_;
-  BadLine line_;
+  Line line_;
   std::mt19937 random_;
   std::deque<Arrival> held_back_;
   dds_instance_handle_t sender_ = 0, former_ = 0;  // former: before the restart of the sender
@@ -150,19 +162,18 @@ class Rival {
       : subscriber_(std::in_place, participant, topic.name,
                     dds::Quality{false, 1, DDS_INFINITY, DDS_INFINITY, true}) {}
 
-  /// Throws std::runtime_error if there is a rival. Looks for it in the first second only: the
-  /// program that runs already goes on.
+  /// Throws std::runtime_error if there is a rival. Looks for it in the first three seconds only,
+  /// in which the vehicle waits: the program that runs already goes on.
   void check(Clock::time_point now) {
-    if (!subscriber_) return;
-    if (subscriber_->publishers() > 0)
+    if (now > until_) subscriber_.reset();
+    if (subscriber_ && subscriber_->publishers() > 0)
       throw std::runtime_error("another program of this kind runs in DDS domain " +
                                std::to_string(loops::ros_domain()));
-    if (now > until_) subscriber_.reset();
   }
 
  private:
   std::optional<dds::Subscriber<Message>> subscriber_;
-  Clock::time_point until_ = Clock::now() + std::chrono::seconds(1);
+  Clock::time_point until_ = Clock::now() + std::chrono::seconds(3);
 };
 
 /// The end of a flight, which hitl_simulator reports.

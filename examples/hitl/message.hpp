@@ -30,7 +30,10 @@ struct Topic {
   int depth;              ///< number of messages that a receiver keeps until it takes them
 
   [[nodiscard]] dds::Quality offered() const { return quality(true); }
-  [[nodiscard]] dds::Quality requested() const { return quality(false); }
+  /// In lock step DDS watches no time.
+  [[nodiscard]] dds::Quality requested(bool lock_step) const {
+    return lock_step ? dds::Quality{false, depth} : quality(false);
+  }
 
  private:
   [[nodiscard]] dds::Quality quality(bool reliable) const {

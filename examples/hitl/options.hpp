@@ -10,7 +10,7 @@
 
 namespace hitl {
 
-inline void add_options(CLI::App& app, BadLine& line, std::string& vehicle) {
+inline void add_options(CLI::App& app, Line& line, std::string& vehicle) {
   app.add_option("--vehicle", vehicle,
                  "JSON file of a vehicle with 4 rotors; the same for all three programs");
   const auto add = [&](const char* name, auto& value, const char* text) {
@@ -21,6 +21,11 @@ inline void add_options(CLI::App& app, BadLine& line, std::string& vehicle) {
   add("--spike-share", line.spike_fraction, "fraction of the received messages that is delayed")
       ->check(CLI::Range(0.0, 1.0));
   add("--spike", line.spike, "delay of these messages [s]")->check(CLI::Range(0.0, 1.0));
+  app.add_option("--lock-step", line.lock_step,
+                 "fly in lock step: the simulation waits for each command instead of the clock, at "
+                 "most for this time [s]; the same for all three programs; 0: real time")
+      ->check(CLI::Range(0.0, 1000.0))
+      ->capture_default_str();
 }
 
 /// Set by interrupt and termination signals, so that a program ends with its report.

@@ -1,5 +1,5 @@
 // Hardware in the loop: the bad line, silence, and flights of the three programs over DDS on the
-// loopback interface.
+// loopback interface. They fly in lock step, and in a full run in real time.
 // CTest: real_time dds
 
 #include "../../examples/hitl/link.hpp"
@@ -8,6 +8,7 @@
 #include "support/dds_on_loopback.hpp"
 #include "support/full_run.hpp"
 #include "support/program.hpp"
+#include "support/wait_until.hpp"
 
 #include <gtest/gtest.h>
 
@@ -27,8 +28,7 @@ using Eigen::Vector3d;
 using Eigen::Vector4d;
 using std::chrono::milliseconds;
 using test_support::Background;
-
-// The DDS domain depends on the process id, so that test processes can run at the same time.
+using test_support::wait_until;
 
 using Wrench = tilt_ropter_msgs::msg::WrenchCommand;
 using WrenchInbox = hitl::Inbox<Wrench>;
@@ -61,22 +61,17 @@ class HitlInbox : public testing::Test {
   }
   /// Waits until `sender` and `inbox` know each other.
   static bool connected(const Sender& sender, const WrenchInbox& inbox) {
-    for (int i = 0; i < 1000; ++i) {
-      if (sender.publisher.subscribers() > 0 && inbox.sender_lives()) return true;
-      std::this_thread::sleep_for(milliseconds(10));
-    }
-    return false;
+    return wait_until([&] { return sender.publisher.subscribers() > 0 && inbox.sender_lives(); });
   }
-  /// Takes until `done`, at most for 5 s. Returns the times of the messages.
+  /// Takes until `done`. Returns the times of the messages.
   template <typename Done>
   static std::vector<double> take_until(WrenchInbox& inbox, const Done& done) {
     std::vector<double> times;
-    for (int i = 0; i < 1000; ++i) {
+    EXPECT_TRUE(wait_until([&] {
       inbox.take(hitl::Clock::now(),
                  [&](const hitl::WrenchCommand& c) { times.push_back(c.time); });
-      if (done()) break;
-      std::this_thread::sleep_for(milliseconds(5));
-    }
+      return done();
+    }));
     return times;
   }
   /// Takes until this number of messages has come in any way.
@@ -109,8 +104,7 @@ TEST_F(HitlInbox, CountsSessionsReceivedAndLostMessages) {
     take(lossy, 10);
   }
   Sender second(domain_);
-  for (int i = 0; i < 200 && second.publisher.subscribers() < 2; ++i)
-    std::this_thread::sleep_for(milliseconds(10));
+  ASSERT_TRUE(wait_until([&] { return second.publisher.subscribers() == 2; }));
   ASSERT_TRUE(connected(second, clean) && connected(second, lossy));
   second.send(300);
   EXPECT_EQ(take(clean, 310).size(), 300U);
@@ -174,6 +168,22 @@ TEST_F(HitlInbox, SaysWhenTheSenderIsSilent) {
   EXPECT_FALSE(inbox.sender_lives());
 }
 
+TEST_F(HitlInbox, InLockStepSilenceIsATimeOfTheSimulation) {
+  WrenchInbox inbox(participant_, topic(), {0.0, 0.0, 0.0, 1.0});
+  Sender sender(domain_);
+  ASSERT_TRUE(connected(sender, inbox));
+  const auto silent_at = [&](double time) {
+    inbox.take(hitl::time_point(time), [](const hitl::WrenchCommand&) {});
+    return inbox.silent();
+  };
+  EXPECT_TRUE(silent_at(1.0));
+  sender.send(1);
+  EXPECT_TRUE(wait_until([&] { return !silent_at(1.0); }));
+  std::this_thread::sleep_for(milliseconds(100));  // the deadline is 50 ms
+  EXPECT_FALSE(silent_at(1.049));
+  EXPECT_TRUE(silent_at(1.051));
+}
+
 TEST_F(HitlInbox, RejectsADomainThatDoesNotExist) {
   setenv("ROS_DOMAIN_ID", "233", 1);
   EXPECT_THROW((void)loops::ros_domain(), std::runtime_error);
@@ -190,12 +200,28 @@ class HitlFlight : public testing::Test {
   test_support::Directory directory_{"hitl"};
 };
 
-// A full run flies the whole mission; otherwise the flight ends after 4 s (take-off).
-// Test machines are busy, so that only a full run checks deadlines.
+TEST_F(HitlFlight, FliesInLockStep) {
+  Background onboard(HITL_ONBOARD_PROGRAM, "--lock-step 1", report("onboard"));
+  Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, "--lock-step 1", report("flight"));
+  Background vehicle(HITL_SIMULATOR_PROGRAM, "--lock-step 1 --until 20", report("vehicle"));
+  const auto flown = vehicle.wait();
+  const auto computed = onboard.wait(), commanded = flight.wait();
+  ASSERT_EQ(flown.exit_code, 0) << flown.output;
+  EXPECT_LT(flown["final_position_error_m"], 0.01);
+  EXPECT_LT(flown["takeoff_overshoot_m"], 0.01);
+  EXPECT_LT(flown["air_rmse_m"], 0.005);
+  EXPECT_NEAR(computed["onboard_ticks"], 2300, 100);  // without those before the first pose
+  EXPECT_EQ(computed["onboard_missions"], 1);
+  EXPECT_EQ(computed["onboard_solver_failures"], 0);
+  EXPECT_EQ(commanded["wrench_sessions"], 1);
+  EXPECT_EQ(commanded["wrench_silences"], 0);
+}
+
 TEST_F(HitlFlight, FliesOverLoopback) {
+  if (!full_) GTEST_SKIP() << "in real time: only in the full run";
   Background onboard(HITL_ONBOARD_PROGRAM, "", report("onboard"));
   Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, "", report("flight"));
-  Background vehicle(HITL_SIMULATOR_PROGRAM, full_ ? "" : "--until 4", report("vehicle"));
+  Background vehicle(HITL_SIMULATOR_PROGRAM, "", report("vehicle"));
   const auto flown = vehicle.wait();
   const auto computed = onboard.wait(), commanded = flight.wait();
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
@@ -207,7 +233,6 @@ TEST_F(HitlFlight, FliesOverLoopback) {
   EXPECT_GT(computed["onboard_ticks"], 600);
   EXPECT_EQ(computed["onboard_solver_failures"], 0);
   EXPECT_EQ(commanded["wrench_sessions"], 1);
-  if (!full_) return;
   EXPECT_LT(computed["onboard_deadline_misses"], 1e-3 * computed["onboard_ticks"]);
   EXPECT_LE(flown["air_rmse_m"], 1.2 * 0.0030);
   EXPECT_LE(flown["ground_rmse_m"], 1.2 * 0.0083);
@@ -237,34 +262,39 @@ TEST_F(HitlFlight, FliesInMujoco) {
 }
 
 TEST_F(HitlFlight, SurvivesABadLineAndTheRestartOfEachProgram) {
-  const std::string bad = "--loss 0.05 --spike-share 0.01 --spike 0.02 ";
-  const auto onboard = [&] {
-    return std::make_unique<Background>(HITL_ONBOARD_PROGRAM, bad, report("onboard"));
+  const std::string line = "--loss 0.05 --spike-share 0.01 --spike 0.02 " +
+                           std::string(full_ ? "" : "--lock-step 0.025 ");
+  const auto start = [&](const char* program, const std::string& name) {
+    return std::make_unique<Background>(program, line, report(name));
   };
-  const auto flight = [&] {
-    return std::make_unique<Background>(HITL_FLIGHT_CONTROLLER_PROGRAM, bad, report("flight"));
+  const dds::Participant participant(domain_);
+  dds::Subscriber<rosgraph_msgs::msg::Clock> clock(participant, "/clock", {false, 1});
+  double now = 0.0;  // time of the simulation; the mission begins at 3 s
+  const auto reaches = [&](double time) {
+    return wait_until([&] {
+      clock.take([&](const rosgraph_msgs::msg::Clock& m) { now = loops::seconds(m.clock); });
+      return now >= time;
+    });
   };
-  const auto seconds = [](double s) {
-    std::this_thread::sleep_for(milliseconds(static_cast<int>(1000.0 * s)));
-  };
-  auto computer = onboard(), controller = flight();
-  {
-    Background first(HITL_SIMULATOR_PROGRAM, bad + "--until 100", report("first"));
-    seconds(4.2);  // taking off
-    first.crash();
-  }
-  Background vehicle(HITL_SIMULATOR_PROGRAM, bad + (full_ ? "" : "--until 6"), report("vehicle"));
-  seconds(3.0 + 3.8);  // in the air
+  auto computer = start(HITL_ONBOARD_PROGRAM, "onboard_1"),
+       controller = start(HITL_FLIGHT_CONTROLLER_PROGRAM, "flight_1"),
+       vehicle = start(HITL_SIMULATOR_PROGRAM, "vehicle_1");
+  EXPECT_TRUE(reaches(4.2));  // taking off
+  vehicle->crash();
+  vehicle = start(HITL_SIMULATOR_PROGRAM, "vehicle_2");
+  EXPECT_TRUE(reaches(6.8));  // in the air
   computer->crash();
-  seconds(0.2);
-  computer = onboard();
-  seconds(0.9);
+  EXPECT_TRUE(reaches(now + 0.2));
+  computer = start(HITL_ONBOARD_PROGRAM, "onboard_2");
+  EXPECT_TRUE(reaches(now + 0.9));
   controller->crash();
-  seconds(0.1);
-  controller = flight();
-  const auto flown = vehicle.wait();
+  EXPECT_TRUE(reaches(now + 0.1));
+  controller = start(HITL_FLIGHT_CONTROLLER_PROGRAM, "flight_2");
+  EXPECT_TRUE(reaches(now + 2.0));
+  const auto flown = full_ ? vehicle->wait() : vehicle->stop();
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
   EXPECT_LT(flown["final_position_error_m"], 0.1) << flown.output;
+  EXPECT_LT(flown["mission_rmse_m"], 0.05) << flown.output;
   EXPECT_EQ(flown["actuators_sessions"], 2) << flown.output;
   EXPECT_GT(flown["actuators_lost"], 0);
   EXPECT_GT(flown["actuators_late"], 0);
@@ -272,17 +302,19 @@ TEST_F(HitlFlight, SurvivesABadLineAndTheRestartOfEachProgram) {
   EXPECT_EQ(computed["onboard_missions"], 1) << computed.output;
   EXPECT_EQ(computed["onboard_solver_failures"], 0) << computed.output;
   EXPECT_EQ(commanded["wrench_sessions"], 1) << commanded.output;
-  if (full_) {
-    EXPECT_LT(flown["mission_rmse_m"], 0.05) << flown.output;
-  }
+  const std::string before = test_support::read_file(report("flight_1"));
+  EXPECT_NE(before.find("hitl_onboard is "), std::string::npos) << before;  // silent or gone
 }
 
 TEST_F(HitlFlight, ReportsMissingProgramsAndASecondOne) {
+  Background first(HITL_ONBOARD_PROGRAM, "", report("first"));
+  ASSERT_TRUE(wait_until([&] {
+    return test_support::read_file(report("first")).find("waiting") != std::string::npos;
+  }));
+  // The simulator waits for 3 s. After this time the first program looks for no other.
   const auto alone = test_support::run(HITL_SIMULATOR_PROGRAM, "");
   EXPECT_EQ(alone.exit_code, 1);
   EXPECT_TRUE(alone.says("hitl_onboard and hitl_flight_controller running?")) << alone.output;
-  Background first(HITL_ONBOARD_PROGRAM, "", report("first"));
-  std::this_thread::sleep_for(milliseconds(1300));  // later than it looks for others
   const auto second = test_support::run(HITL_ONBOARD_PROGRAM, "");
   EXPECT_EQ(second.exit_code, 1);
   EXPECT_TRUE(
@@ -297,7 +329,7 @@ TEST_F(HitlFlight, HelpAndBadArguments) {
        {HITL_SIMULATOR_PROGRAM, HITL_ONBOARD_PROGRAM, HITL_FLIGHT_CONTROLLER_PROGRAM}) {
     const auto help = test_support::run(program, "--help");
     EXPECT_EQ(help.exit_code, 0);
-    EXPECT_TRUE(help.says("--spike-share"));
+    EXPECT_TRUE(help.says("--spike-share") && help.says("--lock-step"));
     EXPECT_GT(test_support::run(program, "--loss 2").exit_code, 100);
     setenv("ROS_DOMAIN_ID", "nowhere", 1);
     const auto bad = test_support::run(program, "");
