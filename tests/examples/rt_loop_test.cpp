@@ -1,6 +1,8 @@
-// Runs the program rt_loop as a user does.
+// Runs the program rt_loop as a user does. Only a full run judges times, as the other work of the
+// machine changes them.
 // CTest: real_time
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 #include "support/sanitizer.hpp"
 
@@ -48,11 +50,14 @@ TEST(RtLoop, CountsEveryTick) {
       last = flown[name + figure];
     }
   }
-  EXPECT_GT(flown["computing_min_us"], 1.0);
+  if (test_support::full_run()) {
+    EXPECT_GT(flown["computing_min_us"], 1.0);
+  }
   const std::string csv = test_support::read_file(directory.file("times.csv"));
   EXPECT_EQ(csv.substr(0, csv.find('\n')), "wake_up_us,computing_us");
   EXPECT_EQ(static_cast<double>(std::count(csv.begin(), csv.end(), '\n')), flown["ticks"] + 1.0);
-  if (flown.says("memory: locked") && !test_support::under_address_sanitizer()) {
+  if (flown.says("memory: locked") && flown["ticks"] > 10.0 &&
+      !test_support::under_address_sanitizer()) {
     EXPECT_EQ(flown["page_faults_after_tick_10"], 0.0);
   }
 }
@@ -63,7 +68,11 @@ TEST(RtLoop, HoversAndReportsRefusedRealTimeRequests) {
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
   EXPECT_TRUE(flown.says("scheduling: as any program, no priority asked for")) << flown.output;
   EXPECT_TRUE(flown.says("processor: any, 1023 refused: ")) << flown.output;
-  EXPECT_LT(flown["position_error_m"], 0.02);
+  EXPECT_EQ(flown["ticks"] + flown["skipped_ticks"], 200.0);
+  // After a tick that is too late, the vehicle flies with an old command.
+  if (test_support::full_run() || flown["missed_deadlines"] == 0.0) {
+    EXPECT_LT(flown["position_error_m"], 0.02);
+  }
 
   // Without the permissions, which root must drop.
   const std::string without = geteuid() == 0 ? "setpriv --bounding-set -sys_nice,-ipc_lock " : "";
