@@ -6,6 +6,7 @@
 #include "support/full_run.hpp"
 #include "support/hovering.hpp"
 #include "support/random.hpp"
+#include "support/simulated_time.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/control/ground_contact.hpp>
@@ -88,8 +89,7 @@ double fraction_of(int call) {
 TEST(AnyInput, ControllerSurvivesArbitraryInput) {
   const int ticks = test_support::quick_or_full(200, 10000);
   AnyNumber any(2);
-  NmpcSettings settings;
-  settings.solver.max_feedback_time = 0.05;
+  const NmpcSettings settings = test_support::in_simulated_time();
   Nmpc<4> nmpc(tilt_ropter_vehicle(), settings);
   const NmpcBounds& bounds = settings.problem.bounds;
   int rejected = 0, not_finite = 0, out_of_bounds = 0;

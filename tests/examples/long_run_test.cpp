@@ -4,6 +4,7 @@
 
 #include "../../examples/support/flight_controller.hpp"
 #include "../../examples/support/mission_sensors.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
 #include "support/sanitizer.hpp"
@@ -45,7 +46,7 @@ TEST(LongRun, LastMissionMatchesTheSecondInRmseAndMemory) {
   truth.body.inertia *= 1.1;
   Plant<4> plant(truth);
   MissionSensors<4> sensors(1);
-  FlightController<4> controller(tilt_ropter_vehicle(), NmpcSettings{},
+  FlightController<4> controller(tilt_ropter_vehicle(), in_simulated_time(NmpcSettings{}),
                                  MissionSensors<4>::estimation());
   ActuatorState<4> command;
   std::vector<double> rmse, memory;

@@ -5,6 +5,7 @@
 #include "../../examples/support/fault_option.hpp"
 #include "../../examples/support/flight_controller.hpp"
 #include "../../examples/support/mission_sensors.hpp"
+#include "../../examples/support/vehicle_choice.hpp"
 
 #include <tilt_ropter/simulation/plant.hpp>
 
@@ -75,7 +76,8 @@ Outcome fly(double duration, const std::string& fault_text,
   if (!fault_text.empty()) sensors.add_fault(fault);
   EkfSettings estimation = MissionSensors<4>::estimation();
   estimation.imu_position = lever;
-  FlightController<4> controller(tilt_ropter_vehicle(), NmpcSettings{}, estimation);
+  FlightController<4> controller(tilt_ropter_vehicle(), in_simulated_time(NmpcSettings{}),
+                                 estimation);
   ActuatorState<4> command = controller.lift(tilt_ropter_vehicle().body.mass * gravity);
   controller.start_with(command);
   BodyStated start;
