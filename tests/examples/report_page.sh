@@ -22,7 +22,7 @@ fi
 look_at() {  # page, options of Chromium
   rm -rf "$away/profile"
   { sed '/^<\/body>$/,$d' "$1" && echo '<script>' && cat "$script" && echo '</script>'; } > "$away/looked_at.html"
-  HOME=$away timeout 120 "$chromium" --headless --no-sandbox --disable-gpu --enable-unsafe-swiftshader \
+  HOME=$away timeout 600 "$chromium" --headless --no-sandbox --disable-gpu --enable-unsafe-swiftshader \
     --disable-dev-shm-usage --disable-quic --no-first-run --disable-background-networking \
     --disable-component-update --disable-sync --user-data-dir="$away/profile" \
     --window-size=1400,1000 --enable-logging=stderr --virtual-time-budget=5000 "${@:2}" \

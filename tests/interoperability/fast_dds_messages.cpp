@@ -142,7 +142,7 @@ void run(std::uint32_t domain) {
 #include "topics.inc"
 #undef TOPIC
 
-  constexpr int rounds = 600, rounds_after_all = 10;
+  constexpr int rounds = 6000, rounds_after_all = 10;
   const std::chrono::milliseconds pause(50);
   int after_all = 0;
   for (int round = 0; round < rounds && after_all < rounds_after_all; ++round) {
