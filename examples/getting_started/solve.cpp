@@ -38,7 +38,10 @@ int main(int argc, char** argv) {
     std::puts("usage: solve    drives a cart; there are no options");
     return std::string(argv[1]) == "--help" ? 0 : 2;
   }
-  MultipleShooting solver{AutoDiffProblem<Cart>()};  // derivatives by automatic differentiation
+  SolverSettings settings;
+  settings.max_time = 60.0;  // [s]: the same result on a computer with other work
+  // The derivatives are by automatic differentiation.
+  MultipleShooting solver{AutoDiffProblem<Cart>(), settings};
   const Eigen::Vector2d start(0.0, 0.0);
   solver.reset(start);
   const SolveReport& report = solver.solve(start);

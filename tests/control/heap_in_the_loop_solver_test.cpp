@@ -9,6 +9,7 @@
 #include "support/allocation_counter.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/loop_watch.hpp"
+#include "support/patient.hpp"
 #include "support/quadrotor.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
@@ -147,7 +148,7 @@ TEST_F(HeapInTheLoop, SolvesFromAColdStart) {
     WheeledFlightSettings settings;
     settings.terminal_cost = terminal;
     optimal_control::MultipleShooting<WheeledFlightProblem<0>> solver(
-        test_support::step_problem(settings));
+        test_support::step_problem(settings), test_support::patient());
     Random random(83);
     int converged = 0;
     for (int i = 0; i < ticks() / 10; ++i) {

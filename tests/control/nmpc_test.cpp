@@ -4,6 +4,7 @@
 
 #include "support/hovering.hpp"
 #include "support/ideal_loop.hpp"
+#include "support/patient.hpp"
 #include "support/simulated_time.hpp"
 
 #include <gtest/gtest.h>
@@ -54,7 +55,8 @@ TEST(Nmpc, ShortHorizonWithRiccatiCostMatchesInfiniteHorizon) {
   const auto first_input = [&](TerminalCost terminal, int intervals, int coordinate) {
     Vehicle<4> slim = vehicle;
     slim.body.inertia.diagonal() << 0.010, 0.018, 0.025;
-    Solver solver(WheeledFlightProblem<4>(slim.body, settings_with(terminal, intervals).problem));
+    Solver solver(WheeledFlightProblem<4>(slim.body, settings_with(terminal, intervals).problem),
+                  test_support::patient());
     Stated x;
     x.body = hovering();
     x.body.orientation = quaternion_from_yaw(yaw);

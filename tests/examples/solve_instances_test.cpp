@@ -123,7 +123,7 @@ TEST_F(SolveInstances, StepReachesItsKnownOptimum) {
   EXPECT_LE(result.number(0, "max_violation"), 1e-6);
   EXPECT_LE(result.number(0, "max_defect"), 1e-6);
   EXPECT_GT(result.number(0, "iterations"), 3);
-  EXPECT_GT(result.number(0, "median_us"), 10.0);
+  EXPECT_GT(result.number(0, "median_us"), 0.0);
   EXPECT_LE(std::abs(result.number(0, "u0_3")), 40.0 + 1e-6);
   EXPECT_GT(std::abs(result.number(0, "u0_3")), 1.0);
 }

@@ -93,7 +93,7 @@ TEST(MultipleShooting, DampsIndefiniteHessiansToALocalMinimum) {
   const Saddle problem;
   for (int start = 0; start < 10; ++start) {
     const Eigen::Vector2d x0 = random.vector(2.0).head<2>();
-    MultipleShooting<Saddle> solver(problem);
+    MultipleShooting<Saddle> solver(problem, patient());
     solver.reset(x0);
     const SolveReport report = solver.solve(x0);
     ASSERT_EQ(report.status, SolveStatus::converged) << "start " << start;
@@ -115,7 +115,7 @@ TEST(MultipleShooting, DampsIndefiniteHessiansToALocalMinimum) {
 }
 
 TEST(MultipleShooting, FeedbackWorksWithDampingAndResetClearsIt) {
-  MultipleShooting<Saddle> solver{Saddle()};
+  MultipleShooting<Saddle> solver(Saddle(), patient());
   const Eigen::Vector2d x0(1.0, 1.0);
   solver.reset(x0);
   EXPECT_EQ(solver.report().damping, 0.0);
@@ -141,7 +141,7 @@ std::set<std::pair<int, int>> relaxed_constraints(const AnySolver& solver) {
 
 TEST(MultipleShooting, ReportsWhichConstraintsAreRelaxed) {
   const auto solve = [](double weight) {
-    MultipleShooting<Contradiction> solver(Contradiction({4, weight}));
+    MultipleShooting<Contradiction> solver(Contradiction({4, weight}), patient());
     solver.reset(Contradiction::State(0.3));
     solver.solve(Contradiction::State(0.3));
     auto rows = relaxed_constraints(solver);

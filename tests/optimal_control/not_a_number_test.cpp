@@ -1,5 +1,7 @@
 // Non-finite values from every function of a problem, at any node (check 22).
 
+#include "support/patient.hpp"
+
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
@@ -193,7 +195,7 @@ bool means_something(Output output, int node, double number) {
 TEST(NotANumber, NeverConvergesNorEntersThePlanAndRecovers) {
   const Eigen::Vector2d x(1.0, 0.3);
   const double infinity = std::numeric_limits<double>::infinity();
-  Solver reference{Spoilt{}};
+  Solver reference(Spoilt{}, test_support::patient());
   reference.reset(x);
   ASSERT_EQ(reference.solve(x).status, SolveStatus::converged);
   for (int output = 1; output < static_cast<int>(Output::count); ++output)
@@ -203,7 +205,7 @@ TEST(NotANumber, NeverConvergesNorEntersThePlanAndRecovers) {
         SCOPED_TRACE("output " + std::to_string(output) + " at node " + std::to_string(node) +
                      " is " + std::to_string(number));
         for (const bool warm : {false, true}) {
-          Solver solver{Spoilt{}};
+          Solver solver(Spoilt{}, test_support::patient());
           solver.reset(x);
           if (warm) solver.solve(x);
           const auto spoil = [&](bool bad) {
@@ -235,7 +237,7 @@ TEST(NotANumber, NeverConvergesNorEntersThePlanAndRecovers) {
 TEST(NotANumber, AppearsInTheReportFromAnyNode) {
   const Eigen::Vector2d x(1.0, 0.3);
   const auto report = [&](Output output, int node) {
-    Solver solver{Spoilt{}};
+    Solver solver(Spoilt{}, test_support::patient());
     solver.reset(x);
     solver.problem().output = output;
     solver.problem().node = node;
@@ -253,7 +255,7 @@ TEST(NotANumber, AppearsInTheReportFromAnyNode) {
 
 TEST(NotANumber, RecoversInTheNextIteration) {
   const Eigen::Vector2d x(1.0, 0.3);
-  Solver solver{Spoilt{}};
+  Solver solver(Spoilt{}, test_support::patient());
   solver.reset(x);
   ASSERT_EQ(solver.solve(x).status, SolveStatus::converged);
   solver.problem().output = Output::lx;

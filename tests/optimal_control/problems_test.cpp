@@ -209,7 +209,7 @@ TEST(Problems, LinearQuadraticOptimumMatchesDenseLeastSquares) {
   const Eigen::Matrix<double, 7, 7> normal = by_input.transpose() * by_input;
   const Inputs optimum = normal.ldlt().solve(-by_input.transpose() * free);
 
-  MultipleShooting<DoubleIntegrator> solver(problem);
+  MultipleShooting<DoubleIntegrator> solver(problem, patient());
   solver.reset(x0);
   const SolveReport report = solver.solve(x0);
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -221,7 +221,7 @@ TEST(Problems, LinearQuadraticOptimumMatchesDenseLeastSquares) {
 TEST(Problems, FarTargetWithAStopGivesBangBangInputs) {
   // The input is first 1 and then -1. It is 0 in the middle because the number of intervals is odd.
   const DoubleIntegrator problem({7, 30.0, 1.0, true, 0.3, 0.1});
-  MultipleShooting<DoubleIntegrator> solver(problem);
+  MultipleShooting<DoubleIntegrator> solver(problem, patient());
   solver.reset(Eigen::Vector2d::Zero());
   const SolveReport report = solver.solve(Eigen::Vector2d::Zero());
   EXPECT_EQ(report.status, SolveStatus::converged);
@@ -233,7 +233,7 @@ TEST(Problems, FarTargetWithAStopGivesBangBangInputs) {
 
 TEST(Problems, ContradictoryConstraintsAreWeighedByTheirPenalties) {
   for (const double weight : {4.0, 2.0, 1.25}) {  // both constraints violated
-    MultipleShooting<Contradiction> solver(Contradiction({4, weight}));
+    MultipleShooting<Contradiction> solver(Contradiction({4, weight}), patient());
     solver.reset(Contradiction::State(0.3));
     const SolveReport report = solver.solve(Contradiction::State(0.3));
     EXPECT_EQ(report.status, SolveStatus::converged);
@@ -246,7 +246,7 @@ TEST(Problems, ContradictoryConstraintsAreWeighedByTheirPenalties) {
     }
   }
   // The constraint with the higher penalty is met exactly: 2 weight u = multiplier - 3 at u = 1.
-  MultipleShooting<Contradiction> solver(Contradiction({4, 0.75}));
+  MultipleShooting<Contradiction> solver(Contradiction({4, 0.75}), patient());
   solver.reset(Contradiction::State(0.3));
   const SolveReport report = solver.solve(Contradiction::State(0.3));
   EXPECT_EQ(report.status, SolveStatus::converged);

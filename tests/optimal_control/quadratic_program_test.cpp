@@ -148,7 +148,7 @@ TEST(QuadraticProgram, LowerBoundAboveUpperBoundIsReportedInfeasible) {
 // No input can change the state of node 0.
 TEST(QuadraticProgram, MeasuredStateBeyondItsBoundRelaxesOnlyThisBound) {
   Mass mass;
-  Solver solver{Problem(mass)};
+  Solver solver(Problem(mass), test_support::patient());
   const Eigen::Vector2d fast(0.0, 0.42);
   solver.reset(fast);
   solver.solve(fast);

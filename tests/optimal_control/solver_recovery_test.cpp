@@ -57,7 +57,7 @@ struct Bounded : DoubleIntegrator {
 };
 
 TEST(SolverRecovery, ConvergesAfterAnActiveBoundIsRemoved) {
-  MultipleShooting<Bounded> solver{Bounded()};
+  MultipleShooting<Bounded> solver(Bounded(), patient());
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   ASSERT_EQ(solver.solve(rest).status, SolveStatus::converged);
@@ -67,7 +67,7 @@ TEST(SolverRecovery, ConvergesAfterAnActiveBoundIsRemoved) {
 }
 
 TEST(SolverRecovery, NoConstraintIsRelaxedBeforeTheFirstProgram) {
-  MultipleShooting<Contradiction> solver(Contradiction({4, 2.0}));
+  MultipleShooting<Contradiction> solver(Contradiction({4, 2.0}), patient());
   EXPECT_FALSE(solver.relaxed(0, 0));
   solver.reset(Contradiction::State(0.3));
   EXPECT_FALSE(solver.relaxed(0, 0));
@@ -83,7 +83,7 @@ struct Forgetful : DoubleIntegrator {
 };
 
 TEST(SolverRecovery, NonFiniteHessianLeavesNoDamping) {
-  MultipleShooting<Forgetful> solver{Forgetful()};
+  MultipleShooting<Forgetful> solver(Forgetful(), patient());
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   solver.problem().forgets = true;
@@ -101,7 +101,7 @@ struct Fenced : DoubleIntegrator {
 };
 
 TEST(SolverRecovery, NonFiniteConstraintsKeepThePreviousIterate) {
-  MultipleShooting<Fenced> solver{Fenced()};
+  MultipleShooting<Fenced> solver(Fenced(), patient());
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   solver.reset(rest);
   solver.solve(rest);
