@@ -99,6 +99,7 @@ class Node {
       counts_.late += static_cast<long>(passed / period);
       counts_.worst = std::max(counts_.worst, 1e-9 * static_cast<double>(passed));
       due += period * std::max<std::int64_t>(1, passed / period);
+      if (use_clock_ && due <= simulated_) due += period;  // the same time twice is no tick
     }
   }
 

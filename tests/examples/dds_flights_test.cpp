@@ -127,14 +127,16 @@ class DdsFlight : public testing::Test {
  protected:
   /// Flies on in simulated time until `enough()`, which is asked in every tick. Time stands still
   /// until the tick is answered. Before its first measurement a node does not answer; then the
-  /// vehicle waits for 20 ms, and nothing is counted.
+  /// vehicle waits for 20 ms, and nothing is counted. Once a second the clock skips a tick.
   template <typename Line>
   void lock_step(Line& line, const std::function<bool()>& enough) {
     const long end = std::lround(1000.0 * line.vehicle.plant.time()) + 60000;
     for (long i = end - 60000;; ++i) {
       ASSERT_LT(i, end) << "the flight does not end";
       line.sense();
-      if (i % 10 == 0) {
+      if (i % 1000 == 500) {
+        ++skipped_;
+      } else if (i % 10 == 0) {
         clock_.publish({loops::stamp(line.vehicle.now())});
         ++published_;
         const auto answered = [&] {
@@ -152,11 +154,12 @@ class DdsFlight : public testing::Test {
       ASSERT_TRUE(line.vehicle.step());
     }
   }
-  /// A node ran every tick that was answered, and no other tick than those of the clock.
+  /// A node ran every tick that was answered, and no other tick than those of the clock. Before its
+  /// first measurement it may have missed some.
   void expect_ticks_of_the_clock(const test_support::Outcome& flown) const {
     EXPECT_EQ(flown.exit_code, 0) << flown.output;
     EXPECT_GE(flown["ticks"], answered_);
-    EXPECT_LE(flown["ticks"] + flown["late_ticks"], published_);
+    EXPECT_LE(flown["ticks"] + flown["late_ticks"], published_ + skipped_);
   }
 
   /// Flies in real time: one step every millisecond. After a pause it catches up.
@@ -188,7 +191,7 @@ class DdsFlight : public testing::Test {
   test_support::Directory directory_{"dds_flight"};
   dds::Participant participant_{domain_};
   dds::Publisher<rosgraph_msgs::msg::Clock> clock_{participant_, "/clock"};
-  int published_ = 0, answered_ = 0;  // ticks
+  int published_ = 0, skipped_ = 0, answered_ = 0;  // ticks
 };
 
 constexpr const char* ros2_parameters =
@@ -346,7 +349,7 @@ TEST_F(DdsFlight, Px4NodeHoversOnVersionedTopics) {
   test_support::check_at_most(29, "px4_node over DDS, simulated time: RMSE [mm]",
                               1e3 * rmse.value(), 6.0);
   EXPECT_EQ(vehicle.commands, vehicle.servo_commands);
-  EXPECT_EQ(vehicle.heartbeats, answered_);
+  EXPECT_GE(vehicle.heartbeats, answered_);
   EXPECT_EQ(vehicle.wrong_modes + vehicle.wrong_outputs, 0);
   expect_ticks_of_the_clock(node.stop());
 }
