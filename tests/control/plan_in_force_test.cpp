@@ -1,6 +1,7 @@
 #include <tilt_ropter/control/plan_in_force.hpp>
 
 #include "support/benchmark_problem.hpp"
+#include "support/patient.hpp"
 
 #include <gtest/gtest.h>
 
@@ -43,7 +44,7 @@ class PlanInForceTest : public testing::Test {
     return error.cwiseAbs().maxCoeff();
   }
 
-  Plan::Solver solver{test_support::step_problem()};
+  Plan::Solver solver{test_support::step_problem(), test_support::patient()};
   Plan plan;
 };
 

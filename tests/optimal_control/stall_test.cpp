@@ -1,6 +1,8 @@
 // Problems on which an earlier solve() cycled forever: a prescribed terminal state, from far away.
 // CTest: optimised
 
+#include "support/patient.hpp"
+
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
@@ -71,10 +73,9 @@ TEST(Stall, EndsWithAStatusThatGivesTheReason) {
                      ", from " + std::to_string(angle));
         CartPole model;
         model.intervals = intervals;
-        SolverSettings settings;
+        SolverSettings settings = test_support::patient();
         settings.memory = memory;
         settings.max_iterations = 2000;
-        settings.max_time = 60.0;
         MultipleShooting<AutoDiffProblem<CartPole>> solver(AutoDiffProblem<CartPole>(model),
                                                            settings);
         const Eigen::Vector4d start(0.0, angle, 0.0, 0.0);
@@ -100,10 +101,9 @@ TEST(Stall, EndsWithAStatusThatGivesTheReason) {
 
 TEST(Stall, SwingsUpFromHanging) {
   for (const int memory : {0, 16}) {
-    SolverSettings settings;
+    SolverSettings settings = test_support::patient();
     settings.memory = memory;
     settings.max_iterations = 1000;
-    settings.max_time = 60.0;
     MultipleShooting<AutoDiffProblem<CartPole>> solver(AutoDiffProblem<CartPole>{}, settings);
     const Eigen::Vector4d hanging(0.0, 3.14159265358979, 0.0, 0.0);
     solver.reset(hanging);
