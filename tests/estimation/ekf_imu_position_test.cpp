@@ -165,5 +165,32 @@ TEST(EkfImuPosition, UnknownPlaceDoesNotMakeTheBodyUncertain) {
   EXPECT_GT(ekf.filter().covariance()(0, 0), 0.02 * 0.02);  // the IMU's
 }
 
+// The estimated marker frame is relative to the IMU. Its error must not move the IMU or the body.
+TEST(EkfImuPosition, StaysAsGivenWhileTheMarkerIsEstimated) {
+  EkfSettings s;
+  s.imu_position << 0.15, -0.1, 0.05;
+  s.marker_position = marker;
+  s.marker_position_stddev = 0.1;
+  const Vector3d error(0.05, -0.03, 0.04);  // of the marker's position in the settings
+  const Flight flight(3, Eigen::Quaterniond::Identity(), marker + error - s.imu_position);
+  Random random(4);
+  NoisyImu imu(flight, s.imu_noise, imu_period, 3);
+  Ekfd ekf(s);
+  for (int i = 0; i <= 3000; ++i) {
+    const double t = imu_period * i;
+    ekf.on_imu(t, imu(t));
+    if (i % 2 == 0) ekf.on_pose(t, test_support::noisy(flight.pose(t), s.pose_noise, random));
+    ASSERT_EQ(ekf.imu_position(), s.imu_position) << i;
+  }
+  const Vector3d found = ekf.filter().state().marker_position + s.imu_position;
+  EXPECT_LT((found - marker - error).norm(), 0.01);
+  const double t = ekf.time();
+  const InertialStated truth = flight.state(t);
+  const Vector3d rate = flight.imu(t).angular_velocity, lever = truth.orientation * s.imu_position,
+                 lever_velocity = truth.orientation * rate.cross(s.imu_position);
+  EXPECT_LT((ekf.state().position - truth.position + lever).norm(), 0.01);
+  EXPECT_LT((ekf.state().velocity - truth.velocity + lever_velocity).norm(), 0.05);
+}
+
 }  // namespace
 }  // namespace tilt_ropter
