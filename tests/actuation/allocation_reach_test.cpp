@@ -148,9 +148,19 @@ TEST(AllocationReach, GivesAllReachableWrenchesWithFixedRotorMinThrust) {
 // The thrusts of a tilting rotor with min_thrust above zero are not a convex set. If the status
 // says that the wrench is given, the wrench is exact. Almost every wrench is given.
 TEST(AllocationReach, GivesMostReachableWrenchesWithTiltingRotorMinThrust) {
-  for (const double range : {20.0, 60.0, 120.0, 180.0}) {
-    Vehicle<4> v = with_range(tilt_ropter_vehicle(), -range, range);
-    v.rotor.min_thrust = 0.3;
+  struct Case {
+    double range, min_thrust;  // [degrees], [N]
+    double lost;               // largest fraction of wrenches that are not given
+  };
+  // If min_thrust acts along the minimum-norm thrusts alone, 0.2 % are lost at 120 degrees and
+  // 0.3 N, and 1.4 % with 1 N.
+  for (const Case& c : {Case{20.0, 0.3, 0.001},
+                        {60.0, 0.3, 0.003},
+                        {120.0, 0.3, 0.001},
+                        {180.0, 0.3, 0.001},
+                        {120.0, 1.0, 0.006}}) {
+    Vehicle<4> v = with_range(tilt_ropter_vehicle(), -c.range, c.range);
+    v.rotor.min_thrust = c.min_thrust;
     const Allocation<4> allocation(v);
     Random random(22);
     const int wrenches = test_support::quick_or_full(3000, 100000);
@@ -166,7 +176,7 @@ TEST(AllocationReach, GivesMostReachableWrenchesWithTiltingRotorMinThrust) {
       }
       lost += error > 1e-6;
     }
-    EXPECT_LT(lost, 0.02 * wrenches) << range;
+    EXPECT_LE(lost, c.lost * wrenches) << c.range << " degrees, " << c.min_thrust << " N";
   }
 }
 
