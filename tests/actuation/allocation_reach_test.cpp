@@ -180,4 +180,30 @@ TEST(AllocationReach, GivesMostReachableWrenchesWithTiltingRotorMinThrust) {
   }
 }
 
+// From angles near an end of the range, an arm that turns over may have too little thrust on its
+// new side. Such thrusts are not usable, although they are within the other limits.
+TEST(AllocationReach, GivesMostReachableWrenchesWithMinThrustNearTheRangeEnd) {
+  for (const double range : {120.0, 170.0, 200.0}) {
+    Vehicle<4> v = with_range(tilt_ropter_vehicle(), -range, range);
+    v.rotor.min_thrust = 0.3;
+    Vehicle<4> weak = v;  // small thrusts
+    weak.rotor.max_thrust *= 0.3;
+    const Allocation<4> allocation(v);
+    Random random(23);
+    const int wrenches = test_support::quick_or_full(1000, 30000);
+    int lost = 0;
+    for (int i = 0; i < wrenches; ++i) {
+      ActuatorState<4> last;
+      for (double& angle : last.tilt_angle)
+        angle = (random.uniform(0.0, 1.0) < 0.5 ? -1.0 : 1.0) *
+                (range * degree - random.uniform(0.0, 0.1));
+      const Wrenchd wanted = allocation.wrench(within_limits(weak, random, 0));
+      const auto result = allocation.allocate(wanted, last);
+      const Wrenchd given = allocation.wrench(result.command);
+      lost += (given.force - wanted.force).norm() + (given.torque - wanted.torque).norm() > 1e-6;
+    }
+    EXPECT_LE(lost, 0.005 * wrenches) << range;
+  }
+}
+
 }  // namespace
