@@ -95,6 +95,20 @@ TEST(ServoOutput, IsLinearOverServoRange) {
   EXPECT_EQ(angle_from_servo_output(inf, servo, {}), servo.max_angle);
 }
 
+// A trim moves the range of angles, so that the end of the output is not the end of the angle.
+TEST(ServoOutput, OutputBeyondItsRangeGivesTheAngleAtItsEnd) {
+  const ServoParameters servo = vehicle().servo;  // from -1 to 2 rad
+  for (const double far : {1.0001, 1.1, 5.0, inf})
+    for (const bool reversed : {false, true}) {
+      const double sign = reversed ? -1.0 : 1.0;
+      EXPECT_NEAR(angle_from_servo_output(-far, servo, {-0.2, reversed}), 0.5 - sign * 1.2, 1e-15);
+      EXPECT_NEAR(angle_from_servo_output(far, servo, {0.2, reversed}), 0.5 + sign * 1.2, 1e-15);
+    }
+  EXPECT_EQ(servo_output(-1.0, servo, {-0.2, false}), -1.0);
+  EXPECT_EQ(servo_output(2.0, servo, {-0.2, true}), -1.0);
+  EXPECT_EQ(servo_output(-1.0, servo, {0.2, true}), 1.0);
+}
+
 TEST(OutputScaling, RoundTripIsIdentity) {
   Random random(92);
   const OutputScaling<4> scaling(vehicle(), settings());
