@@ -6,8 +6,12 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Core>
+
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
+#include <utility>
 
 namespace tilt_ropter {
 namespace {
@@ -26,14 +30,17 @@ TEST(ReferenceWrench, AcceleratesAndCompensatesDisturbanceInAirAndOnGround) {
   EXPECT_GT(ground.force.z(), 0.75);  // above down_force, because of the torque
 }
 
-// Upward component of each rotor's thrust for `wrench` with this vertical force [N].
-Eigen::Vector4d vertical_thrusts(Wrenchd wrench, double force) {
+// Lateral and upward component of each rotor's thrust for `wrench` with this vertical force [N].
+Eigen::Matrix<double, 2, 4> thrusts(Wrenchd wrench, double force) {
   wrench.force.z() = force;
   Eigen::Matrix<double, 6, 1> packed;
   packed << wrench.force, wrench.torque;
-  const Eigen::Matrix<double, 8, 1> thrusts =
+  const Eigen::Matrix<double, 8, 1> all =
       AllocationMatrix<4>(tilt_ropter_vehicle()).pseudoinverse * packed;
-  return {thrusts(1), thrusts(3), thrusts(5), thrusts(7)};
+  return Eigen::Map<const Eigen::Matrix<double, 2, 4>>(all.data());
+}
+Eigen::Vector4d vertical_thrusts(const Wrenchd& wrench, double force) {
+  return thrusts(wrench, force).row(1).transpose();
 }
 
 TEST(GroundThrust, EqualsDownForceWithoutTorque) {
@@ -72,6 +79,26 @@ TEST(GroundThrust, RotorThrustTakesEffectUpToHalfTheWeight) {
   EXPECT_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 10.0);
   settings.rotor_thrust = -0.1;
   EXPECT_THROW(validate(settings), std::invalid_argument);
+}
+
+// A servo that does not reach 90 degrees: the thrust of its rotor stays within half of the tangent
+// of the nearer end of its range.
+TEST(GroundThrust, KeepsNarrowServosAwayFromTheEndOfTheirRange) {
+  for (const auto& [low, high] : {std::pair{-0.5, 0.9}, {-0.9, 0.5}}) {
+    Vehicle<4> vehicle = tilt_ropter_vehicle();
+    vehicle.servo.min_angle = low;
+    vehicle.servo.max_angle = high;
+    for (const double ahead : {0.6, -0.7}) {
+      const Wrenchd wrench{Eigen::Vector3d(ahead, 0.0, 0.0), Eigen::Vector3d::Zero()};
+      const double force = GroundThrust<4>(vehicle, {})(wrench);
+      EXPECT_LT(force, 0.5 * vehicle.body.mass * gravity);
+      const auto given = thrusts(wrench, force);
+      double steepest = 0.0;
+      for (int i = 0; i < 4; ++i)
+        steepest = std::max(steepest, std::abs(given(0, i)) / given(1, i));
+      EXPECT_NEAR(steepest, 0.5 * std::tan(0.5), 1e-9) << low << ' ' << ahead;
+    }
+  }
 }
 
 }  // namespace
