@@ -22,7 +22,7 @@ for name in $(cut -d '|' -f 2 <<< "$table" | grep -oE '[a-z_]+/[a-z_]+'); do
   [[ -e include/tilt_ropter/$name.hpp ]] || say "CONTRIBUTING.md: no header $name.hpp"
 done
 for test in $(cut -d '|' -f 3 <<< "$table" | grep -oE '[a-z_/.]+'); do
-  [[ $test == *.sh && -e tests/$test || -n $(find tests -name "$test.cpp") ]] ||
+  [[ $test == *.sh && -e $test || -n $(find tests -name "$test.cpp") ]] ||
     say "CONTRIBUTING.md: no test $test"
 done
 exit $result
