@@ -23,7 +23,7 @@ set(variant ${quick} ${library} CMAKE_BUILD_TYPE=None)
 set(plain ${quick} ${everything})
 set(full ${everything} CMAKE_CXX_COMPILER=g++ TILT_ROPTER_FULL_TESTS=ON)
 # Without NDEBUG, so that the assertions of Eigen stay active.
-set(sanitize ${quick} ${everything} CMAKE_CXX_FLAGS_RELEASE= "CMAKE_CXX_FLAGS=${debuggable}\
+set(sanitize ${quick} ${library} CMAKE_CXX_FLAGS_RELEASE= "CMAKE_CXX_FLAGS=${debuggable}\
  -D_GLIBCXX_ASSERTIONS -fsanitize=address,undefined,float-cast-overflow")
 set(sanitize_threads ${clang} ${programs} CMAKE_BUILD_TYPE=None
   "CMAKE_CXX_FLAGS=${debuggable} -fsanitize=thread")

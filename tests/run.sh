@@ -22,8 +22,9 @@ the benchmarks. The builds are those of cmake/presets.cmake.
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
                build-fuzz/ and run each target for this time, one per processor; fails if there is
                a finding
-  --sanitize   run the tests with ASan and UBSan in build-sanitize/, the programs with threads with
-               TSan in build-sanitize-threads/, and some tests of the normal build with valgrind
+  --sanitize   run the tests of the library with ASan and UBSan in build-sanitize/, the programs
+               with threads with TSan in build-sanitize-threads/, and some tests of the normal build
+               with valgrind. The programs' readers of files have ASan and UBSan in --fuzz
   --coverage   run the tests of the library and write a table of the lines of include/ that they
                reach, and the lines as HTML, to build-coverage/report/; fails below 95 %
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
@@ -90,7 +91,6 @@ run_tests() {  # directory, how many at a time, options of ctest
 # Tests of sources and packages do not depend on how the tests are built; callgrind counts only what
 # is built normally.
 built=(--label-exclude "source|package|counted")
-built_slowly=(--label-exclude "source|package|counted|real_time")
 
 case $mode in
   plain)
@@ -124,7 +124,7 @@ case $mode in
   sanitize)
     install_for_tests libclang-rt-dev llvm
     build sanitize build-sanitize
-    run_tests build-sanitize 2 "${built_slowly[@]}"
+    run_tests build-sanitize 2 "${built[@]}"
     build sanitize_threads build-sanitize-threads monte_carlo reproduce_paper
     echo "== Running monte_carlo and reproduce_paper in three threads under TSan"
     build-sanitize-threads/examples/monte_carlo --count 6 --threads 3 --no-pictures \
@@ -145,7 +145,7 @@ case $mode in
     LLVM_PROFILE_FILE=/dev/null build coverage build-coverage
     rm -rf build-coverage/profiles
     LLVM_PROFILE_FILE=$PWD/build-coverage/profiles/%m.profraw \
-      run_tests build-coverage 2 "${built_slowly[@]}"
+      run_tests build-coverage 2 "${built[@]}"
     bash tests/coverage.sh build-coverage 95
     ;;
   tidy)
