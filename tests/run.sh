@@ -96,7 +96,7 @@ case $mode in
   plain)
     install_for_tests
     build plain build-tests
-    run_tests build-tests 3  # those in real time mostly wait
+    run_tests build-tests 3  # some wait for each other
     ;;
   full)
     install_for_tests chromium doxygen parallel libfastrtps-dev fastddsgen
