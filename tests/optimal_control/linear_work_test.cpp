@@ -16,9 +16,6 @@
 namespace {
 
 using test_support::check_at_most;
-using test_support::full_run;
-using test_support::quick_or_full;
-using test_support::under_address_sanitizer;
 
 double thread_seconds() {
   std::timespec now{};
@@ -40,7 +37,6 @@ Work iterate(int horizon, bool flips) {
         seconds.push_back(thread_seconds() - start);
       });
   work.seconds = examples::percentile(seconds, 0.5);
-  work.evaluations = static_cast<double>(solver.problem().evaluations) / (horizon * count);
   return work;
 }
 
@@ -56,13 +52,12 @@ TEST_F(LinearTime, CostPerNodeIsTheSameForAnyHorizon) {
   // and the median of the rounds counts.
   const std::vector<int> horizons = {20, 50, 100, 200};
   std::vector<double> ratios;
-  for (int round = 0; round < quick_or_full(1, 11); ++round) {
+  for (int round = 0; round < 11; ++round) {
     std::vector<double> cost;
     for (const int horizon : horizons) {
       const Work work = iterate(horizon, false);
       EXPECT_GT(work.active, 1.2);
       EXPECT_LE(work.passes, 2.0);
-      EXPECT_LE(work.evaluations, 5.5);
       cost.push_back(work.seconds / (horizon * (1.0 + work.passes)));
     }
     const auto [least, most] = std::minmax_element(cost.begin(), cost.end());
@@ -74,7 +69,7 @@ TEST_F(LinearTime, CostPerNodeIsTheSameForAnyHorizon) {
 
 TEST_F(LinearTime, TenTimesTheHorizonWithAllConstraintsFlipping) {
   Work shorter = iterate(50, true), longer = iterate(500, true);
-  for (int again = 0; again < quick_or_full(0, 3); ++again) {
+  for (int again = 0; again < 3; ++again) {
     shorter.seconds = std::min(shorter.seconds, iterate(50, true).seconds);
     longer.seconds = std::min(longer.seconds, iterate(500, true).seconds);
   }
