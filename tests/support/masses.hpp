@@ -82,9 +82,11 @@ struct Masses {
   D::Constraints penalty(int) const { return D::Constraints::Constant(price); }
 };
 
-/// Mean number of active constraints per node, mean number of passes per iteration.
+/// Mean number of active constraints per node, mean number of passes per iteration, and number of
+/// passes in the last iteration.
 struct MeanWork {
   double active = 0.0, passes = 0.0;
+  int last_passes = 0;
 };
 
 /// Runs `count` iterations: measure(iterate) calls iterate(). If `flips` is true, the target
@@ -111,6 +113,7 @@ MeanWork iterate_masses(int horizon, bool flips, int count, const Measure& measu
     EXPECT_EQ(report.status, SolveStatus::iterated) << report.program_residual;
     work.active += static_cast<double>(report.active_constraints) / (horizon * count);
     work.passes += static_cast<double>(report.passes) / count;
+    work.last_passes = report.passes;
   }
   return work;
 }

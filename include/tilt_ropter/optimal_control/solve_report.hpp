@@ -43,8 +43,8 @@ struct SolveReport {
   double program_residual = 0.0;  ///< of the last quadratic program, see ProgramResidual
   int iterations = 0;             ///< SQP iterations; 1 for feedback()
   int passes = 0;  ///< Riccati passes in the last quadratic program, without those of prepare()
-  /// Rounds of NLopt, with two sweeps through the horizon each, and gradient evaluations by NLopt in
-  /// the last quadratic program.
+  /// Rounds of NLopt, with two sweeps through the horizon each, and gradient evaluations by NLopt
+  /// in the last quadratic program.
   int rounds = 0, evaluations = 0;
   int active_constraints = 0;  ///< constraints with a multiplier in the last quadratic program
   /// Number and largest violation of the constraints that the last quadratic program relaxed,
