@@ -62,8 +62,8 @@ bool any_between(const std::vector<FlightWindow>& windows, double from, double t
 TEST(FlightWindows, VelocityIsExactForConstantVelocityAndUnevenStamps) {
   const Vector3d velocity(1.5, -0.7, 0.4);
   for (const double rate : {100.0, 360.0}) {
-    const auto windows =
-        windows_of(fly([&](double time) { return at_rest(time) + time * velocity; }, rate));
+    const auto windows = windows_of(
+        fly([&](double time) -> Vector3d { return at_rest(time) + time * velocity; }, rate));
     ASSERT_GT(windows.size(), 100U);
     for (const FlightWindow& w : windows) {
       EXPECT_LT((w.velocity - leaning.conjugate() * velocity).norm(), 1e-9) << w.time;
@@ -75,7 +75,9 @@ TEST(FlightWindows, VelocityIsExactForConstantVelocityAndUnevenStamps) {
 // The slope of the positions within 0.05 s reduces a velocity of 10 rad/s by 2.5 %.
 TEST(FlightWindows, VelocityFollowsAFastOscillation) {
   const auto windows = windows_of(fly(
-      [](double time) { return at_rest(time) + Vector3d(0.1 * std::sin(10.0 * time), 0.0, 0.0); },
+      [](double time) -> Vector3d {
+        return at_rest(time) + Vector3d(0.1 * std::sin(10.0 * time), 0.0, 0.0);
+      },
       200.0, 0.0));
   ASSERT_GT(windows.size(), 100U);
   for (const FlightWindow& w : windows)
@@ -84,7 +86,8 @@ TEST(FlightWindows, VelocityFollowsAFastOscillation) {
 
 TEST(FlightWindows, SlowPosesGiveVelocitiesFromALongerTime) {
   const auto windows = windows_of(
-      fly([](double time) { return at_rest(time) + Vector3d(0.0, 0.8 * time, 0.0); }, 20.0, 0.1));
+      fly([](double time) -> Vector3d { return at_rest(time) + Vector3d(0.0, 0.8 * time, 0.0); },
+          20.0, 0.1));
   EXPECT_GT(windows.size(), 60U);
   for (const FlightWindow& w : windows)
     EXPECT_NEAR((w.rotation * w.velocity).y(), 0.8, 1e-9) << w.time;
