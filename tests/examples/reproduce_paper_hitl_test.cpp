@@ -1,8 +1,7 @@
 // Runs reproduce_paper with hardware in the loop, in real time.
-// CTest: real_time dds
+// CTest: long real_time dds
 
 #include "support/dds_on_loopback.hpp"
-#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -12,7 +11,6 @@
 namespace {
 
 TEST(ReproducePaperHitl, StartsTheThreeProgramsAndReadsTheirFigures) {
-  if (!test_support::full_run()) GTEST_SKIP() << "only in the full run";
   test_support::dds_on_loopback();
   const test_support::Directory directory("reproduce_paper_hitl");
   const test_support::Outcome loop = test_support::run(

@@ -1,6 +1,6 @@
 // The longest tick of the controller in the hardest flights, without and with a time limit (checks
 // 19 and 20), measured. The counted form is in worst_tick_test.cpp.
-// CTest: real_time optimised
+// CTest: long real_time
 
 #include "../../examples/support/statistics.hpp"
 
@@ -25,13 +25,6 @@ using test_support::quick_or_full;
 using test_support::stress_settings;
 using test_support::Totals;
 
-class WorstTickTime : public testing::Test {
- protected:
-  void SetUp() override {
-    if (!test_support::full_run()) GTEST_SKIP() << "measures times: only in the full run";
-  }
-};
-
 // Returns the longest tick of a flight over its median tick in hover. The flight is flown three
 // times or more: each tick counts with its shortest time, the hover with its fastest flight,
 // because interruptions by the machine do not repeat. On a machine whose speed changes, it takes up
@@ -49,7 +42,7 @@ double worst_ratio(const Vehicle<4>& vehicle, const StressStart& start, const St
   return ratio;
 }
 
-TEST_F(WorstTickTime, NoTickIsLongerThanFifteenMedians) {
+TEST(WorstTickTime, NoTickIsLongerThanFifteenMedians) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   double worst = 0.0;
   (void)fly_all(quick_or_full(5, 1000), [&](const StressStart& start) {
@@ -121,7 +114,7 @@ long count_longer(const std::vector<double>& times, double limit) {
   return std::count_if(times.begin(), times.end(), [&](double time) { return time > limit; });
 }
 
-TEST_F(WorstTickTime, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
+TEST(WorstTickTime, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const StressStart hover = examples::stress_start(Scenario::step, 0.1, 10.0, 1, 0);
   long ticks = 0, late = 0, interrupted = 0;

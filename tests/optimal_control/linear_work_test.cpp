@@ -1,10 +1,9 @@
 // The time of an iteration grows linearly with the length of the horizon (check 21), measured. The
 // counted form is in linear_work_counted_test.cpp.
-// CTest: real_time
+// CTest: long real_time
 
 #include "../../examples/support/statistics.hpp"
 #include "support/check_table.hpp"
-#include "support/full_run.hpp"
 #include "support/masses.hpp"
 
 #include <gtest/gtest.h>
@@ -40,14 +39,7 @@ Work iterate(int horizon, bool flips) {
   return work;
 }
 
-class LinearTime : public testing::Test {
- protected:
-  void SetUp() override {
-    if (!test_support::full_run()) GTEST_SKIP() << "measures times: only in the full run";
-  }
-};
-
-TEST_F(LinearTime, CostPerNodeIsTheSameForAnyHorizon) {
+TEST(LinearTime, CostPerNodeIsTheSameForAnyHorizon) {
   // The speed of the machine changes in the course of seconds: each round compares all horizons,
   // and the median of the rounds counts.
   const std::vector<int> horizons = {20, 50, 100, 200};
@@ -67,7 +59,7 @@ TEST_F(LinearTime, CostPerNodeIsTheSameForAnyHorizon) {
                 examples::percentile(ratios, 0.5), 1.3);
 }
 
-TEST_F(LinearTime, TenTimesTheHorizonWithAllConstraintsFlipping) {
+TEST(LinearTime, TenTimesTheHorizonWithAllConstraintsFlipping) {
   Work shorter = iterate(50, true), longer = iterate(500, true);
   for (int again = 0; again < 3; ++again) {
     shorter.seconds = std::min(shorter.seconds, iterate(50, true).seconds);
