@@ -218,6 +218,22 @@ TEST_F(ActuatorNmpcInput, NanIsRejectedAndTheLastPlanContinues) {
   EXPECT_EQ(tick(body, state).status, NmpcStatus::solved);
 }
 
+TEST_F(ActuatorNmpcInput, LengthAndSignOfTheQuaternionDoNotMatter) {
+  body.orientation = quaternion_exp(Eigen::Vector3d(0.01, -0.02, 0.015));
+  const auto command = [this](double factor) {
+    nmpc = ActuatorNmpc<4>(vehicle, nmpc.settings());  // starts at this state
+    BodyStated measured = body;
+    measured.orientation.coeffs() *= factor;
+    EXPECT_EQ(tick(measured, state).status, NmpcStatus::solved);
+    return nmpc.result().command;
+  };
+  const ActuatorState<4> unit = command(1.0);
+  for (const double factor : {1.1, 0.9, 2.0, -1.0}) {
+    EXPECT_LT((command(factor).rotor_speed - unit.rotor_speed).norm(), 1e-3) << factor;
+    EXPECT_LT((command(factor).tilt_angle - unit.tilt_angle).norm(), 1e-6) << factor;
+  }
+}
+
 TEST_F(ActuatorNmpcInput, SafeCommandFollowsWhenThePlanIsTooOld) {
   (void)tick(body, state);
   for (int i = 0; i < 25; ++i) {
