@@ -6,8 +6,7 @@
 # usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full | count [FLAG...]]
 # Measures processor time; `full` also measures -g. `count` measures no time: it counts the bytes
 # that GCC allocates while it compiles, which are the same on a busy machine and grow with what it
-# parses, instantiates and optimises. It also counts those of the umbrella header, and compiles with
-# the flags, which may make warnings errors.
+# parses, instantiates and optimises. It compiles with the flags, which may make warnings errors.
 set -euo pipefail
 compiler=$1 include=$2 eigen=$3 form=${4-} flags=("${@:5}")
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
@@ -30,7 +29,6 @@ CPP
 sed 's|control/nmpc.hpp|compiled.hpp|' "$away/nmpc.cpp" > "$away/compiled.cpp"
 
 if [[ $form == count ]]; then
-  echo '#include <tilt_ropter/tilt_ropter.hpp>' > "$away/umbrella.cpp"
   count() {  # source: sets `bytes` [MB] and `peak` [MB] of the compiler
     /usr/bin/time -f 'peak %M' "$compiler" -std=c++17 -O2 -ftime-report "${flags[@]}" \
       -I "$include" -isystem "$eigen" -c "$away/$1.cpp" -o /dev/null 2> "$away/report" ||
@@ -41,7 +39,7 @@ if [[ $form == count ]]; then
   }
   count eigen
   unit=$bytes result=0
-  for limit in umbrella:3.2 compiled:3.0 nmpc:5.9; do
+  for limit in compiled:3.0 nmpc:5.9; do
     count "${limit%:*}"
     awk -v name="${limit%:*}" -v most="${limit#*:}" -v bytes="$bytes" -v unit="$unit" \
       -v peak="$peak" -v most_peak=$most_megabytes 'BEGIN {
