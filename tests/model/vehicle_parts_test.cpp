@@ -147,8 +147,8 @@ TEST(VehicleParts, BatteryNamesEachField) {
   check("BatteryParameters.empty_voltage [V]", &S::empty_voltage, in_range(0.1, 16.0));
   check("BatteryParameters.resistance [ohm]", &S::resistance, in_range(0.0, 1e3));
   // One number alone does not make a battery.
-  const Range alone{{0.0}, {1.0, -1.0, 1e-12}};
-  unknown("BatteryParameters.capacity [A h]", &S::capacity, {{0.0}, {-1.0, 1e-12}});
+  const Range alone{{0.0}, {not_a_number, 1.0, -1.0, 1e-12}};
+  unknown("BatteryParameters.capacity [A h]", &S::capacity, {{0.0}, {-1.0, 1e-12, not_a_number}});
   unknown.refuse("BatteryParameters.full_voltage [V]", [](S& s) { s.capacity = 1.0; });
   const char* capacity = "BatteryParameters.capacity [A h]";
   unknown(

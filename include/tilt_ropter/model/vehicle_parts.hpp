@@ -239,8 +239,7 @@ inline void validate(const BatteryParameters& p) {
               !(p.nominal_voltage > 0.0 && p.nominal_voltage < 0.1),
           "BatteryParameters.nominal_voltage [V]", p.nominal_voltage,
           "in [0.1, 1e5], or zero where it is not known");
-  const auto zero = [](double value) { return !(value < 0.0 || value > 0.0); };
-  if (zero(p.capacity) && zero(p.full_voltage) && zero(p.empty_voltage) && zero(p.resistance))
+  if (p.capacity == 0.0 && p.full_voltage == 0.0 && p.empty_voltage == 0.0 && p.resistance == 0.0)
     return;
   require_in("BatteryParameters.capacity [A h]", p.capacity, 1e-3, 1e6);
   require_in("BatteryParameters.full_voltage [V]", p.full_voltage, 0.1, 1e5);
