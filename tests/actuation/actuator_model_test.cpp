@@ -2,9 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cstddef>
-#include <stdexcept>
-
 #include "support/random.hpp"
 
 namespace {
@@ -68,12 +65,6 @@ TEST(ActuatorModel, FixedRotorsKeepAngleZero) {
   model.update(1.0, command);
   EXPECT_EQ(model.state().tilt_angle(1), 0.0);
   EXPECT_GT(model.state().tilt_angle(0), 0.9);
-}
-
-TEST(ActuatorModel, RejectsInvalidParameters) {
-  Vehicle<4> vehicle = tilt_ropter_vehicle();
-  vehicle.servo.max_rate = 0.0;
-  EXPECT_THROW(ActuatorModel<4>{vehicle}, std::invalid_argument);
 }
 
 }  // namespace

@@ -11,8 +11,6 @@
 
 #include <cstddef>
 #include <limits>
-#include <stdexcept>
-#include <string>
 #include <vector>
 
 namespace {
@@ -127,45 +125,6 @@ TEST(Allocation, AnyInputGivesAFiniteCommandWithinLimits) {
       }
     }
   }
-}
-
-TEST(Allocation, RejectsInvalidVehiclesAndSettings) {
-  EXPECT_THROW(Allocation{test_support::flat_quadrotor()}, std::invalid_argument);
-  Vehicle<4> vehicle = tilt_ropter_vehicle();
-  vehicle.rotor.max_thrust = nan;
-  EXPECT_THROW(Allocation{vehicle}, std::invalid_argument);
-  AllocationSettings settings;
-  settings.hold_thrust = 0.0;
-  EXPECT_THROW(Allocation(tilt_ropter_vehicle(), settings), std::invalid_argument);
-  for (const double bad : {-0.1, 1.1, nan}) {
-    settings = {};
-    settings.lag_compensation = bad;
-    EXPECT_THROW(Allocation(tilt_ropter_vehicle(), settings), std::invalid_argument);
-  }
-  const auto message = [](const AllocationSettings& p) -> std::string {
-    try {
-      Allocation(tilt_ropter_vehicle(), p);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return {};
-  };
-  for (const double bad : {0.0, -1.0, nan, infinity}) {
-    settings = {};
-    settings.hold_time = bad;
-    EXPECT_NE(message(settings).find("hold_time [s]"), std::string::npos);
-  }
-  for (const double bad : {-0.1, 2.0, nan}) {
-    settings = {};
-    settings.range_end_margin = bad;
-    EXPECT_NE(message(settings).find("range_end_margin [rad]"), std::string::npos);
-  }
-  settings = {};
-  settings.priorities[3] = WrenchGroup::lift;
-  EXPECT_NE(message(settings).find("priorities = 0, 1, 2, 1: must be level (0)"),
-            std::string::npos);
-  settings.priorities[3] = static_cast<WrenchGroup>(7);
-  EXPECT_NE(message(settings).find("priorities"), std::string::npos);
 }
 
 }  // namespace

@@ -5,8 +5,6 @@
 
 #include <cmath>
 #include <limits>
-#include <stdexcept>
-#include <string>
 
 #include "support/random.hpp"
 
@@ -217,15 +215,6 @@ TEST(Battery, AnyInputGivesFiniteResults) {
     ASSERT_TRUE(battery.state_of_charge() >= 0.0 && battery.state_of_charge() <= 1.0);
     ASSERT_FALSE(std::isnan(battery.endurance(power)));
   }
-}
-
-TEST(Battery, RejectsInvalidParameters) {
-  EXPECT_THROW(Battery{BatteryParameters{}}, std::invalid_argument);  // unknown
-  EXPECT_THROW(Battery(paper_battery(), 1.01), std::invalid_argument);
-  EXPECT_THROW(Battery(paper_battery(), -0.01), std::invalid_argument);
-  BatteryParameters p = paper_battery();
-  p.empty_voltage = 17.0;
-  EXPECT_THROW(Battery{p}, std::invalid_argument);
 }
 
 // The paper's battery weighs 485 g (paper, Sec. Hardware System Design).

@@ -4,7 +4,6 @@
 
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 
 #include "support/autodiff.hpp"
 
@@ -81,27 +80,6 @@ TEST(Power, FloatMatchesDoubleAndDerivativeIsCorrect) {
   Eigen::Matrix<Dual, 1, 1> speed(Dual(900.0, 1, 0));
   EXPECT_NEAR(model.power(speed).derivatives()(0), 3.0 * model.coefficient() * 900.0 * 900.0,
               1e-12);
-}
-
-TEST(Power, RejectsInvalidParameters) {
-  Vehicle<4> vehicle = tilt_ropter_vehicle();
-  vehicle.power.hover = vehicle.power.electronics;
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  vehicle.power.hover = vehicle.power.electronics + 1.0;  // less than with four servos
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  vehicle = tilt_ropter_vehicle();
-  vehicle.power.servo_move = -1.0;
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  EXPECT_THROW(PowerModel(tilt_ropter_vehicle().power, Eigen::Vector4d::Ones(), -1),
-               std::invalid_argument);
-  vehicle = tilt_ropter_vehicle();
-  vehicle.body.mass = 0.0;
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  vehicle = tilt_ropter_vehicle();
-  vehicle.rotor.thrust_coefficient = 0.0;
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
-  vehicle.rotor.thrust_coefficient = 1e300;  // hover at 2e-150 rad/s: overflow of the coefficient
-  EXPECT_THROW(PowerModel{vehicle}, std::invalid_argument);
 }
 
 }  // namespace
