@@ -10,9 +10,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <limits>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -335,24 +333,7 @@ TEST(ClockCalibration, EachSettingActs) {
   EXPECT_LT(wide.stddev, 0.6 * usual.stddev);
 }
 
-TEST(ClockCalibration, SettingsOutOfRangeAreRefusedByName) {
-  const auto complaint = [](const ClockCalibrationSettings& s) -> std::string {
-    try {
-      (void)calibrate_clock({}, {}, s);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "";
-  };
-  EXPECT_EQ(complaint({}), "");
-  EXPECT_EQ(complaint({0.0, 0.05, 2e-3}),
-            "ClockCalibrationSettings.max_offset [s] = 0: must be in (0, 60]");
-  EXPECT_EQ(complaint({1e9, 0.05, 2e-3}),  // more steps than an int counts
-            "ClockCalibrationSettings.max_offset [s] = 1e+09: must be in (0, 60]");
-  EXPECT_EQ(complaint({0.5, 1e-9, 2e-3}),
-            "ClockCalibrationSettings.window [s] = 1e-09: must be finite and >= 0.001");
-  EXPECT_EQ(complaint({0.5, 0.05, nan}),
-            "ClockCalibrationSettings.max_stddev [s] = nan: must be finite and > 0");
+TEST(ClockCalibration, StatusHasAName) {
   EXPECT_STREQ(to_string(Status::calibrated), "calibrated");
   EXPECT_STREQ(to_string(Status::bad_data), "bad_data");
   EXPECT_STREQ(to_string(Status::too_short), "too_short");
