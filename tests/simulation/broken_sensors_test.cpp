@@ -6,14 +6,10 @@
 
 #include <cmath>
 #include <cstddef>
-#include <limits>
-#include <stdexcept>
 #include <vector>
 
 namespace tilt_ropter {
 namespace {
-
-constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
 // This fault from 1 s to 2 s.
 SensorFault fault_of(SensorFaultKind kind, double size) {
@@ -117,18 +113,7 @@ TEST(SensorFaults, ImuBesideTheComFeelsRotation) {
   }
 }
 
-TEST(SensorFaults, OutOfRangeIsRefusedByName) {
-  SensorFault fault;
-  fault.duration = 0.0;
-  PoseSensor sensor({}, 1);
-  EXPECT_THROW(sensor.add_fault(fault), std::invalid_argument);
-  fault.duration = 1.0;
-  fault.kind = SensorFaultKind::imu_vibration;
-  EXPECT_THROW(validate(fault), std::invalid_argument);  // size 0
-  fault.size = 0.1;
-  EXPECT_NO_THROW(validate(fault));
-  fault.start = nan;
-  EXPECT_THROW(validate(fault), std::invalid_argument);
+TEST(SensorFaults, HaveNames) {
   for (const auto name : sensor_fault_names) EXPECT_EQ(to_string(*sensor_fault_kind(name)), name);
   EXPECT_FALSE(sensor_fault_kind("pose_melt"));
 }

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <stdexcept>
 #include <vector>
 
 namespace tilt_ropter {
@@ -17,19 +16,6 @@ using test_support::Random;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
-
-template <typename Parameters, typename Change>
-bool rejects(Change change) {
-  Parameters p;
-  validate(p);
-  change(p);
-  try {
-    validate(p);
-  } catch (const std::invalid_argument&) {
-    return true;
-  }
-  return false;
-}
 
 BodyStated random_body(Random& random) {
   BodyStated body;
@@ -336,36 +322,6 @@ TEST(ImuSensor, BiasWalksWithTheGivenDensity) {
   EXPECT_NEAR(gyro.deviation(), 0.01 * std::sqrt(2.0), 0.01 * 0.06);
   EXPECT_NEAR(accelerometer.deviation(), 0.05 * std::sqrt(2.0), 0.05 * 0.06);
   EXPECT_NEAR(gyro.mean(), 0.0, 0.01 * 0.1);
-}
-
-TEST(Sensors, RejectInvalidParameters) {
-  using Imu = ImuSensorParameters;
-  EXPECT_FALSE(rejects<Imu>([](auto&) {}));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.rate = 0.0; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.delay = -1.0; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.delay = 1e9; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.gyro_noise_density = -1.0; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.accelerometer_noise_density = nan; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.gyro_bias_walk = -1.0; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.accelerometer_bias_walk = -1.0; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.gyro_bias.x() = nan; }));
-  EXPECT_TRUE(rejects<Imu>([](auto& p) { p.accelerometer_bias.z() = nan; }));
-  using Pose = PoseSensorParameters;
-  EXPECT_TRUE(rejects<Pose>([](auto& p) { p.rate = nan; }));
-  EXPECT_TRUE(rejects<Pose>([](auto& p) { p.position_noise = -1.0; }));
-  EXPECT_TRUE(rejects<Pose>([](auto& p) { p.orientation_noise = -1.0; }));
-  using RotorSpeed = RotorSpeedSensorParameters;
-  EXPECT_TRUE(rejects<RotorSpeed>([](auto& p) { p.delay = nan; }));
-  EXPECT_TRUE(rejects<RotorSpeed>([](auto& p) { p.noise = -1.0; }));
-  using WholeState = StateSensorParameters;
-  EXPECT_TRUE(rejects<WholeState>([](auto& p) { p.rate = -1.0; }));
-  EXPECT_TRUE(rejects<WholeState>([](auto& p) { p.position_noise = -1.0; }));
-  EXPECT_TRUE(rejects<WholeState>([](auto& p) { p.velocity_noise = -1.0; }));
-  EXPECT_TRUE(rejects<WholeState>([](auto& p) { p.orientation_noise = -1.0; }));
-  EXPECT_TRUE(rejects<WholeState>([](auto& p) { p.angular_velocity_noise = -1.0; }));
-  PoseSensorParameters bad;
-  bad.rate = 0.0;
-  EXPECT_THROW(PoseSensor(bad, 1), std::invalid_argument);
 }
 
 TEST(Sensors, ResetAllowsTimeToStartAnew) {
