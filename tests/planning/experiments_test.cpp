@@ -1,11 +1,12 @@
 #include <tilt_ropter/planning/experiments.hpp>
 
+#include "support/refusals.hpp"
+
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
 
-#include <algorithm>
-#include <stdexcept>
+#include <string>
 #include <vector>
 
 namespace tilt_ropter {
@@ -65,22 +66,38 @@ TEST(Experiments, HybridMovesAllTheTimeWithinItsLimits) {
   }
 }
 
-TEST(Experiments, RefuseWhatCannotDriveAndInvalidLengths) {
-  const Undercarriage legs{0.11, false, false, false}, four_wheels{0.11, true, false, false};
-  for (const Undercarriage& other : {legs, four_wheels}) {
-    EXPECT_THROW((void)ground_experiment(other), std::invalid_argument);
-    EXPECT_THROW((void)hybrid_experiment(other), std::invalid_argument);
+TEST(Experiments, CheckMissionUndercarriageAndLengths) {
+  using namespace test_support;
+  HybridMissionSettings no_lap;
+  no_lap.laps = 0;
+  const std::string laps = "HybridMissionSettings.laps";
+  expect_refused(laps, [&] { (void)hybrid_mission(wheels, no_lap); });
+  expect_refused(laps, [&] { (void)excitation_experiment(no_lap); });
+  expect_refused(laps, [&] { (void)aerial_experiment(no_lap); });
+  expect_refused(laps, [&] { (void)ground_experiment(wheels, no_lap); });
+  expect_refused(laps, [&] { (void)hybrid_experiment(wheels, no_lap); });
+  const Undercarriage slides{0.1, false, true, true}, straight{0.1, true, false, true};
+  for (const auto& drive : {+[](const Undercarriage& u) { (void)ground_experiment(u); },
+                            +[](const Undercarriage& u) { (void)hybrid_experiment(u); }}) {
+    expect_accepted([&] { drive(wheels); });
+    expect_refused(
+        "Undercarriage", [&] { drive(slides); }, "one that does not roll: must be");
+    expect_refused(
+        "Undercarriage", [&] { drive(straight); }, "one that does not turn: must be");
+    expect_refused("Undercarriage.height [m]", [&] { drive({-0.1, true, true, true}); });
   }
-  for (double HybridExperimentSettings::*length :
-       {&HybridExperimentSettings::descent_length, &HybridExperimentSettings::climb_length,
-        &HybridExperimentSettings::roll_length}) {
-    HybridExperimentSettings lengths;
-    lengths.*length = 0.0;
-    EXPECT_THROW((void)hybrid_experiment(wheels, {}, lengths), std::invalid_argument);
-  }
-  HybridMissionSettings bad;
-  bad.max_speed = -1.0;
-  EXPECT_THROW((void)aerial_experiment(bad), std::invalid_argument);
+  const auto check_length = [&](const char* name, double HybridExperimentSettings::*length) {
+    expect_range(name, {{}, {0.0, -1.0, not_a_number, infinite}}, true, [&](double value) {
+      HybridExperimentSettings lengths;
+      lengths.*length = value;
+      (void)hybrid_experiment(wheels, {}, lengths);
+    });
+  };
+  check_length("HybridExperimentSettings.descent_length [m]",
+               &HybridExperimentSettings::descent_length);
+  check_length("HybridExperimentSettings.climb_length [m]",
+               &HybridExperimentSettings::climb_length);
+  check_length("HybridExperimentSettings.roll_length [m]", &HybridExperimentSettings::roll_length);
 }
 
 }  // namespace

@@ -12,7 +12,6 @@
 #include <limits>
 #include <random>
 #include <stdexcept>
-#include <string>
 #include <vector>
 
 namespace tilt_ropter {
@@ -290,41 +289,6 @@ TEST(MinimumSnap, StopsFromAnyMotionWithinTheAcceleration) {
   EXPECT_THROW((void)stop(bad, 1.0), std::invalid_argument);
   bad.acceleration.x() = std::nan("");
   EXPECT_THROW((void)stop(bad, 1.0), std::invalid_argument);
-}
-
-TEST(MinimumSnap, ErrorsNameTheField) {
-  const auto message = [](void (*spoil)(MinimumSnapSettings&)) -> std::string {
-    MinimumSnapSettings p;
-    p.points = {{0.0, 0.0, 1.0}, {2.0, 0.0, 1.0}, {4.0, 1.0, 1.0}};
-    spoil(p);
-    try {
-      MinimumSnap path(p);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
-  };
-  const auto names = [](const std::string& text, const std::string& field) {
-    EXPECT_NE(text.find(field), std::string::npos) << text;
-  };
-  EXPECT_EQ(message([](MinimumSnapSettings&) {}), "accepted");
-  names(message([](MinimumSnapSettings& p) { p.points.resize(1); }), "points.size()");
-  names(message([](MinimumSnapSettings& p) { p.points.resize(101); }), "points.size()");
-  names(message([](MinimumSnapSettings& p) { p.points[1].x() = std::nan(""); }), "points[1]");
-  names(message([](MinimumSnapSettings& p) { p.points[2] = p.points[1]; }), "points[2] distance");
-  names(message([](MinimumSnapSettings& p) { p.max_speed = 0.0; }), "max_speed");
-  names(message([](MinimumSnapSettings& p) { p.max_acceleration = -1.0; }), "max_acceleration");
-  names(message([](MinimumSnapSettings& p) { p.start_velocity.x() = 1.6; }), "start_velocity");
-  names(message([](MinimumSnapSettings& p) { p.end_velocity.z() = std::nan(""); }), "end_velocity");
-  names(message([](MinimumSnapSettings& p) { p.end_acceleration.x() = 2.0; }), "end_acceleration");
-  names(message([](MinimumSnapSettings& p) { p.yaw = std::nan(""); }), "yaw");
-  names(message([](MinimumSnapSettings& p) { p.start_time = std::nan(""); }), "start_time");
-  // Straight up there is no heading.
-  names(message([](MinimumSnapSettings& p) {
-          p.points = {{0.0, 0.0, 1.0}, {0.0, 0.0, 2.0}};
-          p.heading = HeadingMode::along_velocity;
-        }),
-        "limits");
 }
 
 }  // namespace

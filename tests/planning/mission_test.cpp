@@ -237,40 +237,6 @@ TEST(HybridMission, EverySettingActs) {
   EXPECT_LT(changed([](P&) {}), 1e-12);
 }
 
-TEST(HybridMission, RejectsInvalidSettingsByName) {
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  const auto refused = [](const std::string& expected, const auto& change) {
-    HybridMissionSettings p;
-    change(p);
-    const std::string message = message_of([&p] { return hybrid_mission(rolling, p); });
-    EXPECT_NE(message.find(expected), std::string::npos) << message;
-  };
-  using P = HybridMissionSettings;
-  refused("HybridMissionSettings.origin [m] = (nan, 0): must be finite in every entry",
-          [=](P& p) { p.origin.x() = nan; });
-  refused(".yaw [rad] = nan: must be finite", [=](P& p) { p.yaw = nan; });
-  refused(".direction [rad] = nan: must be finite", [=](P& p) { p.direction = nan; });
-  refused(".flight_height [m] = 0.1: must be more than Undercarriage.height, 0.11",
-          [](P& p) { p.flight_height = 0.1; });
-  refused(".rest_time [s] = 0: must be in [0.001, 1e+10]", [](P& p) { p.rest_time = 0.0; });
-  refused(".hover_time [s] = -2: must be in [0.001, 1e+10]", [](P& p) { p.hover_time = -2.0; });
-  refused(".climb_speed [m/s] = 0: must be", [](P& p) { p.climb_speed = 0.0; });
-  refused(".climb_acceleration [m/s^2] = 0: must be", [](P& p) { p.climb_acceleration = 0.0; });
-  refused(".descent_speed [m/s] = 0: must be", [](P& p) { p.descent_speed = 0.0; });
-  refused(".descent_acceleration [m/s^2] = 0: must be", [](P& p) { p.descent_acceleration = 0.0; });
-  refused(".air_amplitude.z [m] = 1.4: must be less than flight_height - Undercarriage.height",
-          [](P& p) { p.air_amplitude.z() = 1.4; });
-  refused("FigureEightSettings.amplitude.y [m] = 9", [](P& p) { p.ground_amplitude.y() = 9.0; });
-  refused(".laps = 0: must be >= 1", [](P& p) { p.laps = 0; });
-  refused(".max_speed [m/s] = inf: must be",
-          [](P& p) { p.max_speed = std::numeric_limits<double>::infinity(); });
-  refused(".max_acceleration [m/s^2] = 0: must be", [](P& p) { p.max_acceleration = 0.0; });
-  refused(".max_yaw_rate [rad/s] = 0: must be", [](P& p) { p.max_yaw_rate = 0.0; });
-  refused(".max_yaw_acceleration [rad/s^2] = 0: must be",
-          [](P& p) { p.max_yaw_acceleration = 0.0; });
-  refused(".start_time [s] = nan: must be in [-1e+10, 1e+10]", [=](P& p) { p.start_time = nan; });
-}
-
 TEST(Mission, IsAtRestBeforeItsStartAndAfterItsEnd) {
   const double infinity = std::numeric_limits<double>::infinity();
   const double nan = std::numeric_limits<double>::quiet_NaN();
@@ -317,22 +283,6 @@ TEST(Mission, RejectsDiscontinuousSegmentsByName) {
             "must be <= 1e-6");
   // A heading that differs by a whole turn is the same heading.
   EXPECT_EQ(mission_to({{0.0, 0.0, 1.0}, 2.0 * std::acos(-1.0)}), "accepted");
-}
-
-TEST(Mission, RejectsEmptyMissionAndInvalidTimes) {
-  EXPECT_EQ(message_of([] { return Mission(std::vector<MissionSegment>{}); }),
-            "Mission.segments.size() = 0: must be >= 1");
-  EXPECT_EQ(message_of([] { return Hold(here, 0.0); }),
-            "Hold.duration [s] = 0: must be in [0.001, 1e+10]");
-  EXPECT_EQ(message_of([] {
-              return Hold({{0.0, 0.0, std::numeric_limits<double>::infinity()}, 0.0}, 1.0);
-            }),
-            "Hold.place.position [m] = (0, 0, inf): must be finite in every entry");
-  EXPECT_EQ(message_of([] {
-              return Mission({{MissionPhase::hover, Hold(here, 1.0)}},
-                             std::numeric_limits<double>::quiet_NaN());
-            }),
-            "Hold.start_time [s] = nan: must be in [-1e+10, 1e+10]");
 }
 
 TEST(MissionPhase, HasAName) {

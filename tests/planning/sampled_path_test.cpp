@@ -8,8 +8,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
-#include <string>
 #include <vector>
 
 namespace tilt_ropter {
@@ -100,31 +98,6 @@ TEST(SampledPath, IsDefinedForEveryTime) {
   EXPECT_EQ(path(std::nan("")).position, path(path.start_time()).position);
   EXPECT_EQ(path(-infinity).position, path(path.start_time()).position);
   EXPECT_EQ(path(infinity).position, path(path.end_time()).position);
-}
-
-TEST(SampledPath, ErrorsNameTheSample) {
-  const auto message = [](void (*spoil)(std::vector<PathSample>&)) -> std::string {
-    std::vector<PathSample> all = samples(5);
-    spoil(all);
-    try {
-      SampledPath path(all);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
-  };
-  using Samples = std::vector<PathSample>;
-  EXPECT_EQ(message([](Samples&) {}), "accepted");
-  EXPECT_NE(message([](Samples& s) { s.resize(1); }).find("size()"), std::string::npos);
-  EXPECT_NE(message([](Samples& s) { s[2].time = s[1].time; }).find("[2].time"), std::string::npos);
-  EXPECT_NE(message([](Samples& s) { s[3].position.y() = std::nan(""); }).find("[3].position"),
-            std::string::npos);
-  EXPECT_NE(message([](Samples& s) { s[4].yaw = std::nan(""); }).find("[4].yaw"),
-            std::string::npos);
-  const SampledPath path(samples(5));
-  EXPECT_THROW((void)path.part(-1.0, 2.0), std::invalid_argument);
-  EXPECT_THROW((void)path.part(3.0, 2.0), std::invalid_argument);
-  EXPECT_THROW(SampledPath(path).set_start_time(std::nan("")), std::invalid_argument);
 }
 
 }  // namespace

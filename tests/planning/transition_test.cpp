@@ -243,36 +243,3 @@ TEST(Transition, SetStartTimeShiftsTheWholeReference) {
   EXPECT_THROW(transition.set_start_time(std::numeric_limits<double>::infinity()),
                std::invalid_argument);
 }
-
-TEST(Transition, RejectsInvalidSettingsByName) {
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  const auto refused = [](const std::string& expected, const auto& change) {
-    TransitionSettings p;
-    change(p);
-    EXPECT_NE(message_of(p).find(expected), std::string::npos) << message_of(p);
-  };
-  using P = TransitionSettings;
-  refused("TransitionSettings.from.position [m] = (nan, 0, 0): must be finite in every entry",
-          [=](P& p) { p.from.position.x() = nan; });
-  refused("TransitionSettings.to.yaw [rad] = nan: must be finite", [=](P& p) { p.to.yaw = nan; });
-  refused("start_time [s] = nan: must be in [-1e+10, 1e+10]", [=](P& p) { p.start_time = nan; });
-  refused("duration [s] = -1: must be in [0, 1e+10]", [](P& p) { p.duration = -1.0; });
-  refused("max_speed [m/s] = 0: must be finite and > 0", [](P& p) { p.max_speed = 0.0; });
-  refused("max_acceleration [m/s^2] = 0: must be finite and > 0",
-          [](P& p) { p.max_acceleration = 0.0; });
-  refused("max_yaw_rate [rad/s] = 0: must be finite and > 0", [](P& p) { p.max_yaw_rate = 0.0; });
-  refused("max_yaw_acceleration [rad/s^2] = 0: must be finite and > 0",
-          [](P& p) { p.max_yaw_acceleration = 0.0; });
-  refused("shortest duration within its limits [s] = inf: must be in [0, 1e+10]", [](P& p) {
-    p.to.position.x() = 1e300;
-    p.max_speed = 1e-300;
-  });
-  EXPECT_EQ(message_of(TransitionSettings{}), "accepted");
-
-  const Waypoint at{{0.0, 0.0, 1.0}, 0.0};
-  EXPECT_THROW(static_cast<void>(take_off(at, 1.0)), std::invalid_argument);
-  EXPECT_THROW(static_cast<void>(take_off(at, nan)), std::invalid_argument);
-  EXPECT_THROW(static_cast<void>(landing(at, 1.0)), std::invalid_argument);
-  EXPECT_THROW(static_cast<void>(landing(at, nan)), std::invalid_argument);
-  EXPECT_THROW(static_cast<void>(landing(at, 0.0, 0.0)), std::invalid_argument);
-}
