@@ -3,6 +3,7 @@
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 
 #include "support/circle_problem.hpp"
+#include "support/refusals.hpp"
 
 #include <gtest/gtest.h>
 
@@ -11,7 +12,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -237,18 +237,31 @@ TEST(DerivativeCheck, ChecksEveryNodeWithTheStateAndInputGiven) {
   }
 }
 
-TEST(DerivativeCheck, RejectsTrajectoriesOfTheWrongLength) {
-  const Circle<> problem;
-  const std::vector<Circle<>::State> xs(7);
-  const std::vector<Eigen::Vector2d> us(7, Eigen::Vector2d::Zero());
-  EXPECT_NO_THROW((void)check_derivatives(problem, xs, us));
-  EXPECT_NO_THROW((void)check_derivatives(problem, xs, {us.begin(), us.end() - 1}));
-  EXPECT_THROW((void)check_derivatives(problem, {xs.begin(), xs.end() - 1}, us),
-               std::invalid_argument);
-  EXPECT_THROW((void)check_derivatives(problem, xs, {us.begin(), us.end() - 2}),
-               std::invalid_argument);
-  EXPECT_THROW((void)check_derivatives(problem, xs, us, 0.0), std::invalid_argument);
-  EXPECT_THROW((void)check_derivatives(problem, xs, us, nan), std::invalid_argument);
+TEST(DerivativeCheck, NamesItsArguments) {
+  Circle<> problem;
+  std::vector<Circle<>::State> xs;
+  std::vector<Eigen::Vector2d> us;
+  const auto check = [&](std::size_t states, std::size_t inputs, double tolerance) {
+    xs.resize(states);
+    us.assign(inputs, Eigen::Vector2d::Zero());
+    (void)check_derivatives(problem, xs, us, tolerance);
+  };
+  using test_support::expect_accepted;
+  using test_support::expect_refused;
+  expect_accepted([&] { check(7, 7, 1e-6); });
+  expect_accepted([&] { check(7, 6, 1e-6); });
+  for (const std::size_t states : {0U, 6U, 8U})
+    expect_refused(
+        "check_derivatives: number of states", [&] { check(states, 7, 1e-6); },
+        std::to_string(states) + ": must be");
+  for (const std::size_t inputs : {0U, 5U})
+    expect_refused("check_derivatives: number of inputs", [&] { check(7, inputs, 1e-6); });
+  for (const double tolerance : {0.0, -1.0, nan})
+    expect_refused("check_derivatives: tolerance", [&] { check(7, 7, tolerance); });
+  problem.intervals = 1;
+  expect_accepted([&] { check(2, 1, 1e-6); });
+  for (problem.intervals = 0; problem.intervals > -2; --problem.intervals)
+    expect_refused("Problem.horizon()", [&] { check(1, 0, 1e-6); });
 }
 
 }  // namespace

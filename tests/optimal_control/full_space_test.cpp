@@ -4,15 +4,13 @@
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/quadrotor.hpp"
+#include "support/refusals.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
-#include <string>
 
 namespace tilt_ropter::optimal_control {
 namespace {
@@ -215,25 +213,14 @@ TEST(FullSpace, LimitsAreKept) {
   EXPECT_LT(solve(s).evaluations, solve({}).evaluations);
 }
 
-TEST(FullSpace, RejectsSettingsOutOfRangeByName) {
-  const auto message = [](const FullSpaceSettings& settings, int horizon) -> std::string {
-    try {
-      FullSpace<Unicycle> solver(Unicycle({horizon}), settings);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
-  };
-  const auto expect_refused = [&](auto change, const std::string& text) {
-    FullSpaceSettings s;
-    change(s);
-    EXPECT_NE(message(s, 6).find(text), std::string::npos) << message(s, 6);
-  };
-  expect_refused([](auto& s) { s.max_evaluations = 0; }, "max_evaluations = 0: must be > 0");
-  expect_refused([](auto& s) { s.tolerance = -1.0; }, "FullSpaceSettings.tolerance = -1");
-  expect_refused([](auto& s) { s.max_rebases = 0; }, "FullSpaceSettings.max_rebases = 0");
-  expect_refused([](auto& s) { s.max_time = nan; }, "FullSpaceSettings.max_time [s] = nan");
-  EXPECT_EQ(message({}, 0), "Problem.horizon() = 0: must be >= 1");
+TEST(FullSpace, ChecksSettingsAndHorizon) {
+  FullSpaceSettings bad;
+  bad.max_rebases = 0;
+  test_support::expect_refused("FullSpaceSettings.max_rebases",
+                               [&] { FullSpace<Unicycle>(Unicycle({6}), bad); });
+  test_support::expect_range(
+      "Problem.horizon()", {{1.0, 6.0}, {0.0, -1.0}}, true,
+      [](double horizon) { FullSpace<Unicycle>(Unicycle({static_cast<int>(horizon)})); });
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "support/patient.hpp"
 #include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
+#include "support/refusals.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
@@ -301,6 +302,14 @@ TEST(Problems, QuadrotorRecoversFromItsSide) {
   EXPECT_EQ(report.status, SolveStatus::converged);
   EXPECT_GT(report.active_constraints, 2);
   EXPECT_LT(problem.difference(solver.state(30), Quadrotor::State{}).cwiseAbs().maxCoeff(), 0.05);
+}
+
+TEST(MultipleShooting, NeedsAHorizonOfOneNodeOrMore) {
+  test_support::expect_range("Problem.horizon()", {{1.0, 2.0}, {0.0, -1.0}}, true,
+                             [](double horizon) {
+                               const Contradiction problem({static_cast<int>(horizon), 0.75});
+                               MultipleShooting<Contradiction>{problem};
+                             });
 }
 
 }  // namespace

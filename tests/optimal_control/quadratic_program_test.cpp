@@ -16,7 +16,6 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
-#include <string>
 
 namespace tilt_ropter::optimal_control {
 namespace {
@@ -263,28 +262,6 @@ TEST(QuadraticProgram, InputBoundsThatExcludeZeroDoNotCountAtTheLastNode) {
   full.reset(rest);
   ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);
   EXPECT_NEAR(full.report().cost, solver.report().cost, 1e-6);
-}
-
-TEST(QuadraticProgram, RejectsSettingsOutOfRangeByName) {
-  const auto message = [](const QuadraticProgramSettings& program) -> std::string {
-    SolverSettings settings;
-    settings.program = program;
-    try {
-      Solver solver(Problem{}, settings);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
-  };
-  QuadraticProgramSettings s;
-  s.tolerance = 0.0;
-  EXPECT_NE(message(s).find("QuadraticProgramSettings.tolerance"), std::string::npos);
-  s = {};
-  s.max_dual_constraints = -1;
-  EXPECT_NE(message(s).find("max_dual_constraints = -1: must be in [0, 1000]"), std::string::npos);
-  s = {};
-  s.max_passes = 0;
-  EXPECT_NE(message(s).find("max_passes = 0: must be >= 1"), std::string::npos);
 }
 
 }  // namespace

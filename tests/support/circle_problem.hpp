@@ -56,8 +56,9 @@ struct Circle {
 
   Mistake mistake;
   double stretch = 1.0;  // of the retraction, correct: 1
+  int intervals = 6;
 
-  int horizon() const { return 6; }
+  int horizon() const { return intervals; }
   static State turned(const State& x, double angle, double climb) {
     const double c = std::cos(angle), s = std::sin(angle);
     const Eigen::Vector2d& d = x.direction;

@@ -1,0 +1,58 @@
+// Every limit of the solvers' settings, by the name in the message.
+
+#include <tilt_ropter/optimal_control/full_space_settings.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
+
+#include "support/refusals.hpp"
+
+#include <gtest/gtest.h>
+
+namespace tilt_ropter::optimal_control {
+namespace {
+
+using namespace test_support;
+
+TEST(SolverSettings, DualNamesEachField) {
+  using S = DualSettings;
+  const Fields<S> check;
+  check("DualSettings.max_evaluations", &S::max_evaluations, at_least(1));
+  check("DualSettings.tolerance", &S::tolerance, positive());
+  check("DualSettings.constraint_tolerance", &S::constraint_tolerance, positive());
+  check("DualSettings.max_rounds", &S::max_rounds, at_least(1));
+}
+
+TEST(SolverSettings, QuadraticProgramNamesEachField) {
+  using S = QuadraticProgramSettings;
+  const Fields<S> check;
+  check("QuadraticProgramSettings.tolerance", &S::tolerance, positive());
+  check("QuadraticProgramSettings.max_dual_constraints", &S::max_dual_constraints,
+        whole_numbers(0, 1000));
+  check("QuadraticProgramSettings.max_passes", &S::max_passes, at_least(1));
+  check.refuse("DualSettings.max_rounds", [](S& s) { s.dual.max_rounds = 0; });
+}
+
+TEST(SolverSettings, SolverNamesEachField) {
+  using S = SolverSettings;
+  const Fields<S> check;
+  check("SolverSettings.max_iterations", &S::max_iterations, at_least(1));
+  check("SolverSettings.max_time [s]", &S::max_time, positive());
+  check("SolverSettings.max_feedback_time [s]", &S::max_feedback_time,
+        {{1e-300, 1000.0, infinite}, {0.0, -1.0, above(1000.0), -infinite, not_a_number}});
+  check("SolverSettings.tolerance", &S::tolerance, positive());
+  check("SolverSettings.min_step", &S::min_step, above_up_to(0.0, 1.0));
+  check("SolverSettings.memory", &S::memory, whole_numbers(0, 100));
+  check("SolverSettings.max_multiplier", &S::max_multiplier, not_negative());
+  check.refuse("QuadraticProgramSettings.max_passes", [](S& s) { s.program.max_passes = 0; });
+}
+
+TEST(SolverSettings, FullSpaceNamesEachField) {
+  using S = FullSpaceSettings;
+  const Fields<S> check;
+  check("FullSpaceSettings.max_evaluations", &S::max_evaluations, at_least(1));
+  check("FullSpaceSettings.tolerance", &S::tolerance, positive());
+  check("FullSpaceSettings.max_rebases", &S::max_rebases, at_least(1));
+  check("FullSpaceSettings.max_time [s]", &S::max_time, positive());
+}
+
+}  // namespace
+}  // namespace tilt_ropter::optimal_control
