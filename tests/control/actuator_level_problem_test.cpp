@@ -3,6 +3,7 @@
 #include "support/autodiff.hpp"
 #include "support/full_run.hpp"
 #include "support/random.hpp"
+#include "support/refusals.hpp"
 #include "support/states.hpp"
 #include "support/vehicles.hpp"
 
@@ -217,6 +218,24 @@ TEST(ActuatorLevelProblem, BoundsAreThoseOfTheActuators) {
   EXPECT_EQ(problem.penalty(0)(Part::rate), infinity);
   problem.set_max_thrust(Eigen::Vector4d(5.0, 5.0, 20.0, 0.0));
   EXPECT_EQ(problem.upper(3).segment<4>(Part::thrust), Eigen::Vector4d(5.0, 5.0, 12.0, 0.2));
+}
+
+TEST(ActuatorLevelProblem, ChecksItsSettings) {
+  const ActuatorLevelSettings valid;
+  Problem problem(tilt_ropter_vehicle(), valid);
+  const auto expect_refused = [&](const char* name, bool by_constructor,
+                                  void (*spoil)(ActuatorLevelSettings&)) {
+    ActuatorLevelSettings settings = valid;
+    spoil(settings);
+    if (by_constructor)
+      test_support::expect_refused(name, [&] { Problem(tilt_ropter_vehicle(), settings); });
+    test_support::expect_refused(name, [&] { problem.set_settings(settings); });
+  };
+  expect_refused("ActuatorLevelWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
+  expect_refused("ActuatorLevelSettings.intervals", false, [](auto& s) { s.intervals = 19; });
+  expect_refused("ActuatorLevelSettings.intervals", false, [](auto& s) { s.intervals = 21; });
+  expect_refused("ActuatorLevelSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
+  expect_refused("ActuatorLevelSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
 }  // namespace

@@ -8,10 +8,6 @@
 
 #include <Eigen/Core>
 
-#include <limits>
-#include <stdexcept>
-#include <string>
-
 namespace tilt_ropter {
 namespace {
 
@@ -85,44 +81,6 @@ TEST(NmpcSettings, BoundsAndGroundThrustScaleWithWeightAndSize) {
   EXPECT_NEAR(s.problem.weights.ground_thrust, usual.problem.weights.ground_thrust / 9.0, 1e-12);
   EXPECT_NEAR(s.ground.down_force, 3.0 * usual.ground.down_force, 1e-12);
   EXPECT_NEAR(s.ground.rotor_thrust, 3.0 * usual.ground.rotor_thrust, 1e-12);
-}
-
-TEST(NmpcSettings, RejectsNonPositiveAllowedErrorsAndVehicleWithoutSize) {
-  const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  for (const double wrong : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()}) {
-    for (Eigen::Vector3d AllowedErrors::*field :
-         {&AllowedErrors::position, &AllowedErrors::velocity, &AllowedErrors::orientation,
-          &AllowedErrors::angular_velocity, &AllowedErrors::force, &AllowedErrors::torque,
-          &AllowedErrors::force_rate, &AllowedErrors::torque_rate}) {
-      AllowedErrors errors;
-      (errors.*field)(1) = wrong;
-      EXPECT_THROW((void)nmpc_settings(vehicle, errors), std::invalid_argument);
-    }
-  }
-  Vehicle<4> point = vehicle;
-  for (RotorGeometry& rotor : point.rotors) rotor.position.setZero();
-  EXPECT_THROW((void)nmpc_settings(point), std::invalid_argument);
-}
-
-TEST(NmpcSettings, RejectsTimesOutOfRangeByName) {
-  const auto message = [](const NmpcSettings& settings) -> std::string {
-    try {
-      validate(settings);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
-  };
-  NmpcSettings settings;
-  EXPECT_EQ(message(settings), "accepted");
-  settings.time_limit = std::numeric_limits<double>::infinity();
-  EXPECT_EQ(message(settings), "accepted");
-  settings.time_limit = -1e-3;
-  EXPECT_NE(message(settings).find("NmpcSettings.time_limit [s] = -0.001: must be >= 0"),
-            std::string::npos);
-  settings = {};
-  settings.period = 0.0;
-  EXPECT_NE(message(settings).find("NmpcSettings.period [s] = 0: must be"), std::string::npos);
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
 #include "support/random.hpp"
+#include "support/refusals.hpp"
 #include "support/states.hpp"
 
 #include <gtest/gtest.h>
@@ -15,7 +16,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <string>
 
 namespace tilt_ropter {
 namespace {
@@ -304,53 +304,44 @@ TEST(WheeledFlightProblem, NodesInTheAirHaveNoGroundConditions) {
   EXPECT_EQ(problem.equality_weights(5), Eigen::Vector3d(2.0 * problem.settings().weights.ground));
 }
 
-TEST(WheeledFlightProblem, RejectsSettingsOutOfRangeByName) {
-  const auto message = [](const WheeledFlightSettings& settings) -> std::string {
-    try {
-      WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
-    } catch (const std::invalid_argument& error) {
-      return error.what();
-    }
-    return "accepted";
+TEST(WheeledFlightProblem, CostAfterTheHorizonNeedsWeightsThatObserveTheState) {
+  WheeledFlightSettings valid;  // position and yaw observe roll, pitch and all velocities
+  valid.terminal_cost = TerminalCost::riccati;
+  valid.weights.velocity.setZero();
+  valid.weights.angular_velocity.setZero();
+  valid.weights.orientation << 0.0, 0.0, 30.0;
+  const auto construct = [](const WheeledFlightSettings& settings) {
+    WheeledFlightProblem<0>(test_support::benchmark_body(), settings);
   };
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  const auto expect_refused = [&](auto change, const std::string& text) {
-    WheeledFlightSettings s;
-    change(s);
-    EXPECT_NE(message(s).find(text), std::string::npos) << message(s);
+  test_support::expect_accepted([&] { construct(valid); });
+  const auto expect_refused = [&](Eigen::Vector3d NmpcWeights::*weight) {
+    WheeledFlightSettings settings = valid;
+    (settings.weights.*weight).z() = 0.0;
+    test_support::expect_refused(
+        "WheeledFlightSettings.terminal_cost", [&] { construct(settings); },
+        "riccati: must be used with weights");
   };
-  expect_refused([](auto& s) { s.intervals = 0; }, "intervals = 0: must be in [1, 1000]");
-  expect_refused([](auto& s) { s.interval = -0.1; }, "interval [s] = -0.1: must be finite and > 0");
-  expect_refused([](auto& s) { s.bounds.force_min.x() = 7.0; },
-                 "NmpcBounds.force [N] lower bound = (7, ");
-  expect_refused([&](auto& s) { s.bounds.torque_max.y() = nan; }, "NmpcBounds.torque [N m]");
-  expect_refused([](auto& s) { s.bounds.force_rate.z() = 0.0; }, "NmpcBounds.force_rate [N/s]");
-  expect_refused([](auto& s) { s.bounds.torque_rate.z() = -1.0; }, "NmpcBounds.torque_rate");
-  expect_refused([](auto& s) { s.bounds.angular_velocity.z() = -1.0; }, "NmpcBounds.angular_vel");
-  expect_refused([](auto& s) { s.weights.position.z() = -1.0; }, "NmpcWeights.position [1/m^2]");
-  expect_refused([&](auto& s) { s.weights.force_rate.z() = 0.0; }, "NmpcWeights.force_rate");
-  expect_refused([&](auto& s) { s.weights.terminal = nan; }, "NmpcWeights.terminal");
-  expect_refused([](auto& s) { s.penalties.rate = 0.0; }, "NmpcPenalties.rate [s/N, s/(N m)] = 0");
-  expect_refused([](auto& s) { s.penalties.wrench = -1.0; }, "NmpcPenalties.wrench");
-  expect_refused([&](auto& s) { s.penalties.angular_velocity = nan; }, "NmpcPenalties.angular_vel");
-  expect_refused([](auto& s) { s.penalties.actuators = 0.0; }, "NmpcPenalties.actuators");
-  const auto riccati = [](WheeledFlightSettings& s) -> NmpcWeights& {
-    s.terminal_cost = TerminalCost::riccati;
-    return s.weights;
+  expect_refused(&NmpcWeights::position);
+  expect_refused(&NmpcWeights::orientation);
+}
+
+TEST(WheeledFlightProblem, ChecksItsSettings) {
+  const WheeledFlightSettings valid;
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), valid);
+  const auto expect_refused = [&](const char* name, bool by_constructor,
+                                  void (*spoil)(WheeledFlightSettings&)) {
+    WheeledFlightSettings settings = valid;
+    spoil(settings);
+    if (by_constructor)
+      test_support::expect_refused(
+          name, [&] { WheeledFlightProblem<0>(test_support::benchmark_body(), settings); });
+    test_support::expect_refused(name, [&] { problem.set_settings(settings); });
   };
-  const std::string costs_nothing = "terminal_cost = riccati: must be used with weights by which";
-  expect_refused([&](auto& s) { riccati(s).position.setZero(); }, costs_nothing);
-  expect_refused([&](auto& s) { riccati(s).position.z() = 0.0; }, costs_nothing);
-  expect_refused([&](auto& s) { riccati(s).orientation.z() = 0.0; }, costs_nothing);
-  expect_refused([&](auto& s) { riccati(s).position.x() = 61.0; },
-                 "NmpcWeights.position [1/m^2] = (61, 60, 80): must be the same for x and y");
-  expect_refused([&](auto& s) { riccati(s).velocity.y() = 5.0; }, "NmpcWeights.velocity [s^2/m^2]");
-  expect_refused([&](auto& s) { riccati(s).orientation.y() = 5.0; }, "NmpcWeights.orientation [1/");
-  WheeledFlightSettings enough;  // position and yaw observe roll, pitch and all velocities
-  for (Eigen::Vector3d* weight : {&riccati(enough).velocity, &enough.weights.angular_velocity})
-    weight->setZero();
-  enough.weights.orientation << 0.0, 0.0, 30.0;
-  EXPECT_EQ(message(enough), "accepted");
+  expect_refused("NmpcWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
+  expect_refused("WheeledFlightSettings.intervals", false, [](auto& s) { s.intervals = 19; });
+  expect_refused("WheeledFlightSettings.intervals", false, [](auto& s) { s.intervals = 21; });
+  expect_refused("WheeledFlightSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
+  expect_refused("WheeledFlightSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
 }  // namespace
