@@ -141,6 +141,11 @@ TEST(ActuationSettings, ModelsCheckTheVehicle) {
   expect_vehicle_refused(rotor, spoil_last_rotor, construct);
   expect_vehicle_refused(servo, spoil_servo,
                          [](const Vehicle<4>& v) { (void)control_authority(v); });
+  Vehicle<4> point = tilt_ropter_vehicle();  // of rank below 6
+  for (RotorGeometry& geometry : point.rotors) geometry.position.setZero();
+  expect_accepted([&] { (void)control_authority(point); });
+  point.body.mass = -1.0;
+  expect_refused(mass, [&] { (void)control_authority(point); });
   expect_vehicle_refused(rotor, spoil_rotor, [](const Vehicle<4>& v) { Rotord{v.rotor}; });
   expect_vehicle_refused(servo, spoil_servo, [](const Vehicle<4>& v) { Servod{v.servo}; });
 }

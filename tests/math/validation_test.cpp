@@ -119,6 +119,12 @@ TEST(Validation, LimitsSizeAndAsymmetryOfInertia) {
   expect_range("J", {{1e-12, 1.0, 1e9}, {0.99e-12, 1.01e9}}, false,
                [&](double size) { check(size * Eigen::Matrix3d::Identity()); });
   for (int i = 0; i < 3; ++i)
+    expect_range("J", {{1e9}, {1.01e9}}, false, [&](double largest) {
+      Eigen::Vector3d moments = Eigen::Vector3d::Constant(0.9e9);
+      moments(i) = largest;
+      check(moments.asDiagonal());
+    });
+  for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
       if (i != j)
         expect_range("J", {{1.9e-9, -1.9e-9}, {2.1e-9, -2.1e-9, 0.1}}, false, [&](double excess) {
@@ -142,7 +148,7 @@ TEST(Validation, RejectsPhysicallyImpossibleInertia) {
   EXPECT_EQ(says(diagonal(1.0, 1.0, 2.0)), "");  // a flat plate
   EXPECT_NE(says(diagonal(1.0, 1.0, 2.01)).find("triangle inequality"), std::string::npos);
   EXPECT_NE(says(diagonal(1.0, 0.0, 1.0)).find("positive definite"), std::string::npos);
-  EXPECT_NE(says(diagonal(1.0, nan, 1.0)).find("finite"), std::string::npos);
+  EXPECT_NE(says(diagonal(1.0, nan, 1.0)).find("finite in every entry"), std::string::npos);
   Eigen::Matrix3d lopsided = diagonal(1.0, 1.0, 1.0);
   lopsided(0, 1) = 0.1;
   EXPECT_NE(says(lopsided).find("symmetric"), std::string::npos);

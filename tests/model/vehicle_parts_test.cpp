@@ -187,6 +187,7 @@ TEST(VehicleParts, VehicleChecksAllItsParts) {
   check.refuse("PowerParameters.servo_move [J/rad]", [](V& v) { v.power.servo_move = -1.0; });
   check.refuse("BatteryParameters.resistance [ohm]", [](V& v) { v.battery.resistance = -1.0; });
   V with_legs = check.valid;
+  with_legs.wheels->radius = -1.0;
   with_legs.wheels.reset();
   expect_accepted([&] { validate(with_legs); });
   with_legs.legs = LegParameters{};

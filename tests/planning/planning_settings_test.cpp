@@ -73,17 +73,18 @@ TEST(PlanningSettings, FigureEightNamesEachField) {
       in_range(-1e4, 1e4));
   check("FigureEightSettings.direction [rad]", &S::direction, any_finite());
   check("FigureEightSettings.laps", &S::laps, at_least(1));
-  check("FigureEightSettings.ramp_laps", &S::ramp_laps, in_range(0.05, 1.0));
+  S laps = valid;
+  laps.laps = 4;
+  Fields<S>{laps}("FigureEightSettings.ramp_laps", &S::ramp_laps, in_range(0.05, 1.0));
+  laps.laps = 1;
+  Fields<S>{laps}("FigureEightSettings.ramp_laps", &S::ramp_laps, in_range(0.05, 0.5));
   check("FigureEightSettings.max_speed [m/s]", &S::max_speed, positive());
   check("FigureEightSettings.max_acceleration [m/s^2]", &S::max_acceleration, positive());
   check("FigureEightSettings.yaw [rad]", &S::yaw, any_finite());
   check("FigureEightSettings.max_yaw_rate [rad/s]", &S::max_yaw_rate, positive());
   check("FigureEightSettings.start_time [s]", &S::start_time, times);
-  S one_lap = valid;
-  one_lap.laps = 1;
-  Fields<S>{one_lap}("FigureEightSettings.ramp_laps", &S::ramp_laps, in_range(0.05, 0.5));
-  one_lap.laps = 0;
-  expect_refused("FigureEightSettings.laps", [&] { FigureEight{one_lap}; });
+  laps.laps = 0;
+  expect_refused("FigureEightSettings.laps", [&] { FigureEight{laps}; });
   expect_start_time_checked("FigureEight.start_time [s]", FigureEight());
 
   valid.max_speed = 1.0;
@@ -155,7 +156,7 @@ TEST(PlanningSettings, TakeOffAndLandingNameTheirArguments) {
 TEST(PlanningSettings, MinimumSnapNamesEachField) {
   using S = MinimumSnapSettings;
   S valid;
-  valid.points = {{0.0, 0.0, 0.0}, {2.0, 0.0, 1.0}, {4.0, 1.0, 1.0}};
+  valid.points = {{0.5, 0.0, 0.0}, {2.0, 0.0, 1.0}, {4.0, 1.0, 1.0}};
   const Fields<S> check{valid};
   check("MinimumSnapSettings.points.size()",
         [](S& s, double v) {
