@@ -28,13 +28,13 @@ TEST(VehicleParts, BodyNamesEachField) {
 TEST(VehicleParts, RotorNamesEachField) {
   using S = RotorParameters;
   S valid;
-  valid.thrust_coefficient = 2.0;
-  valid.max_thrust = 1.0;  // the thrust begins at half of the top speed with the factor -1
+  valid.thrust_coefficient = 0.5;
+  valid.max_thrust = 4.0;  // the thrust begins at half of the top speed with the factor -1
   const Fields<S> check{valid};
   check("RotorParameters.thrust_coefficient [N s^2]", &S::thrust_coefficient, in_range(1e-11, 1e6));
   check("RotorParameters.torque_ratio [m]", &S::torque_ratio, in_range(0.0, 1e3));
   check("RotorParameters.min_thrust [N]", &S::min_thrust,
-        {{0.0, below(1.0)}, {below(0.0), above(1e6), not_a_number}});
+        {{0.0, below(4.0)}, {below(0.0), above(1e6), not_a_number}});
   check.refuse("RotorParameters.max_thrust [N]", [](S& s) { s.min_thrust = 1e6; });
   check("RotorParameters.linear_thrust_coefficient [N s]", &S::linear_thrust_coefficient,
         in_range(-1.0, 1e3));
