@@ -148,11 +148,11 @@ TEST(Allocation, ThrustsAreContinuousWhereNullSpaceIsUsed) {
     return [force](Random& random) { return random_wrench(random, force, 1.0); };
   };
   const Vehicle<8> octocopter = omnidirectional_octocopter();
-  const int paths = test_support::quick_or_full(3, 30);
+  const int paths = test_support::quick_or_full(1, 30);
   EXPECT_LT(steepest(octocopter, paths, 4000, draw(12.0)),
             1.2 * steepest(octocopter, paths, 500, draw(12.0)));
   const Vehicle<4> narrow = with_tilt_range(-0.5 * pi, 0.5 * pi);
-  const int narrow_paths = test_support::quick_or_full(8, 30);
+  const int narrow_paths = test_support::quick_or_full(4, 30);
   EXPECT_LT(steepest(narrow, narrow_paths, 8000, draw(15.0)),
             1.2 * steepest(narrow, narrow_paths, 500, draw(15.0)));
 }

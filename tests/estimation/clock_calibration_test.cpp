@@ -135,7 +135,7 @@ TEST(ClockCalibration, ToleratesGapsOutliersAndQuaternionSigns) {
 }
 
 TEST(ClockCalibration, StandardDeviationIsConsistentWithError) {
-  const unsigned runs = full_run() ? 200 : 40;
+  const unsigned runs = full_run() ? 200 : 20;
   unsigned within_one = 0, within_three = 0;
   double squares = 0.0;
   for (unsigned seed = 300; seed < 300 + runs; ++seed) {

@@ -143,7 +143,7 @@ TEST(MeasurementModels, HeightAndRangeJacobiansAreExact) {
 // part of the noise.
 TEST(MeasurementModels, RangeCountsTheTiltErrorToSecondOrder) {
   Random random(12);
-  for (int run = 0; run < test_support::quick_or_full(4, 20); ++run) {
+  for (int run = 0; run < test_support::quick_or_full(2, 20); ++run) {
     InertialMotiond at = nearly_level(random);
     RangeMeasurement<double> m;
     m.sensor = random.vector(0.2);

@@ -221,7 +221,7 @@ TEST(HybridMission, CountsTheErrorOfAStartOffTheReference) {
 }
 
 TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
-  const Flight air = run("--mission air"), ground = run("--mission ground --speed 3");
+  const Flight air = run("--mission air"), ground = run("--mission ground --speed 3 --no-pictures");
   EXPECT_LE(air["air_rmse_m"], 0.003);
   EXPECT_EQ(air["contact_mode_changes"], 0);
   EXPECT_LE(ground["ground_rmse_m"], 0.006);  // at 3 m/s

@@ -95,7 +95,7 @@ double sensitivity_error(const Stated& x, const Eigen::Matrix<double, 6, 1>& u,
 
 TEST(RigidBody, SensitivityMatchesAutomaticDifferentiation) {
   Random random(1);
-  const int states = test_support::quick_or_full(500, 10000);
+  const int states = test_support::quick_or_full(150, 10000);
   double worst = 0.0;
   for (int i = 0; i < states; ++i) {
     const Stated x = random_state(random);

@@ -48,6 +48,8 @@
                                                const LogCalibrationSettings&);                     \
   prefix template VehicleIdentification<4> identify_vehicle(                                       \
       const VehicleLog<4>&, const Vehicle<4>&, const VehicleIdentificationSettings&);              \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const BodyVelocityMeasurement<double>&) noexcept;                                    \
   prefix template EkfStatus Ekf<double>::on_measurement(double,                                    \
                                                         const FlowMeasurement<double>&) noexcept;  \
   prefix template EkfStatus Ekf<double>::on_measurement(                                           \
@@ -62,6 +64,8 @@
       double, const PositionMeasurement<double>&) noexcept;                                        \
   prefix template EkfStatus Ekf<double>::on_measurement(double,                                    \
                                                         const RangeMeasurement<double>&) noexcept; \
+  prefix template EkfStatus Ekf<double>::on_measurement(                                           \
+      double, const WheelHeightMeasurement<double>&) noexcept;                                     \
   prefix template EkfStatus Ekf<double>::on_measurement(                                           \
       double, const WheelSpeedMeasurement<double>&) noexcept;                                      \
   prefix template EkfStatus Ekf<double>::on_measurement(                                           \
