@@ -156,6 +156,27 @@ TEST(FullSpace, FailsForRedundantEqualities) {
   EXPECT_EQ(solver.solve(x).status, FullSpaceStatus::failed);
 }
 
+TEST(FullSpace, SolvesAgainAsTheFirstTime) {
+  WheeledFlightProblem<0> problem = short_flight();
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    problem.node(k).on_ground = true;
+    problem.node(k).com_plane.height = 0.1;
+    problem.node(k).reference.position << 0.1, 0.0, 0.1;
+  }
+  FullSpace<WheeledFlightProblem<0>> solver(problem);
+  Stated x = displaced_flight();
+  x.body = {};
+  x.body.position.z() = 0.1;
+  solver.reset(x);
+  const FullSpaceReport first = solver.solve(x);
+  EXPECT_EQ(first.status, FullSpaceStatus::converged);
+  solver.reset(x);
+  const FullSpaceReport second = solver.solve(x);
+  EXPECT_EQ(second.status, first.status);
+  EXPECT_EQ(second.evaluations, first.evaluations);
+  EXPECT_EQ(second.cost, first.cost);
+}
+
 TEST(FullSpace, NonFiniteStartIsRejectedAndChangesNothing) {
   FullSpace<WheeledFlightProblem<0>> solver(short_flight());
   solver.reset(displaced_flight());

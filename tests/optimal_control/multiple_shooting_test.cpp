@@ -14,6 +14,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <vector>
 
 namespace tilt_ropter::optimal_control {
 namespace {
@@ -272,6 +274,41 @@ TEST(MultipleShooting, MemorySavesIterationsAndDoesNotChangeTheOptimum) {
     with += learning.report().iterations;
   }
   EXPECT_LT(with, without);  // measured: 385 and 470
+}
+
+TEST(MultipleShooting, MultipliersMoveByTheShiftSinceTheLastSolve) {
+  Solver solver(step_problem(), patient());
+  solver.reset(step_start());
+  solver.shift(0.4);
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  ASSERT_TRUE(has_plan(solver.feedback(step_start()).status));
+  std::vector<Solver::Constraints> solved;
+  for (int k = 0; k <= solver.horizon(); ++k) solved.push_back(solver.constraint_multipliers(k));
+  ASSERT_NE(solved[0], solved[1]);
+  const auto expect_moved = [&](int nodes) {
+    for (int k = 0; k <= solver.horizon(); ++k)
+      EXPECT_EQ(solver.constraint_multipliers(k),
+                solved[static_cast<std::size_t>(std::min(k + nodes, solver.horizon()))]);
+  };
+  solver.shift(0.3);
+  expect_moved(0);
+  solver.shift(0.3);
+  expect_moved(1);
+}
+
+TEST(MultipleShooting, PreparingAnInterruptedProgramIsNoWork) {
+  SolverSettings settings = patient();
+  settings.max_feedback_time = 1e-9;
+  Solver solver(step_problem(), settings);
+  solver.reset(step_start());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  EXPECT_GT(solver.report().linearise_us, 0.0);
+  solver.feedback(step_start());
+  ASSERT_TRUE(solver.goes_on());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  EXPECT_EQ(solver.report().linearise_us, 0.0);
+  EXPECT_EQ(solver.report().factorise_us, 0.0);
+  EXPECT_EQ(solver.report().gradients_us, 0.0);
 }
 
 TEST(MultipleShooting, ChecksItsSettings) {

@@ -101,7 +101,7 @@ void solve_all(ProgramMethod method, int count, Tally& tally) {
 
 TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
   Tally t;
-  solve_all(ProgramMethod::automatic, test_support::quick_or_full(80, 3000), t);
+  solve_all(ProgramMethod::automatic, test_support::quick_or_full(160, 3000), t);
   EXPECT_GT(t.compared, 10);
   EXPECT_GT(t.solved, 0.6 * t.programs);
   test_support::check_at_most(23, "cost of solved programs, from that of full_space",
@@ -116,7 +116,7 @@ TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
 
 TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
   Tally t;
-  solve_all(ProgramMethod::interior_point, test_support::quick_or_full(30, 1200), t);
+  solve_all(ProgramMethod::interior_point, test_support::quick_or_full(60, 1200), t);
   EXPECT_GT(t.solved, 0.6 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);
@@ -124,7 +124,7 @@ TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
 
 TEST(RandomPrograms, SolvesByTheDualAlone) {
   Tally t;
-  solve_all(ProgramMethod::dual, test_support::quick_or_full(8, 400), t);
+  solve_all(ProgramMethod::dual, test_support::quick_or_full(16, 400), t);
   EXPECT_GT(t.solved, 0.1 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);
