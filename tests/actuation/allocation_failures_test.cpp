@@ -79,7 +79,7 @@ TEST(AllocationFailures, StuckServoGivesSameWrenchAsHeldServo) {
 }
 
 TEST(AllocationFailures, GivesWrenchOrReportsLossWithinLimits) {
-  const int wrenches = test_support::quick_or_full(5000, 200000);
+  const int wrenches = test_support::quick_or_full(20000, 200000);
   for (const Case& failure : cases()) {
     SCOPED_TRACE(failure.name);
     const Vehicle<4>& v = failure.vehicle;
