@@ -1,5 +1,5 @@
 // The work of an iteration grows linearly with the length of the horizon (check 21): instructions.
-// CTest: counted
+// CTest: counted optimised
 
 #include "support/check_table.hpp"
 #include "support/instructions.hpp"

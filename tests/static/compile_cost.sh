@@ -39,7 +39,7 @@ if [[ $form == count ]]; then
   }
   count eigen
   unit=$bytes result=0
-  for limit in compiled:2.9 nmpc:5.1; do
+  for limit in compiled:2.6 nmpc:4.6; do
     count "${limit%:*}"
     awk -v name="${limit%:*}" -v most="${limit#*:}" -v bytes="$bytes" -v unit="$unit" 'BEGIN {
         printf "%s: %d MB, %.2f times Eigen/Dense, at most %s\n", name, bytes, bytes / unit, most
