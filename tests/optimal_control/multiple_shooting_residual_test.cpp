@@ -1,5 +1,6 @@
 // The reported KKT residual if bounds move away from a solution, for lower and upper bounds alike.
 
+#include "support/mass.hpp"
 #include "support/patient.hpp"
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
@@ -18,35 +19,7 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// A mass on a line that moves to `target`, with a bounded force and speed.
-struct Mass {
-  static constexpr int states = 2, inputs = 1, residuals = 3, constraints = 2;
-  template <typename S>
-  using Vector2 = Eigen::Matrix<S, 2, 1>;
-  template <typename S>
-  using Vector1 = Eigen::Matrix<S, 1, 1>;
-
-  double target = 1.0;
-  Eigen::Vector2d most{1.0, 0.4}, stiffness{infinity, infinity};
-
-  int horizon() const { return 20; }
-  template <typename S>
-  Vector2<S> step(int, const Vector2<S>& x, const Vector1<S>& u) const {
-    return {x(0) + S(0.1) * x(1) + S(0.005) * u(0), x(1) + S(0.1) * u(0)};
-  }
-  template <typename S>
-  Eigen::Matrix<S, 3, 1> residual(int, const Vector2<S>& x, const Vector1<S>& u) const {
-    return {x(0) - S(target), S(0.1) * x(1), S(0.1) * u(0)};
-  }
-  template <typename S>
-  Vector2<S> constraint_values(int, const Vector2<S>& x, const Vector1<S>& u) const {
-    return {u(0), x(1)};
-  }
-  Eigen::Vector2d lower(int) const { return -most; }
-  Eigen::Vector2d upper(int) const { return most; }
-  Eigen::Vector2d penalty(int) const { return {infinity, 1e3}; }
-  Eigen::Vector2d quadratic_penalty(int) const { return stiffness; }
-};
+using test_support::Mass;
 using Solver = MultipleShooting<AutoDiffProblem<Mass>>;
 
 // The sign of the target. To +1 m the upper bounds are active at first, to -1 m the lower bounds.
@@ -55,7 +28,9 @@ class KktResidual : public testing::TestWithParam<double> {
   // At the solution for a stiffness of the bound on the speed.
   Solver solved(double stiffness) const {
     Mass mass;
+    mass.intervals = 20;
     mass.target = GetParam();
+    mass.low = -mass.high;
     mass.stiffness(1) = stiffness;
     Solver solver(AutoDiffProblem<Mass>(mass), test_support::patient());
     solver.reset(Eigen::Vector2d::Zero());
@@ -69,9 +44,11 @@ class KktResidual : public testing::TestWithParam<double> {
   // `by`.
   static double residual(Solver& solver, int i, double by) {
     Mass& mass = solver.problem().user();
-    mass.most(i) += by;
+    mass.low(i) -= by;
+    mass.high(i) += by;
     EXPECT_EQ(solver.prepare(), PrepareStatus::prepared);
-    mass.most(i) -= by;
+    mass.low(i) += by;
+    mass.high(i) -= by;
     return solver.report().kkt;
   }
 };
