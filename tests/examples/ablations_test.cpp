@@ -1,5 +1,5 @@
 // Each ablation of reproduce_paper is seen to act, in a short flight.
-// CTest: flight
+// CTest: flight long
 
 #include "../../examples/paper/ablations.hpp"
 

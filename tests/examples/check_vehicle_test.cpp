@@ -32,9 +32,11 @@ test_support::Outcome check_changed(const std::string& name, const std::string& 
   return check(directory.write("changed.json", text));
 }
 
+// Flown in a full run. The file of the octocopter has no battery.
 TEST(CheckVehicle, ShippedVehiclesFly) {
-  for (const char* name : {"tilt_ropter", "hexacopter", "octocopter", "five_kilograms"}) {
-    const bool flies = test_support::full_run();
+  const bool flies = test_support::full_run();
+  for (const std::string name : {"tilt_ropter", "hexacopter", "octocopter", "five_kilograms"}) {
+    if (name == "five_kilograms" && !flies) break;
     const auto told = check(shipped(name), flies ? "--no-pictures" : "--no-pictures --no-flight");
     EXPECT_EQ(told.exit_code, 0) << told.output;
     EXPECT_EQ(told["rank"], 6);
@@ -43,6 +45,7 @@ TEST(CheckVehicle, ShippedVehiclesFly) {
     EXPECT_EQ(told["limitations"], 0) << told.output;
     EXPECT_TRUE(told.says(flies ? "verdict: flies" : "verdict: no error found, but not flown"))
         << told.output;
+    EXPECT_EQ(told.says("hover_min: not known"), name == "octocopter") << told.output;
   }
 }
 
@@ -57,6 +60,7 @@ TEST(CheckVehicle, ReportsTheFiguresOfTheTiltRopter) {
 
 TEST(CheckVehicle, ComputesFlightTimeFromBatteryEnergy) {
   const auto told = check(shipped("five_kilograms"), "--no-pictures --no-flight --usable 0.5");
+  EXPECT_EQ(told.exit_code, 0) << told.output;
   EXPECT_NEAR(told["hover_min"], 60.0 * 0.5 * 355.0 / 1900.0, 0.01);
   EXPECT_GT(told["driving_min"], 10.0 * told["hover_min"]);
 }
@@ -75,7 +79,6 @@ TEST(CheckVehicle, ReportsCurrentSagAndEnduranceOfTheBattery) {
   EXPECT_NEAR(told["hover_power_w"], 653.64, 1.0);
   EXPECT_LE(told["driving_power_w"], 47.38);
   EXPECT_NEAR(told["battery_energy_wh"], 5.3 * 15.0, 0.1);
-  EXPECT_TRUE(check(shipped("octocopter")).says("hover_min: not known"));
 }
 
 TEST(CheckVehicle, FindsBatteriesThatAreTooWeak) {

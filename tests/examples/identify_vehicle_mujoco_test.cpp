@@ -1,6 +1,6 @@
 // Identifies the vehicle in MuJoCo, a model that the identification does not share, and flies with
 // the result, as a user does.
-// CTest: flight mujoco
+// CTest: flight mujoco long
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"

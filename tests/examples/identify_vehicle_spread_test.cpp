@@ -1,6 +1,6 @@
 // Identifies simulated vehicles whose parameters differ from those of the Tilt-Ropter, within the
 // ranges of monte_carlo, each from one flight. A few of them; 200 in tests/run.sh --full.
-// CTest: flight
+// CTest: flight long
 
 #include "support/full_run.hpp"
 #include "support/identification_flights.hpp"

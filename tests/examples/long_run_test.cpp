@@ -1,6 +1,6 @@
 // Repeats the mission without a break, with one controller and one clock, to find drift, growing
 // memory and overflow. Five minutes of flight and driving; one hour in a full run.
-// CTest: flight
+// CTest: flight long
 
 #include "../../examples/support/flight_controller.hpp"
 #include "../../examples/support/mission_sensors.hpp"

@@ -2,6 +2,7 @@
 // offset and marker frame are known, and with logs of a real flight if these are available.
 
 #include "support/flights.hpp"
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -14,6 +15,7 @@
 #include <iomanip>
 #include <sstream>
 #include <string>
+#include <vector>
 
 namespace {
 
@@ -169,14 +171,19 @@ TEST_F(ReplayFlight, RejectsOutliers) {
   EXPECT_LT(found["position_rmse_m"], 0.003);
 }
 
+// Tries three options; all in a full run.
 TEST_F(ReplayFlight, FilterOptionsTakeEffect) {
   fly(50);
   const std::string common = logs() + " --calibrate-clock --estimate-marker-pose";
   const Outcome plain = replay(common);
   EXPECT_EQ(replay(common).figures, plain.figures);
-  for (const char* option : {"--gyro-noise 0.02", "--accelerometer-noise 0.2", "--gyro-walk 0.01",
-                             "--accelerometer-walk 0.1", "--position-noise 0.01",
-                             "--orientation-noise 0.02", "--judge-from 20"})
+  std::vector<const char*> options = {"--gyro-noise 0.02", "--orientation-noise 0.02",
+                                      "--judge-from 20"};
+  if (test_support::full_run())
+    for (const char* more : {"--accelerometer-noise 0.2", "--gyro-walk 0.01",
+                             "--accelerometer-walk 0.1", "--position-noise 0.01"})
+      options.push_back(more);
+  for (const char* option : options)
     EXPECT_NE(replay(common + ' ' + option).figures, plain.figures) << option;
   EXPECT_GT(replay(common + " --gate 2")["rejected"], plain["rejected"]);
   EXPECT_GT(replay(common + " --gate 2 --max-rejections 2")["restarts"], 10);

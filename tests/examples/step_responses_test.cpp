@@ -1,6 +1,7 @@
 // Runs the program step_responses as a user does and checks the effect of tuning.
 // CTest: flight
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -60,6 +61,7 @@ TEST(StepResponses, AllowedErrorsAndLimitsChangeTheResponse) {
 TEST(StepResponses, DrawsPictureOfAnotherVehicle) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
+  if (!test_support::full_run()) GTEST_SKIP() << "readme_commands draws one: --full";
   const test_support::Directory directory("step_responses");
   const auto told =
       test_support::run(STEP_RESPONSES_PROGRAM, "--vehicle " VEHICLES_DIR "/hexacopter.json -o '" +

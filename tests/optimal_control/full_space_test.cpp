@@ -1,27 +1,86 @@
 #include <tilt_ropter/optimal_control/full_space.hpp>
 
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
 #include "support/audit.hpp"
 #include "support/benchmark_problem.hpp"
 #include "support/contradiction.hpp"
+#include "support/double_integrator.hpp"
+#include "support/patient.hpp"
+#include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
 #include "support/refusals.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string>
 
+// Problems from other fields, and short problems of the Tilt-Ropter: two solvers that share only
+// the problem must agree.
 namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Audit;
 using test_support::audit;
 using test_support::Contradiction;
+using test_support::DoubleIntegrator;
+using test_support::patient;
+using test_support::Pendulum;
 using test_support::Quadrotor;
 using test_support::Unicycle;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+// Returns true if the constraint `component` is at its bound at any node of the solution.
+template <typename Solver>
+bool is_active(const Solver& solver, int component) {
+  const auto& problem = solver.problem();
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    const double value = problem.constraint_values(k, solver.state(k), solver.input(k))(component);
+    if (std::min(std::abs(value - problem.upper(k)(component)),
+                 std::abs(value - problem.lower(k)(component))) < 1e-7)
+      return true;
+  }
+  return false;
+}
+
+// Solves with NLopt's SLSQP and with MultipleShooting for each algorithm of the dual, all from a
+// cold start, and compares the optima. Returns the SLSQP solver for further checks.
+template <typename Problem>
+FullSpace<Problem> expect_same_optimum(const Problem& problem, const typename Problem::State& x0,
+                                       double tolerance = 1e-8) {
+  FullSpace<Problem> oracle(problem);
+  oracle.reset(x0);
+  const FullSpaceReport truth = oracle.solve(x0);
+  EXPECT_EQ(truth.status, FullSpaceStatus::converged)
+      << truth.max_defect << " " << truth.max_violation << " " << truth.max_equality;
+  for (const DualAlgorithm algorithm :
+       {DualAlgorithm::truncated_newton, DualAlgorithm::lbfgs, DualAlgorithm::variable_metric,
+        DualAlgorithm::ccsa, DualAlgorithm::slsqp}) {
+    SCOPED_TRACE("algorithm " + std::to_string(static_cast<int>(algorithm)));
+    SolverSettings settings = patient();
+    settings.max_iterations = 200;
+    settings.tolerance = tolerance;
+    settings.program.dual.algorithm = algorithm;
+    MultipleShooting<Problem> solver(problem, settings);
+    solver.reset(x0);
+    const SolveReport report = solver.solve(x0);
+    if (report.status != SolveStatus::converged) {
+      ADD_FAILURE() << "status " << static_cast<int>(report.status) << ", KKT residual "
+                    << report.kkt << " after " << report.iterations << " iterations";
+      continue;
+    }
+    EXPECT_NEAR(report.cost, truth.cost, 1e-8 * truth.cost);
+    for (int k = 0; k < problem.horizon(); ++k)
+      EXPECT_LT((solver.input(k) - oracle.input(k)).cwiseAbs().maxCoeff(), 1e-6) << "node " << k;
+  }
+  return oracle;
+}
 
 Quadrotor::State thrown_quadrotor() {
   Quadrotor::State x;
@@ -32,9 +91,10 @@ Quadrotor::State thrown_quadrotor() {
   return x;
 }
 
-WheeledFlightProblem<0> short_flight() {
+WheeledFlightProblem<0> short_flight(const NmpcBounds& bounds = {}) {
   WheeledFlightSettings settings;
   settings.intervals = 4;
+  settings.bounds = bounds;
   WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.0;
@@ -51,6 +111,87 @@ Stated displaced_flight() {
   x.body.orientation = quaternion_exp(Eigen::Vector3d(0.2, -0.1, 0.4));
   x.body.angular_velocity << 0.3, -0.2, 0.1;
   return x;
+}
+
+// The wheels touch the ground at `touch_down` and stay there.
+WheeledFlightProblem<0> short_landing(int touch_down, double ground_weight) {
+  WheeledFlightSettings settings;
+  settings.intervals = 4;
+  settings.weights.ground.setConstant(ground_weight);
+  WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
+  for (int k = 0; k <= problem.horizon(); ++k) {
+    WheeledFlightNode& node = problem.node(k);
+    node.wrench_reference.force = test_support::benchmark_hover_force();
+    node.on_ground = k >= touch_down;
+    node.com_plane.height = 0.1;
+    node.reference.position << 0.05 * k, 0.02, 0.11;
+    node.reference.orientation = quaternion_from_yaw(0.4);
+  }
+  return problem;
+}
+
+Stated above_the_ground() {
+  Stated x;
+  x.wrench.force = test_support::benchmark_hover_force();
+  x.body.position << 0.0, 0.0, 0.115;
+  x.body.velocity << 0.3, 0.05, -0.02;
+  x.body.orientation = quaternion_exp(Eigen::Vector3d(0.05, -0.1, 0.3));
+  return x;
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnThePendulum) {
+  for (const double angle : {0.4, pi}) {
+    Pendulum problem({8});
+    const auto oracle = expect_same_optimum(problem, Eigen::Vector2d(angle, 0.3));
+    EXPECT_TRUE(is_active(oracle, 0));
+  }
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnTheUnicycle) {
+  const auto around = expect_same_optimum(Unicycle({6}), Eigen::Vector3d(-2.0, 0.0, 0.3));
+  EXPECT_TRUE(is_active(around, 0));  // at the obstacle's edge
+  EXPECT_TRUE(is_active(around, 1));  // at the speed limit near the obstacle
+  // Starts with a heading beyond a right angle, drives backwards and turns across the heading pi.
+  expect_same_optimum(Unicycle({8}), Eigen::Vector3d(-1.5, 0.5, 3.1));
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnTheQuadrotor) {
+  const auto oracle = expect_same_optimum(Quadrotor({5}), thrown_quadrotor());
+  EXPECT_TRUE(is_active(oracle, 0) || is_active(oracle, 1));
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnTheDoubleIntegrator) {
+  expect_same_optimum(DoubleIntegrator({7}), Eigen::Vector2d(3.0, 1.0));
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnBoundsWithAnEquality) {
+  DoubleIntegrator problem({7, 30.0, 1.0, true, 0.3, 0.1});
+  const auto oracle = expect_same_optimum(problem, Eigen::Vector2d::Zero());
+  for (int k = 0; k < 7; ++k)
+    EXPECT_NEAR(oracle.input(k)(0), k < 3 ? 1.0 : k == 3 ? 0.0 : -1.0, 1e-9);
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingInFlightWithinWideBounds) {
+  const auto oracle = expect_same_optimum(short_flight({}), displaced_flight());
+  for (int i = 0; i < 15; ++i) EXPECT_FALSE(is_active(oracle, i));
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingInFlightAtThePapersBounds) {
+  const auto oracle = expect_same_optimum(short_flight(paper_bounds()), displaced_flight());
+  EXPECT_TRUE(is_active(oracle, 0) && is_active(oracle, 9));  // F_x and dF_x
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingAtTouchDown) {
+  const auto oracle = expect_same_optimum(short_landing(4, 1e5), above_the_ground());
+  EXPECT_LT(oracle.report().max_equality, 1e-9);
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnTwoGroundNodes) {
+  expect_same_optimum(short_landing(3, 1e5), above_the_ground(), 1e-9);
+}
+
+TEST(FullSpace, AgreesWithMultipleShootingOnGroundWithTheDefaultWeights) {
+  expect_same_optimum(short_landing(3, NmpcWeights{}.ground.x()), above_the_ground());
 }
 
 TEST(FullSpace, ReportAgreesWithAnIndependentAudit) {

@@ -1,3 +1,6 @@
+// The derivatives of the problems that tests solve are exact.
+// CTest: long
+
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 
 #include "support/autodiff.hpp"

@@ -4,8 +4,8 @@
 # the sources, README.md of the top folder first. A fenced block without a language after a command
 # is its expected output: these lines must appear in the output in this order, also when the library
 # LATE_CLOCK makes every tick late, because a busy machine must not change them. Without `full`,
-# skips commands that build or fly for minutes, draws the pictures of hybrid_mission once, flies
-# fewer of many flights, and uses the programs in BUILD. Generates the files of the user that the
+# skips commands that build, fly for minutes or are in tests of their own, draws no picture of
+# hybrid_mission, and uses the programs in BUILD. Generates the files of the user that the
 # commands name.
 set -euo pipefail
 source=$1
@@ -51,9 +51,7 @@ shorter() {  # sets `command` to one that takes less time and needs the same of 
   case $command in
     *--no-pictures* | *--write-*) ;;
     build/examples/hybrid_mission*)
-      [[ ! $drawn ]] || command=${command/hybrid_mission/hybrid_mission --no-pictures}
-      drawn=1 ;;
-    *stress_flights*) command=${command/--count 20/--count 5} ;;
+      command=${command/hybrid_mission/hybrid_mission --no-pictures} ;;
   esac
 }
 
@@ -61,7 +59,6 @@ run() {  # library to load first, or nothing
   LD_PRELOAD=$1 bash -c "$command" > output.txt 2>&1 < /dev/null
 }
 
-drawn=
 ran=0
 failed=0
 compared=0
@@ -82,6 +79,8 @@ for step in steps/[0-9][0-9][0-9]; do
     *compile_cost*) echo "== in the long form, the test compile_cost: $command" && continue ;;
     *monte_carlo*) echo "== in the long form of monte_carlo_test: $command" && continue ;;
     *missions/cluster/*) echo "== in the long form of monte_carlo_parts_test: $command" && continue ;;
+    */compare_vehicles | */stress_flights*)
+      [[ $full ]] || { echo "== in the test of this program: $command" && continue; } ;;
     cmake* | g++* | ./examples/run.sh* | *hitl_* | *reproduce_paper*)
       [[ $full ]] || { echo "== in the long form: $command" && continue; } ;;
   esac
