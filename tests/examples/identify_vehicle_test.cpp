@@ -1,6 +1,7 @@
 // Runs hybrid_mission --excite and identify_vehicle as a user does.
 // CTest: flight one_process
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -114,6 +115,7 @@ TEST_F(IdentifyVehicle, WithoutRotorSpeedsTheirLagFollowsFromTheMotion) {
 }
 
 TEST_F(IdentifyVehicle, OtherToolsAcceptItsVehicleFile) {
+  if (!test_support::full_run()) GTEST_SKIP() << "readme_commands flies with one: --full";
   ASSERT_EQ(identify(log()).exit_code, 0);
   const std::string vehicle = "'" + path("out") + "/identified_vehicle.json'";
   const Outcome checked = run(CHECK_VEHICLE_PROGRAM, vehicle + " --no-pictures");

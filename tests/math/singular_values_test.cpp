@@ -60,15 +60,17 @@ void expect_decompositions(Random& random) {
 
 TEST(SingularValues, MatchEigenForRandomMatrices) {
   Random random(1);
-  expect_decompositions<1, 1>(random);
   expect_decompositions<1, 7>(random);
+  expect_decompositions<6, 8>(random);
+#ifdef TILT_ROPTER_FULL_TESTS  // each size takes a second to compile
+  expect_decompositions<1, 1>(random);
   expect_decompositions<2, 2>(random);
   expect_decompositions<3, 4>(random);
   expect_decompositions<6, 6>(random);
-  expect_decompositions<6, 8>(random);
   expect_decompositions<6, 12>(random);
   expect_decompositions<6, 16>(random);
   expect_decompositions<12, 12>(random);
+#endif
 }
 
 TEST(SingularValues, MatchEigenForMatricesOfAnyRank) {

@@ -5,14 +5,10 @@
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 
 #include "support/circle_problem.hpp"
-#include "support/contradiction.hpp"
-#include "support/double_integrator.hpp"
 #include "support/full_run.hpp"
 #include "support/pendulum.hpp"
-#include "support/quadrotor.hpp"
 #include "support/random.hpp"
 #include "support/states.hpp"
-#include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
 
@@ -25,15 +21,11 @@ namespace tilt_ropter::optimal_control {
 namespace {
 
 using test_support::Circle;
-using test_support::Contradiction;
-using test_support::DoubleIntegrator;
 using test_support::errors_on_the_way;
 using test_support::Pendulum;
-using test_support::Quadrotor;
 using test_support::Random;
 using test_support::random_state;
 using test_support::sentences;
-using test_support::Unicycle;
 
 TEST(DerivativeCheck, FindsNoErrorInACorrectProblem) {
   EXPECT_EQ(sentences(errors_on_the_way(Circle<>())), "");
@@ -97,21 +89,6 @@ TEST(DerivativeCheck, IgnoresInputConstraintsAtTheLastNode) {
   ASSERT_EQ(errors.size(), 2U);
   EXPECT_EQ(to_string(errors[0]), "constraint_derivatives: C(0, 1) at node 5 is 7, expected 0");
   EXPECT_EQ(to_string(errors[1]), "constraint_derivatives: E(0, 0) at node 5 is 0, expected 1");
-}
-
-TEST(DerivativeCheck, FindsNoErrorInTheTestProblems) {
-  Random random(91);
-  for (int i = 0; i < test_support::quick_or_full(20, 1000); ++i) {
-    const Eigen::Vector3d x = random.vector(3.0), u = random.vector(3.0);
-    const auto expect_none = [](const auto& errors) { EXPECT_EQ(sentences(errors), ""); };
-    expect_none(check_derivatives(Pendulum({5}), x.head<2>(), u.head<1>()));
-    expect_none(check_derivatives(Unicycle({5}), x, u.head<2>()));
-    expect_none(check_derivatives(DoubleIntegrator({5}), x.head<2>(), u.head<1>()));
-    expect_none(check_derivatives(Contradiction({5}), x.head<1>(), u.head<1>()));
-    Quadrotor::State body = random_state(random).body;
-    expect_none(check_derivatives(Quadrotor({5}), body,
-                                  Eigen::Vector4d(u(0), u(1), u(2), random.uniform(0.1, 4.0))));
-  }
 }
 
 TEST(DerivativeCheck, FindsNoErrorInTheTiltRopterProblem) {

@@ -1,10 +1,12 @@
-// The derivatives of the problems that tests solve are exact.
+// The derivatives of the problems that tests solve are exact: the solvers assume that.
 // CTest: long
 
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/derivative_check.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/benchmark_problem.hpp"
+#include "support/circle_problem.hpp"
 #include "support/contradiction.hpp"
 #include "support/double_integrator.hpp"
 #include "support/full_run.hpp"
@@ -16,7 +18,6 @@
 
 #include <gtest/gtest.h>
 
-// Derivatives of the test problems. The solvers assume that they are correct.
 namespace tilt_ropter::optimal_control {
 namespace {
 
@@ -26,6 +27,8 @@ using test_support::Dual;
 using test_support::Pendulum;
 using test_support::Quadrotor;
 using test_support::Random;
+using test_support::random_state;
+using test_support::sentences;
 using test_support::Unicycle;
 
 template <typename Scalar, int Size>
@@ -163,6 +166,21 @@ TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
     expect_equal(test_support::step_problem().retract_derivative(x, dx), truth);
     expect_equal(Quadrotor({5}).retract_derivative(x.body, dx.tail<12>()),
                  Eigen::Matrix<double, 12, 12>(truth.bottomRightCorner<12, 12>()));
+  }
+}
+
+TEST(DerivativeCheck, FindsNoErrorInTheTestProblems) {
+  Random random(91);
+  for (int i = 0; i < test_support::quick_or_full(20, 1000); ++i) {
+    const Eigen::Vector3d x = random.vector(3.0), u = random.vector(3.0);
+    const auto expect_none = [](const auto& errors) { EXPECT_EQ(sentences(errors), ""); };
+    expect_none(check_derivatives(Pendulum({5}), x.head<2>(), u.head<1>()));
+    expect_none(check_derivatives(Unicycle({5}), x, u.head<2>()));
+    expect_none(check_derivatives(DoubleIntegrator({5}), x.head<2>(), u.head<1>()));
+    expect_none(check_derivatives(Contradiction({5}), x.head<1>(), u.head<1>()));
+    Quadrotor::State body = random_state(random).body;
+    expect_none(check_derivatives(Quadrotor({5}), body,
+                                  Eigen::Vector4d(u(0), u(1), u(2), random.uniform(0.1, 4.0))));
   }
 }
 

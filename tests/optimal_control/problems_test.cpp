@@ -1,3 +1,6 @@
+// Problems from other fields whose solution is known.
+// CTest: long
+
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include "support/contradiction.hpp"
@@ -13,9 +16,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <string>
 
-// Problems from other fields whose solution is known.
 namespace tilt_ropter::optimal_control {
 namespace {
 
