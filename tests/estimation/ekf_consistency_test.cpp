@@ -179,6 +179,7 @@ TEST(Ekf, EstimatesBiasesAndMarkerFrame) {
   RecordProperty("marker_arm", std::to_string(arm));
 }
 
+#ifdef TILT_ROPTER_FULL_TESTS  // seconds to compile
 TEST(Ekf, SinglePrecisionAgrees) {
   Random random(224);
   const Flight flight(21, random.orientation());
@@ -196,6 +197,7 @@ TEST(Ekf, SinglePrecisionAgrees) {
             2e-3);
   EXPECT_EQ(single.counts().used, exact.counts().used);
 }
+#endif
 
 }  // namespace
 }  // namespace tilt_ropter

@@ -36,9 +36,7 @@
   prefix template Wrenchd Allocation<4>::wrench(const ActuatorState<4>&) const noexcept;
 
 #define TILT_ROPTER_ESTIMATION_TEST_INSTANCES(prefix)                                              \
-  prefix template class Ekf<float>;                                                                \
   prefix template class ErrorStateFilter<double>;                                                  \
-  prefix template class ErrorStateFilter<float>;                                                   \
   prefix template class WrenchObserver<double>;                                                    \
   prefix template ClockCalibration calibrate_clock(const std::vector<Timed<InertialSampled>>&,     \
                                                    const std::vector<Timed<MarkerPosed>>&,         \
