@@ -1,4 +1,4 @@
-// CTest: flight mujoco
+// CTest: flight mujoco long
 
 #include "../../examples/mujoco/plant.hpp"
 #include "support/mode_transitions.hpp"
