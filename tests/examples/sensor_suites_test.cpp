@@ -43,7 +43,7 @@ TEST(SensorSuites, EachFliesTheMission) {
   }
 }
 
-// Flies one fault of each set of sensors; all in a full run.
+// Flies two of the combinations; all in a full run.
 TEST(SensorSuites, LosingAllPositionsEndsInALanding) {
   int combination = 0;
   for (const char* sensors : {"mocap", "gps", "vio", "wheels"})

@@ -169,7 +169,7 @@ TEST(ProblemDerivatives, RetractionsHaveExactDerivatives) {
   }
 }
 
-TEST(DerivativeCheck, FindsNoErrorInTheTestProblems) {
+TEST(ProblemDerivatives, PassTheCheckForUsers) {
   Random random(91);
   for (int i = 0; i < test_support::quick_or_full(20, 1000); ++i) {
     const Eigen::Vector3d x = random.vector(3.0), u = random.vector(3.0);
