@@ -293,6 +293,29 @@ TEST(ActuatorNmpcSettings, DefaultsEqualTheSettingsOfTheReferenceVehicle) {
                 close(a.angular_velocity(i), b.angular_velocity(i)));
 }
 
+TEST(ActuatorNmpcSettings, TwiceTheAllowedErrorHasAQuarterOfTheWeight) {
+  AllowedActuatorErrors errors;
+  errors.position *= 2.0;
+  errors.velocity *= 2.0;
+  errors.orientation *= 2.0;
+  errors.angular_velocity *= 2.0;
+  errors.thrust *= 2.0;
+  errors.thrust_on_ground *= 2.0;
+  errors.thrust_rate *= 2.0;
+  errors.tilt_rate *= 2.0;
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const ActuatorLevelWeights a = actuator_nmpc_settings(vehicle).problem.weights,
+                             b = actuator_nmpc_settings(vehicle, errors).problem.weights;
+  EXPECT_TRUE(a.position.isApprox(4.0 * b.position));
+  EXPECT_TRUE(a.velocity.isApprox(4.0 * b.velocity));
+  EXPECT_TRUE(a.orientation.isApprox(4.0 * b.orientation));
+  EXPECT_TRUE(a.angular_velocity.isApprox(4.0 * b.angular_velocity));
+  EXPECT_DOUBLE_EQ(a.thrust, 4.0 * b.thrust);
+  EXPECT_DOUBLE_EQ(a.thrust_on_ground, 4.0 * b.thrust_on_ground);
+  EXPECT_DOUBLE_EQ(a.thrust_rate, 4.0 * b.thrust_rate);
+  EXPECT_DOUBLE_EQ(a.tilt_rate, 4.0 * b.tilt_rate);
+}
+
 TEST(ActuatorNmpcSettings, AreCheckedAtConstructionAndWhenReplaced) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const ActuatorNmpcSettings valid = actuator_nmpc_settings(vehicle);

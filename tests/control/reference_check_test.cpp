@@ -98,6 +98,26 @@ TEST(CheckReference, ReportsForceRate) {
   EXPECT_NEAR(std::abs(violations[0].required), 1.5, 1e-3);
 }
 
+TEST(CheckReference, ReportsTorqueRate) {
+  const auto turn = [](double t) {
+    ReferencePoint point;
+    point.position.z() = 1.5;
+    point.orientation = quaternion_from_yaw(0.5 * std::sin(2.0 * t));
+    point.angular_velocity.z() = std::cos(2.0 * t);
+    point.angular_acceleration.z() = -2.0 * std::sin(2.0 * t);
+    return point;
+  };
+  const double needed = 4.0 * vehicle.body.inertia(2, 2);  // [Nm/s], times cos(2 t)
+  NmpcSettings settings = nmpc_settings(vehicle);
+  EXPECT_TRUE(check_reference(turn, 0.0, 3.0, vehicle, settings, 1e-3).empty());
+  settings.problem.bounds.torque_rate.z() = 0.5 * needed;
+  const auto violations = check_reference(turn, 0.0, 3.0, vehicle, settings, 1e-3);
+  ASSERT_EQ(violations.size(), 1u);
+  EXPECT_STREQ(violations[0].bound, "torque_rate");
+  EXPECT_EQ(violations[0].axis, 2);
+  EXPECT_NEAR(std::abs(violations[0].required), needed, 1e-3 * needed);
+}
+
 TEST(CheckReference, ReportsForceAgainstGravityOnASlope) {
   const auto drive = [](double t) {
     ReferencePoint point;

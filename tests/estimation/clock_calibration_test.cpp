@@ -312,6 +312,26 @@ TEST(ClockCalibration, RejectsShortLogs) {
   EXPECT_NE(calibrate_clock(logs.imu, head(200)).status, Status::too_short);
 }
 
+TEST(ClockCalibration, UsesOnlyPosesThatTheImuCovers) {
+  const ClockCalibrationSettings s;
+  Logs logs = record(any_flight(25), {}, 25);
+  logs.imu.erase(logs.imu.begin() + 3000, logs.imu.end());  // 15 s of 20 s
+  logs.imu.erase(logs.imu.begin(), logs.imu.begin() + 1000);
+  Logs covered = logs;
+  const double margin = s.max_offset - 0.02;  // of the poses that may go
+  covered.poses.clear();
+  for (const auto& pose : logs.poses)
+    if (pose.time > logs.imu.front().time + margin && pose.time < logs.imu.back().time - margin)
+      covered.poses.push_back(pose);
+  ASSERT_LT(covered.poses.size(), logs.poses.size());
+  const ClockCalibration all = calibrate_clock(logs.imu, logs.poses, s),
+                         some = calibrate_clock(covered.imu, covered.poses, s);
+  EXPECT_EQ(all.status, Status::calibrated);
+  EXPECT_EQ(all.offset, some.offset);
+  EXPECT_EQ(all.residual, some.residual);
+  EXPECT_EQ(all.stddev, some.stddev);
+}
+
 TEST(ClockCalibration, EachSettingActs) {
   Recording r;
   r.offset = 0.3;

@@ -154,5 +154,32 @@ TEST_F(EkfStartAtPose, PoseSetsTheCovarianceOfPositionAndOrientation) {
   EXPECT_GT(covariance_of(uncertain, I::orientation, I::marker_orientation), 0.9 * 0.02 * 0.02);
 }
 
+// The covariance moves with the state, and what the vehicle did in the gap is unknown.
+TEST_F(EkfStartAtPose, AfterAGapTheVelocityMovesThePosition) {
+  constexpr double gap = 0.3;
+  const Vector3d angular_velocity(0.5, -1.0, 2.0);
+  Filter filter(settings.imu_noise, settings.pose_noise);
+  filter.reset(before, covariance);
+  ASSERT_TRUE(detail::resume(filter, gap, angular_velocity));
+  Covariance moves = Covariance::Identity(), expected = covariance;
+  moves.block<3, 3>(I::position, I::velocity) = gap * Eigen::Matrix3d::Identity();
+  expected = moves * expected * moves.transpose();
+  const auto add = [&expected](int part, double stddev) {
+    expected.diagonal().segment<3>(part).array() += stddev * stddev;
+  };
+  add(I::orientation, gap);
+  add(I::velocity, 10.0 * gap);
+  add(I::position, 5.0 * gap * gap);
+  EXPECT_TRUE(filter.covariance().isApprox(expected, 1e-9));
+  const InertialStated& x = filter.state();
+  EXPECT_TRUE(x.position.isApprox(before.position + gap * before.velocity));
+  EXPECT_EQ(x.velocity, before.velocity);
+  EXPECT_LT(
+      x.orientation.angularDistance(before.orientation * quaternion_exp(gap * angular_velocity)),
+      1e-9);
+  EXPECT_FALSE(detail::resume(filter, 0.5, angular_velocity));
+  EXPECT_TRUE(filter.covariance().isApprox(expected, 1e-9));
+}
+
 }  // namespace
 }  // namespace tilt_ropter
