@@ -34,11 +34,10 @@ set(coverage ${clang} ${library} CMAKE_BUILD_TYPE=None
 # Read as C++20. GCC compiles everything as C++17 in the full run.
 set(tidy ${clang} ${everything} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_BUILD_FUZZERS=ON
   TILT_ROPTER_STANDARD=20 CMAKE_EXPORT_COMPILE_COMMANDS=ON)
-set(native ${variant} "CMAKE_CXX_FLAGS=-O3 -march=native")
-set(fast_math ${variant} "CMAKE_CXX_FLAGS=-O2 -ffast-math -fno-finite-math-only")
-set(libcxx ${variant} "CMAKE_CXX_FLAGS=-O1 -stdlib=libc++"
+set(fast_math ${variant}
+  "CMAKE_CXX_FLAGS=-O2 -march=native -ffast-math -fno-finite-math-only")
+set(libcxx ${variant} "CMAKE_CXX_FLAGS=-O0 -stdlib=libc++"
   TILT_ROPTER_GTEST_SOURCE=/usr/src/googletest)
-set(unoptimised ${variant} CMAKE_CXX_FLAGS=-O0)
 set(for_aarch64 CMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake
   CMAKE_PREFIX_PATH=${CMAKE_SOURCE_DIR}/build-aarch64/sysroot/usr)
 set(aarch64 ${library} ${for_aarch64} TILT_ROPTER_BUILD_QUICKLY=ON)
@@ -47,8 +46,8 @@ set(mission_aarch64 ${programs} ${for_aarch64})
 set(benchmark ${nothing} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_NATIVE=ON)
 set(fuzz ${clang} ${nothing} CMAKE_BUILD_TYPE=None TILT_ROPTER_BUILD_FUZZERS=ON)
 
-set(presets aarch64 benchmark coverage fast_math full fuzz libcxx mission mission_aarch64 native
-  plain sanitize sanitize_threads tidy unoptimised)
+set(presets aarch64 benchmark coverage fast_math full fuzz libcxx mission mission_aarch64 plain
+  sanitize sanitize_threads tidy)
 if(NOT PRESET IN_LIST presets)
   message(FATAL_ERROR "PRESET = ${PRESET}: must be one of ${presets}")
 endif()
