@@ -1,5 +1,5 @@
-// After a long time without poses the attitude is too uncertain for an update of the filter. It
-// then restarts at the next pose.
+// Restarts: after a long time without poses, when the attitude is too uncertain for an update of
+// the filter, at the next pose; at a given state; and after a reset.
 
 #include <tilt_ropter/estimation/ekf.hpp>
 
@@ -105,6 +105,73 @@ TEST(EkfRestart, RecoversWithin3sAfterTheAttitudeWasLost) {
     SCOPED_TRACE(seed);
     expect_good(ekf, flight);
   }
+}
+
+TEST(EkfRestart, StartsAtAGivenStateAtOnce) {
+  const Flight flight(16, Random(219).orientation());
+  const Log log = record(flight, 4.0, 16);
+  Ekfd ekf;
+  fly(ekf, log);
+  BodyStated elsewhere = ekf.state();
+  elsewhere.position.x() += 20.0;
+  ASSERT_TRUE(ekf.start(elsewhere, {0.1, 0.1, 0.1}));
+  EXPECT_LT((ekf.state().position - elsewhere.position).norm(), 1e-9);
+  EXPECT_LT((ekf.state().velocity - elsewhere.velocity).norm(), 1e-9);
+}
+
+bool same(const BodyStated& a, const BodyStated& b) {
+  return a.position == b.position && a.velocity == b.velocity &&
+         a.orientation.coeffs() == b.orientation.coeffs() &&
+         a.angular_velocity == b.angular_velocity;
+}
+
+bool same(const Ekfd& a, const Ekfd& b) {
+  return same(a.state(), b.state()) && a.filter().covariance() == b.filter().covariance() &&
+         difference(a.filter().state(), b.filter().state()) == InertialTangentd::Zero() &&
+         a.nis() == b.nis() && a.filter_time() == b.filter_time();
+}
+
+// Two filters get the same flight from the start: a new one, and one that was reset after late
+// samples, and poses that repeat or are elsewhere.
+TEST(EkfRestart, IsLikeNewAfterAReset) {
+  const Log log = record(Flight(17, Random(220).orientation()), 4.0, 17);
+  Log bad = record(Flight(18, Random(221).orientation()), 6.0, 18);
+  const MarkerPosed last = bad.poses.back().value;
+  for (auto& pose : bad.poses) {
+    if (pose.time > 4.0) pose.value.position.x() += 1.0;
+    if (pose.time > 5.0) pose.value = last;
+  }
+  Ekfd used, fresh;
+  fly(used, bad, 0.06);
+  for (int i = 0; i < 3; ++i) used.on_imu(5.9 + 0.005 * i, bad.imu.back().value);
+  EXPECT_TRUE(used.trust(6.0).poses_frozen);
+  used.reset();
+  const auto expect_same = [&](double now) {
+    EXPECT_TRUE(same(used, fresh)) << now;
+    EXPECT_EQ(used.running(), fresh.running()) << now;
+    const EstimateTrust a = used.trust(now), b = fresh.trust(now);
+    EXPECT_EQ(a.state, b.state) << now;
+    EXPECT_EQ(a.age, b.age) << now;
+    EXPECT_EQ(a.position_stddev, b.position_stddev) << now;
+    EXPECT_EQ(a.poses_frozen, b.poses_frozen) << now;
+    EXPECT_EQ(a.poses_disputed, b.poses_disputed) << now;
+    EXPECT_EQ(a.poses_mistimed, b.poses_mistimed) << now;
+    EXPECT_EQ(a.unconfirmed, b.unconfirmed) << now;
+  };
+  const auto both = [&](const auto& call) {
+    call(used);
+    call(fresh);
+  };
+  EXPECT_EQ(used.trust(0.0).state, EstimateState::starting);
+  EXPECT_FALSE(fresh.trust(0.0).poses_frozen);
+  both([&](Ekfd& ekf) { ekf.on_imu(-0.005, log.imu[0].value); });
+  both([](Ekfd& ekf) { EXPECT_TRUE(ekf.start({}, {1.0, 1.0, 1.0})); });
+  expect_same(0.0);
+  both([&](Ekfd& ekf) { fly(ekf, log); });
+  expect_same(4.0);
+  EXPECT_EQ(used.counts().used, fresh.counts().used);
+  EXPECT_EQ(used.counts().gated, fresh.counts().gated);
+  EXPECT_EQ(used.counts().unused, fresh.counts().unused);
 }
 
 }  // namespace
