@@ -93,7 +93,7 @@ run_tests() {  # directory, how many at a time, options of ctest
 # Tests of sources and packages do not depend on how the tests are built; callgrind counts only what
 # is built normally.
 built=(--label-exclude "source|package|counted")
-# Flights take most of the time of a slow build, and have never found more there.
+# Flights are slow in these builds, and have never found more there.
 grounded=(--label-exclude "source|package|counted|flight")
 
 case $mode in

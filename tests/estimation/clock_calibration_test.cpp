@@ -318,7 +318,7 @@ TEST(ClockCalibration, UsesOnlyPosesThatTheImuCovers) {
   logs.imu.erase(logs.imu.begin() + 3000, logs.imu.end());  // 15 s of 20 s
   logs.imu.erase(logs.imu.begin(), logs.imu.begin() + 1000);
   Logs covered = logs;
-  const double margin = s.max_offset - 0.02;  // of the poses that may go
+  const double margin = s.max_offset - 0.02;  // poses less far inside cannot be used at all offsets
   covered.poses.clear();
   for (const auto& pose : logs.poses)
     if (pose.time > logs.imu.front().time + margin && pose.time < logs.imu.back().time - margin)

@@ -27,6 +27,7 @@ using test_support::imu_period;
 using test_support::Log;
 using test_support::Random;
 using test_support::record;
+using test_support::same;
 
 constexpr double begin = 100.0;  // [s]; any time but zero
 
@@ -117,18 +118,6 @@ TEST(EkfRestart, StartsAtAGivenStateAtOnce) {
   ASSERT_TRUE(ekf.start(elsewhere, {0.1, 0.1, 0.1}));
   EXPECT_LT((ekf.state().position - elsewhere.position).norm(), 1e-9);
   EXPECT_LT((ekf.state().velocity - elsewhere.velocity).norm(), 1e-9);
-}
-
-bool same(const BodyStated& a, const BodyStated& b) {
-  return a.position == b.position && a.velocity == b.velocity &&
-         a.orientation.coeffs() == b.orientation.coeffs() &&
-         a.angular_velocity == b.angular_velocity;
-}
-
-bool same(const Ekfd& a, const Ekfd& b) {
-  return same(a.state(), b.state()) && a.filter().covariance() == b.filter().covariance() &&
-         difference(a.filter().state(), b.filter().state()) == InertialTangentd::Zero() &&
-         a.nis() == b.nis() && a.filter_time() == b.filter_time();
 }
 
 // Two filters get the same flight from the start: a new one, and one that was reset after late

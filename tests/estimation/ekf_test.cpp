@@ -31,22 +31,11 @@ using test_support::Log;
 using test_support::noisy;
 using test_support::Random;
 using test_support::record;
+using test_support::same;
 using test_support::Unobserved;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinite = std::numeric_limits<double>::infinity();
-
-bool same(const BodyStated& a, const BodyStated& b) {
-  return a.position == b.position && a.velocity == b.velocity &&
-         a.orientation.coeffs() == b.orientation.coeffs() &&
-         a.angular_velocity == b.angular_velocity;
-}
-
-bool same(const Ekfd& a, const Ekfd& b) {
-  return same(a.state(), b.state()) && a.filter().covariance() == b.filter().covariance() &&
-         difference(a.filter().state(), b.filter().state()) == InertialTangentd::Zero() &&
-         a.nis() == b.nis() && a.filter_time() == b.filter_time();
-}
 
 TEST(Ekf, ResultIsIndependentOfQuaternionSignsBitForBit) {
   Random random(206);

@@ -79,6 +79,19 @@ void fly(
   poses_before(std::numeric_limits<double>::infinity());
 }
 
+/// True if both have the same state bit by bit.
+inline bool same(const tilt_ropter::BodyStated& a, const tilt_ropter::BodyStated& b) {
+  return a.position == b.position && a.velocity == b.velocity &&
+         a.orientation.coeffs() == b.orientation.coeffs() &&
+         a.angular_velocity == b.angular_velocity;
+}
+inline bool same(const tilt_ropter::Ekfd& a, const tilt_ropter::Ekfd& b) {
+  return same(a.state(), b.state()) && a.filter().covariance() == b.filter().covariance() &&
+         difference(a.filter().state(), b.filter().state()) ==
+             tilt_ropter::InertialTangentd::Zero() &&
+         a.nis() == b.nis() && a.filter_time() == b.filter_time();
+}
+
 /// Norms of the errors of a state [m, m/s, rad, rad/s].
 struct Errors {
   double position, velocity, orientation, angular_velocity;
