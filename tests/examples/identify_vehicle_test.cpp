@@ -95,6 +95,8 @@ TEST_F(IdentifyVehicle, FindsTheVehicleThatFlew) {
 }
 
 TEST_F(IdentifyVehicle, TrustedThrustGivesTheMass) {
+  if (!test_support::full_run())
+    GTEST_SKIP() << "the library's vehicle_identification_test: --full";
   const Outcome found = identify(log(), "--trust thrust");
   ASSERT_EQ(found.exit_code, 0) << found.output;
   expect_near(found, "mass", "_kg", 1.545, 0.015);
@@ -102,6 +104,8 @@ TEST_F(IdentifyVehicle, TrustedThrustGivesTheMass) {
 }
 
 TEST_F(IdentifyVehicle, WithoutRotorSpeedsTheirLagFollowsFromTheMotion) {
+  if (!test_support::full_run())
+    GTEST_SKIP() << "the library's vehicle_identification_test: --full";
   const std::string file =
       changed(1000000, [](std::size_t row, const auto&, std::vector<std::string>& fields) {
         if (row > 0) return;
@@ -130,6 +134,8 @@ TEST_F(IdentifyVehicle, OtherToolsAcceptItsVehicleFile) {
 }
 
 TEST_F(IdentifyVehicle, ReportsWhatAHoverDoesNotExcite) {
+  if (!test_support::full_run())
+    GTEST_SKIP() << "the library's vehicle_identification_test: --full";
   const std::string still = path("still.csv");
   std::ofstream(still) << "time_s,x_m,y_m,z_m\n0,0,0,1.5\n10,0,0,1.5\n";
   ASSERT_EQ(
