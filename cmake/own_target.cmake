@@ -1,6 +1,6 @@
 # Compiler options of our own tests, examples and benchmarks. They do not affect targets of users.
 set(TILT_ROPTER_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion
-  -Wdouble-promotion -Wold-style-cast)
+  -Wdouble-promotion -Wold-style-cast $<$<CXX_COMPILER_ID:Clang>:-Wreserved-identifier>)
 if(TILT_ROPTER_WERROR)
   list(APPEND TILT_ROPTER_WARNINGS -Werror)
 endif()
