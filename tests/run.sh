@@ -22,9 +22,10 @@ the benchmarks. The builds are those of cmake/presets.cmake.
                instead of the tests, build the fuzz targets (clang's libFuzzer with sanitizers) into
                build-fuzz/ and run each target for this time, one per processor; fails if there is
                a finding
-  --sanitize   run the tests of the library with ASan and UBSan in build-sanitize/, the programs
-               with threads with TSan in build-sanitize-threads/, and some tests of the normal build
-               with valgrind. The programs' readers of files have ASan and UBSan in --fuzz
+  --sanitize   run the tests of the library, without flights, with ASan and UBSan in
+               build-sanitize/, the programs with threads with TSan in build-sanitize-threads/, and
+               some tests of the normal build with valgrind. The programs' readers of files, and the
+               controller with any input, have ASan and UBSan in --fuzz
   --coverage   run the tests of the library, without flights, and write a table of the lines of
                include/ that they reach, and the lines as HTML, to build-coverage/report/; fails
                below 95 %
@@ -128,7 +129,7 @@ case $mode in
   sanitize)
     install_for_tests libclang-rt-dev llvm
     build sanitize build-sanitize
-    run_tests build-sanitize 2 "${built[@]}"
+    run_tests build-sanitize 2 "${grounded[@]}"
     build sanitize_threads build-sanitize-threads monte_carlo reproduce_paper
     echo "== Running monte_carlo and reproduce_paper in three threads under TSan"
     build-sanitize-threads/examples/monte_carlo --count 6 --threads 3 --no-pictures \
