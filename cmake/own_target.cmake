@@ -1,6 +1,6 @@
 # Compiler options of our own tests, examples and benchmarks. They do not affect targets of users.
 set(TILT_ROPTER_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion
-  -Wdouble-promotion -Wold-style-cast $<$<CXX_COMPILER_ID:Clang>:-Wreserved-identifier>)
+  -Wdouble-promotion -Wold-style-cast)
 if(TILT_ROPTER_WERROR)
   list(APPEND TILT_ROPTER_WARNINGS -Werror)
 endif()
@@ -54,7 +54,8 @@ endif()
 
 function(tilt_ropter_own_target target)
   target_link_libraries(${target} PRIVATE ${TILT_ROPTER_COMPILED})
-  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
+  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR}
+    $<$<CXX_COMPILER_ID:Clang>:-Wreserved-identifier>)
   set_target_properties(${target} PROPERTIES
     CXX_STANDARD ${TILT_ROPTER_STANDARD} CXX_EXTENSIONS OFF)
 endfunction()

@@ -10,12 +10,13 @@ Installs missing Debian packages with apt-get, builds tests and examples into bu
 warnings as errors, and runs every test. The last lines are the summary. No test judges a measured
 time, so that the result does not depend on other work of the machine. Uses clang, which takes a
 third of the time of GCC. GCC builds what users build: examples/run.sh, the installed package and
-the benchmarks. The builds are those of cmake/presets.cmake.
+the benchmarks; and the tests of the library in --variants. The builds are those of
+cmake/presets.cmake.
 
-  --full       build with GCC; also run the long forms of the tests (TILT_ROPTER_FULL=1), judge
-               measured times, compile every header with both compilers, build the reference as
-               --docs does, and open the page about a flight in Chromium. Needs a machine without
-               other work. Ends with a table of required and measured values
+  --full       also run the long forms of the tests (TILT_ROPTER_FULL=1), judge measured times,
+               compile every header with both compilers, build the reference as --docs does, and
+               open the page about a flight in Chromium. Needs a machine without other work. Ends
+               with a table of required and measured values
   --benchmark  instead of the tests, build the benchmarks for this processor into
                build-benchmarks/ and run them
   --fuzz SECONDS
@@ -31,9 +32,9 @@ the benchmarks. The builds are those of cmake/presets.cmake.
                below 95 %
   --tidy       instead of the tests, run clang-tidy on every header, test, example, benchmark and
                fuzz target, read as C++20
-  --variants   run the tests of the library with other compiler options in build-variants/: with
-               -ffast-math and the instructions of this processor; with clang's libc++ and without
-               optimisation, where they do not fly
+  --variants   run the tests of the library as others may compile them, in build-variants/: by GCC
+               with -ffast-math and the instructions of this processor; by clang with its libc++
+               and without optimisation, where they do not fly
   --aarch64    run the tests of the library, compiled by GCC for aarch64 into build-aarch64/, with
                qemu-user. Also fails if a figure of the hybrid mission differs from that on this
                processor by more than 1e-9 (relative)
@@ -163,8 +164,8 @@ case $mode in
   variants)
     install clang libgtest-dev googletest libc++-dev libc++abi-dev
     failed=
-    build fast_math build-variants/fast_math
-    run_tests build-variants/fast_math 2 "${built[@]}" || failed+=" fast_math"
+    build gcc_fast_math build-variants/gcc_fast_math
+    run_tests build-variants/gcc_fast_math 2 "${built[@]}" || failed+=" gcc_fast_math"
     build libcxx build-variants/libcxx
     run_tests build-variants/libcxx 2 "${grounded[@]}" || failed+=" libcxx"
     [[ ! $failed ]] || { echo "tests failed in:$failed" && exit 1; }
