@@ -54,8 +54,7 @@ endif()
 
 function(tilt_ropter_own_target target)
   target_link_libraries(${target} PRIVATE ${TILT_ROPTER_COMPILED})
-  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR}
-    $<$<CXX_COMPILER_ID:Clang>:-Wreserved-identifier>)
+  target_compile_options(${target} PRIVATE ${TILT_ROPTER_WARNINGS} ${TILT_ROPTER_PROCESSOR})
   set_target_properties(${target} PROPERTIES
     CXX_STANDARD ${TILT_ROPTER_STANDARD} CXX_EXTENSIONS OFF)
 endfunction()
