@@ -22,7 +22,7 @@ using P = VehicleParameter;
 constexpr auto count = static_cast<std::size_t>(P::count);
 
 TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
-  const int vehicles = test_support::quick_or_full(2, 200);
+  const int vehicles = test_support::quick_or_full(2, 100);
   const Vehicle<4> nominal = tilt_ropter_vehicle();
   std::array<int, count> inside{}, close{};
   int identified = 0;
@@ -98,7 +98,7 @@ TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
 
 // The mission in the air, with what was identified from another flight, and with the truth.
 TEST(IdentifyVehicleSpread, FliesAsWellAsWithTheTruth) {
-  const int vehicles = test_support::quick_or_full(2, 40);
+  const int vehicles = test_support::quick_or_full(2, 20);
   const Vehicle<4> nominal = tilt_ropter_vehicle();
   int as_well = 0;
   for (int index = 0; index < vehicles; ++index) {
