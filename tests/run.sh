@@ -95,7 +95,7 @@ run_tests() {  # directory, how many at a time, options of ctest
 # Tests of sources and packages do not depend on how the tests are built; callgrind counts only what
 # is built normally.
 built=(--label-exclude "source|package|counted")
-# Flights are slow in these builds; what they are made of is tested without them.
+# Flights are slow in these builds, and have never found more there.
 grounded=(--label-exclude "source|package|counted|flight")
 
 case $mode in
@@ -105,7 +105,7 @@ case $mode in
     run_tests build-tests 3  # some wait for each other
     ;;
   full)
-    install_for_tests chromium doxygen parallel libfastrtps-dev fastddsgen
+    install_for_tests chromium coinor-libipopt-dev doxygen parallel libfastrtps-dev fastddsgen
     build full build-full
     export TILT_ROPTER_FULL=1 TILT_ROPTER_CHECKS=$PWD/build-full/checks.tsv
     rm -f "$TILT_ROPTER_CHECKS"

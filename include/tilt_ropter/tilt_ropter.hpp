@@ -81,9 +81,10 @@
 #include <tilt_ropter/optimal_control/anderson.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
+#include <tilt_ropter/optimal_control/best_plan.hpp>
 #include <tilt_ropter/optimal_control/bounded_sides.hpp>
 #include <tilt_ropter/optimal_control/cholesky.hpp>
-#include <tilt_ropter/optimal_control/full_space_settings.hpp>
+#include <tilt_ropter/optimal_control/free_start.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
 #include <tilt_ropter/optimal_control/merit.hpp>
 #include <tilt_ropter/optimal_control/node_constraints.hpp>
@@ -92,6 +93,7 @@
 #include <tilt_ropter/optimal_control/riccati.hpp>
 #include <tilt_ropter/optimal_control/riccati_equation.hpp>
 #include <tilt_ropter/optimal_control/riccati_stage.hpp>
+#include <tilt_ropter/optimal_control/scaled_problem.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/step_search.hpp>
@@ -123,8 +125,8 @@
 #include <tilt_ropter/control/plan_in_force.hpp>
 #include <tilt_ropter/control/receding_horizon.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
-#include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #include <tilt_ropter/optimal_control/multipliers.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
+#include <tilt_ropter/optimal_control/single_shooting.hpp>
 #endif

@@ -1,5 +1,6 @@
 // Indefinite Hessians, contradicting constraints, values that are not finite, and starts far away.
 
+#include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include "support/audit.hpp"
@@ -122,7 +123,7 @@ TEST(MultipleShooting, FeedbackWorksWithDampingAndResetClearsIt) {
   for (int i = 0; i < 20; ++i) {
     ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
     EXPECT_GT(solver.report().damping, 0.0);
-    EXPECT_EQ(solver.feedback(x0).status, SolveStatus::iterated);
+    EXPECT_EQ(solver.feedback(x0).status, SolveStatus::damped);
     ASSERT_TRUE(plan_is_finite(solver));
     EXPECT_LT(test_support::audit(solver).violation, 1e-6);
   }
@@ -294,6 +295,69 @@ TEST(MultipleShooting, WildStartsConvergeInFewIterations) {
     iterations += solver.report().iterations;
   }
   EXPECT_LT(iterations, 1700);  // measured: 1465; 1937 if no move is forgotten
+}
+
+// A copy has its own plan and its own optimisers of NLopt.
+TEST(MultipleShooting, CopiesSolveIndependently) {
+  Solver solver(test_support::step_problem(), test_support::patient());
+  const Stated start = test_support::step_start();
+  solver.reset(start);
+  ASSERT_EQ(solver.solve(start).status, SolveStatus::converged);
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  Stated moved = start;
+  moved.body.position.x() += 0.1;
+  Solver copy(solver), assigned(test_support::step_problem(), test_support::patient());
+  assigned = solver;
+  const auto plan = solver.input(0);
+  EXPECT_EQ(copy.feedback(moved).status, SolveStatus::iterated);
+  EXPECT_NE(copy.input(0), plan);
+  EXPECT_EQ(solver.input(0), plan);
+  EXPECT_EQ(solver.feedback(moved).status, SolveStatus::iterated);
+  EXPECT_EQ(assigned.feedback(moved).status, SolveStatus::iterated);
+  EXPECT_EQ(solver.input(0), copy.input(0));
+  EXPECT_EQ(solver.input(0), assigned.input(0));
+}
+
+/// More inputs than states, which cost almost nothing: their sum counts, their differences do not.
+struct NearlyFreeInputs {
+  static constexpr int states = 2, inputs = 4, residuals = 6, constraints = 4;
+  template <typename S, int Size>
+  using V = Eigen::Matrix<S, Size, 1>;
+
+  double weight = 1e-7;  // of the square of an input
+
+  static int horizon() { return 20; }
+  template <typename S>
+  V<S, 2> step(int, const V<S, 2>& x, const V<S, 4>& u) const {
+    return {S(0.9) * x(0) + S(0.3) * x(1) + u(0) - S(0.5) * u(1) + S(0.2) * u(3),
+            S(0.7) * x(1) - S(0.4) * u(0) + u(2) + S(0.8) * u(3)};
+  }
+  template <typename S>
+  V<S, 6> residual(int, const V<S, 2>& x, const V<S, 4>& u) const {
+    V<S, 6> r;
+    r << x, S(std::sqrt(weight)) * u;
+    return r;
+  }
+  template <typename S>
+  V<S, 4> constraint_values(int, const V<S, 2>&, const V<S, 4>& u) const {
+    return u;
+  }
+  static V<double, 4> lower(int) { return V<double, 4>::Constant(-0.3); }
+  static V<double, 4> upper(int) { return V<double, 4>::Constant(0.3); }
+};
+
+TEST(MultipleShooting, SolvesWithInputsThatCostAlmostNothing) {
+  for (const double weight : {1e-5, 1e-7, 1e-8}) {
+    SCOPED_TRACE(weight);
+    using Problem = AutoDiffProblem<NearlyFreeInputs>;
+    MultipleShooting<Problem> solver(Problem({weight}), patient());
+    const Eigen::Vector2d x0(4.0, -3.0);
+    solver.reset(x0);
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+    EXPECT_EQ(solver.feedback(x0).status, SolveStatus::iterated);
+    solver.reset(x0);
+    EXPECT_EQ(solver.solve(x0).status, SolveStatus::converged);
+  }
 }
 
 }  // namespace

@@ -44,34 +44,27 @@ TEST(MultipleShooting, ReachesTheKnownOptimumOfStep) {
   EXPECT_NEAR(report.cost, 2074.17, 1e-4 * 2074.17);
 }
 
-// During the solve the working set grows beyond the largest number with which NLopt may start. A
-// real-time iteration then continues with Riccati passes, whose number is bounded.
-TEST(MultipleShooting, SolveUsesNloptForFirstProgramAndFeedbackUsesPasses) {
-  SolverSettings settings = patient();
-  settings.max_iterations = 1;
-  Solver solver(step_problem(), settings);
-  solver.reset(step_start());
-  SolveReport report = solver.solve(step_start());
-  EXPECT_LE(report.program_residual, 1e-6);
-  EXPECT_GT(report.active_constraints, 10);
-  EXPECT_EQ(report.passes, 0);
-  solver.reset(step_start());
-  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
-  report = solver.feedback(step_start());
-  EXPECT_LE(report.program_residual, 1e-6);
-  EXPECT_GT(report.passes, 0);
-}
-
-TEST(MultipleShooting, RealTimeIterationUsesNloptUpToThreeQuartersOfTheLimit) {
-  for (const int limit : {24, 32}) {  // real-time limits: 18 and 24; 24 is enough
+// The first program of STEP has more active constraints than the last solution, which had none. The
+// working set of NLopt may grow to twice the limit, in a real-time iteration to 1.5 times. With
+// more constraints Riccati passes go on, whose number is bounded.
+TEST(MultipleShooting, LimitOfConstraintsDecidesWhetherNloptSolves) {
+  for (const int limit : {0, 12, 16}) {
     SolverSettings settings = patient();
+    settings.max_iterations = 1;
     settings.program.max_dual_constraints = limit;
     Solver solver(step_problem(), settings);
     solver.reset(step_start());
+    SolveReport report = solver.solve(step_start());
+    EXPECT_LE(report.program_residual, 1e-6) << limit;
+    EXPECT_GT(report.active_constraints, 10) << limit;
+    EXPECT_EQ(report.solved_by == ProgramSolver::nlopt, limit >= 12) << limit;
+    EXPECT_EQ(report.evaluations > 0, limit >= 12) << limit;
+    solver.reset(step_start());
     ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
-    const SolveReport report = solver.feedback(step_start());
-    EXPECT_LE(report.program_residual, 1e-6);
-    EXPECT_EQ(report.passes > 0, limit == 24);
+    report = solver.feedback(step_start());
+    EXPECT_LE(report.program_residual, 1e-6) << limit;
+    EXPECT_EQ(report.solved_by == ProgramSolver::nlopt, limit == 16) << limit;
+    EXPECT_EQ(report.passes > 0, limit < 16) << limit;
   }
 }
 
@@ -315,6 +308,24 @@ TEST(MultipleShooting, ChecksItsSettings) {
   SolverSettings bad;
   bad.program.dual.max_rounds = 0;
   test_support::expect_refused("DualSettings.max_rounds", [&] { Solver(step_problem(), bad); });
+}
+
+TEST(MultipleShooting, LogHasEveryIterate) {
+  Solver solver(step_problem(), patient()), other(step_problem(), patient());
+  solver.reset(step_start());
+  other.reset(step_start());
+  std::vector<SolveReport> log;
+  const SolveReport report =
+      solver.solve(step_start(), [&log](const SolveReport& r) { log.push_back(r); });
+  ASSERT_EQ(report.status, SolveStatus::converged);
+  ASSERT_EQ(static_cast<int>(log.size()), report.iterations + 1);
+  for (std::size_t i = 0; i < log.size(); ++i) EXPECT_EQ(log[i].iterations, static_cast<int>(i));
+  EXPECT_GT(log.front().kkt, 1.0);
+  EXPECT_GT(log.front().max_violation + log.front().max_defect, 0.1);
+  EXPECT_EQ(log.back().kkt, report.kkt);
+  EXPECT_EQ(log.back().cost, report.cost);
+  EXPECT_EQ(log.back().max_violation, report.max_violation);
+  EXPECT_EQ(other.solve(step_start()).cost, report.cost);
 }
 
 }  // namespace

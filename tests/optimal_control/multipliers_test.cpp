@@ -71,7 +71,7 @@ TEST(DualSolver, EveryAlgorithmReachesTheSamePoint) {
       DualSolver solver(12, settings);
       Eigen::VectorXd lambda = Eigen::VectorXd::Zero(12);
       ASSERT_TRUE(solver.solve(d.H, d.b, d.rho, lambda));
-      EXPECT_GT(solver.evaluations(), 3);  // NLopt has solved it
+      EXPECT_GE(solver.evaluations(), 3);  // NLopt has solved it
       if (first.size() == 0) first = lambda;
       const Eigen::VectorXd unit = d.H.diagonal().cwiseSqrt();
       EXPECT_LT((lambda - first).cwiseProduct(unit).cwiseAbs().maxCoeff(), 1e-6);

@@ -52,7 +52,7 @@ TEST(QuadraticProgramHardBounds, AreNotRelaxedAtTheFirstPriceOnEitherSide) {
       Random random(seed);
       const test_support::RandomProgram<4, 2, 6> base(random, 20, Feasibility::tight, infinity);
       SolverSettings settings;
-      settings.program.method = ProgramMethod::interior_point;
+      settings.program.method = ProgramMethod::structured;
       MultipleShooting<OneSided> solver(OneSided(base, sign), settings);
       solver.reset(base.start());
       ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);

@@ -98,7 +98,7 @@ class Interrupted : public testing::Test {
 
   static QuadraticProgramSettings settings() {
     QuadraticProgramSettings dual;
-    dual.method = ProgramMethod::dual;
+    dual.method = ProgramMethod::nlopt;
     return dual;
   }
 

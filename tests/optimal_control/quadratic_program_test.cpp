@@ -7,8 +7,8 @@
 #include "support/random_program.hpp"
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
-#include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/optimal_control/single_shooting.hpp>
 
 #include <gtest/gtest.h>
 
@@ -38,13 +38,13 @@ Solver solved(const Mass& mass, ProgramMethod method = ProgramMethod::automatic)
   return solver;
 }
 
-TEST(QuadraticProgram, EveryMethodReachesTheOptimumOfFullSpace) {
+TEST(QuadraticProgram, EveryMethodReachesTheOptimumOfSingleShooting) {
   const Mass mass;
-  FullSpace<Problem> full{Problem(mass)};
+  SingleShooting<Problem> full(Problem(mass), test_support::patient());
   full.reset(rest);
-  ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);
+  ASSERT_EQ(full.solve(rest).status, SolveStatus::converged);
   for (const ProgramMethod method :
-       {ProgramMethod::automatic, ProgramMethod::dual, ProgramMethod::interior_point}) {
+       {ProgramMethod::automatic, ProgramMethod::nlopt, ProgramMethod::structured}) {
     const Solver solver = solved(mass, method);
     ASSERT_EQ(solver.report().status, SolveStatus::converged) << static_cast<int>(method);
     EXPECT_NEAR(solver.report().cost, full.report().cost, 1e-6 * full.report().cost);
@@ -58,7 +58,7 @@ TEST(QuadraticProgram, EveryMethodReachesTheOptimumOfFullSpace) {
 TEST(QuadraticProgram, ManyActiveConstraintsUseRiccatiPasses) {
   Mass mass;
   mass.high(1) = 0.1;  // active at nearly all nodes
-  const Solver automatic = solved(mass), dual = solved(mass, ProgramMethod::dual);
+  const Solver automatic = solved(mass), dual = solved(mass, ProgramMethod::nlopt);
   EXPECT_GT(automatic.report().active_constraints, 16);
   EXPECT_EQ(dual.report().passes, 0);
   EXPECT_NEAR(automatic.report().cost, dual.report().cost, 1e-6);
@@ -230,9 +230,9 @@ TEST(QuadraticProgram, InputBoundsThatExcludeZeroDoNotCountAtTheLastNode) {
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::converged);
   EXPECT_LE(solver.report().max_violation, 1e-9);
-  FullSpace<Problem> full{Problem(mass)};
+  SingleShooting<Problem> full(Problem(mass), test_support::patient());
   full.reset(rest);
-  ASSERT_EQ(full.solve(rest).status, FullSpaceStatus::converged);
+  ASSERT_EQ(full.solve(rest).status, SolveStatus::converged);
   EXPECT_NEAR(full.report().cost, solver.report().cost, 1e-6);
 }
 

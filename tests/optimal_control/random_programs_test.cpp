@@ -5,11 +5,12 @@
 
 #include "support/check_table.hpp"
 #include "support/full_run.hpp"
+#include "support/patient.hpp"
 #include "support/random.hpp"
 #include "support/random_program.hpp"
 
-#include <tilt_ropter/optimal_control/full_space.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/optimal_control/single_shooting.hpp>
 
 #include <gtest/gtest.h>
 
@@ -62,9 +63,9 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   tally.worst_residual = std::max(tally.worst_residual, audit.after(solver));
   const int most = test_support::quick_or_full(60, 240);
   if (horizon * (States + Inputs) > most) return;
-  FullSpace<Problem> full(problem);
+  SingleShooting<Problem> full(problem, test_support::patient());
   full.reset(problem.start());
-  if (full.solve(problem.start()).status != FullSpaceStatus::converged) return;
+  if (full.solve(problem.start()).status != SolveStatus::converged) return;
   double cost = 0.0;
   for (int k = 0; k <= horizon; ++k) cost += problem.cost(k, solver.state(k), solver.input(k));
   const double unit = 1.0 + std::abs(full.report().cost),
@@ -104,7 +105,7 @@ TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
   solve_all(ProgramMethod::automatic, test_support::quick_or_full(160, 3000), t);
   EXPECT_GT(t.compared, 10);
   EXPECT_GT(t.solved, 0.6 * t.programs);
-  test_support::check_at_most(23, "cost of solved programs, from that of full_space",
+  test_support::check_at_most(23, "cost of solved programs, from that of single_shooting",
                               t.worst_difference, 1e-6);
   test_support::check_at_most(23, "residual of solved programs, counted again", t.worst_residual,
                               1e-5);
@@ -116,7 +117,7 @@ TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
 
 TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
   Tally t;
-  solve_all(ProgramMethod::interior_point, test_support::quick_or_full(60, 1200), t);
+  solve_all(ProgramMethod::structured, test_support::quick_or_full(60, 1200), t);
   EXPECT_GT(t.solved, 0.6 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);
@@ -124,7 +125,7 @@ TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
 
 TEST(RandomPrograms, SolvesByTheDualAlone) {
   Tally t;
-  solve_all(ProgramMethod::dual, test_support::quick_or_full(16, 400), t);
+  solve_all(ProgramMethod::nlopt, test_support::quick_or_full(16, 400), t);
   EXPECT_GT(t.solved, 0.1 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);

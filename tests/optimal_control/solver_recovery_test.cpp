@@ -132,5 +132,34 @@ TEST(SolverRecovery, OneRoundOfTheWorkingSetActivatesConstraints) {
   EXPECT_GT(solver.report().active_constraints, 0);
 }
 
+// A bare solver, without a controller around it that would refuse the state.
+TEST(SolverRecovery, AStateOutOfRangeCostsThreeTicks) {
+  for (const double wild : {1e3, 1e6, 1e20, 1e150}) {
+    SCOPED_TRACE(wild);
+    WheeledFlightProblem<0> problem = air_problem();
+    SolverSettings settings = patient();
+    settings.program.max_passes = 10;
+    Solver solver(problem, settings);
+    Stated x = air_start();
+    set_air_reference(solver.problem(), 0.0);
+    solver.reset(x);
+    (void)solver.solve(x);
+    int unsolved = 0;
+    for (int tick = 0; tick < 30; ++tick) {
+      set_air_reference(solver.problem(), 0.02 * tick);
+      Stated measured = x;
+      if (tick == 5) measured.body.velocity.x() = wild;
+      (void)solver.prepare();
+      const SolveReport& report = solver.feedback(measured);
+      if (tick > 5 && report.status != SolveStatus::iterated) ++unsolved;
+      if (tick != 5 && has_plan(report.status))
+        x = RigidBodyd(test_support::benchmark_body()).step(x, solver.input(0), {}, 0.02);
+      solver.shift(0.2);
+    }
+    EXPECT_LE(unsolved, 3);
+    EXPECT_EQ(solver.report().status, SolveStatus::iterated);
+  }
+}
+
 }  // namespace
 }  // namespace tilt_ropter::optimal_control

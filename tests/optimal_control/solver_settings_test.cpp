@@ -1,6 +1,5 @@
 // Every limit of the solvers' settings, by the name in the message.
 
-#include <tilt_ropter/optimal_control/full_space_settings.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 
 #include "support/refusals.hpp"
@@ -43,15 +42,6 @@ TEST(SolverSettings, SolverNamesEachField) {
   check("SolverSettings.memory", &S::memory, whole_numbers(0, 100));
   check("SolverSettings.max_multiplier", &S::max_multiplier, not_negative());
   check.refuse("QuadraticProgramSettings.max_passes", [](S& s) { s.program.max_passes = 0; });
-}
-
-TEST(SolverSettings, FullSpaceNamesEachField) {
-  using S = FullSpaceSettings;
-  const Fields<S> check;
-  check("FullSpaceSettings.max_evaluations", &S::max_evaluations, at_least(1));
-  check("FullSpaceSettings.tolerance", &S::tolerance, positive());
-  check("FullSpaceSettings.max_rebases", &S::max_rebases, at_least(1));
-  check("FullSpaceSettings.max_time [s]", &S::max_time, positive());
 }
 
 }  // namespace

@@ -90,18 +90,23 @@ TEST_P(OneBound, ViolationIsWhatNeitherMultiplierNorPriceAccountsFor) {
   EXPECT_NEAR(residual(2.8, 2.0, 5.0, 5.0).complementarity, 0.2 / 3.0, 1e-15);
 }
 
-// The same at the point of linearisation, where the constraint has the value `u`.
-TEST_P(OneBound, UnpaidViolationHereIsZeroForARelaxedConstraint) {
-  const auto unpaid = [this](double u, double bound, double m, double stiffness) {
+// The same at the point of linearisation, where the constraint has the value `u`, for no step.
+TEST_P(OneBound, ResidualHereIsThatOfNoStep) {
+  const auto here = [this](double u, double bound, double m, double stiffness) {
     program.node(0).value(0) = GetParam() * u;
     (void)residual(0.0, bound, m, stiffness);
-    return program.unpaid_here();
+    return program.residual_here(program.violation_here(0));
   };
-  EXPECT_EQ(unpaid(1.0, 2.0, 0.0, infinity), 0.0);
-  EXPECT_NEAR(unpaid(3.0, 2.0, 9.9, infinity), 1.0, 1e-15);
-  EXPECT_EQ(unpaid(3.0, 2.0, 10.0, infinity), 0.0);
-  EXPECT_NEAR(unpaid(3.0, 2.0, 2.0, 5.0), 0.6, 1e-15);
-  EXPECT_NEAR(program.violation_here(0), 1.0, 1e-15);
+  EXPECT_EQ(here(1.0, 2.0, 0.0, infinity).violation, 0.0);
+  EXPECT_NEAR(here(3.0, 2.0, 0.0, infinity).violation, 1.0, 1e-15);    // not relative to the bound
+  EXPECT_NEAR(here(13.0, 2.0, 0.0, infinity).violation, 10.0, 1e-15);  // the price
+  EXPECT_NEAR(program.violation_here(0), 11.0, 1e-14);
+  EXPECT_EQ(here(3.0, 2.0, 10.0, infinity).violation, 0.0);
+  const ProgramResidual other = here(3.0, 2.0, 9.9, infinity);
+  EXPECT_EQ(other.violation, 0.0);  // 0.1 / 10.9 would not be the largest
+  EXPECT_GT(other.largest(), 0.1 / 10.9);
+  EXPECT_NEAR(here(1.7, 2.0, 4.0, infinity).complementarity, 0.3 / 3.0, 1e-15);
+  EXPECT_NEAR(here(1.7, 2.0, 4.0, infinity).gap, 4.0 * 0.3 / (1.0 + program.cost_here), 1e-15);
 }
 
 TEST_P(OneBound, StepThatIsNotANumberHasInfiniteResiduals) {
@@ -196,7 +201,7 @@ TEST(Subproblem, MirrorImageHasTheSameResidualsAndCost) {
     expect_close(a.complementarity, b.complementarity);
     expect_close(a.gap, b.gap);
     expect_close(program.excess(), mirror.excess());
-    expect_close(program.unpaid_here(), mirror.unpaid_here());
+    expect_close(program.residual_here(1.0).largest(), mirror.residual_here(1.0).largest());
     expect_close(program.largest_violation(), mirror.largest_violation());
     expect_close(program.price_of_step(0.1), mirror.price_of_step(0.1));
     for (int k = 0; k <= 3; ++k) {

@@ -10,13 +10,11 @@ diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/actuator_nmpc.hpp
 tilt_ropter/control/actuator_plan.hpp
 tilt_ropter/control/nmpc.hpp
-tilt_ropter/control/plan_in_force.hpp
-tilt_ropter/control/receding_horizon.hpp
 tilt_ropter/optimal_control/dual_method.hpp
-tilt_ropter/optimal_control/full_space.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp
 tilt_ropter/optimal_control/multipliers.hpp
 tilt_ropter/optimal_control/quadratic_program.hpp
+tilt_ropter/optimal_control/single_shooting.hpp
 HEADERS
 "$2" -std=c++17 -I "$1" -isystem "$3" -x c++ -w -fsyntax-only - << 'PROGRAM'
 #undef __has_include

@@ -141,7 +141,7 @@ class WheeledFlightProblem {
   [[nodiscard]] Tangent difference(const State& y, const State& x) const {
     return tilt_ropter::difference(y, x);
   }
-  /// d difference(retract(x, dx + e), retract(x, dx)) / de, for FullSpace.
+  /// d difference(retract(x, dx + e), retract(x, dx)) / de, for SingleShooting.
   [[nodiscard]] StateJacobian retract_derivative(const State&, const Tangent& dx) const {
     StateJacobian derivative = StateJacobian::Identity();
     derivative.block<3, 3>(I::orientation, I::orientation) =

@@ -94,6 +94,10 @@ class ActiveSet {
     return program.riccati.factorise(damping, terms);
   }
 
+  /// Divides what is known of the cost of node k by `cost`, for another unit.
+  void change_unit(int k, double cost) {
+    for (double& c : curvatures_[static_cast<std::size_t>(k)]) c /= cost;
+  }
   /// Multiplies the weights by 10, up to a limit that is set by rounding errors. Necessary if many
   /// constraints are active: the curvature of the cost alone is then too small as a reference for
   /// the weights.

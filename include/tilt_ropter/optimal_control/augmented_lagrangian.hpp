@@ -52,6 +52,14 @@ class AugmentedLagrangian {
   void forget_multipliers() {
     for (Equalities& m : multipliers_) detail::fill(m, 0.0);
   }
+  /// Divides all costs by `cost`, for another unit.
+  void change_unit(double cost) {
+    for (Equalities& m : multipliers_)
+      for (int i = 0; i < D::ne; ++i) m(i) /= cost;
+    max_multiplier_ /= cost;
+    for (Added& added : added_)
+      for (double& entry : added.entries) entry /= cost;
+  }
   /// Moves the multipliers `nodes` nodes ahead in time. The multipliers of the last node stay.
   void shift(int nodes) {
     for (std::size_t k = 0; k < multipliers_.size(); ++k)
@@ -121,6 +129,28 @@ class AugmentedLagrangian {
       const Equalities w = weights(problem, k), h = problem.equality_values(k, x);
       for (int i = 0; i < D::ne; ++i)
         if (w(i) > 0.0) sum += (multiplier(k)(i) + 0.5 * w(i) * h(i)) * h(i);
+    }
+    return sum;
+  }
+
+  /// Returns the derivatives of the terms of node k by its equalities.
+  [[nodiscard]] Equalities slopes(const Problem& problem, int k, const State& x) const {
+    Equalities result = detail::Filled();
+    if constexpr (D::ne > 0) {
+      const Equalities w = weights(problem, k), h = problem.equality_values(k, x);
+      for (int i = 0; i < D::ne; ++i)
+        if (w(i) > 0.0) result(i) = multiplier(k)(i) + w(i) * h(i);
+    }
+    return result;
+  }
+  /// Returns the sum of |h| of node k.
+  [[nodiscard]] double distance(const Problem& problem, int k, const State& x) const {
+    double sum = 0.0;
+    if constexpr (D::ne > 0) {
+      if (!has(problem, k)) return 0.0;
+      const Equalities w = problem.equality_weights(k), h = problem.equality_values(k, x);
+      for (int i = 0; i < D::ne; ++i)
+        if (w(i) > 0.0) sum += std::abs(h(i));
     }
     return sum;
   }

@@ -1,15 +1,20 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
+#include <Eigen/Eigenvalues>
 #include <unsupported/Eigen/AutoDiff>
 
+#include <algorithm>
 #include <limits>
 #include <type_traits>
 #include <utility>
 
+/// Problems by automatic differentiation. This header is long because every member of a problem may
+/// be absent.
 namespace tilt_ropter::detail {
 
 /// True if the struct has the function or constant that Member<User> refers to.
@@ -36,6 +41,15 @@ template <typename User>
 using TerminalResidualMember = decltype(std::declval<const User&>().terminal_residual(
     std::declval<const Eigen::Matrix<double, User::states, 1>&>()));
 
+template <typename User>
+using ResidualsMember = std::integral_constant<int, User::residuals>;
+template <typename User>
+using CostMember = decltype(std::declval<const User&>().cost(
+    0, std::declval<const Eigen::Matrix<double, User::states, 1>&>(),
+    std::declval<const Eigen::Matrix<double, User::inputs, 1>&>()));
+template <typename User>
+using CurvatureMember = std::enable_if_t<User::curvature>;
+
 /// Value of such a constant, or 0 if the struct does not have it.
 template <template <typename> class Member, typename User>
 constexpr int count_of() {
@@ -49,6 +63,22 @@ struct AutoDiffTerminalConstraints {};
 template <typename User>
 struct AutoDiffTerminalConstraints<User, true> {
   static constexpr int terminal_constraints = User::terminal_constraints;
+};
+
+/// Has add_curvature() only if the struct asks for it, because HasCurvature tests for it.
+template <typename Problem, typename User, bool = has_member<CurvatureMember, User>>
+struct AutoDiffCurvature {};
+template <typename Problem, typename User>
+struct AutoDiffCurvature<Problem, User, true> {
+  template <int Rows>
+  using Vector = Eigen::Matrix<double, Rows, 1>;
+  static constexpr int rows =
+      std::max(count_of<ConstraintsMember, User>(), count_of<TerminalConstraintsMember, User>());
+  void add_curvature(int k, const Vector<User::states>& x, const Vector<User::inputs>& u,
+                     const Vector<rows>& multipliers, const Vector<User::states>& costate,
+                     optimal_control::QuadraticModel<User::states, User::inputs>& model) const {
+    static_cast<const Problem&>(*this).add_curvature_to(k, x, u, multipliers, costate, model);
+  }
 };
 }  // namespace tilt_ropter::detail
 
@@ -90,6 +120,16 @@ namespace tilt_ropter::optimal_control {
 ///     template <typename S>
 ///     V<S, terminal_residuals> terminal_residual(const V<S, states>& x) const;
 ///
+///     // any other cost of node k, added to the squares; `residuals` may then be absent. At node
+///     N,
+///     // u is zero. Its Hessian enters without the parts that are not positive semidefinite
+///     template <typename S>
+///     S cost(int k, const V<S, states>& x, const V<S, inputs>& u) const;
+///
+///     // true: second derivatives of dynamics and constraints enter the Hessian, too, without the
+///     // parts that are not positive semidefinite; see add_curvature() in problem.hpp
+///     static constexpr bool curvature;
+///
 /// Equal lower and upper bounds make an equality. Without `terminal_constraints`, the `constraints`
 /// that do not depend on the input also apply at node N. There the functions are called with an
 /// arbitrary input, and a constraint whose derivative by this input is not zero is ignored.
@@ -99,7 +139,9 @@ namespace tilt_ropter::optimal_control {
 /// AutoDiffProblem allocates only if the struct allocates; Eigen's atan2 of AutoDiffScalars
 /// allocates.
 template <typename User>
-class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User> {
+class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
+                        public detail::AutoDiffCurvature<AutoDiffProblem<User>, User> {
+  friend detail::AutoDiffCurvature<AutoDiffProblem<User>, User>;
   template <template <typename> class Member>
   static constexpr bool has = detail::has_member<Member, User>;
   static_assert(has<detail::ConstraintsMember> || !has<detail::LowerMember>,
@@ -109,7 +151,9 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User> {
   static_assert(has<detail::TerminalResidualsMember> || !has<detail::TerminalResidualMember>,
                 "terminal_residual(x) needs terminal_residuals");
   static constexpr bool has_terminal_cost = has<detail::TerminalResidualsMember>;
-  static constexpr int end_constraints =
+  static constexpr bool has_cost = has<detail::CostMember>;
+  static constexpr int residuals = detail::count_of<detail::ResidualsMember, User>(),
+                       end_constraints =
                            detail::count_of<detail::TerminalConstraintsMember, User>(),
                        end_residuals = detail::count_of<detail::TerminalResidualsMember, User>();
 
@@ -146,17 +190,34 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User> {
   }
 
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
-    if (k < horizon()) return user_.residual(k, x, u).squaredNorm();
-    if constexpr (end_residuals > 0) return user_.terminal_residual(x).squaredNorm();
-    if constexpr (has_terminal_cost) return 0.0;
-    return user_.residual(k, x, Input(Input::Zero())).squaredNorm();
+    const Input at = k < horizon() ? u : Input(Input::Zero());
+    double sum = 0.0;
+    if constexpr (has_cost) sum = user_.cost(k, x, at);
+    if (k == horizon() && has_terminal_cost) {
+      if constexpr (end_residuals > 0) sum += user_.terminal_residual(x).squaredNorm();
+    } else if constexpr (residuals > 0) {
+      sum += user_.residual(k, x, at).squaredNorm();
+    }
+    return sum;
   }
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
     const Input at = k < horizon() ? u : Input(Input::Zero());
-    if (k < horizon() || !has_terminal_cost)
-      set_model<User::residuals>(user_.residual(k, variables(x), variables(at, states)), k, model);
-    else if constexpr (end_residuals > 0)
-      set_model<end_residuals>(user_.terminal_residual(variables(x)), k, model);
+    if (k == horizon() && has_terminal_cost) {
+      if constexpr (end_residuals > 0)
+        set_model<end_residuals>(user_.terminal_residual(variables(x)), k, model);
+    } else if constexpr (residuals > 0) {
+      set_model<residuals>(user_.residual(k, variables(x), variables(at, states)), k, model);
+    }
+    if constexpr (has_cost) {
+      if (residuals == 0 || (k == horizon() && has_terminal_cost && end_residuals == 0)) {
+        model.hessian.setZero();
+        model.gradient.setZero();
+      }
+      const Dual2 value = user_.cost(k, variables_of_second(x), variables_of_second(at, states));
+      for (int i = 0; i < (k < horizon() ? states + inputs : states); ++i)
+        model.gradient(i) += value.derivatives()(i).value();
+      add_convex_part(k, second_derivatives(value), model);
+    }
   }
 
   [[nodiscard]] Constraints constraint_values(int k, const State& x, const Input& u) const {
@@ -205,6 +266,73 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User> {
   using Dual = Eigen::AutoDiffScalar<Eigen::Matrix<double, states + inputs, 1>>;
   template <int Count>
   using Duals = Eigen::Matrix<Dual, Count, 1>;
+
+  // The same with second derivatives.
+  using Dual2 = Eigen::AutoDiffScalar<Eigen::Matrix<Dual, states + inputs, 1>>;
+  using Hessian = Eigen::Matrix<double, states + inputs, states + inputs>;
+
+  template <int Count>
+  static Eigen::Matrix<Dual2, Count, 1> variables_of_second(
+      const Eigen::Matrix<double, Count, 1>& numbers, int first = 0) {
+    Eigen::Matrix<Dual2, Count, 1> result;
+    for (int i = 0; i < Count; ++i) {
+      result(i).value() = Dual(numbers(i), states + inputs, first + i);
+      for (int j = 0; j < states + inputs; ++j)
+        result(i).derivatives()(j) = Dual(j == first + i ? 1.0 : 0.0);
+    }
+    return result;
+  }
+  static Hessian second_derivatives(const Dual2& value) {
+    Hessian result;
+    for (int i = 0; i < states + inputs; ++i) result.col(i) = value.derivatives()(i).derivatives();
+    return result;
+  }
+
+  // Adds `hessian` to that of the model, without the negative curvature of the sum.
+  void add_convex_part(int k, Hessian hessian, Model& model) const {
+    const int size = k < horizon() ? states + inputs : states;
+    for (int j = 0; j < states + inputs; ++j)
+      for (int i = 0; i < states + inputs; ++i)
+        hessian(i, j) = i < size && j < size ? hessian(i, j) + entry(model, i, j) : 0.0;
+    if (!all_finite(hessian)) {
+      model.gradient(0) = std::numeric_limits<double>::quiet_NaN();
+      return;
+    }
+    const Eigen::SelfAdjointEigenSolver<Hessian> parts(hessian);
+    hessian.noalias() = parts.eigenvectors() * parts.eigenvalues().cwiseMax(0.0).asDiagonal() *
+                        parts.eigenvectors().transpose();
+    model.lxx() = hessian.template topLeftCorner<states, states>();
+    if (k == horizon()) return;
+    model.lux() = hessian.template bottomLeftCorner<inputs, states>();
+    model.luu() = hessian.template bottomRightCorner<inputs, inputs>();
+  }
+  static double entry(const Model& model, int i, int j) {
+    return i < states
+               ? (j < states ? model.lxx()(i, j) : model.lux()(j - states, i))
+               : (j < states ? model.lux()(i - states, j) : model.luu()(i - states, j - states));
+  }
+
+  template <typename Multipliers>
+  void add_curvature_to(int k, const State& x, const Input& u, const Multipliers& multipliers,
+                        const Tangent& costate, Model& model) const {
+    const auto x2 = variables_of_second(x);
+    const auto u2 = variables_of_second(k < horizon() ? u : arbitrary_input(), states);
+    Dual2 sum(Dual(0.0));
+    if (k < horizon()) {
+      const Eigen::Matrix<Dual2, states, 1> end = user_.step(k, x2, u2);
+      for (int i = 0; i < states; ++i) sum += end(i) * Dual2(Dual(costate(i)));
+    }
+    if (k == horizon() && has<detail::TerminalConstraintsMember>) {
+      if constexpr (end_constraints > 0) {
+        const Eigen::Matrix<Dual2, end_constraints, 1> c = user_.terminal_constraint_values(x2);
+        for (int i = 0; i < end_constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
+      }
+    } else if constexpr (constraints > 0) {
+      const Eigen::Matrix<Dual2, constraints, 1> c = user_.constraint_values(k, x2, u2);
+      for (int i = 0; i < constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
+    }
+    add_convex_part(k, second_derivatives(sum), model);
+  }
 
   // Independent variables: entries of (x, u), starting at index `first`.
   template <int Count>

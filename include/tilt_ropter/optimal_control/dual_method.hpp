@@ -64,6 +64,8 @@ class DualMethod {
   [[nodiscard]] int rounds() const { return rounds_; }      ///< rounds of the last solve()
   /// Gradient evaluations by NLopt since construction.
   [[nodiscard]] long evaluations() const { return dual_.evaluations(); }
+  /// Newton steps that polished NLopt's results since construction.
+  [[nodiscard]] long polishing_steps() const { return dual_.polishing_steps(); }
 
   /// Builds the first working set and computes its gradients. Requires the factorisation of
   /// `program` without terms. Returns false if the working set has more than capacity()

@@ -270,7 +270,9 @@ class InteriorPoint {
         if (row(j) != 0.0)
           push = std::max(push, std::abs(gradients_[static_cast<std::size_t>(side.k)](j) / row(j)));
       n.price(side.row) = n.stand_in(side.row) = price_(i) =
-          std::min(far_above * push, Program::hard_price);
+          program.inputs_last && program.single_input(side.k, side.row)
+              ? 1e6 * std::min(far_above * push, Program::hard_price)
+              : std::min(far_above * push, Program::hard_price);
     }
     unit_ = unit;
     first_mu_ = restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);

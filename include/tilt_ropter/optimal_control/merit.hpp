@@ -44,10 +44,25 @@ class Merit {
     for (Constraints& w : constraint_weights_) w.setZero();
   }
 
+  /// Sets every weight to `weight`, but that of a soft constraint at most to its price.
+  void weigh_alike(const Program& program, double weight) {
+    for (std::size_t k = 0; k < defect_weights_.size(); ++k) {
+      const auto& node = program.node(static_cast<int>(k));
+      for (int i = 0; i < D::nx; ++i) defect_weights_[k](i) = weight;
+      for (int i = 0; i < AllConstraints::count; ++i)
+        constraint_weights_[k](i) =
+            node.hard[static_cast<std::size_t>(i)] ? weight : std::min(weight, node.price(i));
+    }
+  }
+
   /// Updates the weights from the multipliers of a solved program. Returns the slope of the merit
   /// function along the step of the program.
   double update(const Program& program, int horizon) {
     double slope = 0.0;
+    double largest = 0.0;
+    for (int k = 1; k <= horizon; ++k)
+      largest = std::max(largest, detail::largest(program.costate(k)));
+    const double least = least_share * largest;
     for (int k = horizon; k >= 0; --k) {
       const auto& s = program.riccati.stage(k);
       const auto& node = program.node(k);
@@ -65,7 +80,8 @@ class Merit {
       }
       if (k < horizon) {
         Tangent& defect_weight = defect_weights_[static_cast<std::size_t>(k)];
-        for (int i = 0; i < D::nx; ++i) follow(defect_weight(i), program.costate(k + 1)(i));
+        for (int i = 0; i < D::nx; ++i)
+          follow(defect_weight(i), std::max(least, std::abs(program.costate(k + 1)(i))));
         slope -= weighted_norm(defect_weight, s.defect.data());
       }
     }
@@ -135,6 +151,8 @@ class Merit {
     return std::isfinite(node.stiffness(i)) ? violation_cost(node.price(i), node.stiffness(i), v)
                                             : weight(i) * v;
   }
+
+  static constexpr double least_share = 0.01;
 
   std::vector<Tangent> defect_weights_;  // one for each interval, at its first node
   std::vector<Constraints> constraint_weights_;

@@ -4,9 +4,11 @@
 #include <tilt_ropter/math/finite.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/best_plan.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/quadratic_program.hpp>
+#include <tilt_ropter/optimal_control/scaled_problem.hpp>
 #include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/step_search.hpp>
@@ -48,7 +50,7 @@ class MultipleShooting {
   using State = typename Problem::State;
   using Tangent = typename Dimensions::Tangent;
   using Input = typename Dimensions::Input;
-  using AllConstraints = ProblemConstraints<Problem>;
+  using AllConstraints = ProblemConstraints<ScaledProblem<Problem>>;
   /// Constraints of a node; also of the last node, if it has separate constraints.
   using Constraints = typename AllConstraints::Values;
   static constexpr int nx = Dimensions::nx, nu = Dimensions::nu, nc = AllConstraints::count,
@@ -66,9 +68,8 @@ class MultipleShooting {
         here_(horizon_),
         trial_(horizon_),
         equalities_(horizon_, settings.max_multiplier),
-        search_(horizon_, settings) {
-    if constexpr (HasCurvature<Problem>::value)
-      costates_.assign(static_cast<std::size_t>(horizon_) + 1, Tangent::Zero());
+        search_(horizon_, settings),
+        best_(horizon_) {
     lanes_A_.setIdentity();
     detail::fill(lanes_B_, 0.0);
   }
@@ -155,24 +156,31 @@ class MultipleShooting {
   [[nodiscard]] PrepareStatus prepare() noexcept {
     const auto start = Clock::now();
     report_.linearise_us = report_.factorise_us = report_.gradients_us = 0.0;
-    prepared_ = program_.goes_on() || (linearise() && factorise(true));
+    prepared_ = program_.goes_on() || (linearise(true) && factorise(true));
+    prepare_failed_ = !prepared_;
     report_.prepare_us = since(start);
     return prepared_ ? PrepareStatus::prepared : PrepareStatus::failed;
   }
 
-  /// Computes the step from the measured initial state. Needs a prepare() before. If has_plan() of
-  /// the report's status is true, state(k) and input(k) are then the new plan, else the old plan.
-  /// Work that would end after `deadline` or SolverSettings.max_feedback_time is not started. The
-  /// plan is then the best plan so far, and the next call continues from its multipliers.
+  /// Computes the step from the measured initial state. Needs a prepare() before. If that failed,
+  /// or the last plan is out of range, this starts cold and prepares itself. If has_plan() of the
+  /// report's status is true, state(k) and input(k) are then the new plan, else the old plan. Work
+  /// that would end after `deadline` or SolverSettings.max_feedback_time is not started. The plan
+  /// is then the best plan so far, and the next call continues from its multipliers.
   const SolveReport& feedback(const State& x0,
                               std::optional<Clock::time_point> deadline = {}) noexcept {
     const auto start = Clock::now();
     report_.iterations = 1;
     report_.step = 1.0;
+    if (cannot_go_on_from(x0)) {
+      trial_ = here_;
+      reset(x0);
+      if (prepare() != PrepareStatus::prepared) here_ = trial_;
+    }
     // An interrupted program was linearised at the plan before the last one.
     const bool goes_on = program_.goes_on();
-    const Trajectory<Problem>& base = goes_on ? trial_ : here_;
-    Trajectory<Problem>& next = goes_on ? here_ : trial_;
+    const Trajectory<Scaled>& base = goes_on ? trial_ : here_;
+    Trajectory<Scaled>& next = goes_on ? here_ : trial_;
     const Tangent dx0 = problem_.difference(x0, base.x(0));
     if (!all_finite(dx0)) {
       report_.status = SolveStatus::rejected;
@@ -200,7 +208,7 @@ class MultipleShooting {
         shifted_ = 0.0;
       }
     }
-    prepared_ = false;
+    prepared_ = prepare_failed_ = false;
     report_.feedback_us = since(start);
     return report_;
   }
@@ -215,13 +223,22 @@ class MultipleShooting {
 
   /// Iterates to convergence from the current guess, with the initial state fixed to x0. A step is
   /// accelerated, full or shorter, so that the merit decreases enough. See StepSearch for
-  /// accelerated steps that do not decrease the merit.
+  /// accelerated steps that do not decrease the merit. Where this does not converge, it starts
+  /// again from the guess, with damping, or from the states that the inputs of the guess lead to.
+  /// The result is never worse than the guess: if it has not converged, it is the best of the guess
+  /// and of the ends of all starts, by the merit with the largest multiplier as the only weight.
+  /// Where hard constraints have to give way, up to max_iterations more keep single inputs within
+  /// their bounds.
   const SolveReport& solve(const State& x0) noexcept {
+    return solve(x0, [](const SolveReport&) {});
+  }
+  /// The same, with a log: calls watch(report) at each iterate. `step` and `damping` of this report
+  /// are those that led to the iterate. `watch` must not throw.
+  template <typename Watch>
+  const SolveReport& solve(const State& x0, const Watch& watch) noexcept {
     const auto start = Clock::now();
     const auto end = start + std::chrono::duration_cast<Clock::duration>(
                                  std::chrono::duration<double>(std::min(settings_.max_time, 1e6)));
-    double prepare_us = 0.0, feedback_us = 0.0;
-    int iteration = 0;
     prepared_ = false;
     if (!all_finite(problem_.difference(x0, here_.x(0)))) {
       report_.status = SolveStatus::rejected;
@@ -229,41 +246,26 @@ class MultipleShooting {
     }
     here_.x(0) = x0;
     shifted_ = 0.0;
-    program_.forget();
-    equalities_.forget_scale();
-    updates_multipliers_ = settings_.update_multipliers && equalities_.any(problem_);
-    search_.begin(!updates_multipliers_);
-    progress_ = {};
-    for (;; ++iteration) {
-      const auto begun_at = Clock::now();
-      bool prepared = linearise();
-      if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
-      const bool converged = prepared && report_.kkt <= settings_.tolerance;
-      // A converged iterate needs no step, but gain() needs at least one factorisation.
-      if (!converged || iteration == 0) prepared = prepared && factorise(false);
-      prepare_us += since(begun_at);
-      report_.status = converged ? (hard_constraints_relaxed() ? SolveStatus::infeasible
-                                                               : SolveStatus::converged)
-                       : iteration == settings_.max_iterations ? SolveStatus::iteration_limit
-                       : Clock::now() > end                    ? SolveStatus::time_limit
-                       : prepared && stalls(iteration)         ? SolveStatus::stalled
-                       : !prepared && !search_.on_trust()      ? SolveStatus::failed
-                                                               : SolveStatus::iterated;
-      if (report_.status != SolveStatus::iterated) break;
-      const auto prepared_at = Clock::now();
-      report_.status = advance(prepared, end);
-      feedback_us += since(prepared_at);
-      if (report_.status != SolveStatus::iterated) break;
-      if (updates_multipliers_)
-        equalities_.update(problem_, here_, report_.max_equality, search_.length() == 1.0);
+    work_ = {};
+    most_iterations_ = settings_.max_iterations;
+    program_.inputs_last = false;  // an input beyond its bounds for some iterations leads further
+    choose_units();
+    best_.begin(here_);
+    for (int attempt = 0;; ++attempt) {
+      iterate(end, watch);
+      if (report_.status == SolveStatus::converged) break;
+      best_.offer(problem_, program_, equalities_, here_, report_.status);
+      if (attempt + 1 == attempts || work_.iterations >= most_iterations_ || Clock::now() > end) {
+        hand_out_the_best(end, watch);
+        break;
+      }
+      start_again(attempt);
     }
-    if (search_.on_trust() && !is_solution(report_.status)) {  // the last step is not confirmed
-      search_.give_back(here_);
-      (void)linearise();
-    }
-    report_.iterations = iteration;
-    report_.prepare_us = prepare_us;
-    report_.feedback_us = feedback_us;
+    program_.inputs_last = true;
+    natural_units();
+    report_.iterations = work_.iterations;
+    report_.prepare_us = work_.prepare_us;
+    report_.feedback_us = work_.feedback_us;
     report_.step = search_.length();
     prepared_ = false;
     program_.forget();
@@ -274,6 +276,7 @@ class MultipleShooting {
   [[nodiscard]] const SolveReport& report() const { return report_; }
 
  private:
+  using Scaled = ScaledProblem<Problem>;
   using Program = QuadraticProgram<nx, nu, nc, typename TransitionPatternOf<Problem>::type>;
 
   static const SolverSettings& checked(const SolverSettings& settings) {
@@ -287,13 +290,31 @@ class MultipleShooting {
   static double since(Clock::time_point start) {
     return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
   }
-  static bool is_solution(SolveStatus status) {
-    return status == SolveStatus::converged || status == SolveStatus::infeasible;
+  // Largest violation of node k in the problem's own units.
+  [[nodiscard]] double violation_of(int k) const {
+    if (problem_.natural()) return program_.violation_here(k);
+    const auto& node = program_.node(k);
+    double largest = 0.0;
+    for (int i = 0; i < nc; ++i)
+      largest =
+          detail::larger(largest, problem_.row_units(k)(i) * node.violation(i, node.value(i)));
+    return largest;
+  }
+
+  // True if prepare() failed, perhaps because a measurement led the plan too far away, or if the
+  // step to x0 is so long that rounding alone would lead away. feedback() then starts cold.
+  [[nodiscard]] bool cannot_go_on_from(const State& x0) const {
+    if (prepare_failed_) return all_finite(problem_.difference(x0, here_.x(0)));
+    if (!prepared_) return false;
+    constexpr double too_far = 1e8;
+    const double move =
+        detail::largest(problem_.difference(x0, (program_.goes_on() ? trial_ : here_).x(0)));
+    return move > too_far && std::isfinite(move);
   }
 
   // Computes the end state and derivative of every interval, and the quadratic model and
   // constraints of every node. Returns false if a number is not finite.
-  bool linearise() {
+  bool linearise(bool real_time) {
     const auto start = Clock::now();
     report_.cost = report_.max_defect = report_.max_violation = report_.max_equality = 0.0;
     bool finite = linearise_intervals();
@@ -317,17 +338,19 @@ class MultipleShooting {
           node.upper(i) = std::numeric_limits<double>::infinity();
         }
       finite = program_.check_node(k) && finite;
-      report_.max_violation = detail::larger(report_.max_violation, program_.violation_here(k));
+      report_.max_violation = detail::larger(report_.max_violation, violation_of(k));
     }
     program_.cost_here = report_.cost;
-    report_.kkt = kkt_residual();
+    report_.cost *= problem_.cost_unit();
+    report_.kkt = kkt_residual(real_time);
     finite = finite && std::isfinite(report_.kkt) && std::isfinite(report_.cost) &&
              std::isfinite(report_.max_equality);
     if (!finite) report_.kkt = std::numeric_limits<double>::infinity();
     if constexpr (HasCurvature<Problem>::value)
       for (int k = 0; k <= horizon_; ++k)
-        problem_.add_curvature(k, here_.x(k), here_.u(k), program_.node(k).multiplier,
-                               costates_[static_cast<std::size_t>(k)],
+        problem_.add_curvature(k, here_.x(k), here_.u(k),
+                               problem_.per_constraint(k, program_.node(k).multiplier),
+                               k < horizon_ ? program_.costate(k + 1) : Tangent(detail::Filled()),
                                program_.riccati.stage(k).cost);
     report_.linearise_us = since(start);
     return finite;
@@ -368,32 +391,28 @@ class MultipleShooting {
     return finite;
   }
 
-  // Largest violation of the first-order conditions at the iterate with the current multipliers.
-  // The multipliers of continuity follow from the adjoint recursion, so only the stationarity of
-  // the inputs remains.
-  double kkt_residual() {
-    program_.collect_active();
-    double residual = report_.max_defect;
-    const bool finite = program_.sweep_back(
-        true,
-        [&](auto, int k, auto& g)
-            __attribute__((always_inline)) { g = program_.riccati.stage(k).cost.gradient; },
-        [&](int k, const auto& sum, const auto&) {
-          for (int j = nx; k < horizon_ && j < nx + nu; ++j)
-            residual = std::max(residual, std::abs(sum(j)));
-          if constexpr (HasCurvature<Problem>::value)
-            if (k > 0) detail::copy_first(nx, sum, costates_[static_cast<std::size_t>(k - 1)]);
-        });
-    for (const auto& [k, i] : program_.active()) {
-      const auto& node = program_.node(k);
-      const double m = node.multiplier(i), size = std::abs(m);
-      const double inside = m > 0.0 ? node.upper(i) - node.value(i) : node.value(i) - node.lower(i);
-      residual = std::max(residual, std::min(size, inside + size / node.stiffness(i)));
+  // Largest defect relative to how far the state moves, by the last node and every fourth. Defects
+  // up to 1e-14 are rounding errors.
+  [[nodiscard]] double relative_defect() const {
+    Tangent moved = detail::Filled{std::max(1e-8, 1e-14 / settings_.tolerance)},
+            most = detail::Filled();
+    for (int k = 1; k <= horizon_; ++k) {
+      const auto& defect = program_.riccati.stage(k - 1).defect;
+      for (int i = 0; i < nx; ++i) most(i) = detail::larger(most(i), std::abs(defect(i)));
+      if ((horizon_ - k) % 4 > 0) continue;
+      const Tangent far = problem_.difference(here_.x(k), here_.x(0));
+      for (int i = 0; i < nx; ++i) moved(i) = std::max(moved(i), std::abs(far(i)));
     }
-    if (!finite || !(report_.max_violation < std::numeric_limits<double>::infinity()))
-      return std::numeric_limits<double>::infinity();
-    if (report_.max_violation > residual) residual = std::max(residual, program_.unpaid_here());
-    return residual;
+    double largest = 0.0;
+    for (int i = 0; i < nx; ++i) largest = detail::larger(largest, most(i) / moved(i));
+    return largest;
+  }
+  // Largest violation of the first-order conditions at the iterate with the current multipliers.
+  // The multipliers of continuity follow from the adjoint recursion.
+  double kkt_residual(bool real_time) {
+    const ProgramResidual residual = program_.residual_here(report_.max_violation);
+    if (real_time) return detail::larger(residual.largest(), report_.max_defect);
+    return detail::larger(residual.largest(), relative_defect());
   }
 
   // Adds Levenberg damping if a Hessian is not positive definite.
@@ -416,12 +435,14 @@ class MultipleShooting {
 
   // Solves the quadratic program and writes the result into the report.
   SolveStatus solve_program(const Tangent& dx0, std::optional<Clock::time_point> deadline,
-                            bool clamps) {
+                            bool real_time) {
     ProgramStatus status = program_.solve(dx0, deadline);
-    if (clamps && status != ProgramStatus::failed) status = program_.clamp_first_input();
+    if (real_time && status != ProgramStatus::failed) status = program_.clamp_first_input();
     report_.rounds = program_.rounds();
     report_.passes = program_.passes();
     report_.evaluations = program_.evaluations();
+    report_.polishing_steps = program_.polishing_steps();
+    report_.solved_by = program_.solved_by();
     report_.program_residual = program_.residual();
     if (status == ProgramStatus::failed) return SolveStatus::failed;
     report_.active_constraints = static_cast<int>(program_.active().size());
@@ -432,7 +453,7 @@ class MultipleShooting {
       ++report_.relaxed_constraints;
       report_.relaxed_hard_constraints += hard;
       double& largest = hard ? report_.largest_hard_relaxation : report_.largest_relaxation;
-      largest = std::max(largest, slack(k, i));
+      largest = std::max(largest, problem_.row_units(k)(i) * slack(k, i));
     };
     for (const auto& [k, i] : program_.active())
       if (relaxed(k, i)) note(k, i);
@@ -441,7 +462,8 @@ class MultipleShooting {
         if (relaxed(k, i) && program_.node(k).multiplier(i) == 0.0) note(k, i);
     if (status == ProgramStatus::interrupted)
       return program_.late() ? SolveStatus::time_limit : SolveStatus::iteration_limit;
-    return hard_constraints_relaxed() ? SolveStatus::infeasible : SolveStatus::iterated;
+    if (hard_constraints_relaxed()) return SolveStatus::infeasible;
+    return real_time && report_.damping > 0.0 ? SolveStatus::damped : SolveStatus::iterated;
   }
 
   [[nodiscard]] bool hard_constraints_relaxed() const {
@@ -467,6 +489,128 @@ class MultipleShooting {
     return false;
   }
 
+  // Changes the units of what the last solve left.
+  void choose_units() {
+    problem_.choose_units(here_);
+    equalities_.change_unit(problem_.cost_unit());
+    for (int k = 0; !problem_.natural() && k <= horizon_; ++k)
+      program_.change_units(k, problem_.cost_unit(), problem_.row_units(k));
+  }
+  void natural_units() {
+    equalities_.change_unit(1.0 / problem_.cost_unit());
+    for (int k = 0; !problem_.natural() && k <= horizon_; ++k)
+      program_.change_units(k, 1.0 / problem_.cost_unit(), problem_.row_units(k).cwiseInverse());
+    problem_.forget_units();
+  }
+  // Iterates from here_ until a status ends it.
+  template <typename Watch>
+  void iterate(Clock::time_point end, const Watch& watch) {
+    program_.forget();
+    equalities_.forget_scale();
+    updates_multipliers_ = settings_.update_multipliers && equalities_.any(problem_);
+    search_.begin(!updates_multipliers_);
+    progress_ = {};
+    for (int iteration = 0;; ++iteration, ++work_.iterations) {
+      const auto begun_at = Clock::now();
+      bool prepared = linearise(false);
+      if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
+      report_.iterations = work_.iterations;
+      report_.step = search_.length();
+      watch(report_);
+      const bool converged = prepared && report_.kkt <= settings_.tolerance;
+      // A converged iterate needs no step, but gain() needs at least one factorisation.
+      if (!converged || iteration == 0) prepared = prepared && factorise(false);
+      work_.prepare_us += since(begun_at);
+      report_.status = converged ? (hard_constraints_relaxed() ? SolveStatus::infeasible
+                                                               : SolveStatus::converged)
+                       : work_.iterations >= most_iterations_ ? SolveStatus::iteration_limit
+                       : Clock::now() > end                   ? SolveStatus::time_limit
+                       : prepared && stalls(iteration)        ? SolveStatus::stalled
+                       : !prepared && !search_.on_trust()     ? SolveStatus::failed
+                                                              : SolveStatus::iterated;
+      if (report_.status != SolveStatus::iterated) break;
+      const auto prepared_at = Clock::now();
+      report_.status = advance(prepared, end);
+      work_.feedback_us += since(prepared_at);
+      if (report_.status != SolveStatus::iterated) break;
+      if (updates_multipliers_)
+        equalities_.update(problem_, here_, report_.max_equality, search_.length() == 1.0);
+    }
+    if (search_.on_trust() && !is_solution(report_.status)) {  // the last step is not confirmed
+      search_.give_back(here_);
+      (void)linearise(false);
+    }
+  }
+
+  void start_again(int attempt) {
+    here_ = best_.guess();
+    forget_multipliers();
+    if (attempt % 2 == 0) {
+      for (int k = 0; k < horizon_; ++k) here_.x(k + 1) = problem_.step(k, here_.x(k), here_.u(k));
+      if (!all_finite(problem_.difference(here_.x(horizon_), here_.x(0)))) here_ = best_.guess();
+    }
+    report_.damping = attempt < 1 ? 0.0 : std::pow(10.0, attempt - 1);
+  }
+  void forget_multipliers() {
+    for (int k = 0; k <= horizon_; ++k) detail::fill(program_.node(k).multiplier, 0.0);
+    equalities_.forget_multipliers();
+  }
+  // Where hard constraints had to give way, and wherever the bounds of single inputs have: iterates
+  // once more, and keeps these bounds.
+  template <typename Watch>
+  void hand_out_the_best(Clock::time_point end, const Watch& watch) {
+    SolveStatus status = best_.is_guess() && report_.status != SolveStatus::infeasible
+                             ? report_.status
+                             : best_.status();
+    bool is_here = best_.is_last();
+    here_ = best_.plan();
+    const bool within = inputs_are_within_bounds();
+    if (!within || (status == SolveStatus::infeasible && !is_here)) {
+      forget_multipliers();  // with their prices
+      program_.inputs_last = true;
+      report_.damping = 0.0;
+      most_iterations_ = work_.iterations + settings_.max_iterations;
+      iterate(end, watch);
+      if (is_solution(report_.status)) return;
+      status = report_.status;
+      is_here = false;
+      if (!inputs_are_within_bounds()) clamp_inputs();
+      best_.choose(problem_, program_, equalities_, here_, best_.guess());
+    }
+    if (is_here) return;
+    forget_multipliers();
+    if (linearise(false)) (void)factorise(false);
+    report_.status = status;
+  }
+
+  // True if here_ violates no hard bound of a single input.
+  [[nodiscard]] bool inputs_are_within_bounds() {
+    (void)linearise(false);
+    for (int k = 0; k < horizon_; ++k)
+      for (int i = 0; i < nc; ++i) {
+        const auto& node = program_.node(k);
+        if (node.hard[static_cast<std::size_t>(i)] && program_.single_input(k, i) &&
+            !(node.violation(i, node.value(i)) <= settings_.tolerance))
+          return false;
+      }
+    return true;
+  }
+  // Clamps the inputs of here_ to their hard bounds. The states follow, with the gains.
+  void clamp_inputs() {
+    trial_ = here_;
+    const bool has_gains = factorise(false);
+    for (int k = 0; k < horizon_; ++k) {
+      const Tangent dx = problem_.difference(here_.x(k), trial_.x(k));
+      Input du = detail::Filled();
+      if (has_gains) du = gain(k) * dx;
+      program_.clamp_input(k, dx.data(), du.data());
+      here_.u(k) = trial_.u(k) + du;
+      here_.x(k + 1) = problem_.step(k, here_.x(k), here_.u(k));
+      if (!all_finite(problem_.difference(here_.x(k + 1), here_.x(0))))
+        here_.x(k + 1) = trial_.x(k + 1);
+    }
+  }
+
   // Computes the next iterate of solve().
   SolveStatus advance(bool prepared, Clock::time_point end) {
     SolveStatus status =
@@ -474,20 +618,29 @@ class MultipleShooting {
     if (status == SolveStatus::failed)
       return search_.on_trust() ? search_.go_back(problem_, here_, false) : status;
     if (status == SolveStatus::time_limit) return status;
-    return search_.advance(problem_, program_, equalities_, report_.cost, here_);
+    status = search_.advance(problem_, program_, equalities_, program_.cost_here, here_);
+    if (status != SolveStatus::stalled) return status;
+    search_.forget();  // weights of far iterates
+    return search_.advance(problem_, program_, equalities_, program_.cost_here, here_);
   }
 
   static constexpr int patience = 40;  // iterations
   static constexpr double least_damping = 1e-6, largest_damping = 1e12;
 
-  Problem problem_;
+  Scaled problem_;
   SolverSettings settings_;
   int horizon_;
   Program program_;
-  Trajectory<Problem> here_, trial_;
-  AugmentedLagrangian<Problem> equalities_;
-  StepSearch<Problem, Program> search_;
-  std::vector<Tangent> costates_;  // of the end of each interval, for add_curvature(); the last: 0
+  Trajectory<Scaled> here_, trial_;
+  struct Work {
+    int iterations = 0;
+    double prepare_us = 0.0, feedback_us = 0.0;
+  } work_;
+  static constexpr int attempts = 6;
+  int most_iterations_ = 0;
+  AugmentedLagrangian<Scaled> equalities_;
+  StepSearch<Scaled, Program> search_;
+  BestPlan<Scaled, Program> best_;
   Eigen::Matrix<Lanes, nx, nx> lanes_A_;
   Eigen::Matrix<Lanes, nx, nu> lanes_B_;
   SolveReport report_;
@@ -498,7 +651,7 @@ class MultipleShooting {
     int iteration = 0;
   } progress_;
   double shifted_ = 0.0;  // intervals by which the plan is ahead of the multipliers
-  bool prepared_ = false, updates_multipliers_ = false;
+  bool prepared_ = false, prepare_failed_ = false, updates_multipliers_ = false;
 };
 
 }  // namespace tilt_ropter::optimal_control

@@ -27,10 +27,10 @@
 namespace tilt_ropter::optimal_control {
 
 /// Minimiser of the dual above for up to `capacity` constraints. If `Capacity` is known at compile
-/// time (up to 128, Eigen's limit), the matrices are stored inside the object. On a cold start,
-/// NLopt finds the active constraints in short calls with projected Newton steps between them. On a
-/// warm start from the last multipliers, the Newton steps run first. NLopt then confirms the result
-/// or continues from it.
+/// time (up to 128, Eigen's limit), the matrices are stored inside the object. NLopt starts from
+/// the given multipliers and solves until the residual is a thousandth of that at the start, or
+/// within the tolerance. Projected Newton steps polish its result; where they do not suffice, NLopt
+/// goes on from there.
 ///
 /// After construction only NLopt allocates. A solve makes at most 20 calls of NLopt. A call with n
 /// constraints allocates 2 blocks and frees them before it returns. Together these have at most 256
@@ -97,6 +97,8 @@ class DualSolver {
 
   /// Number of gradient evaluations by NLopt since construction.
   [[nodiscard]] long evaluations() const { return evaluations_; }
+  /// Number of Newton steps after NLopt since construction.
+  [[nodiscard]] long polishing_steps() const { return polishing_steps_; }
 
   /// True if the deadline of the last solve() has passed.
   [[nodiscard]] bool late() const { return deadline_ && SolverClock::now() > *deadline_; }
@@ -105,7 +107,18 @@ class DualSolver {
   struct Destroy {
     void operator()(nlopt_opt optimizer) const { nlopt_destroy(optimizer); }
   };
-  using Optimizer = std::unique_ptr<nlopt_opt_s, Destroy>;
+  /// NLopt's object for one size. A copy gets its own at first use.
+  struct Optimizer : std::unique_ptr<nlopt_opt_s, Destroy> {
+    Optimizer() = default;
+    Optimizer(const Optimizer&) noexcept : Optimizer() {}
+    Optimizer(Optimizer&&) noexcept = default;
+    Optimizer& operator=(const Optimizer&) noexcept {
+      this->reset();
+      return *this;
+    }
+    Optimizer& operator=(Optimizer&&) noexcept = default;
+    ~Optimizer() = default;
+  };
   using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, Capacity, 1>;
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Capacity, Capacity>;
   static constexpr int max_rounds = 20, max_passes = 20;
@@ -178,30 +191,24 @@ class DualSolver {
   [[nodiscard]] bool minimise() {
     if (!finite(linear_) || !finite(iterate_)) return false;
     double largest = 0.0;
-    bool warm = false;
-    for (int i = 0; i < size_; ++i) {
-      largest = std::max(largest, std::abs(linear_(i)));
-      warm = warm || iterate_(i) > 0.0;
-    }
+    for (int i = 0; i < size_; ++i) largest = std::max(largest, std::abs(linear_(i)));
     const double tolerance = settings_.tolerance * (1.0 + largest);
-    // The last multipliers are close to the solution, so Newton steps come first. Without
-    // multipliers, NLopt first finds the active constraints.
-    if (warm) refine(tolerance);
     bool solved = false;
     for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
-      solved = optimize(tolerance);
-      if (!solved) refine(tolerance);
+      optimize(tolerance);
+      solved = polish(tolerance);
     }
     return (solved || !late()) && finite(iterate_);
   }
 
   [[nodiscard]] Optimizer& optimizer() { return optimizers_[static_cast<std::size_t>(size_)]; }
 
-  /// One call of NLopt from iterate_. Returns true if the dual is then solved within the tolerance.
-  bool optimize(double tolerance) {
+  /// One call of NLopt from iterate_. It ends when the residual has become a thousand times
+  /// smaller, or is within the tolerance: Newton steps do the rest with fewer evaluations.
+  void optimize(double tolerance) {
     if (!optimizer()) {
       optimizer().reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
-      if (!optimizer()) return false;
+      if (!optimizer()) return;
       nlopt_set_lower_bounds1(optimizer().get(), 0.0);
       nlopt_set_maxeval(optimizer().get(), settings_.max_evaluations);
       nlopt_set_vector_storage(optimizer().get(), vector_storage);
@@ -209,29 +216,32 @@ class DualSolver {
     }
     nlopt_set_min_objective(optimizer().get(), objective, this);
     nlopt_set_upper_bounds(optimizer().get(), upper_.data());
-    stop_ = tolerance;
+    evaluate(iterate_.data());
+    stop_ = std::max(tolerance, 1e-3 * residual(iterate_.data()));
     solved_ = false;
     std::copy_n(iterate_.data(), size_, candidate_.data());
     double value = 0.0;
     // NLopt's return code is not reliable (positive even if all numbers were NaN), so the point
     // itself is checked.
     nlopt_optimize(optimizer().get(), candidate_.data(), &value);
-    if (solved_) return true;
-    if (finite(candidate_))
+    if (!solved_ && finite(candidate_))
       for (int i = 0; i < size_; ++i) iterate_(i) = clamped(candidate_(i), i);
-    evaluate(iterate_.data());
-    return residual(iterate_.data()) <= tolerance;
   }
 
   /// Projected Newton steps (Bertsekas 1982) from iterate_. Each step computes a Cholesky
   /// factorisation for the multipliers that are not at a bound. NLopt's result is correct to a few
-  /// digits, and the last multipliers are close to the solution; these steps improve both to
-  /// rounding accuracy. Never increases the objective of the dual.
-  void refine(double tolerance) {
+  /// digits; these steps improve it to rounding accuracy. Never increases the objective of the
+  /// dual. Returns true if the dual is then solved within the tolerance.
+  [[nodiscard]] bool polish(double tolerance) {
     evaluate(iterate_.data());
     for (int pass = 0; pass < max_passes && residual(iterate_.data()) > tolerance && !late();
-         ++pass)
-      if (!find_newton_step() || !search_line()) return;
+         ++pass) {
+      ++polishing_steps_;
+      if (find_newton_step() && search_line()) continue;
+      evaluate(iterate_.data());
+      break;
+    }
+    return residual(iterate_.data()) <= tolerance;
   }
 
   /// Computes the Newton step step_ from iterate_ and its gradient. Returns false if the Hessian is
@@ -289,7 +299,7 @@ class DualSolver {
   std::optional<SolverClock::time_point> deadline_;
   double stop_ = 0.0;
   bool solved_ = false;
-  long evaluations_ = 0;
+  long evaluations_ = 0, polishing_steps_ = 0;
 };
 
 }  // namespace tilt_ropter::optimal_control

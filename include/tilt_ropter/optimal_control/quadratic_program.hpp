@@ -5,6 +5,7 @@
 #include <tilt_ropter/optimal_control/active_set.hpp>
 #include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/interior_point.hpp>
+#include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/optimal_control/subproblem.hpp>
 
@@ -16,9 +17,11 @@
 #include <utility>
 #include <vector>
 
-/// Solves the quadratic program of one SQP step by the most suitable of three methods: DualMethod,
-/// ActiveSet or InteriorPoint. This header is long because the methods share one program and start
-/// from each other's intermediate results.
+/// Solves the quadratic program of one SQP step. Without active constraints a Riccati pass is the
+/// solution. With few, NLopt solves the dual (DualMethod). With many, methods that use the
+/// structure of the program are faster: ActiveSet from the last solution, InteriorPoint where much
+/// changed. This header is long because the methods share one program and start from each other's
+/// intermediate results.
 namespace tilt_ropter::optimal_control {
 
 /// How a solve of a quadratic program ended.
@@ -47,6 +50,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         saved_multipliers_(saved_steps_.size()),
         saved_prices_(saved_steps_.size()) {}
 
+  /// As Subproblem::change_units(), with what the last solves have learnt.
+  void change_units(int k, double cost, const typename Program::Values& rows) {
+    Program::change_units(k, cost, rows);
+    active_set_.change_unit(k, cost);
+  }
+
   /// Factorises with `damping` on the diagonals of the Hessians, for the constraints that have
   /// multipliers. Returns false if the cost has no minimum. With `real_time`, NLopt is used for
   /// fewer constraints, see QuadraticProgramSettings.max_dual_constraints.
@@ -55,14 +64,15 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     const auto start = SolverClock::now();
     damping_ = damping;
     this->collect_active();
-    const bool limited = real_time && settings_.method != ProgramMethod::dual;
-    const int first = std::max(1, (limited ? 3 : 4) * settings_.max_dual_constraints / 4);
-    most_dual_constraints_ = limited ? first : dual_.capacity();
-    const bool few_constraints = static_cast<int>(this->active().size()) <= first;
-    by_dual_ = settings_.method == ProgramMethod::dual ||
-               (settings_.method == ProgramMethod::automatic && few_constraints && !unsolved_);
+    const bool limited = real_time && settings_.method != ProgramMethod::nlopt;
+    most_dual_constraints_ =
+        limited ? std::min(std::max(1, 3 * settings_.max_dual_constraints / 2), dual_.capacity())
+                : dual_.capacity();
+    by_dual_ = settings_.method == ProgramMethod::nlopt ||
+               (settings_.method == ProgramMethod::automatic && !unsolved_ &&
+                static_cast<int>(this->active().size()) <= settings_.max_dual_constraints);
     bool good;
-    assumes_ = !by_dual_ && settings_.method == ProgramMethod::automatic && !unsolved_;
+    assumes_ = !by_dual_ && !unsolved_;
     if (assumes_) {
       active_set_.assume(*this);
       good = active_set_.factorise(*this, damping);
@@ -93,6 +103,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     late_ = false;
     rounds_ = 0;
     evaluations_before_ = dual_.evaluations();
+    polishing_before_ = dual_.polishing_steps();
     if (!goes_on_) {
       passes_ = 0;
       solve_by_method(dx0);
@@ -155,6 +166,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   [[nodiscard]] double residual() const { return residual_; }  ///< residual of the last solve()
+  /// What found the solution of the last solve(); of an unsolved program, what was tried last.
+  [[nodiscard]] ProgramSolver solved_by() const { return solved_by_; }
   [[nodiscard]] bool late() const { return late_; }  ///< the last solve() ended at the deadline
   /// Passes of the last solve() and of the solves that it continued, without the pass of prepare().
   [[nodiscard]] int passes() const { return passes_; }
@@ -164,12 +177,16 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   [[nodiscard]] int evaluations() const {
     return static_cast<int>(dual_.evaluations() - evaluations_before_);
   }
+  /// Newton steps that polished NLopt's results in the last solve().
+  [[nodiscard]] int polishing_steps() const {
+    return static_cast<int>(dual_.polishing_steps() - polishing_before_);
+  }
 
  private:
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
     const int all = 2 * Constraints * (horizon + 1);
     const int wanted =
-        settings.method == ProgramMethod::dual ? 1000 : 2 * settings.max_dual_constraints;
+        settings.method == ProgramMethod::nlopt ? 1000 : 2 * settings.max_dual_constraints;
     return std::max(1, std::min(wanted, all));
   }
   // True if a pass of duration `needed` and the work after it would end after the deadline, or if
@@ -189,25 +206,52 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
 
   void solve_by_method(const Tangent& dx0) {
     if (by_dual_) {
-      using Outcome = typename DualMethod<States, Inputs, Constraints, Pattern>::Outcome;
-      const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
-      rounds_ = dual_.rounds();
-      if (outcome == Outcome::solved && solved()) return;
-      if (settings_.method == ProgramMethod::dual) {
+      if (solve_by_nlopt(dx0)) return;
+      if (settings_.method == ProgramMethod::nlopt) {
         late_ = dual_.late();
         return make_do(dx0);
       }
-    } else if (assumes_) {
+    }
+    solve_by_structure(dx0);
+    if (settings_.method != ProgramMethod::automatic || residual_ > settings_.tolerance) return;
+    const int count = static_cast<int>(this->active().size());
+    if (count == 0 || count > settings_.max_dual_constraints || out_of_time(pass_time_)) return;
+    // Few are left: NLopt solves.
+    save();
+    ++passes_;
+    const ProgramSolver before = solved_by_;
+    if (active_set_.factorise_free(*this, damping_) && dual_.prepare(*this) && solve_by_nlopt(dx0))
+      return;
+    solved_by_ = before;
+    restore();
+  }
+
+  [[nodiscard]] bool solve_by_nlopt(const Tangent& dx0) {
+    using Outcome = typename DualMethod<States, Inputs, Constraints, Pattern>::Outcome;
+    const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
+    rounds_ = dual_.rounds();
+    if (outcome != Outcome::solved || !solved()) return false;
+    solved_by_ = evaluations() > 0 ? ProgramSolver::nlopt : ProgramSolver::riccati;
+    return true;
+  }
+
+  void solve_by_structure(const Tangent& dx0) {
+    if (!by_dual_ && assumes_) {
       const int contradictions = active_set_.solve(*this, dx0);
-      if (contradictions == 0 && solved()) return;
-      if (contradictions <= few && settle(dx0, contradictions)) return;
-    } else {
+      if ((contradictions == 0 && solved()) ||
+          (contradictions <= few && settle(dx0, contradictions))) {
+        solved_by_ = this->active().empty() ? ProgramSolver::riccati : ProgramSolver::active_set;
+        return;
+      }
+    } else if (!by_dual_) {
       sweep(dx0);
       if (this->excess() <= 0.0) {
         for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
+        solved_by_ = ProgramSolver::riccati;
         if (solved()) return;
       }
     }
+    solved_by_ = ProgramSolver::interior_point;
     solve_by_interior_point(dx0);
   }
 
@@ -233,6 +277,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     if (!begin_interior_point(1e4)) {
       for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
       active_set_.assume(*this);
+      solved_by_ = ProgramSolver::active_set;
       (void)settle(dx0, few);
       return;
     }
@@ -382,7 +427,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0, rounds_ = 0;
-  long evaluations_before_ = 0;
+  long evaluations_before_ = 0, polishing_before_ = 0;
+  ProgramSolver solved_by_ = ProgramSolver::riccati;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
   bool unsolved_ = false;  // the last program was interrupted: its multipliers are a bad guess

@@ -45,9 +45,9 @@ inline void validate(const DualSettings& s) {
 
 /// Method that solves a quadratic program.
 enum class ProgramMethod {
-  automatic,       ///< the dual if few constraints are active, else Riccati passes
-  dual,            ///< NLopt: DualMethod
-  interior_point,  ///< InteriorPoint as soon as a constraint is violated
+  automatic,   ///< NLopt if few constraints are active, else methods that use the structure
+  nlopt,       ///< NLopt, however many constraints are active: DualMethod
+  structured,  ///< without NLopt: ActiveSet and InteriorPoint
 };
 
 /// Limits and tolerances of one SQP step.
@@ -56,8 +56,8 @@ struct QuadraticProgramSettings {
   /// Relative residual below which a program counts as solved, see ProgramResidual.
   double tolerance = 1e-6;
   /// Largest number of active constraints with which the method `automatic` uses NLopt. During the
-  /// solve the working set may grow to twice this number. In a real-time iteration both limits are
-  /// three quarters of this number: if more constraints join, the time spent in NLopt is lost.
+  /// solve the working set may grow to twice this number, in a real-time iteration to 1.5 times: if
+  /// more constraints join, the time spent in NLopt is lost.
   int max_dual_constraints = 16;
   int max_passes = 100;  ///< Riccati passes in one solve, without the pass of prepare()
   DualSettings dual;     ///< limits and tolerances of the dual

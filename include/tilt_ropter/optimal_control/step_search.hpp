@@ -57,6 +57,10 @@ class StepSearch {
     first_ = true;
   }
 
+  void forget() {
+    merit_.forget();
+    forget_moves();
+  }
   /// True if the last step was accepted without a lower merit and is not yet confirmed as better.
   [[nodiscard]] bool on_trust() const { return on_trust_; }
   [[nodiscard]] double length() const { return length_; }  ///< length of the last step

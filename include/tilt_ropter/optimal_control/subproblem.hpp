@@ -86,6 +86,28 @@ class Subproblem {
     });
   }
 
+  /// Divides the cost of node k by `cost` and each of its constraints by its entry of `rows`, with
+  /// everything that belongs to them.
+  void change_units(int k, double cost, const Values& units) {
+    Node& n = node(k);
+    for (int i = 0; i < Constraints; ++i) {
+      const double row = units(i), slope = row / cost;
+      n.multiplier(i) *= slope;
+      n.price(i) *= slope;
+      n.stand_in(i) *= slope;
+      n.stiffness(i) *= row * slope;
+      n.predicted(i) /= row;
+      n.value(i) /= row;
+      n.lower(i) /= row;
+      n.upper(i) /= row;
+      for (int j = 0; j < States; ++j) n.C(i, j) /= row;
+      for (int j = 0; j < Inputs; ++j) n.E(i, j) /= row;
+    }
+    auto& model = riccati.stage(k).cost;
+    for (Eigen::Index i = 0; i < model.hessian.size(); ++i) model.hessian.data()[i] /= cost;
+    for (Eigen::Index i = 0; i < model.gradient.size(); ++i) model.gradient(i) /= cost;
+  }
+
   /// Largest violation of the constraints of node k at the point of linearisation, at least zero.
   [[nodiscard]] double violation_here(int k) const {
     const Node& n = node(k);
@@ -98,20 +120,13 @@ class Subproblem {
     return most;
   }
 
-  /// Largest violation at the point of linearisation that no multiplier accounts for, over all
-  /// nodes.
-  [[nodiscard]] double unpaid_here() const {
-    double largest = 0.0;
-    for (const Node& n : nodes_)
-      for (int i = 0; i < Constraints; ++i) {
-        const double size = std::abs(n.multiplier(i));
-        if (size >= n.price(i)) continue;
-        largest = std::max(largest, std::max(n.value(i) - n.upper(i), n.lower(i) - n.value(i)) -
-                                        size / n.stiffness(i));
-      }
-    return largest;
+  /// True if constraint i of node k depends on one input and nothing else.
+  [[nodiscard]] bool single_input(int k, int i) const {
+    int entries = 0;
+    for (int j = 0; j < States; ++j) entries += 2 * (node(k).C(i, j) != 0.0);
+    for (int j = 0; k < horizon() && j < Inputs; ++j) entries += node(k).E(i, j) != 0.0;
+    return entries == 1;
   }
-
   /// Gradient of constraint i of node k by (dx, du).
   [[nodiscard]] Vector constraint_gradient(int k, int i) const {
     Vector gradient = detail::Filled();
@@ -367,52 +382,27 @@ class Subproblem {
 
   /// Residual of the step with the multipliers in the nodes. Requires predict(). Sets costate().
   [[nodiscard]] ProgramResidual residual(double damping) {
-    collect_active();
-    ProgramResidual r;
-    double largest_term = 0.0, cost = cost_here;
-    const bool finite = sweep_back(
-        true,
-        [&](auto packet, int k, Vector& g) __attribute__((always_inline)) {
+    double cost = cost_here;
+    return residual(
+        &Node::predicted, excess_, cost,
+        true, [&](auto packet, int k, Vector& g) __attribute__((always_inline)) {
           cost_gradient<packet()>(k, step(k), damping, g);
           for (int j = 0; j < width; ++j)
             cost += 0.5 * (g(j) + riccati.stage(k).cost.gradient(j)) * step(k)(j);
-        },
-        [&](int k, const Vector& sum, const Vector& own) {
-          detail::copy_first(States, sum, costates_[static_cast<std::size_t>(k)]);
-          for (int j = States; k < horizon() && j < width; ++j) {
-            r.stationarity = std::max(r.stationarity, std::abs(sum(j)));
-            largest_term = std::max(largest_term, std::abs(own(j)));
-          }
         });
-    double largest_multiplier = 0.0;
-    for (const ActiveConstraint& row : active_) {
-      const Node& n = node(row.k);
-      const double m = std::abs(n.multiplier(row.i));
-      largest_multiplier = std::max(largest_multiplier, m);
-      // The large terms of contradicting hard constraints cancel each other, and their rounding
-      // errors hide the remaining terms.
-      if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
-        largest_term =
-            std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
-    }
-    r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
-    r.violation = excess_;
-    if (excess_ > 0.0 && excess_ < infinity) r.violation = unpaid_violation(largest_multiplier);
-    for (const ActiveConstraint& row : active_) {
-      const Node& n = node(row.k);
-      const double m = std::abs(n.multiplier(row.i));
-      const bool above = n.multiplier(row.i) > 0.0;
-      const double bound = above ? n.upper(row.i) : n.lower(row.i),
-                   inside = m / n.stiffness(row.i) +
-                            (above ? bound - n.predicted(row.i) : n.predicted(row.i) - bound);
-      r.complementarity = std::max(r.complementarity, std::min(m / (1.0 + largest_multiplier),
-                                                               inside / (1.0 + std::abs(bound))));
-      if (inside > 0.0 || m < n.price(row.i)) r.gap += m * std::abs(inside);
-    }
-    r.gap /= 1.0 + std::abs(cost);
-    return r;
+  }
+  /// The same for no step: how far the point of linearisation is from an optimum. `violation` is
+  /// the largest of violation_here(). The result has a violation only if it is the largest.
+  [[nodiscard]] ProgramResidual residual_here(double violation) {
+    return residual(
+        &Node::value, violation, cost_here,
+        false, [&](auto, int k, Vector& g) __attribute__((always_inline)) {
+          g = riccati.stage(k).cost.gradient;
+        });
   }
 
+  /// Hard bounds on single inputs are relaxed only if nothing else is left to relax.
+  bool inputs_last = true;
   double cost_here = 0.0;  ///< cost at the point of linearisation
   /// Price of a hard constraint until a better one is known, see InteriorPoint.
   static constexpr double hard_price = 1e12;
@@ -446,18 +436,65 @@ class Subproblem {
     return true;
   }
 
+  // `gradient` sets the gradient of the cost of a node, and completes `cost`.
+  template <typename Gradient>
+  [[nodiscard]] ProgramResidual residual(Values Node::*values, double excess, const double& cost,
+                                         bool relative, const Gradient& gradient) {
+    collect_active();
+    ProgramResidual r;
+    double largest_term = 0.0;
+    const bool finite =
+        sweep_back(true, gradient, [&](int k, const Vector& sum, const Vector& own) {
+          detail::copy_first(States, sum, costates_[static_cast<std::size_t>(k)]);
+          for (int j = States; k < horizon() && j < width; ++j) {
+            r.stationarity = std::max(r.stationarity, std::abs(sum(j)));
+            largest_term = std::max(largest_term, std::abs(own(j)));
+          }
+        });
+    double largest_multiplier = 0.0;
+    for (const ActiveConstraint& row : active_) {
+      const Node& n = node(row.k);
+      const double m = std::abs(n.multiplier(row.i));
+      largest_multiplier = std::max(largest_multiplier, m);
+      // The large terms of contradicting hard constraints cancel each other, and their rounding
+      // errors hide the remaining terms.
+      if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
+        largest_term =
+            std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
+    }
+    r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
+    for (const ActiveConstraint& row : active_) {
+      const Node& n = node(row.k);
+      const double m = std::abs(n.multiplier(row.i)), value = (n.*values)(row.i);
+      const bool above = n.multiplier(row.i) > 0.0;
+      const double bound = above ? n.upper(row.i) : n.lower(row.i),
+                   inside = m / n.stiffness(row.i) + (above ? bound - value : value - bound);
+      r.complementarity = std::max(r.complementarity, std::min(m / (1.0 + largest_multiplier),
+                                                               inside / (1.0 + std::abs(bound))));
+      if (inside > 0.0 || m < n.price(row.i)) r.gap += m * std::abs(inside);
+    }
+    r.gap /= 1.0 + std::abs(cost);
+    const bool decides = relative || excess > r.largest();
+    r.violation = excess;
+    if (excess > 0.0 && excess < infinity)
+      r.violation = decides ? unpaid_violation(values, largest_multiplier, relative) : 0.0;
+    return r;
+  }
+
   // Largest violation beyond the part that the multiplier accounts for. For each constraint, the
-  // smaller of two numbers counts: the violation relative to the bound, and the distance of the
-  // multiplier from its price, relative to the largest multiplier.
-  [[nodiscard]] double unpaid_violation(double largest_multiplier) const {
+  // smaller of two numbers counts: the violation, if `relative` to the bound, and the distance of
+  // the multiplier from its price, relative to the largest multiplier.
+  [[nodiscard]] double unpaid_violation(Values Node::*values, double largest_multiplier,
+                                        bool relative) const {
     double largest = 0.0;
     for (const Node& n : nodes_)
       for (int i = 0; i < Constraints; ++i) {
-        const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
+        const double value = (n.*values)(i), over = value - n.upper(i), under = n.lower(i) - value;
         const double most = std::max(over, under), m = std::abs(n.multiplier(i));
         if (!(most > 0.0)) continue;
-        const double unpaid =
-            (most - m / n.stiffness(i)) / (1.0 + std::abs(over > under ? n.upper(i) : n.lower(i)));
+        const double bound = over > under ? n.upper(i) : n.lower(i),
+                     unpaid =
+                         (most - m / n.stiffness(i)) / (relative ? 1.0 + std::abs(bound) : 1.0);
         largest =
             std::max(largest, std::min(unpaid, (n.price(i) - m) / (1.0 + largest_multiplier)));
       }
