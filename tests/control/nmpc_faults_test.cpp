@@ -71,6 +71,38 @@ TEST(Nmpc, BadReferenceOrEstimateGivesFiniteCommandAndRecovers) {
             NmpcStatus::solved);
 }
 
+// A trajectory that ends, or is known only so far: the plan follows what there is.
+TEST(Nmpc, ReferenceThatIsNotFiniteFarAheadShortensTheHorizon) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (const bool turn : {false, true}) {
+    IdealLoop loop, whole;
+    const auto along = [](double t) {
+      ReferencePoint point = hover(t);
+      point.position.x() += 0.5 * t;
+      point.velocity.x() = 0.5;
+      return point;
+    };
+    const auto ends = [&](double t) {
+      ReferencePoint point = along(t);
+      if (t > 3.0 && turn) point.orientation.coeffs().setZero();
+      if (t > 3.0 && !turn) point.position.y() = nan;
+      return point;
+    };
+    double off = 0.0;
+    int approximate = 0;
+    for (int i = 0; i <= 300; ++i) {  // to 3 s
+      const NmpcStatus status = loop.tick(ends).status;
+      EXPECT_TRUE(status == NmpcStatus::solved || status == NmpcStatus::approximate) << i;
+      approximate += status == NmpcStatus::approximate;
+      (void)whole.tick(along);
+      off = std::max(off, (loop.state.body.position - whole.state.body.position).norm());
+    }
+    EXPECT_GT(approximate, 100);
+    EXPECT_LT(off, 1e-3);
+    for (int i = 0; i < 3; ++i) EXPECT_EQ(loop.tick(ends).status, NmpcStatus::solver_failed);
+  }
+}
+
 TEST(Nmpc, BadFirstMeasurementGivesSafeWrench) {
   Nmpc nmpc(vehicle, in_simulated_time());
   (void)nmpc.prepare(0.0, hover, {});

@@ -1,4 +1,6 @@
 #include <tilt_ropter/control/plan_in_force.hpp>
+#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include "support/benchmark_problem.hpp"
 #include "support/patient.hpp"
@@ -13,7 +15,8 @@ namespace {
 using optimal_control::PrepareStatus;
 using optimal_control::SolveStatus;
 
-using Plan = PlanInForce<0>;
+using Solver = optimal_control::MultipleShooting<WheeledFlightProblem<0>>;
+using Plan = PlanInForce<Solver>;
 
 /// Near hover, where no bound is active.
 Stated start() {
@@ -44,7 +47,7 @@ class PlanInForceTest : public testing::Test {
     return error.cwiseAbs().maxCoeff();
   }
 
-  Plan::Solver solver{test_support::step_problem(), test_support::patient()};
+  Solver solver{test_support::step_problem(), test_support::patient()};
   Plan plan;
 };
 

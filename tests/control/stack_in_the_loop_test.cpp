@@ -68,8 +68,8 @@ TEST(StackInTheLoop, StaysWithinDocumentedLimit) {
   Ekfd ekf;
   double controller = 0.0;
   for (const auto method :
-       {optimal_control::ProgramMethod::automatic, optimal_control::ProgramMethod::dual,
-        optimal_control::ProgramMethod::interior_point}) {
+       {optimal_control::ProgramMethod::automatic, optimal_control::ProgramMethod::nlopt,
+        optimal_control::ProgramMethod::structured}) {
     NmpcSettings settings = test_support::in_simulated_time();
     settings.solver.program.method = method;
     settings.problem.bounds.force_rate.setConstant(3.0);  // many active constraints

@@ -56,6 +56,13 @@ class ControlLoop {
     actuators_.reset(sent_.command, 0.0);
   }
 
+  /// Puts the plant into this state, with its actuators as they are. The controller is not
+  /// informed.
+  void put(const tilt_ropter::BodyStated& body) {
+    place(plant_, body, plant_.actuators());
+    observer_.reset();
+  }
+
   /// Replaces the plant by `truth` in the current state of the plant. A rotor that no longer tilts
   /// is immediately at the angle at which `truth` holds it. The controller is not informed.
   void fail(const tilt_ropter::Vehicle<4>& truth) {

@@ -44,10 +44,13 @@ namespace tilt_ropter {
 /// leans as the reference's acceleration and the external force require. The heading of the
 /// reference stays.
 template <int Rotors>
-class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevelProblem<Rotors>,
-                                             ActuatorPlan<Rotors>, ActuatorNmpcResult<Rotors>> {
-  using Base = detail::RecedingHorizon<ActuatorNmpc, ActuatorLevelProblem<Rotors>,
-                                       ActuatorPlan<Rotors>, ActuatorNmpcResult<Rotors>>;
+class ActuatorNmpc
+    : detail::RecedingHorizon<ActuatorNmpc<Rotors>,
+                              optimal_control::MultipleShooting<ActuatorLevelProblem<Rotors>>,
+                              ActuatorPlan<Rotors>, ActuatorNmpcResult<Rotors>> {
+  using Solver = optimal_control::MultipleShooting<ActuatorLevelProblem<Rotors>>;
+  using Base = detail::RecedingHorizon<ActuatorNmpc, Solver, ActuatorPlan<Rotors>,
+                                       ActuatorNmpcResult<Rotors>>;
   friend Base;
   using Base::body_state_, Base::contact_, Base::ground_, Base::plan_, Base::points_,
       Base::prepare_time_, Base::prepared_, Base::result_, Base::solver_;
@@ -105,7 +108,7 @@ class ActuatorNmpc : detail::RecedingHorizon<ActuatorNmpc<Rotors>, ActuatorLevel
   [[nodiscard]] const Result& result() const { return result_; }  ///< of the last call
   /// The estimate that the plan uses: from prepare(), or an earlier one if that was not plausible.
   [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
-  [[nodiscard]] const optimal_control::MultipleShooting<Problem>& solver() const { return solver_; }
+  [[nodiscard]] const Solver& solver() const { return solver_; }
   [[nodiscard]] const ActuatorNmpcSettings& settings() const { return settings_; }
 
  private:

@@ -40,7 +40,9 @@ namespace tilt_ropter {
 ///   caller detects and reports by hold()). The last plan continues. Status bad_state.
 /// - The quadratic program is not solved within NmpcSettings.time_limit or the limit on passes. The
 ///   best plan so far is used, and the next tick continues from there. Status approximate.
-/// - There is no solution, for example because the reference is not finite. The last plan
+/// - The reference is not finite from some node on, or its quaternion has no length. It goes on
+///   straight from the node before. Status approximate.
+/// - There is no solution, for example because the reference is not finite now. The last plan
 ///   continues. Status solver_failed.
 /// - The plan is not credible, for example after a measurement or a reference from far away. It is
 ///   computed again from a cold start in the same call. If the new plan is not better, the safe
@@ -58,11 +60,16 @@ namespace tilt_ropter {
 /// position. A caller without measurements must therefore reduce the thrust soon.
 ///
 /// A tick uses at most 64 KB of stack in an optimised program.
-template <int Rotors>
-class Nmpc : detail::RecedingHorizon<Nmpc<Rotors>, WheeledFlightProblem<Rotors>,
-                                     PlanInForce<Rotors>, NmpcResult> {
-  using Base =
-      detail::RecedingHorizon<Nmpc, WheeledFlightProblem<Rotors>, PlanInForce<Rotors>, NmpcResult>;
+///
+/// `SolverOf` solves the problem. MultipleShooting does one real-time iteration a tick;
+/// SingleShooting lets NLopt alone solve the whole problem in each tick, which takes a hundred
+/// times as long.
+template <int Rotors, template <typename> class SolverOf = optimal_control::MultipleShooting>
+class Nmpc
+    : detail::RecedingHorizon<Nmpc<Rotors, SolverOf>, SolverOf<WheeledFlightProblem<Rotors>>,
+                              PlanInForce<SolverOf<WheeledFlightProblem<Rotors>>>, NmpcResult> {
+  using Solver = SolverOf<WheeledFlightProblem<Rotors>>;
+  using Base = detail::RecedingHorizon<Nmpc, Solver, PlanInForce<Solver>, NmpcResult>;
   friend Base;
   using Base::body_state_, Base::contact_, Base::ground_, Base::plan_, Base::plan_in_force,
       Base::points_, Base::prepare_time_, Base::prepared_, Base::result_, Base::solver_;
@@ -130,12 +137,12 @@ class Nmpc : detail::RecedingHorizon<Nmpc<Rotors>, WheeledFlightProblem<Rotors>,
   [[nodiscard]] const NmpcResult& result() const { return result_; }  ///< of the last call
   /// The estimate that the plan uses: from prepare(), or an earlier one if that was not plausible.
   [[nodiscard]] const ContactEstimate& contact() const { return contact_; }
-  [[nodiscard]] const optimal_control::MultipleShooting<Problem>& solver() const { return solver_; }
+  [[nodiscard]] const Solver& solver() const { return solver_; }
   [[nodiscard]] const NmpcSettings& settings() const { return settings_; }
 
  private:
   using Actuators = ActuatorConstraints<Rotors>;
-  using Rate = typename PlanInForce<Rotors>::Rate;
+  using Rate = typename PlanInForce<Solver>::Rate;
 
   // The parts of prepare() before and after the reference is evaluated.
   void begin_to_prepare(double time, const ContactEstimate& contact);
@@ -170,8 +177,8 @@ class Nmpc : detail::RecedingHorizon<Nmpc<Rotors>, WheeledFlightProblem<Rotors>,
   ReferenceWrench<Rotors> reference_wrench_;
 };
 
-template <int Rotors>
-Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
+template <int Rotors, template <typename> class SolverOf>
+Nmpc<Rotors, SolverOf>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
     : Base(Problem(vehicle.body, validated(settings).problem,
                    settings.actuator_constraints ? Actuators(vehicle, settings.actuators)
                                                  : Actuators()),
@@ -184,11 +191,12 @@ Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle, const NmpcSettings& settings)
   result_.wrench = safe_wrench();
 }
 
-template <int Rotors>
-Nmpc<Rotors>::Nmpc(const Vehicle<Rotors>& vehicle) : Nmpc(vehicle, nmpc_settings(vehicle)) {}
+template <int Rotors, template <typename> class SolverOf>
+Nmpc<Rotors, SolverOf>::Nmpc(const Vehicle<Rotors>& vehicle)
+    : Nmpc(vehicle, nmpc_settings(vehicle)) {}
 
-template <int Rotors>
-void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_settings(const NmpcSettings& settings) {
   validate(settings);
   require(settings.solver == settings_.solver, "NmpcSettings.solver", "another",
           "as at construction");
@@ -201,8 +209,9 @@ void Nmpc<Rotors>::set_settings(const NmpcSettings& settings) {
   prepared_ = false;
 }
 
-template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyStated& measured) noexcept {
+template <int Rotors, template <typename> class SolverOf>
+const NmpcResult& Nmpc<Rotors, SolverOf>::feedback(double time,
+                                                   const BodyStated& measured) noexcept {
   if (!std::isfinite(time) || !is_finite(measured))
     return this->continue_last_plan(time, NmpcStatus::bad_state);
   body_state_ = measured;
@@ -210,8 +219,9 @@ const NmpcResult& Nmpc<Rotors>::feedback(double time, const BodyStated& measured
   return this->plan_for(time);
 }
 
-template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& measured) noexcept {
+template <int Rotors, template <typename> class SolverOf>
+const NmpcResult& Nmpc<Rotors, SolverOf>::between_ticks(double time,
+                                                        const BodyStated& measured) noexcept {
   if (!plan_in_force(time) || !is_finite(measured))
     return this->hand_out_last_plan(time, NmpcStatus::bad_state);
   Stated x;
@@ -226,23 +236,23 @@ const NmpcResult& Nmpc<Rotors>::between_ticks(double time, const BodyStated& mea
   return result_;
 }
 
-template <int Rotors>
-const NmpcResult& Nmpc<Rotors>::hold(double time) noexcept {
+template <int Rotors, template <typename> class SolverOf>
+const NmpcResult& Nmpc<Rotors, SolverOf>::hold(double time) noexcept {
   return this->continue_last_plan(time, NmpcStatus::bad_state);
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::begin_to_prepare(double time, const ContactEstimate& contact) {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::begin_to_prepare(double time, const ContactEstimate& contact) {
   this->begin(time, contact);
 }
 
-template <int Rotors>
-optimal_control::PrepareStatus Nmpc<Rotors>::finish_preparing(double time) {
+template <int Rotors, template <typename> class SolverOf>
+optimal_control::PrepareStatus Nmpc<Rotors, SolverOf>::finish_preparing(double time) {
   return this->finish(time);
 }
 
-template <int Rotors>
-Stated Nmpc<Rotors>::initial_state(double time) const {
+template <int Rotors, template <typename> class SolverOf>
+Stated Nmpc<Rotors, SolverOf>::initial_state(double time) const {
   Stated x;
   x.body = body_state_;
   if (const auto& node = solver_.problem().node(0); node.on_ground) ground_.stop_held(node, x.body);
@@ -250,8 +260,8 @@ Stated Nmpc<Rotors>::initial_state(double time) const {
   return x;
 }
 
-template <int Rotors>
-bool Nmpc<Rotors>::is_credible(const Stated& x) const {
+template <int Rotors, template <typename> class SolverOf>
+bool Nmpc<Rotors, SolverOf>::is_credible(const Stated& x) const {
   const NmpcBounds& b = settings_.problem.bounds;
   const double turn = 10.0 * b.angular_velocity.maxCoeff(),
                force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
@@ -260,16 +270,16 @@ bool Nmpc<Rotors>::is_credible(const Stated& x) const {
          x.wrench.torque.norm() <= torque;
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::set_nodes() {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_nodes() {
   for (std::size_t k = 0; k < points_.size(); ++k)
     set_node(settings_.problem.interval * static_cast<double>(k), points_[k],
              solver_.problem().node(static_cast<int>(k)));
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
-                            WheeledFlightNode& node) const {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_node(double ahead, const ReferencePoint& point,
+                                      WheeledFlightNode& node) const {
   const ReferencePoint followed =
       ground_.apply(contact_, body_state_, ahead, points_[0], point, node);
   node.wrench_reference = {};
@@ -285,8 +295,8 @@ void Nmpc<Rotors>::set_node(double ahead, const ReferencePoint& point,
   }
 }
 
-template <int Rotors>
-Wrenchd Nmpc<Rotors>::safe_wrench() const {
+template <int Rotors, template <typename> class SolverOf>
+Wrenchd Nmpc<Rotors, SolverOf>::safe_wrench() const {
   Wrenchd wrench;
   if (contact_.on_ground) {
     wrench.force.z() = settings_.ground.down_force;
@@ -297,21 +307,21 @@ Wrenchd Nmpc<Rotors>::safe_wrench() const {
   return within(settings_.problem.bounds, wrench);
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::set_command(double age) {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_command(double age) {
   result_.wrench = plan_.planned_wrench(solver_, age);
   set_rate(plan_.planned_rate(solver_, age));
   result_.on_ground = contact_.on_ground;
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::set_old_command(double time) {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_old_command(double time) {
   set_command(plan_.age(time));
   if (plan_.corrected()) result_.wrench = plan_.wrench(solver_, time);
 }
 
-template <int Rotors>
-void Nmpc<Rotors>::set_safe_command() {
+template <int Rotors, template <typename> class SolverOf>
+void Nmpc<Rotors, SolverOf>::set_safe_command() {
   result_.wrench = safe_wrench();
   result_.rate = {};
 }

@@ -11,6 +11,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <limits>
 
 /// Settings of Nmpc, and a function that computes settings for other vehicles than the Tilt-Ropter
 /// without tuning: weights from allowed errors by Bryson's rule, bounds from weight and size.
@@ -88,7 +89,8 @@ inline void validate(const NmpcSettings& s) {
 /// themselves; no constraints of actuators; the indicator function delta by heights over the ground
 /// at z = 0; the whole estimated external wrench in the model; references followed as they are.
 /// Each departure of the library from it is a field of NmpcSettings. The conditions on the ground
-/// are nearly hard: their weights are large.
+/// are nearly hard: their weights are large. No tick has a limit of passes or time, so that every
+/// program is solved.
 ///
 /// The paper prints no weights; these are ours. Its allocation has no lead:
 /// AllocationSettings::lag_compensation is 0 there.
@@ -105,6 +107,8 @@ inline void validate(const NmpcSettings& s) {
   s.ground.contact_by_height = true;
   s.ground.model = GroundModel::external_wrench;
   s.ground.settling_speed = 0.0;
+  s.solver = {};
+  s.time_limit = std::numeric_limits<double>::infinity();
   return s;
 }
 

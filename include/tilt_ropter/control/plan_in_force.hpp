@@ -3,7 +3,6 @@
 
 #include <tilt_ropter/control/wheeled_flight_problem.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include <Eigen/Core>
 
@@ -44,11 +43,9 @@ class PlanTime {
 /// its first state, its feedback gain and the last correction. Wrenches [N; N m] and rates [N/s; N
 /// m/s] are in the body frame, force first, and within the bounds of the problem. No function
 /// allocates or throws.
-template <int Rotors>
+template <typename Solver>
 class PlanInForce : public PlanTime {
  public:
-  using Problem = WheeledFlightProblem<Rotors>;
-  using Solver = optimal_control::MultipleShooting<Problem>;
   using Rate = Eigen::Matrix<double, 6, 1>;
 
   /// Takes the plan that `solver` made for the measurement at `time` [s].
@@ -92,7 +89,7 @@ class PlanInForce : public PlanTime {
   /// the gain times the deviation from the state that the plan expects. Returns the corrected rate.
   const Rate& correct(const Solver& solver, double time, const Stated& x) noexcept {
     const double now = std::max(age(time), 0.0);
-    const Problem& problem = solver.problem();
+    const auto& problem = solver.problem();
     const int k = interval_at(solver, now);
     const Stated expected = problem.step_for(now - problem.settings().interval * k, k,
                                              k == 0 ? start_ : solver.state(k), solver.input(k));

@@ -3,10 +3,13 @@
 
 #include <tilt_ropter/control/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_result.hpp>
+#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+#include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/optimal_control/solver_settings.hpp>
 #include <tilt_ropter/planning/reference.hpp>
 
 #include <algorithm>
@@ -34,13 +37,14 @@ namespace tilt_ropter::detail {
 ///     void set_safe_command();
 ///
 /// `Plan` is derived from PlanTime. No function allocates or throws after construction.
-template <typename Level, typename Problem, typename Plan, typename Result>
+/// `Solver` is optimal_control::MultipleShooting of the problem, or has its functions for a loop.
+template <typename Level, typename Solver, typename Plan, typename Result>
 class RecedingHorizon {
  protected:
-  using State = typename Problem::State;
-  using Solver = optimal_control::MultipleShooting<Problem>;
+  using State = typename Solver::State;
   using Clock = optimal_control::SolverClock;
 
+  template <typename Problem>
   RecedingHorizon(Problem problem, const optimal_control::SolverSettings& settings,
                   const GroundContact& ground, double mass)
       : ground_(ground),
@@ -58,6 +62,7 @@ class RecedingHorizon {
 
   // The part of prepare() after it.
   optimal_control::PrepareStatus finish(double time) {
+    if (!continue_reference()) return optimal_control::PrepareStatus::failed;
     level().set_nodes();
     prepared_ = true;
     if (cold_)
@@ -100,7 +105,9 @@ class RecedingHorizon {
     failures_ = 0;
     cold_ = false;
     plan_.begin(solver_, time);
-    plan_status_ = result_.report.status == optimal_control::SolveStatus::iterated
+    plan_status_ = (result_.report.status == optimal_control::SolveStatus::iterated ||
+                    result_.report.status == optimal_control::SolveStatus::converged) &&
+                           !reference_ends_
                        ? NmpcStatus::solved
                        : NmpcStatus::approximate;
     result_.status = plan_status_;
@@ -142,7 +149,7 @@ class RecedingHorizon {
   Plan plan_;
   NmpcStatus plan_status_ = NmpcStatus::no_plan;
   Clock::duration prepare_time_{};
-  bool prepared_ = false;
+  bool prepared_ = false, reference_ends_ = false;
 
  private:
   [[nodiscard]] Level& level() { return static_cast<Level&>(*this); }
@@ -155,6 +162,29 @@ class RecedingHorizon {
     };
     return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
            is_small(contact.external);
+  }
+
+  // From the first point of the reference that is not finite on, the reference goes on straight
+  // from the point before it. Returns false if not even the first point is finite.
+  [[nodiscard]] bool continue_reference() {
+    reference_ends_ = false;
+    const double interval = level().settings().problem.interval;
+    for (std::size_t k = 0; k < points_.size(); ++k) {
+      ReferencePoint& point = points_[k];
+      const double length = point.orientation.norm();
+      if (!reference_ends_ && all_finite(point.position) && all_finite(point.velocity) &&
+          all_finite(point.acceleration) && all_finite(point.angular_velocity) &&
+          all_finite(point.angular_acceleration) && length > 0.1 && length < 10.0)
+        continue;
+      if (k == 0) return false;
+      reference_ends_ = true;
+      point = points_[k - 1];
+      point.position += interval * point.velocity;
+      point.acceleration.setZero();
+      point.orientation *= quaternion_exp(Eigen::Vector3d(interval * point.angular_velocity));
+      point.angular_acceleration.setZero();
+    }
+    return true;
   }
 
   // End of the time limit of this tick; the time of prepare() counts.
