@@ -3,6 +3,7 @@
 // sends the commanded wrench to the flight controller.
 
 #include "../support/mission_sensors.hpp"
+#include "../support/solver_choice.hpp"
 #include "link.hpp"
 #include "options.hpp"
 
@@ -65,10 +66,12 @@ class Onboard {
     (void)nmpc_.prepare(time, reference, contact_.estimate());
     const NmpcResult& result = nmpc_.feedback(time, state);
     if (!has_plan(result.status)) ++failures_;
+    solver_.add(result.status, result.report);
     return hitl::WrenchCommand{time, result.wrench, result.rate, contact_.estimate().on_ground};
   }
 
   [[nodiscard]] long failures() const { return failures_; }
+  [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
 
  private:
   Vehicle<4> vehicle_;
@@ -82,6 +85,7 @@ class Onboard {
   ActuatorState<4> command_;
   Eigen::Vector4d rotor_speed_ = Eigen::Vector4d::Zero();
   long failures_ = 0;
+  examples::SolverTicks solver_;
 };
 
 /// Counts how often a sender became silent, and says so.
@@ -105,10 +109,12 @@ class Silences {
   long count_ = 0;
 };
 
-void run(const hitl::Line& line, const std::string& vehicle) {
+void run(const hitl::Line& line, const std::string& vehicle, const std::string& solver) {
   const examples::VehicleFile file = examples::vehicle_or_default(vehicle);
-  const NmpcSettings settings =
+  NmpcSettings settings =
       line.lock_step > 0.0 ? examples::in_simulated_time(file.settings()) : file.settings();
+  examples::set_solver(solver, settings.solver);
+  examples::SolverTicks of_missions_before;
   const dds::Participant participant(loops::ros_domain());
   hitl::Rival<tilt_ropter_msgs::msg::WrenchCommand> rival(participant, hitl::wrench_command_topic);
   hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
@@ -149,6 +155,7 @@ void run(const hitl::Line& line, const std::string& vehicle) {
     if (!samples.empty()) simulated = hitl::time_point(samples.back().time);
     if (line.lock_step > 0.0) now = simulated;
     if (new_vehicle) {
+      of_missions_before.add(onboard->solver());
       onboard = std::make_unique<Onboard>(file, settings);
       next = std::ceil(samples.front().time / tick) * tick;
       rotor_speeds.clear();
@@ -182,6 +189,8 @@ void run(const hitl::Line& line, const std::string& vehicle) {
     if (taken.count() > 1e6 * tick) ++misses;
     shown.publish(encoder.shown(*wrench));
   }
+  of_missions_before.add(onboard->solver());
+  of_missions_before.print(std::cout);
   durations.print(std::cout, "onboard_tick");
   std::cout << "onboard_ticks: " << ticks << "\nonboard_deadline_misses: " << misses
             << "\nonboard_solver_failures: " << failures << "\nonboard_missions: " << missions
@@ -209,11 +218,12 @@ flight. The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
   hitl::Line line;
-  std::string vehicle;
+  std::string vehicle, solver = "automatic";
   hitl::add_options(app, line, vehicle);
+  examples::add_solver_in_real_time(app, solver);
   app.footer(footer);
   return hitl::run_program(app, "hitl_onboard", argc, argv, [&] {
-    run(line, vehicle);
+    run(line, vehicle, solver);
     return 0;
   });
 }

@@ -1,11 +1,15 @@
 #pragma once
 
+#include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "parameters.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/reference.hpp>
+
+#include <stdexcept>
+#include <string>
 
 namespace loops {
 
@@ -23,10 +27,15 @@ struct HoverPoint {
 };
 
 /// Returns the settings of the controller of a node. With `use_sim_time` they have no time limit:
-/// a simulated clock runs at any speed, and may wait for the command.
+/// a simulated clock runs at any speed, and may wait for the command. `solver` is what solves the
+/// quadratic programs: automatic, nlopt or structured.
 [[nodiscard]] inline tilt_ropter::NmpcSettings controller_settings(
     const examples::VehicleFile& file, Parameters& parameters) {
-  const tilt_ropter::NmpcSettings settings = file.settings();
+  tilt_ropter::NmpcSettings settings = file.settings();
+  const std::string solver = parameters.text("solver", "automatic");
+  if (examples::program_methods().count(solver) == 0)
+    throw std::invalid_argument("solver = " + solver + ": must be automatic, nlopt or structured");
+  examples::set_solver(solver, settings.solver);
   return parameters.choice("use_sim_time", false) ? examples::in_simulated_time(settings)
                                                   : settings;
 }

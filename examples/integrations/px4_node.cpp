@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 
 #include <cstdint>
+#include <iostream>
 #include <string>
 #include <type_traits>
 #include <variant>
@@ -78,6 +79,7 @@ void fly(loops::Node& node, const std::vector<std::string>& choices) {
       telemetry.offer(*snapshot);
     }
   });
+  pilot.solver().print(std::cout);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "hover_point.hpp"
 #include "parameters.hpp"
@@ -35,7 +36,8 @@ Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/a
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
 PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
 PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
-[s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock). Topics: --ros-args -r
+[s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
+(automatic, nlopt, structured). Topics: --ros-args -r
 TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
@@ -135,6 +137,7 @@ class Px4Node {
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
     planned_ = has_plan(result.status);
+    solver_.add(result.status, result.report);
     sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
     actuators_.update(time, sent_.command);  // takes effect now
     out.actuators = scaling_.outputs(sent_.command);
@@ -162,6 +165,7 @@ class Px4Node {
   }
 
   [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
+  [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
   [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
 
  private:
@@ -175,6 +179,7 @@ class Px4Node {
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
+  examples::SolverTicks solver_;
   HoverPoint reference_;
   double origin_height_, max_silence_;
   std::optional<tilt_ropter::BodyStated> body_;  // last known state

@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 
 #include <cstdint>
+#include <iostream>
 
 namespace {
 
@@ -30,6 +31,7 @@ void fly(loops::Node& node) {
     snapshot.counts = node.counts();
     telemetry.offer(snapshot);
   });
+  pilot.solver().print(std::cout);
 }
 
 }  // namespace

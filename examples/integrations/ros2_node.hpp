@@ -1,6 +1,7 @@
 #pragma once
 
 #include "../support/flight_controller.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "hover_point.hpp"
 #include "messages.hpp"
@@ -36,7 +37,8 @@ Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and posit
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
-max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock). Topics:
+max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
+(automatic, nlopt, structured). Topics:
 --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
@@ -94,6 +96,7 @@ class Ros2Node {
     if (silent_) return nullptr;
     controller_.prepare(time, [this](double t) { return reference_(t); });
     const tilt_ropter::ActuatorState<4>& command = controller_.control(time);
+    if (started()) solver_.add(controller_.result().status, controller_.result().report);
     for (std::size_t i = 0; i < 4; ++i) {
       speeds_[i] = command.rotor_speed(static_cast<Eigen::Index>(i));
       angles_[i] = command.tilt_angle(static_cast<Eigen::Index>(i));
@@ -124,6 +127,7 @@ class Ros2Node {
     return s;
   }
 
+  [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
   [[nodiscard]] bool started() const { return controller_.started(); }
   [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
 
@@ -158,6 +162,7 @@ class Ros2Node {
   examples::VehicleFile file_;
   tilt_ropter::Vehicle<4> vehicle_;
   examples::FlightController<4> controller_;
+  examples::SolverTicks solver_;
   HoverPoint reference_;
   double max_silence_;
   bool silent_ = false;

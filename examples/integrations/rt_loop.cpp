@@ -1,6 +1,7 @@
 // A real-time loop: hovers at a fixed rate with real-time scheduling and reports the latencies.
 
 #include "../support/run_program.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "latencies.hpp"
 #include "real_time.hpp"
@@ -34,7 +35,7 @@ namespace {
 struct Options {
   double rate = 100.0, seconds = 10.0;
   int priority = 80, processor = -1;
-  std::string vehicle, csv;
+  std::string vehicle, csv, solver = "automatic";
 };
 
 volatile std::sig_atomic_t interrupted = 0;
@@ -56,7 +57,10 @@ void run(const Options& options) {
   ActuatorModel<4> actuators(vehicle);
   WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
-  Nmpc<4> nmpc(vehicle, file.settings());
+  NmpcSettings settings = file.settings();
+  examples::set_solver(options.solver, settings.solver);
+  Nmpc<4> nmpc(vehicle, settings);
+  examples::SolverTicks solver;
   Plant<4> robot(vehicle);  // your robot goes here
   const auto reference = [](double) {
     ReferencePoint point;
@@ -97,6 +101,7 @@ void run(const Options& options) {
     contact.update(time, robot.body(), observer);
     (void)nmpc.prepare(time, reference, contact.estimate());
     const NmpcResult& result = nmpc.feedback(time, robot.body());
+    solver.add(result.status, result.report);
     sent = allocation.allocate(time, result.wrench, result.rate, sent);
     actuators.update(time, sent.command);  // the command acts from now on
 
@@ -120,6 +125,7 @@ void run(const Options& options) {
   if (wake_up.values().size() > first_ticks)
     std::cout << "page_faults_after_tick_" << first_ticks << ": " << page_faults_at_end - faults
               << '\n';
+  solver.print(std::cout);
   wake_up.print(std::cout, "wake_up");
   computing.print(std::cout, "computing");
   print_histograms(std::cout, "wake_up", wake_up, "computing", computing);
@@ -141,6 +147,7 @@ int main(int argc, char** argv) {
   Options options;
   app.add_option("--vehicle", options.vehicle,
                  "JSON file of the vehicle (4 rotors); default: the Tilt-Ropter");
+  examples::add_solver_in_real_time(app, options.solver);
   app.add_option("--rate", options.rate, "rate of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
       ->capture_default_str();

@@ -6,6 +6,7 @@
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
 #include "../support/simulated_mission.hpp"
+#include "../support/solver_choice.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
 
@@ -24,7 +25,7 @@
 namespace {
 
 struct Options {
-  std::string output = "results", vehicle;
+  std::string output = "results", vehicle, solver = "automatic";
   std::vector<std::string> others;
   std::string mission = "hybrid";
   std::int64_t seed = 1;
@@ -47,6 +48,7 @@ struct Row {
   std::string name, level;
   double mass = 0.0, lean = 0.0;  // [kg], [rad]
   examples::MissionFigures figures{0.0};
+  examples::SolverTicks solver;
 };
 
 /// Returns a number with `digits` decimals, or "-" if nothing was counted.
@@ -85,7 +87,8 @@ void print(const std::vector<Row>& rows) {
 void write(const std::vector<Row>& rows, const std::string& path) {
   std::ofstream out(path);
   out << "vehicle,level,mass_kg,air_rmse_m,ground_rmse_m,mission_rmse_m,lean_max_deg,"
-         "flight_power_w,ground_power_w,power_saved_percent,touchdown_speed_mps,solver_failures\n";
+         "flight_power_w,ground_power_w,power_saved_percent,touchdown_speed_mps,solver_failures,"
+         "active_ticks,riccati_ticks,nlopt_ticks,structured_ticks,unsolved_ticks\n";
   for (const Row& row : rows) {
     const examples::MissionFigures& f = row.figures;
     const bool drives = f.ground().count() > 0;
@@ -97,7 +100,9 @@ void write(const std::vector<Row>& rows, const std::string& path) {
     if (drives) out << f.ground_power().value();
     out << ',';
     if (drives) out << saved(f);
-    out << ',' << f.touchdown_speed() << ',' << f.failures() << '\n';
+    const examples::SolverTicks& s = row.solver;
+    out << ',' << f.touchdown_speed() << ',' << f.failures() << ',' << s.active << ',' << s.riccati
+        << ',' << s.nlopt << ',' << s.structured << ',' << s.unsolved << '\n';
   }
   if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
@@ -115,6 +120,7 @@ int run(const Options& options) {
     examples::MissionOptions flight;
     flight.mission.name = options.mission;
     flight.seed = options.seed;
+    flight.solver = options.solver;
     flight.output = options.output + "/vehicle_" + std::to_string(rows.size() + 1);
     const double before = static_cast<double>(rows.size()), all = static_cast<double>(files.size());
     const examples::FlownMission flown =
@@ -128,10 +134,14 @@ int run(const Options& options) {
     row.mass = std::visit([](const auto& vehicle) { return vehicle.body.mass; }, file.vehicle);
     row.lean = flown.lean;
     row.figures = flown.figures;
+    row.solver = flown.solver;
     rows.push_back(row);
   }
   progress.finish();
   print(rows);
+  examples::SolverTicks solver;
+  for (const Row& row : rows) solver.add(row.solver);
+  solver.print(std::cout);
   write(rows, options.output + "/compare_vehicles.csv");
   for (const std::string& loss : losses) std::cerr << "compare_vehicles: " << loss << '\n';
   return losses.empty() ? 0 : 1;
@@ -160,6 +170,7 @@ int main(int argc, char** argv) {
                  "JSON file of the first vehicle; default: the Tilt-Ropter");
   app.add_option("--other", options.others,
                  "JSON file of a vehicle to compare with; may be repeated; default: the bicopter");
+  examples::add_solver_in_real_time(app, options.solver);
   app.add_option("--mission", options.mission, "hybrid, air or ground, as of hybrid_mission")
       ->check(CLI::IsMember({"hybrid", "air", "ground"}))
       ->capture_default_str();

@@ -8,6 +8,7 @@
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/spread_flight.hpp"
 
 #include <CLI/CLI.hpp>
@@ -33,28 +34,29 @@ namespace {
 
 struct Options {
   std::string output = "results";
-  std::string vehicle, level;
+  std::string vehicle, level, solver = "automatic";
   std::uint64_t seed = 1, first = 0, count = 1000;
   std::int64_t replay = -1;
   unsigned threads = std::max(1U, std::thread::hardware_concurrency());
   std::vector<std::string> merge;
   bool resume = false, no_pictures = false;
   // Whether these were given: with --merge they say what the files must hold.
-  bool seed_given = false, range_given = false, vehicle_given = false;
+  bool seed_given = false, range_given = false, vehicle_given = false, solver_given = false;
 };
 
 FlightRequest request_of(const Options& options) {
-  FlightRequest request{this_version(), this_build(),    options.seed, options.first,
-                        options.count,  options.vehicle, "",           options.level};
+  FlightRequest request{this_version(),  this_build(), options.seed,  options.first, options.count,
+                        options.vehicle, "",           options.level, options.solver};
   if (!options.vehicle.empty()) request.vehicle_contents = hash_of(read_bytes(options.vehicle));
   return request;
 }
 
 /// Flies one vehicle. Adds its index to errors.
-SpreadFlight fly(const VehicleFile& file, const std::string& level, std::uint64_t seed,
-                 std::uint64_t index, const std::string& log_directory = "") {
+SpreadFlight fly(const VehicleFile& file, const Options& options, std::uint64_t index,
+                 const std::string& log_directory = "") {
   try {
-    return fly_spread(file, level, seed, index, log_directory);
+    return fly_spread(file, level_for(options.level, file), options.solver, options.seed, index,
+                      log_directory);
   } catch (const std::exception& error) {
     throw std::runtime_error("vehicle " + std::to_string(index) + ": " + error.what());
   }
@@ -63,7 +65,6 @@ SpreadFlight fly(const VehicleFile& file, const std::string& level, std::uint64_
 /// Flies the vehicles of the request that are not yet in the table at `path`, and adds them.
 void fly_all(const Options& options, const std::string& path) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
-  const std::string level = level_for(options.level, file);
   const std::string choice = level_choice(options.level, file);
   if (!choice.empty()) std::cerr << choice << '\n';
   const FlightRequest request = request_of(options);
@@ -86,7 +87,7 @@ void fly_all(const Options& options, const std::string& path) {
         index = next++;
       }
       try {
-        const SpreadFlight flight = fly(file, level, options.seed, index);
+        const SpreadFlight flight = fly(file, options, index);
         const std::lock_guard<std::mutex> lock(mutex);
         if (flight.record.verdict != Verdict::ok) ++diverged;
         table.add(index, flight_line(options.seed, index, flight.draw, flight.record));
@@ -110,8 +111,7 @@ void fly_all(const Options& options, const std::string& path) {
 /// Flies one vehicle again and writes the same logs as hybrid_mission.
 void replay(const Options& options, std::uint64_t index) {
   const VehicleFile file = vehicle_or_default(options.vehicle);
-  const SpreadFlight flight =
-      fly(file, level_for(options.level, file), options.seed, index, options.output);
+  const SpreadFlight flight = fly(file, options, index, options.output);
   std::cout << "verdict: " << to_string(flight.record.verdict) << '\n'
             << std::setprecision(std::numeric_limits<double>::max_digits10);
   for (const auto& [name, value] : flight_row(options.seed, index, flight.draw, flight.record))
@@ -131,6 +131,7 @@ std::string shell_word(const std::string& text, bool always = false) {
 std::string command_of(const FlightRequest& request, const std::string& program) {
   std::string command = shell_word(program);
   if (!request.level.empty()) command += " --level " + request.level;
+  if (request.solver != "automatic") command += " --solver " + request.solver;
   if (!request.vehicle.empty()) command += " --vehicle " + shell_word(request.vehicle, true);
   return command;
 }
@@ -173,6 +174,7 @@ FlightRequest request_of_files(const Options& options, const std::vector<std::st
   if (options.seed_given) wanted.seed = given.seed;
   wanted.version = given.version;
   if (!given.level.empty()) wanted.level = given.level;
+  if (options.solver_given) wanted.solver = given.solver;
   if (options.vehicle_given) {
     wanted.vehicle = given.vehicle;
     wanted.vehicle_contents = given.vehicle_contents;
@@ -244,7 +246,7 @@ Any vehicle file is taken: 2 to 8 rotors, with wheels, with legs or with neither
 vehicle flies the part of the mission that it can do, at the level of control that it needs.
 
 Files in the output directory: monte_carlo.csv, one row per vehicle; monte_carlo.run, what the run
-was asked for (version, build, seed, vehicles, vehicle file, level); and monte_carlo.png.
+was asked for (version, build, seed, vehicles, vehicle file, level, solver); and monte_carlo.png.
 
 On a cluster: seed and index alone determine a vehicle, its noise and its flight, to the bit, for
 one build on processors of one kind. Each job flies a part and can be killed at any time. The same
@@ -275,6 +277,7 @@ int main(int argc, char** argv) {
                                         "JSON file of the vehicle that the controller assumes; "
                                         "default: the Tilt-Ropter");
   add_level(app, options.level);
+  CLI::Option* solver = add_solver_in_real_time(app, options.solver);
   CLI::Option* seed =
       app.add_option("--seed", options.seed, "random seed of vehicles, noise and wind")
           ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{1} << 53U))
@@ -312,6 +315,7 @@ int main(int argc, char** argv) {
     options.seed_given = seed->count() > 0;
     options.range_given = first->count() + count->count() > 0;
     options.vehicle_given = vehicle->count() > 0;
+    options.solver_given = solver->count() > 0;
     return run(options, argv[0]);
   });
 }

@@ -7,6 +7,7 @@
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -35,7 +36,7 @@ using examples::VehicleFile;
 namespace {
 
 struct Options {
-  std::string vehicle, output = "results";
+  std::string vehicle, output = "results", solver = "automatic";
   double step = 1.0, turn = 60.0;
   bool no_pictures = false;
 };
@@ -82,6 +83,7 @@ std::vector<Knob> knobs() {
 /// Sideways position [m], heading [deg] and lean [deg], one value every `sample` seconds.
 struct Response {
   std::vector<double> side, heading, lean;
+  examples::SolverTicks solver;
 };
 
 template <int Rotors>
@@ -97,9 +99,11 @@ Response fly(const Options& options, const VehicleFile& file, const Vehicle<Roto
   };
   Plant<Rotors> plant(vehicle);
   examples::MissionSensors<Rotors> sensors(1);
-  examples::FlightController<Rotors> controller(vehicle,
-                                                examples::in_simulated_time(file.settings()),
-                                                examples::MissionSensors<Rotors>::estimation());
+  NmpcSettings settings = examples::in_simulated_time(file.settings());
+  examples::set_solver(options.solver, settings.solver);
+  examples::FlightController<Rotors> controller(
+      vehicle, settings, examples::MissionSensors<Rotors>::estimation(), observer_settings(20.0),
+      {}, examples::ExternalWrench::modelled, options.solver == examples::nlopt_alone);
   ActuatorState<Rotors> command = controller.lift(vehicle.body.mass * gravity);
   controller.start_with(command);
   BodyStated start;
@@ -113,6 +117,7 @@ Response fly(const Options& options, const VehicleFile& file, const Vehicle<Roto
       if (controller.started()) {
         controller.prepare(now, reference);
         command = controller.control(now);
+        response.solver.add(controller.result().status, controller.result().report);
       }
       const Eigen::Matrix3d r = plant.body().orientation.toRotationMatrix();
       response.side.push_back(plant.body().position.y());
@@ -160,6 +165,11 @@ void run(const Options& options) {
     flown.push_back({fly_changed(&knob, 0.5), usual, fly_changed(&knob, 2.0)});
   }
   progress.finish();
+  examples::SolverTicks solver = usual.solver;
+  for (const std::array<Response, 3>& variants : flown) {
+    solver.add(variants[0].solver);
+    solver.add(variants[2].solver);
+  }
 
   std::filesystem::create_directories(options.output);
   examples::MissionLog log(options.output + "/step_responses.csv",
@@ -189,6 +199,7 @@ void run(const Options& options) {
                 << *std::max_element(r.lean.begin(), r.lean.end()) << '\n';
     }
   }
+  solver.print(std::cout);
 }
 
 constexpr const char* footer = R"(
@@ -209,6 +220,7 @@ int main(int argc, char** argv) {
   Options options;
   app.add_option("--vehicle", options.vehicle,
                  "JSON file of the vehicle; default: the Tilt-Ropter");
+  examples::add_solver(app, options.solver);
   app.add_option("-o,--output", options.output, "directory for the responses and the picture")
       ->capture_default_str();
   app.add_option("--step", options.step, "size of the step to the left [m]")

@@ -6,6 +6,7 @@
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/statistics.hpp"
 #include "../support/stress_flight.hpp"
 #include "../support/vehicle_choice.hpp"
@@ -29,7 +30,7 @@ using namespace examples;
 namespace {
 
 struct Options {
-  std::string output = "results", vehicle, scenario = "random", level;
+  std::string output = "results", vehicle, scenario = "random", level, solver = "automatic";
   double size = 0.0, height = 0.0, duration = 15.0, time_limit_us = 0.0;
   std::uint64_t seed = 1, first = 0, count = 10;
   bool no_pictures = false;
@@ -44,6 +45,7 @@ struct Summary {
   long ticks = 0, unsolved = 0, approximate = 0, failures = 0;
   int most_passes = 0;
   bool worst_recovered = true;
+  SolverTicks solver;
 
   void add(std::uint64_t index, const StressRecord& r, double repeated_us) {
     ++flights;
@@ -57,6 +59,7 @@ struct Summary {
     ticks += static_cast<long>(r.tick_us.size());
     unsolved += r.unsolved_called_solved;
     approximate += r.approximate;
+    solver.add(r.solver);
     failures += r.failures;
     most_passes = std::max(most_passes, r.most_passes);
     // The worst flight: one without recovery, else the one with the longest tick.
@@ -76,6 +79,7 @@ std::string repeating_command(const Options& options, const std::string& program
           << options.seed << " --first " << index << " --count 1";
   if (options.time_limit_us > 0.0) command << " --time-limit-us " << options.time_limit_us;
   if (options.level != "wrench") command << " --level " << options.level;
+  if (options.solver != "automatic") command << " --solver " << options.solver;
   if (!options.vehicle.empty()) command << " --vehicle " << options.vehicle;
   return command.str();
 }
@@ -86,6 +90,7 @@ void run(const Options& options, const tilt_ropter::Vehicle<Rotors>& vehicle, Se
   const Scenario scenario = scenarios().at(options.scenario);
   settings.time_limit = options.time_limit_us > 0.0 ? 1e-6 * options.time_limit_us
                                                     : std::numeric_limits<double>::infinity();
+  set_solver(options.solver, settings.solver);
   std::filesystem::create_directories(options.output);
   MissionLog table(
       options.output + "/stress_flights.csv",
@@ -157,8 +162,9 @@ void run(const Options& options, const tilt_ropter::Vehicle<Rotors>& vehicle, Se
             << "approximate_ticks: " << all.approximate << '\n'
             << "unsolved_called_solved: " << all.unsolved << '\n'
             << "worst_solved_residual: " << all.worst_solved << '\n'
-            << "solver_failures: " << all.failures << '\n'
-            << "worst_flight: " << all.worst_flight << '\n'
+            << "solver_failures: " << all.failures << '\n';
+  all.solver.print(std::cout);
+  std::cout << "worst_flight: " << all.worst_flight << '\n'
             << "repeat_worst: " << repeating_command(options, program, all.worst_flight) << '\n';
 }
 
@@ -198,6 +204,7 @@ int main(int argc, char** argv) {
       "a large step, a knock or any attitude, with the controller settings of the vehicle."};
   Options options;
   add_level(app, options.level);
+  add_solver_in_real_time(app, options.solver);
   app.add_option("--scenario", options.scenario,
                  "scenario: step, yaw, knocked, thrown, inverted or random")
       ->check(CLI::IsMember({"step", "yaw", "knocked", "thrown", "inverted", "random"}))

@@ -90,11 +90,13 @@ struct AblationFigures {
   double air = std::numeric_limits<double>::quiet_NaN(), ground = air, mission = air;  ///< RMSE [m]
   double ground_power = air, saved = air;                                              ///< [W], [%]
   double planned_tilt_rate = air, servo_demand = air;  ///< largest [rad/s]
-  double mode_changes = air, failures = air;
+  double mode_changes = air, failures = air, unsolved = air;
+  bool unstable = false;  ///< as in Figures
 };
 
 [[nodiscard]] inline std::vector<FlightCase> ablation_flights(const std::vector<PlantKind>& plants,
-                                                              std::int64_t seed) {
+                                                              std::int64_t seed,
+                                                              const std::string& solver) {
   std::vector<FlightCase> flights;
   for (const Ablation& ablation : ablations())
     for (const PlantKind plant : plants) {
@@ -103,6 +105,7 @@ struct AblationFigures {
       flight.plant = plant;
       flight.options.seed = seed;
       flight.options.no_log = true;
+      flight.options.solver = solver;
       ablation.set(flight.options);
       flights.push_back(flight);
     }
@@ -133,6 +136,8 @@ struct AblationFigures {
         f.servo_demand = m.servo_demand();
         f.mode_changes = result.flown.contact_mode_changes;
         f.failures = m.failures();
+        f.unstable = !result.flown.loss.empty() || m.moving().max() > 0.5;
+        f.unsolved = static_cast<double>(result.flown.solver.unsolved);
       }
       rows.push_back(f);
     }
@@ -170,16 +175,24 @@ struct AblationFigures {
 }
 
 [[nodiscard]] inline Table ablation_table(const std::vector<AblationFigures>& rows) {
-  Table table(
-      {"changed", "flown by", "effect", "air [mm]", "ground [mm]", "mission [mm]", "ground [W]",
-       "saved [%]", "plan turns arms [rad/s]", "servos start [rad/s]", "mode changes", "failures"},
-      3);
-  for (const AblationFigures& f : rows)
+  Table table({"changed", "flown by", "effect", "air [mm]", "ground [mm]", "mission [mm]",
+               "ground [W]", "saved [%]", "plan turns arms [rad/s]", "servos start [rad/s]",
+               "mode changes", "failures", "unsolved ticks"},
+              3);
+  for (const AblationFigures& f : rows) {
+    const auto length = [&f](double metres) {
+      return f.unstable ? order_of_magnitude(1e3 * metres) : millimetres(metres);
+    };
+    const auto other = [&f](double value) {
+      return f.unstable ? order_of_magnitude(value) : number(value, 1);
+    };
     table.add({f.change, f.plant,
                f.name == f.shipped ? "" : effect(f, same_plant(rows, f.plant, f.shipped)),
-               millimetres(f.air), millimetres(f.ground), millimetres(f.mission),
-               number(f.ground_power, 1), number(f.saved, 1), number(f.planned_tilt_rate, 1),
-               number(f.servo_demand, 1), number(f.mode_changes, 0), number(f.failures, 0)});
+               length(f.air), length(f.ground), length(f.mission), other(f.ground_power),
+               f.unstable ? "" : number(f.saved, 1), other(f.planned_tilt_rate),
+               other(f.servo_demand), number(f.mode_changes, 0), number(f.failures, 0),
+               number(f.unsolved, 0)});
+  }
   return table;
 }
 
@@ -188,13 +201,14 @@ struct AblationFigures {
   std::ostringstream out;
   out << "ablation,flown_by,number,air_rmse_m,ground_rmse_m,mission_rmse_m,ground_power_w,"
          "power_saved_percent,planned_tilt_rate_max_radps,tilt_rate_max_radps,"
-         "contact_mode_changes,solver_failures\n";
+         "contact_mode_changes,solver_failures,unsolved_ticks\n";
   double place = 0.0;  // of the ablation, from 0
   for (const AblationFigures& f : rows) {
     if (&f != &rows.front() && f.name != (&f - 1)->name) ++place;
     out << f.name << ',' << f.plant
         << csv_numbers({place, f.air, f.ground, f.mission, f.ground_power, f.saved,
-                        f.planned_tilt_rate, f.servo_demand, f.mode_changes, f.failures})
+                        f.planned_tilt_rate, f.servo_demand, f.mode_changes, f.failures,
+                        f.unsolved})
         << '\n';
   }
   return out.str();

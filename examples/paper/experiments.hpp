@@ -1,6 +1,7 @@
 #pragma once
 
 #include "../support/mission_figures.hpp"
+#include "../support/solver_choice.hpp"
 #include "flights.hpp"
 #include "table.hpp"
 
@@ -29,9 +30,11 @@ struct Figures {
   double from_start = not_measured;  ///< RMSE of the whole flight, with the way to the start [m]
   double air_power = not_measured, ground_power = not_measured;  ///< means in the eights [W]
   double lean = not_measured;                                    ///< largest lean [rad]
-  double mode_changes = not_measured, failures = not_measured;
+  double mode_changes = not_measured, failures = not_measured, unsolved = not_measured;
+  SolverTicks solver;           ///< all zero: not measured
   double saved = not_measured;  ///< power on the ground against power in the air [%]
   std::string error;
+  bool unstable = false;  ///< 0.5 m or more from the reference, or lost: digits depend on the build
 };
 
 /// The figures that the paper prints.
@@ -70,7 +73,8 @@ struct ControllerChoice {
 /// The flights: `experiments` of "air", "ground", "hybrid", `settings` of controllers().
 [[nodiscard]] inline std::vector<FlightCase> experiment_flights(
     const std::vector<std::string>& experiments, const std::vector<std::string>& settings,
-    const std::vector<PlantKind>& plants, std::int64_t seed) {
+    const std::vector<PlantKind>& plants, std::int64_t seed,
+    const std::string& solver = "automatic") {
   std::vector<FlightCase> flights;
   for (const std::string& experiment : experiments)
     for (const ControllerChoice& controller : controllers())
@@ -85,6 +89,7 @@ struct ControllerChoice {
         if (experiment == "hybrid") flight.options.start_off = 0.5;
         flight.options.as_in_paper = controller.as_in_paper;
         flight.options.level = controller.level;
+        flight.options.solver = solver;
         flights.push_back(flight);
       }
   return flights;
@@ -109,6 +114,9 @@ struct ControllerChoice {
   f.lean = result.flown.lean;
   f.mode_changes = result.flown.contact_mode_changes;
   f.failures = m.failures();
+  f.unstable = !result.flown.loss.empty() || f.max > 0.5;
+  f.unsolved = static_cast<double>(result.flown.solver.unsolved);
+  f.solver = result.flown.solver;
   return f;
 }
 
@@ -140,15 +148,21 @@ inline void compare_power(std::vector<Figures>& rows) {
 [[nodiscard]] inline Table experiment_table(const std::vector<Figures>& rows) {
   Table table({"experiment", "flown by", "settings", "RMSE [mm]", "x", "y", "z", "max [mm]",
                "with start [mm]", "air [W]", "ground [W]", "saved [%]", "lean [deg]",
-               "mode changes", "failures"},
+               "mode changes", "failures", "unsolved ticks"},
               3);
-  for (const Figures& f : rows)
+  for (const Figures& f : rows) {
+    const auto length = [&f](double metres) {
+      return f.unstable ? order_of_magnitude(1e3 * metres) : millimetres(metres);
+    };
+    const auto other = [&f](double value, int digits) {
+      return f.unstable ? order_of_magnitude(value) : number(value, digits);
+    };
     table.add({f.experiment, f.plant, f.error.empty() ? f.settings : f.settings + ": " + f.error,
-               millimetres(f.rmse), millimetres(f.axes[0]), millimetres(f.axes[1]),
-               millimetres(f.axes[2]), millimetres(f.max), millimetres(f.from_start),
-               number(f.air_power, 2), number(f.ground_power, 2), number(f.saved, 1),
-               number(f.lean * 180.0 / tilt_ropter::pi, 1), number(f.mode_changes, 0),
-               number(f.failures, 0)});
+               length(f.rmse), length(f.axes[0]), length(f.axes[1]), length(f.axes[2]),
+               length(f.max), length(f.from_start), other(f.air_power, 2), other(f.ground_power, 2),
+               f.unstable ? "" : number(f.saved, 1), other(f.lean * 180.0 / tilt_ropter::pi, 1),
+               number(f.mode_changes, 0), number(f.failures, 0), number(f.unsolved, 0)});
+  }
   return table;
 }
 
@@ -157,11 +171,11 @@ inline void compare_power(std::vector<Figures>& rows) {
   std::ostringstream out;
   out << "experiment,flown_by,settings,rmse_m,rmse_x_m,rmse_y_m,rmse_z_m,max_error_m,"
          "rmse_from_start_m,air_power_w,ground_power_w,power_saved_percent,lean_max_rad,"
-         "contact_mode_changes,solver_failures\n";
+         "contact_mode_changes,solver_failures,unsolved_ticks\n";
   for (const Figures& f : rows) {
     out << f.experiment << ',' << f.plant << ',' << f.settings;
     out << csv_numbers({f.rmse, f.axes[0], f.axes[1], f.axes[2], f.max, f.from_start, f.air_power,
-                        f.ground_power, f.saved, f.lean, f.mode_changes, f.failures})
+                        f.ground_power, f.saved, f.lean, f.mode_changes, f.failures, f.unsolved})
         << '\n';
   }
   return out.str();
@@ -187,6 +201,7 @@ inline void print(std::ostream& out, const std::vector<Figures>& rows) {
     line("lean_max_deg", f.lean * 180.0 / tilt_ropter::pi, 2);
     line("contact_mode_changes", f.mode_changes, 0);
     line("solver_failures", f.failures, 0);
+    if (!std::isnan(f.unsolved)) f.solver.print(out, name);
   }
 }
 

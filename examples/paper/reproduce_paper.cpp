@@ -3,6 +3,7 @@
 
 #include "../support/pictures.hpp"
 #include "../support/run_program.hpp"
+#include "../support/solver_choice.hpp"
 #include "ablations.hpp"
 #include "control_diagram.hpp"
 #include "experiments.hpp"
@@ -32,6 +33,7 @@ namespace {
 struct Options {
   std::string output = "results/paper", update;
   std::vector<std::string> only, settings, plants;
+  std::string solver = "automatic";
   std::int64_t seed = 1;
   int threads = 2;
   bool ablations = false, hitl = false, no_pictures = false;
@@ -95,7 +97,8 @@ int fly_experiments(const Options& o) {
     if (wants(o.settings, controller.name)) settings.emplace_back(controller.name);
   std::vector<Figures> ours;
   int errors = 0;
-  const std::vector<FlightCase> cases = experiment_flights(flown, settings, plants, o.seed);
+  const std::vector<FlightCase> cases =
+      experiment_flights(flown, settings, plants, o.seed, o.solver);
   if (!cases.empty()) {
     const std::vector<FlightResult> results = fly_all(cases, o.output, o.threads);
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -112,7 +115,7 @@ int fly_experiments(const Options& o) {
   }
   if (!ours.empty()) {
     const std::vector<Figures> rows = beside_the_paper(ours);
-    const std::string table = experiment_table(rows).markdown();
+    const std::string table = experiment_table(rows).markdown() + '\n' + about_unstable_flights;
     print(std::cout, rows);
     std::cout << '\n' << table << '\n';
     write_text(o.output + "/paper.csv", experiment_csv(rows));
@@ -125,9 +128,9 @@ int fly_experiments(const Options& o) {
 int fly_ablations(const Options& o) {
   const std::vector<PlantKind> plants = plants_of(o);
   const std::vector<FlightResult> results =
-      fly_all(ablation_flights(plants, o.seed), o.output, o.threads);
+      fly_all(ablation_flights(plants, o.seed, o.solver), o.output, o.threads);
   const std::vector<AblationFigures> rows = figures_of(plants, results);
-  const std::string table = ablation_table(rows).markdown();
+  const std::string table = ablation_table(rows).markdown() + '\n' + about_unstable_flights;
   print(std::cout, rows);
   std::cout << '\n' << table << '\n';
   write_text(o.output + "/ablations.csv", ablation_csv(rows));
@@ -203,6 +206,7 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1000.0));
   app.add_flag("--ablations", o.ablations,
                "also fly the hybrid mission with one part of the controller changed at a time");
+  examples::add_solver_in_real_time(app, o.solver);
   app.add_option("--seed", o.seed, "seed of the sensor noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();

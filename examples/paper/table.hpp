@@ -50,6 +50,19 @@ class Table {
   std::vector<std::vector<std::string>> rows_;
 };
 
+/// Returns the order of magnitude of `value`, such as ~1e3, or an empty text for NaN.
+[[nodiscard]] inline std::string order_of_magnitude(double value) {
+  if (std::isnan(value)) return {};
+  std::ostringstream out;
+  out << "~1e" << std::lround(std::log10(std::abs(value) + 1e-9));
+  return out.str();
+}
+
+/// Printed below a table with such numbers.
+inline constexpr const char* about_unstable_flights =
+    "A number after ~ is the order of magnitude of an unstable flight: 0.5 m or more from the "
+    "reference, or\ntipped over. Its digits depend on the build.\n";
+
 /// Returns `value` with this number of digits, or an empty text for NaN.
 [[nodiscard]] inline std::string number(double value, int digits) {
   if (std::isnan(value)) return {};

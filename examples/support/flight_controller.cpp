@@ -17,9 +17,8 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const EkfSettings& estimation,
                                            const WrenchObserverSettings& observer,
                                            const AllocationSettings& allocation,
-                                           ExternalWrench external)
+                                           ExternalWrench external, bool solved_by_nlopt_alone)
     : allocation_(std::in_place, vehicle, allocation),
-      nmpc_(std::in_place, vehicle, settings),
       body_(vehicle),
       actuators_(vehicle),
       ekf_(estimation),
@@ -33,6 +32,12 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
   after_failure_.ground = settings.ground;
   if (!has_wrench_level<Rotors>)
     throw std::invalid_argument("FlightController: the wrench level needs 4 rotors or more");
+  if constexpr (has_wrench_level<Rotors>) {
+    if (solved_by_nlopt_alone)
+      nmpc_by_nlopt_.emplace(vehicle, settings);
+    else
+      nmpc_.emplace(vehicle, settings);
+  }
 }
 
 template <int Rotors>
@@ -79,10 +84,9 @@ template <int Rotors>
 void FlightController<Rotors>::on_voltage(double voltage) {
   (void)actuators_.set_voltage(voltage);
   if (actuator_nmpc_) (void)actuator_nmpc_->set_voltage(voltage);
-  if constexpr (has_wrench_level<Rotors>) {
+  if constexpr (has_wrench_level<Rotors>)
     if (allocation_) (void)allocation_->set_voltage(voltage);
-    if (nmpc_) (void)nmpc_->set_voltage(voltage);
-  }
+  at_wrench_level([voltage](auto& nmpc) { (void)nmpc.set_voltage(voltage); });
 }
 
 template <int Rotors>
@@ -122,6 +126,7 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   if constexpr (has_wrench_level<Rotors>) {
     allocation_.reset();
     nmpc_.reset();
+    nmpc_by_nlopt_.reset();
   }
 }
 
@@ -136,8 +141,7 @@ void FlightController<Rotors>::settle_at(double speed) {
     controller.set_settings(settings);
   };
   if (actuator_nmpc_) set(*actuator_nmpc_);
-  if constexpr (has_wrench_level<Rotors>)
-    if (nmpc_) set(*nmpc_);
+  at_wrench_level(set);
 }
 
 template <int Rotors>
@@ -280,8 +284,7 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
   const Reference& followed = mode_ == FlightMode::mission ? reference : other;
   // control() reports the status
   if (actuator_nmpc_) (void)actuator_nmpc_->prepare(time, followed, contact);
-  if constexpr (has_wrench_level<Rotors>)
-    if (nmpc_) (void)nmpc_->prepare(time, followed, contact);
+  at_wrench_level([&](auto& nmpc) { (void)nmpc.prepare(time, followed, contact); });
 }
 
 template <int Rotors>
@@ -290,12 +293,11 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   if (!started_) return sent_.command;
   const bool measured = ekf_.running() && !ekf_.trust(time).imu_silent;
   if (actuator_nmpc_) control_actuators(time, measured);
-  if constexpr (has_wrench_level<Rotors>) {
-    if (nmpc_) {
-      result_ = measured ? nmpc_->feedback(time, ekf_.take_state()) : nmpc_->hold(time);
+  if constexpr (has_wrench_level<Rotors>)
+    at_wrench_level([&](auto& nmpc) {
+      result_ = measured ? nmpc.feedback(time, ekf_.take_state()) : nmpc.hold(time);
       sent_ = allocation_->allocate(time, result_.wrench, result_.rate, sent_);
-    }
-  }
+    });
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
   return sent_.command;

@@ -2,6 +2,7 @@
 
 #include "actuator_instances.hpp"
 #include "imu_clock.hpp"
+#include "nmpc_by_nlopt.hpp"
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
@@ -54,14 +55,15 @@ class FlightController {
   static constexpr double sink_speed = 0.4, fastest_sink = 0.8;
   static constexpr double longest_hold = 10.0;  ///< then the vehicle lands [s]
 
-  /// Controls at the wrench level. Throws std::invalid_argument if the vehicle does not give every
-  /// wrench or has less than 4 rotors.
+  /// Controls at the wrench level, with `solved_by_nlopt_alone` much slower than in real time.
+  /// Throws std::invalid_argument if the vehicle does not give every wrench or has less than 4
+  /// rotors.
   FlightController(
       const tilt_ropter::Vehicle<Rotors>& vehicle, const tilt_ropter::NmpcSettings& settings,
       const tilt_ropter::EkfSettings& estimation,
       const tilt_ropter::WrenchObserverSettings& observer = tilt_ropter::observer_settings(20.0),
       const tilt_ropter::AllocationSettings& allocation = {},
-      ExternalWrench external = ExternalWrench::modelled);
+      ExternalWrench external = ExternalWrench::modelled, bool solved_by_nlopt_alone = false);
 
   /// Controls at the actuator level. The vehicle need not give every wrench.
   FlightController(
@@ -137,7 +139,7 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::WrenchObserverd& observer() const { return observer_; }
   [[nodiscard]] const tilt_ropter::AllocationResult<Rotors>& allocated() const { return sent_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
-  /// The controller at the wrench level; there is none at the actuator level.
+  /// The controller at the wrench level; there is none at the actuator level or by NLopt alone.
   [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return *nmpc_; }
   [[nodiscard]] bool at_wrench_level() const { return !actuator_nmpc_; }
 
@@ -145,6 +147,15 @@ class FlightController {
   [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
       const tilt_ropter::ActuatorState<Rotors>& actuators) const;
   void control_actuators(double time, bool measured);
+
+  // Calls action(nmpc) for the controller of the wrench level, if it is the one that controls.
+  template <typename Action>
+  void at_wrench_level(const Action& action) {
+    if constexpr (has_wrench_level<Rotors>) {
+      if (nmpc_) action(*nmpc_);
+      if (nmpc_by_nlopt_) action(*nmpc_by_nlopt_);
+    }
+  }
 
   // Stands in where there is no wrench level.
   struct Nothing {
@@ -156,12 +167,14 @@ class FlightController {
     }
   };
 
-  // At the wrench level the first two, at the actuator level the third.
+  // At the wrench level the allocation and one of the next two, at the actuator level the last.
   std::conditional_t<has_wrench_level<Rotors>, std::optional<tilt_ropter::Allocation<Rotors>>,
                      Nothing>
       allocation_;
   std::conditional_t<has_wrench_level<Rotors>, std::optional<tilt_ropter::Nmpc<Rotors>>, Nothing>
       nmpc_;
+  std::conditional_t<has_wrench_level<Rotors>, std::optional<NmpcByNlopt<Rotors>>, Nothing>
+      nmpc_by_nlopt_;
   std::optional<tilt_ropter::ActuatorNmpc<Rotors>> actuator_nmpc_;
   tilt_ropter::ActuatedBody<Rotors> body_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;

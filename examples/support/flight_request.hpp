@@ -81,6 +81,7 @@ struct FlightRequest {
   std::string vehicle;           ///< path as given, empty: the Tilt-Ropter
   std::string vehicle_contents;  ///< hash of this file, or empty
   std::string level;             ///< as given, empty: as the vehicle needs
+  std::string solver = "automatic";
 
   [[nodiscard]] std::uint64_t end() const { return first + count; }
 };
@@ -120,7 +121,8 @@ inline std::vector<std::pair<std::string, std::string>> request_lines(const Flig
           {"count", std::to_string(r.count)},
           {"vehicle", r.vehicle},
           {"vehicle_contents", r.vehicle_contents},
-          {"level", r.level}};
+          {"level", r.level},
+          {"solver", r.solver}};
 }
 
 }  // namespace detail
@@ -167,6 +169,7 @@ inline void write_request(const FlightRequest& request, const std::string& table
   r.vehicle = text("vehicle");
   r.vehicle_contents = text("vehicle_contents");
   r.level = text("level");
+  r.solver = text("solver");
   return r;
 }
 

@@ -13,6 +13,7 @@
 #include <iomanip>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <ostream>
 #include <sstream>
 #include <stdexcept>
@@ -63,7 +64,12 @@ namespace examples {
           {"touchdown_speed_mps", r.touchdown_speed},
           {"mode_changes", static_cast<double>(r.mode_changes)},
           {"solver_failures", static_cast<double>(r.solver_failures)},
-          {"false_alarms", static_cast<double>(r.false_alarms)}};
+          {"false_alarms", static_cast<double>(r.false_alarms)},
+          {"active_ticks", static_cast<double>(r.solver.active)},
+          {"riccati_ticks", static_cast<double>(r.solver.riccati)},
+          {"nlopt_ticks", static_cast<double>(r.solver.nlopt)},
+          {"structured_ticks", static_cast<double>(r.solver.structured)},
+          {"unsolved_ticks", static_cast<double>(r.solver.unsolved)}};
 }
 
 [[nodiscard]] inline std::vector<std::string> flight_columns() {
@@ -239,6 +245,12 @@ inline void print_flights(std::ostream& out, const CsvTable& flights, const std:
   const std::vector<double>& alarms = flights["false_alarms"];
   out << "false_alarms: "
       << std::count_if(alarms.begin(), alarms.end(), [](double v) { return v != 0.0; }) << '\n';
+  for (const char* name :
+       {"active_ticks", "riccati_ticks", "nlopt_ticks", "structured_ticks", "unsolved_ticks"}) {
+    const std::vector<double>& ticks = flights[name];
+    out << name << ": " << std::fixed << std::setprecision(0)
+        << std::accumulate(ticks.begin(), ticks.end(), 0.0) << '\n';
+  }
   out << std::fixed << std::setprecision(4);
   out << std::left << std::setw(22) << "percentile" << std::right;
   const std::vector<double> fractions = {0.05, 0.5, 0.95, 0.99, 1.0};

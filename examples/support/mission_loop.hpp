@@ -14,6 +14,7 @@
 #include "paper_switches.hpp"
 #include "progress.hpp"
 #include "sensor_suite.hpp"
+#include "solver_choice.hpp"
 #include "vehicle_choice.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
@@ -62,8 +63,9 @@ struct MissionOptions {
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path, model_path;
-  std::string level;    // "wrench" or "actuator"; empty: see level_for()
-  std::string imu_log;  // file for identify_vehicle, or empty
+  std::string level;                 // "wrench" or "actuator"; empty: see level_for()
+  std::string solver = "automatic";  // see add_solver()
+  std::string imu_log;               // file for identify_vehicle, or empty
   std::string failure;  // see parse_failure(); empty: none. An option of hybrid_mission only
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
@@ -86,6 +88,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
                  "JSON file of the vehicle that the controller assumes, such as identify_vehicle "
                  "writes it; the plant keeps that of --vehicle with the errors");
   add_level(app, options.level);
+  add_solver(app, options.solver);
   add_options(app, options.mission);
   app.add_option("--start-off", options.start_off,
                  "if the mission starts in flight: distance from the reference at the start [m]")
@@ -268,6 +271,7 @@ struct FlownMission {
   MissionFigures figures{0.0};
   BatteryFigures battery{{}};
   TrustFigures trust;
+  SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
   double duration = 0.0;  ///< of the mission [s]
@@ -290,6 +294,7 @@ template <int Rotors>
   if (options.no_ground_conditions) settings.problem.weights.ground.setZero();
   if (options.no_feed_forward) settings.wrench_reference = tilt_ropter::WrenchReference::hover;
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
+  set_solver(options.solver, settings.solver);
   return controls;
 }
 
@@ -325,6 +330,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   BatteryFigures& battery = flown.battery;
   flown.duration = mission.duration();
   const bool actuator_level = level_for(options.level, file) == "actuator";
+  if (actuator_level) require_no_nlopt_alone(options.solver);
   if constexpr (has_wrench_level<Rotors>)
     if (!actuator_level)  // the actuator level has no boxes for the wrench
       flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
@@ -340,14 +346,16 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   const ExternalWrench external = observer_inputs().at(options.observer);
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, vehicles.believed);
   actuator_settings.time_limit = settings.time_limit;
+  set_solver(options.solver, actuator_settings.solver);
   const double down_force = actuator_settings.ground.down_force;
   actuator_settings.ground = settings.ground;
   if (options.ground_thrust < 0.0) actuator_settings.ground.down_force = down_force;
   FlightController<Rotors> controller =
-      actuator_level ? FlightController<Rotors>(vehicles.believed, actuator_settings,
-                                                suite.estimation(), observer, external)
-                     : FlightController<Rotors>(vehicles.believed, settings, suite.estimation(),
-                                                observer, controls.allocation, external);
+      actuator_level
+          ? FlightController<Rotors>(vehicles.believed, actuator_settings, suite.estimation(),
+                                     observer, external)
+          : FlightController<Rotors>(vehicles.believed, settings, suite.estimation(), observer,
+                                     controls.allocation, external, options.solver == nlopt_alone);
   const PowerModel power_model(vehicles.truth,
                                controller.lift(vehicles.truth.body.mass * gravity).rotor_speed);
   ActuatorState<Rotors> command;
@@ -414,6 +422,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       figures.on_servos(command.tilt_angle, plant.actuators().tilt_angle,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
+      flown.solver.add(result.status, result.report);
       flown.trust.on_control(controller.trust().state, controller.mode(), controller.failure(),
                              steps_per_tick * step);
       if (log) {
@@ -496,6 +505,7 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
   std::ostringstream printed;
   printed << "level: " << level_for(options.level, file) << '\n';
   flown.figures.print(printed, flown.contact_mode_changes);
+  flown.solver.print(printed);
   flown.battery.print(printed);
   flown.trust.print(printed, flown.counts);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'

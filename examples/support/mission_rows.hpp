@@ -46,7 +46,8 @@ inline std::vector<std::string> mission_columns(int rotor_count, bool battery = 
   add("reference_orientation", {"w", "x", "y", "z"});
   for (const char* name :
        {"status", "filter_running", "filter_age_s", "observer_trust", "allocation_status",
-        "ground_height_m", "ground_force_n", "estimate_state", "flight_mode", "position_stddev_m"})
+        "ground_height_m", "ground_force_n", "estimate_state", "flight_mode", "position_stddev_m",
+        "solved_by", "nlopt_evaluations", "polishing_steps"})
     names.emplace_back(name);
   if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
@@ -79,6 +80,8 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add(contact.ground.height_at(body.position)).add(contact.ground_reaction.force.norm());
   log.add(static_cast<int>(controller.trust().state)).add(static_cast<int>(controller.mode()));
   log.add(controller.trust().position_stddev);
+  log.add(static_cast<int>(result.report.solved_by)).add(result.report.evaluations);
+  log.add(result.report.polishing_steps);
   if (battery != nullptr && battery->known())
     log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();

@@ -26,10 +26,10 @@ struct PaperSwitch {
   void (*set)(ControllerSettings& s, const tilt_ropter::NmpcSettings& paper);
 };
 
-[[nodiscard]] inline const std::array<PaperSwitch, 8>& paper_switches() {
+[[nodiscard]] inline const std::array<PaperSwitch, 9>& paper_switches() {
   using Settings = ControllerSettings;
   using Paper = tilt_ropter::NmpcSettings;
-  static const std::array<PaperSwitch, 8> all{{
+  static const std::array<PaperSwitch, 9> all{{
       {"cost", "the cost is on F and M themselves, not on their deviation from the wrench needed",
        [](Settings& s, const Paper& paper) {
          s.nmpc.wrench_reference = paper.wrench_reference;
@@ -58,6 +58,11 @@ struct PaperSwitch {
        }},
       {"lead", "commands do not lead the lags of servos and rotors",
        [](Settings& s, const Paper&) { s.allocation.lag_compensation = 0.0; }},
+      {"limits", "each program is solved, however many passes and how much time it takes",
+       [](Settings& s, const Paper& paper) {
+         s.nmpc.solver = paper.solver;
+         s.nmpc.time_limit = paper.time_limit;
+       }},
   }};
   return all;
 }

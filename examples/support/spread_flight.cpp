@@ -6,6 +6,7 @@
 #include "loss_watch.hpp"
 #include "mission_log.hpp"
 #include "mission_rows.hpp"
+#include "solver_choice.hpp"
 #include "statistics.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
@@ -96,7 +97,7 @@ Eigen::Matrix<double, Rotors, 1> hover_speeds(const FlightController<Rotors>& co
 template <int Rotors>
 FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFile& file,
                  const tilt_ropter::Vehicle<Rotors>& believed, const std::string& level,
-                 const std::string& log_directory) {
+                 const std::string& solver, const std::string& log_directory) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
@@ -130,9 +131,11 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   RotorSpeedSensor<Rotors> rotor_speeds(speed_parameters, random.bits());
   PoseSensor poses(capture, random.bits());
   Wind wind(draw, random.bits());
-  const NmpcSettings settings = in_simulated_time(file.settings());
+  NmpcSettings settings = in_simulated_time(file.settings());
+  set_solver(solver, settings.solver);
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, believed);
   actuator_settings.time_limit = settings.time_limit;
+  set_solver(solver, actuator_settings.solver);
   FlightController<Rotors> controller =
       level == "actuator" ? FlightController<Rotors>(believed, actuator_settings, estimation)
                           : FlightController<Rotors>(believed, settings, estimation);
@@ -186,6 +189,7 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
         controller.prepare(time, reference);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
         if (!has_plan(controller.result().status)) ++record.solver_failures;
+        record.solver.add(controller.result().status, controller.result().report);
         if (logs) logs->add(mission, plant, controller, power_now, battery);
       }
     }
@@ -243,14 +247,15 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
 
 }  // namespace
 
-SpreadFlight fly_spread(const VehicleFile& file, const std::string& level, std::uint64_t seed,
-                        std::uint64_t index, const std::string& log_directory) {
+SpreadFlight fly_spread(const VehicleFile& file, const std::string& level,
+                        const std::string& solver, std::uint64_t seed, std::uint64_t index,
+                        const std::string& log_directory) {
   RandomStream random(seed, index);
   return std::visit(
       [&](const auto& believed) {
         SpreadFlight flight;
         flight.draw = draw_vehicle(random, believed.body.inertia);
-        flight.record = fly(flight.draw, random, file, believed, level, log_directory);
+        flight.record = fly(flight.draw, random, file, believed, level, solver, log_directory);
         return flight;
       },
       file.vehicle);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "solver_choice.hpp"
 #include "vehicle_choice.hpp"
 #include "vehicle_spread.hpp"
 
@@ -43,6 +44,7 @@ struct FlightRecord {
   double flight_power = 0.0, ground_power = 0.0;                 ///< mean power [W]
   double touchdown_speed = 0.0;  ///< largest of all touchdowns [m/s]
   int mode_changes = 0, solver_failures = 0;
+  SolverTicks solver;
   int false_alarms = 0;  ///< 1 if the controller found a failed actuator; none fails
 };
 
@@ -54,12 +56,13 @@ struct SpreadFlight {
 
 /// Draws vehicle `index` of `seed` and flies the hybrid mission with it, or the part of the mission
 /// that it can do, while the controller assumes the vehicle of `file`. `level`: "wrench" or
-/// "actuator", see level_for(). With a `log_directory`, writes the logs of hybrid_mission there.
-/// The same arguments give exactly the same result, with and without logs, in any thread. Compiled
-/// only once, in spread_flight.cpp, because with fused multiply-add (-march=native) two copies can
-/// differ by rounding errors. Throws std::runtime_error if a log cannot be written.
+/// "actuator", see level_for(). `solver`: see add_solver_in_real_time(). With a `log_directory`,
+/// writes the logs of hybrid_mission there. The same arguments give exactly the same result, with
+/// and without logs, in any thread. Compiled only once, in spread_flight.cpp, because with fused
+/// multiply-add (-march=native) two copies can differ by rounding errors. Throws std::runtime_error
+/// if a log cannot be written.
 [[nodiscard]] SpreadFlight fly_spread(const VehicleFile& file, const std::string& level,
-                                      std::uint64_t seed, std::uint64_t index,
-                                      const std::string& log_directory = "");
+                                      const std::string& solver, std::uint64_t seed,
+                                      std::uint64_t index, const std::string& log_directory = "");
 
 }  // namespace examples

@@ -2,6 +2,7 @@
 
 #include "actuator_instances.hpp"
 #include "program_audit.hpp"
+#include "solver_choice.hpp"
 #include "vehicle_spread.hpp"
 
 #include <tilt_ropter/actuation/actuated_body.hpp>
@@ -137,6 +138,7 @@ struct StressRecord {
   double worst_solved = 0.0;       ///< largest recomputed residual of a tick with the status solved
   /// Number of ticks with the status solved and a residual above the limit.
   int unsolved_called_solved = 0;
+  SolverTicks solver;                 ///< of ticks after the disturbance
   int approximate = 0, failures = 0;  ///< numbers of approximate and failed ticks
   /// Most Riccati passes, rounds of NLopt and gradient evaluations by NLopt in a tick.
   int most_passes = 0, most_rounds = 0, most_evaluations = 0;
@@ -325,6 +327,7 @@ template <template <int> class Level, int Rotors, typename Settings>
     } else {
       ++record.failures;
     }
+    if (i >= before) record.solver.add(result.status, result.report);
     record.most_passes = std::max(record.most_passes, result.report.passes);
     record.most_rounds = std::max(record.most_rounds, result.report.rounds);
     record.most_evaluations = std::max(record.most_evaluations, result.report.evaluations);

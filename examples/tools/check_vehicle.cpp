@@ -7,6 +7,7 @@
 #include "../support/pictures.hpp"
 #include "../support/run_program.hpp"
 #include "../support/simulated_mission.hpp"
+#include "../support/solver_choice.hpp"
 #include "../support/steady_flight.hpp"
 #include "../support/vehicle_choice.hpp"
 
@@ -42,7 +43,7 @@ using namespace tilt_ropter;
 namespace {
 
 struct Options {
-  std::string input, output = "results";
+  std::string input, output = "results", solver = "automatic";
   double usable = 0.8;
   bool no_pictures = false, no_flight = false;
 };
@@ -312,6 +313,7 @@ void fly(const Options& options, const examples::VehicleFile& file, Findings& fi
   examples::MissionOptions mission;
   mission.vehicle_path = options.input;
   mission.no_log = true;
+  mission.solver = options.solver;
   const examples::FlownMission flown =
       examples::fly_simulated(mission, file, [](double, MissionPhase) {});
   const examples::MissionFigures& figures = flown.figures;
@@ -330,6 +332,7 @@ void fly(const Options& options, const examples::VehicleFile& file, Findings& fi
   tracking("mission", figures.all());
   if (file.undercarriage()) line("flown_touchdown_mps", figures.touchdown_speed());
   line("flown_lean_max_deg", flown.lean * 180.0 / pi);
+  flown.solver.print(std::cout);
   if (!(figures.touchdown_speed() < hard))
     findings.error("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
   else if (figures.touchdown_speed() > soft)
@@ -478,6 +481,7 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.1, 1.0))
       ->capture_default_str();
   app.add_flag("--no-pictures", options.no_pictures, "write only the envelope");
+  examples::add_solver_in_real_time(app, options.solver);
   app.add_flag("--no-flight", options.no_flight, "do not fly the mission in simulation");
   app.footer(footer);
   return examples::run_program(app, "check_vehicle", argc, argv, [&options] {

@@ -92,28 +92,6 @@ WheeledFlightProblem<0> benchmark_problem(examples::InstanceBounds bounds) {
   return WheeledFlightProblem<0>(body, settings);
 }
 
-const char* to_string(optimal_control::SolveStatus status) {
-  switch (status) {
-    case optimal_control::SolveStatus::converged:
-      return "converged";
-    case optimal_control::SolveStatus::iterated:
-      return "iterated";
-    case optimal_control::SolveStatus::infeasible:
-      return "infeasible";
-    case optimal_control::SolveStatus::iteration_limit:
-      return "iteration_limit";
-    case optimal_control::SolveStatus::time_limit:
-      return "time_limit";
-    case optimal_control::SolveStatus::stalled:
-      return "stalled";
-    case optimal_control::SolveStatus::failed:
-      return "failed";
-    case optimal_control::SolveStatus::rejected:
-      return "rejected";
-  }
-  return "unknown";
-}
-
 /// Largest of the added numbers; NaN if one of them is NaN.
 struct Largest {
   double value = 0.0;

@@ -31,6 +31,8 @@ std::vector<double> fields(const NmpcSettings& s, const AllocationSettings& allo
           s.problem.weights.ground.x(),
           s.problem.weights.ground_thrust,
           s.ground.settling_speed,
+          static_cast<double>(s.solver.program.max_passes),
+          s.time_limit,
           allocation.lag_compensation};
 }
 

@@ -135,7 +135,7 @@ TEST(Vehicles, ComparesFullActuationWithLeaning) {
     std::istringstream fields(line.substr(line.rfind('"') + 2));
     std::vector<std::string> columns;
     for (std::string field; std::getline(fields, field, ',');) columns.push_back(field);
-    ASSERT_EQ(columns.size(), 11u) << line;
+    ASSERT_EQ(columns.size(), 16u) << line;
     ground.push_back(std::stod(columns[3]));
     lean.push_back(std::stod(columns[5]));
     power.push_back(std::stod(columns[7]));
