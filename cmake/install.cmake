@@ -16,7 +16,7 @@ install(FILES "${CMAKE_CURRENT_BINARY_DIR}/tilt_ropter.pc"
   DESTINATION "${CMAKE_INSTALL_DATADIR}/pkgconfig")
 install(FILES LICENSE DESTINATION "${CMAKE_INSTALL_DOCDIR}")
 # Separate export, so that the core can be found without NLopt.
-install(TARGETS tilt_ropter_core EXPORT tilt_ropterCoreTargets)
+install(TARGETS tilt_ropter_core tilt_ropter_identification EXPORT tilt_ropterCoreTargets)
 install(EXPORT tilt_ropterCoreTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
 install(TARGETS tilt_ropter EXPORT tilt_ropterTargets)
 install(EXPORT tilt_ropterTargets NAMESPACE tilt_ropter:: DESTINATION "${package_dir}")
@@ -27,7 +27,7 @@ install(FILES
   cmake/compiled.cmake
   cmake/vehicle_file.cmake
   DESTINATION "${package_dir}")
-install(DIRECTORY examples/vehicle_file DESTINATION "${package_dir}")
+install(DIRECTORY cmake/vehicle_file DESTINATION "${package_dir}")
 
 if(NOT top_level)
   return()

@@ -6,10 +6,7 @@ if(TARGET tilt_ropter_vehicle_file)
   return()
 endif()
 function(tilt_ropter_add_vehicle_file)  # a function, so that no variable of the user changes
-  set(folder "${CMAKE_CURRENT_LIST_DIR}/vehicle_file")  # if installed
-  if(NOT IS_DIRECTORY "${folder}")
-    set(folder "${CMAKE_CURRENT_LIST_DIR}/../examples/vehicle_file")
-  endif()
+  set(folder "${CMAKE_CURRENT_LIST_DIR}/vehicle_file")
   add_library(tilt_ropter_vehicle_file STATIC EXCLUDE_FROM_ALL
     "${folder}/tilt_ropter/vehicle_file.cpp")
   add_library(tilt_ropter::vehicle_file ALIAS tilt_ropter_vehicle_file)

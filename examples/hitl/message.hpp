@@ -5,7 +5,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
-#include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

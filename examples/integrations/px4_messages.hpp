@@ -3,7 +3,7 @@
 #include "messages.hpp"
 
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
-#include <tilt_ropter/model/ned.hpp>
+#include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>

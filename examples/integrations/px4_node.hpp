@@ -13,10 +13,9 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/ned.hpp>
+#include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/model/wrench.hpp>
 
 #include <cmath>
 #include <cstdint>

@@ -8,9 +8,8 @@
 #include "parameters.hpp"
 #include "telemetry.hpp"
 
-#include <tilt_ropter/control/nmpc_result.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/ekf_health.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

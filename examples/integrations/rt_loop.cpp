@@ -11,8 +11,8 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <CLI/CLI.hpp>

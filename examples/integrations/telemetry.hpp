@@ -7,9 +7,9 @@
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

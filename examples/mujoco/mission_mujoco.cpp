@@ -10,7 +10,7 @@
 #include "film.hpp"
 #endif
 
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <CLI/CLI.hpp>
 

@@ -3,7 +3,7 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/wheel_contact.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

@@ -4,7 +4,7 @@
 #include "../support/simulated_servo.hpp"
 #include "table.hpp"
 
-#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <cstddef>

@@ -2,7 +2,7 @@
 
 #include "statistics.hpp"
 
-#include <tilt_ropter/actuation/battery.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <algorithm>

@@ -2,7 +2,7 @@
 
 #include "vehicle_choice.hpp"
 
-#include <tilt_ropter/control/actuator_nmpc_settings.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <CLI/CLI.hpp>

@@ -2,7 +2,7 @@
 
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <cmath>
 #include <cstddef>

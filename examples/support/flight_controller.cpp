@@ -1,6 +1,6 @@
 #include "flight_controller.hpp"
 
-#include <tilt_ropter/math/clock.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
 
 #include <algorithm>
 #include <cmath>

@@ -4,14 +4,14 @@
 #include "imu_clock.hpp"
 #include "nmpc_by_nlopt.hpp"
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
 

@@ -3,7 +3,7 @@
 #include "csv.hpp"
 #include "mission_log.hpp"
 
-#include <tilt_ropter/estimation/vehicle_log.hpp>
+#include <tilt_ropter/identification/vehicle_log.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 

@@ -4,7 +4,6 @@
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>

@@ -1,12 +1,12 @@
 #include "mission_file.hpp"
 
-#include "../vehicle_file/tilt_ropter/json_fields.hpp"
+#include "../../cmake/vehicle_file/tilt_ropter/json_fields.hpp"
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 
 #include <Eigen/Core>

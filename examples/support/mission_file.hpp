@@ -1,6 +1,6 @@
 #pragma once
 
-#include "../vehicle_file/tilt_ropter/input_file_error.hpp"
+#include "../../cmake/vehicle_file/tilt_ropter/input_file_error.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>

@@ -2,7 +2,6 @@
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
 #include <Eigen/Core>

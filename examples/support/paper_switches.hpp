@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/actuation/allocation_settings.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 
 #include <CLI/CLI.hpp>

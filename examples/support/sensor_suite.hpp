@@ -3,14 +3,10 @@
 #include "mission_sensors.hpp"
 
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/delay_queue.hpp>
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <Eigen/Core>
 

@@ -1,6 +1,6 @@
 #include "simulated_mission.hpp"
 
-#include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <optional>

@@ -1,10 +1,10 @@
 #pragma once
 
 #include <tilt_ropter/actuation/servo.hpp>
-#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <algorithm>
 #include <cmath>

@@ -1,7 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/control/nmpc_result.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 
 #include <CLI/CLI.hpp>

@@ -1,8 +1,7 @@
 #pragma once
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
-#include <tilt_ropter/actuation/thrust_inverse.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

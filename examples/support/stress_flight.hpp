@@ -5,8 +5,8 @@
 #include "solver_choice.hpp"
 #include "vehicle_spread.hpp"
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "../vehicle_file/tilt_ropter/vehicle_file.hpp"
+#include "../../cmake/vehicle_file/tilt_ropter/vehicle_file.hpp"
 #include "wrench_level.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>

@@ -13,14 +13,12 @@
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/battery.hpp>
-#include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/propeller_clearance.hpp>
+#include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>

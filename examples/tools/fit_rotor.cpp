@@ -9,7 +9,7 @@
 #include "../support/rotor_fit.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
 
 #include <CLI/CLI.hpp>
 

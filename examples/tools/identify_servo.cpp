@@ -7,7 +7,7 @@
 #include "../support/mission_log.hpp"
 #include "../support/simulated_servo.hpp"
 
-#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
 
 #include <CLI/CLI.hpp>
 

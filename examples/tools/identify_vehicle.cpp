@@ -9,7 +9,7 @@
 #include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/estimation/vehicle_identification.hpp>
+#include <tilt_ropter/identification/vehicle_identification.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <CLI/CLI.hpp>

@@ -8,9 +8,9 @@
 #include "../support/progress.hpp"
 #include "../support/statistics.hpp"
 
-#include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/log_calibration.hpp>
+#include <tilt_ropter/identification/clock_calibration.hpp>
+#include <tilt_ropter/identification/log_calibration.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <CLI/CLI.hpp>

@@ -26,7 +26,7 @@
 #include "../support/instances.hpp"
 #include "../support/statistics.hpp"
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include <unistd.h>

@@ -2,7 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/compiled.hpp>
-#include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 
 /// Same as compiled.hpp, for programs that use ActuatorNmpc. It is a separate header because its
 /// declarations cost every file that includes it half a second.

@@ -1,132 +1,32 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-/// Includes the whole library; without NLopt, all headers except the headers that solve with NLopt.
-/// Including only the headers of one component compiles faster. Each header can be included alone.
-/// Not here are headers that a program uses once, at a desk: model/propeller_clearance.hpp,
-/// optimal_control/derivative_check.hpp, and clock_calibration.hpp, servo_identification.hpp and
-/// vehicle_identification.hpp of estimation/.
-#include <tilt_ropter/actuation/actuated_body.hpp>
-#include <tilt_ropter/actuation/actuated_state.hpp>
+/// What a loop needs; without NLopt, all of it but what solves with NLopt. Including only the
+/// headers of one piece compiles faster. Each header can be included alone. Not here is what is
+/// used at a desk: identification/, optimal_control/derivative_check.hpp,
+/// optimal_control/single_shooting.hpp.
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/allocation_settings.hpp>
-#include <tilt_ropter/actuation/battery.hpp>
-#include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
-#include <tilt_ropter/actuation/rotor.hpp>
-#include <tilt_ropter/actuation/servo.hpp>
-#include <tilt_ropter/actuation/thrust_choice.hpp>
-#include <tilt_ropter/actuation/thrust_inverse.hpp>
-#include <tilt_ropter/actuation/thrust_limits.hpp>
-#include <tilt_ropter/actuation/thrust_program.hpp>
-#include <tilt_ropter/actuation/thrust_search.hpp>
-#include <tilt_ropter/control/actuator_constraints.hpp>
-#include <tilt_ropter/control/actuator_level_problem.hpp>
-#include <tilt_ropter/control/actuator_level_settings.hpp>
-#include <tilt_ropter/control/actuator_nmpc_settings.hpp>
-#include <tilt_ropter/control/cost_after_horizon.hpp>
-#include <tilt_ropter/control/flight_node.hpp>
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/ground_contact_settings.hpp>
-#include <tilt_ropter/control/nmpc_result.hpp>
-#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
-#include <tilt_ropter/control/wheeled_flight_settings.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
-#include <tilt_ropter/estimation/contact_estimator_settings.hpp>
-#include <tilt_ropter/estimation/disputes.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/ekf_health.hpp>
-#include <tilt_ropter/estimation/ekf_settings.hpp>
-#include <tilt_ropter/estimation/ekf_start.hpp>
-#include <tilt_ropter/estimation/ekf_trust.hpp>
-#include <tilt_ropter/estimation/error_state_filter.hpp>
-#include <tilt_ropter/estimation/imu_history.hpp>
-#include <tilt_ropter/estimation/inertial_state.hpp>
-#include <tilt_ropter/estimation/measurement_model.hpp>
-#include <tilt_ropter/estimation/measurement_queue.hpp>
-#include <tilt_ropter/estimation/pose_faults.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/math/clock.hpp>
-#include <tilt_ropter/math/entries.hpp>
-#include <tilt_ropter/math/finite.hpp>
-#include <tilt_ropter/math/lanes.hpp>
-#include <tilt_ropter/math/one_processor.hpp>
-#include <tilt_ropter/math/packet.hpp>
-#include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/math/singular_values.hpp>
-#include <tilt_ropter/math/triple.hpp>
-#include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/body_step.hpp>
-#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
-#include <tilt_ropter/model/measurements.hpp>
-#include <tilt_ropter/model/ned.hpp>
-#include <tilt_ropter/model/rigid_body.hpp>
-#include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/model/vehicle_parts.hpp>
-#include <tilt_ropter/model/wrench.hpp>
-#include <tilt_ropter/optimal_control/active_set.hpp>
-#include <tilt_ropter/optimal_control/adjoint_batch.hpp>
-#include <tilt_ropter/optimal_control/anderson.hpp>
-#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
-#include <tilt_ropter/optimal_control/best_plan.hpp>
-#include <tilt_ropter/optimal_control/bounded_sides.hpp>
-#include <tilt_ropter/optimal_control/cholesky.hpp>
 #include <tilt_ropter/optimal_control/free_start.hpp>
-#include <tilt_ropter/optimal_control/interior_point.hpp>
-#include <tilt_ropter/optimal_control/merit.hpp>
-#include <tilt_ropter/optimal_control/node_constraints.hpp>
-#include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_constraints.hpp>
-#include <tilt_ropter/optimal_control/riccati.hpp>
-#include <tilt_ropter/optimal_control/riccati_equation.hpp>
-#include <tilt_ropter/optimal_control/riccati_stage.hpp>
-#include <tilt_ropter/optimal_control/scaled_problem.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
-#include <tilt_ropter/optimal_control/solver_settings.hpp>
-#include <tilt_ropter/optimal_control/step_search.hpp>
-#include <tilt_ropter/optimal_control/subproblem.hpp>
-#include <tilt_ropter/optimal_control/trajectory.hpp>
 #include <tilt_ropter/planning/excitation.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
-#include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
-#include <tilt_ropter/planning/minimum_snap_settings.hpp>
 #include <tilt_ropter/planning/mission.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/planning/sampled_path.hpp>
-#include <tilt_ropter/planning/transition.hpp>
-#include <tilt_ropter/simulation/delay_queue.hpp>
-#include <tilt_ropter/simulation/gaussian_noise.hpp>
-#include <tilt_ropter/simulation/imu_sensor.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
-#include <tilt_ropter/simulation/sensor_core.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
-#include <tilt_ropter/simulation/wheel_contact.hpp>
 #include <tilt_ropter/version.hpp>
 
 #if __has_include(<nlopt.h>)
-#include <tilt_ropter/control/actuator_nmpc.hpp>
-#include <tilt_ropter/control/actuator_plan.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/control/plan_in_force.hpp>
-#include <tilt_ropter/control/receding_horizon.hpp>
-#include <tilt_ropter/optimal_control/dual_method.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
-#include <tilt_ropter/optimal_control/multipliers.hpp>
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
-#include <tilt_ropter/optimal_control/single_shooting.hpp>
 #endif

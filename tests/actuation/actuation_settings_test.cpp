@@ -1,12 +1,10 @@
 // Every limit of the settings and constructors of actuators and allocation, by the name in the
 // message.
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/actuation/battery.hpp>
-#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>

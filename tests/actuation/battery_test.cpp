@@ -1,4 +1,4 @@
-#include <tilt_ropter/actuation/battery.hpp>
+#include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/actuation/actuated_body.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 
 #include "support/random.hpp"

@@ -1,5 +1,5 @@
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/thrust_inverse.hpp>
+#include <tilt_ropter/actuation/detail/thrust_inverse.hpp>
 
 #include "support/random.hpp"
 #include "support/vehicles.hpp"

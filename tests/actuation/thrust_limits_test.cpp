@@ -1,4 +1,4 @@
-#include <tilt_ropter/actuation/thrust_limits.hpp>
+#include <tilt_ropter/actuation/detail/thrust_limits.hpp>
 
 #include <gtest/gtest.h>
 

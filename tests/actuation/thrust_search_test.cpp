@@ -1,7 +1,7 @@
 // CTest: optimised
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/actuation/thrust_search.hpp>
+#include <tilt_ropter/actuation/detail/thrust_search.hpp>
 
 #include <gtest/gtest.h>
 

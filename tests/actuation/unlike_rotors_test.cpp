@@ -4,10 +4,9 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/actuation/control_authority.hpp>
 #include <tilt_ropter/actuation/power.hpp>
-#include <tilt_ropter/control/actuator_constraints.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/actuator_constraints.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include "support/random.hpp"

@@ -2,8 +2,8 @@
 
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/error_state_filter.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

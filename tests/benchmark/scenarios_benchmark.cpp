@@ -5,7 +5,7 @@
 #include "dense_riccati.hpp"
 #include "scenarios.hpp"
 
-#include <tilt_ropter/planning/experiments.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 
 #include "support/actuator_loop.hpp"
 

@@ -4,7 +4,7 @@
 #include "../../examples/support/statistics.hpp"
 #include "scenarios.hpp"
 
-#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/optimal_control/detail/multipliers.hpp>
 
 #include "support/random.hpp"
 

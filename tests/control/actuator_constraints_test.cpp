@@ -1,6 +1,6 @@
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/actuator_constraints.hpp>
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/control/detail/actuator_constraints.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"

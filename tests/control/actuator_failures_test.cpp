@@ -1,6 +1,6 @@
 // CTest: flight
 
-#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 #include <tilt_ropter/simulation/plant.hpp>

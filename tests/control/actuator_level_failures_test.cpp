@@ -1,9 +1,9 @@
 // CTest: flight
 
-#include <tilt_ropter/actuation/control_authority.hpp>
+#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 
 #include "support/actuator_loop.hpp"

@@ -1,4 +1,4 @@
-#include <tilt_ropter/control/actuator_level_problem.hpp>
+#include <tilt_ropter/control/detail/actuator_level_problem.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/full_run.hpp"

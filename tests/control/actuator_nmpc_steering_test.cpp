@@ -1,7 +1,7 @@
 // A vehicle that cannot push along its axle steers: its wheels give the side force that turns the
 // velocity with the heading. All other vehicles, and all vehicles in the air, do not steer.
 
-#include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 

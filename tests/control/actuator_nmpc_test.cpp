@@ -1,6 +1,5 @@
-#include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include "support/actuator_loop.hpp"

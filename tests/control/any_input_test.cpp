@@ -9,14 +9,14 @@
 #include "support/simulated_time.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
-#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 
 #include <gtest/gtest.h>
 

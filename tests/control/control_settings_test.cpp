@@ -1,13 +1,9 @@
 // Every limit of the controllers' settings, by the name in the message.
 
-#include <tilt_ropter/control/actuator_constraints.hpp>
-#include <tilt_ropter/control/actuator_level_settings.hpp>
-#include <tilt_ropter/control/actuator_nmpc_settings.hpp>
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/ground_contact_settings.hpp>
+#include <tilt_ropter/control/detail/actuator_constraints.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
-#include <tilt_ropter/control/wheeled_flight_settings.hpp>
 
 #include "support/refusals.hpp"
 

@@ -1,8 +1,8 @@
 // add_curvature() of both control levels against differences of the exact first derivatives.
 
-#include <tilt_ropter/control/actuator_level_problem.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/control/detail/actuator_level_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 
 #include "support/random.hpp"
 #include "support/states.hpp"

@@ -9,9 +9,9 @@
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>

@@ -6,8 +6,8 @@
 #include "support/hovering.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>

@@ -1,9 +1,9 @@
 // The default of each setting acts with the value that its comment gives. The controller of the 1.5
 // kg vehicle uses these defaults on the ground.
 
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/ground_contact_settings.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
+#include <tilt_ropter/control/detail/reference_wrench.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,6 +1,6 @@
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
+#include <tilt_ropter/control/detail/reference_wrench.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>

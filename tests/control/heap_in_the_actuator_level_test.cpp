@@ -1,8 +1,8 @@
 // After construction and a few ticks no function of the control loop at the actuator level uses the
 // heap, except NLopt.
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
-#include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include "support/actuator_loop.hpp"

@@ -3,8 +3,8 @@
 
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
-#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/detail/multipliers.hpp>
 
 #include "support/allocation_counter.hpp"
 #include "support/benchmark_problem.hpp"

@@ -4,7 +4,6 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/nmpc.hpp>

@@ -1,7 +1,7 @@
 #include "support/vehicles.hpp"
 
+#include <tilt_ropter/control/detail/reference_wrench.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
-#include <tilt_ropter/control/plan_in_force.hpp>
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/plan_in_force.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include "support/benchmark_problem.hpp"

@@ -1,8 +1,8 @@
 // Wrench of a reference, and the thrust on the ground.
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
-#include <tilt_ropter/control/ground_contact.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
+#include <tilt_ropter/control/detail/reference_wrench.hpp>
 
 #include <gtest/gtest.h>
 

@@ -10,7 +10,7 @@
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

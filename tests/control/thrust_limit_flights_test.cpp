@@ -3,7 +3,6 @@
 // the plans of a quarter of these flights diverge until the vehicle falls.
 // CTest: flight
 
-#include <tilt_ropter/control/actuator_nmpc.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 
 #include <tilt_ropter/actuation/allocation.hpp>

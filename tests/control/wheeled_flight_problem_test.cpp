@@ -1,6 +1,6 @@
 // CTest: optimised
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/benchmark_problem.hpp"

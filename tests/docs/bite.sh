@@ -23,8 +23,8 @@ include_dir=$(realpath "$1")
 here=$(realpath "$here")
 names=("$here/names.sh" include)
 equations=("$here/equations.sh" include equations.md)
-finds "model/wrench.hpp has no leaver" 's/`lever`/`leaver`/' \
-  include/tilt_ropter/model/wrench.hpp "${names[@]}"
+finds "model/state.hpp has no leaver" 's/`lever`/`leaver`/' \
+  include/tilt_ropter/model/state.hpp "${names[@]}"
 finds "no row in equations.md for actuation/power.hpp|Sec. Energy Efficiency" '/PowerModel/d' \
   equations.md "${equations[@]}"
 finds "no row in equations.md for actuation/rotor.hpp|Eq. nowhere" \

@@ -1,8 +1,7 @@
 // Measurements of something at rest: poses of another object, fixes that stand still.
 
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "support/level_circle.hpp"
 #include "support/random.hpp"

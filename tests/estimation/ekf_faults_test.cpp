@@ -1,8 +1,8 @@
 // Missing poses, outliers, restarts and arbitrary input.
 // CTest: optimised
 
+#include <tilt_ropter/estimation/detail/ekf_start.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/ekf_start.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include "support/check_table.hpp"

@@ -1,8 +1,7 @@
 // Gaps of the IMU, and clocks that are set back.
 
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "support/ekf_flights.hpp"
 #include "support/flights.hpp"

@@ -1,6 +1,6 @@
 // State and covariance with which the filter starts and restarts at a pose.
 
-#include <tilt_ropter/estimation/ekf_start.hpp>
+#include <tilt_ropter/estimation/detail/ekf_start.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include "support/random.hpp"

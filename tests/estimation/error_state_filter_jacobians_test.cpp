@@ -1,6 +1,6 @@
 // Predicted covariance, innovation and update against automatic differentiation.
 
-#include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/check_table.hpp"

@@ -1,6 +1,6 @@
 // Retraction, propagation, long flights and settings out of range.
 
-#include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 
 #include "support/error_states.hpp"
 #include "support/flights.hpp"

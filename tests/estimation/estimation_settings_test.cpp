@@ -1,12 +1,12 @@
 // Every limit of the settings of filters, observers and calibrations, by the name in the message.
 
-#include <tilt_ropter/estimation/clock_calibration.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/log_calibration.hpp>
-#include <tilt_ropter/estimation/servo_identification.hpp>
-#include <tilt_ropter/estimation/vehicle_identification.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/identification/clock_calibration.hpp>
+#include <tilt_ropter/identification/log_calibration.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
+#include <tilt_ropter/identification/vehicle_identification.hpp>
 
 #include "support/refusals.hpp"
 

@@ -2,9 +2,7 @@
 // its measurements.
 
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "support/allocation_counter.hpp"
 #include "support/flights.hpp"

@@ -1,8 +1,6 @@
 // The Jacobian of every measurement model against automatic differentiation, and its residual.
 
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/error_states.hpp"

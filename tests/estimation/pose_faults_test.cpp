@@ -1,7 +1,7 @@
 // Repetitions of measurements, and stamps whose clock jitters or steps.
 
+#include <tilt_ropter/estimation/detail/pose_faults.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/pose_faults.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>

@@ -9,8 +9,8 @@
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>

@@ -7,7 +7,7 @@
 #include "../../examples/support/csv.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 #include "support/full_run.hpp"
 #include "support/identification_flights.hpp"
 
-#include <tilt_ropter/estimation/vehicle_identification.hpp>
+#include <tilt_ropter/identification/vehicle_identification.hpp>
 
 #include <gtest/gtest.h>
 

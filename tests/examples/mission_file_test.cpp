@@ -5,7 +5,6 @@
 #include "support/program.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <gtest/gtest.h>

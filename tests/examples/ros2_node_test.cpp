@@ -5,7 +5,7 @@
 #include "support/program.hpp"
 #include "support/ros2_vehicle.hpp"
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include <gtest/gtest.h>

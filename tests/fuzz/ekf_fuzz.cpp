@@ -1,9 +1,7 @@
 // The state estimator with any samples, poses and time stamps.
 
 #include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/position_models.hpp>
-#include <tilt_ropter/estimation/velocity_models.hpp>
-#include <tilt_ropter/estimation/wheel_models.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "fuzz/input.hpp"
 

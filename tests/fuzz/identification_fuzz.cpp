@@ -1,7 +1,7 @@
 // Identification of a servo and of the clocks, from any logs with any settings.
 
-#include <tilt_ropter/estimation/clock_calibration.hpp>
-#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/identification/clock_calibration.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
 
 #include "fuzz/input.hpp"
 

@@ -4,7 +4,7 @@
 #include "../../examples/support/mission_file.hpp"
 #include "fuzz/input.hpp"
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <algorithm>

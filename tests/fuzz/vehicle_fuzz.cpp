@@ -1,7 +1,6 @@
 // Parameters of a vehicle: rejected, or valid for allocation, power, servos and rotors.
 
 #include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/actuation/battery.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/servo.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

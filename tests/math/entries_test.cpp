@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/entries.hpp>
+#include <tilt_ropter/math/detail/entries.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/detail/lanes.hpp>
 
 #include "support/random.hpp"
 

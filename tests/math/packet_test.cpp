@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/packet.hpp>
+#include <tilt_ropter/math/detail/packet.hpp>
 
 #include <gtest/gtest.h>
 

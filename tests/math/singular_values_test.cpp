@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/singular_values.hpp>
+#include <tilt_ropter/math/detail/singular_values.hpp>
 
 #include "support/random.hpp"
 

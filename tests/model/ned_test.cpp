@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/ned.hpp>
+#include <tilt_ropter/model/frames.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/random.hpp"

@@ -1,6 +1,6 @@
 // CTest: optimised
 
-#include <tilt_ropter/model/propeller_clearance.hpp>
+#include <tilt_ropter/model/frames.hpp>
 
 #include <gtest/gtest.h>
 

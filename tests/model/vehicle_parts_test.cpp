@@ -1,7 +1,6 @@
 // Every limit of the parameters of a vehicle, by the name in the message.
 
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/model/vehicle_parts.hpp>
 
 #include "support/refusals.hpp"
 

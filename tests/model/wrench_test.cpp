@@ -1,4 +1,4 @@
-#include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/model/state.hpp>
 
 #include "support/autodiff.hpp"
 #include "support/random.hpp"

@@ -1,6 +1,6 @@
-#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 
 #include "support/benchmark_problem.hpp"
 #include "support/double_integrator.hpp"

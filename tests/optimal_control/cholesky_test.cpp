@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/cholesky.hpp>
+#include <tilt_ropter/optimal_control/detail/cholesky.hpp>
 
 #include "support/random.hpp"
 

@@ -2,7 +2,7 @@
 
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 
 #include "support/circle_problem.hpp"
 #include "support/full_run.hpp"

@@ -1,7 +1,7 @@
-#include <tilt_ropter/optimal_control/merit.hpp>
+#include <tilt_ropter/optimal_control/detail/merit.hpp>
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
+#include <tilt_ropter/optimal_control/detail/quadratic_program.hpp>
 
 #include "support/benchmark_problem.hpp"
 #include "support/quadrotor.hpp"

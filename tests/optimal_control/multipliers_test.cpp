@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/multipliers.hpp>
+#include <tilt_ropter/optimal_control/detail/multipliers.hpp>
 
 #include "support/random.hpp"
 

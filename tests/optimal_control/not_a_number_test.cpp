@@ -2,7 +2,7 @@
 
 #include "support/patient.hpp"
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include <gtest/gtest.h>

@@ -1,7 +1,7 @@
 // The derivatives of the problems that tests solve are exact: the solvers assume that.
 // CTest: long
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 
 #include "support/autodiff.hpp"

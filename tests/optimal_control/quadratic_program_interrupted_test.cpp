@@ -1,7 +1,7 @@
 // The step of a program without time for a solution: inputs that follow the gains, or those of the
 // plan, whichever costs less. Both are within the hard bounds.
 
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
+#include <tilt_ropter/optimal_control/detail/quadratic_program.hpp>
 
 #include <gtest/gtest.h>
 

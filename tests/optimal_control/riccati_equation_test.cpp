@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/riccati_equation.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati_equation.hpp>
 
 #include "support/linear_quadratic.hpp"
 

@@ -3,8 +3,8 @@
 #include "support/patient.hpp"
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
+#include <tilt_ropter/optimal_control/detail/scaled_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
-#include <tilt_ropter/optimal_control/scaled_problem.hpp>
 
 #include <gtest/gtest.h>
 

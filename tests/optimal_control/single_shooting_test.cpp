@@ -1,6 +1,6 @@
 #include <tilt_ropter/optimal_control/single_shooting.hpp>
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 

@@ -2,7 +2,7 @@
 
 #include "support/random.hpp"
 
-#include <tilt_ropter/optimal_control/subproblem.hpp>
+#include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/trajectory.hpp>
+#include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 

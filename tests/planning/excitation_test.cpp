@@ -2,7 +2,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/excitation.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 
 #include <gtest/gtest.h>
 #include <Eigen/Core>

@@ -1,4 +1,4 @@
-#include <tilt_ropter/planning/experiments.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 
 #include "support/refusals.hpp"
 

@@ -1,9 +1,8 @@
 // Every limit of the parameters of sensors, plant and wheels, by the name in the message.
 
+#include <tilt_ropter/simulation/detail/wheel_contact.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
-#include <tilt_ropter/simulation/wheel_contact.hpp>
 
 #include "support/refusals.hpp"
 

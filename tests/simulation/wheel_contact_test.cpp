@@ -1,4 +1,4 @@
-#include <tilt_ropter/simulation/wheel_contact.hpp>
+#include <tilt_ropter/simulation/detail/wheel_contact.hpp>
 
 #include "support/random.hpp"
 

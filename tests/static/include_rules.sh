@@ -1,19 +1,20 @@
 #!/usr/bin/env bash
 # include_rules.sh INCLUDE_DIR
-# Checks which folder of INCLUDE_DIR/tilt_ropter includes which, and that each header names its
+# Checks which folder of INCLUDE_DIR/tilt_ropter includes which, that only a folder's own headers
+# include what is in its detail/, how many headers a user sees, and that each header names its
 # licence, so that a copied header keeps it. Prints every violation; fails if there is one.
 set -euo pipefail
 shopt -s inherit_errexit
 
+leads_to=$(realpath "$(dirname "${BASH_SOURCE[0]}")/leads_to.sh")
 cd "$1"
 umbrella=tilt_ropter/tilt_ropter.hpp
 # For users who link to their instances.
 compiled='tilt_ropter/compiled.hpp tilt_ropter/compiled_actuator_level.hpp'
-# Used once, at a desk; each costs every includer of the umbrella a tenth of a second.
-not_in_umbrella='model/propeller_clearance.hpp optimal_control/derivative_check.hpp
-estimation/(clock_calibration|flight_windows|log_(calibration(_settings)?|smoother)|rotor_lag_fit|
-servo_identification|vehicle_(fit|identification|log)|window_model).hpp'
+# Used at a desk, or for NLopt alone: they would cost every includer of the umbrella time.
+not_in_umbrella='identification/.*|optimal_control/(derivative_check|single_shooting).hpp'
 headers=$(find tilt_ropter -name '*.hpp' ! -path $umbrella ! -path 'tilt_ropter/compiled*' | sort)
+public=$(grep -v /detail/ <<< "$headers")
 # Lines like "tilt_ropter/model/state.hpp <tilt_ropter/math/rotation.hpp>".
 includes=$(grep -rE --include='*.hpp' '^\s*#\s*include\b' tilt_ropter |
   sed -E 's/:\s*#\s*include\s*([<"][^>"]*[>"]).*/ \1/')
@@ -25,19 +26,27 @@ violations=$(
       may["model"] = "math model"
       may["actuation"] = "math model actuation"
       may["estimation"] = "math model estimation"
+      may["identification"] = "math model estimation identification"
       may["planning"] = "math model planning"
       may["optimal_control"] = "math optimal_control"
-      may["control"] = "math model actuation planning optimal_control control"
-      may["simulation"] = "math model actuation planning simulation"
+      may["control"] = "math model actuation optimal_control control"
+      may["simulation"] = "math model actuation simulation"
+      # Whose detail/ a folder may include beside its own and that of math.
+      parts["actuation"] = "model"
+      parts["control"] = "model actuation optimal_control"
+      parts["identification"] = "estimation"
     }
+    function among(words, word) { return index(" " words " ", " " word " ") }
     {
       split($1, header, "/")
       split($2, included, "/")
       room = header[2]
       if ($2 ~ /^<tilt_ropter\//)
-        ok = $1 == umbrella || index(compiled, $1) || index(" " may[room] " ", " " included[2] " ")
+        ok = $1 == umbrella || index(compiled, $1) || (among(may[room], included[2]) && \
+          (included[3] != "detail" || included[2] == room || included[2] == "math" || \
+           among(parts[room], included[2])))
       else if ($2 == "<nlopt.h>")
-        ok = room == "optimal_control" || $1 ~ /estimation\/servo_identification.hpp$/
+        ok = room == "optimal_control"
       else  # Eigen and the standard library
         ok = $2 ~ /^<(unsupported\/)?Eigen\/[A-Za-z]+>$/ || $2 ~ /^<[a-z_]+>$/
       if (!ok) print $1 " may not include " $2
@@ -46,9 +55,17 @@ violations=$(
     [[ $(head -1 $header) == "// SPDX-License-Identifier: BSD-3-Clause" ]] ||
       echo "$header does not name its licence in the first line"
   done
-  for header in $headers; do
-    grep -qE "^tilt_ropter/(${not_in_umbrella//[ $'\n']/|})$" <<< "$header" ||
-      grep -qF "$umbrella <$header>" <<< "$includes" || echo "$umbrella does not include $header"
+  # A folder shows at most eight names, and all folders at most 48 headers.
+  for folder in tilt_ropter/*/; do
+    (($(grep -c "^$folder" <<< "$public") <= 8)) || echo "$folder has more than 8 public headers"
+  done
+  (($(wc -l <<< "$public") + 3 <= 48)) || echo "more than 48 public headers"
+  (($(grep -c "^$umbrella <tilt_ropter/" <<< "$includes") <= 30)) ||
+    echo "$umbrella includes more than 30 headers directly"
+  for header in $public; do
+    [[ $header =~ ^tilt_ropter/($not_in_umbrella)$ ]] ||
+      bash "$leads_to" . "$header" | grep -qxF "$umbrella" ||
+      echo "$umbrella does not include $header"
   done
   # With `#pragma once` the compiler does not detect circular includes.
   pairs=$(sed -nE 's/ <(tilt_ropter\/.*)>/ \1/p' <<< "$includes")

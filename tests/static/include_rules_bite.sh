@@ -26,12 +26,14 @@ plant() {  # directory, header, line
 }
 
 plant "$1" math/rotation.hpp '#include <tilt_ropter/model/state.hpp>'
-plant "$1" model/state.hpp '#  include <tilt_ropter/planning/reference.hpp>'
-plant "$1" planning/reference.hpp '#include <tilt_ropter/control/nmpc_settings.hpp>'
+plant "$1" model/state.hpp '#  include <tilt_ropter/actuation/rotor.hpp>'
+plant "$1" model/reference.hpp '#include <tilt_ropter/control/nmpc_settings.hpp>'
 plant "$1" model/frames.hpp '#include <nlopt.h>'
 plant "$1" model/state.hpp '#include "vehicle.hpp"'
 plant "$1" model/state.hpp '#include <boost/version.hpp>'
 plant "$1" model/state.hpp '#include <tilt_ropter/model/frames.hpp>'  # a circle
+plant "$1" simulation/plant.hpp '#include <tilt_ropter/model/detail/body_step.hpp>'
+plant "$1" control/nmpc.hpp '#include <tilt_ropter/estimation/ekf.hpp>'
 plant "$1" model/not_in_the_umbrella.hpp '#pragma once'
 fresh_copy "$1"
 sed -i 1d "$copy/tilt_ropter/model/state.hpp"

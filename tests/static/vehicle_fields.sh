@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# vehicle_fields.sh EXAMPLES_DIR
+# vehicle_fields.sh SOURCE_DIR
 # Every field and word that the readers of vehicle files and mission files know is in the README of
 # these files.
 set -euo pipefail
@@ -15,5 +15,5 @@ check() {  # source README at_least
   done
   [[ ! $missing ]] || { echo "not in $2:$missing" && exit 1; }
 }
-check vehicle_file/tilt_ropter/vehicle_file.cpp vehicles/README.md 40
-check support/mission_file.cpp missions/README.md 30
+check cmake/vehicle_file/tilt_ropter/vehicle_file.cpp examples/vehicles/README.md 40
+check examples/support/mission_file.cpp examples/missions/README.md 30

@@ -7,13 +7,12 @@ set -euo pipefail
 leads_to=$(realpath "$(dirname "${BASH_SOURCE[0]}")/leads_to.sh")
 needing=$(bash "$leads_to" "$1" nlopt.h | grep -v '^tilt_ropter/[^/]*$')
 diff - <(echo "$needing") << 'HEADERS'
-tilt_ropter/control/actuator_nmpc.hpp
-tilt_ropter/control/actuator_plan.hpp
+tilt_ropter/control/detail/actuator_plan.hpp
 tilt_ropter/control/nmpc.hpp
-tilt_ropter/optimal_control/dual_method.hpp
+tilt_ropter/optimal_control/detail/dual_method.hpp
+tilt_ropter/optimal_control/detail/multipliers.hpp
+tilt_ropter/optimal_control/detail/quadratic_program.hpp
 tilt_ropter/optimal_control/multiple_shooting.hpp
-tilt_ropter/optimal_control/multipliers.hpp
-tilt_ropter/optimal_control/quadratic_program.hpp
 tilt_ropter/optimal_control/single_shooting.hpp
 HEADERS
 "$2" -std=c++17 -I "$1" -isystem "$3" -x c++ -w -fsyntax-only - << 'PROGRAM'

@@ -1,9 +1,9 @@
 #pragma once
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
-#include <tilt_ropter/control/actuator_nmpc.hpp>
+#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/simulation/plant.hpp>

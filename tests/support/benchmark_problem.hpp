@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/control/wheeled_flight_problem.hpp>
+#include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include <Eigen/Core>

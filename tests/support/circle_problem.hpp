@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/detail/lanes.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 

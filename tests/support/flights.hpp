@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/estimation/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

@@ -2,8 +2,8 @@
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 
 #include <gtest/gtest.h>
 

@@ -4,8 +4,8 @@
 #include "../../examples/support/vehicle_spread.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/estimation/vehicle_log.hpp>
-#include <tilt_ropter/planning/experiments.hpp>
+#include <tilt_ropter/identification/vehicle_log.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 

@@ -1,7 +1,7 @@
 #pragma once
 
+#include <tilt_ropter/optimal_control/detail/riccati.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/riccati.hpp>
 
 #include "support/random.hpp"
 

@@ -2,8 +2,8 @@
 
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/simulation/detail/wheel_contact.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
-#include <tilt_ropter/simulation/wheel_contact.hpp>
 
 #include "support/random.hpp"
 

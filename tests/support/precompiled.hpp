@@ -1,10 +1,10 @@
 #pragma once
 
 #include <tilt_ropter/compiled_actuator_level.hpp>
-#include <tilt_ropter/estimation/clock_calibration.hpp>
-#include <tilt_ropter/estimation/log_calibration.hpp>
-#include <tilt_ropter/estimation/servo_identification.hpp>
-#include <tilt_ropter/estimation/vehicle_identification.hpp>
+#include <tilt_ropter/identification/clock_calibration.hpp>
+#include <tilt_ropter/identification/log_calibration.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
+#include <tilt_ropter/identification/vehicle_identification.hpp>
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #if __has_include(<CLI/CLI.hpp>)

@@ -4,7 +4,7 @@
 #include "heavy_vehicle.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/wrench.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>

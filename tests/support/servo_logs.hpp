@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/estimation/servo_identification.hpp>
+#include <tilt_ropter/identification/servo_identification.hpp>
 
 #include "support/random.hpp"
 

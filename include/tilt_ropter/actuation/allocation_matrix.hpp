@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/entries.hpp>
-#include <tilt_ropter/math/singular_values.hpp>
-#include <tilt_ropter/math/triple.hpp>
+#include <tilt_ropter/math/detail/entries.hpp>
+#include <tilt_ropter/math/detail/singular_values.hpp>
+#include <tilt_ropter/math/detail/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/actuation/actuated_body.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/model/wrench.hpp>
 
 #include <Eigen/Core>
 
@@ -61,15 +61,7 @@ enum class FailureKind {
 };
 
 [[nodiscard]] constexpr const char* to_string(FailureKind kind) noexcept {
-  switch (kind) {
-    case FailureKind::none:
-      return "none";
-    case FailureKind::servo:
-      return "servo";
-    case FailureKind::rotor:
-      return "rotor";
-  }
-  return "unknown";
+  return detail::name_in({"none", "servo", "rotor"}, kind);
 }
 
 /// Result of FailureDetector.

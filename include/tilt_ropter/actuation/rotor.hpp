@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/clock.hpp>
+#include <tilt_ropter/math/detail/clock.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <algorithm>

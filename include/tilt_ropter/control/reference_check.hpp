@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/control/ground_contact.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
+#include <tilt_ropter/control/detail/reference_wrench.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/control/reference_wrench.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/reference.hpp>
 
 #include <Eigen/Core>
 

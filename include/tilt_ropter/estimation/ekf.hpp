@@ -1,16 +1,15 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/estimation/disputes.hpp>
-#include <tilt_ropter/estimation/ekf_health.hpp>
-#include <tilt_ropter/estimation/ekf_settings.hpp>
-#include <tilt_ropter/estimation/ekf_start.hpp>
-#include <tilt_ropter/estimation/ekf_trust.hpp>
-#include <tilt_ropter/estimation/error_state_filter.hpp>
-#include <tilt_ropter/estimation/imu_history.hpp>
-#include <tilt_ropter/estimation/measurement_model.hpp>
-#include <tilt_ropter/estimation/measurement_queue.hpp>
-#include <tilt_ropter/estimation/pose_faults.hpp>
+#include <tilt_ropter/estimation/detail/disputes.hpp>
+#include <tilt_ropter/estimation/detail/ekf_settings.hpp>
+#include <tilt_ropter/estimation/detail/ekf_start.hpp>
+#include <tilt_ropter/estimation/detail/ekf_trust.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/imu_history.hpp>
+#include <tilt_ropter/estimation/detail/measurement_model.hpp>
+#include <tilt_ropter/estimation/detail/measurement_queue.hpp>
+#include <tilt_ropter/estimation/detail/pose_faults.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 
@@ -26,8 +25,7 @@
 
 /// State of the vehicle from IMU, motion capture and other sensors (paper, Sec. Control): an
 /// error-state Kalman filter that processes measurements at their time stamps. This header decides
-/// which measurement is used and when; the headers that it includes contain the computations. It is
-/// long because these decisions share one queue, one history and one state, so they are one class.
+/// which measurement is used and when; the headers that it includes contain the computations.
 /// The mounting of the IMU and the check of its clock are here too: only this class uses them.
 namespace tilt_ropter {
 
@@ -70,8 +68,8 @@ class Ekf {
   EkfStatus on_pose(double time, const MarkerPose<Scalar>& pose) noexcept;
 
   /// Processes any other measurement, taken at `time` [s] in the IMU's clock. `measurement` is
-  /// plain data of at most 512 bytes: a measurement of position_models.hpp, velocity_models.hpp or
-  /// wheel_models.hpp, or a callable that takes an InertialMotion<Scalar> and returns a Linearised.
+  /// plain data of at most 512 bytes: a measurement of measurement_models.hpp, or a
+  /// callable that takes an InertialMotion<Scalar> and returns a Linearised.
   /// It is used once the filter has started with a pose or by start(). A callable has the gate
   /// alone: it is not checked for repetitions, and the filter does not restart at it. See
   /// EkfSettings::fusion_delay for sensors with different delays.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
@@ -69,6 +70,10 @@ enum class ObserverStatus {
   rejected
 };
 
+[[nodiscard]] constexpr const char* to_string(ObserverStatus status) noexcept {
+  return detail::name_in({"updated", "started", "gap", "rejected"}, status);
+}
+
 /// Reliability of the estimate. If several reasons against it apply, the value is the first of them
 /// in this order.
 enum class WrenchTrust {
@@ -79,6 +84,10 @@ enum class WrenchTrust {
   trusted
 };
 
+[[nodiscard]] constexpr const char* to_string(WrenchTrust status) noexcept {
+  return detail::name_in({"not_started", "stale", "settling", "limited", "trusted"}, status);
+}
+
 /// Result of a calibration.
 enum class CalibrationStatus {
   calibrated,
@@ -87,6 +96,10 @@ enum class CalibrationStatus {
   moved,      ///< a standard deviation is above its limit: not at rest
   rejected    ///< the offset would not be finite or would exceed 1e6
 };
+
+[[nodiscard]] constexpr const char* to_string(CalibrationStatus status) noexcept {
+  return detail::name_in({"calibrated", "not_begun", "too_short", "moved", "rejected"}, status);
+}
 
 /// Observes the external wrench: force from specific force, torque from angular momentum. Each axis
 /// is a first-order filter of the true external wrench with bandwidth K, discretised exactly. If
@@ -174,7 +187,7 @@ class WrenchObserver {
   }
 
   /// Estimate of the external wrench at the CoM in the body frame [N; N m]: filtered() minus the
-  /// dead band, within the limits. wrench.hpp converts it to other points and to the world frame.
+  /// dead band, within the limits. transport() and wrench_in_world() convert it.
   [[nodiscard]] const Wrench<Scalar>& external() const noexcept { return external_; }
 
   /// For a loop slower than the IMU: mean of external() over all samples since the last call, or

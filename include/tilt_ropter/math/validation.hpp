@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 
 #include <Eigen/Core>
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/triple.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/math/triple.hpp>
-#include <tilt_ropter/model/body_step.hpp>
+#include <tilt_ropter/model/detail/body_step.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

@@ -3,7 +3,6 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/vehicle_parts.hpp>
 
 #include <Eigen/Core>
 
@@ -14,8 +13,242 @@
 #include <optional>
 #include <string>
 
-/// All parameters of a vehicle, as plain data with units, and the reference vehicle.
+/// All parameters of a vehicle and of its parts (body, rotors, servos, wheels or legs, power,
+/// battery), as plain data with units, and the reference vehicle.
 namespace tilt_ropter {
+
+/// Gravitational acceleration [m/s^2], the paper's value. It points along world -z.
+inline constexpr double gravity = 9.81;
+
+/// Mass and inertia of the whole vehicle, including rotors and wheels.
+struct RigidBodyParameters {
+  double mass = 1.0;  ///< [kg]
+  Eigen::Matrix3d inertia =
+      Eigen::Matrix3d::Identity();  ///< about the CoM, in the body frame [kg m^2]
+};
+
+/// Motor and propeller. The thrust at speed Omega is
+///
+///     T = thrust_coefficient Omega^2 + linear_thrust_coefficient Omega,
+///
+/// or zero if this sum is negative. Without the linear term this is the paper's law. If the thrust
+/// of a real propeller rises faster than the squared speed, the linear term is negative. The thrust
+/// then begins at the speed -linear_thrust_coefficient / thrust_coefficient. If the thrust rises
+/// slower than the squared speed, the linear term is positive.
+struct RotorParameters {
+  double thrust_coefficient = 1.0e-6;  ///< factor of the squared speed [N s^2 / rad^2]
+  double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
+  double min_thrust = 0.0;             ///< lower thrust limit [N]
+  double max_thrust = 10.0;  ///< upper limit, at the battery's nominal voltage if it is known [N]
+  double time_constant = 0.03;  ///< of the first-order lag of the speed [s]
+  /// Factor of the speed, at least -sqrt(thrust_coefficient max_thrust / 2) [N s / rad]. At this
+  /// lower bound the thrust begins at half of the top speed.
+  double linear_thrust_coefficient = 0.0;
+  double propeller_radius = 0.0;  ///< zero: unknown, propeller_clearance() then ignores it [m]
+  double propeller_height = 0.0;  ///< of the propeller above the arm axis, along the thrust [m]
+};
+
+/// Rotation direction of a rotor, seen from the side to which its thrust points.
+enum class Spin { counter_clockwise = 1, clockwise = -1 };
+
+/// Mounting of a rotor. The origin of the rotor frame is the intersection of the propeller axis and
+/// the arm axis; x points outward along the arm. At tilt angle alpha the thrust points along
+/// (0, -sin alpha, cos alpha) in this frame.
+struct RotorGeometry {
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< frame origin in the body frame [m]
+  Eigen::Matrix3d orientation =
+      Eigen::Matrix3d::Identity();  ///< rotor frame -> body frame, a rotation matrix
+  Spin spin = Spin::counter_clockwise;
+  bool tilts = true;  ///< false: alpha is always zero, thrust along the rotor frame's z
+  /// Thrust at a given speed, and thrust limits, as a fraction of the values in RotorParameters.
+  /// Zero: the rotor is lost.
+  double effectiveness = 1.0;
+  /// Motor and propeller of this rotor. Without a value the rotor uses Vehicle::rotor.
+  /// rotor_parameters() returns the parameters that apply.
+  std::optional<RotorParameters> parameters = std::nullopt;
+};
+
+/// Returns a rotor at the end of an arm of `length` [m] in the body's xy plane. `azimuth` [rad] is
+/// the angle of the arm from body x.
+[[nodiscard]] inline RotorGeometry rotor_on_arm(double azimuth, double length, Spin spin) {
+  RotorGeometry rotor;
+  const double c = std::cos(azimuth), s = std::sin(azimuth);
+  rotor.position << length * c, length * s, 0.0;
+  rotor.orientation << c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0;
+  rotor.spin = spin;
+  return rotor;
+}
+
+/// Servo that tilts an arm. All arms of a vehicle have the same servo.
+struct ServoParameters {
+  double time_constant =
+      0.08;  ///< of the first-order lag of the angle (paper, Sec. External Wrench Estimation) [s]
+  double max_rate = 8.0;   ///< largest rate of the angle [rad/s]
+  double min_angle = -pi;  ///< lower end of the range [rad]
+  double max_angle = pi;   ///< upper end of the range [rad]
+  double dead_time = 0.0;  ///< time from a command to the first motion [s]
+};
+
+/// Passive wheels. Their axles are parallel to body y. All wheels are equal.
+struct WheelParameters {
+  double radius = 0.1;      ///< [m]
+  double half_track = 0.2;  ///< distance from CoM to wheel centre along body y [m]
+  /// Distance between front and rear axle, with the CoM in the middle [m]. Zero: one axle through
+  /// the CoM, about which the vehicle pitches freely.
+  double wheel_base = 0.0;
+  double half_width = 0.015;  ///< half of the thickness of a wheel [m]
+  double inertia = 4.0e-4;    ///< of one wheel about its axle [kg m^2]
+  /// True: the axles are the tilting arms along -y and +y, as in the paper, Sec. Mechanical Design.
+  /// The bearings then load the servos of these arms. A wheel that no such arm reaches (see
+  /// axle_arm()) has its axle on the base. False: all axles are fixed to the base.
+  bool on_arms = false;
+};
+
+/// Four legs with stiff feet at the corners of a rectangle under the CoM.
+struct LegParameters {
+  double height = 0.12;       ///< height of the CoM above the feet [m]
+  double half_length = 0.15;  ///< distance from CoM to foot along body x [m]
+  double half_width = 0.15;   ///< distance from CoM to foot along body y [m]
+};
+
+/// Free motions of a vehicle on the ground, on wheels or on legs. Filters and controllers use no
+/// other property of wheels and legs. The ground always prevents vertical motion of the CoM, roll
+/// about body x and motion along body y.
+struct Undercarriage {
+  double height = 0.1;  ///< height of the CoM above the ground [m]
+  bool rolls = true;    ///< moves freely along body x
+  bool turns = true;    ///< turns freely on the spot about body z
+  bool pitches = true;  ///< turns freely about body y
+  /// Inertia of the rolling wheels against a motion along body x [kg] and against a turn about
+  /// body z [kg m^2], in addition to RigidBodyParameters.
+  double rolling_mass = 0.0, turning_inertia = 0.0;
+};
+
+/// Electrical power of the vehicle:
+///
+///     P = electronics + sum over servos (servo_hold + servo_move |angle rate|) + c sum Omega^3,
+///
+/// with the factor c for which P in hover equals `hover`, with servos at rest. Every rotor that
+/// tilts has a servo.
+struct PowerParameters {
+  double electronics = 20.0;  ///< power without rotors and servos [W]
+  double hover = 600.0;       ///< total power in hover [W]
+  double servo_hold = 0.0;    ///< power of each servo that holds its angle [W]
+  double servo_move = 0.0;    ///< additional energy of a servo per angle that it turns [J/rad]
+};
+
+/// Battery that supplies the rotors. The open-circuit voltage falls linearly with the state of
+/// charge. Without load it is full_voltage at full charge and empty_voltage at zero charge. The
+/// fields after nominal_voltage are all zero if the battery is unknown.
+struct BatteryParameters {
+  /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: unknown;
+  /// the voltage then has no effect.
+  double nominal_voltage = 0.0;
+  double capacity = 0.0;       ///< charge from full to empty [A h]
+  double full_voltage = 0.0;   ///< open-circuit voltage at full charge [V]
+  double empty_voltage = 0.0;  ///< open-circuit voltage at zero charge, at most full_voltage [V]
+  double resistance = 0.0;     ///< of cells, leads and connectors [ohm]
+};
+
+/// Returns true if capacity and voltages of the battery are given.
+[[nodiscard]] inline bool is_known(const BatteryParameters& battery) noexcept {
+  return battery.capacity > 0.0;
+}
+
+/// Returns the measured `voltage` [V] divided by the nominal voltage. Returns std::nullopt if the
+/// nominal voltage is unknown or the ratio is below 0.5 or above 1.5. No battery in use has such a
+/// ratio, so the caller must ignore the measurement.
+[[nodiscard]] inline std::optional<double> voltage_ratio(const BatteryParameters& battery,
+                                                         double voltage) noexcept {
+  if (!(battery.nominal_voltage > 0.0)) return std::nullopt;
+  const double ratio = voltage / battery.nominal_voltage;
+  return ratio >= 0.5 && ratio <= 1.5 ? std::optional<double>(ratio) : std::nullopt;
+}
+
+// The ranges are wider than the values of any vehicle. They prevent overflow in products of two
+// parameters.
+inline void validate(const RigidBodyParameters& p) {
+  require_in("RigidBodyParameters.mass [kg]", p.mass, 1e-6, 1e6);
+  require_inertia("RigidBodyParameters.inertia", p.inertia);
+}
+
+inline void validate(const RotorParameters& p, const std::string& field = "RotorParameters") {
+  require_in(field + ".thrust_coefficient [N s^2]", p.thrust_coefficient, 1e-11, 1e6);
+  require_in(field + ".torque_ratio [m]", p.torque_ratio, 0.0, 1e3);
+  require_in(field + ".min_thrust [N]", p.min_thrust, 0.0, 1e6);
+  require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, field + ".max_thrust [N]",
+          p.max_thrust, "> min_thrust and <= 1e6");
+  // At the lower bound the thrust begins at half of the top speed.
+  require_in(field + ".linear_thrust_coefficient [N s]", p.linear_thrust_coefficient,
+             -std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust), 1e3);
+  require_in(field + ".time_constant [s]", p.time_constant, 1e-6, 1e3);
+  require_in(field + ".propeller_radius [m]", p.propeller_radius, 0.0, 1e3);
+  require_in(field + ".propeller_height [m]", p.propeller_height, -1e3, 1e3);
+}
+
+/// `field` is the name of the rotor in the message.
+inline void validate(const RotorGeometry& p, const std::string& field = "RotorGeometry") {
+  require(detail::all_entries(p.position, [](double x) { return std::abs(x) <= 1e3; }),
+          field + ".position [m]", p.position, "in [-1000, 1000] in every entry");
+  require_finite(field + ".orientation", p.orientation);
+  const Eigen::Vector3d x = p.orientation.col(0), y = p.orientation.col(1);
+  const double skewness = (x.cross(y) - p.orientation.col(2)).norm();
+  require(std::abs(x.squaredNorm() - 1.0) <= 1e-6 && std::abs(y.squaredNorm() - 1.0) <= 1e-6 &&
+              std::abs(x.dot(y)) <= 1e-6 && skewness <= 1e-6,
+          field + ".orientation", p.orientation, "a rotation matrix");
+  require_in(field + ".effectiveness", p.effectiveness, 0.0, 1.0);
+  if (p.parameters) validate(*p.parameters, field + ".parameters");
+}
+
+inline void validate(const ServoParameters& p) {
+  require_in("ServoParameters.time_constant [s]", p.time_constant, 1e-6, 1e3);
+  require_in("ServoParameters.max_rate [rad/s]", p.max_rate, 1e-6, 1e6);
+  require_in("ServoParameters.min_angle [rad]", p.min_angle, -1e3, 1e3);
+  require(p.max_angle > p.min_angle && p.max_angle <= 1e3, "ServoParameters.max_angle [rad]",
+          p.max_angle, "> min_angle and <= 1e3");
+  require_in("ServoParameters.dead_time [s]", p.dead_time, 0.0, 1e3);
+}
+
+inline void validate(const WheelParameters& p) {
+  require_in("WheelParameters.radius [m]", p.radius, 1e-6, 1e3);
+  require_in("WheelParameters.half_track [m]", p.half_track, 1e-6, 1e3);
+  require_in("WheelParameters.wheel_base [m]", p.wheel_base, 0.0, 1e3);
+  require_in("WheelParameters.half_width [m]", p.half_width, 0.0, 1e3);
+  require_in("WheelParameters.inertia [kg m^2]", p.inertia, 1e-12, 1e6);
+}
+
+inline void validate(const LegParameters& p) {
+  require_in("LegParameters.height [m]", p.height, 1e-6, 1e3);
+  require_in("LegParameters.half_length [m]", p.half_length, 1e-6, 1e3);
+  require_in("LegParameters.half_width [m]", p.half_width, 1e-6, 1e3);
+}
+
+inline void validate(const Undercarriage& p) {
+  require_in("Undercarriage.height [m]", p.height, 1e-6, 1e3);
+  require_in("Undercarriage.rolling_mass [kg]", p.rolling_mass, 0.0, 1e6);
+  require_in("Undercarriage.turning_inertia [kg m^2]", p.turning_inertia, 0.0, 1e6);
+}
+
+inline void validate(const PowerParameters& p) {
+  require_in("PowerParameters.electronics [W]", p.electronics, 0.0, 1e9);
+  require(p.hover > p.electronics && p.hover <= 1e9, "PowerParameters.hover [W]", p.hover,
+          "> electronics and <= 1e9");
+  require_in("PowerParameters.servo_hold [W]", p.servo_hold, 0.0, 1e6);
+  require_in("PowerParameters.servo_move [J/rad]", p.servo_move, 0.0, 1e6);
+}
+
+inline void validate(const BatteryParameters& p) {
+  require(p.nominal_voltage >= 0.0 && p.nominal_voltage <= 1e5 &&
+              !(p.nominal_voltage > 0.0 && p.nominal_voltage < 0.1),
+          "BatteryParameters.nominal_voltage [V]", p.nominal_voltage,
+          "in [0.1, 1e5], or zero where it is not known");
+  if (p.capacity == 0.0 && p.full_voltage == 0.0 && p.empty_voltage == 0.0 && p.resistance == 0.0)
+    return;
+  require_in("BatteryParameters.capacity [A h]", p.capacity, 1e-3, 1e6);
+  require_in("BatteryParameters.full_voltage [V]", p.full_voltage, 0.1, 1e5);
+  require_in("BatteryParameters.empty_voltage [V]", p.empty_voltage, 0.1, p.full_voltage);
+  require_in("BatteryParameters.resistance [ohm]", p.resistance, 0.0, 1e3);
+}
 
 /// All parameters of a vehicle with `Rotors` arms, tilting or fixed.
 template <int Rotors>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
@@ -13,8 +13,7 @@
 #include <type_traits>
 #include <utility>
 
-/// Problems by automatic differentiation. This header is long because every member of a problem may
-/// be absent.
+/// Problems by automatic differentiation.
 namespace tilt_ropter::detail {
 
 /// True if the struct has the function or constant that Member<User> refers to.

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/lanes.hpp>
+#include <tilt_ropter/math/detail/lanes.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_constraints.hpp>
 
 #include <Eigen/Core>
 
@@ -18,8 +18,6 @@
 #include <vector>
 
 /// Check of a problem's functions and derivatives against finite differences, for tests.
-///
-/// This header is long because the check covers every function of a problem.
 namespace tilt_ropter::optimal_control {
 
 /// A wrong entry in the result of a problem's function; see check_derivatives().

@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/best_plan.hpp>
+#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/detail/best_plan.hpp>
+#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
+#include <tilt_ropter/optimal_control/detail/quadratic_program.hpp>
+#include <tilt_ropter/optimal_control/detail/scaled_problem.hpp>
+#include <tilt_ropter/optimal_control/detail/step_search.hpp>
+#include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_constraints.hpp>
-#include <tilt_ropter/optimal_control/quadratic_program.hpp>
-#include <tilt_ropter/optimal_control/scaled_problem.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
-#include <tilt_ropter/optimal_control/step_search.hpp>
-#include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <Eigen/Core>
 
@@ -37,9 +36,6 @@ Compile with -O2, as CMAKE_BUILD_TYPE=Release does; to do without, define TILT_R
 /// program by Riccati passes and NLopt, step. One such iteration is the real-time iteration (Diehl,
 /// Bock & Schlöder 2005). It is split into prepare(), before the measurement, and feedback(), after
 /// it.
-///
-/// This header is long because the real-time iteration and solve() share the linearisation, the
-/// factorisation and the report.
 namespace tilt_ropter::optimal_control {
 
 /// Solver that owns the problem, the trajectory and the workspace. Two solvers share no data.

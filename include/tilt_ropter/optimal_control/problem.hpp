@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/entries.hpp>
-#include <tilt_ropter/math/packet.hpp>
+#include <tilt_ropter/math/detail/entries.hpp>
+#include <tilt_ropter/math/detail/packet.hpp>
 
 #include <Eigen/Core>
 

@@ -1,17 +1,16 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/entries.hpp>
-#include <tilt_ropter/math/finite.hpp>
+#include <tilt_ropter/math/detail/entries.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/node_constraints.hpp>
+#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/detail/node_constraints.hpp>
+#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati.hpp>
+#include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
-#include <tilt_ropter/optimal_control/problem_constraints.hpp>
-#include <tilt_ropter/optimal_control/riccati.hpp>
-#include <tilt_ropter/optimal_control/solve_report.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
-#include <tilt_ropter/optimal_control/trajectory.hpp>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -48,8 +47,6 @@
 /// Each call has the constraints that are violated at the base or by the unconstrained optimum, and
 /// those that a call before it violated. A constraint with a price has a slack variable that costs
 /// the price. Equalities by weight are handled by multipliers between the calls.
-///
-/// This header is long because NLopt's callbacks need the whole problem in these coordinates.
 namespace tilt_ropter::optimal_control {
 
 /// Solver that owns the problem and the trajectory. It has the functions of MultipleShooting that a

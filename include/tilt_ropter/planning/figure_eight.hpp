@@ -3,7 +3,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/planning/reference.hpp>
+#include <tilt_ropter/model/reference.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

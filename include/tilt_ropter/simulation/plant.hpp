@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/triple.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/math/triple.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/delay_queue.hpp>
-#include <tilt_ropter/simulation/wheel_contact.hpp>
+#include <tilt_ropter/simulation/detail/delay_queue.hpp>
+#include <tilt_ropter/simulation/detail/wheel_contact.hpp>
 
 #include <Eigen/Core>
 
@@ -23,8 +23,7 @@
 /// Simulated vehicle for tests of a controller: rigid body, rotors, tilt servos, and wheels or legs
 /// on flat ground. It shares parameter and state types with the controller's model but no code, so
 /// each can be tested against the other. Its Vehicle is the true vehicle; the controller need not
-/// know the exact parameters. This header is long because it repeats the dynamics instead of
-/// including the controller's model.
+/// know the exact parameters.
 namespace tilt_ropter {
 
 /// Parameters of Plant in addition to its Vehicle.

@@ -1,38 +1,271 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/simulation/imu_sensor.hpp>
-#include <tilt_ropter/simulation/sensor_core.hpp>
-#include <tilt_ropter/simulation/sensor_faults.hpp>
+#include <tilt_ropter/simulation/detail/delay_queue.hpp>
+#include <tilt_ropter/simulation/detail/gaussian_noise.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
 
-/// Simulated sensors for the plant, with noise, bias, rate and delay.
-///
-/// Every sensor is constructed from its parameters and a seed and has
-///
-///     std::optional<Measurement> sample(double time, <truth at that time>) noexcept
-///
-/// Call sample() at every step of the plant, with absolute time [s] that does not decrease. The
-/// first call takes a measurement and starts the sampling grid of the sensor's rate. A later call
-/// takes a measurement if the next instant of the grid is reached. sample() returns each
-/// measurement once, `delay` after it was taken, with the time at which it was taken. The same seed
-/// and the same calls give bitwise identical results with every standard library. Sensors allocate
-/// at construction only. They take no measurement if the truth or the time is not finite.
-///
-/// reset() prepares a sensor for a new run whose time may start anywhere: it drops measurements
-/// that wait and starts a new sampling grid. ImuSensor and PoseSensor can be given faults.
+/// Simulated sensors, each with noise, a rate, a delay and faults to try estimators on.
 namespace tilt_ropter {
+
+/// What is wrong with a sensor.
+enum class SensorFaultKind {
+  pose_freeze,      ///< poses repeat the last one, with fresh stamps
+  pose_jump,        ///< positions are off by `size` [m] along world x
+  pose_dropout,     ///< no poses
+  pose_jitter,      ///< stamps have an error of standard deviation `size` [s]
+  pose_clock_step,  ///< stamps are off by `size` [s]
+  pose_ghost,       ///< poses of another object: at rest at `size` [m] along world x, with noise
+  imu_dropout,      ///< no IMU samples
+  imu_clock_step,   ///< stamps of the IMU are off by `size` [s]
+  imu_vibration,    ///< rates vibrate with an rms of `size` [rad/s], specific forces ten times it
+  imu_saturation    ///< rates are cut at `size` [rad/s], specific forces at ten times it [m/s^2]
+};
+
+inline constexpr std::array<std::string_view, 10> sensor_fault_names = {
+    "pose_freeze", "pose_jump",   "pose_dropout",   "pose_jitter",   "pose_clock_step",
+    "pose_ghost",  "imu_dropout", "imu_clock_step", "imu_vibration", "imu_saturation"};
+
+[[nodiscard]] inline std::string_view to_string(SensorFaultKind kind) {
+  return sensor_fault_names[static_cast<std::size_t>(kind)];
+}
+
+/// Returns the kind of this name, if there is one.
+[[nodiscard]] inline std::optional<SensorFaultKind> sensor_fault_kind(std::string_view name) {
+  for (std::size_t i = 0; i < sensor_fault_names.size(); ++i)
+    if (sensor_fault_names[i] == name) return static_cast<SensorFaultKind>(i);
+  return std::nullopt;
+}
+
+/// A fault from `start` for `duration`.
+struct SensorFault {
+  SensorFaultKind kind = SensorFaultKind::pose_dropout;
+  double start = 0.0;                                         ///< [s]
+  double duration = std::numeric_limits<double>::infinity();  ///< may be infinite [s]
+  double size = 0.0;        ///< in the unit of the kind; no effect on freeze and dropout
+  double frequency = 97.0;  ///< of imu_vibration [Hz]
+
+  [[nodiscard]] bool acts(double time) const noexcept {
+    return time >= start && time < start + duration;
+  }
+};
+
+inline void validate(const SensorFault& f) {
+  require_finite("SensorFault.start [s]", f.start);
+  require(f.duration > 0.0, "SensorFault.duration [s]", f.duration, "> 0, may be infinite");
+  require_in("SensorFault.size", f.size, -1e3, 1e3);
+  const bool positive = f.kind == SensorFaultKind::pose_jitter ||
+                        f.kind == SensorFaultKind::imu_vibration ||
+                        f.kind == SensorFaultKind::imu_saturation;
+  require(!positive || f.size > 0.0, "SensorFault.size", f.size, "> 0 for this kind");
+  require_in("SensorFault.frequency [Hz]", f.frequency, 1e-3, 1e4);
+}
+
+}  // namespace tilt_ropter
+
+namespace tilt_ropter::detail {
+
+/// Common part of all sensors: parameters, noise, sampling grid and delay.
+template <typename Parameters, typename Measurement>
+class SensorCore {
+ public:
+  SensorCore(const Parameters& given, std::uint64_t seed)
+      : parameters(validated(given)),
+        noise(seed),
+        queue_(static_cast<std::size_t>(given.rate * given.delay) + 4) {}
+
+  /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
+  /// of a period.
+  [[nodiscard]] bool due(double time) noexcept {
+    if (!std::isfinite(time)) return false;
+    if (!started_) start_ = time;
+    const double instant = std::floor((time - start_) * parameters.rate + 1e-3);
+    if (started_ && instant <= last_instant_) return false;
+    started_ = true;
+    last_instant_ = instant;
+    return true;
+  }
+
+  void push(const Measurement& m) noexcept { push(m.time, m); }
+  /// For a measurement taken at `time` [s] with another stamp.
+  void push(double time, const Measurement& m) noexcept { queue_.push(time + parameters.delay, m); }
+  [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
+
+  void reset() noexcept {
+    queue_.clear();
+    started_ = false;
+  }
+
+  void add_fault(const SensorFault& fault) { faults_.push_back(validated(fault)); }
+  /// Calls `act` with each fault that acts at `time` [s].
+  template <typename Act>
+  void for_faults(double time, Act act) const noexcept {
+    for (const SensorFault& fault : faults_)
+      if (fault.acts(time)) act(fault);
+  }
+
+  Parameters parameters;
+  GaussianNoise noise;
+
+ private:
+  std::vector<SensorFault> faults_;
+  DelayQueue<Measurement> queue_;
+  bool started_ = false;
+  double start_ = 0.0, last_instant_ = 0.0;
+};
+
+inline void require_timing(const std::string& sensor, double rate, double delay) {
+  require_positive(sensor + ".rate [Hz]", rate);
+  require_non_negative(sensor + ".delay [s]", delay);
+  require(rate * delay <= 1e5, sensor + ".delay [s]", delay, "at most 1e5 periods of the rate");
+}
+
+}  // namespace tilt_ropter::detail
+
+namespace tilt_ropter {
+
+/// Gyroscope and accelerometer. The defaults are typical of a small MEMS unit.
+struct ImuSensorParameters {
+  double rate = 200.0;                          ///< measurements per second [Hz]
+  double delay = 0.0;                           ///< from measurement to output [s]
+  double gyro_noise_density = 2.0e-4;           ///< white noise [rad/s/sqrt(Hz)]
+  double accelerometer_noise_density = 2.0e-3;  ///< white noise [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;               ///< random walk of the bias [rad/s^2/sqrt(Hz)]
+  double accelerometer_bias_walk = 3.0e-4;      ///< random walk of the bias [m/s^3/sqrt(Hz)]
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< initial bias [rad/s]
+  Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< initial bias [m/s^2]
+  Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< of the IMU relative to the CoM, body [m]
+};
+
+inline void validate(const ImuSensorParameters& p) {
+  detail::require_timing("ImuSensorParameters", p.rate, p.delay);
+  require_non_negative("ImuSensorParameters.gyro_noise_density [rad/s/sqrt(Hz)]",
+                       p.gyro_noise_density);
+  require_non_negative("ImuSensorParameters.accelerometer_noise_density [m/s^2/sqrt(Hz)]",
+                       p.accelerometer_noise_density);
+  require_non_negative("ImuSensorParameters.gyro_bias_walk [rad/s^2/sqrt(Hz)]", p.gyro_bias_walk);
+  require_non_negative("ImuSensorParameters.accelerometer_bias_walk [m/s^3/sqrt(Hz)]",
+                       p.accelerometer_bias_walk);
+  require_finite("ImuSensorParameters.gyro_bias [rad/s]", p.gyro_bias);
+  require_finite("ImuSensorParameters.accelerometer_bias [m/s^2]", p.accelerometer_bias);
+  require_finite("ImuSensorParameters.position [m]", p.position);
+}
+
+/// Simulated IMU with white noise, random-walk biases, a rate and a delay.
+class ImuSensor {
+ public:
+  /// Measurement of this sensor.
+  struct Measurement : InertialSampled {
+    double time = 0.0;  ///< at which it was taken [s]
+  };
+
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
+  ImuSensor(const ImuSensorParameters& parameters, std::uint64_t seed)
+      : core_(parameters, seed),
+        gyro_bias_(parameters.gyro_bias),
+        accelerometer_bias_(parameters.accelerometer_bias) {}
+
+  /// Truth: angular velocity in the body frame [rad/s], specific force of the CoM [m/s^2]. The
+  /// angular acceleration, for an IMU beside the CoM, is the difference to the last call.
+  [[nodiscard]] std::optional<Measurement> sample(double time,
+                                                  const Eigen::Vector3d& angular_velocity,
+                                                  const Eigen::Vector3d& specific_force) noexcept {
+    if (all_finite(angular_velocity) && all_finite(specific_force)) {
+      const Eigen::Vector3d at_imu =
+          specific_force + lever_acceleration(time, angular_velocity, core_.parameters.position);
+      if (core_.due(time)) take(time, angular_velocity, at_imu);
+    }
+    return core_.pop(time);
+  }
+
+  /// Adds a fault; only kinds of the IMU act. Throws std::invalid_argument if it is out of range.
+  void add_fault(const SensorFault& fault) { core_.add_fault(fault); }
+
+  /// Prepares for a run whose time starts anew. Keeps biases, faults and the state of the noise.
+  void reset() noexcept {
+    core_.reset();
+    has_last_ = false;
+  }
+
+  /// True biases for comparison with an estimate [rad/s], [m/s^2].
+  [[nodiscard]] const Eigen::Vector3d& gyro_bias() const noexcept { return gyro_bias_; }
+  [[nodiscard]] const Eigen::Vector3d& accelerometer_bias() const noexcept {
+    return accelerometer_bias_;
+  }
+
+ private:
+  // Acceleration of the IMU relative to the CoM: dw/dt x r + w x (w x r).
+  Eigen::Vector3d lever_acceleration(double time, const Eigen::Vector3d& w,
+                                     const Eigen::Vector3d& r) noexcept {
+    const double dt = time - last_time_;
+    const Eigen::Vector3d change = w - last_rate_;
+    const bool known = has_last_ && dt > 0.0;
+    has_last_ = true;
+    last_time_ = time;
+    last_rate_ = w;
+    if (r == Eigen::Vector3d::Zero()) return r;
+    Eigen::Vector3d acceleration = w.cross(w.cross(r));
+    if (known) acceleration += (change / dt).cross(r);
+    return acceleration;
+  }
+
+  void take(double time, const Eigen::Vector3d& angular_velocity,
+            const Eigen::Vector3d& specific_force) noexcept {
+    const ImuSensorParameters& p = core_.parameters;
+    const double root_rate = std::sqrt(p.rate);
+    Measurement m;
+    m.time = time;
+    m.angular_velocity =
+        angular_velocity + gyro_bias_ + core_.noise.draw<3>(p.gyro_noise_density * root_rate);
+    m.specific_force = specific_force + accelerometer_bias_ +
+                       core_.noise.draw<3>(p.accelerometer_noise_density * root_rate);
+    bool silent = false;
+    core_.for_faults(time, [&](const SensorFault& fault) {
+      using Kind = SensorFaultKind;
+      if (fault.kind == Kind::imu_dropout) silent = true;
+      if (fault.kind == Kind::imu_clock_step) m.time += fault.size;
+      if (fault.kind == Kind::imu_vibration) {
+        const double phase = 2.0 * pi * fault.frequency * time, rms = std::sqrt(2.0) * fault.size;
+        for (int axis = 0; axis < 3; ++axis) {  // a different phase in each axis
+          m.angular_velocity(axis) += rms * std::sin(phase + 2.0 * axis);
+          m.specific_force(axis) += 10.0 * rms * std::sin(phase + 1.0 + 2.0 * axis);
+        }
+      }
+      if (fault.kind == Kind::imu_saturation) {
+        m.angular_velocity = m.angular_velocity.cwiseMax(-fault.size).cwiseMin(fault.size);
+        m.specific_force =
+            m.specific_force.cwiseMax(-10.0 * fault.size).cwiseMin(10.0 * fault.size);
+      }
+    });
+    if (!silent) core_.push(time, m);
+    gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
+    accelerometer_bias_ += core_.noise.draw<3>(p.accelerometer_bias_walk / root_rate);
+  }
+
+  detail::SensorCore<ImuSensorParameters, Measurement> core_;
+  Eigen::Vector3d gyro_bias_, accelerometer_bias_;
+  Eigen::Vector3d last_rate_ = Eigen::Vector3d::Zero();
+  double last_time_ = 0.0;
+  bool has_last_ = false;
+};
 
 /// Pose sensor such as motion capture. It measures the pose of the body.
 struct PoseSensorParameters {

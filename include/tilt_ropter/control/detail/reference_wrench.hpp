@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
+#include <tilt_ropter/control/detail/ground_contact.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+
+/// The wrench that a reference needs, in the air and on the ground.
+namespace tilt_ropter {
+
+/// Vertical thrust to command on the ground: down_force, and more where a torque reduces the thrust
+/// of a rotor, so that every rotor pushes upward. A CoM off the axle pitches the vehicle all the
+/// time. With little total thrust, the front or the rear rotor would have to push downward. Its
+/// servo would then be at one end of its range. From one end to the other is a whole turn. During
+/// this turn the rotor pushes in every direction, and the vehicle tips.
+///
+/// If the torque reduces a rotor's thrust by t, the rotor keeps at least min(2 t, rotor_thrust).
+/// If a servo does not reach 90 degrees to one side, the vertical thrust of its rotor is at least
+/// twice the thrust at which the lateral thrust is at the end of the servo's range. The total is
+/// limited to half the weight, so that the other half stays on the wheels.
+template <int Rotors>
+class GroundThrust {
+ public:
+  /// Throws std::invalid_argument if the geometry cannot give every wrench.
+  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : GroundThrust(vehicle, settings, AllocationMatrix<Rotors>(vehicle).pseudoinverse) {}
+
+  /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
+  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
+               const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
+      : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
+    for (int i = 0; i < Rotors; ++i)
+      for (int j = 0; j < 6; ++j) {
+        lateral_(i, j) = inverse(2 * i, j);
+        vertical_(i, j) = inverse(2 * i + 1, j);
+      }
+    const double least = std::min(-vehicle.servo.min_angle, vehicle.servo.max_angle);
+    if (least < 0.5 * pi) vertical_per_lateral_ = 2.0 / std::tan(std::max(least, 0.1));
+  }
+
+  /// Replaces the settings. The new settings must be valid.
+  void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
+
+  /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored.
+  [[nodiscard]] double operator()(const Wrenchd& wrench) const noexcept {
+    Eigen::Matrix<double, 6, 1> level;
+    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
+    double force = settings_.down_force;
+    for (int i = 0; i < Rotors; ++i) {
+      const double fraction = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
+      if (!(fraction > 1e-6)) continue;
+      const double lateral = std::abs(lateral_.row(i).dot(level)),
+                   kept = std::max(std::min(2.0 * taken, settings_.rotor_thrust),
+                                   vertical_per_lateral_ * lateral);
+      force = std::max(force, (taken + kept) / fraction);
+    }
+    return std::max(settings_.down_force, std::min(force, most_));
+  }
+
+ private:
+  GroundContactSettings settings_;
+  Eigen::Matrix<double, Rotors, 6> lateral_, vertical_;
+  double vertical_per_lateral_ = 0.0;
+  double most_;
+};
+
+/// The wrench that a reference needs, by inverse dynamics.
+template <int Rotors>
+class ReferenceWrench {
+ public:
+  /// Throws std::invalid_argument if the geometry cannot give every wrench.
+  ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
+      : body_(vehicle.body),
+        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_thrust_(vehicle, settings) {}
+
+  /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
+  ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
+                  const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
+      : body_(vehicle.body),
+        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_thrust_(vehicle, settings, inverse) {}
+
+  /// Replaces the settings. The new settings must be valid.
+  void set_settings(const GroundContactSettings& settings) noexcept {
+    contact_.set_settings(settings);
+    ground_thrust_.set_settings(settings);
+  }
+
+  /// Returns the wrench (body frame) for `point` that also balances `external` (body frame). On the
+  /// ground it excludes the components that the ground provides, except with
+  /// GroundModel::external_wrench.
+  [[nodiscard]] Wrenchd operator()(const ReferencePoint& point, const Wrenchd& external,
+                                   bool on_ground) const noexcept {
+    const Eigen::Vector3d& w = point.angular_velocity;
+    Wrenchd wrench;
+    wrench.force = body_.mass * (point.orientation.conjugate() *
+                                 (point.acceleration + Eigen::Vector3d(0.0, 0.0, gravity))) -
+                   external.force;
+    wrench.torque =
+        body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
+    if (on_ground && contact_.holds()) {
+      contact_.release(wrench);
+      wrench.force.z() = ground_thrust_(wrench);
+    }
+    return wrench;
+  }
+
+ private:
+  RigidBodyParameters body_;
+  GroundContact contact_;
+  GroundThrust<Rotors> ground_thrust_;
+};
+
+}  // namespace tilt_ropter

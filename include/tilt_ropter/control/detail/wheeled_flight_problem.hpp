@@ -1,0 +1,469 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/control/detail/actuator_constraints.hpp>
+#include <tilt_ropter/control/detail/cost_after_horizon.hpp>
+#include <tilt_ropter/control/detail/flight_node.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
+#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/contact.hpp>
+#include <tilt_ropter/model/rigid_body.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati_equation.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cstddef>
+#include <limits>
+#include <optional>
+#include <vector>
+
+/// The paper's optimal-control problem (paper, Sec. Nonlinear Model Predictive Control): 19 states
+/// (F, M, p, v, q, w) and 6 inputs (dF, dM). The constraints are bounds on wrench, wrench rate and
+/// body rate, and the non-holonomic conditions of ground contact. MultipleShooting solves it.
+namespace tilt_ropter {
+
+/// Node of the wrench level.
+struct WheeledFlightNode : FlightNode {
+  Wrenchd wrench_reference;  ///< F_r, M_r (body frame)
+};
+
+/// The problem in the form that MultipleShooting needs: 18 tangent coordinates (dF, dM, dp, dv,
+/// dtheta, dw), 6 inputs (dF/dt, dM/dt), 15 constraints (F, M, w, dF/dt, dM/dt), 3 ground
+/// conditions. The caller sets the nodes' references and external wrenches before each solve. With
+/// `Rotors` > 0, the constraints of ActuatorConstraints follow the paper's 15.
+template <int Rotors>
+class WheeledFlightProblem {
+ public:
+  /// Index of the first constraint of each part.
+  struct Part {
+    static constexpr int force = 0, torque = 3, angular_velocity = 6, rate = 9, actuators = 15;
+  };
+  static constexpr int states = 18, inputs = 6,
+                       constraints = Part::actuators + ActuatorConstraints<Rotors>::count,
+                       equalities = 3;
+  using State = tilt_ropter::Stated;
+  using D = optimal_control::ProblemDimensions<WheeledFlightProblem>;
+  using Model = optimal_control::QuadraticModel<states, inputs>;
+  using Tangent = StateTangentd;
+  using Input = Eigen::Matrix<double, 6, 1>;
+  using StateJacobian = Eigen::Matrix<double, 18, 18>;
+  using InputJacobian = Eigen::Matrix<double, 18, 6>;
+  using LaneStateJacobian = Eigen::Matrix<Lanes, 18, 18>;
+  using LaneInputJacobian = Eigen::Matrix<Lanes, 18, 6>;
+  using Constraints = typename D::Constraints;
+  using ConstraintsX = typename D::ConstraintsX;
+  using ConstraintsU = typename D::ConstraintsU;
+  using Equalities = Eigen::Vector3d;
+  using EqualitiesX = Eigen::Matrix<double, 3, 18>;
+
+  /// The wrench is the integral of the input. The position acts on no other state, and the velocity
+  /// only on the position. Forces do not turn the body. Within one interval the torque rate does
+  /// not reach the position.
+  struct TransitionPattern {
+    static constexpr bool nonzero(int row, int column) {
+      enum Block { zero, diagonal, full };
+      constexpr Block table[6][8] = {
+          // F, M, p, v, theta, w, dF, dM
+          {diagonal, zero, zero, zero, zero, zero, diagonal, zero},  // F
+          {zero, diagonal, zero, zero, zero, zero, zero, diagonal},  // M
+          {full, full, diagonal, diagonal, full, full, full, zero},  // p
+          {full, full, zero, diagonal, full, full, full, full},      // v
+          {zero, full, zero, zero, full, full, zero, full},          // theta
+          {zero, full, zero, zero, zero, full, zero, full},          // w
+      };
+      const Block block = table[row / 3][column / 3];
+      return block == full || (block == diagonal && row % 3 == column % 3);
+    }
+  };
+
+  /// `actuators` has no bounds by default. Throws std::invalid_argument if parameters or settings
+  /// are out of range. With TerminalCost::riccati it also throws if some error that does not decay
+  /// costs nothing with these weights.
+  explicit WheeledFlightProblem(const RigidBodyParameters& body,
+                                const WheeledFlightSettings& settings = {},
+                                const ActuatorConstraints<Rotors>& actuators = {})
+      : body_(body), lanes_(body), actuators_(actuators), settings_(settings) {
+    validate(settings);
+    nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+    set_weights();
+    set_bounds();
+    if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
+  }
+
+  /// Changes settings and constraints for the next MultipleShooting::prepare(). The nodes stay as
+  /// they are. The number and the length of the intervals must stay the same. Does not allocate,
+  /// except with TerminalCost::riccati, which also takes milliseconds. Throws
+  /// std::invalid_argument, and changes nothing, if the settings are out of range.
+  void set_settings(const WheeledFlightSettings& settings,
+                    const ActuatorConstraints<Rotors>& actuators = {}) {
+    validate(settings);
+    require(settings.intervals == settings_.intervals, "WheeledFlightSettings.intervals",
+            settings.intervals, "as at construction");
+    require(settings.interval == settings_.interval, "WheeledFlightSettings.interval [s]",
+            settings.interval, "as at construction");
+    if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
+    settings_ = settings;
+    set_weights();
+    actuators_ = actuators;
+    set_bounds();
+  }
+
+  /// Calls ActuatorConstraints::set_voltage() and updates the bounds of all nodes.
+  bool set_voltage([[maybe_unused]] double voltage) noexcept {
+    if constexpr (Rotors > 0) {
+      if (!actuators_.set_voltage(voltage)) return false;
+      const auto thrusts = actuators_.upper().template tail<Rotors>();
+      upper_.template tail<Rotors>() = last_upper_.template tail<Rotors>() = thrusts;
+      return true;
+    }
+    return false;
+  }
+
+  [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
+  [[nodiscard]] WheeledFlightNode& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const WheeledFlightNode& node(int k) const {
+    return nodes_[static_cast<std::size_t>(k)];
+  }
+
+  [[nodiscard]] int horizon() const { return settings_.intervals; }
+  [[nodiscard]] State retract(const State& x, const Tangent& dx) const {
+    return tilt_ropter::retract(x, dx);
+  }
+  [[nodiscard]] Tangent difference(const State& y, const State& x) const {
+    return tilt_ropter::difference(y, x);
+  }
+  /// d difference(retract(x, dx + e), retract(x, dx)) / de, for SingleShooting.
+  [[nodiscard]] StateJacobian retract_derivative(const State&, const Tangent& dx) const {
+    StateJacobian derivative = StateJacobian::Identity();
+    derivative.block<3, 3>(I::orientation, I::orientation) =
+        right_jacobian(dx.segment<3>(I::orientation));
+    return derivative;
+  }
+
+  [[nodiscard]] State step(int k, const State& x, const Input& u) const {
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom);
+  }
+  [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
+                           InputJacobian& B) const {
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
+  }
+
+  /// End state after the first `seconds` of interval k.
+  [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
+    return body_.step(x, u, node(k).external, seconds, node(k).freedom);
+  }
+
+  /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the
+  /// remaining lanes repeat the last interval.
+  [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
+                                                State* ends, LaneStateJacobian& A,
+                                                LaneInputJacobian& B) const {
+    const auto at = [&](int lane) { return std::min(lane, count - 1); };
+    const auto each = [&](auto& lanes, const auto& of) __attribute__((always_inline)) {
+      for (Eigen::Index i = 0; i < lanes.size(); ++i)
+        lanes.coeffRef(i) =
+            gather([&](int lane) __attribute__((always_inline)) { return of(at(lane)).coeff(i); });
+    };
+    tilt_ropter::State<Lanes> start, end;
+    each(
+        start.wrench.force, [&](int i) -> const auto& { return x[i].wrench.force; });
+    each(
+        start.wrench.torque, [&](int i) -> const auto& { return x[i].wrench.torque; });
+    each(
+        start.body.velocity, [&](int i) -> const auto& { return x[i].body.velocity; });
+    each(
+        start.body.position, [&](int i) -> const auto& { return x[i].body.position; });
+    each(
+        start.body.orientation.coeffs(), [&](int i) -> const auto& {
+          return x[i].body.orientation.coeffs();
+        });
+    each(
+        start.body.angular_velocity, [&](int i) -> const auto& {
+          return x[i].body.angular_velocity;
+        });
+    Eigen::Matrix<Lanes, 6, 1> rate;
+    each(
+        rate, [&](int i) -> const auto& { return u[i]; });
+    Wrench<Lanes> external;
+    each(
+        external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
+    each(
+        external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
+    Freedom<Lanes> freedom;
+    each(
+        freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
+    each(
+        freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
+    for (int i = 0; i < count; ++i) {
+      const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {
+        for (Eigen::Index j = 0; j < number.size(); ++j) number.coeffRef(j) = from.coeff(j)[i];
+      };
+      put(ends[i].wrench.force, end.wrench.force);
+      put(ends[i].wrench.torque, end.wrench.torque);
+      put(ends[i].body.position, end.body.position);
+      put(ends[i].body.velocity, end.body.velocity);
+      put(ends[i].body.orientation.coeffs(), end.body.orientation.coeffs());
+      put(ends[i].body.angular_velocity, end.body.angular_velocity);
+    }
+  }
+
+  /// e' Q e + u' R u with e = (F - F_r, M - M_r, p - p_r, v - v_r, 2 vec(q (x) q_r^-1), w - w_r).
+  /// For the last node see TerminalCost.
+  [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
+    const Tangent e = error(k, x);
+    if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e);
+    const Tangent& q = state_weights(k);
+    double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
+    for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
+    for (int i = 0; k < horizon() && i < inputs; ++i) sum += u(i) * input_weights_(i) * u(i);
+    return sum;
+  }
+
+  void cost_model(int k, const State& x, const Input& u, Model& model) const {
+    clear_curvature(model);
+    const Tangent e = error(k, x);
+    const Square by_angle =
+        detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
+    if (ends_with_riccati(k))
+      return after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
+    const Tangent& q = state_weights(k);
+    for (int i = 0; i < states; ++i) {
+      model.gradient(i) = 2.0 * q(i) * e(i);
+      model.hessian(i, i) = 2.0 * q(i);
+    }
+    constexpr int thrust = I::force + 2;
+    model.gradient(thrust) += 2.0 * ground_thrust_weight(k) * e(thrust);
+    model.hessian(thrust, thrust) += 2.0 * ground_thrust_weight(k);
+    const Square weighted =
+        detail::transposed(detail::scaled(by_angle, 2.0 * detail::triple_at(q, I::orientation)));
+    detail::put(weighted * detail::triple_at(e, I::orientation), model.gradient, I::orientation, 0);
+    detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
+    for (int i = 0; k < horizon() && i < inputs; ++i) {
+      model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
+      model.hessian(states + i, states + i) = 2.0 * input_weights_(i);
+    }
+  }
+
+  /// Adds the curvature of the thrust limits and of the force's direction to the Hessian (see
+  /// problem.hpp) at a node where a limit of the force acts. The costate asks for more force along
+  /// F than there is, and only its direction can change. With f = |F|, e = F / f, a the part of the
+  /// costate along -F and dF_e the part of dF across e, the second-order term of the dynamics in
+  /// (dF, dtheta) is a f |e x dtheta - dF_e / f|^2 / 2 - a |dF_e|^2 / (2 f), to first order in the
+  /// length of the interval. The first part is the change of the direction in the world, and
+  /// convex. The second part is left out: the curvature of the limits balances it. Where no limit
+  /// acts nothing does, and the Gauss-Newton Hessian is the better one.
+  ///
+  /// Without these terms the steps at a limit of the thrust are too long: in a climb with a weak
+  /// battery each plan violates the limits more than the last one.
+  void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
+                     const Tangent& costate, Model& model) const {
+    if (!force_is_limited(multipliers)) return;
+    if constexpr (Rotors > 0)
+      actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
+                               model.hessian.template topLeftCorner<6, 6>());
+    const Triple force = detail::triple(x.wrench.force),
+                 wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval,
+                                                costate, I::position);
+    const double f = std::sqrt(detail::dot(force, force)), a = -detail::dot(wanted, force) / f;
+    if (!(a > 0.0)) return;  // also for zero force
+    const Triple none{0.0, 0.0, 0.0}, e = (1.0 / f) * force;
+    const Square across = detail::outer(1.0, -1.0 * e, e, none),
+                 turn = detail::outer(0.0, none, none, -a * e);
+    const auto add = [&model](const Square& block, int row, int column) {
+      detail::put(detail::square_at(model.hessian, row, column) + block, model.hessian, row,
+                  column);
+    };
+    add(a / f * across, I::force, I::force);
+    add(a * f * across, I::orientation, I::orientation);
+    add(turn, I::force, I::orientation);
+    add(detail::transposed(turn), I::orientation, I::force);
+  }
+
+  [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {
+    using detail::triple;
+    Constraints value;
+    detail::put(triple(x.wrench.force), value, Part::force, 0);
+    detail::put(triple(x.wrench.torque), value, Part::torque, 0);
+    detail::put(triple(x.body.angular_velocity), value, Part::angular_velocity, 0);
+    for (int i = 0; i < inputs; ++i) value(Part::rate + i) = u(i);
+    if constexpr (Rotors > 0) {
+      const auto of_actuators = actuators_.values(packed(x.wrench), u);
+      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Part::actuators);
+    }
+    return value;
+  }
+  void constraint_derivatives(int, const State& x, const Input& u, ConstraintsX& C,
+                              ConstraintsU& E) const {
+    for (int i = 0; i < 6; ++i) C(Part::force + i, I::force + i) = E(Part::rate + i, i) = 1.0;
+    for (int i = 0; i < 3; ++i) C(Part::angular_velocity + i, I::angular_velocity + i) = 1.0;
+    if constexpr (Rotors > 0)
+      actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
+                             E.template bottomRows<3 * Rotors>());
+  }
+  [[nodiscard]] const Constraints& lower(int k) const {
+    return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
+  }
+  [[nodiscard]] const Constraints& upper(int k) const {
+    return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
+  }
+  [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
+
+  /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
+  /// node is on the ground.
+  [[nodiscard]] Equalities equality_values(int k, const State& x) const {
+    return detail::ground_conditions(node(k), x.body);
+  }
+  void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
+    detail::put_ground_derivatives(node(k), x.body, H, I::position);
+  }
+  [[nodiscard]] Equalities equality_weights(int k) const {
+    if (!node(k).on_ground) return Equalities::Zero();
+    const Eigen::Vector3d& w = settings_.weights.ground;
+    return {2.0 * w.x(), 2.0 * w.y(), 2.0 * w.z()};
+  }
+
+ private:
+  using Triple = detail::Triple<double>;
+  using Square = detail::Square<double>;
+  using I = TangentIndex;
+  static Tangent state_weights_of(const NmpcWeights& w) {
+    const Eigen::Vector3d* blocks[] = {&w.force,    &w.torque,      &w.position,
+                                       &w.velocity, &w.orientation, &w.angular_velocity};
+    Tangent all;
+    for (int i = 0; i < 6; ++i) detail::put(detail::triple(*blocks[i]), all, 3 * i, 0);
+    return all;
+  }
+  static Input input_weights_of(const NmpcWeights& w) {
+    Input all;
+    detail::put(detail::triple(w.force_rate), all, I::force, 0);
+    detail::put(detail::triple(w.torque_rate), all, I::torque, 0);
+    return all;
+  }
+
+  // Returns true if a bound on the force or a thrust limit has a multiplier.
+  static bool force_is_limited(const Constraints& multipliers) {
+    bool limited = false;
+    for (int i = 0; i < 3; ++i) limited |= multipliers(Part::force + i) != 0.0;
+    for (int i = constraints - Rotors; i < constraints; ++i) limited |= multipliers(i) > 0.0;
+    return limited;
+  }
+
+  // Sets those entries to zero that add_curvature() changes and cost_model() does not set.
+  static void clear_curvature(Model& model) {
+    model.hessian.template topLeftCorner<6, 6>().setZero();
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 3; ++i)
+        model.hessian(I::force + i, I::orientation + j) =
+            model.hessian(I::orientation + i, I::force + j) = 0.0;
+  }
+
+  void set_weights() {
+    state_weights_ = state_weights_of(settings_.weights);
+    for (int i = 0; i < states; ++i)
+      last_state_weights_(i) = settings_.weights.terminal * state_weights_(i);
+    input_weights_ = input_weights_of(settings_.weights);
+  }
+
+  void set_bounds() {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    const NmpcBounds& b = settings_.bounds;
+    const Eigen::Vector3d* upper[] = {&b.force_max, &b.torque_max, &b.angular_velocity,
+                                      &b.force_rate, &b.torque_rate};
+    const Eigen::Vector3d* lower[] = {&b.force_min, &b.torque_min};
+    for (int i = 0; i < 5; ++i) {
+      detail::put(detail::triple(*upper[i]), upper_, 3 * i, 0);
+      const Triple below = i < 2 ? detail::triple(*lower[i]) : -1.0 * detail::triple(*upper[i]);
+      detail::put(below, lower_, 3 * i, 0);
+    }
+    if constexpr (Rotors > 0) {
+      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
+      std::fill_n(lower_.data() + Part::actuators, 3 * Rotors, -infinity);
+    }
+    // No plan can change the measured state, so node 0 has no bounds on it. The last node has no
+    // input.
+    first_upper_ = last_upper_ = upper_;
+    first_lower_ = last_lower_ = lower_;
+    std::fill_n(first_upper_.data(), Part::rate, infinity);
+    std::fill_n(first_lower_.data(), Part::rate, -infinity);
+    std::fill_n(first_upper_.data() + constraints - Rotors, Rotors, infinity);
+    std::fill_n(last_upper_.data() + Part::rate, 6 + 2 * Rotors, infinity);
+    std::fill_n(last_lower_.data() + Part::rate, 6 + 2 * Rotors, -infinity);
+    const NmpcPenalties& p = settings_.penalties;
+    std::fill_n(penalty_.data() + Part::force, 6, p.wrench);
+    std::fill_n(penalty_.data() + Part::angular_velocity, 3, p.angular_velocity);
+    std::fill_n(penalty_.data() + Part::rate, 6, p.rate);
+    std::fill_n(penalty_.data() + Part::actuators, 3 * Rotors, p.actuators);
+  }
+
+  [[nodiscard]] Tangent error(int k, const State& x) const {
+    using detail::triple;
+    const WheeledFlightNode& n = node(k);
+    const auto &wrench = x.wrench, &wrench_reference = n.wrench_reference;
+    Tangent e;
+    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, I::force, 0);
+    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, I::torque, 0);
+    detail::put_body_error(n, x.body, detail::attitude_error(n, x.body), e, I::position);
+    return e;
+  }
+
+  [[nodiscard]] bool ends_with_riccati(int k) const {
+    return k == horizon() && settings_.terminal_cost == TerminalCost::riccati;
+  }
+  [[nodiscard]] double heading_of_end() const {
+    return yaw_of(nodes_.back().reference.orientation);
+  }
+
+  // At heading zero the tangent coordinates equal those of the error, to first order.
+  void set_terminal(const NmpcWeights& weights) {
+    State hover;
+    hover.wrench.force.z() = body_.mass() * gravity;
+    StateJacobian A;
+    InputJacobian B;
+    (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, A, B);
+    const Tangent of_state = state_weights_of(weights);
+    const Input of_input = input_weights_of(weights);
+    Model cost;
+    for (int i = 0; i < states; ++i) cost.hessian(i, i) = of_state(i);
+    for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = of_input(i);
+    const std::optional<StateJacobian> P =
+        optimal_control::solve_dare<states, inputs, TransitionPattern>(A, B, cost);
+    require(P.has_value(), "WheeledFlightSettings.terminal_cost", "riccati",
+            "used with weights by which every error that stays costs something, as NmpcWeights."
+            "position and .orientation > 0 do, enough for it to decay within 20000 intervals");
+    after_horizon_.assign(1, detail::CostAfterHorizon(*P));
+  }
+
+  [[nodiscard]] double ground_thrust_weight(int k) const {
+    if (!node(k).on_ground) return 0.0;
+    return (k == horizon() ? settings_.weights.terminal : 1.0) * settings_.weights.ground_thrust;
+  }
+  [[nodiscard]] const Tangent& state_weights(int k) const {
+    return k == horizon() ? last_state_weights_ : state_weights_;
+  }
+
+  [[nodiscard]] static Input packed(const Wrenchd& wrench) {
+    Input w;
+    detail::put(detail::triple(wrench.force), w, I::force, 0);
+    detail::put(detail::triple(wrench.torque), w, I::torque, 0);
+    return w;
+  }
+
+  RigidBodyd body_;
+  RigidBody<Lanes> lanes_;
+  ActuatorConstraints<Rotors> actuators_;
+  WheeledFlightSettings settings_;
+  std::vector<WheeledFlightNode> nodes_;
+  Tangent state_weights_, last_state_weights_;
+  Input input_weights_;
+  std::vector<detail::CostAfterHorizon> after_horizon_;  // of TerminalCost::riccati, else empty
+  Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
+};
+
+}  // namespace tilt_ropter

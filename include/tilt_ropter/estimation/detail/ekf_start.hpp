@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/estimation/detail/ekf_settings.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/model/state.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+
+/// State and covariance with which Ekf starts and restarts. Nothing here throws or allocates.
+namespace tilt_ropter {
+
+/// Standard deviations of a state that is given to Ekf::start(), per axis.
+struct StartStddev {
+  double position = 1.0;     ///< [m]
+  double velocity = 0.5;     ///< [m/s]
+  double orientation = 0.1;  ///< [rad]
+};
+
+/// Orientation of a body at rest with this specific force (body frame) and heading [rad].
+template <typename Scalar>
+[[nodiscard]] Eigen::Quaternion<Scalar> level_orientation(const Vector3<Scalar>& specific_force,
+                                                          const Scalar& heading) {
+  const auto level =
+      Eigen::Quaternion<Scalar>::FromTwoVectors(specific_force, Vector3<Scalar>::UnitZ());
+  return (quaternion_from_yaw(Scalar(heading - yaw_of(level))) * level).normalized();
+}
+
+namespace detail {
+
+/// Sets the variance of one part of the state (see InertialIndex).
+template <typename Covariance>
+void set_variance(Covariance& p, int part, double stddev) noexcept {
+  using Scalar = typename Covariance::Scalar;
+  p.diagonal().template segment<3>(part).setConstant(Scalar(stddev * stddev));
+}
+
+/// Sets the marker frame, relative to the IMU, to that of the settings.
+template <typename Scalar>
+void set_marker_frame(InertialState<Scalar>& x, const EkfSettings& settings) noexcept {
+  x.marker_position = (settings.marker_position - settings.imu_position).template cast<Scalar>();
+  x.marker_orientation = settings.marker_orientation.template cast<Scalar>();
+}
+
+/// Sets the variance of the marker frame, relative to the IMU, to that of the settings.
+template <typename Covariance>
+void set_marker_variance(Covariance& p, const EkfSettings& settings) noexcept {
+  set_variance(p, InertialIndex::marker_orientation, settings.marker_orientation_stddev);
+  set_variance(p, InertialIndex::marker_position,
+               std::max(settings.marker_position_stddev, settings.imu_position_stddev));
+}
+
+/// Changes the covariance of IMU and marker frame to that of the body's position and velocity, if
+/// the position of the IMU is estimated. `body_to_imu`: position of the IMU in the body frame [m].
+/// `sign` -1 is the opposite change.
+template <typename Scalar, typename Covariance>
+void move_to_body(Covariance& p, const Eigen::Quaternion<Scalar>& orientation,
+                  const Vector3<Scalar>& angular_velocity, const Vector3<Scalar>& body_to_imu,
+                  Scalar sign = Scalar(1)) noexcept {
+  using I = InertialIndex;
+  const Matrix3<Scalar> rotation = sign * orientation.toRotationMatrix();
+  const Matrix3<Scalar> position_by_turn = rotation * skew(body_to_imu),
+                        velocity_by_turn =
+                            rotation * skew(Vector3<Scalar>(angular_velocity.cross(body_to_imu))),
+                        velocity_by_place = rotation * skew(angular_velocity),
+                        velocity_by_bias = -rotation * skew(body_to_imu);
+  const auto rows = [&p](int start) { return p.template middleRows<3>(start); };
+  rows(I::position) +=
+      (position_by_turn * rows(I::orientation) + rotation * rows(I::marker_position)).eval();
+  rows(I::velocity) +=
+      (velocity_by_turn * rows(I::orientation) + velocity_by_bias * rows(I::gyro_bias) +
+       velocity_by_place * rows(I::marker_position))
+          .eval();
+  const auto columns = [&p](int start) { return p.template middleCols<3>(start); };
+  columns(I::position) += (columns(I::orientation) * position_by_turn.transpose() +
+                           columns(I::marker_position) * rotation.transpose())
+                              .eval();
+  columns(I::velocity) += (columns(I::orientation) * velocity_by_turn.transpose() +
+                           columns(I::gyro_bias) * velocity_by_bias.transpose() +
+                           columns(I::marker_position) * velocity_by_place.transpose())
+                              .eval();
+}
+
+/// What the filter knows before it starts at a pose.
+struct KnownAtStart {
+  bool marker_frame = false;         ///< learned from poses that were used before
+  bool biases_and_velocity = false;  ///< from before a gap
+  double gap = 0.0;                  ///< its duration [s]
+};
+
+/// Starts at the pose, with the known marker frame. The update from a much larger covariance sets
+/// the correlation between the pose and an uncertain marker frame.
+template <typename Scalar>
+void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose,
+                   const KnownAtStart& known, const EkfSettings& settings) noexcept {
+  using I = InertialIndex;
+  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
+  InertialState<Scalar> x = filter.state();
+  if (!known.marker_frame) set_marker_frame(x, settings);
+  x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
+  x.position = pose.position - x.orientation * x.marker_position;
+  Covariance p = Covariance::Zero();
+  if (known.marker_frame)
+    p.template bottomRightCorner<12, 12>() =
+        filter.covariance().template bottomRightCorner<12, 12>();
+  else
+    set_marker_variance(p, settings);
+  double velocity_stddev = settings.velocity_stddev;
+  if (known.biases_and_velocity) {
+    // The velocity has changed by an unknown acceleration during the gap.
+    constexpr double acceleration = 10.0;  // [m/s^2]
+    velocity_stddev = std::min(velocity_stddev, 0.5 + acceleration * known.gap);
+  } else {
+    x.velocity.setZero();
+    x.gyro_bias = settings.gyro_bias.template cast<Scalar>();
+    x.accelerometer_bias = settings.accelerometer_bias.template cast<Scalar>();
+    p.template block<6, 12>(I::gyro_bias, I::gyro_bias).setZero();
+    p.template block<12, 6>(I::gyro_bias, I::gyro_bias).setZero();
+    set_variance(p, I::gyro_bias, settings.gyro_bias_stddev);
+    set_variance(p, I::accelerometer_bias, settings.accelerometer_bias_stddev);
+  }
+  set_variance(p, I::position, 1.0);
+  set_variance(p, I::orientation, 1.0);
+  set_variance(p, I::velocity, velocity_stddev);
+  filter.reset(x, p);
+  filter.update(pose);
+}
+
+/// Moves and turns the estimate about the vertical, to a pose in another place.
+template <typename Scalar>
+void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) noexcept {
+  using I = InertialIndex;
+  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
+  InertialState<Scalar> x = filter.state();
+  const Eigen::Quaternion<Scalar> turn = quaternion_from_yaw(yaw_of(Eigen::Quaternion<Scalar>(
+      pose.orientation * (x.orientation * x.marker_orientation).conjugate())));
+  x.orientation = (turn * x.orientation).normalized();
+  x.velocity = turn * x.velocity;
+  x.position = pose.position - x.orientation * x.marker_position;
+  Covariance p = filter.covariance();
+  const Matrix3<Scalar> rotation = turn.toRotationMatrix();
+  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
+  p.template middleCols<3>(I::velocity) =
+      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
+  p.template middleRows<3>(I::position).setZero();
+  p.template middleCols<3>(I::position).setZero();
+  set_variance(p, I::position, 1.0);
+  // The heading is as good as the pose says; the lean is kept.
+  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
+  filter.reset(x, p);
+  filter.update(pose);
+}
+
+/// Moves one part of the state, position or velocity, by `off` (world frame), to the measurement
+/// `at` that was refused there.
+template <typename Scalar, typename Measurement>
+void shift(ErrorStateFilter<Scalar>& filter, int part, const Vector3<Scalar>& off,
+           Measurement at) noexcept {
+  InertialState<Scalar> x = filter.state();
+  (part == InertialIndex::position ? x.position : x.velocity) += off;
+  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
+  p.template middleRows<3>(part).setZero();
+  p.template middleCols<3>(part).setZero();
+  set_variance(p, part, 1.0);
+  filter.reset(x, p);
+  at.residual.setZero();
+  (void)filter.update(filter.innovation_of(at), at);
+}
+
+/// Goes on after `gap` [s] without IMU samples, during which the vehicle accelerated and turned in
+/// an unknown way. `angular_velocity`: after the gap, body frame [rad/s]. Returns false and changes
+/// nothing if the gap is so long that the attitude is lost.
+template <typename Scalar>
+[[nodiscard]] bool resume(ErrorStateFilter<Scalar>& filter, double gap,
+                          const Vector3<Scalar>& angular_velocity) noexcept {
+  using I = InertialIndex;
+  constexpr double longest = 0.4;            // [s]
+  constexpr double turn = 1.0, push = 10.0;  // stddev of the unknown [rad/s], [m/s^2]
+  if (!(gap <= longest)) return false;
+  const Scalar dt = static_cast<Scalar>(gap);
+  InertialState<Scalar> x = filter.state();
+  x.position += dt * x.velocity;
+  x.orientation =
+      (x.orientation * quaternion_exp(Vector3<Scalar>(dt * angular_velocity))).normalized();
+  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
+  p.template middleRows<3>(I::position) += dt * p.template middleRows<3>(I::velocity);
+  p.template middleCols<3>(I::position) += dt * p.template middleCols<3>(I::velocity);
+  const auto add = [&p](int part, double stddev) {
+    p.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
+  };
+  add(I::orientation, turn * gap);
+  add(I::velocity, push * gap);
+  add(I::position, push * gap * gap / 2.0);
+  filter.reset(x, p);
+  return true;
+}
+
+/// Starts at a state of the body (of the CoM). `imu_position` is that of the IMU, body frame [m].
+template <typename Scalar>
+void start_at_state(ErrorStateFilter<Scalar>& filter, const BodyState<Scalar>& body,
+                    const StartStddev& stddev, const Vector3<Scalar>& imu_position,
+                    bool marker_frame_is_known, const EkfSettings& settings) noexcept {
+  using I = InertialIndex;
+  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
+  InertialState<Scalar> x = filter.state();
+  x.orientation = body.orientation.normalized();
+  x.position = body.position + x.orientation * imu_position;
+  x.velocity =
+      body.velocity + x.orientation * Vector3<Scalar>(body.angular_velocity.cross(imu_position));
+  Covariance p = Covariance::Zero();
+  p.template bottomRightCorner<6, 6>() = filter.covariance().template bottomRightCorner<6, 6>();
+  if (!marker_frame_is_known) set_marker_variance(p, settings);
+  set_variance(p, I::position, stddev.position);
+  set_variance(p, I::velocity, stddev.velocity);
+  set_variance(p, I::orientation, stddev.orientation);
+  set_variance(p, I::gyro_bias, settings.gyro_bias_stddev);
+  set_variance(p, I::accelerometer_bias, settings.accelerometer_bias_stddev);
+  if (settings.imu_position_stddev > 0.0)
+    move_to_body(p, x.orientation, body.angular_velocity, imu_position, Scalar(-1));
+  filter.reset(x, p);
+}
+
+}  // namespace detail
+
+}  // namespace tilt_ropter

@@ -1,0 +1,250 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/estimation/detail/inertial_state.hpp>
+#include <tilt_ropter/estimation/detail/measurement_model.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <cmath>
+#include <limits>
+
+/// Mathematics of the state estimator, without clocks: an error-state Kalman filter on SO(3) after
+/// J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017, Secs. 5-7 (local
+/// orientation errors). Ekf (ekf.hpp) passes measurements with time stamps to it. Does not
+/// allocate. Only the constructor and validate() throw.
+namespace tilt_ropter {
+
+/// Noise of an IMU. Data sheets give the densities of an IMU at rest. Ten times these values are
+/// usual on a vibrating vehicle, also to cover misalignment and scale errors.
+struct InertialNoise {
+  double gyro_density = 2.0e-3;  ///< noise density of the angular velocity [rad/s/sqrt(Hz)]
+  double accelerometer_density = 2.0e-2;  ///< noise density of the specific force [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;         ///< random walk of the bias [rad/s^2/sqrt(Hz)]
+  double accelerometer_bias_walk = 1.0e-3;  ///< random walk of the bias [m/s^3/sqrt(Hz)]
+};
+
+inline void validate(const InertialNoise& n) {
+  const double most = 1e3;
+  require_in("InertialNoise.gyro_density [rad/s/sqrt(Hz)]", n.gyro_density, 0.0, most);
+  require_in("InertialNoise.accelerometer_density [m/s^2/sqrt(Hz)]", n.accelerometer_density, 0.0,
+             most);
+  require_in("InertialNoise.gyro_bias_walk [rad/s^2/sqrt(Hz)]", n.gyro_bias_walk, 0.0, most);
+  require_in("InertialNoise.accelerometer_bias_walk [m/s^3/sqrt(Hz)]", n.accelerometer_bias_walk,
+             0.0, most);
+}
+
+/// Standard deviations of a MarkerPose, per axis.
+struct MarkerPoseNoise {
+  double position = 2.0e-3;     ///< of the position, world frame [m]
+  double orientation = 5.0e-3;  ///< of the orientation, marker frame [rad]
+};
+
+inline void validate(const MarkerPoseNoise& n) {
+  require_in("MarkerPoseNoise.position [m]", n.position, 1e-6, 1e3);
+  require_in("MarkerPoseNoise.orientation [rad]", n.orientation, 1e-6, 10.0);
+}
+
+/// A pose linearised at a state, with its sparse Jacobian
+/// H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0]. Same interface as Linearised.
+template <typename Scalar>
+struct LinearisedPose {
+  static constexpr int rows = 6;
+  using Square = Eigen::Matrix<Scalar, 6, 6>;
+  using Columns = Eigen::Matrix<Scalar, InertialIndex::size, 6>;
+
+  /// `noise` is the diagonal of R. `pose` has an orientation of unit length.
+  LinearisedPose(const InertialState<Scalar>& x, const MarkerPose<Scalar>& pose,
+                 const Eigen::Matrix<Scalar, 6, 1>& variances) noexcept
+      : rotation(x.orientation.toRotationMatrix()),
+        to_marker(x.marker_orientation.conjugate().toRotationMatrix()),
+        by_turn(-rotation * skew(x.marker_position)),
+        noise(variances) {
+    residual.template head<3>() = pose.position - x.position - rotation * x.marker_position;
+    residual.template tail<3>() = quaternion_log(Eigen::Quaternion<Scalar>(
+        (x.orientation * x.marker_orientation).conjugate() * pose.orientation));
+  }
+
+  /// Adds the noise of a stamp that is wrong by `stddev` [s], at this rate of the body [rad/s] and
+  /// velocity of the IMU [m/s].
+  void add_stamp_noise(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
+                       const Scalar& stddev) noexcept {
+    has_stamp_noise = true;
+    stamp_noise.template head<3>() = velocity;
+    stamp_noise.template head<3>() += by_turn * angular_velocity;
+    stamp_noise.template tail<3>() = to_marker * angular_velocity;
+    stamp_noise *= stddev;
+  }
+
+  [[nodiscard]] Columns times_transpose(
+      const Eigen::Matrix<Scalar, InertialIndex::size, InertialIndex::size>& m) const noexcept {
+    using I = InertialIndex;
+    const auto columns = [&m](int start) { return m.template middleCols<3>(start); };
+    Columns product;
+    product.template leftCols<3>() = columns(I::position);
+    product.template leftCols<3>().noalias() += columns(I::orientation) * by_turn.transpose();
+    product.template leftCols<3>().noalias() += columns(I::marker_position) * rotation.transpose();
+    product.template rightCols<3>() = columns(I::marker_orientation);
+    product.template rightCols<3>().noalias() += columns(I::orientation) * to_marker.transpose();
+    return product;
+  }
+  [[nodiscard]] Square times(const Columns& c) const noexcept {
+    using I = InertialIndex;
+    const auto part = [&c](int start) { return c.template middleRows<3>(start); };
+    Square s;
+    s.template topRows<3>() = part(I::position);
+    s.template topRows<3>().noalias() += by_turn * part(I::orientation);
+    s.template topRows<3>().noalias() += rotation * part(I::marker_position);
+    s.template bottomRows<3>() = part(I::marker_orientation);
+    s.template bottomRows<3>().noalias() += to_marker * part(I::orientation);
+    return s;
+  }
+  [[nodiscard]] Columns times_noise(const Columns& g) const noexcept {
+    Columns product = g * noise.asDiagonal();
+    if (has_stamp_noise) product.noalias() += (g * stamp_noise) * stamp_noise.transpose();
+    return product;
+  }
+  void add_noise(Square& s) const noexcept {
+    s.diagonal() += noise;
+    if (has_stamp_noise) s.noalias() += stamp_noise * stamp_noise.transpose();
+  }
+
+  Matrix3<Scalar> rotation, to_marker, by_turn;
+  Eigen::Matrix<Scalar, 6, 1> residual;  ///< position, world [m]; rotation vector, M [rad]
+  Eigen::Matrix<Scalar, 6, 1> noise;     ///< variances
+  Eigen::Matrix<Scalar, 6, 1> stamp_noise = Eigen::Matrix<Scalar, 6, 1>::Zero();
+  bool has_stamp_noise = false;
+};
+
+/// Difference between a measurement and the state.
+template <typename Scalar, int Rows>
+struct MeasurementInnovation {
+  Eigen::Matrix<Scalar, Rows, 1> residual;       ///< measured - predicted
+  Eigen::Matrix<Scalar, Rows, Rows> covariance;  ///< S, covariance of the residual
+  /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if it overflows,
+  /// or if rounding has made S indefinite.
+  Scalar distance;
+  /// P H', cross-covariance of the state's error and the residual.
+  Eigen::Matrix<Scalar, InertialIndex::size, Rows> correlation;
+};
+
+/// State and covariance of its error. If the covariance of a part of the state is zero, this part
+/// is known: the filter uses it and does not change it.
+template <typename Scalar>
+class ErrorStateFilter {
+ public:
+  using Covariance = Eigen::Matrix<Scalar, 21, 21>;
+  using Innovation = MeasurementInnovation<Scalar, 6>;  ///< of a pose
+
+  /// Throws std::invalid_argument if a noise value is out of range.
+  ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose) {
+    validate(inertial);
+    validate(pose);
+    const auto square = [](double stddev) { return Scalar(stddev * stddev); };
+    const auto set_noise = [&](int start, double density) {
+      process_noise_.template segment<3>(start - noisy).setConstant(square(density));
+    };
+    using I = InertialIndex;
+    set_noise(I::velocity, inertial.accelerometer_density);
+    set_noise(I::orientation, inertial.gyro_density);
+    set_noise(I::gyro_bias, inertial.gyro_bias_walk);
+    set_noise(I::accelerometer_bias, inertial.accelerometer_bias_walk);
+    pose_noise_.template head<3>().setConstant(square(pose.position));
+    pose_noise_.template tail<3>().setConstant(square(pose.orientation));
+  }
+
+  void reset(const InertialState<Scalar>& state, const Covariance& covariance) noexcept {
+    state_ = state;
+    covariance_ = covariance;
+  }
+
+  /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
+  void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept {
+    const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
+    const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
+    const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
+    // Rounding leaves an asymmetric part, which would grow from step to step.
+    covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
+    covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
+    covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
+    covariance_.diagonal().template segment<12>(noisy) += dt * process_noise_;
+    state_ = propagate(state_, sample, dt);
+  }
+
+  /// Linearises a pose (orientation of unit length) at the state.
+  [[nodiscard]] LinearisedPose<Scalar> linearise(const MarkerPose<Scalar>& pose) const noexcept {
+    return {state_, pose, pose_noise_};
+  }
+
+  /// Compares a measurement, linearised at the current state, with the state. Changes nothing. `at`
+  /// is a Linearised or a LinearisedPose.
+  template <typename Measurement>
+  [[nodiscard]] MeasurementInnovation<Scalar, Measurement::rows> innovation_of(
+      const Measurement& at) const noexcept {
+    MeasurementInnovation<Scalar, Measurement::rows> in;
+    in.residual = at.residual;
+    in.correlation = at.times_transpose(covariance_);
+    const typename Measurement::Square s = at.times(in.correlation);
+    in.covariance = (s + s.transpose()) / Scalar(2);
+    at.add_noise(in.covariance);
+    const auto factor = in.covariance.llt();
+    in.distance = std::numeric_limits<Scalar>::max();
+    if (factor.info() != Eigen::Success) return in;
+    const Scalar square = in.residual.dot(factor.solve(in.residual));
+    if (square < in.distance) in.distance = square;  // huge residuals overflow
+    return in;
+  }
+
+  /// Updates state and covariance with a measurement, linearised at the current state, and its
+  /// innovation. The covariance is updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An
+  /// error of the gain, or of rounding, does not make this form negative. Returns false and changes
+  /// nothing if S is not positive definite. Rounding can cause this if P is larger than the noise
+  /// by more digits than a Scalar has.
+  template <typename Measurement>
+  bool update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
+              const Measurement& at) noexcept {
+    const auto factor = in.covariance.llt();
+    if (factor.info() != Eigen::Success) return false;
+    const typename Measurement::Columns gain = factor.solve(in.correlation.transpose()).transpose();
+    Covariance left = covariance_;  // (I - K H) P
+    left.noalias() -= gain * in.correlation.transpose();
+    typename Measurement::Columns rest = at.times_noise(gain);
+    rest -= at.times_transpose(left);
+    left.noalias() += rest * gain.transpose();
+    covariance_ = (left + left.transpose()) / Scalar(2);
+    state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+    return true;
+  }
+
+  /// Compares a pose (orientation of unit length) with the state. Changes nothing.
+  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
+    return innovation_of(linearise(pose));
+  }
+
+  /// Updates with a pose (orientation of unit length), whatever its innovation.
+  bool update(const MarkerPose<Scalar>& pose) noexcept {
+    const LinearisedPose<Scalar> at = linearise(pose);
+    return update(innovation_of(at), at);
+  }
+
+  [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
+  [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
+
+ private:
+  static constexpr int noisy = InertialIndex::velocity;  // first state with process noise
+
+  InertialState<Scalar> state_;
+  Covariance covariance_ = Covariance::Zero();
+  /// Variance rates of velocity ... accelerometer bias [1/s].
+  Eigen::Matrix<Scalar, 12, 1> process_noise_;
+  Eigen::Matrix<Scalar, 6, 1> pose_noise_;
+};
+using ErrorStateFilterd = ErrorStateFilter<double>;  ///< in double precision
+
+}  // namespace tilt_ropter

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/estimation/detail/inertial_state.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+
+#include <Eigen/Core>
+
+/// What a measurement model gives to the error-state filter: residual, Jacobian and noise at the
+/// predicted motion. Nothing here throws or allocates.
+namespace tilt_ropter {
+
+/// Largest number of rows of one measurement.
+inline constexpr int max_measurement_rows = 6;
+
+/// Predicted motion at the time of a measurement.
+template <typename Scalar>
+struct InertialMotion {
+  InertialState<Scalar> state;                                 ///< of the filter, at the IMU
+  Vector3<Scalar> angular_velocity = Vector3<Scalar>::Zero();  ///< gyro minus bias, body [rad/s]
+  Vector3<Scalar> imu_position = Vector3<Scalar>::Zero();      ///< of the IMU, body frame [m]
+  /// Covariance of the orientation error, body frame [rad^2], for models that are far from linear.
+  Matrix3<Scalar> orientation_covariance = Matrix3<Scalar>::Zero();
+};
+using InertialMotiond = InertialMotion<double>;  ///< in double precision
+
+/// A measurement linearised at the predicted motion. `residual` = measured - predicted is
+/// jacobian * error + noise to first order. The error is an InertialTangent (true (-) predicted).
+template <typename Scalar, int Rows>
+struct Linearised {
+  static_assert(Rows >= 1 && Rows <= max_measurement_rows, "a measurement has 1 to 6 rows");
+  static constexpr int rows = Rows;
+  using Square = Eigen::Matrix<Scalar, Rows, Rows>;
+  using Columns = Eigen::Matrix<Scalar, InertialIndex::size, Rows>;
+
+  Eigen::Matrix<Scalar, Rows, 1> residual = Eigen::Matrix<Scalar, Rows, 1>::Zero();
+  /// H, the derivative of the predicted measurement by the error.
+  Eigen::Matrix<Scalar, Rows, InertialIndex::size> jacobian =
+      Eigen::Matrix<Scalar, Rows, InertialIndex::size>::Zero();
+  Square noise = Square::Identity();  ///< R, covariance of the noise
+  bool valid = true;                  ///< false: the model has no prediction here
+
+  /// Three columns of H from `start` (see InertialIndex).
+  [[nodiscard]] auto by(int start) noexcept { return jacobian.template middleCols<3>(start); }
+
+  /// Returns m H'. Skips the parts of the state that the measurement does not depend on.
+  template <typename Derived>
+  [[nodiscard]] Columns times_transpose(const Eigen::MatrixBase<Derived>& m) const noexcept {
+    Columns product = Columns::Zero();
+    for (int start = 0; start < InertialIndex::size; start += 3) {
+      const auto part = jacobian.template middleCols<3>(start);
+      if ((part.array() == Scalar(0)).all()) continue;
+      product.noalias() += m.template middleCols<3>(start) * part.transpose();
+    }
+    return product;
+  }
+  /// Returns H c.
+  [[nodiscard]] Square times(const Columns& c) const noexcept { return jacobian * c; }
+  /// Returns g R.
+  [[nodiscard]] Columns times_noise(const Columns& g) const noexcept { return g * noise; }
+  void add_noise(Square& s) const noexcept { s += noise; }
+  [[nodiscard]] bool is_finite() const noexcept {
+    return all_finite(residual) && all_finite(jacobian) && all_finite(noise);
+  }
+};
+
+/// Position and velocity of a point that is fixed to the body, with their derivatives by the error.
+template <typename Scalar>
+struct BodyPoint {
+  /// The point is at `place` in the body frame [m].
+  BodyPoint(const InertialMotion<Scalar>& at, const Vector3<Scalar>& place) noexcept
+      : arm(place - at.imu_position),
+        rotation(at.state.orientation.toRotationMatrix()),
+        position(at.state.position + rotation * arm),
+        imu_velocity(rotation.transpose() * at.state.velocity),
+        velocity(imu_velocity + at.angular_velocity.cross(arm)),
+        position_by_turn(-rotation * skew(arm)) {}
+
+  Vector3<Scalar> arm;               ///< from the IMU, body frame [m]
+  Matrix3<Scalar> rotation;          ///< body -> world
+  Vector3<Scalar> position;          ///< world frame [m]
+  Vector3<Scalar> imu_velocity;      ///< of the IMU, body frame [m/s]
+  Vector3<Scalar> velocity;          ///< of the point, body frame [m/s]
+  Matrix3<Scalar> position_by_turn;  ///< d position / d orientation error
+
+  /// Adds d (axes * velocity) / d error to the rows of `h`, with axes constant in the body frame.
+  template <int Rows>
+  void add_velocity(const Eigen::Matrix<Scalar, Rows, 3>& axes,
+                    Linearised<Scalar, Rows>& h) const noexcept {
+    using I = InertialIndex;
+    h.by(I::velocity) += axes * rotation.transpose();
+    h.by(I::orientation) += axes * skew(imu_velocity);
+    h.by(I::gyro_bias) += axes * skew(arm);
+  }
+};
+
+}  // namespace tilt_ropter

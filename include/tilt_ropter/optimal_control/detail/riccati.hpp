@@ -1,0 +1,545 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/math/detail/entries.hpp>
+#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati_stage.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+/// The linear-quadratic problem of one SQP step without inequality constraints, and its
+/// factorisation by one backward Riccati pass.
+///
+/// With w = (dx, du) and M = [A B], the cost to go of node k is 1/2 w' H w + g' w with
+///
+///     H = [lxx lux'; lux luu] + M' P M,    g = (lx, lu) + M' (p + P defect),
+///
+/// where P and p belong to node k + 1. A Cholesky factorisation of H, whose pivots are the last
+/// rows of H, eliminates du and leaves the P and p of node k (Rao, Wright & Rawlings, "Application
+/// of interior-point methods to model predictive control", 1998, for the recursion; Frison &
+/// Jorgensen, "Efficient implementation of the Riccati recursion", 2013, for its form as one
+/// Cholesky factorisation). With the eliminated columns [Y; L], divided by the square roots of
+/// their pivots,
+///
+///     z_k = L' du_k + Y' dx_k + y_k,    L y_k = g_u,
+///
+/// is the distance from the unconstrained optimal input. Completing the square turns the total cost
+/// into 1/2 |z|^2 + const, with continuity eliminated.
+///
+/// The adjoint propagation for many functions at once is in adjoint_batch.hpp.
+namespace tilt_ropter::optimal_control {
+
+/// The problem for a horizon with the nodes stage(0) to stage(N). Of the last node only the cost of
+/// dx is used. `Pattern` defines which entries of [A B] can be non-zero: see TransitionPattern.
+template <int States, int Inputs, typename Pattern = FullTransition>
+class Riccati {
+ public:
+  using Stage = RiccatiStage<States, Inputs>;
+  using Tangent = Eigen::Matrix<double, States, 1>;
+  using Input = Eigen::Matrix<double, Inputs, 1>;
+  using StateMatrix = Eigen::Matrix<double, States, States>;
+  using InputMatrix = Eigen::Matrix<double, States, Inputs>;
+  using Gain = Eigen::Matrix<double, Inputs, States>;
+  static constexpr int width = Stage::width, rows = Stage::rows;
+  /// (dx, du) of a node, or derivatives by it, padded with zeros.
+  using Vector = typename Stage::Vector;
+
+  /// Allocates once for `horizon` intervals.
+  explicit Riccati(int horizon) : stages_(static_cast<std::size_t>(horizon) + 1) {}
+
+  [[nodiscard]] int horizon() const { return static_cast<int>(stages_.size()) - 1; }
+  [[nodiscard]] Stage& stage(int k) { return stages_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const Stage& stage(int k) const { return stages_[static_cast<std::size_t>(k)]; }
+
+  /// Sets A and B of the interval dx_{k+1} = A dx_k + B du_k + defect. Returns false if a number is
+  /// not finite.
+  [[nodiscard]] bool set_transition(int k, const StateMatrix& A, const InputMatrix& B) {
+    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      Stage& s = stage(k);
+      detail::FiniteCheck<Width> check;
+      detail::copy_transposed<Width, States, States>(A.data(), s.transition.data(), rows, check);
+      detail::copy_transposed<Width, States, Inputs>(B.data(), s.transition.data() + States, rows,
+                                                     check);
+      return check.passed();
+    });
+  }
+  /// The same for the intervals k to k + count - 1, count <= 4, from derivatives with one lane per
+  /// interval. Reads only the entries that the pattern allows.
+  [[nodiscard, gnu::always_inline]] inline bool set_transitions(
+      int k, int count, const Eigen::Matrix<Lanes, States, States>& A,
+      const Eigen::Matrix<Lanes, States, Inputs>& B) {
+    constexpr int lanes = Lanes::count;
+    static constexpr auto lists = reached_by<lanes>();
+    detail::FiniteCheck<lanes> check;
+    for (int t = 0; t < rows / lanes; ++t) {
+      const auto& list = lists[static_cast<std::size_t>(t)];
+      for (int n = 0; n < list.count; ++n) {
+        const int row = list.at[static_cast<std::size_t>(n)];
+        Packet<lanes> square[detail::size(lanes)];
+#pragma GCC unroll 4
+        for (int c = 0; c < lanes; ++c) {
+          const int column = lanes * t + c;
+          square[c] = column < States  ? A.coeffRef(row, column).packet
+                      : column < width ? B.coeffRef(row, column - States).packet
+                                       : Packet<lanes>{};
+          check.add(square[c]);
+        }
+        detail::transpose(square);
+#pragma GCC unroll 4
+        for (int c = 0; c < lanes; ++c)
+          if (c < count)
+            detail::store<lanes>(stage(k + c).transition.data() + rows * row + lanes * t,
+                                 square[c]);
+      }
+    }
+    return check.passed();
+  }
+  void set_defect(int k, const Tangent& defect) {
+    for (int i = 0; i < States; ++i) stage(k).defect(i) = defect(i);
+  }
+
+  /// Backward pass. `damping` is added to the diagonals of all Hessians. terms(k, hessian,
+  /// gradient) adds to the Hessian (`rows` x `width` numbers) and gradient (`rows` numbers) of node
+  /// k. Of the columns of dx, only the lower triangle without the rows of du is used. Returns false
+  /// if the remaining Hessian of the inputs of a node is not positive definite or NaN (the problem
+  /// then has no unique minimum). Does not allocate.
+  [[nodiscard]] bool factorise(double damping = 0.0, const NodeTerms& terms = {}) {
+    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      return pass<packet()>(damping, terms);
+    });
+  }
+
+  /// Backward pass for other gradients, one for each node, without defects. Uses the last
+  /// factorisation.
+  void solve(const std::vector<Vector>& gradients) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      solve_for<packet()>(gradients);
+      return true;
+    });
+  }
+
+  /// Forward sweep from the dx in w[0]. Computes the inputs du with the coordinates z, and the dx
+  /// that they lead to. `z` has Inputs numbers for each node; null means zero: the optimal inputs.
+  void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
+    Sweep how;
+    how.z = z;
+    run(how, w);
+  }
+  /// Forward sweep with inputs that follow dx by the gains alone, without feed-forward.
+  void sweep_plan(std::vector<Vector>& w) const {
+    Sweep how;
+    how.feedforward = false;
+    run(how, w);
+  }
+  /// Forward sweep with the unchanged inputs du in w.
+  void roll_out(std::vector<Vector>& w) const {
+    Sweep how;
+    how.first = w.size();
+    run(how, w);
+  }
+  /// The same as sweep() without defects, for a change of a step.
+  void sweep_change(std::vector<Vector>& w) const {
+    Sweep how;
+    how.defects = false;
+    run(how, w);
+  }
+  /// The same as sweep_plan() without defects, for a deviation from a step. Nodes before `first`
+  /// keep their inputs in w.
+  void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
+    Sweep how;
+    how.first = first;
+    how.feedforward = how.defects = false;
+    run(how, w);
+  }
+  /// Forward sweep in which choose(k, w) may change the optimal input of each node in w = (dx, du).
+  template <typename Choose>
+  void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
+    for (int k = 0; k < horizon(); ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      Sweep how;
+      how.begin = i;
+      how.end = i + 1;
+      how.move = false;
+      run(how, w);
+      choose(k, w[i]);
+      how.move = true;
+      how.first = how.end;
+      run(how, w);
+    }
+  }
+
+  /// Returns the symmetric P of node 0, after factorise(): the Hessian of the cost of the whole
+  /// horizon.
+  [[nodiscard]] StateMatrix initial_cost() const {
+    StateMatrix P;
+    for (int j = 0; j < States; ++j)
+      for (int i = 0; i < States; ++i) P(i, j) = cost_to_go_(i, j);
+    return P;
+  }
+
+  /// Returns the optimal input of node k for dx = 0.
+  [[nodiscard]] Input feedforward(int k) const {
+    const Stage& s = stage(k);
+    Input du;
+    for (int j = Inputs - 1; j >= 0; --j) {
+      du(j) = -s.inverse_pivot(j) * s.eliminated(j);
+      for (int i = j + 1; i < Inputs; ++i) du(j) -= s.factor(States + i, j) * du(i);
+    }
+    return du;
+  }
+  /// Returns the gain d du / d dx of the optimal input of node k.
+  [[nodiscard]] Gain gain(int k) const {
+    const Stage& s = stage(k);
+    Gain gain;
+    for (int j = Inputs - 1; j >= 0; --j)
+      for (int n = 0; n < States; ++n) {
+        gain(j, n) = -s.factor(n, j);
+        for (int i = j + 1; i < Inputs; ++i) gain(j, n) -= s.factor(States + i, j) * gain(i, n);
+      }
+    return gain;
+  }
+
+ private:
+  template <int Width>
+  using Packet = detail::Packet<Width>;
+  static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
+
+  template <int Width>
+  static constexpr auto reached_by() {
+    return detail::reached_by<States, Inputs, Pattern, Width>();
+  }
+
+  template <int Width>
+  [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
+    const Stage& last = stages_.back();
+    detail::FiniteCheck<Width> unused;
+    for (int j = 0; j < width; ++j)
+      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j,
+                                unused);
+    detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data(), unused);
+    for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
+    terms(horizon(), hessian_.data(), gradient_.data());
+    for (int j = 0; j < States; ++j)
+      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + state_rows * j,
+                                  unused);
+    mirror<Width>();
+    for (int k = horizon() - 1; k >= 0; --k) {
+      Stage& s = stage(k);
+      multiply<Width>(s);
+      add_gradient<Width>(s);
+      add_hessian<Width>(s);
+      if (damping > 0.0)
+        for (int i = 0; i < width; ++i) hessian_(i, i) += damping;
+      terms(k, hessian_.data(), gradient_.data());
+      if (!eliminate<Width>(s)) return false;
+      add_remainder<Width>(s);
+      mirror<Width>();
+    }
+    return true;
+  }
+
+  // product_ = M' P.
+  template <int Width>
+  [[gnu::always_inline]] inline void multiply(const Stage& s) {
+    constexpr int most = 9;  // number of columns whose sums fit into the registers
+    for (int t = 0; t < rows / Width; ++t) {
+      for (int column = 0; column + most <= States; column += most)
+        multiply_packet<Width, most>(s, t, column);
+      if constexpr (States % most > 0)
+        multiply_packet<Width, States % most>(s, t, States - States % most);
+    }
+  }
+  template <int Width, int Columns>
+  [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
+    static constexpr auto lists = reached_by<Width>();
+    const auto& list = lists[static_cast<std::size_t>(t)];
+    Packet<Width> sum[detail::size(Columns)] = {};
+    for (int n = 0; n < list.count; ++n) {
+      const int k = list.at[static_cast<std::size_t>(n)];
+      Packet<Width> m;
+      detail::load<Width>(s.transition.data() + rows * k + Width * t, m);
+      const double* p = cost_to_go_.data() + state_rows * k + first;
+#pragma GCC unroll 16
+      for (int j = 0; j < Columns; ++j) sum[j] += m * p[j];
+    }
+#pragma GCC unroll 16
+    for (int j = 0; j < Columns; ++j)
+      detail::store<Width>(product_.data() + rows * (first + j) + Width * t, sum[j]);
+  }
+
+  // Sets gradient_ to g. Before, its first entries are p.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_gradient(const Stage& s) {
+    constexpr int packets = rows / Width;
+    Packet<Width> sum[detail::size(packets)];
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t)
+      detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
+    for (int k = 0; k < States; ++k) {
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) {
+        detail::add_product<Width>(sum[t], s.transition.data() + rows * k + Width * t,
+                                   gradient_(k));
+        detail::add_product<Width>(sum[t], product_.data() + rows * k + Width * t, s.defect(k));
+      }
+    }
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, sum[t]);
+  }
+
+  // Sets hessian_ to H: columns of dx from the diagonal down, complete columns of du.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_hessian(const Stage& s) {
+    add_state_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
+    for (int j = States; j < width; ++j) add_column<Width, 0, rows / Width>(s, j);
+  }
+  template <int Width, int... t>
+  [[gnu::always_inline]] inline void add_state_columns(const Stage& s,
+                                                       std::integer_sequence<int, t...>) {
+    (add_state_columns_from<Width, t>(s), ...);
+  }
+  template <int Width, int First>
+  [[gnu::always_inline]] inline void add_state_columns_from(const Stage& s) {
+    for (int j = Width * First; j < Width * (First + 1) && j < States; ++j)
+      add_column<Width, First, state_rows / Width>(s, j);
+  }
+  template <int Width, int First, int Last>
+  [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
+    static constexpr auto lists = reached_by<1>();
+    const auto& list = lists[static_cast<std::size_t>(j)];
+    const double* cost = s.cost.hessian.data() + rows * j;
+    double* column = hessian_.data() + rows * j;
+    Packet<Width> sum[detail::size(Last - First)];
+#pragma GCC unroll 16
+    for (int t = First; t < Last; ++t) detail::load<Width>(cost + Width * t, sum[t - First]);
+    for (int n = 0; n < list.count; ++n) {
+      const int k = list.at[static_cast<std::size_t>(n)];
+      const double m = s.transition(j, k);
+      const double* product = product_.data() + rows * k;
+#pragma GCC unroll 16
+      for (int t = First; t < Last; ++t)
+        detail::add_product<Width>(sum[t - First], product + Width * t, m);
+    }
+#pragma GCC unroll 16
+    for (int t = First; t < Last; ++t) detail::store<Width>(column + Width * t, sum[t - First]);
+  }
+
+  // Cholesky factorisation of the last rows and columns, which also eliminates du from the
+  // gradient. Returns false if a pivot is not positive.
+  template <int Width>
+  [[gnu::always_inline]] inline bool eliminate(Stage& s) {
+    constexpr int packets = rows / Width;
+    bool positive = true;
+    Packet<Width> g[detail::size(packets)];
+#pragma GCC unroll 16
+    for (int t = 0; t < packets; ++t) detail::load<Width>(gradient_.data() + Width * t, g[t]);
+    for (int j = 0; j < Inputs; ++j) {
+      double* column = hessian_.data() + rows * (States + j);
+      Packet<Width> c[detail::size(packets)];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::load<Width>(column + Width * t, c[t]);
+      for (int i = 0; i < j; ++i) {
+        const double factor = -s.factor(States + j, i);
+        const double* before = hessian_.data() + rows * (States + i);
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(c[t], before + Width * t, factor);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(column + Width * t, c[t]);
+      const double pivot = column[States + j], inverse = 1.0 / pivot;
+      positive = positive && pivot > 0.0;
+      s.inverse_pivot(j) = inverse;
+      s.eliminated(j) = gradient_(States + j);
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) {
+        c[t] *= inverse;
+        detail::store<Width>(s.factor.data() + rows * j + Width * t, c[t]);
+        g[t] -= c[t] * s.eliminated(j);
+        detail::store<Width>(gradient_.data() + Width * t, g[t]);
+      }
+    }
+    return positive;
+  }
+
+  // Sets cost_to_go_ from the diagonal down: the rest of hessian_ after the elimination.
+  template <int Width>
+  [[gnu::always_inline]] inline void add_remainder(const Stage& s) {
+    add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
+  }
+  template <int Width, int... t>
+  [[gnu::always_inline]] inline void add_remainder_columns(const Stage& s,
+                                                           std::integer_sequence<int, t...>) {
+    (add_remainder_columns_from<Width, t>(s), ...);
+  }
+  template <int Width, int First>
+  [[gnu::always_inline]] inline void add_remainder_columns_from(const Stage& s) {
+    constexpr int count = state_rows / Width - First;
+    for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
+      Packet<Width> sum[detail::size(count)];
+#pragma GCC unroll 16
+      for (int t = 0; t < count; ++t)
+        detail::load<Width>(hessian_.data() + rows * j + Width * (First + t), sum[t]);
+      for (int i = 0; i < Inputs; ++i) {
+        const double factor = -s.factor(j, i);
+        const double* column = hessian_.data() + rows * (States + i) + Width * First;
+#pragma GCC unroll 16
+        for (int t = 0; t < count; ++t)
+          detail::add_product<Width>(sum[t], column + Width * t, factor);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < count; ++t)
+        detail::store<Width>(cost_to_go_.data() + state_rows * j + Width * (First + t), sum[t]);
+    }
+  }
+
+  // Copies the lower triangle of cost_to_go_ to its upper triangle.
+  template <int Width>
+  [[gnu::always_inline]] inline void mirror() {
+    for (int j = 0; j < States; j += Width) {
+      for (int i = j; i < States; i += Width) {
+        Packet<Width> square[detail::size(Width)];
+#pragma GCC unroll 4
+        for (int c = 0; c < Width; ++c)
+          if (j + c < States)
+            detail::load<Width>(cost_to_go_.data() + state_rows * (j + c) + i, square[c]);
+          else
+            square[c] = Packet<Width>{};
+        detail::transpose(square);
+#pragma GCC unroll 4
+        for (int c = 0; c < Width; ++c) {
+          if (i + c >= States) continue;
+          double* column = cost_to_go_.data() + state_rows * (i + c) + j;
+          if (i > j) {
+            detail::store<Width>(column, square[c]);
+          } else {
+#pragma GCC unroll 4
+            for (int r = 0; r < c; ++r) column[r] = square[c][r];
+          }
+        }
+      }
+    }
+  }
+
+  template <int Width>
+  [[gnu::always_inline]] inline void solve_for(const std::vector<Vector>& gradients) {
+    constexpr int packets = rows / Width;
+    gradient_ = gradients.back();
+    for (int k = horizon() - 1; k >= 0; --k) {
+      Stage& s = stage(k);
+      const Vector& own = gradients[static_cast<std::size_t>(k)];
+      Packet<Width> g[detail::size(packets)];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::load<Width>(own.data() + Width * t, g[t]);
+      for (int i = 0; i < States; ++i) {
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(g[t], s.transition.data() + rows * i + Width * t,
+                                     gradient_(i));
+      }
+      double by_input[detail::size(rows)];
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(by_input + Width * t, g[t]);
+      for (int j = 0; j < Inputs; ++j) {
+        double sum = by_input[States + j];
+        for (int i = 0; i < j; ++i) sum -= s.factor(States + j, i) * s.eliminated(i);
+        s.eliminated(j) = sum;
+#pragma GCC unroll 16
+        for (int t = 0; t < packets; ++t)
+          detail::add_product<Width>(g[t], s.factor.data() + rows * j + Width * t, -sum);
+      }
+#pragma GCC unroll 16
+      for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, g[t]);
+    }
+  }
+
+  // Options of a forward sweep. They are chosen at run time; as template parameters, each
+  // combination would be compiled separately.
+  struct Sweep {
+    std::size_t begin = 0, end = static_cast<std::size_t>(-1);  // nodes of the sweep
+    std::size_t first = 0;  // first node whose input is computed; earlier nodes keep the input in w
+    const double* z = nullptr;  // coordinates of the inputs; null: zero
+    bool feedforward = true;    // false: inputs follow dx by the gains alone
+    bool defects = true;        // false: without defects
+    bool move = true;           // false: only the inputs are computed
+  };
+  void run(const Sweep& how, std::vector<Vector>& w) const {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      const std::size_t end = std::min(how.end, stages_.size() - 1);
+      for (std::size_t k = how.begin; k < end; ++k) {
+        const Stage& s = stages_[k];
+        if (k >= how.first)
+          set_input<packet()>(s, how.z ? how.z + Inputs * static_cast<int>(k) : nullptr,
+                              how.feedforward, w[k]);
+        if (how.move) advance<packet()>(s, w[k], how.defects, w[k + 1]);
+      }
+      return true;
+    });
+  }
+  // Computes du of w = (dx, du).
+  template <int Width>
+  [[gnu::always_inline]] static inline void set_input(const Stage& s, const double* z,
+                                                      bool feedforward, Vector& w) {
+    double turned[detail::size(input_rows)];  // Y' dx, divided by the diagonal of L
+    for (int i = States; i < state_rows; ++i) w(i) = 0.0;
+    for (int j = 0; j < input_rows; j += Width)
+      multiply_transposed<Width, state_rows>(s.factor.data() + rows * j, w.data(), turned + j);
+    double* du = w.data() + States;
+    for (int j = Inputs - 1; j >= 0; --j) {
+      double sum = -turned[j];
+      if (feedforward) sum -= s.inverse_pivot(j) * s.eliminated(j);
+      if (z) sum += std::sqrt(s.inverse_pivot(j)) * z[j];
+      for (int i = Inputs - 1; i > j; --i) sum -= s.factor(States + i, j) * du[i];
+      du[j] = sum;
+    }
+  }
+  // Computes dx of `next`.
+  template <int Width>
+  [[gnu::always_inline]] static inline void advance(const Stage& s, const Vector& w, bool defects,
+                                                    Vector& next) {
+    double dx[detail::size(state_rows)];
+    for (int k = 0; k < state_rows; k += Width)
+      multiply_transposed<Width, rows>(s.transition.data() + rows * k, w.data(), dx + k);
+    for (int k = 0; k < States; ++k) next(k) = defects ? dx[k] + s.defect(k) : dx[k];
+  }
+  // Products of Width columns, which are `rows` numbers apart, with the first `Count` numbers of w.
+  template <int Width, int Count>
+  [[gnu::always_inline]] static inline void multiply_transposed(const double* columns,
+                                                                const double* w, double* result) {
+    Packet<Width> sums[detail::size(Width)] = {};
+#pragma GCC unroll 32
+    for (int i = 0; i < Count; i += Width) {
+      Packet<Width> factor;
+      detail::load<Width>(w + i, factor);
+#pragma GCC unroll 4
+      for (int c = 0; c < Width; ++c) {
+        Packet<Width> column;
+        detail::load<Width>(columns + rows * c + i, column);
+        sums[c] += column * factor;
+      }
+    }
+    detail::transpose(sums);
+#pragma GCC unroll 4
+    for (int c = 1; c < Width; ++c) sums[0] += sums[c];
+    detail::store<Width>(result, sums[0]);
+  }
+
+  std::vector<Stage> stages_;
+  // P of the node that the pass has reached; M' P and H of the current node; (p, remainder of g_u).
+  Eigen::Matrix<double, state_rows, States> cost_to_go_ = detail::Filled();
+  Eigen::Matrix<double, rows, States> product_ = detail::Filled();
+  Eigen::Matrix<double, rows, width> hessian_ = detail::Filled();
+  Vector gradient_ = detail::Filled();
+};
+
+}  // namespace tilt_ropter::optimal_control
