@@ -20,9 +20,9 @@ int main(int argc, char** argv) {
   settings.center = robot.body().position;
   settings.amplitude << 2.0, 0.6, 0.0;  // [m], level
   settings.heading = HeadingMode::along_velocity;
-  settings.start_time = 1.0;  // [s]
   settings.laps = 1;
-  const FigureEight eight(settings);
+  FigureEight eight(settings);
+  eight.set_start_time(1.0);  // [s]
 
   const Allocation allocation(vehicle);
   WrenchObserverd observer(vehicle.body, observer_settings(20.0));

@@ -19,7 +19,6 @@
 #include <fstream>
 #include <istream>
 #include <utility>
-#include <variant>
 #include <vector>
 
 namespace examples {
@@ -421,7 +420,10 @@ class Writer {
                to = on_ground(s(s.end_time()).position);
     Json object;
     MissionPhase usual = phase_between(from, to);
-    std::visit([&](const auto& motion) { write(object, s.phase, motion, usual); }, s.motion);
+    if (!writes<Hold, Transition, FigureEight, MinimumSnap, SampledPath>(object, s, usual))
+      throw MissionFileError(
+          "--write-mission: a mission file has no type for the motion in phase " +
+          std::string(to_string(s.phase)));
     const bool has_phase =
         object["type"] == "turn" || object["type"] == "go_to" || object["type"] == "way_points";
     if (has_phase && s.phase != usual) object["phase"] = to_string(s.phase);
@@ -436,6 +438,16 @@ class Writer {
  private:
   bool on_ground(const Eigen::Vector3d& p) const {
     return undercarriage_ && p.z() <= undercarriage_->height + 1e-6;
+  }
+
+  // Writes the motion if it is one of these types.
+  template <typename... Motions>
+  bool writes(Json& object, const MissionSegment& s, MissionPhase& usual) const {
+    const auto try_it = [&](const auto* motion) {
+      if (motion != nullptr) write(object, s.phase, *motion, usual);
+      return motion != nullptr;
+    };
+    return (try_it(s.motion<Motions>()) || ...);
   }
 
   static void write(Json& object, MissionPhase phase, const Hold& hold, MissionPhase&) {
@@ -499,10 +511,6 @@ class Writer {
 
   static void write(Json& object, MissionPhase, const SampledPath&, MissionPhase&) {
     object["type"] = "trajectory";
-  }
-
-  static void write(Json&, MissionPhase, const Excitation&, MissionPhase&) {
-    throw MissionFileError("--write-mission: a mission file has no type for the mission excite");
   }
 
   static void write_heading(Json& object, HeadingMode heading, double max_yaw_rate) {

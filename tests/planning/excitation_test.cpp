@@ -17,8 +17,8 @@ using namespace tilt_ropter;
 TEST(Excitation, DerivativesAreThoseOfPositionAndOrientation) {
   ExcitationSettings settings;
   settings.center.yaw = 0.7;
-  settings.start_time = 3.0;
-  const Excitation motion(settings);
+  Excitation motion(settings);
+  motion.set_start_time(3.0);
   constexpr double h = 1e-4;
   for (double time = 3.0 + 0.01; time < 3.0 + settings.duration; time += 0.0837) {
     const ReferencePoint before = motion(time - h), now = motion(time), after = motion(time + h);

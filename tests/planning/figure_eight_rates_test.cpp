@@ -29,7 +29,7 @@ struct Model {
   double duration;
 
   Scalar phase(const Scalar& time) const {
-    const Scalar t = time - p.start_time;
+    const Scalar t = time;
     const double rate = two_pi * (p.laps + 2.0 * p.ramp_laps) / duration;
     const double ramp = 2.0 * two_pi * p.ramp_laps / rate;
     const auto ramp_phase = [&](const Scalar& x) {

@@ -89,6 +89,37 @@ TEST(HybridMission, RunsThroughItsPhasesInOrder) {
   }
 }
 
+// A circle of one metre, at its own times 5 to 7.
+ReferencePoint circle(double time) {
+  const double angle = 0.3 * (time - 5.0) * (time - 5.0) * (7.0 - time);
+  ReferencePoint point;
+  point.position << std::sin(angle), 1.0 - std::cos(angle), 1.0 + time;
+  return point;
+}
+
+TEST(Mission, AnyCallableIsASegment) {
+  const Waypoint low{{0.0, 0.0, 6.0}, 0.0}, high{{0.0, 0.0, 8.0}, 0.0};
+  const Mission mission({{MissionPhase::hover, Hold(low, 1.5)},
+                         {MissionPhase::air, circle, 5.0, 7.0},
+                         {MissionPhase::hover, Hold(high, 1.0)}},
+                        10.0);
+  EXPECT_DOUBLE_EQ(mission.end_time(), 14.5);
+  EXPECT_EQ(mission.phase(12.0), MissionPhase::air);
+  for (const double since : {0.0, 0.4, 1.1, 1.9})
+    EXPECT_LT((mission(11.5 + since).position - circle(5.0 + since).position).norm(), 1e-12);
+  EXPECT_EQ(mission(std::nan("")).position, low.position);
+  EXPECT_EQ(mission(1e9).position, high.position);
+  // Alone, a segment stays where its curve ends.
+  const MissionSegment& air = mission.segments()[1];
+  EXPECT_EQ(air(0.0).position, circle(5.0).position);
+  EXPECT_LT((air(99.0).position - circle(7.0).position).norm(), 1e-12);
+  EXPECT_EQ(air.motion<Hold>(), nullptr);
+  EXPECT_NE(mission.segments()[0].motion<Hold>(), nullptr);
+  EXPECT_THROW(MissionSegment(MissionPhase::air, circle, 7.0, 5.0), std::invalid_argument);
+  EXPECT_THROW(MissionSegment(MissionPhase::air, MissionSegment::Curve(), 0.0, 1.0),
+               std::invalid_argument);
+}
+
 TEST(HybridMission, LastsAboutAMinute) {
   const Mission mission = hybrid_mission(rolling);
   EXPECT_GT(mission.duration(), 60.0);

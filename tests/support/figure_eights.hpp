@@ -36,7 +36,6 @@ inline FigureEightSettings random_parameters(std::mt19937& generator) {
   p.max_yaw_rate = uniform(0.3, 3);
   p.heading = uniform(0, 1) < 0.5 ? HeadingMode::fixed : HeadingMode::along_velocity;
   p.yaw = uniform(-4, 4);
-  p.start_time = uniform(-10, 10);
   return p;
 }
 

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/planning/detail/timing.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 
 #include <Eigen/Core>
@@ -25,7 +26,6 @@ struct ExcitationSettings {
   double angular_acceleration = 4.5;  ///< largest second derivative of each angle sine [rad/s^2]
   double max_distance = 0.15;         ///< largest amplitude of each sine [m]
   double max_angle = 0.12;            ///< largest amplitude of each angle sine [rad]
-  double start_time = 0.0;            ///< time at which the motion starts [s]
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values.
@@ -38,7 +38,6 @@ inline void validate(const ExcitationSettings& p) {
   require_non_negative("ExcitationSettings.angular_acceleration [rad/s^2]", p.angular_acceleration);
   require_positive("ExcitationSettings.max_distance [m]", p.max_distance);
   require_in("ExcitationSettings.max_angle [rad]", p.max_angle, 1e-6, 0.3);
-  require_time("ExcitationSettings.start_time [s]", p.start_time);
 }
 
 /// Sum of three sines in each of x, y, z, roll, pitch and yaw, all with different frequencies
@@ -46,21 +45,20 @@ inline void validate(const ExcitationSettings& p) {
 /// Position and angles are `center` plus envelope times sines. The envelope rises from 0 to 1 and
 /// falls to 0, along s(x) of Transition. The body rotates by yaw, pitch and roll, in this order
 /// about its own z, y and x axis.
-class Excitation {
+class Excitation : public detail::Timing {
  public:
   /// Throws std::invalid_argument if the settings are invalid.
   explicit Excitation(const ExcitationSettings& settings = {}) : settings_(settings) {
     validate(settings);
+    set_timing(0.0, settings.duration);
   }
 
   /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
   /// the end. NaN counts as a time before the start. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    const double since = time - settings_.start_time;
-    const double elapsed = since > 0.0 ? std::min(since, settings_.duration) : 0.0;
     double value[6], rate[6], second[6];
     for (std::size_t axis = 0; axis < 6; ++axis)
-      axis_at(axis, elapsed, value[axis], rate[axis], second[axis]);
+      axis_at(axis, elapsed(time), value[axis], rate[axis], second[axis]);
 
     ReferencePoint point;
     point.position = settings_.center.position + Eigen::Vector3d(value[0], value[1], value[2]);
@@ -80,16 +78,7 @@ class Excitation {
     return point;
   }
 
-  [[nodiscard]] double start_time() const noexcept { return settings_.start_time; }
-  [[nodiscard]] double end_time() const noexcept { return start_time() + settings_.duration; }
   [[nodiscard]] const ExcitationSettings& settings() const noexcept { return settings_; }
-
-  /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("Excitation.start_time [s]", time);
-    settings_.start_time = time;
-  }
 
  private:
   /// Value and first two derivatives of one axis: x, y, z [m], roll, pitch, yaw [rad].

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/planning/detail/timing.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -40,7 +41,6 @@ struct FigureEightSettings {
   double yaw = 0.0;  ///< yaw of the body, used with HeadingMode::fixed [rad]
   double max_yaw_rate =
       1.5;  ///< limit with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
-  double start_time = 0.0;  ///< time at which the motion starts [s]
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values.
@@ -60,7 +60,6 @@ inline void validate(const FigureEightSettings& p) {
   require_positive("FigureEightSettings.max_acceleration [m/s^2]", p.max_acceleration);
   require_finite("FigureEightSettings.yaw [rad]", p.yaw);
   require_positive("FigureEightSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
-  require_time("FigureEightSettings.start_time [s]", p.start_time);
 }
 
 /// Reference along the eight. The phase s has a constant rate between a start ramp and an end ramp.
@@ -68,7 +67,7 @@ inline void validate(const FigureEightSettings& p) {
 /// continuous. The constant rate is the highest rate that keeps every limit on the whole path,
 /// minus 0.01 % because the limits are checked at samples. The speed and acceleration limits apply
 /// to the norms of the three-dimensional vectors.
-class FigureEight {
+class FigureEight : public detail::Timing {
  public:
   /// Takes about 1 ms. Throws std::invalid_argument if the settings are invalid.
   explicit FigureEight(const FigureEightSettings& settings = {}) : settings_(settings) {
@@ -78,27 +77,15 @@ class FigureEight {
     fixed_orientation_ = quaternion_from_yaw(settings.yaw);
     set_phase_rate(1.0);
     set_phase_rate(0.9999 * allowed_phase_rate());
-    require_in("FigureEight's duration within its limits [s]", duration_, 1e-3, 1e10);
+    require_in("FigureEight's duration within its limits [s]", duration(), 1e-3, 1e10);
   }
 
   /// Returns the reference at `time` [s], for every time: the first point before the start and the
   /// last point after the end. NaN counts as a time before the start. The sign of the quaternion
   /// does not jump during the motion. Does not throw or allocate.
-  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    return at(time - settings_.start_time);
-  }
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept { return at(elapsed(time)); }
 
-  [[nodiscard]] double start_time() const noexcept { return settings_.start_time; }
-  [[nodiscard]] double end_time() const noexcept { return settings_.start_time + duration_; }
-  [[nodiscard]] double duration() const noexcept { return duration_; }
   [[nodiscard]] const FigureEightSettings& settings() const noexcept { return settings_; }
-
-  /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("FigureEight.start_time [s]", time);
-    settings_.start_time = time;
-  }
 
  private:
   static constexpr double one_lap = 2.0 * pi;  // phase of one lap [rad]
@@ -114,7 +101,7 @@ class FigureEight {
     // On a ramp the mean rate is half of the constant rate.
     ramp_duration_ = 2.0 * ramp_angle() / rate;
     const int ramps = !settings_.starts_moving + !settings_.ends_moving;
-    duration_ = (one_lap * settings_.laps + ramps * ramp_angle()) / rate;
+    set_timing(0.0, (one_lap * settings_.laps + ramps * ramp_angle()) / rate);
   }
 
   /// Returns the phase rate at which the motion reaches the tightest limit. The current phase rate
@@ -122,7 +109,7 @@ class FigureEight {
   [[nodiscard]] double allowed_phase_rate() const noexcept {
     // The end ramp mirrors the start ramp, and all laps between are equal.
     const double horizon =
-        settings_.starts_moving ? duration_ : std::min(0.5 * duration_, ramp_duration_ + one_lap);
+        settings_.starts_moving ? duration() : std::min(0.5 * duration(), ramp_duration_ + one_lap);
     const double interval = 1e-3;
     double speed = 0.0, acceleration = 0.0, yaw_rate = 0.0;
     for (int i = 0; i * interval < horizon + interval; ++i) {
@@ -150,12 +137,11 @@ class FigureEight {
   [[nodiscard]] Phase phase(double elapsed) const noexcept {
     const double in_ramp = settings_.starts_moving ? 0.0 : ramp_duration_,
                  out_ramp = settings_.ends_moving ? 0.0 : ramp_duration_;
-    elapsed = elapsed > 0.0 ? std::min(elapsed, duration_) : 0.0;
     if (elapsed < in_ramp) return ramp(elapsed);
-    if (elapsed < duration_ - out_ramp || settings_.ends_moving)
+    if (elapsed < duration() - out_ramp || settings_.ends_moving)
       return {(settings_.starts_moving ? 0.0 : ramp_angle()) + phase_rate_ * (elapsed - in_ramp),
               phase_rate_, 0.0};
-    const Phase mirrored = ramp(duration_ - elapsed);
+    const Phase mirrored = ramp(duration() - elapsed);
     return {one_lap * settings_.laps - mirrored.angle, mirrored.rate, -mirrored.acceleration};
   }
 
@@ -202,7 +188,7 @@ class FigureEight {
   double cos_direction_ = 1.0, sin_direction_ = 0.0;
   Eigen::Quaterniond fixed_orientation_;
   double phase_rate_ = 1.0;
-  double ramp_duration_ = 0.0, duration_ = 0.0;
+  double ramp_duration_ = 0.0;
 };
 
 }  // namespace tilt_ropter

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/planning/detail/timing.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 
 #include <Eigen/Core>
@@ -35,7 +36,6 @@ struct MinimumSnapSettings {
   double yaw = 0.0;           ///< yaw of the body, used with HeadingMode::fixed [rad]
   double max_yaw_rate = 1.5;  ///< limit with HeadingMode::along_velocity [rad/s]
   double duration = 0.0;      ///< zero: the shortest duration found within the limits [s]
-  double start_time = 0.0;    ///< time at which the motion starts [s]
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values.
@@ -65,14 +65,13 @@ inline void validate(const MinimumSnapSettings& p) {
   require_finite("MinimumSnapSettings.yaw [rad]", p.yaw);
   require_positive("MinimumSnapSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
   require_in("MinimumSnapSettings.duration [s]", p.duration, 0.0, 1e10);
-  require_time("MinimumSnapSettings.start_time [s]", p.start_time);
 }
 
 /// Reference along the path. The time from point to point is proportional to the distance, and
 /// twice as long next to a rest. The whole takes the first duration that keeps the limits on speed,
 /// acceleration and yaw rate, in a search from below; the mean speed next to a rest is at most 0.55
 /// of the limit. Limits are checked at 200 samples from point to point.
-class MinimumSnap {
+class MinimumSnap : public detail::Timing {
  public:
   /// Takes milliseconds; allocates. Throws std::invalid_argument if the settings are invalid, if no
   /// duration keeps the limits. With HeadingMode::along_velocity, a path without a horizontal
@@ -112,26 +111,11 @@ class MinimumSnap {
   /// Returns the reference at `time` [s], for every time: the first point before the start and the
   /// last point after the end, with its velocity. NaN counts as a time before the start. Does not
   /// throw or allocate.
-  [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    const double elapsed = time - settings_.start_time;
-    return at(elapsed > 0.0 ? std::min(elapsed, duration()) : 0.0);
-  }
+  [[nodiscard]] ReferencePoint operator()(double time) const noexcept { return at(elapsed(time)); }
 
-  [[nodiscard]] double start_time() const noexcept { return settings_.start_time; }
-  [[nodiscard]] double end_time() const noexcept { return settings_.start_time + duration(); }
-  [[nodiscard]] double duration() const noexcept { return knots_.back(); }
   [[nodiscard]] const MinimumSnapSettings& settings() const noexcept { return settings_; }
   /// Time at which the path is at MinimumSnapSettings::points[i] [s].
-  [[nodiscard]] double time_at(std::size_t i) const noexcept {
-    return settings_.start_time + knots_[i];
-  }
-
-  /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("MinimumSnap.start_time [s]", time);
-    settings_.start_time = time;
-  }
+  [[nodiscard]] double time_at(std::size_t i) const noexcept { return start_time() + knots_[i]; }
 
  private:
   // Numbers at one point: velocity, acceleration and jerk, each in three axes.
@@ -191,6 +175,7 @@ class MinimumSnap {
   // With the sign of the gradient, the system is symmetric, positive definite and banded.
   void set_knots(std::vector<double> knots) {
     knots_ = std::move(knots);
+    set_timing(0.0, knots_.back());
     const std::size_t last = knots_.size() - 1, size = last > 1 ? 3 * (last - 1) : 0;
     std::vector<std::array<double, 11>> rows(size);  // five entries to each side of the diagonal
     std::vector<std::array<double, 3>> right(size);

@@ -18,10 +18,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
-#include <variant>
 #include <vector>
 
 /// Mission: a sequence of motions, each with its mission phase; the missions and the experiments of
@@ -37,47 +37,58 @@ enum class MissionPhase { rest, take_off, hover, air, landing, ground };
 }
 
 /// Reference at rest at one place.
-class Hold {
+class Hold : public detail::Timing {
  public:
   /// `duration` [s]. Throws std::invalid_argument if `duration` is out of range or `place` is not
   /// finite.
-  Hold(const Waypoint& place, double duration) : duration_(duration) {
+  Hold(const Waypoint& place, double duration) {
     validate(place, "Hold.place");
     require_in("Hold.duration [s]", duration, 1e-3, 1e10);
+    set_timing(0.0, duration);
     point_.position = place.position;
     point_.orientation = quaternion_from_yaw(place.yaw);
   }
 
   [[nodiscard]] ReferencePoint operator()(double) const noexcept { return point_; }
-  [[nodiscard]] double start_time() const noexcept { return start_time_; }
-  [[nodiscard]] double end_time() const noexcept { return start_time_ + duration_; }
-
-  /// Shifts the rest to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("Hold.start_time [s]", time);
-    start_time_ = time;
-  }
 
  private:
   ReferencePoint point_;
-  double start_time_ = 0.0, duration_;
 };
 
-/// One motion of a mission.
-struct MissionSegment {
-  MissionPhase phase;
-  std::variant<Hold, Transition, FigureEight, MinimumSnap, SampledPath, Excitation> motion;
+/// One motion of a mission: any callable from time [s] to ReferencePoint. It is called only with
+/// times from its start to its end, and must not throw.
+class MissionSegment : public detail::Timing {
+ public:
+  using Curve = std::function<ReferencePoint(double)>;
+
+  /// A motion that knows its times, such as Transition, FigureEight or MinimumSnap.
+  template <typename Motion>
+  MissionSegment(MissionPhase at, Motion motion)
+      : MissionSegment(at, motion, motion.start_time(), motion.end_time()) {}
+  /// Any other curve, between two of its times [s]. Throws std::invalid_argument if `curve` is
+  /// empty or the times are not 1 ms to 1e10 s apart.
+  MissionSegment(MissionPhase at, Curve curve, double from, double until)
+      : phase(at), curve_(std::move(curve)), from_(from) {
+    require(curve_ != nullptr, "MissionSegment.curve", "empty", "a callable");
+    require_time("MissionSegment.from [s]", from);
+    require_in("MissionSegment.until - from [s]", until - from, 1e-3, 1e10);
+    set_timing(from, until - from);
+  }
 
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    return std::visit([time](const auto& m) { return m(time); }, motion);
+    return curve_(from_ + elapsed(time));
   }
-  [[nodiscard]] double start_time() const noexcept {  ///< [s]
-    return std::visit([](const auto& m) { return m.start_time(); }, motion);
+  /// The motion, if it is one of this type, else nullptr. Its own times are those that it had.
+  template <typename Motion>
+  [[nodiscard]] const Motion* motion() const noexcept {
+    return curve_.template target<Motion>();
   }
-  [[nodiscard]] double end_time() const noexcept {  ///< [s]
-    return std::visit([](const auto& m) { return m.end_time(); }, motion);
-  }
+
+  MissionPhase phase;
+
+ private:
+  Curve curve_;
+  double from_;  // the curve's own time at the start [s]
 };
 
 /// Reference that consists of segments. Position, velocity and rotation are continuous where two
@@ -95,7 +106,7 @@ class Mission {
     require(!segments_.empty(), "Mission.segments.size()", segments_.size(), ">= 1");
     double time = start_time;
     for (std::size_t i = 0; i < segments_.size(); ++i) {
-      std::visit([time](auto& m) { m.set_start_time(time); }, segments_[i].motion);
+      segments_[i].set_start_time(time);
       if (i > 0) require_join(i, segments_[i - 1](time), segments_[i](time));
       time = segments_[i].end_time();
     }

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/planning/detail/timing.hpp>
 
 #include <Eigen/Core>
 
@@ -26,7 +27,7 @@ struct PathSample {
 
 /// Cubic spline through samples. It starts and ends at rest. Position, yaw and their first two
 /// derivatives are continuous. The yaw takes the shorter way from sample to sample.
-class SampledPath {
+class SampledPath : public detail::Timing {
  public:
   /// Allocates. Throws std::invalid_argument with the index of the sample if there are fewer than
   /// two samples, if a number is not finite, or if the times do not increase by 1e-6 s or more.
@@ -52,7 +53,7 @@ class SampledPath {
     }
     find_curvatures();
     from_ = knots_.front().time;
-    until_ = knots_.back().time;
+    set_timing(from_, knots_.back().time - from_);
   }
 
   /// The part of the path between two of its times [s], at the same times. Throws
@@ -61,16 +62,15 @@ class SampledPath {
     require_in("SampledPath::part from [s]", from, start_time(), end_time());
     require_in("SampledPath::part until [s]", until, from, end_time());
     SampledPath cut = *this;
-    cut.from_ = from - shift_;
-    cut.until_ = until - shift_;
+    cut.from_ += from - start_time();
+    cut.set_timing(from, until - from);
     return cut;
   }
 
   /// Returns the reference at `time` [s], for every time: the first point before the start and the
   /// last point after the end. NaN counts as a time before the start. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    const double elapsed = time - shift_;
-    const double inside = elapsed > from_ ? std::min(elapsed, until_) : from_;
+    const double inside = from_ + elapsed(time);
     const auto after =
         std::upper_bound(knots_.begin() + 1, knots_.end() - 1, inside,
                          [](double instant, const Knot& knot) { return instant < knot.time; });
@@ -93,17 +93,6 @@ class SampledPath {
     point.angular_velocity.z() = rate[3];
     point.angular_acceleration.z() = curvature[3];
     return point;
-  }
-
-  [[nodiscard]] double start_time() const noexcept { return from_ + shift_; }
-  [[nodiscard]] double end_time() const noexcept { return until_ + shift_; }
-  [[nodiscard]] double duration() const noexcept { return until_ - from_; }
-
-  /// Shifts the path to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("SampledPath.start_time [s]", time);
-    shift_ = time - from_;
   }
 
  private:
@@ -140,8 +129,7 @@ class SampledPath {
   }
 
   std::vector<Knot> knots_;
-  double from_ = 0.0, until_ = 0.0;  // part of the knots' times that is used [s]
-  double shift_ = 0.0;               // from the knots' times to the times of the caller [s]
+  double from_ = 0.0;  // where the used part begins, in the knots' times [s]
 };
 
 }  // namespace tilt_ropter

@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/planning/detail/timing.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -26,7 +27,6 @@ struct Waypoint {
 struct TransitionSettings {
   Waypoint from;
   Waypoint to;
-  double start_time = 0.0;  ///< time at which the motion starts [s]
   /// Zero: the shortest duration within the limits. A given duration must not be shorter [s].
   double duration = 0.0;
   double max_speed = 1.0;             ///< limit [m/s]
@@ -44,7 +44,6 @@ inline void validate(const Waypoint& p, const std::string& field = "Waypoint") {
 inline void validate(const TransitionSettings& p) {
   validate(p.from, "TransitionSettings.from");
   validate(p.to, "TransitionSettings.to");
-  require_time("TransitionSettings.start_time [s]", p.start_time);
   require_in("TransitionSettings.duration [s]", p.duration, 0.0, 1e10);
   require_positive("TransitionSettings.max_speed [m/s]", p.max_speed);
   require_positive("TransitionSettings.max_acceleration [m/s^2]", p.max_acceleration);
@@ -55,12 +54,11 @@ inline void validate(const TransitionSettings& p) {
 /// Straight line from rest to rest, along s(x) = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7 with
 /// x = elapsed / duration. Velocity, acceleration and jerk are zero at both ends. The yaw follows
 /// the same s along the shorter way. The duration is at least 1 ms, also between equal places.
-class Transition {
+class Transition : public detail::Timing {
  public:
   /// Throws std::invalid_argument if the settings are invalid or the given duration violates a
   /// limit.
-  explicit Transition(const TransitionSettings& settings = {})
-      : settings_(settings), duration_(settings.duration) {
+  explicit Transition(const TransitionSettings& settings = {}) : settings_(settings) {
     validate(settings);
     const Waypoint &from = settings.from, &to = settings.to;
     displacement_ = to.position - from.position;
@@ -75,21 +73,21 @@ class Transition {
                   peak_1 * std::abs(turn_) / settings.max_yaw_rate,
                   std::sqrt(peak_2 * std::abs(turn_) / settings.max_yaw_acceleration)});
     require_in("Transition's shortest duration within its limits [s]", shortest, 0.0, 1e10);
-    if (!(duration_ > 0.0)) duration_ = shortest;
-    require(duration_ >= shortest * (1.0 - 1e-9), "TransitionSettings.duration [s]", duration_,
+    const double duration = settings.duration > 0.0 ? settings.duration : shortest;
+    require(duration >= shortest * (1.0 - 1e-9), "TransitionSettings.duration [s]", duration,
             "0 or >= " + std::to_string(shortest) + ", which the limits need");
+    set_timing(0.0, duration);
   }
 
   /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
   /// the end. NaN counts as a time before the start. The sign of the quaternion does not jump
   /// during the motion. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    const double elapsed = time - settings_.start_time;
-    const double x = elapsed > 0.0 ? std::min(elapsed / duration_, 1.0) : 0.0;
+    const double x = elapsed(time) / duration();
     const double hump = x * (1.0 - x);
     const double s = x * x * x * x * (35.0 - x * (84.0 - x * (70.0 - x * 20.0)));
-    const double s_1 = 140.0 * hump * hump * hump / duration_;
-    const double s_2 = 420.0 * hump * hump * (1.0 - 2.0 * x) / (duration_ * duration_);
+    const double s_1 = 140.0 * hump * hump * hump / duration();
+    const double s_2 = 420.0 * hump * hump * (1.0 - 2.0 * x) / (duration() * duration());
 
     ReferencePoint point;
     point.position = settings_.from.position + s * displacement_;
@@ -101,23 +99,12 @@ class Transition {
     return point;
   }
 
-  [[nodiscard]] double start_time() const noexcept { return settings_.start_time; }
-  [[nodiscard]] double end_time() const noexcept { return settings_.start_time + duration_; }
-  [[nodiscard]] double duration() const noexcept { return duration_; }
   [[nodiscard]] const TransitionSettings& settings() const noexcept { return settings_; }
-
-  /// Shifts the motion to start at `time` [s]. Throws std::invalid_argument if `time` is out of
-  /// range.
-  void set_start_time(double time) {
-    require_time("Transition.start_time [s]", time);
-    settings_.start_time = time;
-  }
 
  private:
   TransitionSettings settings_;
   Eigen::Vector3d displacement_;
   double turn_ = 0.0;  // yaw change along the shorter way [rad]
-  double duration_ = 0.0;
 };
 
 namespace detail {
