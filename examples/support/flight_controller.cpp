@@ -120,9 +120,8 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   // What the observer has estimated since the failure is the failure. Without it the vehicle would
   // seem to be carried.
   observer_.reset();
-  ContactEstimatorSettings contact = contact_.settings();
-  if (!contact_.estimate().on_ground) contact.assumed_ground = contact_.estimate().ground;
-  contact_ = ContactEstimator(remaining, contact);
+  const ContactEstimate& last = contact_.estimate();
+  contact_ = ContactEstimator(remaining, last.on_ground ? GroundPlane() : last.ground);
   if constexpr (has_wrench_level<Rotors>) {
     allocation_.reset();
     nmpc_.reset();

@@ -112,26 +112,8 @@ TEST(ActuationSettings, OutputScalingNamesEachField) {
   expect_vehicle_refused(battery, spoil_battery, construct);
 }
 
-TEST(ActuationSettings, FailureDetectorNamesEachField) {
-  using S = FailureDetectorSettings;
-  const Fields<S> check;
-  check("FailureDetectorSettings.window [s]", &S::window, positive());
-  check("FailureDetectorSettings.confirmation [s]", &S::confirmation, positive());
-  check("FailureDetectorSettings.baseline_time [s]", &S::baseline_time, positive());
-  check("FailureDetectorSettings.min_change", &S::min_change, positive());
-  check("FailureDetectorSettings.min_fraction", &S::min_fraction, positive());
-  check("FailureDetectorSettings.max_unexplained", &S::max_unexplained, in_range(0.0, 1.0));
-  check("FailureDetectorSettings.lost_fraction", &S::lost_fraction, in_range(0.0, 1.0));
-  check("FailureDetectorSettings.max_angle_error [rad]", &S::max_angle_error, in_range(0.0, pi));
-  check("FailureDetectorSettings.min_speed_fraction", &S::min_speed_fraction, in_range(0.0, 1.0));
-  S settings;
-  settings.window = 0.0;
-  expect_refused("FailureDetectorSettings.window [s]",
-                 [&] { FailureDetector<4>(tilt_ropter_vehicle(), settings); });
-  expect_vehicle_refused(servo, spoil_servo, [](const Vehicle<4>& v) { FailureDetector<4>{v}; });
-}
-
 TEST(ActuationSettings, ModelsCheckTheVehicle) {
+  expect_vehicle_refused(servo, spoil_servo, [](const Vehicle<4>& v) { FailureDetector<4>{v}; });
   expect_vehicle_refused(servo, spoil_servo, [](const Vehicle<4>& v) { ActuatedBody<4>{v}; });
   const auto construct = [](const Vehicle<4>& v) { ActuatorModel<4>{v}; };
   expect_vehicle_refused(battery, spoil_battery, construct);

@@ -93,10 +93,8 @@ TEST(ControlSettings, WheeledFlightNamesEachField) {
 TEST(ControlSettings, GroundContactNamesEachField) {
   using S = GroundContactSettings;
   const Fields<S> check;
-  check("GroundContactSettings.reference_tolerance [m]", &S::reference_tolerance, positive());
   check("GroundContactSettings.planned_height [m]", &S::planned_height,
         {{-infinite, -1.0, 1e300}, {infinite, not_a_number}});
-  check("GroundContactSettings.height_tolerance [m]", &S::height_tolerance, positive());
   check("GroundContactSettings.settling_speed [m/s]", &S::settling_speed,
         {{0.0, 0.01, 10.0}, {below(0.0), above(0.0), below(0.01), above(10.0), not_a_number}});
   check("GroundContactSettings.down_force [N]", &S::down_force, any_finite());

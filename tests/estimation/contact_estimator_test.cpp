@@ -18,9 +18,9 @@ const Wrenchd breeze{Eigen::Vector3d(0.4, 0.2, 0.0), Eigen::Vector3d(0.01, 0.02,
 // them.
 class Feed {
  public:
-  explicit Feed(const ContactEstimatorSettings& settings = {},
+  explicit Feed(const GroundPlane& assumed_ground = {},
                 const std::optional<Undercarriage>& on = wheels)
-      : contact(body, on, settings) {}
+      : contact(body, on, assumed_ground) {}
 
   const ContactEstimate& operator()(double height, const Wrenchd& truth, double duration = 0.01) {
     state.position.z() = height;
@@ -143,8 +143,8 @@ TEST(ContactEstimator, StartsOnAssumedGround) {
   Feed uncertain;  // a filter that has just started has a noisy velocity
   uncertain.state.velocity.z() = 0.2;
   EXPECT_TRUE(uncertain(0.11, with_lift(weight)).on_ground);
-  ContactEstimatorSettings nothing;
-  nothing.assumed_ground.height = -infinity;
+  GroundPlane nothing;
+  nothing.height = -infinity;
   Feed nowhere(nothing);
   EXPECT_FALSE(nowhere(0.11, with_lift(0.2 * weight)).on_ground);
 }

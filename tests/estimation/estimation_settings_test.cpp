@@ -50,9 +50,7 @@ TEST(EstimationSettings, EkfTrustNamesEachField) {
         {{0.5, 1e300}, {below(0.5), 0.0, not_a_number, infinite}});
   valid.lost_position_error = 1e300;
   Fields<S>{valid}("EkfTrustLimits.position_error [m]", &S::position_error, positive());
-  check("EkfTrustLimits.velocity_error [m/s]", &S::velocity_error, positive());
   check("EkfTrustLimits.orientation_error [rad]", &S::orientation_error, positive());
-  check("EkfTrustLimits.confidence", &S::confidence, positive());
   check("EkfTrustLimits.position_age [s]", &S::position_age, positive());
   check("EkfTrustLimits.imu_age [s]", &S::imu_age, positive());
 }
@@ -132,10 +130,6 @@ TEST(EstimationSettings, LogCalibrationNamesEachField) {
       "LogCalibrationSettings.imu_noise.accelerometer_density",
       [](S& s, double v) { s.imu_noise.accelerometer_density = v; }, density);
   check("LogCalibrationSettings.gravity_stddev [rad]", &S::gravity_stddev, in_range(0.0, 1.0));
-  check("LogCalibrationSettings.gyro_bias_stddev [rad/s]", &S::gyro_bias_stddev,
-        in_range(0.0, 1e3));
-  check("LogCalibrationSettings.accelerometer_bias_stddev [m/s^2]", &S::accelerometer_bias_stddev,
-        in_range(0.0, 1e3));
   check("LogCalibrationSettings.max_marker_position_stddev [m]", &S::max_marker_position_stddev,
         positive());
   check("LogCalibrationSettings.max_marker_orientation_stddev [rad]",
@@ -144,7 +138,6 @@ TEST(EstimationSettings, LogCalibrationNamesEachField) {
         positive());
   check("LogCalibrationSettings.max_accelerometer_bias_stddev [m/s^2]",
         &S::max_accelerometer_bias_stddev, positive());
-  check("LogCalibrationSettings.max_imu_gap [s]", &S::max_imu_gap, in_range(1e-6, 1.0));
   check("LogCalibrationSettings.max_iterations", &S::max_iterations, at_least(1));
   S bad;
   bad.max_iterations = 0;
@@ -152,76 +145,41 @@ TEST(EstimationSettings, LogCalibrationNamesEachField) {
                  [&] { (void)calibrate_log<double>({}, {}, bad); });
 }
 
-TEST(EstimationSettings, ContactEstimatorNamesEachField) {
-  using S = ContactEstimatorSettings;
-  S valid;
-  valid.near_load = 0.125;
-  const Fields<S> check{valid};
-  check("ContactEstimatorSettings.far_load", &S::far_load,
-        {{0.125, 1e300}, {below(0.125), 0.0, not_a_number, infinite}});
-  valid.far_load = 1e300;
-  Fields<S>{valid}("ContactEstimatorSettings.near_load", &S::near_load, positive());
-  check("ContactEstimatorSettings.carried_load", &S::carried_load, positive());
-  check("ContactEstimatorSettings.leave_height [m]", &S::leave_height, positive());
-  check("ContactEstimatorSettings.leave_lead [s]", &S::leave_lead, not_negative());
-  check("ContactEstimatorSettings.unloaded_time [s]", &S::unloaded_time, not_negative());
-  check("ContactEstimatorSettings.search_depth [m]", &S::search_depth, positive());
-  check("ContactEstimatorSettings.load_time [s]", &S::load_time, positive());
-  check("ContactEstimatorSettings.air_time [s]", &S::air_time, positive());
-  check("ContactEstimatorSettings.ground_time [s]", &S::ground_time, positive());
-  check("ContactEstimatorSettings.slope_time [s]", &S::slope_time, positive());
-  check("ContactEstimatorSettings.max_slope", &S::max_slope, positive());
-  check("ContactEstimatorSettings.assumed_ground.height [m]",
-        [](S& s, double v) { s.assumed_ground.height = v; },
-        {{-infinite, -1.0, 1e300}, {infinite, not_a_number}});
-  S bad;
-  bad.air_time = 0.0;
+TEST(EstimationSettings, ContactEstimatorNamesWhatItRefuses) {
   const Undercarriage wheels, sunk{0.0, true, true, true};
-  expect_refused("ContactEstimatorSettings.air_time [s]",
-                 [&] { ContactEstimator(body, wheels, bad); });
+  for (const double height : {infinite, not_a_number})
+    expect_refused("ContactEstimator.assumed_ground.height [m]", [&] {
+      ContactEstimator(body, wheels, GroundPlane{height, Eigen::Vector2d::Zero()});
+    });
   expect_refused("Undercarriage.height [m]", [&] { ContactEstimator(body, sunk); });
   expect_refused(mass, [&] { ContactEstimator(massless, wheels); });
 }
 
 TEST(EstimationSettings, ServoIdentificationNamesEachField) {
   using S = ServoIdentificationSettings;
-  S valid;
-  valid.min_time_constant = 0.5;
-  valid.max_time_constant = 1e301;
-  const Fields<S> check{valid};
-  check("ServoIdentificationSettings.min_time_constant [s]", &S::min_time_constant, positive());
+  const Fields<S> check;
   check("ServoIdentificationSettings.max_time_constant [s]", &S::max_time_constant,
-        {{above(0.5), 1e300}, {0.5, 0.1, not_a_number, infinite}});
+        {{above(0.002), 1e300}, {0.002, 0.001, not_a_number, infinite}});
   check("ServoIdentificationSettings.max_dead_time [s]", &S::max_dead_time, not_negative());
-  check("ServoIdentificationSettings.min_excitation [rad]", &S::min_excitation, positive());
-  check("ServoIdentificationSettings.min_significance", &S::min_significance, not_negative());
   check("ServoIdentificationSettings.max_iterations", &S::max_iterations, at_least(1));
-  check("ServoIdentificationSettings.min_samples", &S::min_samples, at_least(6));
-  valid.min_samples = 5;
-  expect_refused("ServoIdentificationSettings.min_samples",
-                 [&] { (void)identify_servo({}, valid); });
+  S bad;
+  bad.max_iterations = 0;
+  expect_refused("ServoIdentificationSettings.max_iterations",
+                 [&] { (void)identify_servo({}, bad); });
 }
 
 TEST(EstimationSettings, VehicleIdentificationNamesEachField) {
   using S = VehicleIdentificationSettings;
   const Fields<S> check;
   check("VehicleIdentificationSettings.imu_position [m]", &S::imu_position, any_finite());
-  check("VehicleIdentificationSettings.window [s]", &S::window, in_range(0.005, 0.5));
   check("VehicleIdentificationSettings.min_height [m]", &S::min_height,
         {{-infinite, 0.0, infinite}, {not_a_number}});
-  check("VehicleIdentificationSettings.min_duration [s]", &S::min_duration, in_range(1.0, 1e6));
-  check("VehicleIdentificationSettings.max_ratio", &S::max_ratio, positive());
-  check("VehicleIdentificationSettings.max_com [m]", &S::max_com, positive());
-  check("VehicleIdentificationSettings.max_dead_time [s]", &S::max_dead_time, positive());
-  check("VehicleIdentificationSettings.max_drag [1/s]", &S::max_drag, positive());
-  check("VehicleIdentificationSettings.max_arm_inertia", &S::max_arm_inertia, positive());
-  check("VehicleIdentificationSettings.max_arm_moment [m]", &S::max_arm_moment, positive());
   check("VehicleIdentificationSettings.max_iterations", &S::max_iterations, whole_numbers(1, 1000));
   S bad;
-  bad.max_drag = 0.0;
+  bad.max_iterations = 0;
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   const VehicleLog<4> log;
-  expect_refused("VehicleIdentificationSettings.max_drag [1/s]",
+  expect_refused("VehicleIdentificationSettings.max_iterations",
                  [&] { (void)identify_vehicle(log, vehicle, bad); });
   vehicle.body.mass = 0.0;
   expect_refused(mass, [&] { (void)identify_vehicle(log, vehicle); });
@@ -237,9 +195,6 @@ TEST(EstimationSettings, WrenchObserverNamesEachField) {
   check("WrenchObserverSettings.force_limit [N]", &S::force_limit, positive_or_infinite());
   check("WrenchObserverSettings.torque_limit [N m]", &S::torque_limit, positive_or_infinite());
   check("WrenchObserverSettings.max_gap [s]", &S::max_gap, positive());
-  check("WrenchObserverSettings.min_calibration_time [s]", &S::min_calibration_time, positive());
-  check("WrenchObserverSettings.max_force_stddev [N]", &S::max_force_stddev, positive());
-  check("WrenchObserverSettings.max_torque_stddev [N m]", &S::max_torque_stddev, positive());
   expect_refused("WrenchObserverSettings.force_bandwidth [1/s]",
                  [] { WrenchObserverd(body, observer_settings(0.0)); });
   expect_refused(mass, [] { WrenchObserverd{massless}; });

@@ -138,26 +138,20 @@ TEST(WrenchObserver, CalibrationReportsReasonOfRejection) {
   EXPECT_LT(distance(observer.offset(), {}), 1e-12);
 }
 
-TEST(WrenchObserver, EachCalibrationSettingActs) {
-  const auto calibrate = [](const WrenchObserverSettings& settings) {
-    WrenchObserverd observer(body(), settings);
+TEST(WrenchObserver, CalibrationNeedsTimeAndRest) {
+  const auto calibrate = [](int samples, double force, double torque) {
+    WrenchObserverd observer(body());
     Feed feed(observer);
     feed({}, 10);
     observer.begin_calibration();
-    feed({}, 100);
-    feed({Vector3d(0.8, 0, 0), Vector3d(0.08, 0, 0)}, 100);
+    feed({}, samples);
+    feed({Vector3d(force, 0, 0), Vector3d(torque, 0, 0)}, samples);
     return observer.end_calibration();
   };
-  EXPECT_EQ(calibrate({}), CalibrationStatus::calibrated);
-  WrenchObserverSettings settings;
-  settings.min_calibration_time = 2.1;
-  EXPECT_EQ(calibrate(settings), CalibrationStatus::too_short);
-  settings = {};
-  settings.max_force_stddev = 0.3;
-  EXPECT_EQ(calibrate(settings), CalibrationStatus::moved);
-  settings = {};
-  settings.max_torque_stddev = 0.03;
-  EXPECT_EQ(calibrate(settings), CalibrationStatus::moved);
+  EXPECT_EQ(calibrate(100, 0.8, 0.08), CalibrationStatus::calibrated);
+  EXPECT_EQ(calibrate(45, 0.8, 0.08), CalibrationStatus::too_short);
+  EXPECT_EQ(calibrate(100, 1.2, 0.08), CalibrationStatus::moved);
+  EXPECT_EQ(calibrate(100, 0.8, 0.12), CalibrationStatus::moved);
 }
 
 TEST(WrenchObserver, SetOffsetRestoresStoredOffset) {

@@ -25,8 +25,8 @@ EkfSettings any_settings(fuzz::Input& input) {
       s.clock_offset, s.gyro_bias, s.accelerometer_bias, s.velocity_stddev, s.gyro_bias_stddev,
       s.accelerometer_bias_stddev, s.gate, s.max_rejections, s.restart_time, s.restart_distance,
       s.give_up_time, s.max_delay, s.max_imu_rate, s.fusion_delay, s.max_imu_gap,
-      s.trust.position_error, s.trust.velocity_error, s.trust.orientation_error,
-      s.trust.lost_position_error, s.trust.confidence, s.trust.position_age, s.trust.imu_age);
+      s.trust.position_error, s.trust.orientation_error, s.trust.lost_position_error,
+      s.trust.position_age, s.trust.imu_age);
   return s;
 }
 

@@ -19,9 +19,7 @@ bool is_finite(const ServoModel& m) {
 
 void identify_any_servo(fuzz::Input& input) {
   ServoIdentificationSettings s;
-  if (input.coin())
-    input.vary_all(s.min_time_constant, s.max_time_constant, s.max_dead_time, s.min_excitation,
-                   s.min_significance, s.min_samples);
+  if (input.coin()) input.vary_all(s.max_time_constant, s.max_dead_time);
   s.max_iterations = input.integer(0, 100);
 
   // A servo that follows its command. The input bytes replace some samples.

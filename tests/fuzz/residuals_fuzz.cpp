@@ -20,8 +20,7 @@ void observe(fuzz::Input& input) {
   s.torque_limit.setConstant(2.0);
   if (input.coin())
     input.vary_all(body.mass, body.inertia, s.force_bandwidth, s.torque_bandwidth,
-                   s.force_dead_band, s.torque_dead_band, s.force_limit, s.torque_limit, s.max_gap,
-                   s.min_calibration_time, s.max_force_stddev, s.max_torque_stddev);
+                   s.force_dead_band, s.torque_dead_band, s.force_limit, s.torque_limit, s.max_gap);
   std::optional<WrenchObserverd> observer;
   if (!fuzz::accepted([&] { observer.emplace(body, s); })) return;
   double time = 0.0;
@@ -70,15 +69,12 @@ void observe(fuzz::Input& input) {
 
 void detect(fuzz::Input& input) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
-  FailureDetectorSettings s;
   if (input.coin())
     input.vary_all(vehicle.body.mass, vehicle.body.inertia, vehicle.rotor.max_thrust,
                    vehicle.rotors[1].position, vehicle.rotors[2].tilts,
-                   vehicle.rotors[3].effectiveness, s.window, s.confirmation, s.baseline_time,
-                   s.min_change, s.min_fraction, s.max_unexplained, s.lost_fraction,
-                   s.max_angle_error, s.min_speed_fraction);
+                   vehicle.rotors[3].effectiveness);
   std::optional<FailureDetector<4>> detector;
-  if (!fuzz::accepted([&] { detector.emplace(vehicle, s); })) return;
+  if (!fuzz::accepted([&] { detector.emplace(vehicle); })) return;
   double time = 0.0;
   ActuatorState<4> measured;
   measured.rotor_speed.setConstant(1600.0);

@@ -16,7 +16,6 @@ TEST(SolverSettings, DualNamesEachField) {
   const Fields<S> check;
   check("DualSettings.max_evaluations", &S::max_evaluations, at_least(1));
   check("DualSettings.tolerance", &S::tolerance, positive());
-  check("DualSettings.constraint_tolerance", &S::constraint_tolerance, positive());
   check("DualSettings.max_rounds", &S::max_rounds, at_least(1));
 }
 
@@ -38,9 +37,7 @@ TEST(SolverSettings, SolverNamesEachField) {
   check("SolverSettings.max_feedback_time [s]", &S::max_feedback_time,
         {{1e-300, 1000.0, infinite}, {0.0, -1.0, above(1000.0), -infinite, not_a_number}});
   check("SolverSettings.tolerance", &S::tolerance, positive());
-  check("SolverSettings.min_step", &S::min_step, above_up_to(0.0, 1.0));
   check("SolverSettings.memory", &S::memory, whole_numbers(0, 100));
-  check("SolverSettings.max_multiplier", &S::max_multiplier, not_negative());
   check.refuse("QuadraticProgramSettings.max_passes", [](S& s) { s.program.max_passes = 0; });
 }
 

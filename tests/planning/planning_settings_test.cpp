@@ -49,7 +49,6 @@ TEST(PlanningSettings, ExcitationNamesEachField) {
   check("ExcitationSettings.acceleration [m/s^2]", &S::acceleration, not_negative());
   check("ExcitationSettings.angular_acceleration [rad/s^2]", &S::angular_acceleration,
         not_negative());
-  check("ExcitationSettings.max_distance [m]", &S::max_distance, positive());
   check("ExcitationSettings.max_angle [rad]", &S::max_angle, in_range(1e-6, 0.3));
   valid.max_angle = 0.5;
   expect_refused("ExcitationSettings.max_angle [rad]", [&] { Excitation{valid}; });

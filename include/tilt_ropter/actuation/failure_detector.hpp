@@ -19,40 +19,6 @@
 /// Finds a failed rotor or a stuck servo from the motion of the body and the speeds of the rotors.
 namespace tilt_ropter {
 
-/// Settings of FailureDetector. The defaults find what would crash the reference vehicle, and
-/// raise no alarm for the errors of its model (tests/actuation/failure_detector_test.cpp).
-struct FailureDetectorSettings {
-  double window = 0.06;        ///< time over which forces and torques are averaged [s]
-  double confirmation = 0.05;  ///< a failure is reported if it is the explanation this long [s]
-  /// Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
-  double baseline_time = 1.0;
-  /// Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
-  /// rotor carries in hover.
-  double min_change = 0.35;
-  double min_fraction = 0.35;  ///< the same, as a fraction of this rotor's present thrust
-  /// Largest residual that the failure may leave unexplained, as a fraction of the residual.
-  double max_unexplained = 0.35;
-  /// A rotor whose force is smaller than this fraction of its model is lost.
-  double lost_fraction = 0.25;
-  /// The servo is all right if the force keeps its direction within this angle [rad].
-  double max_angle_error = 0.26;
-  /// A rotor is lost if its measured speed is below this fraction of the modelled speed, and if its
-  /// thrust is also smaller by min_change.
-  double min_speed_fraction = 0.5;
-};
-
-inline void validate(const FailureDetectorSettings& s) {
-  require_positive("FailureDetectorSettings.window [s]", s.window);
-  require_positive("FailureDetectorSettings.confirmation [s]", s.confirmation);
-  require_positive("FailureDetectorSettings.baseline_time [s]", s.baseline_time);
-  require_positive("FailureDetectorSettings.min_change", s.min_change);
-  require_positive("FailureDetectorSettings.min_fraction", s.min_fraction);
-  require_in("FailureDetectorSettings.max_unexplained", s.max_unexplained, 0.0, 1.0);
-  require_in("FailureDetectorSettings.lost_fraction", s.lost_fraction, 0.0, 1.0);
-  require_in("FailureDetectorSettings.max_angle_error [rad]", s.max_angle_error, 0.0, pi);
-  require_in("FailureDetectorSettings.min_speed_fraction", s.min_speed_fraction, 0.0, 1.0);
-}
-
 /// What has failed.
 enum class FailureKind {
   none,
@@ -104,10 +70,9 @@ template <int Rotors>
 template <int Rotors>
 class FailureDetector {
  public:
-  /// Throws std::invalid_argument if a parameter or setting is out of range.
-  explicit FailureDetector(const Vehicle<Rotors>& vehicle,
-                           const FailureDetectorSettings& settings = {})
-      : settings_(validated(settings)), body_(vehicle), parameters_(vehicle.body) {
+  /// Throws std::invalid_argument if a parameter of the vehicle is out of range.
+  explicit FailureDetector(const Vehicle<Rotors>& vehicle)
+      : body_(vehicle), parameters_(vehicle.body) {
     validate(vehicle);
     hover_thrust_ = vehicle.body.mass * gravity / Rotors;
     double arm = 0.0;
@@ -148,7 +113,7 @@ class FailureDetector {
     } else {
       watch_speeds(time, dt, measured, modelled_speed);
       add(dt, sample, measured);
-      if (block_.duration >= settings_.window / blocks - 1e-6) end_block(time, sample);
+      if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
     }
     time_ = time;
     gyroscopic_ = gyroscopic_torque(sample.angular_velocity);
@@ -166,6 +131,28 @@ class FailureDetector {
   }
 
  private:
+  // With these a failure is found that would crash the reference vehicle, and the errors of its
+  // model raise no alarm (tests/actuation/failure_detector_test.cpp).
+  static constexpr double window = 0.06;  // time over which forces and torques are averaged [s]
+  static constexpr double confirmation =
+      0.05;  // a failure is reported if it is the explanation this long [s]
+  // Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
+  static constexpr double baseline_time = 1.0;
+  // Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
+  // rotor carries in hover.
+  static constexpr double min_change = 0.35;
+  static constexpr double min_fraction =
+      0.35;  // the same, as a fraction of this rotor's present thrust
+  // Largest residual that the failure may leave unexplained, as a fraction of the residual.
+  static constexpr double max_unexplained = 0.35;
+  // A rotor whose force is smaller than this fraction of its model is lost.
+  static constexpr double lost_fraction = 0.25;
+  // The servo is all right if the force keeps its direction within this angle [rad].
+  static constexpr double max_angle_error = 0.26;
+  // A rotor is lost if its measured speed is below this fraction of the modelled speed, and if its
+  // thrust is also smaller by min_change.
+  static constexpr double min_speed_fraction = 0.5;
+
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   static constexpr int blocks = 6;             // of a window
   static constexpr double longest_gap = 0.05;  // between two ticks [s]
@@ -207,10 +194,10 @@ class FailureDetector {
       double& slow = slow_for_[index(i)];
       const double speed = measured.rotor_speed(i),
                    missing = body_.thrust(i, modelled(i)) - body_.thrust(i, speed);
-      const bool is_slow = speed < settings_.min_speed_fraction * modelled(i) &&
-                           missing > settings_.min_change * hover_thrust_;
+      const bool is_slow =
+          speed < min_speed_fraction * modelled(i) && missing > min_change * hover_thrust_;
       slow = is_slow ? slow + dt : 0.0;
-      if (slow >= settings_.confirmation + settings_.window && failure_.kind == FailureKind::none)
+      if (slow >= confirmation + window && failure_.kind == FailureKind::none)
         failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
     }
   }
@@ -244,13 +231,13 @@ class FailureDetector {
     block_ = {};
     next_ = (next_ + 1) % blocks;
     filled_ = std::min(filled_ + 1, blocks);
-    if (learnt_for_ >= settings_.window) judge(time, dt);
+    if (learnt_for_ >= window) judge(time, dt);
   }
 
   // A mean at first, then exponentially weighted.
   void learn(const Block& block) noexcept {
     learnt_for_ += block.duration;
-    baseline_ += block.duration / std::min(learnt_for_, settings_.baseline_time) *
+    baseline_ += block.duration / std::min(learnt_for_, baseline_time) *
                  (block.residual / block.duration - baseline_);
   }
 
@@ -267,7 +254,7 @@ class FailureDetector {
     const double per_second = 1.0 / sum.duration;
     const Vector6 change = per_second * sum.residual - baseline_;
     int best = -1;
-    double least = settings_.max_unexplained * change.norm();
+    double least = max_unexplained * change.norm();
     Eigen::Vector2d force = Eigen::Vector2d::Zero();
     for (int i = 0; i < Rotors; ++i) {
       if (lost_[index(i)]) continue;
@@ -275,8 +262,8 @@ class FailureDetector {
       const double rest =
           (change - columns_[index(2 * i)] * fitted(0) - columns_[index(2 * i + 1)] * fitted(1))
               .norm();
-      const double needed = std::max(settings_.min_change * hover_thrust_,
-                                     settings_.min_fraction * per_second * sum.thrust(i));
+      const double needed =
+          std::max(min_change * hover_thrust_, min_fraction * per_second * sum.thrust(i));
       if (!(rest < least) || !(fitted.norm() > needed)) continue;
       best = i;
       least = rest;
@@ -285,7 +272,7 @@ class FailureDetector {
     suspected_for_ = best >= 0 && best == suspect_ ? suspected_for_ + dt : 0.0;
     suspect_ = best;
     // By then nothing before the failure is left in the window.
-    const double needed_time = std::max(settings_.confirmation, sum.duration - dt) - 1e-6;
+    const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
     if (best < 0 || suspected_for_ < needed_time) return;
     report(time, best, force, per_second * sum.thrust(best),
            std::atan2(sum.lateral(best), sum.vertical(best)));
@@ -304,11 +291,10 @@ class FailureDetector {
               double angle) noexcept {
     const double size = force.norm(), actual = std::atan2(force.x(), force.y());
     const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
-    const bool turned =
-        std::abs(std::remainder(actual - angle, 2.0 * pi)) > settings_.max_angle_error;
+    const bool turned = std::abs(std::remainder(actual - angle, 2.0 * pi)) > max_angle_error;
     failure_.rotor = index(rotor);
     failure_.time = time;
-    if (fraction < settings_.lost_fraction) {
+    if (fraction < lost_fraction) {
       failure_.kind = FailureKind::rotor;
       failure_.effectiveness = 0.0;
     } else if (turned && tilts_[index(rotor)]) {
@@ -320,7 +306,6 @@ class FailureDetector {
     }
   }
 
-  FailureDetectorSettings settings_;
   ActuatedBody<Rotors> body_;
   RigidBodyParameters parameters_;
   double hover_thrust_ = 0.0, per_torque_ = 0.0;

@@ -151,7 +151,7 @@ struct GroundContactSettings {
   /// Height above the standing height of the CoM below which a reference counts as on the ground
   /// [m]. It applies to a reference that neither takes off nor lands. For a reference that takes
   /// off or lands, the limit is one millimetre.
-  double reference_tolerance = 0.03;
+  static constexpr double reference_tolerance = 0.03;
   /// Height of the ground for which references were planned [m]. A reference on this ground counts
   /// as on the ground, also where the estimated ground is lower. -infinity: only the estimated
   /// ground counts.
@@ -160,7 +160,7 @@ struct GroundContactSettings {
   /// above, and ContactEstimate::on_ground. True: the heights of the reference and of the vehicle
   /// are both within height_tolerance of the standing height (paper, indicator function delta).
   bool contact_by_height = false;
-  double height_tolerance = 0.005;  ///< used with contact_by_height [m]
+  static constexpr double height_tolerance = 0.005;  ///< used with contact_by_height [m]
   GroundModel model = GroundModel::held;
   /// Descent speed where the reference is on the ground and the vehicle has not touched it yet
   /// [m/s]. Zero: the vehicle follows the reference as it is, as in the paper.
@@ -173,10 +173,8 @@ struct GroundContactSettings {
 };
 
 inline void validate(const GroundContactSettings& s) {
-  require_positive("GroundContactSettings.reference_tolerance [m]", s.reference_tolerance);
   require(s.planned_height < std::numeric_limits<double>::infinity(),
           "GroundContactSettings.planned_height [m]", s.planned_height, "finite, or -infinity");
-  require_positive("GroundContactSettings.height_tolerance [m]", s.height_tolerance);
   require(s.settling_speed == 0.0 || (s.settling_speed >= 0.01 && s.settling_speed <= 10.0),
           "GroundContactSettings.settling_speed [m/s]", s.settling_speed, "0, or in [0.01, 10]");
   require_finite("GroundContactSettings.down_force [N]", s.down_force);

@@ -20,59 +20,6 @@
 /// comes from it.
 namespace tilt_ropter {
 
-/// Criteria for contact with the ground. The load is the upward external force (lift) minus the
-/// lift that the air gives.
-struct ContactEstimatorSettings {
-  /// Load that counts as contact when the vehicle is within leave_height of the expected ground, as
-  /// a fraction of the weight.
-  double near_load = 0.10;
-  /// Load that counts as contact at any other height, as a fraction of the weight. It must exceed
-  /// the load of gusts.
-  double far_load = 0.30;
-  /// Load that only the ground can give, as a fraction of the weight. Above this load the vehicle
-  /// counts as carried. The value must exceed the error of the believed weight.
-  double carried_load = 0.40;
-  /// A vehicle that is not carried counts as in the air above this distance from the ground [m].
-  double leave_height = 0.030;
-  /// Lead of the take-off detection [s]. It acts after the vehicle has not been carried for
-  /// unloaded_time, as in a take-off but not in a hop over a plank. The vehicle then counts as in
-  /// the air if its speed will take it to leave_height within leave_lead.
-  double leave_lead = 0.1;
-  double unloaded_time = 0.3;  ///< time without load before leave_lead acts [s]
-  /// Depth below the last ground at which the ground is forgotten [m]. A vehicle in the air reaches
-  /// this depth behind the edge of a table, for example. Up to this depth the ground is kept,
-  /// because its height may only be overestimated.
-  double search_depth = 0.25;
-  double load_time = 0.01;  ///< time constant of the load's average [s]
-  /// Time constant of the average of the wrench in the air, which is kept on the ground [s].
-  double air_time = 0.5;
-  double ground_time = 0.1;  ///< time constant of the average of the ground's height [s]
-  double slope_time = 0.4;   ///< time constant of the average of the ground's slope [s]
-  double max_slope = 0.5;    ///< largest slope of the ground; a steeper estimate is ignored
-  /// Expected ground until the vehicle has stood on the ground or flown below this plane. Height
-  /// -infinity: no ground is expected.
-  GroundPlane assumed_ground;
-};
-
-inline void validate(const ContactEstimatorSettings& s) {
-  require_positive("ContactEstimatorSettings.near_load", s.near_load);
-  require(std::isfinite(s.far_load) && s.far_load >= s.near_load,
-          "ContactEstimatorSettings.far_load", s.far_load, "finite and >= near_load");
-  require_positive("ContactEstimatorSettings.carried_load", s.carried_load);
-  require_positive("ContactEstimatorSettings.leave_height [m]", s.leave_height);
-  require_non_negative("ContactEstimatorSettings.leave_lead [s]", s.leave_lead);
-  require_non_negative("ContactEstimatorSettings.unloaded_time [s]", s.unloaded_time);
-  require_positive("ContactEstimatorSettings.search_depth [m]", s.search_depth);
-  require_positive("ContactEstimatorSettings.load_time [s]", s.load_time);
-  require_positive("ContactEstimatorSettings.air_time [s]", s.air_time);
-  require_positive("ContactEstimatorSettings.ground_time [s]", s.ground_time);
-  require_positive("ContactEstimatorSettings.slope_time [s]", s.slope_time);
-  require_positive("ContactEstimatorSettings.max_slope", s.max_slope);
-  require(s.assumed_ground.height < std::numeric_limits<double>::infinity(),
-          "ContactEstimatorSettings.assumed_ground.height [m]", s.assumed_ground.height,
-          "finite, or -infinity");
-}
-
 /// Decides whether the vehicle is on the ground, by the load first and by the height second. A
 /// vehicle that is carried is on the ground, at any height. A vehicle that is not carried is in the
 /// air when it leaves the place where it was carried.
@@ -94,21 +41,24 @@ inline void validate(const ContactEstimatorSettings& s) {
 /// throws.
 class ContactEstimator {
  public:
-  /// Throws std::invalid_argument if a parameter or setting is out of range.
+  /// `assumed_ground` is expected until the vehicle has stood on the ground or flown below this
+  /// plane; with the height -infinity no ground is expected. Throws std::invalid_argument if a
+  /// parameter is out of range.
   ContactEstimator(const RigidBodyParameters& body,
                    const std::optional<Undercarriage>& undercarriage,
-                   const ContactEstimatorSettings& settings = {})
-      : settings_(settings), weight_(body.mass * gravity), undercarriage_(undercarriage) {
+                   const GroundPlane& assumed_ground = {})
+      : weight_(body.mass * gravity), undercarriage_(undercarriage) {
     validate(body);
     if (undercarriage) validate(*undercarriage);
-    validate(settings);
+    require(assumed_ground.height < std::numeric_limits<double>::infinity(),
+            "ContactEstimator.assumed_ground.height [m]", assumed_ground.height,
+            "finite, or -infinity");
     estimate_ = in_the_air({});
-    if (undercarriage) estimate_.ground = settings.assumed_ground;
+    if (undercarriage) estimate_.ground = assumed_ground;
   }
   template <int Rotors>
-  explicit ContactEstimator(const Vehicle<Rotors>& vehicle,
-                            const ContactEstimatorSettings& settings = {})
-      : ContactEstimator(vehicle.body, undercarriage(vehicle), settings) {}
+  explicit ContactEstimator(const Vehicle<Rotors>& vehicle, const GroundPlane& assumed_ground = {})
+      : ContactEstimator(vehicle.body, undercarriage(vehicle), assumed_ground) {}
 
   /// Processes the state of the body (of the CoM) and the output of the observer since the last
   /// call (its take_external()) at `time` [s]. Call it once per tick or more often. Ignores numbers
@@ -140,9 +90,8 @@ class ContactEstimator {
     dt = std::max(dt, 0.0);
     // Mean input of the observer's filter since the last call, without the filter's lag.
     const Wrenchd now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
-    const double lift =
-        started_ ? lift_ + fraction(dt, settings_.load_time) * (lift_of(now, body) - lift_)
-                 : lift_of({first, Eigen::Vector3d::Zero()}, body);
+    const double lift = started_ ? lift_ + fraction(dt, load_time) * (lift_of(now, body) - lift_)
+                                 : lift_of({first, Eigen::Vector3d::Zero()}, body);
     const double clearance = clearance_of(body);
 
     const bool was_on_ground = estimate_.on_ground;
@@ -167,9 +116,39 @@ class ContactEstimator {
   [[nodiscard]] const ContactEstimate& estimate() const noexcept { return estimate_; }
   /// Number of changes between air and ground after the first update.
   [[nodiscard]] int mode_changes() const noexcept { return mode_changes_; }
-  [[nodiscard]] const ContactEstimatorSettings& settings() const noexcept { return settings_; }
 
  private:
+  // The load is the upward external force (lift) minus the lift that the air gives.
+  // Load that counts as contact when the vehicle is within leave_height of the expected ground, as
+  // a fraction of the weight.
+  static constexpr double near_load = 0.10;
+  // Load that counts as contact at any other height, as a fraction of the weight. It must exceed
+  // the load of gusts.
+  static constexpr double far_load = 0.30;
+  // Load that only the ground can give, as a fraction of the weight. Above this load the vehicle
+  // counts as carried. The value must exceed the error of the believed weight.
+  static constexpr double carried_load = 0.40;
+  // A vehicle that is not carried counts as in the air above this distance from the ground [m].
+  static constexpr double leave_height = 0.030;
+  // Lead of the take-off detection [s]. It acts after the vehicle has not been carried for
+  // unloaded_time, as in a take-off but not in a hop over a plank. The vehicle then counts as in
+  // the air if its speed will take it to leave_height within leave_lead.
+  static constexpr double leave_lead = 0.1;
+  static constexpr double unloaded_time = 0.3;  // time without load before leave_lead acts [s]
+  // Depth below the last ground at which the ground is forgotten [m]. A vehicle in the air reaches
+  // this depth behind the edge of a table, for example. Up to this depth the ground is kept,
+  // because its height may only be overestimated.
+  static constexpr double search_depth = 0.25;
+  static constexpr double load_time = 0.01;  // time constant of the load's average [s]
+  // Time constant of the average of the wrench in the air, which is kept on the ground [s].
+  static constexpr double air_time = 0.5;
+  static constexpr double ground_time =
+      0.1;  // time constant of the average of the ground's height [s]
+  static constexpr double slope_time =
+      0.4;  // time constant of the average of the ground's slope [s]
+  static constexpr double max_slope =
+      0.5;  // largest slope of the ground; a steeper estimate is ignored
+
   // For a vehicle without an undercarriage.
   const ContactEstimate& update_in_the_air(double time, const Wrenchd& external) noexcept {
     estimate_.disturbance = external;
@@ -191,10 +170,10 @@ class ContactEstimator {
   // Update in the air, until a load indicates contact.
   void fly(const BodyStated& body, double lift, double clearance, double dt) noexcept {
     const double load = lift - air_lift_, rising = rising_of(body);
-    const bool near = std::abs(clearance) < settings_.leave_height;
-    const double enough = (near ? settings_.near_load : settings_.far_load) * weight_;
+    const bool near = std::abs(clearance) < leave_height;
+    const double enough = (near ? near_load : far_load) * weight_;
     // The velocity of a filter that has just started is uncertain, but such a load is not.
-    const bool starts_carried = !started_ && load > settings_.carried_load * weight_;
+    const bool starts_carried = !started_ && load > carried_load * weight_;
     if (starts_carried || (load > enough && rising < 0.1)) {
       estimate_.on_ground = estimate_.ground_known = true;
       unloaded_for_ = 0.0;
@@ -204,12 +183,12 @@ class ContactEstimator {
       return;
     }
     if (load < 0.5 * enough) {
-      const double part = fraction(dt, settings_.air_time);
+      const double part = fraction(dt, air_time);
       air_.force += part * (estimate_.disturbance.force - air_.force);
       air_.torque += part * (estimate_.disturbance.torque - air_.torque);
       air_lift_ = possible(air_lift_ + part * (lift_of(estimate_.disturbance, body) - air_lift_));
     }
-    const double depth = estimate_.ground_known ? settings_.search_depth : settings_.leave_height;
+    const double depth = estimate_.ground_known ? search_depth : leave_height;
     if (clearance < -depth) {  // the ground is not there
       estimate_.ground = {-std::numeric_limits<double>::infinity(), Eigen::Vector2d::Zero()};
       estimate_.ground_known = false;
@@ -222,16 +201,15 @@ class ContactEstimator {
     // The ground only pushes, and freely turning wheels give no pitch torque.
     if (lift < lift_of(air_, body)) set_air_lift(lift, body);
     if (undercarriage_->pitches) air_.torque.y() = external.torque.y();
-    if (lift - lift_of(air_, body) > settings_.carried_load * weight_) {
+    if (lift - lift_of(air_, body) > carried_load * weight_) {
       unloaded_for_ = 0.0;
-      place_ground(body, fraction(dt, settings_.ground_time));
-      learn_slope(body, fraction(dt, settings_.slope_time));
+      place_ground(body, fraction(dt, ground_time));
+      learn_slope(body, fraction(dt, slope_time));
       return;
     }
     unloaded_for_ += dt;
-    const double lead = unloaded_for_ > settings_.unloaded_time ? settings_.leave_lead : 0.0;
-    if (std::abs(clearance) > settings_.leave_height ||
-        clearance + lead * rising_of(body) > settings_.leave_height) {
+    const double lead = unloaded_for_ > unloaded_time ? leave_lead : 0.0;
+    if (std::abs(clearance) > leave_height || clearance + lead * rising_of(body) > leave_height) {
       // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
       air_lift_ = possible(lift);
@@ -256,7 +234,7 @@ class ContactEstimator {
   // Clamps the lift of the air to what a wrong mass or wrong rotor thrust can cause. The missing
   // lift stays below carried_load, so no error hides that the vehicle has left the ground.
   [[nodiscard]] double possible(double lift) const noexcept {
-    return std::clamp(lift, -0.9 * settings_.carried_load * weight_, 0.5 * weight_);
+    return std::clamp(lift, -0.9 * carried_load * weight_, 0.5 * weight_);
   }
 
   [[nodiscard]] bool is_credible(const BodyStated& body, const Wrenchd& external) const noexcept {
@@ -317,7 +295,7 @@ class ContactEstimator {
     learn(body.orientation * Eigen::Vector3d::UnitY());
     if (!undercarriage_->pitches) learn(body.orientation * Eigen::Vector3d::UnitX());
     if (body.velocity.head<2>().norm() > 0.3) learn(body.velocity);
-    if (!(slope.norm() < settings_.max_slope)) return;
+    if (!(slope.norm() < max_slope)) return;
     ground.height += (ground.slope - slope).dot(body.position.head<2>());
     ground.slope = slope;
   }
@@ -345,7 +323,6 @@ class ContactEstimator {
     if (!undercarriage_->turns) hold_torque(Eigen::Vector3d::UnitZ());
   }
 
-  ContactEstimatorSettings settings_;
   double weight_;
   std::optional<Undercarriage> undercarriage_;
   ContactEstimate estimate_;

@@ -29,10 +29,12 @@ struct WrenchObserverSettings {
       std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N]
   Eigen::Vector3d torque_limit = Eigen::Vector3d::Constant(
       std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N m]
-  double max_gap = 0.1;               ///< longest time between samples without a restart [s]
-  double min_calibration_time = 1.0;  ///< shortest valid calibration [s]
-  double max_force_stddev = 0.5;      ///< largest standard deviation of a calibration's blocks [N]
-  double max_torque_stddev = 0.05;  ///< largest standard deviation of a calibration's blocks [N m]
+  double max_gap = 0.1;  ///< longest time between samples without a restart [s]
+  static constexpr double min_calibration_time = 1.0;  ///< shortest valid calibration [s]
+  /// Largest standard deviation of a calibration's blocks [N].
+  static constexpr double max_force_stddev = 0.5;
+  /// Largest standard deviation of a calibration's blocks [N m].
+  static constexpr double max_torque_stddev = 0.05;
 };
 
 /// Settings with one bandwidth [1/s] for force and torque in all axes. The default of 15 keeps the
@@ -53,9 +55,6 @@ inline void validate(const WrenchObserverSettings& s) {
   require_positive_or_infinite("WrenchObserverSettings.force_limit [N]", s.force_limit);
   require_positive_or_infinite("WrenchObserverSettings.torque_limit [N m]", s.torque_limit);
   require_positive("WrenchObserverSettings.max_gap [s]", s.max_gap);
-  require_positive("WrenchObserverSettings.min_calibration_time [s]", s.min_calibration_time);
-  require_positive("WrenchObserverSettings.max_force_stddev [N]", s.max_force_stddev);
-  require_positive("WrenchObserverSettings.max_torque_stddev [N m]", s.max_torque_stddev);
 }
 
 /// Result of processing a sample.

@@ -41,13 +41,15 @@ struct ServoModel {
 
 /// Search range and acceptance limits of identify_servo().
 struct ServoIdentificationSettings {
-  double min_time_constant = 0.002;  ///< shortest time constant of the search [s]
-  double max_time_constant = 2.0;    ///< longest time constant; never longer than the log [s]
-  double max_dead_time = 0.2;        ///< longest dead time of the search; 0: no dead time [s]
-  double min_excitation = 0.01;      ///< required largest minus smallest command [rad]
-  double min_significance = 5.0;     ///< required gain / standard deviation of the gain
-  int min_samples = 20;              ///< required number of samples, at least 6
-  int max_iterations = 100;          ///< largest number of Gauss-Newton iterations from each start
+  static constexpr double min_time_constant = 0.002;  ///< shortest time constant of the search [s]
+  double max_time_constant = 2.0;  ///< longest time constant; never longer than the log [s]
+  double max_dead_time = 0.2;      ///< longest dead time of the search; 0: no dead time [s]
+  /// Required largest minus smallest command [rad].
+  static constexpr double min_excitation = 0.01;
+  /// Required gain / standard deviation of the gain.
+  static constexpr double min_significance = 5.0;
+  static constexpr int min_samples = 20;  ///< required number of samples, at least 6
+  int max_iterations = 100;  ///< largest number of Gauss-Newton iterations from each start
 };
 
 /// Whether the servo was identified and, if not, the reason.
@@ -95,14 +97,10 @@ struct ServoIdentification {
 }
 
 inline void validate(const ServoIdentificationSettings& s) {
-  require_positive("ServoIdentificationSettings.min_time_constant [s]", s.min_time_constant);
   require(std::isfinite(s.max_time_constant) && s.max_time_constant > s.min_time_constant,
           "ServoIdentificationSettings.max_time_constant [s]", s.max_time_constant,
           "finite and > min_time_constant");
   require_non_negative("ServoIdentificationSettings.max_dead_time [s]", s.max_dead_time);
-  require_positive("ServoIdentificationSettings.min_excitation [rad]", s.min_excitation);
-  require_non_negative("ServoIdentificationSettings.min_significance", s.min_significance);
-  require(s.min_samples >= 6, "ServoIdentificationSettings.min_samples", s.min_samples, ">= 6");
   require(s.max_iterations > 0, "ServoIdentificationSettings.max_iterations", s.max_iterations,
           "> 0");
 }

@@ -61,36 +61,28 @@ struct VehicleIdentificationSettings {
   TrustedScale trusted = TrustedScale::mass;
   Eigen::Vector3d imu_position =
       Eigen::Vector3d::Zero();  ///< of the IMU in the body frame of the given vehicle [m]
-  double window = 0.04;         ///< length of the windows over which the log is averaged [s]
+  /// Length of the windows over which the log is averaged [s].
+  static constexpr double window = 0.04;
   /// Only parts of the flight higher than this count [m].
   double min_height = -std::numeric_limits<double>::infinity();
-  double min_duration = 5.0;  ///< required duration of these parts [s]
+  static constexpr double min_duration = 5.0;  ///< required duration of these parts [s]
   /// A parameter counts as excited if the half-width of its 95 % interval is at most this:
-  double max_ratio = 0.2;         ///< as a fraction, for scales, inertias and time constants
-  double max_com = 0.005;         ///< [m]
-  double max_dead_time = 0.01;    ///< [s]
-  double max_drag = 0.2;          ///< per mass [1/s]
-  double max_arm_inertia = 0.1;   ///< as a fraction of the smallest moment of inertia
-  double max_arm_moment = 0.003;  ///< per mass [m]
-  int max_iterations = 30;        ///< largest number of steps of one least-squares solution
+  /// As a fraction, for scales, inertias and time constants.
+  static constexpr double max_ratio = 0.2;
+  static constexpr double max_com = 0.005;       ///< [m]
+  static constexpr double max_dead_time = 0.01;  ///< [s]
+  static constexpr double max_drag = 0.2;        ///< per mass [1/s]
+  /// As a fraction of the smallest moment of inertia.
+  static constexpr double max_arm_inertia = 0.1;
+  static constexpr double max_arm_moment = 0.003;  ///< per mass [m]
+  int max_iterations = 30;  ///< largest number of steps of one least-squares solution
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const VehicleIdentificationSettings& s) {
-  const auto positive = [](const char* field, double value) {
-    require_positive(std::string("VehicleIdentificationSettings.") + field, value);
-  };
   require_finite("VehicleIdentificationSettings.imu_position [m]", s.imu_position);
-  require_in("VehicleIdentificationSettings.window [s]", s.window, 0.005, 0.5);
   require(!std::isnan(s.min_height), "VehicleIdentificationSettings.min_height [m]", s.min_height,
           "a number");
-  require_in("VehicleIdentificationSettings.min_duration [s]", s.min_duration, 1.0, 1e6);
-  positive("max_ratio", s.max_ratio);
-  positive("max_com [m]", s.max_com);
-  positive("max_dead_time [s]", s.max_dead_time);
-  positive("max_drag [1/s]", s.max_drag);
-  positive("max_arm_inertia", s.max_arm_inertia);
-  positive("max_arm_moment [m]", s.max_arm_moment);
   require_in("VehicleIdentificationSettings.max_iterations", s.max_iterations, 1, 1000);
 }
 

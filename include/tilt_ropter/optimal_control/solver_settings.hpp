@@ -110,8 +110,9 @@ struct DualSettings {
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
   int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
   double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
-  double constraint_tolerance = 1e-9;  ///< violation above which a constraint joins the working set
-  int max_rounds = 20;                 ///< rounds in which constraints join the working set
+  /// Violation above which a constraint joins the working set.
+  static constexpr double constraint_tolerance = 1e-9;
+  int max_rounds = 20;  ///< rounds in which constraints join the working set
 };
 
 [[nodiscard]] inline bool operator==(const DualSettings& a, const DualSettings& b) {
@@ -125,7 +126,6 @@ struct DualSettings {
 inline void validate(const DualSettings& s) {
   require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
   require_positive("DualSettings.tolerance", s.tolerance);
-  require_positive("DualSettings.constraint_tolerance", s.constraint_tolerance);
   require(s.max_rounds > 0, "DualSettings.max_rounds", s.max_rounds, "> 0");
 }
 
@@ -172,10 +172,12 @@ struct SolverSettings {
   /// Time limit of feedback() [s]. An iteration that would end later is not started. At most 1000,
   /// or infinite: no limit.
   double max_feedback_time = std::numeric_limits<double>::infinity();
-  double tolerance = 1e-6;         ///< on the KKT residual, for solve()
-  double min_step = 1e-4;          ///< shortest step length in the line search of solve()
-  int memory = 16;                 ///< past moves for Anderson acceleration in solve(); 0: none
-  double max_multiplier = 1e6;     ///< bound on the absolute multiplier of an equality
+  double tolerance = 1e-6;  ///< on the KKT residual, for solve()
+  /// Shortest step length in the line search of solve().
+  static constexpr double min_step = 1e-4;
+  int memory = 16;  ///< past moves for Anderson acceleration in solve(); 0: none
+  /// Bound on the absolute multiplier of an equality.
+  static constexpr double max_multiplier = 1e6;
   bool update_multipliers = true;  ///< of equalities, in solve(): equalities hold exactly, not only
                                    ///< by weight. feedback() never updates: noise would accumulate
   QuadraticProgramSettings program;  ///< limits and tolerances of the quadratic programs
@@ -196,10 +198,7 @@ inline void validate(const SolverSettings& s) {
               (s.max_feedback_time <= 1000.0 || std::isinf(s.max_feedback_time)),
           "SolverSettings.max_feedback_time [s]", s.max_feedback_time, "in (0, 1000], or infinite");
   require_positive("SolverSettings.tolerance", s.tolerance);
-  require(s.min_step > 0.0 && s.min_step <= 1.0, "SolverSettings.min_step", s.min_step,
-          "in (0, 1]");
   require(s.memory >= 0 && s.memory <= 100, "SolverSettings.memory", s.memory, "in [0, 100]");
-  require_non_negative("SolverSettings.max_multiplier", s.max_multiplier);
   validate(s.program);
 }
 

@@ -24,8 +24,8 @@ struct ExcitationSettings {
   double ramp = 2.0;                  ///< time in which the motion grows, and fades [s]
   double acceleration = 0.48;         ///< largest acceleration of each sine [m/s^2]
   double angular_acceleration = 4.5;  ///< largest second derivative of each angle sine [rad/s^2]
-  double max_distance = 0.15;         ///< largest amplitude of each sine [m]
-  double max_angle = 0.12;            ///< largest amplitude of each angle sine [rad]
+  static constexpr double max_distance = 0.15;  ///< largest amplitude of each sine [m]
+  double max_angle = 0.12;                      ///< largest amplitude of each angle sine [rad]
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values.
@@ -36,7 +36,6 @@ inline void validate(const ExcitationSettings& p) {
           "in [0.001, duration / 2]");
   require_non_negative("ExcitationSettings.acceleration [m/s^2]", p.acceleration);
   require_non_negative("ExcitationSettings.angular_acceleration [rad/s^2]", p.angular_acceleration);
-  require_positive("ExcitationSettings.max_distance [m]", p.max_distance);
   require_in("ExcitationSettings.max_angle [rad]", p.max_angle, 1e-6, 0.3);
 }
 

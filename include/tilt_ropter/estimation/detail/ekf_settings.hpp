@@ -98,11 +98,12 @@ struct EstimateTrust {
 /// Errors that the caller allows, for Ekf::trust(). An error counts as too large if `confidence`
 /// times its predicted standard deviation exceeds the limit.
 struct EkfTrustLimits {
-  double position_error = 0.15;      ///< allowed in normal operation [m]
-  double velocity_error = 0.5;       ///< allowed in normal operation [m/s]
-  double orientation_error = 0.1;    ///< allowed at any time [rad]
-  double lost_position_error = 1.0;  ///< above this the position counts as lost [m]
-  double confidence = 3.0;           ///< standard deviations between estimate and limit
+  double position_error = 0.15;                  ///< allowed in normal operation [m]
+  static constexpr double velocity_error = 0.5;  ///< allowed in normal operation [m/s]
+  double orientation_error = 0.1;                ///< allowed at any time [rad]
+  double lost_position_error = 1.0;              ///< above this the position counts as lost [m]
+  /// Standard deviations between estimate and limit.
+  static constexpr double confidence = 3.0;
   /// Longest time without a used position that is still normal operation [s].
   double position_age = 0.1;
   double imu_age = 0.05;  ///< longest time without IMU samples [s]
@@ -110,12 +111,10 @@ struct EkfTrustLimits {
 
 inline void validate(const EkfTrustLimits& s) {
   require_positive("EkfTrustLimits.position_error [m]", s.position_error);
-  require_positive("EkfTrustLimits.velocity_error [m/s]", s.velocity_error);
   require_positive("EkfTrustLimits.orientation_error [rad]", s.orientation_error);
   require(std::isfinite(s.lost_position_error) && s.lost_position_error >= s.position_error,
           "EkfTrustLimits.lost_position_error [m]", s.lost_position_error,
           "finite and >= position_error");
-  require_positive("EkfTrustLimits.confidence", s.confidence);
   require_positive("EkfTrustLimits.position_age [s]", s.position_age);
   require_positive("EkfTrustLimits.imu_age [s]", s.imu_age);
 }
