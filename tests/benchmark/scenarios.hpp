@@ -82,12 +82,13 @@ inline Scenario ground() {
 }
 
 /// Solver and plant in a loop that starts over after its last tick.
-class ClosedLoop {
+template <typename Solver>
+class BasicClosedLoop {
  public:
   static constexpr int ticks = 500;
   static constexpr double period = 0.02;  // [s]
 
-  explicit ClosedLoop(const Scenario& scenario)
+  explicit BasicClosedLoop(const Scenario& scenario)
       : scenario_(scenario),
         plant_(test_support::benchmark_body()),
         solver_(scenario.problem, settings()) {
@@ -157,5 +158,6 @@ class ClosedLoop {
   double squares_ = 0.0, count_ = 0.0;
   bool sound_ = true;
 };
+using ClosedLoop = BasicClosedLoop<Solver>;
 
 }  // namespace benchmarks

@@ -5,6 +5,7 @@
 #include "dense_riccati.hpp"
 #include "scenarios.hpp"
 
+#include <tilt_ropter/optimal_control/single_shooting.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include "support/actuator_loop.hpp"
@@ -27,7 +28,10 @@ using benchmarks::Solver;
 using tilt_ropter::optimal_control::SolveReport;
 using tilt_ropter::optimal_control::SolveStatus;
 
-constexpr const char* usage = R"(usage: scenarios_benchmark [--repeat R]
+using NloptAlone =
+    tilt_ropter::optimal_control::SingleShooting<tilt_ropter::WheeledFlightProblem<0>>;
+
+constexpr const char* usage = R"(usage: scenarios_benchmark [--repeat R] [--nlopt-alone]
 
 Runs STEP (one solve from cold, 100 R times), AIR (figure eight in the air, 500 ticks, R times; one
 real-time iteration a tick, and to a KKT residual of 1e-6 each tick), GROUND (figure eight on the
@@ -45,8 +49,10 @@ each
 
 and what was published for it: acados tuned by hand and as it comes, an experiment in this method.
 
-  --repeat R   default 5
-  --help       this text
+  --repeat R      default 5
+  --nlopt-alone   print instead what NLopt takes that is given the whole problems (SingleShooting):
+                  STEP once, AIR and GROUND in 100 R ticks to 1e-6, which takes minutes
+  --help          this text
 
 Exit code 1 if a solve did not converge or STEP's optimum is not the known one.
 )";
@@ -83,12 +89,13 @@ std::string text(const char* format, double value) {
   return buffer;
 }
 
-bool run_step(int repeat) {
+template <typename Solver>
+bool run_step(int runs, const char* name) {
   using Clock = std::chrono::steady_clock;
   Solver solver(test_support::step_problem());
   Row row;
   bool sound = true;
-  for (int i = -2; i < 100 * repeat; ++i) {  // two warm-up runs: page faults
+  for (int i = std::max(-2, 1 - runs); i < runs; ++i) {  // two warm-up runs: page faults
     const auto start = Clock::now();
     solver.reset(test_support::step_start());
     const SolveReport& report = solver.solve(test_support::step_start());
@@ -99,16 +106,16 @@ bool run_step(int repeat) {
   // Result of IPOPT with a normalised quaternion and the same R(q) as here.
   constexpr double known = 2074.1813;
   const double cost = solver.report().cost;
-  row.print("STEP   cold, to KKT 1e-6", text("%.4f", cost),
-            "   2000-2500        5500           -  2074.1813");
+  row.print(name, text("%.4f", cost), "   2000-2500        5500           -  2074.1813");
   return sound && std::abs(cost - known) < 1e-4 * known;
 }
 
-bool run_loop(const Scenario& scenario, double (ClosedLoop::*control)(), int repeat,
-              const char* name, const char* published) {
-  ClosedLoop loop(scenario);
+template <typename Loop>
+bool run_loop(const Scenario& scenario, double (Loop::*control)(), int ticks, const char* name,
+              const char* published) {
+  Loop loop(scenario);
   Row row;
-  for (int i = 0; i < ClosedLoop::ticks * repeat; ++i) {
+  for (int i = 0; i < ticks; ++i) {
     const double us = (loop.*control)();
     row.add(us, loop.report());
   }
@@ -131,6 +138,16 @@ bool run_actuator_level() {
   return loop.all_planned() && loop.sound();
 }
 
+bool run_nlopt_alone(int repeat) {
+  using Loop = benchmarks::BasicClosedLoop<NloptAlone>;
+  const bool step = run_step<NloptAlone>(1, "STEP   by NLopt alone"),
+             air = run_loop(benchmarks::air(), &Loop::converge, 100 * repeat,
+                            "AIR    by NLopt alone", ""),
+             ground = run_loop(benchmarks::ground(), &Loop::converge, 100 * repeat,
+                               "GROUND by NLopt alone", "");
+  return step && air && ground;
+}
+
 void run_yardstick(int repeat) {
   using Clock = std::chrono::steady_clock;
   benchmarks::DenseRiccati riccati;
@@ -150,10 +167,15 @@ void run_yardstick(int repeat) {
 
 int main(int argc, char** argv) {
   int repeat = 5;
+  bool nlopt_alone = false;
   for (int i = 1; i < argc; ++i) {
     if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
       std::fputs(usage, stdout);
       return 0;
+    }
+    if (std::strcmp(argv[i], "--nlopt-alone") == 0) {
+      nlopt_alone = true;
+      continue;
     }
     repeat = std::strcmp(argv[i], "--repeat") == 0 && i + 1 < argc ? std::atoi(argv[++i]) : 0;
     if (repeat < 1) {
@@ -164,16 +186,20 @@ int main(int argc, char** argv) {
   std::printf("%-29s %7s %6s %9s %9s %6s %8s %10s %6s  %-11s %s\n%-112s %s\n", "", "median", "p99",
               "linearise", "factorise", "rows", "feedback", "iterations", "active", "result",
               "published:", "times in us", "acados tuned  as it comes  experiment  result");
-  bool sound = run_step(repeat);
-  sound = run_loop(benchmarks::air(), &ClosedLoop::iterate, repeat, "AIR    real-time iteration",
-                   "         211         397         131  0.04099 m") &&
-          sound;
-  sound = run_loop(benchmarks::air(), &ClosedLoop::converge, repeat, "AIR    to KKT 1e-6 each tick",
-                   "         920        1500           -  0.04099 m") &&
-          sound;
-  sound = run_loop(benchmarks::ground(), &ClosedLoop::iterate, repeat, "GROUND real-time iteration",
-                   "         184         346           -  0.0108 m") &&
-          sound;
+  if (nlopt_alone) return run_nlopt_alone(repeat) ? 0 : 1;
+  bool sound = run_step<Solver>(100 * repeat, "STEP   cold, to KKT 1e-6");
+  sound =
+      run_loop(benchmarks::air(), &ClosedLoop::iterate, ClosedLoop::ticks * repeat,
+               "AIR    real-time iteration", "         211         397         131  0.04099 m") &&
+      sound;
+  sound =
+      run_loop(benchmarks::air(), &ClosedLoop::converge, ClosedLoop::ticks * repeat,
+               "AIR    to KKT 1e-6 each tick", "         920        1500           -  0.04099 m") &&
+      sound;
+  sound =
+      run_loop(benchmarks::ground(), &ClosedLoop::iterate, ClosedLoop::ticks * repeat,
+               "GROUND real-time iteration", "         184         346           -  0.0108 m") &&
+      sound;
   sound = run_actuator_level() && sound;
   run_yardstick(repeat);
   if (!sound) std::fputs("a solve did not reach what was asked\n", stderr);

@@ -49,8 +49,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         saved_prices_(saved_steps_.size()) {}
 
   /// As Subproblem::change_units(), with what the last solves have learnt.
-  void change_units(int k, double cost, const typename Program::Values& rows) {
-    Program::change_units(k, cost, rows);
+  void change_units(int k, double cost, const typename Program::Values& units) {
+    Program::change_units(k, cost, units);
     active_set_.change_unit(k, cost);
   }
 
