@@ -1,2 +1,2 @@
-# Links between READMEs become plain text: only the first README is a page of the reference.
-s/\[([^]]*)\]\([^)]*README\.md\)/\1/g
+# Links between documents become plain text: only the first README is a page of the reference.
+s/\[([^]]*)\]\([^)]*\.md\)/\1/g

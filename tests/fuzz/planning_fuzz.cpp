@@ -33,14 +33,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     FigureEightSettings p;
     if (input.coin()) p.heading = HeadingMode::along_velocity;
     input.vary_all(p.center, p.amplitude, p.direction, p.laps, p.ramp_laps, p.max_speed,
-                   p.max_acceleration, p.yaw, p.max_yaw_rate, p.start_time);
+                   p.max_acceleration, p.yaw, p.max_yaw_rate);
     std::optional<FigureEight> eight;
     if (fuzz::accepted([&] { eight.emplace(p); })) expect_finite(*eight);
   } else if (kind == 1) {
     TransitionSettings p;
     p.to.position << 1.0, 2.0, 3.0;
-    input.vary_all(p.from.position, p.from.yaw, p.to.position, p.to.yaw, p.start_time, p.duration,
-                   p.max_speed, p.max_acceleration, p.max_yaw_rate, p.max_yaw_acceleration);
+    input.vary_all(p.from.position, p.from.yaw, p.to.position, p.to.yaw, p.duration, p.max_speed,
+                   p.max_acceleration, p.max_yaw_rate, p.max_yaw_acceleration);
     std::optional<Transition> transition;
     if (fuzz::accepted([&] { transition.emplace(p); })) expect_finite(*transition);
   } else {
