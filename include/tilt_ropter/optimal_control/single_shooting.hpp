@@ -111,12 +111,17 @@ class SingleShooting {
 
   /// Solves from the current guess, with the initial state fixed to x0. reset() or set_guess() must
   /// have set the guess at every node. Never throws. NLopt and this class allocate.
-  const SolveReport& solve(const State& x0) noexcept { return solve(x0, settings_.max_time); }
+  const SolveReport& solve(const State& x0) noexcept {
+    updates_multipliers_ = settings_.update_multipliers;
+    return solve(x0, settings_.max_time);
+  }
 
   /// Solves from the last plan, within SolverSettings::max_feedback_time and before `deadline`.
+  /// Equalities hold by their weights, as in MultipleShooting::feedback().
   const SolveReport& feedback(const State& x0,
                               std::optional<SolverClock::time_point> deadline = {}) noexcept {
     before_ = base_;
+    updates_multipliers_ = false;
     double limit = settings_.max_feedback_time;
     if (deadline) limit = std::min(limit, seconds(*deadline - SolverClock::now()));
     return solve(x0, limit);
@@ -329,7 +334,7 @@ class SingleShooting {
     double equality = 0.0;
     for (int k = 1; k <= horizon_; ++k)
       equality = std::max(equality, equalities_.distance(problem_, k, base_.x(k)));
-    if (equality > settings_.tolerance) {
+    if (updates_multipliers_ && equality > settings_.tolerance) {
       equalities_.update(problem_, base_, equality, true);
       return SolveStatus::iterated;
     }
@@ -574,6 +579,7 @@ class SingleShooting {
   std::unique_ptr<nlopt_opt_s, Destroy> optimizer_;
   Eigen::VectorXd variables_;               // NLopt's variables: z and slacks
   Eigen::VectorXd latest_, before_latest_;  // last points where NLopt requested gradients
+  bool updates_multipliers_ = true;
   SolveReport report_;
   double hard_violation_ = 0.0;
   int rows_ = 0, slacks_ = 0;
