@@ -63,7 +63,9 @@ void solve_one(unsigned seed, ProgramMethod method, Tally& tally) {
   tally.worst_residual = std::max(tally.worst_residual, audit.after(solver));
   const int most = test_support::quick_or_full(60, 240);
   if (horizon * (States + Inputs) > most) return;
-  SingleShooting<Problem> full(problem, test_support::patient());
+  SolverSettings exact = test_support::patient();
+  exact.tolerance = 1e-8;  // a violation times a multiplier of 10 is an error of the cost
+  SingleShooting<Problem> full(problem, exact);
   full.reset(problem.start());
   if (full.solve(problem.start()).status != SolveStatus::converged) return;
   double cost = 0.0;
