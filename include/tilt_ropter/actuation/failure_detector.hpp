@@ -134,15 +134,15 @@ class FailureDetector {
   // With these a failure is found that would crash the reference vehicle, and the errors of its
   // model raise no alarm (tests/actuation/failure_detector_test.cpp).
   static constexpr double window = 0.06;  // time over which forces and torques are averaged [s]
-  static constexpr double confirmation =
-      0.05;  // a failure is reported if it is the explanation this long [s]
+  // A failure is reported if it is the explanation this long [s].
+  static constexpr double confirmation = 0.05;
   // Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
   static constexpr double baseline_time = 1.0;
   // Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
   // rotor carries in hover.
   static constexpr double min_change = 0.35;
-  static constexpr double min_fraction =
-      0.35;  // the same, as a fraction of this rotor's present thrust
+  // The same, as a fraction of this rotor's present thrust.
+  static constexpr double min_fraction = 0.35;
   // Largest residual that the failure may leave unexplained, as a fraction of the residual.
   static constexpr double max_unexplained = 0.35;
   // A rotor whose force is smaller than this fraction of its model is lost.

@@ -142,12 +142,12 @@ class ContactEstimator {
   static constexpr double load_time = 0.01;  // time constant of the load's average [s]
   // Time constant of the average of the wrench in the air, which is kept on the ground [s].
   static constexpr double air_time = 0.5;
-  static constexpr double ground_time =
-      0.1;  // time constant of the average of the ground's height [s]
-  static constexpr double slope_time =
-      0.4;  // time constant of the average of the ground's slope [s]
-  static constexpr double max_slope =
-      0.5;  // largest slope of the ground; a steeper estimate is ignored
+  // Time constant of the average of the ground's height [s].
+  static constexpr double ground_time = 0.1;
+  // Time constant of the average of the ground's slope [s].
+  static constexpr double slope_time = 0.4;
+  // Largest slope of the ground; a steeper estimate is ignored.
+  static constexpr double max_slope = 0.5;
 
   // For a vehicle without an undercarriage.
   const ContactEstimate& update_in_the_air(double time, const Wrenchd& external) noexcept {

@@ -56,7 +56,7 @@ class Hold : public detail::Timing {
 };
 
 /// One motion of a mission: any callable from time [s] to ReferencePoint. It is called only with
-/// times from its start to its end, and must not throw.
+/// times from its start to its end, and must not throw: an exception would end the program.
 class MissionSegment : public detail::Timing {
  public:
   using Curve = std::function<ReferencePoint(double)>;
@@ -92,8 +92,7 @@ class MissionSegment : public detail::Timing {
 };
 
 /// Reference that consists of segments. Position, velocity and rotation are continuous where two
-/// segments meet. Where two segments meet, the quaternion may change
-/// its sign.
+/// segments meet; the sign of the quaternion may change there.
 class Mission {
  public:
   /// Places the segments one after another, starting at `start_time` [s]. Replaces their own start
@@ -113,7 +112,8 @@ class Mission {
   }
 
   /// Returns the reference at `time` [s], for every time: the first point before the start and the
-  /// last point after the end. NaN counts as a time before the start. Does not throw or allocate.
+  /// last point after the end. NaN counts as a time before the start. Does not throw, and allocates
+  /// only if a curve of the user does.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return segment_at(time)(time);
   }
