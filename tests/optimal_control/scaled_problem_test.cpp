@@ -124,6 +124,26 @@ TEST(ScaledProblem, TheBoundOfAnInputIsRelaxedLastInAnyUnits) {
     }
 }
 
+// Units by a guess at rest, 2 m from the target.
+bool choose_units(ScaledProblem<Problem>& scaled, const Mass& mass) {
+  const Problem problem(mass);
+  const Eigen::Vector2d x(2.0, 0.0);
+  const Eigen::Matrix<double, 1, 1> u(0.0);
+  using Constraints = ProblemConstraints<Problem>;
+  struct Node {
+    Constraints::Values value, lower, upper;
+  };
+  double cost = 0.0;
+  for (int k = 0; k <= 20; ++k) cost += problem.cost(k, x, u);
+  return scaled.choose_units(cost, [&](int k) {
+    Node node;
+    Constraints::Values price, stiffness;
+    node.value = Constraints::values(problem, k, x, u);
+    Constraints::bounds(problem, k, node.lower, node.upper, price, stiffness);
+    return node;
+  });
+}
+
 TEST(ScaledProblem, ScalesCostAndConstraintsByPowersOfTwoAndBack) {
   Mass mass;
   mass.cost_factor = 1e5;
@@ -131,10 +151,7 @@ TEST(ScaledProblem, ScalesCostAndConstraintsByPowersOfTwoAndBack) {
   mass.target = 1.0;
   ScaledProblem<Problem> problem{Problem(mass)};
   EXPECT_TRUE(problem.natural());
-  Trajectory<ScaledProblem<Problem>> guess(20);
-  for (int k = 0; k <= 20; ++k) guess.x(k) << 2.0, 0.0;
-  for (int k = 0; k < 20; ++k) guess.u(k) << 0.0;
-  problem.choose_units(guess);
+  EXPECT_TRUE(choose_units(problem, mass));
   EXPECT_FALSE(problem.natural());
   const Eigen::Matrix<double, 1, 1> u(0.5);
   const Eigen::Vector2d x(2.0, 0.0);
@@ -154,10 +171,7 @@ TEST(ScaledProblem, LeavesUsualUnitsAsTheyAre) {
   mass.row_factor = 300.0;
   mass.target = 1.0;
   ScaledProblem<Problem> problem{Problem(mass)};
-  Trajectory<ScaledProblem<Problem>> guess(20);
-  for (int k = 0; k <= 20; ++k) guess.x(k) << 2.0, 0.0;
-  for (int k = 0; k < 20; ++k) guess.u(k) << 0.0;
-  problem.choose_units(guess);
+  EXPECT_FALSE(choose_units(problem, mass));
   EXPECT_TRUE(problem.natural());
 }
 

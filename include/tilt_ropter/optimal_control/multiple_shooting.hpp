@@ -245,7 +245,7 @@ class MultipleShooting {
     work_ = {};
     most_iterations_ = settings_.max_iterations;
     program_.inputs_last = false;  // an input beyond its bounds for some iterations leads further
-    choose_units();
+    has_units_ = false;
     best_.begin(here_);
     for (int attempt = 0;; ++attempt) {
       iterate(end, watch);
@@ -485,12 +485,21 @@ class MultipleShooting {
     return false;
   }
 
-  // Changes the units of what the last solve left.
-  void choose_units() {
-    problem_.choose_units(here_);
+  // Chooses units at the first iterate, and changes those of what the last solve left. Returns true
+  // if this has to be linearised again.
+  [[nodiscard]] bool choose_units() {
+    has_units_ = true;
+    double cost = program_.cost_here;
+    const bool free = cost == 0.0;  // then that of states and inputs of 1 instead
+    for (int k = 0; free && k <= horizon_; ++k)
+      cost += 0.5 * program_.riccati.stage(k).cost.hessian.diagonal().cwiseAbs().sum();
+    if (!problem_.choose_units(
+            cost, [this](int k) -> const auto& { return program_.node(k); }))
+      return false;
     equalities_.change_unit(problem_.cost_unit());
-    for (int k = 0; !problem_.natural() && k <= horizon_; ++k)
+    for (int k = 0; k <= horizon_; ++k)
       program_.change_units(k, problem_.cost_unit(), problem_.row_units(k));
+    return true;
   }
   void natural_units() {
     equalities_.change_unit(1.0 / problem_.cost_unit());
@@ -509,6 +518,7 @@ class MultipleShooting {
     for (int iteration = 0;; ++iteration, ++work_.iterations) {
       const auto begun_at = Clock::now();
       bool prepared = linearise(false);
+      if (!has_units_ && prepared && choose_units()) prepared = linearise(false);
       if (updates_multipliers_) report_.kkt = std::max(report_.kkt, report_.max_equality);
       report_.iterations = work_.iterations;
       report_.step = search_.length();
@@ -647,7 +657,7 @@ class MultipleShooting {
     int iteration = 0;
   } progress_;
   double shifted_ = 0.0;  // intervals by which the plan is ahead of the multipliers
-  bool prepared_ = false, prepare_failed_ = false, updates_multipliers_ = false;
+  bool prepared_ = false, prepare_failed_ = false, updates_multipliers_ = false, has_units_ = false;
 };
 
 }  // namespace tilt_ropter::optimal_control

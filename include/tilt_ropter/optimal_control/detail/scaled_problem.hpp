@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
-#include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
@@ -36,36 +36,26 @@ class ScaledProblem : public Problem {
     for (Rows& units : row_units_) units.setOnes();
     natural_rows_ = true;
   }
-  /// Chooses units by the guess: an unusual cost becomes about 64, and the largest bound of a
-  /// constraint, or its distance from a bound of zero, about 1.
-  void choose_units(const Trajectory<ScaledProblem>& guess) {
+  /// Chooses units by the guess, which is linearised in the problem's own: an unusual `cost`
+  /// becomes about 64, and the largest bound of a constraint, or its distance from a bound of zero,
+  /// about 1. node(k) has the values and bounds of node k. Returns false if all units stay.
+  template <typename Nodes>
+  bool choose_units(double cost, const Nodes& node) {
     forget_units();
-    double cost = 0.0;
     std::array<Rows, 2> size, distance;
     for (const std::size_t group : {0U, 1U}) {
       size[group].setZero();
       distance[group].setZero();
     }
-    Rows lower, upper, price, stiffness;
     for (int k = 0; k <= this->horizon(); ++k) {
-      cost += Problem::cost(k, guess.x(k), guess.u(k));
-      const Rows values = Constraints::values(*this, k, guess.x(k), guess.u(k));
-      Constraints::bounds(*this, k, lower, upper, price, stiffness);
+      const auto& n = node(k);
       Rows &sizes = size[group(k)], &distances = distance[group(k)];
       for (int i = 0; i < Constraints::count; ++i)
-        for (const double bound : {lower(i), upper(i)}) {
+        for (const double bound : {n.lower(i), n.upper(i)}) {
           if (!std::isfinite(bound)) continue;
           sizes(i) = std::max(sizes(i), std::abs(bound));
-          distances(i) = std::max(distances(i), std::abs(values(i) - bound));
+          distances(i) = std::max(distances(i), std::abs(n.value(i) - bound));
         }
-    }
-    if (cost == 0.0) {  // the cost of states and inputs of 1 instead
-      Model model;
-      for (int k = 0; k <= this->horizon(); ++k) {
-        Problem::cost_model(k, guess.x(k), guess.u(k), model);
-        for (int i = 0; i < Dimensions::nx + Dimensions::nu; ++i)
-          cost += 0.5 * std::abs(model.hessian(i, i));
-      }
     }
     const double root = power_of_two(std::sqrt(std::abs(cost) / 64.0));
     if (std::abs(cost) < 1e-1 || std::abs(cost) > 1e5) cost_unit_ = root * root;
@@ -76,6 +66,7 @@ class ScaledProblem : public Problem {
         row_units_[group](i) = power_of_two(largest);
         natural_rows_ = natural_rows_ && row_units_[group](i) == 1.0;
       }
+    return !natural();
   }
   [[nodiscard]] bool natural() const { return natural_rows_ && cost_unit_ == 1.0; }
   [[nodiscard]] bool natural_rows() const { return natural_rows_; }
