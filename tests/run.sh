@@ -95,7 +95,7 @@ run_tests() {  # directory, how many at a time, options of ctest
 # Tests of sources and packages do not depend on how the tests are built; callgrind counts only what
 # is built normally.
 built=(--label-exclude "source|package|counted")
-# Flights are slow in these builds, and have never found more there.
+# Flights are slow in these builds; what they are made of is tested without them.
 grounded=(--label-exclude "source|package|counted|flight")
 
 case $mode in

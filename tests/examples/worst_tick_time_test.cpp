@@ -45,13 +45,14 @@ double worst_ratio(const Vehicle<4>& vehicle, const StressStart& start, const St
 TEST(WorstTickTime, NoTickIsLongerThanFifteenMedians) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   double worst = 0.0;
-  (void)fly_all(quick_or_full(5, 1000), [&](const StressStart& start) {
+  const Totals t = fly_all(quick_or_full(5, 1000), [&](const StressStart& start) {
     StressRecord r = examples::fly_stress(vehicle, stress_settings(vehicle), start, 15.0);
     if (r.worst_us() > worst * examples::percentile(r.hover_us, 0.5))
       worst = std::max(worst, worst_ratio(vehicle, start, r));
     return r;
   });
   check_at_most(19, "worst tick over the median in hover", worst, 15.0);
+  test_support::check_worst_tick(t, 300);  // 275, of at most 16 multipliers each
 }
 
 // The wrench level, with a second controller for comparison, which hovers without a limit. After

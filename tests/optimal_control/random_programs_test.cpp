@@ -104,7 +104,7 @@ void solve_all(ProgramMethod method, int count, Tally& tally) {
 
 TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
   Tally t;
-  solve_all(ProgramMethod::automatic, test_support::quick_or_full(160, 3000), t);
+  solve_all(ProgramMethod::automatic, test_support::quick_or_full(160, 1000), t);
   EXPECT_GT(t.compared, 10);
   EXPECT_GT(t.solved, 0.6 * t.programs);
   test_support::check_at_most(23, "cost of solved programs, from that of single_shooting",
@@ -119,7 +119,7 @@ TEST(RandomPrograms, ReportedSolutionsAreCorrectAndFailuresGiveAReason) {
 
 TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
   Tally t;
-  solve_all(ProgramMethod::structured, test_support::quick_or_full(60, 1200), t);
+  solve_all(ProgramMethod::structured, test_support::quick_or_full(60, 400), t);
   EXPECT_GT(t.solved, 0.6 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);
@@ -127,7 +127,7 @@ TEST(RandomPrograms, SolvesByRiccatiPassesAlone) {
 
 TEST(RandomPrograms, SolvesByTheDualAlone) {
   Tally t;
-  solve_all(ProgramMethod::nlopt, test_support::quick_or_full(16, 400), t);
+  solve_all(ProgramMethod::nlopt, test_support::quick_or_full(16, 150), t);
   EXPECT_GT(t.solved, 0.1 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);

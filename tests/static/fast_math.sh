@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # fast_math.sh INCLUDE_DIR COMPILER EIGEN_DIR
-# The library refuses C++14 in the first line of the compiler. Every header that tests whether a number is finite includes math/detail/finite.hpp, which refuses
-# -ffast-math with a message and accepts it with -fno-finite-math-only. No header and no test uses
-# Eigen's test, which that flag does not save, or multiplies by zero. The check of packets is run.
+# The library refuses C++14 in the first line of the compiler. Every header that tests whether a
+# number is finite includes math/detail/finite.hpp, which refuses -ffast-math with a message and
+# accepts it with -fno-finite-math-only. No header and no test uses Eigen's test, which that flag
+# does not save, or multiplies by zero. The check of packets is run.
 set -euo pipefail
 
 tests=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "../../examples/support/stress_flight.hpp"
+#include "support/check_table.hpp"
 #include "support/full_run.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
@@ -71,6 +72,18 @@ Totals fly_all(int random_states, const Fly& fly) {
       totals.worst_bound_ratio = std::max(totals.worst_bound_ratio, r.worst_bound_ratio);
     }
   return totals;
+}
+
+/// Check 19, as far as it counts: `most_evaluations` is the limit of NLopt's gradient evaluations
+/// in a tick. The median tick, in hover, has one pass, no round and no evaluation.
+inline void check_worst_tick(const Totals& t, int most_evaluations) {
+  check_at_least(19, "flights that recovered, fraction", 1.0 * t.recovered / t.flights, 1.0);
+  check_at_most(19, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
+  check_at_most(19, "unsolved ticks called solved", t.unsolved_called_solved, 0.0);
+  check_at_most(19, "Riccati passes in a tick, besides the first", t.most_passes, 10.0);
+  check_at_most(19, "rounds of NLopt in a tick, two sweeps each", t.most_rounds, 5.0);
+  check_at_most(19, "gradient evaluations by NLopt in a tick", t.most_evaluations,
+                most_evaluations);
 }
 
 /// Settings of the flights. `time_limit` [s] is large: flights are then deterministic.
