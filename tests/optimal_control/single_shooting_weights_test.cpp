@@ -1,5 +1,4 @@
 // Equalities by weight: SingleShooting minimises what MultipleShooting minimises.
-// CTest: optimised
 
 #include "benchmark/scenarios.hpp"
 
