@@ -24,53 +24,23 @@ template <int Rotors, typename Scalar = double>
 class ActuatorModel {
  public:
   /// Throws std::invalid_argument if the rotor, servo or battery parameters fail validate().
-  explicit ActuatorModel(const Vehicle<Rotors>& vehicle) {
-    validate(vehicle.battery);
-    battery_ = vehicle.battery;
-    servos_.fill(Servo<Scalar>(vehicle.servo));
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
-      tilts_[i] = vehicle.rotors[i].tilts;
-    }
-    read();
-  }
+  explicit ActuatorModel(const Vehicle<Rotors>& vehicle);
 
   /// Advances every actuator to `time` [s] under the earlier commands, then accepts `command`
   /// (speeds [rad/s], angles [rad]). Rotor::update() and Servo::update() define which inputs are
   /// ignored. Returns the state at `time`.
   const ActuatorState<Rotors, Scalar>& update(
-      double time, const ActuatorState<Rotors, Scalar>& command) noexcept {
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      const auto row = static_cast<Eigen::Index>(i);
-      rotors_[i].update(time, command.rotor_speed(row));
-      servos_[i].update(time, command.tilt_angle(row));
-    }
-    read();
-    return state_;
-  }
+      double time, const ActuatorState<Rotors, Scalar>& command) noexcept;
 
   /// Sets the measured battery `voltage` [V]. The top speeds of the rotors fall with the voltage.
   /// Returns true if voltage_ratio() accepts the voltage. Otherwise the last accepted voltage
   /// remains in effect.
-  bool set_voltage(double voltage) noexcept {
-    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
-    if (!ratio) return false;
-    for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
-    read();
-    return true;
-  }
+  bool set_voltage(double voltage) noexcept;
 
   /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s]. Without a time,
   /// at that of the next update.
   void reset(const ActuatorState<Rotors, Scalar>& state,
-             double time = std::numeric_limits<double>::quiet_NaN()) noexcept {
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      const auto row = static_cast<Eigen::Index>(i);
-      rotors_[i].reset(state.rotor_speed(row), time);
-      servos_[i].reset(state.tilt_angle(row), time);
-    }
-    read();
-  }
+             double time = std::numeric_limits<double>::quiet_NaN()) noexcept;
 
   /// Speeds [rad/s] and angles [rad] at the last update. The angle of a rotor that does not tilt is
   /// zero.
@@ -91,5 +61,49 @@ class ActuatorModel {
   BatteryParameters battery_;
   ActuatorState<Rotors, Scalar> state_;
 };
+
+template <int Rotors, typename Scalar>
+ActuatorModel<Rotors, Scalar>::ActuatorModel(const Vehicle<Rotors>& vehicle) {
+  validate(vehicle.battery);
+  battery_ = vehicle.battery;
+  servos_.fill(Servo<Scalar>(vehicle.servo));
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
+    tilts_[i] = vehicle.rotors[i].tilts;
+  }
+  read();
+}
+
+template <int Rotors, typename Scalar>
+const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::update(
+    double time, const ActuatorState<Rotors, Scalar>& command) noexcept {
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const auto row = static_cast<Eigen::Index>(i);
+    rotors_[i].update(time, command.rotor_speed(row));
+    servos_[i].update(time, command.tilt_angle(row));
+  }
+  read();
+  return state_;
+}
+
+template <int Rotors, typename Scalar>
+bool ActuatorModel<Rotors, Scalar>::set_voltage(double voltage) noexcept {
+  const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+  if (!ratio) return false;
+  for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
+  read();
+  return true;
+}
+
+template <int Rotors, typename Scalar>
+void ActuatorModel<Rotors, Scalar>::reset(const ActuatorState<Rotors, Scalar>& state,
+                                          double time) noexcept {
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const auto row = static_cast<Eigen::Index>(i);
+    rotors_[i].reset(state.rotor_speed(row), time);
+    servos_[i].reset(state.tilt_angle(row), time);
+  }
+  read();
+}
 
 }  // namespace tilt_ropter

@@ -75,38 +75,12 @@ class Allocation {
   /// commanded). `Value` may be an automatic-differentiation scalar. A rotor whose speed or angle
   /// is not finite counts as standing still.
   template <typename Value>
-  [[nodiscard]] Wrench<Value> wrench(const ActuatorState<Rotors, Value>& actuators) const noexcept {
-    using std::cos;
-    using std::sin;
-    Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
-    for (int i = 0; i < Rotors; ++i) {
-      const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor(i));
-      if (!tilts_[static_cast<std::size_t>(i)]) {
-        thrusts(2 * i + 1) = thrust;
-      } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
-        thrusts(2 * i) = thrust * sin(actuators.tilt_angle(i));
-        thrusts(2 * i + 1) = thrust * cos(actuators.tilt_angle(i));
-      }
-    }
-    const Eigen::Matrix<Value, 6, 1> packed = matrix_.template cast<Value>() * thrusts;
-    return {packed.template head<3>(), packed.template tail<3>()};
-  }
+  [[nodiscard]] Wrench<Value> wrench(const ActuatorState<Rotors, Value>& actuators) const noexcept;
 
   /// Sets the measured battery `voltage` [V]. The next commands observe the top speeds and thrusts
   /// of max_thrust_at(). Returns true if voltage_ratio() accepts the voltage. Otherwise the last
   /// accepted voltage remains in effect.
-  bool set_voltage(double voltage) noexcept {
-    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
-    if (!ratio) return false;
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      const double max_thrust = max_thrust_at(rotors_[i], *ratio);
-      max_speed_[i] = speed_from_thrust(Scalar(max_thrust), rotors_[i]);
-      // Also set for a lost rotor, which gives no thrust.
-      limits_.set_max_thrust(i, Scalar(max_thrust));
-      choice_.set_max_thrust(i, max_thrust);
-    }
-    return true;
-  }
+  bool set_voltage(double voltage) noexcept;
 
   /// Speeds and angles that give `wanted`, within limits, starting from `last`. Angles turn the
   /// shortest way. This overload has no time: `last` counts as infinitely old, so hold_thrust has
@@ -242,6 +216,40 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
           &RotorParameters::min_thrust, &RotorParameters::max_thrust})
       rotors_[i].*field *= effectiveness;
   }
+}
+
+template <int Rotors, typename Scalar>
+template <typename Value>
+Wrench<Value> Allocation<Rotors, Scalar>::wrench(
+    const ActuatorState<Rotors, Value>& actuators) const noexcept {
+  using std::cos;
+  using std::sin;
+  Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
+  for (int i = 0; i < Rotors; ++i) {
+    const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor(i));
+    if (!tilts_[static_cast<std::size_t>(i)]) {
+      thrusts(2 * i + 1) = thrust;
+    } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
+      thrusts(2 * i) = thrust * sin(actuators.tilt_angle(i));
+      thrusts(2 * i + 1) = thrust * cos(actuators.tilt_angle(i));
+    }
+  }
+  const Eigen::Matrix<Value, 6, 1> packed = matrix_.template cast<Value>() * thrusts;
+  return {packed.template head<3>(), packed.template tail<3>()};
+}
+
+template <int Rotors, typename Scalar>
+bool Allocation<Rotors, Scalar>::set_voltage(double voltage) noexcept {
+  const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+  if (!ratio) return false;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const double max_thrust = max_thrust_at(rotors_[i], *ratio);
+    max_speed_[i] = speed_from_thrust(Scalar(max_thrust), rotors_[i]);
+    // Also set for a lost rotor, which gives no thrust.
+    limits_.set_max_thrust(i, Scalar(max_thrust));
+    choice_.set_max_thrust(i, max_thrust);
+  }
+  return true;
 }
 
 template <int Rotors, typename Scalar>

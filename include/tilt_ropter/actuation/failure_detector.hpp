@@ -71,24 +71,7 @@ template <int Rotors>
 class FailureDetector {
  public:
   /// Throws std::invalid_argument if a parameter of the vehicle is out of range.
-  explicit FailureDetector(const Vehicle<Rotors>& vehicle)
-      : body_(vehicle), parameters_(vehicle.body) {
-    validate(vehicle);
-    hover_thrust_ = vehicle.body.mass * gravity / Rotors;
-    double arm = 0.0;
-    for (const RotorGeometry& rotor : vehicle.rotors) arm = std::max(arm, rotor.position.norm());
-    per_torque_ = 1.0 / std::max(arm, 1e-3);
-    for (int i = 0; i < Rotors; ++i) {
-      tilts_[index(i)] = vehicle.rotors[index(i)].tilts;
-      lost_[index(i)] = !(vehicle.rotors[index(i)].effectiveness > 0.0);
-      for (const bool vertical : {false, true}) {
-        ActuatedState<Rotors> one;
-        one.thrust(i) = 1.0;
-        one.tilt_angle(i) = vertical ? 0.0 : 0.5 * pi;
-        columns_[index(2 * i + vertical)] = scaled(body_.wrench(one));
-      }
-    }
-  }
+  explicit FailureDetector(const Vehicle<Rotors>& vehicle);
 
   /// Processes one tick at `time` [s]. `sample` is as for WrenchObserver::update(). `measured` has
   /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
@@ -98,28 +81,7 @@ class FailureDetector {
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
-                                bool airborne) noexcept {
-    const double dt = time - time_;
-    const auto plausible = [](const auto& values) {
-      return (values.array().abs() <= 1e6).all();  // false for NaN
-    };
-    const bool valid = std::isfinite(time) && plausible(sample.specific_force) &&
-                       plausible(sample.angular_velocity) && plausible(measured.rotor_speed) &&
-                       plausible(measured.tilt_angle) && plausible(modelled_speed);
-    if (!valid || failure_.kind != FailureKind::none) return failure_;
-    if (!started_ || !airborne || !(dt > 0.0 && dt <= longest_gap)) {
-      forget();
-      started_ = true;
-    } else {
-      watch_speeds(time, dt, measured, modelled_speed);
-      add(dt, sample, measured);
-      if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
-    }
-    time_ = time;
-    gyroscopic_ = gyroscopic_torque(sample.angular_velocity);
-    if (block_.duration == 0.0) start_rate_ = sample.angular_velocity;
-    return failure_;
-  }
+                                bool airborne) noexcept;
 
   [[nodiscard]] const ActuatorFailure& failure() const noexcept { return failure_; }
 
@@ -178,61 +140,12 @@ class FailureDetector {
     return w.cross(parameters_.inertia * w);
   }
 
-  void forget() noexcept {
-    block_ = {};
-    filled_ = next_ = 0;
-    learnt_for_ = 0.0;
-    baseline_.setZero();
-    suspect_ = -1;
-    suspected_for_ = 0.0;
-    slow_for_.fill(0.0);
-  }
-
+  void forget() noexcept;
   void watch_speeds(double time, double dt, const ActuatorState<Rotors>& measured,
-                    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept {
-    for (int i = 0; i < Rotors; ++i) {
-      double& slow = slow_for_[index(i)];
-      const double speed = measured.rotor_speed(i),
-                   missing = body_.thrust(i, modelled(i)) - body_.thrust(i, speed);
-      const bool is_slow =
-          speed < min_speed_fraction * modelled(i) && missing > min_change * hover_thrust_;
-      slow = is_slow ? slow + dt : 0.0;
-      if (slow >= confirmation + window && failure_.kind == FailureKind::none)
-        failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
-    }
-  }
-
+                    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept;
   void add(double dt, const InertialSampled& sample,
-           const ActuatorState<Rotors>& actuators) noexcept {
-    ActuatedState<Rotors> x;
-    for (int i = 0; i < Rotors; ++i) {
-      x.thrust(i) = body_.thrust(i, actuators.rotor_speed(i));
-      x.tilt_angle(i) = tilts_[index(i)] ? actuators.tilt_angle(i) : 0.0;
-      block_.thrust(i) += dt * x.thrust(i);
-      block_.lateral(i) += dt * x.thrust(i) * std::sin(x.tilt_angle(i));
-      block_.vertical(i) += dt * x.thrust(i) * std::cos(x.tilt_angle(i));
-    }
-    const Wrenchd applied = body_.wrench(x);
-    const Eigen::Vector3d gyroscopic = gyroscopic_torque(sample.angular_velocity),
-                          mean = 0.5 * (gyroscopic + gyroscopic_);
-    block_.residual += dt * scaled({parameters_.mass * sample.specific_force - applied.force,
-                                    mean - applied.torque});
-    block_.duration += dt;
-  }
-
-  void end_block(double time, const InertialSampled& sample) noexcept {
-    const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
-    block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
-    // What leaves the window is learnt, unless the window may contain a failure.
-    Block& oldest = ring_[index(next_)];
-    if (filled_ == blocks && suspect_ < 0) learn(oldest);
-    const double dt = block_.duration;
-    oldest = block_;
-    block_ = {};
-    next_ = (next_ + 1) % blocks;
-    filled_ = std::min(filled_ + 1, blocks);
-    if (learnt_for_ >= window) judge(time, dt);
-  }
+           const ActuatorState<Rotors>& actuators) noexcept;
+  void end_block(double time, const InertialSampled& sample) noexcept;
 
   // A mean at first, then exponentially weighted.
   void learn(const Block& block) noexcept {
@@ -242,69 +155,13 @@ class FailureDetector {
   }
 
   // Compares the window with each failure.
-  void judge(double time, double dt) noexcept {
-    Block sum;
-    for (const Block& block : ring_) {
-      sum.duration += block.duration;
-      sum.residual += block.residual;
-      sum.thrust += block.thrust;
-      sum.lateral += block.lateral;
-      sum.vertical += block.vertical;
-    }
-    const double per_second = 1.0 / sum.duration;
-    const Vector6 change = per_second * sum.residual - baseline_;
-    int best = -1;
-    double least = max_unexplained * change.norm();
-    Eigen::Vector2d force = Eigen::Vector2d::Zero();
-    for (int i = 0; i < Rotors; ++i) {
-      if (lost_[index(i)]) continue;
-      const Eigen::Vector2d fitted = fit(i, change);
-      const double rest =
-          (change - columns_[index(2 * i)] * fitted(0) - columns_[index(2 * i + 1)] * fitted(1))
-              .norm();
-      const double needed =
-          std::max(min_change * hover_thrust_, min_fraction * per_second * sum.thrust(i));
-      if (!(rest < least) || !(fitted.norm() > needed)) continue;
-      best = i;
-      least = rest;
-      force << per_second * sum.lateral(i) + fitted(0), per_second * sum.vertical(i) + fitted(1);
-    }
-    suspected_for_ = best >= 0 && best == suspect_ ? suspected_for_ + dt : 0.0;
-    suspect_ = best;
-    // By then nothing before the failure is left in the window.
-    const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
-    if (best < 0 || suspected_for_ < needed_time) return;
-    report(time, best, force, per_second * sum.thrust(best),
-           std::atan2(sum.lateral(best), sum.vertical(best)));
-  }
+  void judge(double time, double dt) noexcept;
 
   // Force of rotor i (lateral, vertical) that explains most of `change`.
-  [[nodiscard]] Eigen::Vector2d fit(int i, const Vector6& change) const noexcept {
-    const Vector6 &a = columns_[index(2 * i)], &b = columns_[index(2 * i + 1)];
-    const double bb = b.dot(b), by = b.dot(change);
-    if (!tilts_[index(i)]) return {0.0, by / bb};
-    const double aa = a.dot(a), ab = a.dot(b), ay = a.dot(change), d = aa * bb - ab * ab;
-    return {(bb * ay - ab * by) / d, (aa * by - ab * ay) / d};
-  }
+  [[nodiscard]] Eigen::Vector2d fit(int i, const Vector6& change) const noexcept;
 
   void report(double time, int rotor, const Eigen::Vector2d& force, double thrust,
-              double angle) noexcept {
-    const double size = force.norm(), actual = std::atan2(force.x(), force.y());
-    const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
-    const bool turned = std::abs(std::remainder(actual - angle, 2.0 * pi)) > max_angle_error;
-    failure_.rotor = index(rotor);
-    failure_.time = time;
-    if (fraction < lost_fraction) {
-      failure_.kind = FailureKind::rotor;
-      failure_.effectiveness = 0.0;
-    } else if (turned && tilts_[index(rotor)]) {
-      failure_.kind = FailureKind::servo;
-      failure_.angle = actual;
-    } else {
-      failure_.kind = FailureKind::rotor;
-      failure_.effectiveness = fraction;
-    }
-  }
+              double angle) noexcept;
 
   ActuatedBody<Rotors> body_;
   RigidBodyParameters parameters_;
@@ -322,5 +179,178 @@ class FailureDetector {
   Vector6 baseline_ = Vector6::Zero();
   std::array<double, static_cast<std::size_t>(Rotors)> slow_for_{};
 };
+
+template <int Rotors>
+FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
+    : body_(vehicle), parameters_(vehicle.body) {
+  validate(vehicle);
+  hover_thrust_ = vehicle.body.mass * gravity / Rotors;
+  double arm = 0.0;
+  for (const RotorGeometry& rotor : vehicle.rotors) arm = std::max(arm, rotor.position.norm());
+  per_torque_ = 1.0 / std::max(arm, 1e-3);
+  for (int i = 0; i < Rotors; ++i) {
+    tilts_[index(i)] = vehicle.rotors[index(i)].tilts;
+    lost_[index(i)] = !(vehicle.rotors[index(i)].effectiveness > 0.0);
+    for (const bool vertical : {false, true}) {
+      ActuatedState<Rotors> one;
+      one.thrust(i) = 1.0;
+      one.tilt_angle(i) = vertical ? 0.0 : 0.5 * pi;
+      columns_[index(2 * i + vertical)] = scaled(body_.wrench(one));
+    }
+  }
+}
+
+template <int Rotors>
+const ActuatorFailure& FailureDetector<Rotors>::update(
+    double time, const InertialSampled& sample, const ActuatorState<Rotors>& measured,
+    const Eigen::Matrix<double, Rotors, 1>& modelled_speed, bool airborne) noexcept {
+  const double dt = time - time_;
+  const auto plausible = [](const auto& values) {
+    return (values.array().abs() <= 1e6).all();  // false for NaN
+  };
+  const bool valid = std::isfinite(time) && plausible(sample.specific_force) &&
+                     plausible(sample.angular_velocity) && plausible(measured.rotor_speed) &&
+                     plausible(measured.tilt_angle) && plausible(modelled_speed);
+  if (!valid || failure_.kind != FailureKind::none) return failure_;
+  if (!started_ || !airborne || !(dt > 0.0 && dt <= longest_gap)) {
+    forget();
+    started_ = true;
+  } else {
+    watch_speeds(time, dt, measured, modelled_speed);
+    add(dt, sample, measured);
+    if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
+  }
+  time_ = time;
+  gyroscopic_ = gyroscopic_torque(sample.angular_velocity);
+  if (block_.duration == 0.0) start_rate_ = sample.angular_velocity;
+  return failure_;
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::forget() noexcept {
+  block_ = {};
+  filled_ = next_ = 0;
+  learnt_for_ = 0.0;
+  baseline_.setZero();
+  suspect_ = -1;
+  suspected_for_ = 0.0;
+  slow_for_.fill(0.0);
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::watch_speeds(
+    double time, double dt, const ActuatorState<Rotors>& measured,
+    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept {
+  for (int i = 0; i < Rotors; ++i) {
+    double& slow = slow_for_[index(i)];
+    const double speed = measured.rotor_speed(i),
+                 missing = body_.thrust(i, modelled(i)) - body_.thrust(i, speed);
+    const bool is_slow =
+        speed < min_speed_fraction * modelled(i) && missing > min_change * hover_thrust_;
+    slow = is_slow ? slow + dt : 0.0;
+    if (slow >= confirmation + window && failure_.kind == FailureKind::none)
+      failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
+  }
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
+                                  const ActuatorState<Rotors>& actuators) noexcept {
+  ActuatedState<Rotors> x;
+  for (int i = 0; i < Rotors; ++i) {
+    x.thrust(i) = body_.thrust(i, actuators.rotor_speed(i));
+    x.tilt_angle(i) = tilts_[index(i)] ? actuators.tilt_angle(i) : 0.0;
+    block_.thrust(i) += dt * x.thrust(i);
+    block_.lateral(i) += dt * x.thrust(i) * std::sin(x.tilt_angle(i));
+    block_.vertical(i) += dt * x.thrust(i) * std::cos(x.tilt_angle(i));
+  }
+  const Wrenchd applied = body_.wrench(x);
+  const Eigen::Vector3d gyroscopic = gyroscopic_torque(sample.angular_velocity),
+                        mean = 0.5 * (gyroscopic + gyroscopic_);
+  block_.residual += dt * scaled({parameters_.mass * sample.specific_force - applied.force,
+                                  mean - applied.torque});
+  block_.duration += dt;
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::end_block(double time, const InertialSampled& sample) noexcept {
+  const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
+  block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
+  // What leaves the window is learnt, unless the window may contain a failure.
+  Block& oldest = ring_[index(next_)];
+  if (filled_ == blocks && suspect_ < 0) learn(oldest);
+  const double dt = block_.duration;
+  oldest = block_;
+  block_ = {};
+  next_ = (next_ + 1) % blocks;
+  filled_ = std::min(filled_ + 1, blocks);
+  if (learnt_for_ >= window) judge(time, dt);
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
+  Block sum;
+  for (const Block& block : ring_) {
+    sum.duration += block.duration;
+    sum.residual += block.residual;
+    sum.thrust += block.thrust;
+    sum.lateral += block.lateral;
+    sum.vertical += block.vertical;
+  }
+  const double per_second = 1.0 / sum.duration;
+  const Vector6 change = per_second * sum.residual - baseline_;
+  int best = -1;
+  double least = max_unexplained * change.norm();
+  Eigen::Vector2d force = Eigen::Vector2d::Zero();
+  for (int i = 0; i < Rotors; ++i) {
+    if (lost_[index(i)]) continue;
+    const Eigen::Vector2d fitted = fit(i, change);
+    const double rest =
+        (change - columns_[index(2 * i)] * fitted(0) - columns_[index(2 * i + 1)] * fitted(1))
+            .norm();
+    const double needed =
+        std::max(min_change * hover_thrust_, min_fraction * per_second * sum.thrust(i));
+    if (!(rest < least) || !(fitted.norm() > needed)) continue;
+    best = i;
+    least = rest;
+    force << per_second * sum.lateral(i) + fitted(0), per_second * sum.vertical(i) + fitted(1);
+  }
+  suspected_for_ = best >= 0 && best == suspect_ ? suspected_for_ + dt : 0.0;
+  suspect_ = best;
+  // By then nothing before the failure is left in the window.
+  const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
+  if (best < 0 || suspected_for_ < needed_time) return;
+  report(time, best, force, per_second * sum.thrust(best),
+         std::atan2(sum.lateral(best), sum.vertical(best)));
+}
+
+template <int Rotors>
+Eigen::Vector2d FailureDetector<Rotors>::fit(int i, const Vector6& change) const noexcept {
+  const Vector6 &a = columns_[index(2 * i)], &b = columns_[index(2 * i + 1)];
+  const double bb = b.dot(b), by = b.dot(change);
+  if (!tilts_[index(i)]) return {0.0, by / bb};
+  const double aa = a.dot(a), ab = a.dot(b), ay = a.dot(change), d = aa * bb - ab * ab;
+  return {(bb * ay - ab * by) / d, (aa * by - ab * ay) / d};
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector2d& force,
+                                     double thrust, double angle) noexcept {
+  const double size = force.norm(), actual = std::atan2(force.x(), force.y());
+  const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
+  const bool turned = std::abs(std::remainder(actual - angle, 2.0 * pi)) > max_angle_error;
+  failure_.rotor = index(rotor);
+  failure_.time = time;
+  if (fraction < lost_fraction) {
+    failure_.kind = FailureKind::rotor;
+    failure_.effectiveness = 0.0;
+  } else if (turned && tilts_[index(rotor)]) {
+    failure_.kind = FailureKind::servo;
+    failure_.angle = actual;
+  } else {
+    failure_.kind = FailureKind::rotor;
+    failure_.effectiveness = fraction;
+  }
+}
 
 }  // namespace tilt_ropter

@@ -128,62 +128,13 @@ class WrenchObserver {
  public:
   /// Throws std::invalid_argument if a parameter or setting is out of range.
   explicit WrenchObserver(const RigidBodyParameters& body,
-                          const WrenchObserverSettings& settings = {})
-      : settings_(validated(settings)) {
-    validate(body);
-    mass_ = Scalar(body.mass);
-    inertia_ = body.inertia.cast<Scalar>();
-    settling_time_ =
-        3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
-  }
+                          const WrenchObserverSettings& settings = {});
 
   /// Processes one sample at `time` [s]. `sample` is from an IMU at the CoM, or converted to the
   /// CoM, minus the biases. `applied` is the wrench of the actuators since the last sample (from
   /// measured rotor speeds and modelled tilt angles; body frame).
   ObserverStatus update(double time, const InertialSample<Scalar>& sample,
-                        const Wrench<Scalar>& applied) noexcept {
-    const Vector3<Scalar>&specific_force = sample.specific_force,
-          &angular_velocity = sample.angular_velocity;
-    if (!std::isfinite(time) || !within(specific_force, 1e6) || !within(angular_velocity, 1e6) ||
-        !within(applied, 1e6))
-      return ObserverStatus::rejected;
-    const double dt = time - time_;
-    if (!started_ || std::abs(dt) > longest_gap()) {
-      const ObserverStatus status = started_ ? ObserverStatus::gap : ObserverStatus::started;
-      started_ = true;
-      time_ = settling_since_ = time;
-      angular_velocity_ = angular_velocity;
-      unfiltered_force_ = mass_ * specific_force - applied.force;
-      return status;
-    }
-    if (!(dt > 0.0)) return ObserverStatus::rejected;
-    // The momentum at the last sample is the initial value of the torque's integral. The mean of
-    // both rates makes the gyroscopic term second order in dt.
-    const Vector3<Scalar> rate = (angular_velocity + angular_velocity_) / Scalar(2);
-    const Wrench<Scalar> residual{mass_ * specific_force - applied.force,
-                                  inertia_ * (angular_velocity - angular_velocity_) / Scalar(dt) -
-                                      applied.torque + rate.cross(inertia_ * rate)};
-    if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was almost zero
-    time_ = time;
-    angular_velocity_ = angular_velocity;
-    unfiltered_force_ = residual.force;
-    filtered_.force += gain(settings_.force_bandwidth, dt)
-                           .cwiseProduct(residual.force - offset_.force - filtered_.force);
-    filtered_.torque += gain(settings_.torque_bandwidth, dt)
-                            .cwiseProduct(residual.torque - offset_.torque - filtered_.torque);
-    shape();
-    constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
-    if (samples_ == 0 || samples_ == most) {
-      sum_ = external_;
-      samples_ = 1;
-    } else {
-      sum_.force += external_.force;
-      sum_.torque += external_.torque;
-      ++samples_;
-    }
-    if (calibrating_) average_.add(residual, dt);
-    return ObserverStatus::updated;
-  }
+                        const Wrench<Scalar>& applied) noexcept;
 
   /// Estimate of the external wrench at the CoM in the body frame [N; N m]: filtered() minus the
   /// dead band, within the limits. transport() and wrench_in_world() convert it.
@@ -225,18 +176,7 @@ class WrenchObserver {
 
   /// Ends the calibration. If the status is calibrated, the offset becomes the average minus the
   /// `known` external wrench (body frame, at the CoM). Otherwise the offset is unchanged.
-  CalibrationStatus end_calibration(const Wrench<Scalar>& known = {}) noexcept {
-    if (!calibrating_) return CalibrationStatus::not_begun;
-    calibrating_ = false;
-    if (average_.time < settings_.min_calibration_time) return CalibrationStatus::too_short;
-    if (!average_.deviates_less(settings_.max_force_stddev, settings_.max_torque_stddev))
-      return CalibrationStatus::moved;
-    const Wrench<Scalar> offset{average_.mean.template head<3>() - known.force,
-                                average_.mean.template tail<3>() - known.torque};
-    if (!within(offset, 1e6)) return CalibrationStatus::rejected;
-    set_offset(offset);
-    return CalibrationStatus::calibrated;
-  }
+  CalibrationStatus end_calibration(const Wrench<Scalar>& known = {}) noexcept;
 
   /// Offset that is subtracted from the raw residual, body frame [N; N m].
   [[nodiscard]] const Wrench<Scalar>& offset() const noexcept { return offset_; }
@@ -263,20 +203,7 @@ class WrenchObserver {
   struct BlockAverage {
     using Vector6 = Eigen::Matrix<Scalar, 6, 1>;
 
-    void add(const Wrench<Scalar>& sample, double dt) noexcept {
-      Vector6 packed;
-      packed << sample.force, sample.torque;
-      block_sum += Scalar(dt) * packed;
-      block_time += dt;
-      if (block_time < 0.1) return;
-      // Recursive update after D. H. D. West, "Updating mean and variance estimates", 1979.
-      time += block_time;
-      const Vector6 block = block_sum / Scalar(block_time), step = block - mean;
-      mean += Scalar(block_time / time) * step;
-      squares += Scalar(block_time) * step.cwiseProduct(block - mean);
-      block_sum.setZero();
-      block_time = 0.0;
-    }
+    void add(const Wrench<Scalar>& sample, double dt) noexcept;
 
     [[nodiscard]] bool deviates_less(double force, double torque) const noexcept {
       return squares.template head<3>().maxCoeff() <= Scalar(force * force * time) &&
@@ -305,19 +232,7 @@ class WrenchObserver {
     return bandwidth.unaryExpr(passed).template cast<Scalar>();
   }
 
-  void shape() noexcept {
-    limited_ = false;
-    const auto shaped = [this](const Vector3<Scalar>& filtered, const Eigen::Vector3d& dead_band,
-                               const Eigen::Vector3d& limit) {
-      const Vector3<Scalar>&band = dead_band.cast<Scalar>(), &bound = limit.cast<Scalar>();
-      const Vector3<Scalar> rest = filtered - filtered.cwiseMax(-band).cwiseMin(band);
-      Vector3<Scalar> cut = rest.cwiseMax(-bound).cwiseMin(bound);
-      limited_ = limited_ || cut != rest;
-      return cut;
-    };
-    external_.force = shaped(filtered_.force, settings_.force_dead_band, settings_.force_limit);
-    external_.torque = shaped(filtered_.torque, settings_.torque_dead_band, settings_.torque_limit);
-  }
+  void shape() noexcept;
 
   WrenchObserverSettings settings_;
   Scalar mass_;
@@ -332,5 +247,107 @@ class WrenchObserver {
   BlockAverage average_;
 };
 using WrenchObserverd = WrenchObserver<double>;  ///< in double precision
+
+template <typename Scalar>
+WrenchObserver<Scalar>::WrenchObserver(const RigidBodyParameters& body,
+                                       const WrenchObserverSettings& settings)
+    : settings_(validated(settings)) {
+  validate(body);
+  mass_ = Scalar(body.mass);
+  inertia_ = body.inertia.cast<Scalar>();
+  settling_time_ =
+      3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
+}
+
+template <typename Scalar>
+ObserverStatus WrenchObserver<Scalar>::update(double time, const InertialSample<Scalar>& sample,
+                                              const Wrench<Scalar>& applied) noexcept {
+  const Vector3<Scalar>&specific_force = sample.specific_force,
+        &angular_velocity = sample.angular_velocity;
+  if (!std::isfinite(time) || !within(specific_force, 1e6) || !within(angular_velocity, 1e6) ||
+      !within(applied, 1e6))
+    return ObserverStatus::rejected;
+  const double dt = time - time_;
+  if (!started_ || std::abs(dt) > longest_gap()) {
+    const ObserverStatus status = started_ ? ObserverStatus::gap : ObserverStatus::started;
+    started_ = true;
+    time_ = settling_since_ = time;
+    angular_velocity_ = angular_velocity;
+    unfiltered_force_ = mass_ * specific_force - applied.force;
+    return status;
+  }
+  if (!(dt > 0.0)) return ObserverStatus::rejected;
+  // The momentum at the last sample is the initial value of the torque's integral. The mean of
+  // both rates makes the gyroscopic term second order in dt.
+  const Vector3<Scalar> rate = (angular_velocity + angular_velocity_) / Scalar(2);
+  const Wrench<Scalar> residual{mass_ * specific_force - applied.force,
+                                inertia_ * (angular_velocity - angular_velocity_) / Scalar(dt) -
+                                    applied.torque + rate.cross(inertia_ * rate)};
+  if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was almost zero
+  time_ = time;
+  angular_velocity_ = angular_velocity;
+  unfiltered_force_ = residual.force;
+  filtered_.force += gain(settings_.force_bandwidth, dt)
+                         .cwiseProduct(residual.force - offset_.force - filtered_.force);
+  filtered_.torque += gain(settings_.torque_bandwidth, dt)
+                          .cwiseProduct(residual.torque - offset_.torque - filtered_.torque);
+  shape();
+  constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
+  if (samples_ == 0 || samples_ == most) {
+    sum_ = external_;
+    samples_ = 1;
+  } else {
+    sum_.force += external_.force;
+    sum_.torque += external_.torque;
+    ++samples_;
+  }
+  if (calibrating_) average_.add(residual, dt);
+  return ObserverStatus::updated;
+}
+
+template <typename Scalar>
+CalibrationStatus WrenchObserver<Scalar>::end_calibration(const Wrench<Scalar>& known) noexcept {
+  if (!calibrating_) return CalibrationStatus::not_begun;
+  calibrating_ = false;
+  if (average_.time < settings_.min_calibration_time) return CalibrationStatus::too_short;
+  if (!average_.deviates_less(settings_.max_force_stddev, settings_.max_torque_stddev))
+    return CalibrationStatus::moved;
+  const Wrench<Scalar> offset{average_.mean.template head<3>() - known.force,
+                              average_.mean.template tail<3>() - known.torque};
+  if (!within(offset, 1e6)) return CalibrationStatus::rejected;
+  set_offset(offset);
+  return CalibrationStatus::calibrated;
+}
+
+template <typename Scalar>
+void WrenchObserver<Scalar>::BlockAverage::add(const Wrench<Scalar>& sample, double dt) noexcept {
+  Vector6 packed;
+  packed << sample.force, sample.torque;
+  block_sum += Scalar(dt) * packed;
+  block_time += dt;
+  if (block_time < 0.1) return;
+  // Recursive update after D. H. D. West, "Updating mean and variance estimates", 1979.
+  time += block_time;
+  const Vector6 block = block_sum / Scalar(block_time), step = block - mean;
+  mean += Scalar(block_time / time) * step;
+  squares += Scalar(block_time) * step.cwiseProduct(block - mean);
+  block_sum.setZero();
+  block_time = 0.0;
+}
+
+template <typename Scalar>
+void WrenchObserver<Scalar>::shape() noexcept {
+  limited_ = false;
+  const auto shaped = [this](const Vector3<Scalar>& filtered, const Eigen::Vector3d& dead_band,
+                             const Eigen::Vector3d& limit) {
+    const Vector3<Scalar>&band = dead_band.cast<Scalar>(), &bound = limit.cast<Scalar>();
+    const Vector3<Scalar> rest = filtered - filtered.cwiseMax(-band).cwiseMin(band);
+    Vector3<Scalar> cut = rest.cwiseMax(-bound).cwiseMin(bound);
+    limited_ = limited_ || cut != rest;
+    return cut;
+  };
+  external_.force = shaped(filtered_.force, settings_.force_dead_band, settings_.force_limit);
+  external_.torque = shaped(filtered_.torque, settings_.torque_dead_band, settings_.torque_limit);
+}
 
 }  // namespace tilt_ropter

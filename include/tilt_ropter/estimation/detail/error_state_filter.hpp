@@ -143,21 +143,7 @@ class ErrorStateFilter {
   using Innovation = MeasurementInnovation<Scalar, 6>;  ///< of a pose
 
   /// Throws std::invalid_argument if a noise value is out of range.
-  ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose) {
-    validate(inertial);
-    validate(pose);
-    const auto square = [](double stddev) { return Scalar(stddev * stddev); };
-    const auto set_noise = [&](int start, double density) {
-      process_noise_.template segment<3>(start - noisy).setConstant(square(density));
-    };
-    using I = InertialIndex;
-    set_noise(I::velocity, inertial.accelerometer_density);
-    set_noise(I::orientation, inertial.gyro_density);
-    set_noise(I::gyro_bias, inertial.gyro_bias_walk);
-    set_noise(I::accelerometer_bias, inertial.accelerometer_bias_walk);
-    pose_noise_.template head<3>().setConstant(square(pose.position));
-    pose_noise_.template tail<3>().setConstant(square(pose.orientation));
-  }
+  ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose);
 
   void reset(const InertialState<Scalar>& state, const Covariance& covariance) noexcept {
     state_ = state;
@@ -165,17 +151,7 @@ class ErrorStateFilter {
   }
 
   /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
-  void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept {
-    const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
-    const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
-    const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
-    // Rounding leaves an asymmetric part, which would grow from step to step.
-    covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
-    covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
-    covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
-    covariance_.diagonal().template segment<12>(noisy) += dt * process_noise_;
-    state_ = propagate(state_, sample, dt);
-  }
+  void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept;
 
   /// Linearises a pose (orientation of unit length) at the state.
   [[nodiscard]] LinearisedPose<Scalar> linearise(const MarkerPose<Scalar>& pose) const noexcept {
@@ -186,20 +162,7 @@ class ErrorStateFilter {
   /// is a Linearised or a LinearisedPose.
   template <typename Measurement>
   [[nodiscard]] MeasurementInnovation<Scalar, Measurement::rows> innovation_of(
-      const Measurement& at) const noexcept {
-    MeasurementInnovation<Scalar, Measurement::rows> in;
-    in.residual = at.residual;
-    in.correlation = at.times_transpose(covariance_);
-    const typename Measurement::Square s = at.times(in.correlation);
-    in.covariance = (s + s.transpose()) / Scalar(2);
-    at.add_noise(in.covariance);
-    const auto factor = in.covariance.llt();
-    in.distance = std::numeric_limits<Scalar>::max();
-    if (factor.info() != Eigen::Success) return in;
-    const Scalar square = in.residual.dot(factor.solve(in.residual));
-    if (square < in.distance) in.distance = square;  // huge residuals overflow
-    return in;
-  }
+      const Measurement& at) const noexcept;
 
   /// Updates state and covariance with a measurement, linearised at the current state, and its
   /// innovation. The covariance is updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An
@@ -208,30 +171,13 @@ class ErrorStateFilter {
   /// by more digits than a Scalar has.
   template <typename Measurement>
   bool update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
-              const Measurement& at) noexcept {
-    const auto factor = in.covariance.llt();
-    if (factor.info() != Eigen::Success) return false;
-    const typename Measurement::Columns gain = factor.solve(in.correlation.transpose()).transpose();
-    Covariance left = covariance_;  // (I - K H) P
-    left.noalias() -= gain * in.correlation.transpose();
-    typename Measurement::Columns rest = at.times_noise(gain);
-    rest -= at.times_transpose(left);
-    left.noalias() += rest * gain.transpose();
-    covariance_ = (left + left.transpose()) / Scalar(2);
-    state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
-    return true;
-  }
+              const Measurement& at) noexcept;
 
   /// Compares a pose (orientation of unit length) with the state. Changes nothing.
-  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept {
-    return innovation_of(linearise(pose));
-  }
+  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept;
 
   /// Updates with a pose (orientation of unit length), whatever its innovation.
-  bool update(const MarkerPose<Scalar>& pose) noexcept {
-    const LinearisedPose<Scalar> at = linearise(pose);
-    return update(innovation_of(at), at);
-  }
+  bool update(const MarkerPose<Scalar>& pose) noexcept;
 
   [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
   [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
@@ -246,5 +192,84 @@ class ErrorStateFilter {
   Eigen::Matrix<Scalar, 6, 1> pose_noise_;
 };
 using ErrorStateFilterd = ErrorStateFilter<double>;  ///< in double precision
+
+template <typename Scalar>
+ErrorStateFilter<Scalar>::ErrorStateFilter(const InertialNoise& inertial,
+                                           const MarkerPoseNoise& pose) {
+  validate(inertial);
+  validate(pose);
+  const auto square = [](double stddev) { return Scalar(stddev * stddev); };
+  const auto set_noise = [&](int start, double density) {
+    process_noise_.template segment<3>(start - noisy).setConstant(square(density));
+  };
+  using I = InertialIndex;
+  set_noise(I::velocity, inertial.accelerometer_density);
+  set_noise(I::orientation, inertial.gyro_density);
+  set_noise(I::gyro_bias, inertial.gyro_bias_walk);
+  set_noise(I::accelerometer_bias, inertial.accelerometer_bias_walk);
+  pose_noise_.template head<3>().setConstant(square(pose.position));
+  pose_noise_.template tail<3>().setConstant(square(pose.orientation));
+}
+
+template <typename Scalar>
+void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
+                                       const Scalar& dt) noexcept {
+  const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
+  const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
+  const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
+  // Rounding leaves an asymmetric part, which would grow from step to step.
+  covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
+  covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
+  covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
+  covariance_.diagonal().template segment<12>(noisy) += dt * process_noise_;
+  state_ = propagate(state_, sample, dt);
+}
+
+template <typename Scalar>
+template <typename Measurement>
+MeasurementInnovation<Scalar, Measurement::rows> ErrorStateFilter<Scalar>::innovation_of(
+    const Measurement& at) const noexcept {
+  MeasurementInnovation<Scalar, Measurement::rows> in;
+  in.residual = at.residual;
+  in.correlation = at.times_transpose(covariance_);
+  const typename Measurement::Square s = at.times(in.correlation);
+  in.covariance = (s + s.transpose()) / Scalar(2);
+  at.add_noise(in.covariance);
+  const auto factor = in.covariance.llt();
+  in.distance = std::numeric_limits<Scalar>::max();
+  if (factor.info() != Eigen::Success) return in;
+  const Scalar square = in.residual.dot(factor.solve(in.residual));
+  if (square < in.distance) in.distance = square;  // huge residuals overflow
+  return in;
+}
+
+template <typename Scalar>
+template <typename Measurement>
+bool ErrorStateFilter<Scalar>::update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
+                                      const Measurement& at) noexcept {
+  const auto factor = in.covariance.llt();
+  if (factor.info() != Eigen::Success) return false;
+  const typename Measurement::Columns gain = factor.solve(in.correlation.transpose()).transpose();
+  Covariance left = covariance_;  // (I - K H) P
+  left.noalias() -= gain * in.correlation.transpose();
+  typename Measurement::Columns rest = at.times_noise(gain);
+  rest -= at.times_transpose(left);
+  left.noalias() += rest * gain.transpose();
+  covariance_ = (left + left.transpose()) / Scalar(2);
+  state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+  return true;
+}
+
+template <typename Scalar>
+MeasurementInnovation<Scalar, 6> ErrorStateFilter<Scalar>::innovation(
+    const MarkerPose<Scalar>& pose) const noexcept {
+  return innovation_of(linearise(pose));
+}
+
+template <typename Scalar>
+bool ErrorStateFilter<Scalar>::update(const MarkerPose<Scalar>& pose) noexcept {
+  const LinearisedPose<Scalar> at = linearise(pose);
+  return update(innovation_of(at), at);
+}
 
 }  // namespace tilt_ropter
