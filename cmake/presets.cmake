@@ -37,7 +37,7 @@ set(tidy ${clang} ${everything} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_BUIL
   TILT_ROPTER_STANDARD=20 CMAKE_EXPORT_COMPILE_COMMANDS=ON)
 # GCC compiles neither faster with a precompiled header nor its code once.
 set(gcc_fast_math ${library} CMAKE_BUILD_TYPE=None CMAKE_CXX_COMPILER=g++ TILT_ROPTER_NATIVE=ON
-  "CMAKE_CXX_FLAGS=-O2 -ffast-math -fno-finite-math-only")
+  "CMAKE_CXX_FLAGS=-O1 -ffast-math -fno-finite-math-only")
 set(libcxx ${variant} "CMAKE_CXX_FLAGS=-O0 -stdlib=libc++"
   TILT_ROPTER_GTEST_SOURCE=/usr/src/googletest)
 set(for_aarch64 CMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake
