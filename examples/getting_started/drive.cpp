@@ -32,15 +32,17 @@ int main(int argc, char** argv) {
   Nmpc nmpc(vehicle, control);
   const PowerModel power(vehicle);
   AllocationResult<4> sent;
+  ObservedWrenchd observed;
   double worst = 0.0, energy = 0.0;
   while (robot.time() < eight.end_time()) {  // the controller at 100 Hz, the IMU at 1 kHz
     const double time = robot.time();
-    (void)nmpc.prepare(time, eight, contact.update(time, robot.body(), observer));
+    (void)nmpc.prepare(time, eight, contact.update(time, robot.body(), observed));
     const NmpcResult& result = nmpc.feedback(time, robot.body());
     sent = allocation.allocate(time, result.wrench, result.rate, sent);
     for (int i = 0; i < 10; ++i) {
       robot.step(sent.command, {}, 0.001);
-      observer.update(robot.time(), robot.inertial_sample(), allocation.wrench(robot.actuators()));
+      observed = observer.update(robot.time(), robot.inertial_sample(),
+                                 allocation.wrench(robot.actuators()));
       energy += 0.001 * power.power(robot.actuators().rotor_speed);
     }
     worst = std::max(worst, (robot.body().position - eight(robot.time()).position).norm());

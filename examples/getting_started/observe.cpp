@@ -29,9 +29,10 @@ int main(int argc, char** argv) {
   for (int i = 0; i < 400; ++i) {                                   // IMU at 1 kHz
     robot.step(hover, i < 100 ? Wrenchd{} : gust, 0.001);
     // Inputs: the IMU sample, and the wrench of the rotors at measured speeds and tilt angles.
-    observer.update(robot.time(), robot.inertial_sample(), allocation.wrench(robot.actuators()));
+    const Wrenchd external =
+        observer.update(robot.time(), robot.inertial_sample(), allocation.wrench(robot.actuators()))
+            .external;
     if (i % 50 != 49) continue;
-    const Wrenchd& external = observer.external();
     std::printf("t %.2f s  force %5.2f %5.2f %5.2f N  torque %6.3f %6.3f %6.3f N m\n", robot.time(),
                 external.force.x(), external.force.y(), external.force.z(), external.torque.x(),
                 external.torque.y(), external.torque.z());

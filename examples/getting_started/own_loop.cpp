@@ -31,19 +31,20 @@ int main(int argc, char** argv) {
   PoseSensor poses({}, 2);
   const Wrenchd wind{Eigen::Vector3d(0.5, 1.0, 0.0), Eigen::Vector3d::Zero()};
   AllocationResult<4> sent;
+  ObservedWrenchd observed;
   for (int i = 0; i < 10000; ++i) {  // IMU and robot at 1 kHz, the controller at 100 Hz, for 10 s
     const double time = robot.time();
     if (const auto m = imu.sample(time, robot.body().angular_velocity, robot.specific_force())) {
       const ActuatorState<4> applied{robot.actuators().rotor_speed,  // measured
                                      actuators.update(time, sent.command).tilt_angle};
       ekf.on_imu(m->time, *m);
-      observer.update(m->time, ekf.corrected(*m), allocation.wrench(applied));
+      observed = observer.update(m->time, ekf.corrected(*m), allocation.wrench(applied));
     }
     if (const auto m = poses.sample(time, robot.body())) ekf.on_pose(m->time, *m);
     if (i % 10 == 0 && ekf.running()) {  // it has a pose and an IMU
       const BodyStated state = ekf.take_state();
-      contact.update(time, state, observer);
-      (void)nmpc.prepare(time, reference, contact.estimate());  // feedback() has the status
+      const ContactEstimate& ground = contact.update(time, state, observed);
+      (void)nmpc.prepare(time, reference, ground);  // feedback() has the status
       const NmpcResult& result = nmpc.feedback(time, state);
       sent = allocation.allocate(time, result.wrench, result.rate, sent);
       actuators.update(time, sent.command);  // acts from now on
@@ -51,8 +52,8 @@ int main(int argc, char** argv) {
     robot.step(sent.command, wind, 0.001);
     if (i % 5000 == 4999)
       std::printf("t %4.1f s  height %.3f m  wind %5.2f %5.2f %5.2f N\n", robot.time(),
-                  robot.body().position.z(), observer.external().force.x(),
-                  observer.external().force.y(), observer.external().force.z());
+                  robot.body().position.z(), observed.external.force.x(),
+                  observed.external.force.y(), observed.external.force.z());
   }
   const double error = (robot.body().position - hover.position).norm();
   std::printf("position error %.4f m\n", error);

@@ -54,14 +54,14 @@ class Onboard {
   void on_inertial(const hitl::Inertial& m) {
     const ActuatorState<4> applied{rotor_speed_, actuators_.update(m.time, command_).tilt_angle};
     ekf_.on_imu(m.time, m.sample);
-    observer_.update(m.time, ekf_.corrected(m.sample), allocation_.wrench(applied));
+    observed_ = observer_.update(m.time, ekf_.corrected(m.sample), allocation_.wrench(applied));
   }
 
   /// Returns the wrench at `time` of the simulation, or nothing before the state is known.
   std::optional<hitl::WrenchCommand> control(double time) {
     if (!ekf_.running()) return std::nullopt;
     const BodyStated state = ekf_.take_state();
-    contact_.update(time, state, observer_);
+    contact_.update(time, state, observed_);
     const auto reference = [this](double t) { return mission_(t - hitl::head_start); };
     (void)nmpc_.prepare(time, reference, contact_.estimate());
     const NmpcResult& result = nmpc_.feedback(time, state);
@@ -79,6 +79,7 @@ class Onboard {
   ActuatorModel<4> actuators_;
   Ekfd ekf_;
   WrenchObserverd observer_;
+  ObservedWrenchd observed_;
   ContactEstimator contact_;
   Nmpc<4> nmpc_;
   Mission mission_;

@@ -85,10 +85,10 @@ class Px4Node {
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
     if (pilot_ == Pilot::somebody_else) return;  // the state of the actuators is unknown
     const double time = seconds(m.timestamp);
-    observer_.update(time,
-                     {tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
-                      tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2))},
-                     allocation_.wrench(actuators_.update(time, sent_.command)));
+    observed_ = observer_.update(time,
+                                 {tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
+                                  tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2))},
+                                 allocation_.wrench(actuators_.update(time, sent_.command)));
   }
 
   /// For any version of VehicleStatus.
@@ -131,7 +131,7 @@ class Px4Node {
     out.mode->direct_actuator = true;
     if (pilot_ != Pilot::this_node) return out;
 
-    if (silence <= max_silence_) contact_.update(time, *body_, observer_);
+    if (silence <= max_silence_) contact_.update(time, *body_, observed_);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
@@ -176,6 +176,7 @@ class Px4Node {
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
   tilt_ropter::WrenchObserverd observer_;
+  tilt_ropter::ObservedWrenchd observed_;
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
   examples::SolverTicks solver_;

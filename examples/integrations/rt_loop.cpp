@@ -97,9 +97,9 @@ void run(const Options& options) {
     const double time = robot.time();
     const ActuatorState<4> applied{robot.actuators().rotor_speed,
                                    actuators.update(time, sent.command).tilt_angle};
-    observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
-    contact.update(time, robot.body(), observer);
-    (void)nmpc.prepare(time, reference, contact.estimate());
+    const ObservedWrenchd& observed =
+        observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
+    (void)nmpc.prepare(time, reference, contact.update(time, robot.body(), observed));
     const NmpcResult& result = nmpc.feedback(time, robot.body());
     solver.add(result.status, result.report);
     sent = allocation.allocate(time, result.wrench, result.rate, sent);

@@ -97,7 +97,7 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   ekf_.on_imu(time, sample);
   const InertialSampled corrected = ekf_.corrected(sample);
   const bool as_modelled = external_ != ExternalWrench::commanded;
-  observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
+  observed_ = observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
   detector_.update(time, corrected, applied_, modelled.rotor_speed, airborne_);
 }
 
@@ -120,6 +120,7 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   // What the observer has estimated since the failure is the failure. Without it the vehicle would
   // seem to be carried.
   observer_.reset();
+  observed_ = observer_.observed();
   const ContactEstimate& last = contact_.estimate();
   contact_ = ContactEstimator(remaining, last.on_ground ? GroundPlane() : last.ground);
   if constexpr (has_wrench_level<Rotors>) {
@@ -273,7 +274,7 @@ ReferencePoint FlightController<Rotors>::stand_in(double time) const {
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   on_tick(time);
-  if (ekf_.running()) contact_.update(time, ekf_.state(), observer_);
+  if (ekf_.running()) contact_.update(time, ekf_.state(), observed_);
   airborne_ = ekf_.running() && is_off_the_ground();
   choose_mode(time);
   const Reference other = [this](double t) { return stand_in(t); };

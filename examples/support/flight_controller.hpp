@@ -181,6 +181,7 @@ class FlightController {
   ImuClock imu_clock_;
   tilt_ropter::Ekfd ekf_;
   tilt_ropter::WrenchObserverd observer_;
+  tilt_ropter::ObservedWrenchd observed_;
   tilt_ropter::ContactEstimator contact_;
   ExternalWrench external_;
   tilt_ropter::NmpcResult result_;

@@ -306,8 +306,8 @@ template <template <int> class Level, int Rotors, typename Settings>
     }
     const double time = static_cast<double>(i) * settings.period;
     const ActuatorState<Rotors> modelled = actuators.update(time, control.command());
-    observer.update(time, plant.inertial_sample(),
-                    control.wrench({plant.actuators().rotor_speed, modelled.tilt_angle}));
+    (void)observer.update(time, plant.inertial_sample(),
+                          control.wrench({plant.actuators().rotor_speed, modelled.tilt_angle}));
     if (i == before) observer.reset();  // the vehicle has been moved
     const double began = thread_microseconds();
     control.prepare(time, reference, observer.external());

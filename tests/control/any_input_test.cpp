@@ -153,7 +153,12 @@ TEST(AnyInput, ContactEstimatorSurvivesArbitraryInput) {
   AnyNumber any(3);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   ContactEstimator contact(vehicle);
-  const Eigen::Vector3d k = Eigen::Vector3d::Constant(5.0);
+  ObservedWrenchd observed;
+  const auto see = [&](double time, const Wrenchd& external) {
+    observed = unfiltered_wrench(observed, time, external);
+    observed.external = external;  // also what unfiltered_wrench() rejects
+    return observed;
+  };
   Wrenchd weight;
   weight.force.z() = vehicle.body.mass * gravity;
   int rejected = 0;
@@ -164,8 +169,8 @@ TEST(AnyInput, ContactEstimatorSurvivesArbitraryInput) {
     const Wrenchd external = any(Wrenchd{}, fraction);
     const ContactEstimate before = contact.estimate();
     now += 0.01;
-    const ContactEstimate& after =
-        contact.update(any(now, fraction), state, external, k, k, external.force);
+    const double time = any(now, fraction);
+    const ContactEstimate& after = contact.update(time, state, see(time, external));
     ASSERT_TRUE(is_finite(after));
     if (!is_finite(state) || !is_finite(external)) {
       ++rejected;
@@ -178,7 +183,10 @@ TEST(AnyInput, ContactEstimatorSurvivesArbitraryInput) {
     now += 10.0;  // later than the last time, or the clock was set
     BodyStated good = hovering();
     const auto feed = [&](const Wrenchd& shown) {
-      for (int j = 0; j < 300; ++j) contact.update(now += 0.01, good, shown, k, k, shown.force);
+      for (int j = 0; j < 300; ++j) {
+        now += 0.01;
+        contact.update(now, good, see(now, shown));
+      }
     };
     good.position.z() = 50.0;  // not one of the bad numbers
     feed({});

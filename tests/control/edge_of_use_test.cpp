@@ -69,7 +69,7 @@ double hover_error(const Vehicle<4>& vehicle, const NmpcSettings& settings, doub
   int failures = 0;
   for (long i = 0; i < ticks; ++i) {
     const double time = plant.time();
-    observer.update(
+    (void)observer.update(
         time, plant.inertial_sample(),
         allocation.wrench(ActuatorState<4>{plant.actuators().rotor_speed,
                                            actuators.update(time, sent.command).tilt_angle}));

@@ -198,7 +198,7 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
           watch("Plant::set_voltage", [&] { return plant.set_voltage(voltage); })})
       EXPECT_EQ(taken, fault != 2);
     nlopt([&] {
-      watch("ContactEstimator", [&] { contact.update(time, measured, observer); });
+      watch("ContactEstimator", [&] { contact.update(time, measured, observer.observed()); });
       watch("Nmpc::prepare", [&] { return nmpc.prepare(time, reference, contact.estimate()); });
       BodyStated delivered = measured;
       if (fault == 1) delivered.velocity.x() = nan;

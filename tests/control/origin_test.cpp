@@ -62,10 +62,11 @@ Flight fly(const Reference& reference, double up, double duration, bool from_hov
     const double time = plant.time();
     const ActuatorState<4> applied{plant.actuators().rotor_speed,
                                    actuators.update(time, sent.command).tilt_angle};
-    observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
+    const ObservedWrenchd& observed =
+        observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     BodyStated measured = plant.body();
     measured.position.z() -= up;
-    contact.update(time, measured, observer);
+    contact.update(time, measured, observed);
     EXPECT_EQ(nmpc.prepare(time, on_board, contact.estimate()),
               optimal_control::PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(time, measured);
@@ -129,7 +130,10 @@ TEST(Origin, MissionDoesNotDependOnTheOrigin) {
 // roof, because its first updates show a vehicle that stands on the roof.
 TEST(Origin, FliesBelowTheGroundOfTheTakeOff) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const Eigen::Vector3d k = Eigen::Vector3d::Constant(15.0);
+  ObservedWrenchd observed;
+  const auto see = [&](double time, const Wrenchd& external) {
+    return observed = unfiltered_wrench(observed, time, external);
+  };
   Plant<4> plant(vehicle);
   const Allocation allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);
@@ -140,11 +144,11 @@ TEST(Origin, FliesBelowTheGroundOfTheTakeOff) {
   BodyStated x;
   x.position.z() = 3.0 + vehicle.wheels->radius;
   double time = -2.0;
-  for (; time < -1.0; time += 0.01) contact.update(time, x, weight, k, k, weight.force);
+  for (; time < -1.0; time += 0.01) contact.update(time, x, see(time, weight));
   ASSERT_TRUE(contact.estimate().on_ground);
-  for (; time < -0.5; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
+  for (; time < -0.5; time += 0.01) contact.update(time, x, see(time, {}));
   x.position.z() = 3.5;
-  for (; time < 0.0; time += 0.01) contact.update(time, x, {}, k, k, Eigen::Vector3d::Zero());
+  for (; time < 0.0; time += 0.01) contact.update(time, x, see(time, {}));
   ASSERT_FALSE(contact.estimate().on_ground);
 
   AllocationResult<4> sent = test_support::level_hover(allocation, vehicle);
@@ -157,7 +161,7 @@ TEST(Origin, FliesBelowTheGroundOfTheTakeOff) {
     return point;
   };
   for (int i = 0; i < 1500; ++i) {
-    contact.update(plant.time() + 0.01, plant.body(), {}, k, k, Eigen::Vector3d::Zero());
+    contact.update(plant.time() + 0.01, plant.body(), see(plant.time() + 0.01, {}));
     EXPECT_EQ(nmpc.prepare(plant.time(), street, contact.estimate()),
               optimal_control::PrepareStatus::prepared);
     const NmpcResult& result = nmpc.feedback(plant.time(), plant.body());

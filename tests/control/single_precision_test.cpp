@@ -66,10 +66,20 @@ class OnBoard {
                                         m.specific_force.cast<Scalar>()};
     ekf_.on_imu(m.time, sample);
     const InertialState<Scalar>& x = ekf_.filter().state();
-    observer_.update(
+    const ObservedWrench<Scalar>& seen = observer_.update(
         m.time,
         {sample.angular_velocity - x.gyro_bias, sample.specific_force - x.accelerometer_bias},
         applied_);
+    observed_ = {seen.status,
+                 seen.trust,
+                 seen.time,
+                 cast<double>(seen.external),
+                 cast<double>(seen.raw),
+                 seen.external_sum,
+                 seen.raw_sum,
+                 seen.duration,
+                 seen.force_bandwidth,
+                 seen.torque_bandwidth};
   }
 
   void on_pose(const PoseSensor::Measurement& m) {
@@ -82,11 +92,7 @@ class OnBoard {
     actuators_.update(time, acting_);
     if (!ekf_.running()) return cast<double>(acting_);
     const double then = time + period;
-    const WrenchObserverSettings& filter = observer_.settings();
-    (void)nmpc_.prepare(
-        then, mission,
-        contact_.update(time, state(), external(), filter.force_bandwidth, filter.torque_bandwidth,
-                        observer_.unfiltered_force().template cast<double>()));
+    (void)nmpc_.prepare(then, mission, contact_.update(time, state(), observed_));
     Eigen::Matrix<Scalar, 6, 1> rate;
     rate << rate_.force, rate_.torque;
     const State<Scalar> predicted =
@@ -111,6 +117,7 @@ class OnBoard {
   RigidBody<Scalar> body_;
   Ekf<Scalar> ekf_;
   WrenchObserver<Scalar> observer_;
+  ObservedWrenchd observed_;
   ContactEstimator contact_;
   Nmpc<4> nmpc_;
   ActuatorState<4, Scalar> acting_;

@@ -97,7 +97,8 @@ TEST(StackInTheLoop, StaysWithinDocumentedLimit) {
     for (int i = 0; i < 100; ++i) {
       ekf.on_imu(0.005 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, 9.81)});
       if (i % 10 == 5) ekf.on_pose(0.005 * i, {});
-      observer.update(0.005 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, 9.81)}, {});
+      (void)observer.update(0.005 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, 9.81)},
+                            {});
       (void)actuators.update(0.005 * i, {});
     }
   });

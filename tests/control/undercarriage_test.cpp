@@ -59,9 +59,10 @@ Flight fly(const Vehicle<4>& vehicle) {
     const double time = plant.time();
     const ActuatorState<4> applied{plant.actuators().rotor_speed,
                                    actuators.update(time, sent.command).tilt_angle};
-    observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
+    const ObservedWrenchd& observed =
+        observer.update(time, plant.inertial_sample(), allocation.wrench(applied));
     if (i % 10 == 0) {
-      contact.update(time, plant.body(), observer);
+      contact.update(time, plant.body(), observed);
       EXPECT_EQ(nmpc.prepare(time, reference, contact.estimate()),
                 optimal_control::PrepareStatus::prepared);
       const NmpcResult& result = nmpc.feedback(time, plant.body());

@@ -30,21 +30,22 @@ constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 TEST(WrenchObserver, RejectsInvalidSamplesWithoutChange) {
   WrenchObserverd observer(body());
   const Eigen::Vector3d a(1.0, 0.0, 9.0), w(0.1, 0.0, 0.0);
-  observer.update(0.0, {w, a}, {});
-  observer.update(0.1, {w, a}, {});
+  (void)observer.update(0.0, {w, a}, {});
+  (void)observer.update(0.1, {w, a}, {});
   const Wrenchd before = observer.external();
   const Eigen::Vector3d bad(0.0, nan, 0.0), huge = Eigen::Vector3d::Constant(1e300);
-  EXPECT_EQ(observer.update(nan, {w, a}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(infinity, {w, a}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.1, {w, a}, {}), ObserverStatus::rejected);  // time did not advance
-  EXPECT_EQ(observer.update(0.05, {w, a}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, {w, bad}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, {bad, a}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.2, {huge, a}, {}), ObserverStatus::rejected);  // overflows
-  EXPECT_EQ(observer.update(0.2, {w, a}, {bad, w}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(nan, {w, a}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(infinity, {w, a}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.1, {w, a}, {}).status,
+            ObserverStatus::rejected);  // time did not advance
+  EXPECT_EQ(observer.update(0.05, {w, a}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {w, bad}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {bad, a}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.2, {huge, a}, {}).status, ObserverStatus::rejected);  // overflows
+  EXPECT_EQ(observer.update(0.2, {w, a}, {bad, w}).status, ObserverStatus::rejected);
   EXPECT_EQ(observer.external().force, before.force);
   EXPECT_EQ(observer.external().torque, before.torque);
-  EXPECT_EQ(observer.update(0.2, {w, a}, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(0.2, {w, a}, {}).status, ObserverStatus::updated);
 }
 
 TEST(WrenchObserver, KeepsEstimateOverAGap) {
@@ -75,7 +76,7 @@ TEST(WrenchObserver, IsTrustedAtTenHertz) {
   WrenchObserverd observer(body());
   for (int i = 0; i < 100; ++i) {
     const ObserverStatus status =
-        observer.update(1e4 + 0.1 * i, {Vector3d::Zero(), Vector3d(0.0, 0.0, 9.81)}, {});
+        observer.update(1e4 + 0.1 * i, {Vector3d::Zero(), Vector3d(0.0, 0.0, 9.81)}, {}).status;
     EXPECT_EQ(status, i == 0 ? ObserverStatus::started : ObserverStatus::updated);
   }
   EXPECT_EQ(observer.trust(1e4 + 10.0), WrenchTrust::trusted);
@@ -84,13 +85,13 @@ TEST(WrenchObserver, IsTrustedAtTenHertz) {
 TEST(WrenchObserver, RecoversFromClockThatJumpsBack) {
   WrenchObserverd observer(body());
   const Vector3d a(1.0, 0.0, 0.0), w = Vector3d::Zero();
-  observer.update(100.0, {w, a}, {});
-  observer.update(100.01, {w, a}, {});
+  (void)observer.update(100.0, {w, a}, {});
+  (void)observer.update(100.01, {w, a}, {});
   const Wrenchd before = observer.external();
-  EXPECT_EQ(observer.update(99.95, {w, a}, {}), ObserverStatus::rejected);  // late
-  EXPECT_EQ(observer.update(5.0, {w, a}, {}), ObserverStatus::gap);
+  EXPECT_EQ(observer.update(99.95, {w, a}, {}).status, ObserverStatus::rejected);  // late
+  EXPECT_EQ(observer.update(5.0, {w, a}, {}).status, ObserverStatus::gap);
   EXPECT_EQ(distance(observer.external(), before), 0.0);
-  EXPECT_EQ(observer.update(5.01, {w, a}, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(5.01, {w, a}, {}).status, ObserverStatus::updated);
 }
 
 TEST(WrenchObserver, ReportsTrust) {
@@ -114,7 +115,7 @@ TEST(WrenchObserver, ReportsTrust) {
   EXPECT_EQ(observer.trust(feed.time() + 0.11), WrenchTrust::stale);
   EXPECT_EQ(observer.trust(feed.time() - 0.11), WrenchTrust::stale);
   EXPECT_EQ(observer.trust(nan), WrenchTrust::stale);
-  EXPECT_EQ(observer.update(feed.time() + 0.2, {Vector3d::Zero(), Vector3d(nan, 0, 0)}, {}),
+  EXPECT_EQ(observer.update(feed.time() + 0.2, {Vector3d::Zero(), Vector3d(nan, 0, 0)}, {}).status,
             ObserverStatus::rejected);
   EXPECT_EQ(observer.trust(feed.time() + 0.2), WrenchTrust::stale);
 
@@ -196,7 +197,7 @@ TEST(WrenchObserver, RecoversFromAnyInput) {
     const Vector3d a = vector(), w = vector();
     const Wrenchd applied = wrench();
     const Wrenchd before = observer.filtered(), shown = observer.external();
-    const ObserverStatus status = observer.update(time, {w, a}, applied);
+    const ObserverStatus status = observer.update(time, {w, a}, applied).status;
     ++statuses[static_cast<std::size_t>(status)];
     if (status != ObserverStatus::updated) {
       ASSERT_EQ(distance(observer.filtered(), before), 0.0);
@@ -218,10 +219,11 @@ TEST(WrenchObserver, RecoversFromAnyInput) {
     observer.set_offset({});
     observer.reset();
     good_time += 0.01;
-    ASSERT_NE(observer.update(good_time, {none, none}, {}), ObserverStatus::rejected);
+    ASSERT_NE(observer.update(good_time, {none, none}, {}).status, ObserverStatus::rejected);
     for (int k = 0; k < 3; ++k) {
       good_time += 0.01;
-      ASSERT_EQ(observer.update(good_time, {none, Vector3d::UnitX()}, {}), ObserverStatus::updated);
+      ASSERT_EQ(observer.update(good_time, {none, Vector3d::UnitX()}, {}).status,
+                ObserverStatus::updated);
     }
     ASSERT_NEAR(observer.external().force.x(), body().mass * -std::expm1(-0.45), 1e-9);
     ASSERT_EQ(observer.external().torque.norm(), 0.0);
@@ -236,14 +238,14 @@ TEST(WrenchObserver, RecoversFromAnyInput) {
 TEST(WrenchObserver, RejectsFiniteButAbsurdNumbers) {
   WrenchObserverd observer(body());
   const Vector3d none = Vector3d::Zero(), huge(0.0, 1e100, 0.0);
-  EXPECT_EQ(observer.update(0.0, {huge, none}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.0, {none, none}, {}), ObserverStatus::started);
-  EXPECT_EQ(observer.update(0.01, {none, huge}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, {none, none}, {huge, none}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, {none, none}, {none, huge}), ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.0, {huge, none}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.0, {none, none}, {}).status, ObserverStatus::started);
+  EXPECT_EQ(observer.update(0.01, {none, huge}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {huge, none}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {none, huge}).status, ObserverStatus::rejected);
   // A time step of almost zero.
-  EXPECT_EQ(observer.update(1e-300, {Vector3d::Ones(), none}, {}), ObserverStatus::rejected);
-  EXPECT_EQ(observer.update(0.01, {none, none}, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(1e-300, {Vector3d::Ones(), none}, {}).status, ObserverStatus::rejected);
+  EXPECT_EQ(observer.update(0.01, {none, none}, {}).status, ObserverStatus::updated);
   EXPECT_EQ(distance(observer.external(), {}), 0.0);
 }
 

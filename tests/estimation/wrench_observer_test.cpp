@@ -52,7 +52,7 @@ TEST(WrenchObserver, StepResponseMatchesClosedFormForAnyTimeStep) {
       for (int i = 0; i <= 40; ++i) {
         const double t = dt * i;
         const Eigen::Vector3d w = body().inertia.inverse() * about * t;
-        observer.update(t, {w, force / body().mass}, {});
+        (void)observer.update(t, {w, force / body().mass}, {});
         for (int j = 0; j < 3; ++j)
           EXPECT_NEAR(observer.external().force(j),
                       force(j) * (1.0 - std::exp(-settings.force_bandwidth(j) * t)), 1e-12);
@@ -68,10 +68,10 @@ TEST(WrenchObserver, IsIndependentOfTimeStepForConstantInput) {
   settings.max_gap = 1.0;
   WrenchObserverd coarse(body(), settings), fine(body(), settings);
   const Eigen::Vector3d a(1.0, 2.0, 9.0), w = Eigen::Vector3d::Zero();
-  coarse.update(0.0, {w, a}, {});
-  fine.update(0.0, {w, a}, {});
-  for (int i = 1; i <= 7; ++i) fine.update(0.1 * i, {w, a}, {});
-  coarse.update(0.7, {w, a}, {});
+  (void)coarse.update(0.0, {w, a}, {});
+  (void)fine.update(0.0, {w, a}, {});
+  for (int i = 1; i <= 7; ++i) (void)fine.update(0.1 * i, {w, a}, {});
+  (void)coarse.update(0.7, {w, a}, {});
   EXPECT_LT((coarse.external().force - fine.external().force).norm(), 1e-12);
 }
 
@@ -86,8 +86,8 @@ TEST(WrenchObserver, EstimatesExternalWrenchOfTumblingBody) {
   Wrenchd applied;
   for (int i = 0; i <= 5000; ++i) {
     const double t = dt * i;
-    observer.update(t, {x.body.angular_velocity, (applied.force + truth.force) / body().mass},
-                    applied);
+    (void)observer.update(t, {x.body.angular_velocity, (applied.force + truth.force) / body().mass},
+                          applied);
     applied = {random.vector(2.0), -0.02 * x.body.angular_velocity};
     x.wrench = applied;
     x = plant.step(x, Eigen::Matrix<double, 6, 1>::Zero(), truth, dt);
@@ -107,7 +107,7 @@ TEST(WrenchObserver, GyroscopicTorqueHasSecondOrderAccuracy) {
     Stated x;
     x.body.angular_velocity << 3.0, -4.0, 5.0;
     for (int i = 0; i <= 100; ++i) {
-      observer.update(dt * i, {x.body.angular_velocity, Vector3d::Zero()}, {});
+      (void)observer.update(dt * i, {x.body.angular_velocity, Vector3d::Zero()}, {});
       worst[fine] = std::max(worst[fine], observer.external().torque.norm());
       x = plant.step(x, Eigen::Matrix<double, 6, 1>::Zero(), {}, dt);
     }
@@ -119,8 +119,8 @@ TEST(WrenchObserver, GyroscopicTorqueHasSecondOrderAccuracy) {
 TEST(WrenchObserver, InitialRateIsNotTorque) {
   WrenchObserverd observer(body());
   const Eigen::Vector3d w(0.0, 0.0, 3.0);
-  EXPECT_EQ(observer.update(0.0, {w, Eigen::Vector3d::Zero()}, {}), ObserverStatus::started);
-  EXPECT_EQ(observer.update(0.1, {w, Eigen::Vector3d::Zero()}, {}), ObserverStatus::updated);
+  EXPECT_EQ(observer.update(0.0, {w, Eigen::Vector3d::Zero()}, {}).status, ObserverStatus::started);
+  EXPECT_EQ(observer.update(0.1, {w, Eigen::Vector3d::Zero()}, {}).status, ObserverStatus::updated);
   EXPECT_LT(observer.external().torque.norm(), 1e-15);
 }
 
@@ -140,8 +140,8 @@ TEST(WrenchObserver, DeadBandAndLimitsAreContinuous) {
     const double t = 0.01 * i;
     const Vector3d a = 4.0 * std::sin(0.5 * t) * Vector3d::Ones();
     const Vector3d w = 5.0 * std::sin(0.3 * t) * Vector3d::Ones();
-    observer.update(t, {w, a}, {});
-    plain.update(t, {w, a}, {});
+    (void)observer.update(t, {w, a}, {});
+    (void)plain.update(t, {w, a}, {});
     // Dead band and limits do not affect the internal filter.
     ASSERT_EQ(distance(observer.filtered(), plain.external()), 0.0);
     const Wrenchd& f = observer.filtered();
@@ -200,7 +200,8 @@ StepResponse step_response(double dt, const WrenchObserverSettings& settings, co
     const ActuatorState<4> applied{
         rotor_sensor.sample(time, plant.actuators().rotor_speed)->rotor_speed,
         actuators.update(time, command).tilt_angle};
-    EXPECT_NE(observer.update(time, *m, allocation.wrench(applied)), ObserverStatus::rejected);
+    EXPECT_NE(observer.update(time, *m, allocation.wrench(applied)).status,
+              ObserverStatus::rejected);
     const Wrenchd& external = observer.external();
     response.largest = std::max({response.largest, external.force.cwiseAbs().maxCoeff(),
                                  external.torque.cwiseAbs().maxCoeff()});
@@ -253,27 +254,54 @@ TEST(WrenchObserver, StepResponseHasBandwidthWithActuatorLagAndNoise) {
   test_support::check_at_most(9, "observer: bias [N m]", torque, 0.01);
 }
 
-TEST(WrenchObserver, TakeExternalReturnsMeanSinceLastCall) {
+TEST(WrenchObserver, MeansBetweenTwoValuesCancelAVibration) {
   WrenchObserverd observer(body());
-  EXPECT_EQ(observer.take_external().force, Vector3d::Zero());
+  ObservedWrenchd last = observer.observed();
+  EXPECT_FALSE(means_between(last, last));
   // A vibration with the period of the tick: a single sample always has the same phase.
   const auto sample = [&](int i, double size) {
     const double a = size * std::sin(2.0 * pi * (i + 2) / 10.0);
     return observer.update(0.001 * i, {Vector3d::Constant(a), Vector3d(a, 0.0, 0.0)}, {});
   };
   for (int i = 0; i <= 1000; ++i) {
-    (void)sample(i, 5.0);
+    const ObservedWrenchd now = sample(i, 5.0);
     if (i % 10 != 0) continue;
-    const Vector3d one = observer.external().force, mean = observer.take_external().force;
-    if (i < 500) continue;
-    EXPECT_LT(mean.norm(), 0.1 * one.norm());
-    EXPECT_EQ(observer.take_external().force, one);  // no new sample
+    if (i >= 500) {
+      const auto means = means_between(last, now);
+      ASSERT_TRUE(means);
+      EXPECT_LT(means->external.force.norm(), 0.1 * now.external.force.norm());
+      EXPECT_LT(means->raw.force.norm(), 0.1 * now.raw.force.norm());
+      EXPECT_FALSE(means_between(now, now));
+    }
+    last = now;
   }
-  (void)sample(1001, 0.0);
-  EXPECT_EQ(observer.take_external().torque, observer.external().torque);  // mean of one sample
-  (void)sample(1002, 9.0);
-  observer.reset();
-  EXPECT_EQ(observer.take_external().force, Vector3d::Zero());
+  const ObservedWrenchd one = sample(1001, 0.0);
+  EXPECT_LT(distance(means_between(last, one)->external, one.external), 1e-9);
+  EXPECT_LT(distance(means_between(last, one)->raw, one.raw), 1e-9);
+  observer.reset();  // keeps the sums
+  EXPECT_FALSE(means_between(one, observer.observed()));
+  EXPECT_EQ(observer.observed().external.force, Vector3d::Zero());
+}
+
+TEST(WrenchObserver, UnfilteredWrenchHasMeansAndRejectsBadNumbers) {
+  const auto push = [](double force) { return Wrenchd{{force, 0.0, 0.0}, {0.0, force, 0.0}}; };
+  const ObservedWrenchd first = unfiltered_wrench({}, 5.0, push(1.0)),
+                        second = unfiltered_wrench(first, 5.1, push(2.0)),
+                        third = unfiltered_wrench(second, 5.4, push(4.0));
+  EXPECT_EQ(first.status, ObserverStatus::started);
+  EXPECT_FALSE(means_between({}, first));
+  EXPECT_EQ(third.status, ObserverStatus::updated);
+  EXPECT_NEAR(means_between(first, third)->external.force.x(), 3.5, 1e-12);
+  EXPECT_NEAR(means_between(first, third)->raw.torque.y(), 3.5, 1e-12);
+  for (const double bad : {std::nan(""), 1e7}) {
+    const ObservedWrenchd rejected = unfiltered_wrench(third, 5.5, push(bad));
+    EXPECT_EQ(rejected.status, ObserverStatus::rejected);
+    EXPECT_EQ(rejected.external.force, third.external.force);
+    EXPECT_EQ(rejected.duration, third.duration);
+  }
+  EXPECT_EQ(unfiltered_wrench(third, std::nan(""), push(1.0)).status, ObserverStatus::rejected);
+  for (const double time : {5.0, 7.0})
+    EXPECT_EQ(unfiltered_wrench(third, time, push(1.0)).duration, third.duration);
 }
 
 TEST(WrenchObserver, ObserverSettingsUseOneBandwidthForAllAxes) {
@@ -301,7 +329,7 @@ TEST(WrenchObserver, IsStableForAnyBandwidth) {
 TEST(WrenchObserver, WorksInSinglePrecision) {
   WrenchObserver<float> observer(body());
   const Eigen::Vector3f a(1.0f, 0.0f, 0.0f), w = Eigen::Vector3f::Zero();
-  for (int i = 0; i <= 100; ++i) observer.update(0.05 * i, {w, a}, {});
+  for (int i = 0; i <= 100; ++i) (void)observer.update(0.05 * i, {w, a}, {});
   EXPECT_NEAR(static_cast<double>(observer.external().force.x()), 1.5, 1e-5);
   // Also after three hours at 1 kHz, with dead band, limit and calibration.
   WrenchObserverSettings settings;
@@ -311,7 +339,7 @@ TEST(WrenchObserver, WorksInSinglePrecision) {
   shaped.begin_calibration();
   const auto run = [&shaped, &a](double from, const Wrench<float>& applied) {
     for (int i = 0; i <= 2000; ++i)
-      shaped.update(from + 1e-3 * i, {Eigen::Vector3f::Zero(), a}, applied);
+      (void)shaped.update(from + 1e-3 * i, {Eigen::Vector3f::Zero(), a}, applied);
   };
   run(1e4, {});
   EXPECT_EQ(shaped.end_calibration(), CalibrationStatus::calibrated);
@@ -336,8 +364,8 @@ TEST(WrenchObserver, WorksWithAutomaticDifferentiation) {
     WrenchObserver<Dual> observer(body(), settings);
     const Vector3<Dual> a = Vector3d(5.0, -5.0, 9.0).cast<Dual>() + step;
     const Vector3<Dual> w = Vector3d::Zero().cast<Dual>();
-    observer.update(0.0, {w, a}, {});
-    observer.update(0.01, {w, a}, {});
+    (void)observer.update(0.0, {w, a}, {});
+    (void)observer.update(0.01, {w, a}, {});
     return observer.external().force;
   });
   EXPECT_LT((by_force - passed * body().mass * Eigen::Matrix3d::Identity()).norm(), 1e-12);
@@ -345,8 +373,8 @@ TEST(WrenchObserver, WorksWithAutomaticDifferentiation) {
   const Eigen::Matrix3d by_rate = test_support::jacobian_at_zero<3, 3>([&](const auto& step) {
     WrenchObserver<Dual> observer(body(), settings);
     const Vector3<Dual> zero = Vector3d::Zero().cast<Dual>();
-    observer.update(0.0, {zero, zero}, {});
-    observer.update(0.01, {Vector3<Dual>(Vector3d(0, 0, 0.1).cast<Dual>() + step), zero}, {});
+    (void)observer.update(0.0, {zero, zero}, {});
+    (void)observer.update(0.01, {Vector3<Dual>(Vector3d(0, 0, 0.1).cast<Dual>() + step), zero}, {});
     return observer.external().torque;
   });
   EXPECT_NEAR(by_rate(0, 0), passed * body().inertia(0, 0) / 0.01, 1e-3);

@@ -46,7 +46,7 @@ void observe(fuzz::Input& input) {
         const Eigen::Vector3d force = input.vector(20.0), rate = input.vector(5.0);
         const Wrenchd applied = input.wrench(20.0, 2.0);
         const Wrenchd before = observer->filtered();
-        const ObserverStatus status = observer->update(time, {rate, force}, applied);
+        const ObserverStatus status = observer->update(time, {rate, force}, applied).status;
         fuzz::expect(
             status == ObserverStatus::updated || (observer->filtered().force == before.force &&
                                                   observer->filtered().torque == before.torque),

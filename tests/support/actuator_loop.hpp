@@ -83,9 +83,9 @@ class ActuatorLoop {
     const ActuatorState<Rotors> modelled = actuators_.update(time, command_);
     const ActuatorState<Rotors> applied{plant_.actuators().rotor_speed, modelled.tilt_angle};
     const InertialSampled sample = plant_.inertial_sample();
-    observer_.update(time, sample, wrench(applied));
+    const ObservedWrenchd& observed = observer_.update(time, sample, wrench(applied));
     const BodyStated measured = state_sensor_.sample(time, plant_.body())->body;
-    const ContactEstimate& contact = contact_.update(time, measured, observer_);
+    const ContactEstimate& contact = contact_.update(time, measured, observed);
     const double clearance =
         measured.position.z() - standing_ - contact.ground.height_at(measured.position);
     detector_.update(time, sample, applied, modelled.rotor_speed,

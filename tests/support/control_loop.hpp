@@ -103,9 +103,9 @@ class ControlLoop {
     const double time = plant_.time();
     const ActuatorState<4> applied{plant_.actuators().rotor_speed,
                                    actuators_.update(time, sent_.command).tilt_angle};
-    observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
+    (void)observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
     std::optional<BodyStated> measured = state_sensor_.sample(time, plant_.body())->body;
-    ContactEstimate contact = contact_.update(time, *measured, observer_);
+    ContactEstimate contact = contact_.update(time, *measured, observer_.observed());
     tamper(contact.disturbance, measured);
     (void)nmpc_.prepare(time, reference, contact);
     const NmpcResult& result = measured ? nmpc_.feedback(time, *measured) : nmpc_.hold(time);

@@ -23,7 +23,7 @@ class Feed {
     time_ += dt;
     // Rotation about x alone causes no gyroscopic torque.
     rate_.x() += wrench.torque.x() / body().inertia(0, 0) * dt;
-    return observer_.update(time_, {rate_, wrench.force / body().mass}, {});
+    return observer_.update(time_, {rate_, wrench.force / body().mass}, {}).status;
   }
   void operator()(const tilt_ropter::Wrenchd& wrench, int samples) {
     for (int i = 0; i < samples; ++i) (*this)(wrench);

@@ -60,56 +60,33 @@ class ContactEstimator {
   explicit ContactEstimator(const Vehicle<Rotors>& vehicle, const GroundPlane& assumed_ground = {})
       : ContactEstimator(vehicle.body, undercarriage(vehicle), assumed_ground) {}
 
-  /// Processes the state of the body (of the CoM) and the output of the observer since the last
-  /// call (its take_external()) at `time` [s]. Call it once per tick or more often. Ignores numbers
-  /// that are not finite or above 1e6. Ignores wrenches above ten times the weight (torque: ten
-  /// times the weight at one metre). Ignores a time that is not after the last time, unless
-  /// clock_was_set_back().
-  const ContactEstimate& update(double time, const BodyStated& body,
-                                WrenchObserverd& observer) noexcept {
-    return update(time, body, observer.take_external(), observer.settings().force_bandwidth,
-                  observer.settings().torque_bandwidth, observer.unfiltered_force());
-  }
-
-  /// Same with an external wrench (body frame, at the CoM) from another source, filtered to first
-  /// order with these bandwidths [1/s]. The bandwidth of an unfiltered wrench is infinite. `first`
-  /// is the force without the filter's lag [N]. It is used at the first update only, because the
-  /// output of a filter that has just started is meaningless.
-  const ContactEstimate& update(double time, const BodyStated& measured, const Wrenchd& external,
-                                const Eigen::Vector3d& force_bandwidth,
-                                const Eigen::Vector3d& torque_bandwidth,
-                                const Eigen::Vector3d& first) noexcept {
-    if (!std::isfinite(time) || !is_credible(measured, external) || !all_finite(first))
+  /// Processes the state of the body (of the CoM) at `time` [s] and what the observer knows then.
+  /// Call it once per tick or more often: it uses the means since the last call. An external wrench
+  /// from another source is a value of unfiltered_wrench(). Ignores numbers that are not finite or
+  /// above 1e6. Ignores wrenches above ten times the weight (torque: ten times the weight at one
+  /// metre). Ignores a time that is not after the last time, unless clock_was_set_back().
+  const ContactEstimate& update(double time, const BodyStated& measured,
+                                const ObservedWrenchd& observed) noexcept {
+    auto means = means_between(observed_, observed);
+    if (!started_)  // the output of a filter that has just started is meaningless
+      means = {observed.external, observed.raw};
+    else if (!means)
+      means = {observed.external, observed.external};
+    const Wrenchd& external = means->external;
+    if (!std::isfinite(time) || !is_credible(measured, external) || !is_finite(means->raw))
       return estimate_;
     BodyStated body = measured;
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && !clock_was_set_back(time, time_)) return estimate_;
     estimate_.external = external;
-    if (!undercarriage_) return update_in_the_air(time, external);
-    dt = std::max(dt, 0.0);
-    // Mean input of the observer's filter since the last call, without the filter's lag.
-    const Wrenchd now = unfiltered(external, force_bandwidth, torque_bandwidth, dt);
-    const double lift = started_ ? lift_ + fraction(dt, load_time) * (lift_of(now, body) - lift_)
-                                 : lift_of({first, Eigen::Vector3d::Zero()}, body);
-    const double clearance = clearance_of(body);
-
-    const bool was_on_ground = estimate_.on_ground;
-    if (was_on_ground) {
-      stay(body, external, lift, clearance, dt);
-    } else {
-      fade(left_over_, force_bandwidth, torque_bandwidth, dt);
-      estimate_.disturbance = {external.force - left_over_.force,
-                               external.torque - left_over_.torque};
-      fly(body, lift, clearance, dt);
-    }
-    if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
-    if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
-    split(external, body.orientation);
+    if (undercarriage_)
+      decide(body, means->raw, observed, std::max(dt, 0.0));
+    else
+      estimate_.disturbance = external;
     started_ = true;
     time_ = time;
-    lift_ = lift;
-    last_ = external;
+    observed_ = observed;
     return estimate_;
   }
 
@@ -149,12 +126,25 @@ class ContactEstimator {
   // Largest slope of the ground; a steeper estimate is ignored.
   static constexpr double max_slope = 0.5;
 
-  // For a vehicle without an undercarriage.
-  const ContactEstimate& update_in_the_air(double time, const Wrenchd& external) noexcept {
-    estimate_.disturbance = external;
-    started_ = true;
-    time_ = time;
-    return estimate_;
+  // Air or ground, for a vehicle with an undercarriage. `raw` is the mean wrench since the last
+  // update without the lag of the observer's filter.
+  void decide(const BodyStated& body, const Wrenchd& raw, const ObservedWrenchd& observed,
+              double dt) noexcept {
+    const Wrenchd& external = estimate_.external;
+    lift_ += (started_ ? fraction(dt, load_time) : 1.0) * (lift_of(raw, body) - lift_);
+    const double clearance = clearance_of(body);
+    const bool was_on_ground = estimate_.on_ground;
+    if (was_on_ground) {
+      stay(body, clearance, dt);
+    } else {
+      fade(left_over_, observed, dt);
+      estimate_.disturbance = {external.force - left_over_.force,
+                               external.torque - left_over_.torque};
+      fly(body, clearance, dt);
+    }
+    if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
+    if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
+    split(external, body.orientation);
   }
 
   // Height of wheels or feet above the ground [m].
@@ -168,8 +158,8 @@ class ContactEstimator {
   }
 
   // Update in the air, until a load indicates contact.
-  void fly(const BodyStated& body, double lift, double clearance, double dt) noexcept {
-    const double load = lift - air_lift_, rising = rising_of(body);
+  void fly(const BodyStated& body, double clearance, double dt) noexcept {
+    const double load = lift_ - air_lift_, rising = rising_of(body);
     const bool near = std::abs(clearance) < leave_height;
     const double enough = (near ? near_load : far_load) * weight_;
     // The velocity of a filter that has just started is uncertain, but such a load is not.
@@ -196,12 +186,11 @@ class ContactEstimator {
   }
 
   // Update on the ground, until the vehicle is not carried and has left its place.
-  void stay(const BodyStated& body, const Wrenchd& external, double lift, double clearance,
-            double dt) noexcept {
+  void stay(const BodyStated& body, double clearance, double dt) noexcept {
     // The ground only pushes, and freely turning wheels give no pitch torque.
-    if (lift < lift_of(air_, body)) set_air_lift(lift, body);
-    if (undercarriage_->pitches) air_.torque.y() = external.torque.y();
-    if (lift - lift_of(air_, body) > carried_load * weight_) {
+    if (lift_ < lift_of(air_, body)) set_air_lift(lift_, body);
+    if (undercarriage_->pitches) air_.torque.y() = estimate_.external.torque.y();
+    if (lift_ - lift_of(air_, body) > carried_load * weight_) {
       unloaded_for_ = 0.0;
       place_ground(body, fraction(dt, ground_time));
       learn_slope(body, fraction(dt, slope_time));
@@ -212,9 +201,9 @@ class ContactEstimator {
     if (std::abs(clearance) > leave_height || clearance + lead * rising_of(body) > leave_height) {
       // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
-      air_lift_ = possible(lift);
+      air_lift_ = possible(lift_);
       set_air_lift(air_lift_, body);
-      left_over_ = {external.force - air_.force, external.torque - air_.torque};
+      left_over_ = {estimate_.external.force - air_.force, estimate_.external.torque - air_.torque};
     }
   }
 
@@ -248,29 +237,10 @@ class ContactEstimator {
   // What a first-order filter keeps of its last output.
   static double kept(double bandwidth, double dt) noexcept { return std::exp(-bandwidth * dt); }
 
-  // Mean input of the first-order filters between the last output and this output.
-  [[nodiscard]] Wrenchd unfiltered(const Wrenchd& external, const Eigen::Vector3d& force_bandwidth,
-                                   const Eigen::Vector3d& torque_bandwidth,
-                                   double dt) const noexcept {
-    if (!(dt > 0.0) || dt > 0.5) return external;
-    const auto undone = [dt](const Eigen::Vector3d& now, const Eigen::Vector3d& before,
-                             const Eigen::Vector3d& bandwidth) {
-      Eigen::Vector3d input;
-      for (int i = 0; i < 3; ++i) {
-        const double e = kept(bandwidth(i), dt);
-        input(i) = (now(i) - e * before(i)) / std::max(1.0 - e, 1e-3);
-      }
-      return input;
-    };
-    return {undone(external.force, last_.force, force_bandwidth),
-            undone(external.torque, last_.torque, torque_bandwidth)};
-  }
-
-  static void fade(Wrenchd& w, const Eigen::Vector3d& force_bandwidth,
-                   const Eigen::Vector3d& torque_bandwidth, double dt) noexcept {
+  static void fade(Wrenchd& w, const ObservedWrenchd& filter, double dt) noexcept {
     for (int i = 0; i < 3; ++i) {
-      w.force(i) *= kept(force_bandwidth(i), dt);
-      w.torque(i) *= kept(torque_bandwidth(i), dt);
+      w.force(i) *= kept(filter.force_bandwidth(i), dt);
+      w.torque(i) *= kept(filter.torque_bandwidth(i), dt);
     }
   }
 
@@ -326,9 +296,9 @@ class ContactEstimator {
   double weight_;
   std::optional<Undercarriage> undercarriage_;
   ContactEstimate estimate_;
-  Wrenchd air_;        // average wrench in the air; kept on the ground
-  Wrenchd left_over_;  // ground's part that remains in the observer's output
-  Wrenchd last_;       // last output of the observer
+  Wrenchd air_;               // average wrench in the air; kept on the ground
+  Wrenchd left_over_;         // ground's part that remains in the observer's output
+  ObservedWrenchd observed_;  // at the last update
   double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
   int mode_changes_ = 0;
   bool started_ = false;

@@ -13,6 +13,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <type_traits>
 
 /// External wrench from motion and applied wrench (paper, Sec. External Wrench Estimation,
 /// Eq. wrench_estimation; after Tomić, Ott & Haddadin 2017).
@@ -87,6 +89,85 @@ enum class WrenchTrust {
   return detail::name_in({"not_started", "stale", "settling", "limited", "trusted"}, status);
 }
 
+/// What the observer knows after a sample. The sums grow with time: the mean over any stretch of
+/// time, such as the tick of a loop slower than the IMU, is a difference of two values, see
+/// means_between(). All wrenches are at the CoM, in the body frame [N; N m].
+template <typename Scalar>
+struct ObservedWrench {
+  /// In single precision, differences of long sums would lose their digits.
+  using Sum = Wrench<std::conditional_t<std::is_same_v<Scalar, float>, double, Scalar>>;
+
+  ObserverStatus status = ObserverStatus::rejected;  ///< of the sample of this value
+  WrenchTrust trust = WrenchTrust::not_started;      ///< reliability of `external` at `time`
+  double time = 0.0;  ///< of the last sample that was not rejected [s]
+  /// The estimate: filtered, minus the dead band, within the limits. transport() and
+  /// wrench_in_world() convert it.
+  Wrench<Scalar> external;
+  /// From the last sample alone, without filter, dead band and limits, with all its noise. The
+  /// torque needs two samples and is zero after the first one.
+  Wrench<Scalar> raw;
+  Sum external_sum, raw_sum;  ///< integrals over the intervals of all samples [N s; N m s]
+  double duration = 0.0;      ///< sum of these intervals [s]
+  /// Bandwidths of the filter of `external` [1/s].
+  Eigen::Vector3d force_bandwidth =
+      Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
+  Eigen::Vector3d torque_bandwidth = force_bandwidth;
+
+  /// Adds `raw` and `external` for an interval of `dt` [s].
+  void add_to_sums(double dt) noexcept {
+    using Number = typename decltype(Sum::force)::Scalar;
+    const Number part(dt);
+    external_sum.force += part * external.force.template cast<Number>();
+    external_sum.torque += part * external.torque.template cast<Number>();
+    raw_sum.force += part * raw.force.template cast<Number>();
+    raw_sum.torque += part * raw.torque.template cast<Number>();
+    duration += dt;
+  }
+};
+using ObservedWrenchd = ObservedWrench<double>;  ///< in double precision
+
+/// Means of ObservedWrench::external and ObservedWrench::raw over the samples between two values.
+template <typename Sum>
+struct WrenchMeans {
+  Sum external, raw;
+};
+
+/// Nothing if there was no sample between the two values. The vibration of a rotor is aliased in a
+/// single sample, and cancels in a mean.
+template <typename Scalar>
+[[nodiscard]] auto means_between(const ObservedWrench<Scalar>& before,
+                                 const ObservedWrench<Scalar>& now) noexcept {
+  using Sum = typename ObservedWrench<Scalar>::Sum;
+  const double duration = now.duration - before.duration;
+  const auto mean = [&](const Sum& first, const Sum& last) {
+    return Sum{(last.force - first.force) / duration, (last.torque - first.torque) / duration};
+  };
+  std::optional<WrenchMeans<Sum>> means;
+  if (duration > 0.0)
+    means.emplace(WrenchMeans<Sum>{mean(before.external_sum, now.external_sum),
+                                   mean(before.raw_sum, now.raw_sum)});
+  return means;
+}
+
+/// The value after `last` for an external wrench from another source, such as a force sensor,
+/// measured at `time` [s] without a filter. Rejects what WrenchObserver::update() rejects, and has
+/// no means over more than a second, or if time goes back.
+[[nodiscard]] inline ObservedWrenchd unfiltered_wrench(const ObservedWrenchd& last, double time,
+                                                       const Wrenchd& external) noexcept {
+  ObservedWrenchd next = last;
+  next.status = ObserverStatus::rejected;
+  if (!std::isfinite(time) || !(external.force.norm() <= 1e6) || !(external.torque.norm() <= 1e6))
+    return next;
+  const double dt = time - last.time;
+  const bool follows = last.trust != WrenchTrust::not_started && dt > 0.0 && dt <= 1.0;
+  next.status = follows ? ObserverStatus::updated : ObserverStatus::started;
+  next.trust = WrenchTrust::trusted;
+  next.time = time;
+  next.external = next.raw = external;
+  if (follows) next.add_to_sums(dt);
+  return next;
+}
+
 /// Result of a calibration.
 enum class CalibrationStatus {
   calibrated,
@@ -132,40 +213,25 @@ class WrenchObserver {
 
   /// Processes one sample at `time` [s]. `sample` is from an IMU at the CoM, or converted to the
   /// CoM, minus the biases. `applied` is the wrench of the actuators since the last sample (from
-  /// measured rotor speeds and modelled tilt angles; body frame).
-  ObserverStatus update(double time, const InertialSample<Scalar>& sample,
-                        const Wrench<Scalar>& applied) noexcept;
+  /// measured rotor speeds and modelled tilt angles; body frame). Returns what is known now; a
+  /// sample that is rejected changes nothing but the status.
+  [[nodiscard]] const ObservedWrench<Scalar>& update(double time,
+                                                     const InertialSample<Scalar>& sample,
+                                                     const Wrench<Scalar>& applied) noexcept;
 
-  /// Estimate of the external wrench at the CoM in the body frame [N; N m]: filtered() minus the
-  /// dead band, within the limits. transport() and wrench_in_world() convert it.
-  [[nodiscard]] const Wrench<Scalar>& external() const noexcept { return external_; }
-
-  /// For a loop slower than the IMU: mean of external() over all samples since the last call, or
-  /// external() if there was no sample. The vibration of a rotor is aliased in a single sample.
-  [[nodiscard]] Wrench<Scalar> take_external() noexcept {
-    if (samples_ == 0) return external_;
-    const Scalar count(static_cast<Scalar>(samples_));
-    samples_ = 0;
-    return {sum_.force / count, sum_.torque / count};
-  }
+  /// What was known after the last sample.
+  [[nodiscard]] const ObservedWrench<Scalar>& observed() const noexcept { return observed_; }
+  [[nodiscard]] const Wrench<Scalar>& external() const noexcept { return observed_.external; }
 
   /// State of the filter: external() without dead band and limits.
   [[nodiscard]] const Wrench<Scalar>& filtered() const noexcept { return filtered_; }
-
-  /// Force from the last sample, with all its noise, body frame [N]. Known from the first sample
-  /// on.
-  [[nodiscard]] const Vector3<Scalar>& unfiltered_force() const noexcept {
-    return unfiltered_force_;
-  }
 
   [[nodiscard]] const WrenchObserverSettings& settings() const noexcept { return settings_; }
 
   /// Reliability of external() at `now` [s], in the clock of update().
   [[nodiscard]] WrenchTrust trust(double now) const noexcept {
-    if (!started_) return WrenchTrust::not_started;
-    if (!(std::abs(now - time_) <= longest_gap())) return WrenchTrust::stale;
-    if (time_ - settling_since_ < settling_time_) return WrenchTrust::settling;
-    return limited_ ? WrenchTrust::limited : WrenchTrust::trusted;
+    const bool is_old = !(std::abs(now - observed_.time) <= longest_gap());
+    return started_ && is_old ? WrenchTrust::stale : observed_.trust;
   }
 
   /// Averages the raw residual from the next sample on. Restarts a calibration that has not ended.
@@ -186,15 +252,16 @@ class WrenchObserver {
   void set_offset(const Wrench<Scalar>& offset) noexcept {
     if (!within(offset, 1e6)) return;
     offset_ = offset;
-    settling_since_ = time_;
+    settling_since_ = observed_.time;
+    judge();
   }
 
   /// Clears the estimate, the time, the momentum and a calibration that has not ended. Keeps the
-  /// offset.
+  /// offset and the sums.
   void reset() noexcept {
-    filtered_ = external_ = {};
-    samples_ = 0;
+    filtered_ = observed_.external = observed_.raw = {};
     started_ = calibrating_ = false;
+    judge();
   }
 
  private:
@@ -234,15 +301,21 @@ class WrenchObserver {
 
   void shape() noexcept;
 
+  // Sets the trust at the time of the last sample.
+  void judge() noexcept {
+    observed_.trust = !started_                                           ? WrenchTrust::not_started
+                      : observed_.time - settling_since_ < settling_time_ ? WrenchTrust::settling
+                      : limited_                                          ? WrenchTrust::limited
+                                                                          : WrenchTrust::trusted;
+  }
+
   WrenchObserverSettings settings_;
   Scalar mass_;
   Matrix3<Scalar> inertia_;
-  Wrench<Scalar> filtered_, external_, offset_;
-  Wrench<Scalar> sum_;  // sum of external_ over samples_ samples since take_external()
-  int samples_ = 0;
+  ObservedWrench<Scalar> observed_;
+  Wrench<Scalar> filtered_, offset_;
   Vector3<Scalar> angular_velocity_ = Vector3<Scalar>::Zero();
-  Vector3<Scalar> unfiltered_force_ = Vector3<Scalar>::Zero();
-  double time_ = 0.0, settling_since_ = 0.0, settling_time_;
+  double settling_since_ = 0.0, settling_time_;
   bool started_ = false, limited_ = false, calibrating_ = false;
   BlockAverage average_;
 };
@@ -257,52 +330,51 @@ WrenchObserver<Scalar>::WrenchObserver(const RigidBodyParameters& body,
   inertia_ = body.inertia.cast<Scalar>();
   settling_time_ =
       3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
+  observed_.force_bandwidth = settings.force_bandwidth;
+  observed_.torque_bandwidth = settings.torque_bandwidth;
 }
 
 template <typename Scalar>
-ObserverStatus WrenchObserver<Scalar>::update(double time, const InertialSample<Scalar>& sample,
-                                              const Wrench<Scalar>& applied) noexcept {
+const ObservedWrench<Scalar>& WrenchObserver<Scalar>::update(
+    double time, const InertialSample<Scalar>& sample, const Wrench<Scalar>& applied) noexcept {
   const Vector3<Scalar>&specific_force = sample.specific_force,
         &angular_velocity = sample.angular_velocity;
+  observed_.status = ObserverStatus::rejected;
   if (!std::isfinite(time) || !within(specific_force, 1e6) || !within(angular_velocity, 1e6) ||
       !within(applied, 1e6))
-    return ObserverStatus::rejected;
-  const double dt = time - time_;
+    return observed_;
+  const double dt = time - observed_.time;
   if (!started_ || std::abs(dt) > longest_gap()) {
-    const ObserverStatus status = started_ ? ObserverStatus::gap : ObserverStatus::started;
+    observed_.status = started_ ? ObserverStatus::gap : ObserverStatus::started;
     started_ = true;
-    time_ = settling_since_ = time;
+    observed_.time = settling_since_ = time;
     angular_velocity_ = angular_velocity;
-    unfiltered_force_ = mass_ * specific_force - applied.force;
-    return status;
+    observed_.raw = {mass_ * specific_force - applied.force - offset_.force,
+                     Vector3<Scalar>::Zero()};
+    judge();
+    return observed_;
   }
-  if (!(dt > 0.0)) return ObserverStatus::rejected;
+  if (!(dt > 0.0)) return observed_;
   // The momentum at the last sample is the initial value of the torque's integral. The mean of
   // both rates makes the gyroscopic term second order in dt.
   const Vector3<Scalar> rate = (angular_velocity + angular_velocity_) / Scalar(2);
   const Wrench<Scalar> residual{mass_ * specific_force - applied.force,
                                 inertia_ * (angular_velocity - angular_velocity_) / Scalar(dt) -
                                     applied.torque + rate.cross(inertia_ * rate)};
-  if (!within(residual, 1e30)) return ObserverStatus::rejected;  // dt was almost zero
-  time_ = time;
+  if (!within(residual, 1e30)) return observed_;  // dt was almost zero
+  observed_.status = ObserverStatus::updated;
+  observed_.time = time;
   angular_velocity_ = angular_velocity;
-  unfiltered_force_ = residual.force;
-  filtered_.force += gain(settings_.force_bandwidth, dt)
-                         .cwiseProduct(residual.force - offset_.force - filtered_.force);
-  filtered_.torque += gain(settings_.torque_bandwidth, dt)
-                          .cwiseProduct(residual.torque - offset_.torque - filtered_.torque);
+  observed_.raw = {residual.force - offset_.force, residual.torque - offset_.torque};
+  filtered_.force +=
+      gain(settings_.force_bandwidth, dt).cwiseProduct(observed_.raw.force - filtered_.force);
+  filtered_.torque +=
+      gain(settings_.torque_bandwidth, dt).cwiseProduct(observed_.raw.torque - filtered_.torque);
   shape();
-  constexpr int most = 1 << 20;  // bounds the sum if nobody takes the mean
-  if (samples_ == 0 || samples_ == most) {
-    sum_ = external_;
-    samples_ = 1;
-  } else {
-    sum_.force += external_.force;
-    sum_.torque += external_.torque;
-    ++samples_;
-  }
+  observed_.add_to_sums(dt);
+  judge();
   if (calibrating_) average_.add(residual, dt);
-  return ObserverStatus::updated;
+  return observed_;
 }
 
 template <typename Scalar>
@@ -346,8 +418,10 @@ void WrenchObserver<Scalar>::shape() noexcept {
     limited_ = limited_ || cut != rest;
     return cut;
   };
-  external_.force = shaped(filtered_.force, settings_.force_dead_band, settings_.force_limit);
-  external_.torque = shaped(filtered_.torque, settings_.torque_dead_band, settings_.torque_limit);
+  observed_.external.force =
+      shaped(filtered_.force, settings_.force_dead_band, settings_.force_limit);
+  observed_.external.torque =
+      shaped(filtered_.torque, settings_.torque_dead_band, settings_.torque_limit);
 }
 
 }  // namespace tilt_ropter

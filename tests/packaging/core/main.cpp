@@ -15,7 +15,7 @@ int main() {
   Wrenchd weight;
   weight.force.z() = vehicle.body.mass * gravity;
   const ActuatorState<4> command = allocation.allocate(weight, {}).command;
-  observer.update(0.0, {}, allocation.wrench(command));
+  (void)observer.update(0.0, {}, allocation.wrench(command));
   const ServoIdentification none = identify_servo(ServoLog{});
   const bool refused = none.status == ServoIdentificationStatus::too_few_samples;
   return command.rotor_speed.minCoeff() > 0.0 && refused ? 0 : 1;
