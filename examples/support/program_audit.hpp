@@ -90,7 +90,7 @@ class ProgramAudit {
   /// Stores the problem and the plan at which `solver` has linearised. Call it between prepare()
   /// and feedback().
   void before(const Solver& solver) {
-    if (solver.goes_on()) return;  // continues with the program of the tick before
+    if (solver.interrupted()) return;  // continues with the program of the tick before
     problem_ = solver.problem();
     states_.clear();
     inputs_.clear();
@@ -103,9 +103,9 @@ class ProgramAudit {
   }
 
   /// Call this after feedback(). Returns the largest of stationarity (relative to its largest
-  /// term), continuity, violation (relative to the bound, unless a multiplier at its price explains
-  /// it) and complementarity. A residual of 1e-3 or more can result from a cold start of the
-  /// solver. The function then also checks from the first state of the solver and returns the
+  /// term), continuity, violation (relative to the bound, unless a multiplier at its penalty
+  /// explains it) and complementarity. A residual of 1e-3 or more can result from a cold start of
+  /// the solver. The function then also checks from the first state of the solver and returns the
   /// smaller value.
   [[nodiscard]] double after(const Solver& solver) {
     const double warm = residual(solver);

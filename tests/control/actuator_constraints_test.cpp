@@ -143,16 +143,16 @@ TEST(ActuatorConstraints, CurvatureOfThrustLimitsIsExact) {
 TEST(ActuatorConstraints, CurvatureIsFiniteAtAnyThrust) {
   Random random(58);
   const ActuatorConstraints<4> constraints(tilt_ropter_vehicle());
-  const Eigen::Matrix<double, 12, 1> prices = Eigen::Matrix<double, 12, 1>::Constant(1e4);
+  const Eigen::Matrix<double, 12, 1> penalties = Eigen::Matrix<double, 12, 1>::Constant(1e4);
   const double least = ActuatorConstraintSettings{}.hold_thrust;
   for (const double size : {0.0, 1e-170, 1e-150, 1e-12, 1e-3, 1.0, 1e6}) {
     Eigen::Matrix<double, 6, 6> curvature = Eigen::Matrix<double, 6, 6>::Zero();
-    constraints.add_curvature(random_wrench(random, size, 0.1 * size), prices, curvature);
+    constraints.add_curvature(random_wrench(random, size, 0.1 * size), penalties, curvature);
     EXPECT_TRUE(all_finite(curvature)) << size;
     EXPECT_LT(curvature.norm(), 4 * 1e4 * 1e3 / least) << size;
   }
   Eigen::Matrix<double, 6, 6> nothing = Eigen::Matrix<double, 6, 6>::Zero();
-  ActuatorConstraints<4>().add_curvature(Vector6::Ones(), prices, nothing);
+  ActuatorConstraints<4>().add_curvature(Vector6::Ones(), penalties, nothing);
   EXPECT_EQ(nothing.norm(), 0.0);
 }
 

@@ -16,7 +16,7 @@ namespace {
 
 using namespace test_support;
 
-const Range price{{1e-300, infinite}, {0.0, -1.0, not_a_number}};
+const Range penalty{{1e-300, infinite}, {0.0, -1.0, not_a_number}};
 
 TEST(ControlSettings, NmpcWeightsNameEachField) {
   using S = NmpcWeights;
@@ -57,10 +57,10 @@ TEST(ControlSettings, NmpcBoundsAndPenaltiesNameEachField) {
   bounds("NmpcBounds.torque [N m] lower bound", &B::torque_max, upper(-3.0));
   using P = NmpcPenalties;
   const Fields<P> penalties;
-  penalties("NmpcPenalties.rate [s/N, s/(N m)]", &P::rate, price);
-  penalties("NmpcPenalties.wrench [1/N, 1/(N m)]", &P::wrench, price);
-  penalties("NmpcPenalties.angular_velocity [s/rad]", &P::angular_velocity, price);
-  penalties("NmpcPenalties.actuators", &P::actuators, price);
+  penalties("NmpcPenalties.rate [s/N, s/(N m)]", &P::rate, penalty);
+  penalties("NmpcPenalties.wrench [1/N, 1/(N m)]", &P::wrench, penalty);
+  penalties("NmpcPenalties.angular_velocity [s/rad]", &P::angular_velocity, penalty);
+  penalties("NmpcPenalties.actuators", &P::actuators, penalty);
 }
 
 TEST(ControlSettings, WheeledFlightNamesEachField) {
@@ -188,9 +188,9 @@ TEST(ControlSettings, ActuatorLevelNamesEachField) {
   bounds("ActuatorLevelBounds.tilt_rate_fraction", &B::tilt_rate_fraction, above_up_to(0.0, 1.0));
   using P = ActuatorLevelPenalties;
   const Fields<P> penalties;
-  penalties("ActuatorLevelPenalties.thrust [1/N]", &P::thrust, price);
-  penalties("ActuatorLevelPenalties.tilt_angle [1/rad]", &P::tilt_angle, price);
-  penalties("ActuatorLevelPenalties.angular_velocity [s/rad]", &P::angular_velocity, price);
+  penalties("ActuatorLevelPenalties.thrust [1/N]", &P::thrust, penalty);
+  penalties("ActuatorLevelPenalties.tilt_angle [1/rad]", &P::tilt_angle, penalty);
+  penalties("ActuatorLevelPenalties.angular_velocity [s/rad]", &P::angular_velocity, penalty);
   using S = ActuatorLevelSettings;
   const Fields<S> check;
   check("ActuatorLevelSettings.intervals", &S::intervals, whole_numbers(1, 1000));

@@ -87,24 +87,24 @@ TEST(AutoDiffProblem, ConstraintsWithoutAPenaltyAreHard) {
 }
 
 struct Soft : BoundedCart {
-  double price = 0.0;
-  Number penalty(int k) const { return Number(k == 0 ? price : infinity); }
+  double first_penalty = 0.0;
+  Number penalty(int k) const { return Number(k == 0 ? first_penalty : infinity); }
 };
 
 TEST(AutoDiffProblem, PenaltyIsThePriceOfAViolation) {
   const double multiplier = -solved(BoundedCart()).constraint_multipliers(0)(0);
   Soft soft;
-  soft.price = 0.5 * multiplier;
+  soft.first_penalty = 0.5 * multiplier;
   const auto solver = solved(soft);
   EXPECT_LT(solver.input(0)(0), -0.85);
   EXPECT_TRUE(solver.relaxed(0, 0));
-  EXPECT_NEAR(solver.constraint_multipliers(0)(0), -soft.price, 1e-6);
-  soft.price = 2.0 * multiplier;
+  EXPECT_NEAR(solver.constraint_multipliers(0)(0), -soft.first_penalty, 1e-6);
+  soft.first_penalty = 2.0 * multiplier;
   EXPECT_NEAR(solved(soft).input(0)(0), -0.8, 1e-9);
 }
 
 struct Springy : BoundedCart {
-  Number quadratic_penalty(int) const { return Number(3.0); }
+  Number stiffness(int) const { return Number(3.0); }
 };
 
 TEST(AutoDiffProblem, QuadraticPenaltyReachesTheSolver) {
@@ -137,15 +137,15 @@ TEST(AutoDiffProblem, TerminalConstraintsWithEqualBoundsAreEqualities) {
 
 struct Tempted : Cart {
   static constexpr int terminal_constraints = 1;
-  double price = infinity, stiffness = infinity;
+  double most = infinity, per_unit = infinity;
   template <typename S>
   Vector<S, 1> terminal_constraint_values(const Vector<S, 2>& x) const {
     return x.template head<1>();
   }
   Number terminal_lower() const { return Number(3.0); }
   Number terminal_upper() const { return Number(infinity); }
-  Number terminal_penalty() const { return Number(price); }
-  Number terminal_quadratic_penalty() const { return Number(stiffness); }
+  Number terminal_penalty() const { return Number(most); }
+  Number terminal_stiffness() const { return Number(per_unit); }
 };
 
 TEST(AutoDiffProblem, TerminalPenaltiesReachTheSolver) {
@@ -153,10 +153,10 @@ TEST(AutoDiffProblem, TerminalPenaltiesReachTheSolver) {
   const auto hard = solved(cart);
   EXPECT_NEAR(hard.state(10)(0), 3.0, 1e-6);
   const double multiplier = -hard.constraint_multipliers(10)(0);
-  cart.price = 0.5 * multiplier;
+  cart.most = 0.5 * multiplier;
   EXPECT_LT(solved(cart).state(10)(0), 2.9);
-  cart.price = infinity;
-  cart.stiffness = multiplier;
+  cart.most = infinity;
+  cart.per_unit = multiplier;
   const auto springy = solved(cart);
   EXPECT_LT(springy.state(10)(0), 2.9);
   EXPECT_NEAR(-springy.constraint_multipliers(10)(0), multiplier * (3.0 - springy.state(10)(0)),

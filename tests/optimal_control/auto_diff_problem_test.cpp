@@ -171,7 +171,7 @@ struct Large {
   Penalty lower(int) const { return Penalty::Constant(-0.2); }
   Penalty upper(int) const { return Penalty::Constant(3.0); }
   Penalty penalty(int) const { return Penalty::Constant(10.0); }
-  Penalty quadratic_penalty(int) const { return Penalty::Constant(100.0); }
+  Penalty stiffness(int) const { return Penalty::Constant(100.0); }
   template <typename S>
   Vector<S, 18> terminal_constraint_values(const Vector<S, 18>& x) const {
     return S(2.0) * x;
@@ -179,7 +179,7 @@ struct Large {
   TerminalPenalty terminal_lower() const { return TerminalPenalty::Constant(-1.0); }
   TerminalPenalty terminal_upper() const { return TerminalPenalty::Constant(1.0); }
   TerminalPenalty terminal_penalty() const { return TerminalPenalty::Constant(1.0); }
-  TerminalPenalty terminal_quadratic_penalty() const { return TerminalPenalty::Constant(9.0); }
+  TerminalPenalty terminal_stiffness() const { return TerminalPenalty::Constant(9.0); }
   template <typename S>
   Vector<S, 30> terminal_residual(const Vector<S, 18>& x) const {
     Vector<S, 30> r;
@@ -201,7 +201,7 @@ TEST(AutoDiffProblem, NeverAllocates) {
   Problem::Model model;
   Constraints::ByState C = Constraints::ByState::Zero();
   Constraints::ByInput E = Constraints::ByInput::Zero();
-  Constraints::Values lower, upper, price, stiffness;
+  Constraints::Values lower, upper, penalty, stiffness;
   double sum = 0.0;
   const HeapUse before = heap_use(HeapUser::other);
   for (int k = 0; k <= problem.horizon(); ++k) {
@@ -209,7 +209,7 @@ TEST(AutoDiffProblem, NeverAllocates) {
     sum += problem.step(k, x, u, A, B).sum() + A.sum() + B.sum();
     problem.cost_model(k, x, u, model);
     Constraints::derivatives(problem, k, x, u, C, E);
-    Constraints::bounds(problem, k, lower, upper, price, stiffness);
+    Constraints::bounds(problem, k, lower, upper, penalty, stiffness);
     sum += problem.cost(k, x, u) + model.hessian.sum() + C.sum() + E.sum() + lower(0) +
            Constraints::values(problem, k, x, u).sum();
   }

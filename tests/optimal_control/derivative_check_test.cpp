@@ -84,8 +84,7 @@ TEST(DerivativeCheck, NamesEveryNonFiniteNumber) {
         mistakes.push_back({"cost_model: lux", k, i, j});
         mistakes.push_back({"cost_model: luu", k, i, j});
       }
-      for (const char* callback :
-           {"constraint_values", "lower", "upper", "penalty", "quadratic_penalty"})
+      for (const char* callback : {"constraint_values", "lower", "upper", "penalty", "stiffness"})
         if (k < last) mistakes.push_back({callback, k, i});
     }
     if (k < last) mistakes.push_back({"step: end minus x", k, 1});
@@ -93,7 +92,7 @@ TEST(DerivativeCheck, NamesEveryNonFiniteNumber) {
     mistakes.push_back({"equality_weights", k, 0});
   }
   for (const char* callback : {"terminal_constraint_values", "terminal_lower", "terminal_upper",
-                               "terminal_penalty", "terminal_quadratic_penalty"})
+                               "terminal_penalty", "terminal_stiffness"})
     mistakes.push_back({callback, last, 0});
   for (Mistake& mistake : mistakes) {
     mistake.amount = nan;

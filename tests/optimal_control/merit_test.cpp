@@ -68,7 +68,7 @@ struct Linearised {
       problem.constraint_derivatives(k, here.x(k), here.u(k), node.C, node.E);
       node.lower = problem.lower(k);
       node.upper = problem.upper(k);
-      node.price = problem.penalty(k);
+      node.penalty = problem.penalty(k);
       EXPECT_TRUE(program.check_node(k));
       for (int i = 0; i < D::nc; ++i)
         max_violation =
@@ -318,8 +318,8 @@ void expect_weights_above_multipliers(unsigned seed, const Make& make, double da
     for (int k = 0; k <= it.n; ++k)
       for (int i = 0; i < std::decay_t<decltype(it)>::D::nc; ++i) {
         const double m = std::abs(it.program.node(k).multiplier(i));
-        const double price = it.program.node(k).price(i);
-        EXPECT_NEAR(it.constraint_weight(k, i), std::min(1.1 * m, price), 1e-6 * (1.0 + m));
+        const double penalty = it.program.node(k).penalty(i);
+        EXPECT_NEAR(it.constraint_weight(k, i), std::min(1.1 * m, penalty), 1e-6 * (1.0 + m));
         largest = std::max(largest, m);
       }
   }

@@ -31,7 +31,7 @@ class KktResidual : public testing::TestWithParam<double> {
     mass.intervals = 20;
     mass.target = GetParam();
     mass.low = -mass.high;
-    mass.stiffness(1) = stiffness;
+    mass.stiffnesses(1) = stiffness;
     Solver solver(AutoDiffProblem<Mass>(mass), test_support::patient());
     solver.reset(Eigen::Vector2d::Zero());
     EXPECT_EQ(solver.solve(Eigen::Vector2d::Zero()).status, SolveStatus::converged);

@@ -247,17 +247,17 @@ Stated wild_start(Random& random) {
   return x;
 }
 
-double penalised_cost(const Solver& solver, double price) {
+double penalised_cost(const Solver& solver, double penalty) {
   const WheeledFlightProblem<0>& problem = solver.problem();
   double sum = 0.0;
   for (int k = 0; k <= problem.horizon(); ++k) {
     sum += problem.cost(k, solver.state(k), solver.input(k));
     const auto value = problem.constraint_values(k, solver.state(k), solver.input(k));
     for (int i = 0; i < Solver::nc; ++i)
-      sum += price * violation(value(i), problem.lower(k)(i), problem.upper(k)(i));
+      sum += penalty * violation(value(i), problem.lower(k)(i), problem.upper(k)(i));
     if (k < problem.horizon())
       sum +=
-          price *
+          penalty *
           problem.difference(problem.step(k, solver.state(k), solver.input(k)), solver.state(k + 1))
               .lpNorm<1>();
   }

@@ -297,7 +297,7 @@ TEST(MultipleShooting, PreparingAnInterruptedProgramIsNoWork) {
   ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   EXPECT_GT(solver.report().linearise_us, 0.0);
   solver.feedback(step_start());
-  ASSERT_TRUE(solver.goes_on());
+  ASSERT_TRUE(solver.interrupted());
   ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
   EXPECT_EQ(solver.report().linearise_us, 0.0);
   EXPECT_EQ(solver.report().factorise_us, 0.0);

@@ -112,7 +112,7 @@ struct Spoilt {
   D::Constraints penalty(int k) const {
     return spoilt(Output::penalty, k, D::Constraints(1e9, 1e3));
   }
-  D::Constraints quadratic_penalty(int k) const {
+  D::Constraints stiffness(int k) const {
     return spoilt(Output::stiffness, k, D::Constraints(1e5, 1e5));
   }
   D::Equalities equality_values(int k, const State& x) const {

@@ -1,4 +1,5 @@
-// Hard bounds that can be satisfied, but only at a price above the one that the solver tries first.
+// Hard bounds that can be satisfied, but only at a penalty above the one that the solver tries
+// first.
 
 #include "support/random.hpp"
 #include "support/random_program.hpp"
@@ -44,7 +45,7 @@ class OneSided : public test_support::RandomProgram<4, 2, 6> {
   double sign_;
 };
 
-// In each of these programs the first price relaxes a bound.
+// In each of these programs the first penalty relaxes a bound.
 TEST(QuadraticProgramHardBounds, AreNotRelaxedAtTheFirstPriceOnEitherSide) {
   for (const double sign : {1.0, -1.0}) {
     int relaxed = 0;

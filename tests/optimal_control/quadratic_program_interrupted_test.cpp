@@ -24,7 +24,7 @@ constexpr int horizon = 30;
 const Eigen::Vector2d start(0.05, -0.02);  // of the step
 
 // A mass on a line that should move by 1 m. The plan so far is a constant force. The bounds of the
-// force are hard, that of the speed has a price.
+// force are hard, that of the speed has a penalty.
 class Interrupted : public testing::Test {
  protected:
   void set(double planned_force, double most_speed) {
@@ -42,7 +42,7 @@ class Interrupted : public testing::Test {
       node.C << 0.0, 0.0, 0.0, 1.0;
       node.lower << -1.0, -infinity;
       node.upper << 1.0, most_speed;
-      node.price << infinity, 100.0;
+      node.penalty << infinity, 100.0;
       if (k < horizon) {
         model.luu()(0, 0) = 0.02;
         model.lu()(0) = 0.02 * planned_force;
@@ -70,21 +70,21 @@ class Interrupted : public testing::Test {
     return steps;
   }
 
-  double price(const Steps& steps) {
+  double penalty(const Steps& steps) {
     program.steps() = steps;
     program.predict();
-    return program.price_of_step(0.0);
+    return program.cost_of_step(0.0);
   }
 
   // Solves without time. Expects the cheaper of the two steps, with its prediction.
   void expect_cheaper(bool gains_are_cheaper) {
     const Steps by_gains = step([](const Vector&w) { return w(2); }),
                 of_plan = step([](const Vector&) { return 0.0; });
-    const double gains_cost = price(by_gains), plan_cost = price(of_plan);
+    const double gains_cost = penalty(by_gains), plan_cost = penalty(of_plan);
     ASSERT_EQ(gains_cost < plan_cost, gains_are_cheaper);
     EXPECT_EQ(program.solve(start, SolverClock::time_point()), ProgramStatus::interrupted);
     EXPECT_TRUE(program.late());
-    EXPECT_NEAR(program.price_of_step(0.0), std::min(gains_cost, plan_cost), 1e-9);
+    EXPECT_NEAR(program.cost_of_step(0.0), std::min(gains_cost, plan_cost), 1e-9);
     const Steps& expected = gains_are_cheaper ? by_gains : of_plan;
     for (int k = 0; k <= horizon; ++k) {
       const Vector& w = program.step(k);

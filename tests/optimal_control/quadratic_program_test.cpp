@@ -66,7 +66,7 @@ TEST(QuadraticProgram, ManyActiveConstraintsUseRiccatiPasses) {
 
 TEST(QuadraticProgram, RelaxesWithLinearAndSoftensWithQuadraticPenalty) {
   Mass mass;
-  mass.price(1) = 1.5;  // too small to hold the bound
+  mass.penalties(1) = 1.5;  // too small to hold the bound
   const Solver linear = solved(mass);
   ASSERT_EQ(linear.report().status, SolveStatus::converged);
   EXPECT_GT(linear.report().relaxed_constraints, 0);
@@ -80,8 +80,8 @@ TEST(QuadraticProgram, RelaxesWithLinearAndSoftensWithQuadraticPenalty) {
   }
   EXPECT_NEAR(linear.report().largest_relaxation, largest, 1e-6);
 
-  mass.price(1) = infinity;
-  mass.stiffness(1) = 50.0;
+  mass.penalties(1) = infinity;
+  mass.stiffnesses(1) = 50.0;
   const Solver quadratic = solved(mass);
   ASSERT_EQ(quadratic.report().status, SolveStatus::converged);
   int held = 0;
@@ -99,8 +99,8 @@ TEST(QuadraticProgram, RelaxesWithLinearAndSoftensWithQuadraticPenalty) {
 
 TEST(QuadraticProgram, ContradictoryHardConstraintsAreInfeasible) {
   Mass mass;
-  mass.low(0) = 0.5;         // must accelerate
-  mass.price(1) = infinity;  // must not exceed the speed bound
+  mass.low(0) = 0.5;             // must accelerate
+  mass.penalties(1) = infinity;  // must not exceed the speed bound
   const Solver solver = solved(mass);
   EXPECT_EQ(solver.report().status, SolveStatus::infeasible);
   EXPECT_GT(solver.report().relaxed_hard_constraints, 0);

@@ -137,9 +137,9 @@ bool choose_units(ScaledProblem<Problem>& scaled, const Mass& mass) {
   for (int k = 0; k <= 20; ++k) cost += problem.cost(k, x, u);
   return scaled.choose_units(cost, [&](int k) {
     Node node;
-    Constraints::Values price, stiffness;
+    Constraints::Values penalty, stiffness;
     node.value = Constraints::values(problem, k, x, u);
-    Constraints::bounds(problem, k, node.lower, node.upper, price, stiffness);
+    Constraints::bounds(problem, k, node.lower, node.upper, penalty, stiffness);
     return node;
   });
 }

@@ -253,29 +253,29 @@ TEST(SingleShooting, PaysThePriceOfAContradiction) {
 }
 
 TEST(SingleShooting, SoftBoundsAreRelaxedAboveTheirPrice) {
-  for (const double price : {0.01, 1e3})
+  for (const double penalty : {0.01, 1e3})
     for (const double stiffness : {std::numeric_limits<double>::infinity(), 5.0}) {
       test_support::Mass mass;
       mass.high(1) = 0.2;
-      mass.price(1) = price;
-      mass.stiffness(1) = stiffness;
+      mass.penalties(1) = penalty;
+      mass.stiffnesses(1) = stiffness;
       const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
       using Problem = AutoDiffProblem<test_support::Mass>;
       SingleShooting<Problem> solver{Problem(mass)};
       MultipleShooting<Problem> other(Problem(mass), patient());
       solver.reset(rest);
       other.reset(rest);
-      EXPECT_EQ(solver.solve(rest).status, SolveStatus::converged) << price << ' ' << stiffness;
+      EXPECT_EQ(solver.solve(rest).status, SolveStatus::converged) << penalty << ' ' << stiffness;
       EXPECT_EQ(other.solve(rest).status, SolveStatus::converged);
       EXPECT_NEAR(solver.report().cost, other.report().cost, 1e-6 * other.report().cost);
-      EXPECT_EQ(solver.report().max_violation > 1e-3, price < 1.0 || stiffness < 10.0);
+      EXPECT_EQ(solver.report().max_violation > 1e-3, penalty < 1.0 || stiffness < 10.0);
     }
 }
 
 TEST(SingleShooting, StallsWhereHardConstraintsContradict) {
   test_support::Mass mass;
   mass.low(0) = 0.5;  // must accelerate
-  mass.price(1) = std::numeric_limits<double>::infinity();
+  mass.penalties(1) = std::numeric_limits<double>::infinity();
   const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
   SingleShooting<AutoDiffProblem<test_support::Mass>> solver{
       AutoDiffProblem<test_support::Mass>(mass)};
@@ -379,7 +379,7 @@ TEST(SingleShooting, FeedbackSolvesFromTheLastPlanWithinItsLimit) {
   EXPECT_EQ(warm.status, SolveStatus::converged);
   EXPECT_LT((solver.input(0) - plan).norm(), 0.1);
   EXPECT_NE(solver.input(0), plan);
-  solver.take_back();
+  solver.restore_previous();
   EXPECT_EQ(solver.input(0), plan);
   EXPECT_EQ(solver.feedback(x0, SolverClock::now()).status, SolveStatus::time_limit);
 }

@@ -33,7 +33,7 @@ class OneBound : public testing::TestWithParam<double> {  // the sign: 1 upper b
     }
     EXPECT_TRUE(program.riccati.set_transition(0, one, one));
     program.node(0).E(0, 0) = 1.0;
-    program.node(0).price(0) = 10.0;
+    program.node(0).penalty(0) = 10.0;
   }
 
   // Residual of the input `u` with the multiplier `m` >= 0, for the bound `bound` that u must not
@@ -73,17 +73,17 @@ TEST_P(OneBound, GapIsTheErrorOfTheCostByComplementarity) {
   const double cost = 7.0 + 2.5 * 0.5 * 0.5;
   EXPECT_NEAR(residual(0.5, 2.0, 0.25).gap, 0.25 * 1.5 / (1.0 + cost), 1e-15);
   EXPECT_NEAR(residual(0.5, 0.2, 0.25).gap, 0.25 * 0.3 / (1.0 + cost), 1e-15);  // violated
-  EXPECT_EQ(residual(0.5, 0.2, 10.0).gap, 0.0);  // relaxed at its price
+  EXPECT_EQ(residual(0.5, 0.2, 10.0).gap, 0.0);  // relaxed at its penalty
   program.cost_here = -7.0;
   EXPECT_NEAR(residual(0.5, 2.0, 0.25).gap, 0.25 * 1.5 / (1.0 + 7.0 - 0.625), 1e-15);
 }
 
-// While the multiplier is below the price, it accounts for a violation of multiplier / stiffness.
+// While the multiplier is below the penalty, it accounts for a violation of multiplier / stiffness.
 TEST_P(OneBound, ViolationIsWhatNeitherMultiplierNorPriceAccountsFor) {
   EXPECT_EQ(residual(0.5, 2.0, 0.0).violation, 0.0);
   EXPECT_NEAR(residual(3.0, 2.0, 1.0).violation, 1.0 / 3.0, 1e-15);
   EXPECT_NEAR(residual(2.01, 2.0, 9.9).violation, std::min(0.01 / 3.0, 0.1 / 10.9), 1e-15);
-  EXPECT_NEAR(residual(3.0, 2.0, 9.9).violation, 0.1 / 10.9, 1e-15);  // nearly at its price
+  EXPECT_NEAR(residual(3.0, 2.0, 9.9).violation, 0.1 / 10.9, 1e-15);  // nearly at its penalty
   EXPECT_EQ(residual(3.0, 2.0, 10.0).violation, 0.0);                 // relaxed
   EXPECT_NEAR(residual(3.0, 2.0, 5.0, 5.0).violation, 0.0, 1e-15);
   EXPECT_NEAR(residual(3.0, 2.0, 2.0, 5.0).violation, 0.6 / 3.0, 1e-15);
@@ -99,7 +99,7 @@ TEST_P(OneBound, ResidualHereIsThatOfNoStep) {
   };
   EXPECT_EQ(here(1.0, 2.0, 0.0, infinity).violation, 0.0);
   EXPECT_NEAR(here(3.0, 2.0, 0.0, infinity).violation, 1.0, 1e-15);    // not relative to the bound
-  EXPECT_NEAR(here(13.0, 2.0, 0.0, infinity).violation, 10.0, 1e-15);  // the price
+  EXPECT_NEAR(here(13.0, 2.0, 0.0, infinity).violation, 10.0, 1e-15);  // the penalty
   EXPECT_NEAR(program.violation_here(0), 11.0, 1e-14);
   EXPECT_EQ(here(3.0, 2.0, 10.0, infinity).violation, 0.0);
   const ProgramResidual other = here(3.0, 2.0, 9.9, infinity);
@@ -119,21 +119,21 @@ TEST_P(OneBound, StepThatIsNotANumberHasInfiniteResiduals) {
 // Two relaxed hard bounds on the same input whose terms cancel.
 class TwoBounds : public testing::TestWithParam<double> {};
 TEST_P(TwoBounds, TermsThatCancelScaleTheStationarity) {
-  const double sign = GetParam(), price = Subproblem<1, 1, 2>::hard_price;
+  const double sign = GetParam(), penalty = Subproblem<1, 1, 2>::hard_penalty;
   Subproblem<1, 1, 2> program(1);
   auto& node = program.node(0);
   program.riccati.stage(0).cost.luu()(0, 0) = 1.0;
   node.E << 1.0, -1.0;
   for (int i = 0; i < 2; ++i) {
     (sign > 0.0 ? node.upper : node.lower)(i) = -sign;
-    node.price(i) = infinity;
-    node.multiplier(i) = sign * price;
+    node.penalty(i) = infinity;
+    node.multiplier(i) = sign * penalty;
   }
   ASSERT_TRUE(program.check_node(0) && program.check_node(1));
   program.step(0)(1) = 0.5;
   program.predict();
-  EXPECT_NEAR(program.residual(0.0).stationarity, 0.5 / (1.0 + price), 1e-20);
-  for (int i = 0; i < 2; ++i) node.multiplier(i) = sign * 0.5 * price;  // not relaxed
+  EXPECT_NEAR(program.residual(0.0).stationarity, 0.5 / (1.0 + penalty), 1e-20);
+  for (int i = 0; i < 2; ++i) node.multiplier(i) = sign * 0.5 * penalty;  // not relaxed
   EXPECT_NEAR(program.residual(0.0).stationarity, 0.5 / 1.5, 1e-15);
 }
 
@@ -170,14 +170,14 @@ void fill(Mixed& program, unsigned seed, double sign) {
     numbers(n.E);
     for (int i = 0; i < 5; ++i) {
       const double value = random.normal(1.0), low = random.normal(2.0) - 2.0,
-                   high = low + random.uniform(0.0, 4.0), price = random.uniform(0.1, 10.0),
+                   high = low + random.uniform(0.0, 4.0), penalty = random.uniform(0.1, 10.0),
                    m = random.normal(3.0), kind = random.uniform(0.0, 1.0);
       n.value(i) = sign * value;
       n.lower(i) = sign > 0.0 ? low : -high;
       n.upper(i) = sign > 0.0 ? high : -low;
-      n.price(i) = kind < 0.2 ? infinity : price;
-      n.stiffness(i) = kind > 0.7 ? price : infinity;
-      n.multiplier(i) = kind < 0.5 ? 0.0 : sign * std::clamp(m, -price, price);
+      n.penalty(i) = kind < 0.2 ? infinity : penalty;
+      n.stiffness(i) = kind > 0.7 ? penalty : infinity;
+      n.multiplier(i) = kind < 0.5 ? 0.0 : sign * std::clamp(m, -penalty, penalty);
     }
     EXPECT_TRUE(program.check_node(k));
   }
@@ -203,7 +203,7 @@ TEST(Subproblem, MirrorImageHasTheSameResidualsAndCost) {
     expect_close(program.excess(), mirror.excess());
     expect_close(program.residual_here(1.0).largest(), mirror.residual_here(1.0).largest());
     expect_close(program.largest_violation(), mirror.largest_violation());
-    expect_close(program.price_of_step(0.1), mirror.price_of_step(0.1));
+    expect_close(program.cost_of_step(0.1), mirror.cost_of_step(0.1));
     for (int k = 0; k <= 3; ++k) {
       expect_close(program.violation_here(k), mirror.violation_here(k));
       EXPECT_LT((program.costate(k) + mirror.costate(k)).norm(), 1e-9);

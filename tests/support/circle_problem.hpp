@@ -143,7 +143,7 @@ struct Circle {
   Constraints lower(int k) const { return bound("lower", k, -infinity); }
   Constraints upper(int k) const { return bound("upper", k, infinity); }
   Constraints penalty(int k) const { return bound("penalty", k, 1e4); }
-  Constraints quadratic_penalty(int k) const { return bound("quadratic_penalty", k, infinity); }
+  Constraints stiffness(int k) const { return bound("stiffness", k, infinity); }
   Constraints bound(const char* name, int k, double value) const {
     Constraints bounds = Constraints::Constant(value);
     mistake.add(name, k, bounds);
@@ -161,9 +161,7 @@ struct Circle {
   TerminalConstraints terminal_lower() const { return terminal_bound("terminal_lower"); }
   TerminalConstraints terminal_upper() const { return terminal_bound("terminal_upper"); }
   TerminalConstraints terminal_penalty() const { return terminal_bound("terminal_penalty"); }
-  TerminalConstraints terminal_quadratic_penalty() const {
-    return terminal_bound("terminal_quadratic_penalty");
-  }
+  TerminalConstraints terminal_stiffness() const { return terminal_bound("terminal_stiffness"); }
   TerminalConstraints terminal_bound(const char* name) const {
     return TerminalConstraints(1.0 + mistake.at(name, horizon()));
   }

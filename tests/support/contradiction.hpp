@@ -7,9 +7,9 @@
 namespace test_support {
 
 /// A problem without a feasible point: x+ = x + u, cost weight * u^2 at every node. One constraint
-/// requires u >= 1 at a price of 5 per unit, another one u <= -1 at a price of 3. The intervals are
-/// independent of each other. The minimum of weight * u^2 + 5 (1 - u) + 3 (1 + u) in [-1, 1] is at
-/// u = min(1, 1 / weight).
+/// requires u >= 1 at a penalty of 5 per unit, another one u <= -1 at a penalty of 3. The intervals
+/// are independent of each other. The minimum of weight * u^2 + 5 (1 - u) + 3 (1 + u) in [-1, 1] is
+/// at u = min(1, 1 / weight).
 struct ContradictionModel {
   static constexpr int states = 1, inputs = 1, constraints = 2, equalities = 0, residuals = 1;
   template <typename S>

@@ -233,7 +233,7 @@ struct PlanValue {
   double largest = 0.0;   ///< defect or violation
   double together = 0.0;  ///< sum of all of them
 
-  /// The cost plus all violations, at a price above every multiplier of these problems.
+  /// The cost plus all violations, at a penalty above every multiplier of these problems.
   [[nodiscard]] double merit() const { return cost + 1e4 * together; }
 };
 

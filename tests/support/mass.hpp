@@ -19,7 +19,8 @@ struct Mass {
 
   int intervals = 30;
   double target = 1.0;
-  Bounds low{-1.0, -infinity}, high{1.0, 0.4}, price{infinity, 1e3}, stiffness{infinity, infinity};
+  Bounds low{-1.0, -infinity}, high{1.0, 0.4}, penalties{infinity, 1e3},
+      stiffnesses{infinity, infinity};
 
   int horizon() const { return intervals; }
   template <typename S>
@@ -36,8 +37,8 @@ struct Mass {
   }
   Bounds lower(int) const { return low; }
   Bounds upper(int) const { return high; }
-  Bounds penalty(int) const { return price; }
-  Bounds quadratic_penalty(int) const { return stiffness; }
+  Bounds penalty(int) const { return penalties; }
+  Bounds stiffness(int) const { return stiffnesses; }
 };
 
 }  // namespace test_support

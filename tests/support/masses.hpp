@@ -21,7 +21,7 @@ struct Masses {
   using State = Eigen::Matrix<double, 6, 1>;
   using D = ProblemDimensions<Masses>;
   int intervals = 20;
-  double target = 1.0, price = 1e4;
+  double target = 1.0, row_penalty = 1e4;
 
   int horizon() const { return intervals; }
   State retract(const State& x, const State& dx) const { return x + dx; }
@@ -79,7 +79,7 @@ struct Masses {
     return r;
   }
   D::Constraints lower(int k) const { return -upper(k); }
-  D::Constraints penalty(int) const { return D::Constraints::Constant(price); }
+  D::Constraints penalty(int) const { return D::Constraints::Constant(row_penalty); }
 };
 
 /// Mean number of active constraints per node, mean number of passes per iteration, and number of

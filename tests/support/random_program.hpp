@@ -33,7 +33,7 @@ class RandomProgram {
   using Input = typename D::Input;
   using RowVector = typename D::Constraints;
 
-  RandomProgram(Random& random, int horizon, Feasibility feasibility, double price)
+  RandomProgram(Random& random, int horizon, Feasibility feasibility, double penalty)
       : nodes_(static_cast<std::size_t>(horizon) + 1) {
     const auto scale = [&](double decades) {
       return std::pow(10.0, random.uniform(-decades, decades));
@@ -109,7 +109,7 @@ class RandomProgram {
         const double sides = random.uniform(0.0, 1.0);
         if (sides < 0.4) n.lower(i) = -std::numeric_limits<double>::infinity();
         if (sides > 0.8) n.upper(i) = std::numeric_limits<double>::infinity();
-        n.price(i) = price;
+        n.penalty(i) = penalty;
       }
       if (feasibility == Feasibility::infeasible && k > 0 && k % 3 == 1 && Constraints > 1) {
         n.C.row(1) = n.C.row(0);
@@ -166,7 +166,7 @@ class RandomProgram {
   }
   [[nodiscard]] const RowVector& lower(int k) const { return node(k).lower; }
   [[nodiscard]] const RowVector& upper(int k) const { return node(k).upper; }
-  [[nodiscard]] const RowVector& penalty(int k) const { return node(k).price; }
+  [[nodiscard]] const RowVector& penalty(int k) const { return node(k).penalty; }
 
  private:
   struct Node {
@@ -178,7 +178,7 @@ class RandomProgram {
     Eigen::Matrix<double, Inputs, Inputs> luu;
     typename D::ConstraintsX C;
     typename D::ConstraintsU E;
-    RowVector lower, upper, price;
+    RowVector lower, upper, penalty;
   };
   [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
   [[nodiscard]] static Tangent start_at(const Tangent& x, const Tangent& unit) {

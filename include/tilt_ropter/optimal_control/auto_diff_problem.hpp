@@ -103,7 +103,7 @@ namespace tilt_ropter::optimal_control {
 ///                                         const V<S, inputs>& u) const;
 ///     V<double, constraints> lower(int k) const;  // and upper(k)
 ///     V<double, constraints> penalty(int k) const;  // absent: infinite, all constraints are hard
-///     V<double, constraints> quadratic_penalty(int k) const;
+///     V<double, constraints> stiffness(int k) const;
 ///
 ///     // constraints of node N instead of those above; terminal_constraints = 0: no constraints
 ///     // and no functions
@@ -112,7 +112,7 @@ namespace tilt_ropter::optimal_control {
 ///     V<S, terminal_constraints> terminal_constraint_values(const V<S, states>& x) const;
 ///     V<double, terminal_constraints> terminal_lower() const;  // and terminal_upper()
 ///     V<double, terminal_constraints> terminal_penalty() const;  // absent: infinite
-///     V<double, terminal_constraints> terminal_quadratic_penalty() const;
+///     V<double, terminal_constraints> terminal_stiffness() const;
 ///
 ///     // cost of node N instead of residual(N, x, 0); terminal_residuals = 0: no cost
 ///     static constexpr int terminal_residuals;
@@ -235,9 +235,9 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
     return Constraints::Constant(std::numeric_limits<double>::infinity());
   }
   template <typename U = User>
-  [[nodiscard]] auto quadratic_penalty(int k) const
-      -> decltype(Constraints(std::declval<const U&>().quadratic_penalty(k))) {
-    return user_.quadratic_penalty(k);
+  [[nodiscard]] auto stiffness(int k) const
+      -> decltype(Constraints(std::declval<const U&>().stiffness(k))) {
+    return user_.stiffness(k);
   }
 
   [[nodiscard]] TerminalConstraints terminal_constraint_values(const State& x) const {
@@ -255,9 +255,9 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
     return TerminalConstraints::Constant(std::numeric_limits<double>::infinity());
   }
   template <typename U = User>
-  [[nodiscard]] auto terminal_quadratic_penalty() const
-      -> decltype(TerminalConstraints(std::declval<const U&>().terminal_quadratic_penalty())) {
-    return user_.terminal_quadratic_penalty();
+  [[nodiscard]] auto terminal_stiffness() const
+      -> decltype(TerminalConstraints(std::declval<const U&>().terminal_stiffness())) {
+    return user_.terminal_stiffness();
   }
 
  private:

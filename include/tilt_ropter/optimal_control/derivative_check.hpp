@@ -297,8 +297,8 @@ class DerivativeCheck {
         });
     const auto by_input = differences<AllConstraints::count, D::nu>(
         [&](const Input& e) -> Values { return AllConstraints::values(problem_, k, x, u + e); });
-    Values lower, upper, price, stiffness = Values::Constant(infinity);
-    AllConstraints::bounds(problem_, k, lower, upper, price, stiffness);
+    Values lower, upper, penalty, stiffness = Values::Constant(infinity);
+    AllConstraints::bounds(problem_, k, lower, upper, penalty, stiffness);
     expect_finite(prefix + "constraint_values", k, values);
     for (int i = 0; i < AllConstraints::count; ++i) {
       if (!AllConstraints::applies(problem_, k, E, i)) continue;
@@ -307,8 +307,8 @@ class DerivativeCheck {
       };
       expect_number("lower", lower(i));
       expect_number("upper", upper(i));
-      expect_number("penalty", price(i));
-      expect_number("quadratic_penalty", stiffness(i));
+      expect_number("penalty", penalty(i));
+      expect_number("stiffness", stiffness(i));
       if (!std::isfinite(values(i))) continue;
       expect_constraint(prefix + "constraint_derivatives: C", k, i, C, by_state);
       if (!own_end) expect_constraint(prefix + "constraint_derivatives: E", k, i, E, by_input);

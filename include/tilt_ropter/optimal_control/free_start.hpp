@@ -85,9 +85,8 @@ struct FreeStart : User {
     return User::penalty(k >= in_front ? k - in_front : 0);
   }
   template <typename U = User>
-  [[nodiscard]] auto quadratic_penalty(int k) const
-      -> decltype(std::declval<const U&>().quadratic_penalty(k)) {
-    return User::quadratic_penalty(k >= in_front ? k - in_front : 0);
+  [[nodiscard]] auto stiffness(int k) const -> decltype(std::declval<const U&>().stiffness(k)) {
+    return User::stiffness(k >= in_front ? k - in_front : 0);
   }
 
  private:

@@ -68,11 +68,11 @@ class MultipleShooting {
     return program_.node(k).multiplier;
   }
   /// Returns true if the last quadratic program relaxed constraint i of node k, because
-  /// satisfying it would cost more than its price.
+  /// satisfying it would cost more than its penalty.
   [[nodiscard]] bool relaxed(int k, int i) const {
     const auto& n = program_.node(k);
     const double multiplier = std::abs(n.multiplier(i));
-    return (multiplier > 0.0 && multiplier >= n.price(i)) ||
+    return (multiplier > 0.0 && multiplier >= n.penalty(i)) ||
            (n.crossed && n.crosses[static_cast<std::size_t>(i)]);
   }
   /// Violation of constraint i of node k in the last quadratic program, at least zero.
@@ -109,7 +109,7 @@ class MultipleShooting {
   /// Returns true if the deadline interrupted the last feedback(). The next prepare() then has no
   /// work, and feedback() continues the same quadratic program from the new measured state.
   /// reset(), set_guess() and shift() cancel this.
-  [[nodiscard]] bool goes_on() const { return program_.goes_on(); }
+  [[nodiscard]] bool interrupted() const { return program_.interrupted(); }
   /// Returns false if the interruption came so early that the plan is still the previous plan.
   [[nodiscard]] bool has_step() const { return program_.has_step(); }
 
@@ -126,7 +126,7 @@ class MultipleShooting {
                               std::optional<Clock::time_point> deadline = {}) noexcept;
 
   /// Restores the previous plan, without multipliers, after a feedback() whose plan is not usable.
-  void take_back() noexcept {
+  void restore_previous() noexcept {
     here_.swap(trial_);
     for (int k = 0; k <= horizon_; ++k) detail::fill(program_.node(k).multiplier, 0.0);
     program_.forget();
@@ -310,7 +310,7 @@ template <typename Problem>
 PrepareStatus MultipleShooting<Problem>::prepare() noexcept {
   const auto start = Clock::now();
   report_.linearise_us = report_.factorise_us = report_.gradients_us = 0.0;
-  prepared_ = program_.goes_on() || (linearise(true) && factorise(true));
+  prepared_ = program_.interrupted() || (linearise(true) && factorise(true));
   prepare_failed_ = !prepared_;
   report_.prepare_us = since(start);
   return prepared_ ? PrepareStatus::prepared : PrepareStatus::failed;
@@ -328,9 +328,9 @@ const SolveReport& MultipleShooting<Problem>::feedback(
     if (prepare() != PrepareStatus::prepared) here_ = trial_;
   }
   // An interrupted program was linearised at the plan before the last one.
-  const bool goes_on = program_.goes_on();
-  const Trajectory<Scaled>& base = goes_on ? trial_ : here_;
-  Trajectory<Scaled>& next = goes_on ? here_ : trial_;
+  const bool interrupted = program_.interrupted();
+  const Trajectory<Scaled>& base = interrupted ? trial_ : here_;
+  Trajectory<Scaled>& next = interrupted ? here_ : trial_;
   const Tangent dx0 = problem_.difference(x0, base.x(0));
   if (!all_finite(dx0)) {
     report_.status = SolveStatus::rejected;
@@ -345,14 +345,14 @@ const SolveReport& MultipleShooting<Problem>::feedback(
     }
     report_.status = solve_program(dx0, deadline, true);
     if (!program_.has_step()) {
-      if (!goes_on) trial_ = here_;
+      if (!interrupted) trial_ = here_;
     } else if (has_plan(report_.status)) {
       report_.kkt = std::max(report_.kkt, detail::largest(dx0));
       next.set_moved(problem_, base, program_, 1.0);
       if (!all_finite(problem_.difference(next.x(horizon_), base.x(horizon_)))) {
         report_.status = SolveStatus::failed;
-        if (goes_on) here_.swap(trial_);
-      } else if (!goes_on) {
+        if (interrupted) here_.swap(trial_);
+      } else if (!interrupted) {
         here_.swap(trial_);
       }
       shifted_ = 0.0;
@@ -424,7 +424,7 @@ bool MultipleShooting<Problem>::cannot_go_on_from(const State& x0) const {
   if (!prepared_) return false;
   constexpr double too_far = 1e8;
   const double move =
-      detail::largest(problem_.difference(x0, (program_.goes_on() ? trial_ : here_).x(0)));
+      detail::largest(problem_.difference(x0, (program_.interrupted() ? trial_ : here_).x(0)));
   return move > too_far && std::isfinite(move);
 }
 
@@ -446,7 +446,7 @@ bool MultipleShooting<Problem>::linearise(bool real_time) {
     auto& node = program_.node(k);
     node.value = AllConstraints::values(problem_, k, x, u);
     AllConstraints::derivatives(problem_, k, x, u, node.C, node.E);
-    AllConstraints::bounds(problem_, k, node.lower, node.upper, node.price, node.stiffness);
+    AllConstraints::bounds(problem_, k, node.lower, node.upper, node.penalty, node.stiffness);
     for (int i = 0; k == horizon_ && i < nc; ++i)
       if (!AllConstraints::applies(problem_, k, node.E, i)) {
         node.lower(i) = -std::numeric_limits<double>::infinity();
@@ -671,7 +671,7 @@ void MultipleShooting<Problem>::hand_out_the_best(Clock::time_point end, const W
   here_ = best_.plan();
   const bool within = inputs_are_within_bounds();
   if (!within || (status == SolveStatus::infeasible && !is_here)) {
-    forget_multipliers();  // with their prices
+    forget_multipliers();  // with their penalties
     program_.inputs_last = true;
     report_.damping = 0.0;
     most_iterations_ = work_.iterations + settings_.max_iterations;

@@ -29,7 +29,7 @@
 ///     void cost_model(int k, const State& x, const D::Input& u, QuadraticModel<nx, nu>& m) const;
 ///
 ///     // only if constraints > 0: lower <= c(x, u) <= upper; an infinite bound is no bound.
-///     // The penalty is the price of violating a constraint by one unit. It is the largest
+///     // The penalty is the cost of violating a constraint by one unit. It is the largest
 ///     // multiplier of the constraint. Infinite: a hard constraint. At node N, constraints that
 ///     // depend on the input (non-zero entry in E) are ignored.
 ///     D::Constraints constraint_values(int k, const State& x, const D::Input& u) const;
@@ -58,16 +58,16 @@
 ///                        const ProblemConstraints<Problem>::Values& multipliers,
 ///                        const D::Tangent& costate, QuadraticModel<nx, nu>& m) const;
 ///
-///     // a quadratic penalty weight v^2 / 2 on a violation v, until its slope reaches the price:
-///     // the multiplier is min(weight v, penalty); infinite: no quadratic penalty
-///     const D::Constraints& quadratic_penalty(int k) const;
+///     // a violation v costs stiffness v^2 / 2 until the slope of this cost reaches the penalty:
+///     // the multiplier is min(stiffness v, penalty). Infinite, or absent: the penalty alone
+///     const D::Constraints& stiffness(int k) const;
 ///
 ///     // separate constraints of node N; the constraints of the other nodes then end at N - 1
 ///     static constexpr int terminal_constraints;
 ///     TerminalConstraints terminal_constraint_values(const State& x) const;
 ///     void terminal_constraint_derivatives(const State& x, TerminalConstraintsX& C) const;
 ///     const TerminalConstraints& terminal_lower() const;    // likewise terminal_upper(),
-///     const TerminalConstraints& terminal_penalty() const;  // terminal_quadratic_penalty()
+///     const TerminalConstraints& terminal_penalty() const;  // terminal_stiffness()
 ///
 ///     // the intervals k .. k + count - 1, count <= 4, side by side. x and u start at node k. A is
 ///     // the identity and B is zero where nothing is written.

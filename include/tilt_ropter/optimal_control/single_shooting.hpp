@@ -45,8 +45,8 @@
 /// call follows until one moves nothing.
 ///
 /// Each call has the constraints that are violated at the base or by the unconstrained optimum, and
-/// those that a call before it violated. A constraint with a price has a slack variable that costs
-/// the price. Equalities by weight are handled by multipliers between the calls.
+/// those that a call before it violated. A constraint with a penalty has a slack variable that
+/// costs the penalty. Equalities by weight are handled by multipliers between the calls.
 namespace tilt_ropter::optimal_control {
 
 /// Solver that owns the problem and the trajectory. It has the functions of MultipleShooting that a
@@ -129,11 +129,11 @@ class SingleShooting {
 
   /// There is no work before the measurement, and no work is left for the next tick.
   [[nodiscard]] PrepareStatus prepare() noexcept { return PrepareStatus::prepared; }
-  [[nodiscard]] bool goes_on() const { return false; }
+  [[nodiscard]] bool interrupted() const { return false; }
   [[nodiscard]] bool has_step() const { return true; }
 
   /// Restores the plan before the last feedback().
-  void take_back() noexcept { base_.swap(before_); }
+  void restore_previous() noexcept { base_.swap(before_); }
 
  private:
   static double seconds(SolverClock::duration duration) {
@@ -197,7 +197,7 @@ class SingleShooting {
   // A constraint in NLopt's problem: at its upper (+1) or lower (-1) bound.
   struct Row {
     int component;
-    double side, bound, price, stiffness;
+    double side, bound, penalty, stiffness;
     int slack;    // index of its slack variable, or -1
     double unit;  // of the slack
     bool gives_way = false;
@@ -343,9 +343,9 @@ class SingleShooting {
     return give_way() ? SolveStatus::iterated : SolveStatus::converged;
   }
 
-  // Rows with a price get slack variables where nothing moves any more: all of them if a row is
-  // violated, otherwise those whose multiplier is above the price. NLopt gives no multipliers; they
-  // follow from the gradients of the rows at their bound. Returns false if none gets one.
+  // Rows with a penalty get slack variables where nothing moves any more: all of them if a row is
+  // violated, otherwise those whose multiplier is above the penalty. NLopt gives no multipliers;
+  // they follow from the gradients of the rows at their bound. Returns false if none gets one.
   [[nodiscard]] bool give_way() {
     if (rows_ == 0) return false;
     const int size = coordinates() + slacks_;
@@ -363,7 +363,7 @@ class SingleShooting {
     Eigen::Index index = 0;
     for (int k = horizon_; k >= 0; --k)
       for (Row& row : working_[at(k)]) {
-        if (violated && row.slack == -1 && std::isfinite(row.price)) {
+        if (violated && row.slack == -1 && std::isfinite(row.penalty)) {
           row.gives_way = any = true;
         } else if (row.slack == -1 && values(index) > -settings_.tolerance) {
           slopes.row(count()) = jacobian.row(index).head(coordinates());
@@ -378,7 +378,7 @@ class SingleShooting {
     const Eigen::VectorXd multipliers = gram.ldlt().solve(-(active * gradient.head(coordinates())));
     for (Eigen::Index i = 0; i < count(); ++i) {
       Row& row = *at_bound[static_cast<std::size_t>(i)];
-      row.gives_way = multipliers(i) > row.price;
+      row.gives_way = multipliers(i) > row.penalty;
       any = any || row.gives_way;
     }
     return any;
@@ -396,8 +396,8 @@ class SingleShooting {
         const auto& w = optimum_[at(k)];
         Constraints predicted = c + C * w.template head<nx>();
         if (k < horizon_) predicted += E * w.template segment<nu>(nx);
-        Constraints lower, upper, price, stiffness = detail::Filled{infinity};
-        AllConstraints::bounds(problem_, k, lower, upper, price, stiffness);
+        Constraints lower, upper, penalty, stiffness = detail::Filled{infinity};
+        AllConstraints::bounds(problem_, k, lower, upper, penalty, stiffness);
         for (int i = 0; i < nc; ++i) {
           if (k == horizon_ && !AllConstraints::applies(problem_, k, E, i)) continue;
           if (k == 0 && C.row(i).isZero() && E.row(i).isZero()) continue;
@@ -408,8 +408,8 @@ class SingleShooting {
             auto& rows = working_[at(k)];
             const auto same = [&](const Row& r) { return r.component == i && r.side == side; };
             if (std::any_of(rows.begin(), rows.end(), same)) continue;
-            const double steepest = std::min(price(i), stiffness(i));
-            rows.push_back({i, side, bound, price(i), stiffness(i), -1, 1.0 / std::sqrt(steepest),
+            const double steepest = std::min(penalty(i), stiffness(i));
+            rows.push_back({i, side, bound, penalty(i), stiffness(i), -1, 1.0 / std::sqrt(steepest),
                             std::isfinite(stiffness(i))});
             added = true;
           }
@@ -455,7 +455,7 @@ class SingleShooting {
     for (const auto& rows : self.working_)
       for (const Row& row : rows)
         if (row.slack >= 0)
-          sum += violation_cost(row.price, row.stiffness, row.unit * v[row.slack]);
+          sum += violation_cost(row.penalty, row.stiffness, row.unit * v[row.slack]);
     self.stop_unless(std::isfinite(sum));
     if (gradient == nullptr) return sum;
     Tangent costate = Tangent::Zero();
@@ -485,9 +485,9 @@ class SingleShooting {
       for (const Row& row : rows)
         if (row.slack >= 0)
           gradient[row.slack] =
-              row.unit * std::min(row.price, row.stiffness < infinity
-                                                 ? row.stiffness * row.unit * v[row.slack]
-                                                 : row.price);
+              row.unit * std::min(row.penalty, row.stiffness < infinity
+                                                   ? row.stiffness * row.unit * v[row.slack]
+                                                   : row.penalty);
     const Eigen::Map<const Eigen::VectorXd> point(v, static_cast<Eigen::Index>(size)),
         g(gradient, static_cast<Eigen::Index>(size));
     self.stop_unless(all_finite(Eigen::VectorXd(g)));
@@ -553,13 +553,13 @@ class SingleShooting {
         ByState C = ByState::Zero();
         ByInput E = ByInput::Zero();
         if (k == horizon_) AllConstraints::derivatives(problem_, k, base_.x(k), base_.u(k), C, E);
-        Constraints lower, upper, price, stiffness = detail::Filled{infinity};
-        AllConstraints::bounds(problem_, k, lower, upper, price, stiffness);
+        Constraints lower, upper, penalty, stiffness = detail::Filled{infinity};
+        AllConstraints::bounds(problem_, k, lower, upper, penalty, stiffness);
         for (int i = 0; i < nc; ++i) {
           if (k == horizon_ && !AllConstraints::applies(problem_, k, E, i)) continue;
           const double over = std::max(c(i) - upper(i), lower(i) - c(i));
           report_.max_violation = detail::larger(report_.max_violation, over);
-          if (!std::isfinite(price(i))) hard_violation_ = detail::larger(hard_violation_, over);
+          if (!std::isfinite(penalty(i))) hard_violation_ = detail::larger(hard_violation_, over);
         }
       }
     }

@@ -87,8 +87,8 @@ struct SolveReport {
   int rounds = 0, evaluations = 0, polishing_steps = 0;
   int active_constraints = 0;  ///< constraints with a multiplier in the last quadratic program
   /// Number and largest violation of the constraints that the last quadratic program relaxed,
-  /// because satisfying them would cost more than their price; also for the hard constraints among
-  /// them. See relaxed().
+  /// because satisfying them would cost more than their penalty; also for the hard constraints
+  /// among them. See relaxed().
   int relaxed_constraints = 0, relaxed_hard_constraints = 0;
   double largest_relaxation = 0.0, largest_hard_relaxation = 0.0;
   double step = 1.0;     ///< length of the last step, 1 for a full step

@@ -70,7 +70,7 @@ class RecedingHorizon {
     // The controller itself commands a part of the state at `time`. With this part in the
     // linearisation point, the constraints of the first node are exact, and the command satisfies
     // them.
-    if (!solver_.goes_on()) {
+    if (!solver_.interrupted()) {
       State first = solver_.state(0);
       level().set_guess(time, first);
       solver_.set_guess(0, first, solver_.input(0));
@@ -89,12 +89,13 @@ class RecedingHorizon {
     prepared_ = false;
     bool credible = make_plan(x, deadline);
     if (!credible && optimal_control::has_plan(result_.report.status)) {
-      solver_.take_back();
+      solver_.restore_previous();
       if (!cold_ && can_start_again(deadline)) {
         start_cold(x);
         plan_.drop();  // start_cold() has overwritten it
         credible = make_plan(x, deadline);
-        if (!credible && optimal_control::has_plan(result_.report.status)) solver_.take_back();
+        if (!credible && optimal_control::has_plan(result_.report.status))
+          solver_.restore_previous();
       }
       if (!credible) result_.report.status = optimal_control::SolveStatus::failed;
     }

@@ -20,7 +20,7 @@ namespace tilt_ropter::optimal_control {
 ///     multiplier = m + weight (value - bound).
 ///
 /// m is the last multiplier of the constraint. The weight is large compared to the curvature of the
-/// cost. A relaxed constraint (multiplier at its price) adds its multiplier to the gradient only.
+/// cost. A relaxed constraint (multiplier at its penalty) adds its multiplier to the gradient only.
 /// An inactive constraint adds nothing. If a pass contradicts the assumption for a constraint, the
 /// next pass uses the corrected assumption. This is an augmented Lagrangian with a semismooth
 /// Newton method (Hintermueller, Ito & Kunisch, "The primal-dual active set strategy as a
@@ -50,7 +50,7 @@ class ActiveSet {
         const double m = n.multiplier(i);
         const double bound = m > 0.0 ? n.upper(i) : n.lower(i);
         state(k, i) = m == 0.0 || !std::isfinite(bound) ? 0
-                      : std::abs(m) >= n.price(i)       ? (m > 0.0 ? 2 : -2)
+                      : std::abs(m) >= n.penalty(i)     ? (m > 0.0 ? 2 : -2)
                                                         : (m > 0.0 ? 1 : -1);
       }
   }
@@ -121,7 +121,7 @@ class ActiveSet {
 
  private:
   // State of a constraint: 0 inactive, +-1 active at its upper or lower bound, +-2 relaxed at that
-  // bound (multiplier at its price).
+  // bound (multiplier at its penalty).
   using States8 = std::array<signed char, static_cast<std::size_t>(Constraints)>;
 
   signed char& state(int k, int i) {
@@ -144,7 +144,7 @@ class ActiveSet {
       double row[static_cast<std::size_t>(width)];
       for (int j = 0; j < States; ++j) row[j] = n.C(i, j);
       for (int j = 0; j < Inputs; ++j) row[States + j] = k < program.horizon() ? n.E(i, j) : 0.0;
-      double slope = assumed > 0 ? n.price(i) : -n.price(i);
+      double slope = assumed > 0 ? n.penalty(i) : -n.penalty(i);
       if (assumed == 1 || assumed == -1) {
         double squares = 0.0, curvature = 0.0;
         for (int j = 0; j < width; ++j) {
@@ -191,20 +191,20 @@ class ActiveSet {
       if (assumed == 0) return 0;
       if (program.can_move(k, i)) return 1;
       assumed = static_cast<signed char>(2 * assumed);
-      m = 0.5 * assumed * n.price(i);
+      m = 0.5 * assumed * n.penalty(i);
       return 0;
     }
     const double side = assumed > 0 ? 1.0 : -1.0;
     const double bound = assumed > 0 ? n.upper(i) : n.lower(i);
     if (assumed == 2 || assumed == -2) {
-      m = side * n.price(i);
-      if (side * (value - bound) >= n.price(i) / n.stiffness(i) - outside(bound)) return 0;
+      m = side * n.penalty(i);
+      if (side * (value - bound) >= n.penalty(i) / n.stiffness(i) - outside(bound)) return 0;
       assumed = side > 0.0 ? 1 : -1;
       return 1;
     }
     m = weight(k, i) * (value - bound + offset(k, i));
-    if (side * m > n.price(i)) {
-      m = side * n.price(i);
+    if (side * m > n.penalty(i)) {
+      m = side * n.penalty(i);
       assumed = side > 0.0 ? 2 : -2;
       return 1;
     }

@@ -15,7 +15,7 @@
 namespace tilt_ropter::optimal_control {
 
 /// The best of a guess and of the ends of several starts from it. The measure is the cost plus
-/// defects and violations times the largest multiplier of all starts, at most times their price.
+/// defects and violations times the largest multiplier of all starts, at most times their penalty.
 /// The weights of the line search do not serve: they are near zero where a multiplier is, so that
 /// iterates far from any solution can look good.
 template <typename Problem, typename Program>

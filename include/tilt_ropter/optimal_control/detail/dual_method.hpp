@@ -175,7 +175,7 @@ class DualMethod {
       for (; first + count < last && row(first + count).k == k; ++count) {
         const Active& r = row(first + count);
         set_constraint_gradient(program, r, here->data() + count, here->rows());
-        bounds_(first + count) = program.node(k).price(r.component);
+        bounds_(first + count) = program.node(k).penalty(r.component);
       }
       if (k < program.horizon()) {
         if (count > 0) Adjoint::to_coordinates(program.riccati.stage(k), *here, count);

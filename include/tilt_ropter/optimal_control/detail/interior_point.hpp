@@ -20,10 +20,10 @@ namespace tilt_ropter::optimal_control {
 /// Solves a Subproblem by a primal-dual interior-point method. Every iteration takes one Riccati
 /// pass and two solves with its factorisation, for any set of active constraints. The method uses
 /// predictor and corrector steps (Mehrotra 1992) as in HPIPM (Frison & Diehl 2020), and includes
-/// the prices of the constraints.
+/// the penalties of the constraints.
 ///
-/// A bound with value v <= 0, price rho and softness c = 1 / stiffness has slacks t and s and a
-/// multiplier l,
+/// A bound with value v <= 0, penalty rho and stiffness 1 / c has slacks t and s and a multiplier
+/// l,
 ///
 ///     v + t - s - c l = 0,    l t = mu,    (rho - l) s = mu,    t, s > 0,  0 < l < rho,
 ///
@@ -49,17 +49,17 @@ class InteriorPoint {
         of_constraints_(Eigen::VectorXd::Zero(Constraints * (horizon + 1))) {
     const int most = 2 * Constraints * (horizon + 1);
     for (Eigen::VectorXd* numbers :
-         {&price_, &softness_, &value_, &multiplier_, &slack_, &excess_, &weight_, &per_multiplier_,
-          &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_, &slack_change_,
-          &excess_change_, &value_change_, &of_multiplier_, &of_rest_})
+         {&penalty_, &per_stiffness_, &value_, &multiplier_, &slack_, &excess_, &weight_,
+          &per_multiplier_, &per_rest_, &push_, &slack_aim_, &excess_aim_, &multiplier_change_,
+          &slack_change_, &excess_change_, &value_change_, &of_multiplier_, &of_rest_})
       numbers->setOnes(detail::padded(std::max(most, 1)));
   }
 
   /// Starts from the inputs of the plan at which `program` was linearised. If these inputs lead far
   /// from the plan, starts from inputs that follow the deviation from the plan by the gains of the
   /// last pass. The step of that pass is in `program`. curvature(k, row) returns the cost of moving
-  /// a constraint. The price of a hard constraint becomes `far_above` times the estimated slope of
-  /// the cost along this constraint. Returns false, and does not start, if no step changes any
+  /// a constraint. The penalty of a hard constraint becomes `far_above` times the estimated slope
+  /// of the cost along this constraint. Returns false, and does not start, if no step changes any
   /// bounded constraint.
   template <typename Curvature>
   [[nodiscard]] bool start(Program& program, double damping, double far_above,
@@ -83,7 +83,7 @@ class InteriorPoint {
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       if (!program.node(side.k).hard[static_cast<std::size_t>(side.row)])
-        gain += 0.1 * price_(i) * std::max(value_(i), 0.0);
+        gain += 0.1 * penalty_(i) * std::max(value_(i), 0.0);
     }
     begin(program, gain + to_gain(program), far_above);
     return true;
@@ -145,7 +145,7 @@ class InteriorPoint {
   /// Mean complementarity product after start().
   [[nodiscard]] double first_mu() const { return first_mu_; }
   /// Number of bounds for which the last iteration does not show clearly whether they are active or
-  /// at their price.
+  /// at their penalty.
   [[nodiscard]] int undecided() const {
     const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
     int undecided = 0;
@@ -156,7 +156,7 @@ class InteriorPoint {
 
   /// Writes the step into `program` and the multipliers into its nodes. With `decided`, the
   /// multipliers of bounds that seem inactive become zero. Multipliers that seem to be at their
-  /// price become the price.
+  /// penalty become the penalty.
   void finish(Program& program, bool decided) const {
     for (int k = 0; k <= program.horizon(); ++k) {
       program.step(k) = here_[static_cast<std::size_t>(k)];
@@ -166,16 +166,16 @@ class InteriorPoint {
       const Side& side = sides_[i];
       const bool holds = of_multiplier_(i) < 0.5;
       if (!holds && decided) continue;
-      const bool at_price =
-          (of_rest_(i) > 0.5 && decided) || multiplier_(i) > (1.0 - 1e-6) * price_(i);
+      const bool at_penalty =
+          (of_rest_(i) > 0.5 && decided) || multiplier_(i) > (1.0 - 1e-6) * penalty_(i);
       program.node(side.k).multiplier(side.row) +=
-          side.sign * (at_price ? price_(i) : multiplier_(i));
+          side.sign * (at_penalty ? penalty_(i) : multiplier_(i));
     }
     program.predict();
     for (const auto& [k, i] : sides_.immovable()) {
       auto& n = program.node(k);
-      if (n.predicted(i) > n.upper(i)) n.multiplier(i) = n.price(i);
-      if (n.predicted(i) < n.lower(i)) n.multiplier(i) = -n.price(i);
+      if (n.predicted(i) > n.upper(i)) n.multiplier(i) = n.penalty(i);
+      if (n.predicted(i) < n.lower(i)) n.multiplier(i) = -n.penalty(i);
     }
   }
 
@@ -207,8 +207,8 @@ class InteriorPoint {
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       const auto& n = program.node(side.k);
-      price_(i) = n.price(side.row);
-      softness_(i) = 1.0 / n.stiffness(side.row);
+      penalty_(i) = n.penalty(side.row);
+      per_stiffness_(i) = 1.0 / n.stiffness(side.row);
       value_change_(i) = side.sign > 0.0 ? n.predicted(side.row) - n.upper(side.row)
                                          : n.lower(side.row) - n.predicted(side.row);
     }
@@ -266,10 +266,10 @@ class InteriorPoint {
       for (int j = 0; j < Program::width; ++j)
         if (row(j) != 0.0)
           push = std::max(push, std::abs(gradients_[static_cast<std::size_t>(side.k)](j) / row(j)));
-      n.price(side.row) = n.stand_in(side.row) = price_(i) =
+      n.penalty(side.row) = n.finite_penalty(side.row) = penalty_(i) =
           program.inputs_last && program.single_input(side.k, side.row)
-              ? 1e6 * std::min(far_above * push, Program::hard_price)
-              : std::min(far_above * push, Program::hard_price);
+              ? 1e6 * std::min(far_above * push, Program::hard_penalty)
+              : std::min(far_above * push, Program::hard_penalty);
     }
     unit_ = unit;
     first_mu_ = restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
@@ -283,8 +283,8 @@ class InteriorPoint {
       const Side& side = sides_[i];
       const double u = unit_[static_cast<std::size_t>(side.row)];
       slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
-      multiplier_(i) = std::min(mu / slack_(i), 0.1 * price_(i));
-      excess_(i) = mu / (price_(i) - multiplier_(i));
+      multiplier_(i) = std::min(mu / slack_(i), 0.1 * penalty_(i));
+      excess_(i) = mu / (penalty_(i) - multiplier_(i));
       of_multiplier_(i) = 1.0;  // no bound counts as active
       of_rest_(i) = 0.0;
     }
@@ -336,8 +336,8 @@ class InteriorPoint {
   double set_weights() {
     // Fill the last packet with numbers that do not affect the result.
     for (Eigen::Index i = count(); i < detail::padded(static_cast<int>(count())); ++i) {
-      price_(i) = 2.0;
-      multiplier_(i) = softness_(i) = value_(i) = value_change_(i) = 1.0;
+      penalty_(i) = 2.0;
+      multiplier_(i) = per_stiffness_(i) = value_(i) = value_change_(i) = 1.0;
       slack_(i) = excess_(i) = 1e-200;
       value_change_(i) = 0.0;
     }
@@ -349,8 +349,8 @@ class InteriorPoint {
           detail::load<W>(multiplier_.data() + i, l);
           detail::load<W>(slack_.data() + i, t);
           detail::load<W>(excess_.data() + i, s);
-          detail::load<W>(price_.data() + i, rho);
-          detail::load<W>(softness_.data() + i, c);
+          detail::load<W>(penalty_.data() + i, rho);
+          detail::load<W>(per_stiffness_.data() + i, c);
           const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
                   weight = 1.0 / (t * per_l + s * per_rest + c);
           detail::store<W>(per_multiplier_.data() + i, per_l);
@@ -393,7 +393,7 @@ class InteriorPoint {
       P l, v, c, weight;
       detail::load<W>(multiplier_.data() + i, l);
       detail::load<W>(value_.data() + i, v);
-      detail::load<W>(softness_.data() + i, c);
+      detail::load<W>(per_stiffness_.data() + i, c);
       detail::load<W>(weight_.data() + i, weight);
       detail::store<W>(push_.data() + i, l + weight * (v - c * l));
     });
@@ -410,7 +410,7 @@ class InteriorPoint {
       detail::load<W>(slack_.data() + i, t);
       detail::load<W>(excess_.data() + i, s);
       detail::load<W>(value_.data() + i, v);
-      detail::load<W>(softness_.data() + i, c);
+      detail::load<W>(per_stiffness_.data() + i, c);
       detail::load<W>(weight_.data() + i, weight);
       detail::load<W>(per_multiplier_.data() + i, per_l);
       detail::load<W>(per_rest_.data() + i, per_rest);
@@ -490,7 +490,7 @@ class InteriorPoint {
       detail::load<W>(multiplier_.data() + i, l);
       detail::load<W>(slack_.data() + i, t);
       detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(price_.data() + i, rho);
+      detail::load<W>(penalty_.data() + i, rho);
       detail::load<W>(multiplier_change_.data() + i, dl);
       detail::load<W>(slack_change_.data() + i, dt);
       detail::load<W>(excess_change_.data() + i, ds);
@@ -559,7 +559,7 @@ class InteriorPoint {
           constexpr int W = packet();
           using P = detail::Packet<W>;
           P l, t, s, v, rho;
-          detail::load<W>(price_.data() + i, rho);
+          detail::load<W>(penalty_.data() + i, rho);
           add_packet<W>(multiplier_change_, dual, i, multiplier_, l);
           add_packet<W>(slack_change_, primal, i, slack_, t);
           add_packet<W>(excess_change_, primal, i, excess_, s);
@@ -585,9 +585,9 @@ class InteriorPoint {
   std::vector<Vector> here_, change_, cost_gradients_, gradients_;
   Eigen::VectorXd of_constraints_;  // one number for each constraint of each node
   // One number for each side:
-  Eigen::VectorXd price_, softness_, value_, multiplier_, slack_, excess_, weight_, per_multiplier_,
-      per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_, excess_change_,
-      value_change_, of_multiplier_, of_rest_;
+  Eigen::VectorXd penalty_, per_stiffness_, value_, multiplier_, slack_, excess_, weight_,
+      per_multiplier_, per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_,
+      excess_change_, value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
   int stuck_ = 0;
   std::array<double, static_cast<std::size_t>(Constraints)> unit_{};

@@ -44,14 +44,14 @@ class Merit {
     for (Constraints& w : constraint_weights_) w.setZero();
   }
 
-  /// Sets every weight to `weight`, but that of a soft constraint at most to its price.
+  /// Sets every weight to `weight`, but that of a soft constraint at most to its penalty.
   void weigh_alike(const Program& program, double weight) {
     for (std::size_t k = 0; k < defect_weights_.size(); ++k) {
       const auto& node = program.node(static_cast<int>(k));
       for (int i = 0; i < D::nx; ++i) defect_weights_[k](i) = weight;
       for (int i = 0; i < AllConstraints::count; ++i)
         constraint_weights_[k](i) =
-            node.hard[static_cast<std::size_t>(i)] ? weight : std::min(weight, node.price(i));
+            node.hard[static_cast<std::size_t>(i)] ? weight : std::min(weight, node.penalty(i));
     }
   }
 
@@ -72,9 +72,9 @@ class Merit {
         slope += s.cost.gradient(i) * step[i];
       for (int i = 0; i < AllConstraints::count; ++i) {
         follow(constraint_weight(i), node.multiplier(i));
-        // With a weight above the price, the merit would rise towards a solution that relaxes this
-        // constraint.
-        constraint_weight(i) = std::min(constraint_weight(i), node.price(i));
+        // With a weight above the penalty, the merit would rise towards a solution that relaxes
+        // this constraint.
+        constraint_weight(i) = std::min(constraint_weight(i), node.penalty(i));
         slope += of_constraint(node, constraint_weight, i, node.predicted(i)) -
                  of_constraint(node, constraint_weight, i, node.value(i));
       }
@@ -148,7 +148,7 @@ class Merit {
   [[nodiscard]] static double of_constraint(const typename Program::Node& node,
                                             const Constraints& weight, int i, double value) {
     const double v = violation(value, node.lower(i), node.upper(i));
-    return std::isfinite(node.stiffness(i)) ? violation_cost(node.price(i), node.stiffness(i), v)
+    return std::isfinite(node.stiffness(i)) ? violation_cost(node.penalty(i), node.stiffness(i), v)
                                             : weight(i) * v;
   }
 

@@ -19,11 +19,11 @@
 /// The dual of a quadratic program with identity Hessian, solved by NLopt:
 ///
 ///     min over z of 1/2 |z|^2 + elastic penalty of the constraints G z + b <= 0
-///     dual:  min_{0 <= lambda <= rho}  1/2 lambda' (G G' + I/sigma) lambda - b' lambda,
+///     dual:  min_{0 <= lambda <= penalty}  1/2 lambda' (G G' + I/stiffness) lambda - b' lambda,
 ///     z = -G' lambda.
 ///
-/// The upper bound rho on a multiplier is the exact L1 penalty on its constraint, so a solution
-/// exists for every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
+/// The upper bound of a multiplier is the exact L1 penalty on its constraint, so a solution exists
+/// for every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
 namespace tilt_ropter::optimal_control {
 
 /// Minimiser of the dual above for up to `capacity` constraints. If `Capacity` is known at compile
@@ -59,20 +59,20 @@ class DualSolver {
         free_(static_cast<std::size_t>(capacity)) {}
 
   /// Solves for `lambda` (in: warm start; out: solution) with the lower triangle of H = G G' +
-  /// I/sigma (size x size), offsets b and bounds rho. Returns false if no finite solution was
+  /// I/stiffness (size x size), offsets b and penalties. Returns false if no finite solution was
   /// found, or none before `deadline`, which is checked between steps; lambda is then unchanged.
   /// Never throws.
   template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
   [[nodiscard]] bool solve(const Eigen::MatrixBase<Hessian>& H, const Eigen::MatrixBase<Offset>& b,
-                           const Eigen::MatrixBase<Bound>& rho,
+                           const Eigen::MatrixBase<Bound>& penalty,
                            Eigen::MatrixBase<Multiplier>& lambda,
                            std::optional<SolverClock::time_point> deadline = {}) noexcept {
-    return solve(static_cast<int>(b.size()), H.derived(), b.derived(), rho.derived(),
+    return solve(static_cast<int>(b.size()), H.derived(), b.derived(), penalty.derived(),
                  lambda.derived(), deadline);
   }
   /// The same for the first `size` constraints of larger matrices and vectors.
   template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
-  [[nodiscard]] bool solve(int size, const Hessian& H, const Offset& b, const Bound& rho,
+  [[nodiscard]] bool solve(int size, const Hessian& H, const Offset& b, const Bound& penalty,
                            Multiplier& lambda,
                            std::optional<SolverClock::time_point> deadline = {}) noexcept {
     deadline_ = deadline;
@@ -82,7 +82,7 @@ class DualSolver {
     for (int i = 0; i < size_; ++i) {
       scale_(i) = 1.0 / std::sqrt(std::max(H.coeff(i, i), 1e-300));
       linear_(i) = b.coeff(i) * scale_(i);
-      upper_(i) = rho.coeff(i) / scale_(i);
+      upper_(i) = penalty.coeff(i) / scale_(i);
       iterate_(i) = clamped(lambda.coeff(i) / scale_(i), i);
     }
     for (int j = 0; j < size_; ++j)
@@ -90,8 +90,9 @@ class DualSolver {
         hessian(i, j) = hessian(j, i) = H.coeff(i, j) * scale_(i) * scale_(j);
     if (!minimise()) return false;
     for (int i = 0; i < size_; ++i)  // rounding must not hide a relaxed constraint
-      lambda.coeffRef(i) =
-          iterate_(i) >= upper_(i) ? rho.coeff(i) : std::min(iterate_(i) * scale_(i), rho.coeff(i));
+      lambda.coeffRef(i) = iterate_(i) >= upper_(i)
+                               ? penalty.coeff(i)
+                               : std::min(iterate_(i) * scale_(i), penalty.coeff(i));
     return true;
   }
 

@@ -12,17 +12,18 @@
 
 /// The constraints of one node of a quadratic program, and the residual of a step.
 ///
-/// Every constraint has a price: the cost of violating it by one unit, and the upper bound on its
+/// Every constraint has a penalty: the cost of violating it by one unit, and the upper bound on its
 /// multiplier (Nocedal & Wright, "Numerical Optimization", Sec. 17.2). Every constraint has a
-/// stiffness: the multiplier per unit of violation. While a multiplier m is below the price, the
+/// stiffness: the multiplier per unit of violation. While a multiplier m is below the penalty, the
 /// violation is m / stiffness. Therefore every program has a solution.
 namespace tilt_ropter::optimal_control {
 
 /// Cost of a `violation` >= 0. The cost is quadratic while its slope, stiffness times violation, is
-/// below the price, and linear beyond.
-[[nodiscard]] inline double violation_cost(double price, double stiffness, double violation) {
-  const double linear = violation - 0.5 * price / stiffness;
-  return stiffness * violation < price ? 0.5 * stiffness * violation * violation : price * linear;
+/// below the penalty, and linear beyond.
+[[nodiscard]] inline double violation_cost(double penalty, double stiffness, double violation) {
+  const double linear = violation - 0.5 * penalty / stiffness;
+  return stiffness * violation < penalty ? 0.5 * stiffness * violation * violation
+                                         : penalty * linear;
 }
 
 /// Constraints of one node.
@@ -35,18 +36,18 @@ struct NodeConstraints {
   Eigen::Matrix<double, Constraints, Inputs> E = detail::Filled();  ///< derivative by the input
   Values lower = detail::Filled{-infinity};                         ///< infinite: no bound
   Values upper = detail::Filled{infinity};                          ///< infinite: no bound
-  Values price = detail::Filled{1.0};                               ///< largest multiplier, finite
-  Values stiffness = detail::Filled{infinity};  ///< infinite: no violation below the price
+  Values penalty = detail::Filled{1.0};                             ///< largest multiplier, finite
+  Values stiffness = detail::Filled{infinity};  ///< infinite: no violation below the penalty
   /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
   Values multiplier = detail::Filled();
   Values predicted = detail::Filled();  ///< value + C dx + E du at the current step
-  /// Finite prices of the hard constraints in the last program, see InteriorPoint.
-  Values stand_in = detail::Filled{infinity};
+  /// Finite penalties of the hard constraints in the last program, see InteriorPoint.
+  Values finite_penalty = detail::Filled{infinity};
   /// `crossed`: some lower bound was above its upper bound, see Subproblem::check_node().
   /// `crosses`: the same for each constraint, valid only if `crossed`.
   bool crossed = false;
   std::array<bool, static_cast<std::size_t>(Constraints)> crosses{};
-  std::array<bool, static_cast<std::size_t>(Constraints)> hard{};  ///< its own price is infinite
+  std::array<bool, static_cast<std::size_t>(Constraints)> hard{};  ///< its own penalty is infinite
 
   /// Returns the violation of the original bounds of constraint i at this value, at least zero.
   [[nodiscard]] double violation(int i, double constraint_value) const {

@@ -24,15 +24,15 @@ class ProblemConstraints {
   struct TerminalCount<P, std::void_t<decltype(P::terminal_constraints)>>
       : std::integral_constant<int, P::terminal_constraints> {};
   template <typename P, typename = void>
-  struct HasQuadratic : std::false_type {};
+  struct HasStiffness : std::false_type {};
   template <typename P>
-  struct HasQuadratic<P, std::void_t<decltype(std::declval<const P&>().quadratic_penalty(0))>>
+  struct HasStiffness<P, std::void_t<decltype(std::declval<const P&>().stiffness(0))>>
       : std::true_type {};
   template <typename P, typename = void>
-  struct HasTerminalQuadratic : std::false_type {};
+  struct HasTerminalStiffness : std::false_type {};
   template <typename P>
-  struct HasTerminalQuadratic<
-      P, std::void_t<decltype(std::declval<const P&>().terminal_quadratic_penalty())>>
+  struct HasTerminalStiffness<P,
+                              std::void_t<decltype(std::declval<const P&>().terminal_stiffness())>>
       : std::true_type {};
 
  public:
@@ -84,26 +84,26 @@ class ProblemConstraints {
     }
   }
 
-  /// Writes bounds, price and stiffness (quadratic penalty), infinite where the problem has none.
-  /// If the problem has no quadratic penalty at all, `stiffness` is not written.
-  static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& price,
+  /// Writes bounds, penalty and stiffness, infinite where the problem has none. If the problem has
+  /// no stiffness at all, `stiffness` is not written.
+  static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& penalty,
                      Values& stiffness) {
     constexpr double infinity = std::numeric_limits<double>::infinity();
     if constexpr (count > of_nodes || of_end >= 0) {
       lower.setConstant(-infinity);
       upper.setConstant(infinity);
-      price.setConstant(infinity);
+      penalty.setConstant(infinity);
     }
-    if constexpr (HasQuadratic<Problem>::value || HasTerminalQuadratic<Problem>::value)
+    if constexpr (HasStiffness<Problem>::value || HasTerminalStiffness<Problem>::value)
       stiffness.setConstant(infinity);
     if constexpr (of_end >= 0) {
       if (k == problem.horizon()) {
         if constexpr (of_end > 0) {
           detail::copy_first(of_end, problem.terminal_lower(), lower);
           detail::copy_first(of_end, problem.terminal_upper(), upper);
-          detail::copy_first(of_end, problem.terminal_penalty(), price);
-          if constexpr (HasTerminalQuadratic<Problem>::value)
-            detail::copy_first(of_end, problem.terminal_quadratic_penalty(), stiffness);
+          detail::copy_first(of_end, problem.terminal_penalty(), penalty);
+          if constexpr (HasTerminalStiffness<Problem>::value)
+            detail::copy_first(of_end, problem.terminal_stiffness(), stiffness);
         }
         return;
       }
@@ -111,9 +111,9 @@ class ProblemConstraints {
     if constexpr (of_nodes > 0) {
       detail::copy_first(of_nodes, problem.lower(k), lower);
       detail::copy_first(of_nodes, problem.upper(k), upper);
-      detail::copy_first(of_nodes, problem.penalty(k), price);
-      if constexpr (HasQuadratic<Problem>::value)
-        detail::copy_first(of_nodes, problem.quadratic_penalty(k), stiffness);
+      detail::copy_first(of_nodes, problem.penalty(k), penalty);
+      if constexpr (HasStiffness<Problem>::value)
+        detail::copy_first(of_nodes, problem.stiffness(k), stiffness);
     }
   }
 

@@ -46,7 +46,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         interior_point_(horizon),
         saved_steps_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
         saved_multipliers_(saved_steps_.size()),
-        saved_prices_(saved_steps_.size()) {}
+        saved_penalties_(saved_steps_.size()) {}
 
   /// As Subproblem::change_units(), with what the last solves have learnt.
   void change_units(int k, double cost, const typename Program::Values& units) {
@@ -58,7 +58,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   /// multipliers. Returns false if the cost has no minimum. With `real_time`, NLopt is used for
   /// fewer constraints, see QuadraticProgramSettings.max_dual_constraints.
   [[nodiscard]] bool prepare(double damping = 0.0, bool real_time = false) {
-    goes_on_ = false;
+    interrupted_ = false;
     const auto start = SolverClock::now();
     damping_ = damping;
     this->collect_active();
@@ -87,11 +87,11 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   [[nodiscard]] SolverClock::duration gradients_time() const { return gradients_time_; }
   /// True if the deadline interrupted the last solve(). The next solve() then continues the same
   /// program for another initial step; it needs no new program and no prepare().
-  [[nodiscard]] bool goes_on() const { return goes_on_; }
+  [[nodiscard]] bool interrupted() const { return interrupted_; }
   /// False if the last solve() was interrupted before the first pass that includes all constraints.
-  [[nodiscard]] bool has_step() const { return !goes_on_ || passes_ > 0; }
+  [[nodiscard]] bool has_step() const { return !interrupted_ || passes_ > 0; }
   /// The next solve() does not continue the last one.
-  void forget() { goes_on_ = unsolved_ = false; }
+  void forget() { interrupted_ = unsolved_ = false; }
 
   /// Computes the step and multipliers for the initial step dx0. Requires prepare(). A pass does
   /// not start if it would end after the deadline, as estimated from the duration of the last
@@ -102,7 +102,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     rounds_ = 0;
     evaluations_before_ = dual_.evaluations();
     polishing_before_ = dual_.polishing_steps();
-    if (!goes_on_) {
+    if (!interrupted_) {
       passes_ = 0;
       solve_by_method(dx0);
     } else if (!go_on(dx0)) {
@@ -207,7 +207,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       if (solve_by_nlopt(dx0)) return;
       if (settings_.method == ProgramMethod::nlopt) {
         late_ = dual_.late();
-        return make_do(dx0);
+        return fallback_step(dx0);
       }
     }
     solve_by_structure(dx0);
@@ -280,10 +280,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       return;
     }
     iterate_interior_point(dx0, start, false);
-    goes_on_ = cut_off();
+    interrupted_ = cut_off();
     if (residual_ > settings_.tolerance || !hard_relaxed()) return;
-    // The price of the hard constraints may have been too low: solve again with a higher price if
-    // there is time.
+    // The penalty of the hard constraints may have been too low: solve again with a higher penalty
+    // if there is time.
     save();
     if (out_of_time(interior_time_) || !plain_pass(dx0)) return restore();
     start = SolverClock::now();
@@ -294,11 +294,11 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
 
   // Continues iterations that the deadline interrupted.
   [[nodiscard]] bool go_on(const Tangent& dx0) {
-    goes_on_ = false;
+    interrupted_ = false;
     const auto start = SolverClock::now();
     if (!interior_point_.go_on(*this, dx0)) return false;
     iterate_interior_point(dx0, start, true);
-    goes_on_ = cut_off();
+    interrupted_ = cut_off();
     return true;
   }
   // After half of the allowed passes the program is outdated: a new linearisation is worth more
@@ -345,14 +345,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   // Step for the case that there is no time to solve the program. Compares inputs that follow the
   // gains of the last pass with the inputs of the linearised plan, both clamped to the hard bounds.
   // Uses the inputs with the lower cost. The multipliers do not change.
-  void make_do(const Tangent& dx0) {
+  void fallback_step(const Tangent& dx0) {
     this->set_first(dx0);
     const auto clamp = [this](int k, auto& w) {
       this->clamp_input(k, w.data(), w.data() + States);
     };
     this->riccati.sweep_with(this->steps(), clamp);
     this->predict();
-    const double following = this->price_of_step(damping_);
+    const double following = this->cost_of_step(damping_);
     std::swap(saved_steps_, this->steps());
     for (auto& w : this->steps()) detail::fill(w, 0.0);
     this->set_first(dx0);
@@ -361,7 +361,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       clamp(k, w);
     });
     this->predict();
-    if (!(this->price_of_step(damping_) < following)) {
+    if (!(this->cost_of_step(damping_) < following)) {
       std::swap(saved_steps_, this->steps());
       this->predict();
     }
@@ -371,7 +371,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   [[nodiscard]] bool hard_relaxed() const {
     for (const auto& [k, i] : this->active()) {
       const auto& n = this->node(k);
-      if (n.hard[static_cast<std::size_t>(i)] && std::abs(n.multiplier(i)) >= 0.99 * n.price(i))
+      if (n.hard[static_cast<std::size_t>(i)] && std::abs(n.multiplier(i)) >= 0.99 * n.penalty(i))
         return true;
     }
     return false;
@@ -381,7 +381,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     for (int k = 0; k <= this->horizon(); ++k) {
       saved_steps_[static_cast<std::size_t>(k)] = this->step(k);
       saved_multipliers_[static_cast<std::size_t>(k)] = this->node(k).multiplier;
-      saved_prices_[static_cast<std::size_t>(k)] = this->node(k).price;
+      saved_penalties_[static_cast<std::size_t>(k)] = this->node(k).penalty;
     }
   }
   void restore() {
@@ -389,9 +389,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       this->step(k) = saved_steps_[static_cast<std::size_t>(k)];
       this->node(k).multiplier = saved_multipliers_[static_cast<std::size_t>(k)];
       auto& n = this->node(k);
-      n.price = saved_prices_[static_cast<std::size_t>(k)];
+      n.penalty = saved_penalties_[static_cast<std::size_t>(k)];
       for (int i = 0; i < Constraints; ++i)
-        if (n.hard[static_cast<std::size_t>(i)]) n.stand_in(i) = n.price(i);
+        if (n.hard[static_cast<std::size_t>(i)]) n.finite_penalty(i) = n.penalty(i);
     }
     this->predict();
     (void)solved();
@@ -417,7 +417,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   ActiveSet<States, Inputs, Constraints, Pattern> active_set_;
   InteriorPoint<States, Inputs, Constraints, Pattern> interior_point_;
   std::vector<typename Program::Vector> saved_steps_;
-  std::vector<typename Program::Values> saved_multipliers_, saved_prices_;
+  std::vector<typename Program::Values> saved_multipliers_, saved_penalties_;
   int most_dual_constraints_ = 0;  // set by the last prepare()
   std::optional<SolverClock::time_point> deadline_;
   // Duration of the last pass, of the last interior-point iteration, and of computing the gradients
@@ -430,7 +430,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
   bool unsolved_ = false;  // the last program was interrupted: its multipliers are a bad guess
-  bool goes_on_ = false;
+  bool interrupted_ = false;
 };
 
 }  // namespace tilt_ropter::optimal_control

@@ -142,14 +142,14 @@ class ProblemConstraints<ScaledProblem<Problem>> : public ProblemConstraints<Pro
     multiply(problem, k, C, E, -1.0);
   }
   static void bounds(const ScaledProblem<Problem>& problem, int k, Values& lower, Values& upper,
-                     Values& price, Values& stiffness) {
-    Own::bounds(problem, k, lower, upper, price, stiffness);
+                     Values& penalty, Values& stiffness) {
+    Own::bounds(problem, k, lower, upper, penalty, stiffness);
     if (problem.natural()) return;
     for (int i = 0; i < Own::count; ++i) {
       const double unit = problem.row_units(k)(i);
       lower(i) /= unit;
       upper(i) /= unit;
-      price(i) *= unit / problem.cost_unit();
+      penalty(i) *= unit / problem.cost_unit();
       stiffness(i) *= unit * unit / problem.cost_unit();
     }
   }

@@ -52,25 +52,25 @@ class Subproblem {
   void set_first(const Tangent& dx0) { detail::copy_first(States, dx0, steps_[0]); }
 
   /// Prepares the cost and the constraints that were written to node k for a solve. Constraints
-  /// with infinite price are hard: they get a price so large that only constraints that must be
-  /// violated are relaxed. Constraints with price or stiffness zero are removed. If the lower bound
-  /// is above the upper bound, the two are swapped; the solutions are the same, because the price
-  /// is paid for the gap in any case. Returns false if a number is not finite, a bound is NaN, or a
-  /// price or stiffness is negative.
+  /// with infinite penalty are hard: they get a penalty so large that only constraints that must be
+  /// violated are relaxed. Constraints with penalty or stiffness zero are removed. If the lower
+  /// bound is above the upper bound, the two are swapped; the solutions are the same, because the
+  /// penalty is paid for the gap in any case. Returns false if a number is not finite, a bound is
+  /// NaN, or a penalty or stiffness is negative.
   [[nodiscard]] bool check_node(int k) {
     Node& n = node(k);
     n.crossed = false;
     for (int i = 0; i < Constraints; ++i)
-      n.hard[static_cast<std::size_t>(i)] = n.price(i) == infinity;
+      n.hard[static_cast<std::size_t>(i)] = n.penalty(i) == infinity;
     for (int i = 0; i < Constraints; ++i) {
       if (!n.hard[static_cast<std::size_t>(i)]) continue;
-      // A relaxed hard constraint keeps the price at which it was relaxed.
-      const bool gave_up = std::abs(n.multiplier(i)) >= n.stand_in(i);
-      n.price(i) = n.stand_in(i) = gave_up ? n.stand_in(i) : hard_price;
+      // A relaxed hard constraint keeps the penalty at which it was relaxed.
+      const bool was_relaxed = std::abs(n.multiplier(i)) >= n.finite_penalty(i);
+      n.penalty(i) = n.finite_penalty(i) = was_relaxed ? n.finite_penalty(i) : hard_penalty;
     }
     bool regular = true;
     for (int i = 0; i < Constraints; ++i)
-      regular &= n.lower(i) <= n.upper(i) && n.price(i) > 0.0 && n.stiffness(i) > 0.0;
+      regular &= n.lower(i) <= n.upper(i) && n.penalty(i) > 0.0 && n.stiffness(i) > 0.0;
     if (!regular && !repair(n)) return false;
     return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       const auto& cost = riccati.stage(k).cost;
@@ -91,8 +91,8 @@ class Subproblem {
     for (int i = 0; i < Constraints; ++i) {
       const double row = units(i), slope = row / cost;
       n.multiplier(i) *= slope;
-      n.price(i) *= slope;
-      n.stand_in(i) *= slope;
+      n.penalty(i) *= slope;
+      n.finite_penalty(i) *= slope;
       n.stiffness(i) *= row * slope;
       n.predicted(i) /= row;
       n.value(i) /= row;
@@ -357,8 +357,8 @@ class Subproblem {
       for (int i = 0; i < States; ++i) g(States + j) += s.cost.hessian(i, States + j) * w[i];
   }
 
-  /// Change of the cost by the step, including the price of every violation. Requires predict().
-  [[nodiscard]] double price_of_step(double damping) const {
+  /// Change of the cost by the step, including the penalty of every violation. Requires predict().
+  [[nodiscard]] double cost_of_step(double damping) const {
     double sum = 0.0;
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       Vector g;
@@ -373,7 +373,7 @@ class Subproblem {
     for (const Node& n : nodes_)
       for (int i = 0; i < Constraints; ++i) {
         if (n.predicted(i) > n.upper(i) || n.predicted(i) < n.lower(i))
-          sum += violation_cost(n.price(i), n.stiffness(i), n.violation(i, n.predicted(i)));
+          sum += violation_cost(n.penalty(i), n.stiffness(i), n.violation(i, n.predicted(i)));
       }
     return sum;
   }
@@ -402,8 +402,8 @@ class Subproblem {
   /// Hard bounds on single inputs are relaxed only if nothing else is left to relax.
   bool inputs_last = true;
   double cost_here = 0.0;  ///< cost at the point of linearisation
-  /// Price of a hard constraint until a better one is known, see InteriorPoint.
-  static constexpr double hard_price = 1e12;
+  /// Penalty of a hard constraint until a better one is known, see InteriorPoint.
+  static constexpr double hard_penalty = 1e12;
 
   Factorisation riccati;
 
@@ -419,12 +419,12 @@ class Subproblem {
   [[nodiscard]] bool repair(Node& n) {
     for (int i = 0; i < Constraints; ++i) {
       double &lower = n.lower(i), &upper = n.upper(i);
-      if (!(n.price(i) >= 0.0) || !(n.stiffness(i) >= 0.0)) return false;
+      if (!(n.penalty(i) >= 0.0) || !(n.stiffness(i) >= 0.0)) return false;
       if (!(lower <= upper) && !(lower > upper)) return false;
-      if (n.price(i) == 0.0 || n.stiffness(i) == 0.0) {
+      if (n.penalty(i) == 0.0 || n.stiffness(i) == 0.0) {
         lower = -infinity;
         upper = infinity;
-        n.price(i) = n.stiffness(i) = 1.0;
+        n.penalty(i) = n.stiffness(i) = 1.0;
       } else if (lower > upper) {
         std::swap(lower, upper);
         if (!n.crossed) n.crosses.fill(false);
@@ -456,7 +456,7 @@ class Subproblem {
       largest_multiplier = std::max(largest_multiplier, m);
       // The large terms of contradicting hard constraints cancel each other, and their rounding
       // errors hide the remaining terms.
-      if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.price(row.i))
+      if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.penalty(row.i))
         largest_term =
             std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
     }
@@ -469,7 +469,7 @@ class Subproblem {
                    inside = m / n.stiffness(row.i) + (above ? bound - value : value - bound);
       r.complementarity = std::max(r.complementarity, std::min(m / (1.0 + largest_multiplier),
                                                                inside / (1.0 + std::abs(bound))));
-      if (inside > 0.0 || m < n.price(row.i)) r.gap += m * std::abs(inside);
+      if (inside > 0.0 || m < n.penalty(row.i)) r.gap += m * std::abs(inside);
     }
     r.gap /= 1.0 + std::abs(cost);
     const bool decides = relative || excess > r.largest();
@@ -481,7 +481,7 @@ class Subproblem {
 
   // Largest violation beyond the part that the multiplier accounts for. For each constraint, the
   // smaller of two numbers counts: the violation, if `relative` to the bound, and the distance of
-  // the multiplier from its price, relative to the largest multiplier.
+  // the multiplier from its penalty, relative to the largest multiplier.
   [[nodiscard]] double unpaid_violation(Values Node::*values, double largest_multiplier,
                                         bool relative) const {
     double largest = 0.0;
@@ -494,7 +494,7 @@ class Subproblem {
                      unpaid =
                          (most - m / n.stiffness(i)) / (relative ? 1.0 + std::abs(bound) : 1.0);
         largest =
-            std::max(largest, std::min(unpaid, (n.price(i) - m) / (1.0 + largest_multiplier)));
+            std::max(largest, std::min(unpaid, (n.penalty(i) - m) / (1.0 + largest_multiplier)));
       }
     return largest;
   }
