@@ -179,7 +179,7 @@ TEST_F(HeapInTheLoop, WholeLoopInAirAndOnGround) {
       if (fault == 3) m->specific_force.y() = nan;
       const Wrenchd wrench =
           watch("Allocation::wrench", [&] { return allocation.wrench(applied); });
-      (void)watch("WrenchObserver", [&] { return observer.update(time, *m, wrench); });
+      (void)watch("WrenchObserver", [&] { return observer.update(time, *m, wrench).status; });
       (void)watch("FailureDetector", [&] {
         return detector.update(time, *m, applied, actuators.state().rotor_speed, i % 300 != 0).kind;
       });
@@ -244,7 +244,7 @@ TEST_F(HeapInTheLoop, ObserverWithCalibrationAndLimits) {
     if (i % 70 == 0) a.y() = nan;
     trusted.insert(watch("trust", [&] { return observer.trust(time); }));
     reached.insert(watch("update", [&] {
-      return observer.update(time, {Eigen::Vector3d::Zero(), a}, {});
+      return observer.update(time, {Eigen::Vector3d::Zero(), a}, {}).status;
     }));
     if (i % 150 == 20) watch("begin_calibration", [&] { observer.begin_calibration(); });
     if (i % 150 == (i < 600 ? 149 : 50))
