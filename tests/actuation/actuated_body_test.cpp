@@ -1,6 +1,6 @@
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/detail/actuated_body.hpp>
-#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 
 #include "support/autodiff.hpp"

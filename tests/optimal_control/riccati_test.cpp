@@ -235,11 +235,10 @@ TEST(Riccati, TransitionsInLanesEqualSingleTransitions) {
   LinearQuadratic<nx, nu> lq(40);
   Eigen::Matrix<Lanes, nx, nx> A;
   Eigen::Matrix<Lanes, nx, nu> B;
-  const auto at = [](int lane) { return static_cast<std::size_t>(std::min(lane, 2)); };
   gather_into(
-      A, [&](int lane) -> const auto& { return lq.A[at(lane)]; });
+      A, 3, [&](int lane) -> const auto& { return lq.A[static_cast<std::size_t>(lane)]; });
   gather_into(
-      B, [&](int lane) -> const auto& { return lq.B[at(lane)]; });
+      B, 3, [&](int lane) -> const auto& { return lq.B[static_cast<std::size_t>(lane)]; });
   Riccati<nx, nu> pass(horizon);
   EXPECT_TRUE(pass.set_transitions(0, 3, A, B));
   for (int k = 0; k < 3; ++k) {
@@ -265,9 +264,9 @@ TEST(Riccati, ReportsNonFiniteTransitions) {
           Eigen::Matrix<Lanes, nx, nx> lanes_A;
           Eigen::Matrix<Lanes, nx, nu> lanes_B;
           gather_into(
-              lanes_A, [&](int l) -> const auto& { return l == lane ? A : lq.A[0]; });
+              lanes_A, Lanes::count, [&](int l) -> const auto& { return l == lane ? A : lq.A[0]; });
           gather_into(
-              lanes_B, [&](int l) -> const auto& { return l == lane ? B : lq.B[0]; });
+              lanes_B, Lanes::count, [&](int l) -> const auto& { return l == lane ? B : lq.B[0]; });
           EXPECT_FALSE(lq.pass.set_transitions(0, 4, lanes_A, lanes_B)) << i << ' ' << j;
         }
       }

@@ -41,6 +41,6 @@ fi
 
 program=$(mktemp)
 trap 'rm -f "$program"' EXIT
-"${compile[@]}" -O2 -fno-finite-math-only "$tests/math/packet_test.cpp" -x none -lgtest_main -lgtest \
-  -pthread -o "$program"
-"$program" --gtest_brief=1
+"${compile[@]}" -O2 -fno-finite-math-only -I "$tests" "$tests/math/simd_test.cpp" -x none \
+  -lgtest_main -lgtest -pthread -o "$program"
+"$program" --gtest_brief=1 --gtest_filter="Packet.*"

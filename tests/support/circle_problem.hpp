@@ -1,6 +1,6 @@
 #pragma once
 
-#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/derivative_check.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
@@ -103,8 +103,8 @@ struct Circle {
         ends[i].height += mistake.at("step_lanes: end minus that of step", k + j);
       }
     }
-    gather_into(A, [&](int lane) -> const Eigen::Matrix2d& { return by_state[lane]; });
-    gather_into(B, [&](int lane) -> const Eigen::Matrix2d& { return by_input[lane]; });
+    gather_into(A, 4, [&](int lane) -> const Eigen::Matrix2d& { return by_state[lane]; });
+    gather_into(B, 4, [&](int lane) -> const Eigen::Matrix2d& { return by_input[lane]; });
   }
 
   double cost(int k, const State& x, const Input& u) const {

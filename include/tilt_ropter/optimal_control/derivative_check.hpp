@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>

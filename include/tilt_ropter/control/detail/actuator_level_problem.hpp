@@ -5,7 +5,7 @@
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/control/detail/flight_node.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -180,16 +180,10 @@ class ActuatorLevelProblem {
   [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {
-    const auto gather_each = [count](auto& lanes, const auto& of) __attribute__((always_inline)) {
-      for (Eigen::Index i = 0; i < lanes.size(); ++i)
-        lanes.coeffRef(i) = gather([&](int lane) __attribute__((always_inline)) {
-          return of(std::min(lane, count - 1)).coeff(i);
-        });
-    };
     ActuatedState<Rotors, Lanes> start, end;
     const auto take = [&](auto& lanes, const auto& part) __attribute__((always_inline)) {
-      gather_each(
-          lanes, [&](int i) -> const auto& { return part(x[i]); });
+      gather_into(
+          lanes, count, [&](int i) -> const auto& { return part(x[i]); });
     };
     take(
         start.thrust, [](const State& s) -> const auto& { return s.thrust; });
@@ -206,21 +200,21 @@ class ActuatorLevelProblem {
         start.body.angular_velocity,
         [](const State& s) -> const auto& { return s.body.angular_velocity; });
     Eigen::Matrix<Lanes, inputs, 1> rate;
-    gather_each(
-        rate, [&](int i) -> const auto& { return u[i]; });
+    gather_into(
+        rate, count, [&](int i) -> const auto& { return u[i]; });
     Wrench<Lanes> external;
-    gather_each(
-        external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
-    gather_each(
-        external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
+    gather_into(
+        external.force, count, [&](int i) -> const auto& { return node(k + i).external.force; });
+    gather_into(
+        external.torque, count, [&](int i) -> const auto& { return node(k + i).external.torque; });
     Freedom<Lanes> freedom;
-    gather_each(
-        freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
-    gather_each(
-        freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    gather_into(
+        freedom.linear, count, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
+    gather_into(
+        freedom.angular, count, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
     Steering<Lanes> steering;
-    gather_each(
-        steering.speed, [&](int i) -> const auto& { return node(k + i).steering.speed; });
+    gather_into(
+        steering.speed, count, [&](int i) -> const auto& { return node(k + i).steering.speed; });
     steering.side = gather([&](int lane) __attribute__((always_inline)) {
       return node(k + std::min(lane, count - 1)).steering.side;
     });

@@ -5,7 +5,7 @@
 #include <tilt_ropter/control/detail/cost_after_horizon.hpp>
 #include <tilt_ropter/control/detail/flight_node.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/math/detail/lanes.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
@@ -164,42 +164,34 @@ class WheeledFlightProblem {
   [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {
-    const auto at = [&](int lane) { return std::min(lane, count - 1); };
-    const auto each = [&](auto& lanes, const auto& of) __attribute__((always_inline)) {
-      for (Eigen::Index i = 0; i < lanes.size(); ++i)
-        lanes.coeffRef(i) =
-            gather([&](int lane) __attribute__((always_inline)) { return of(at(lane)).coeff(i); });
-    };
     tilt_ropter::State<Lanes> start, end;
-    each(
-        start.wrench.force, [&](int i) -> const auto& { return x[i].wrench.force; });
-    each(
-        start.wrench.torque, [&](int i) -> const auto& { return x[i].wrench.torque; });
-    each(
-        start.body.velocity, [&](int i) -> const auto& { return x[i].body.velocity; });
-    each(
-        start.body.position, [&](int i) -> const auto& { return x[i].body.position; });
-    each(
-        start.body.orientation.coeffs(), [&](int i) -> const auto& {
-          return x[i].body.orientation.coeffs();
-        });
-    each(
-        start.body.angular_velocity, [&](int i) -> const auto& {
-          return x[i].body.angular_velocity;
-        });
+    gather_into(
+        start.wrench.force, count, [&](int i) -> const auto& { return x[i].wrench.force; });
+    gather_into(
+        start.wrench.torque, count, [&](int i) -> const auto& { return x[i].wrench.torque; });
+    gather_into(
+        start.body.velocity, count, [&](int i) -> const auto& { return x[i].body.velocity; });
+    gather_into(
+        start.body.position, count, [&](int i) -> const auto& { return x[i].body.position; });
+    gather_into(
+        start.body.orientation.coeffs(),
+        count, [&](int i) -> const auto& { return x[i].body.orientation.coeffs(); });
+    gather_into(
+        start.body.angular_velocity,
+        count, [&](int i) -> const auto& { return x[i].body.angular_velocity; });
     Eigen::Matrix<Lanes, 6, 1> rate;
-    each(
-        rate, [&](int i) -> const auto& { return u[i]; });
+    gather_into(
+        rate, count, [&](int i) -> const auto& { return u[i]; });
     Wrench<Lanes> external;
-    each(
-        external.force, [&](int i) -> const auto& { return node(k + i).external.force; });
-    each(
-        external.torque, [&](int i) -> const auto& { return node(k + i).external.torque; });
+    gather_into(
+        external.force, count, [&](int i) -> const auto& { return node(k + i).external.force; });
+    gather_into(
+        external.torque, count, [&](int i) -> const auto& { return node(k + i).external.torque; });
     Freedom<Lanes> freedom;
-    each(
-        freedom.linear, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
-    each(
-        freedom.angular, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    gather_into(
+        freedom.linear, count, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
+    gather_into(
+        freedom.angular, count, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
     lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
     for (int i = 0; i < count; ++i) {
       const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {

@@ -2,7 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/entries.hpp>
-#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati_stage.hpp>
 
 #include <Eigen/Core>
@@ -20,7 +20,7 @@ class AdjointBatch {
  public:
   using Stage = RiccatiStage<States, Inputs>;
   /// One function per row: its derivative by dx_k, then by du_k. The number of rows must be a
-  /// multiple of detail::padding.
+  /// multiple of detail::packet_width.
   using Gradients = Eigen::Matrix<double, Eigen::Dynamic, States + Inputs>;
 
   /// Adjoint step through the interval of node k, whose stage is `s`. Computes the derivatives by

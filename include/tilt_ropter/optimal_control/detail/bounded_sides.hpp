@@ -2,7 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
-#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 
 #include <Eigen/Core>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 
 #include <algorithm>
 #include <cmath>

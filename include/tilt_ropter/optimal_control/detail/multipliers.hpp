@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/cholesky.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 
@@ -149,7 +149,7 @@ class DualSolver {
     return std::min(std::max(x, 0.0), upper_(i));  // NaN stays NaN
   }
   [[nodiscard]] bool finite(const Vector& numbers) const {
-    detail::FiniteCheck<detail::padding> check;
+    detail::FiniteCheck<detail::packet_width> check;
     check.add(numbers.data(), size_);
     return check.passed();
   }

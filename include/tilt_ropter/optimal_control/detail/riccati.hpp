@@ -2,8 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/entries.hpp>
-#include <tilt_ropter/math/detail/lanes.hpp>
-#include <tilt_ropter/math/detail/packet.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati_stage.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
@@ -222,16 +221,13 @@ class Riccati {
   template <int Width>
   [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
     const Stage& last = stages_.back();
-    detail::FiniteCheck<Width> unused;
     for (int j = 0; j < width; ++j)
-      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j,
-                                unused);
-    detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data(), unused);
+      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j);
+    detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data());
     for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
     terms(horizon(), hessian_.data(), gradient_.data());
     for (int j = 0; j < States; ++j)
-      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + state_rows * j,
-                                  unused);
+      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + state_rows * j);
     mirror<Width>();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
