@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/entries.hpp>
-#include <tilt_ropter/math/detail/singular_values.hpp>
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -81,15 +79,14 @@ struct AllocationMatrix {
   /// column of A.
   void set_column(int column, const RotorGeometry& rotor, double sign, int axis,
                   const RotorParameters& parameters) {
-    const detail::Triple<double> force = sign * detail::triple_at(rotor.orientation, 0, axis);
+    const detail::Triple<double> force = sign * detail::triple(rotor.orientation, 0, axis);
     const double drag = static_cast<int>(rotor.spin) * parameters.torque_ratio;
     detail::put(force, matrix, 0, column);
-    detail::put(detail::cross(detail::triple(rotor.position), force) - drag * force, matrix, 3,
-                column);
+    detail::put(cross(detail::triple(rotor.position), force) - drag * force, matrix, 3, column);
   }
 
   // For two rotors, two columns of zeros.
-  using Decomposition = SingularValues<6, std::max(6, components)>;
+  using Decomposition = detail::SingularValues<6, std::max(6, components)>;
 
   /// Decomposes A with torques in units of the vehicle's size, so that the rank depends only on the
   /// shape. At full rank the pseudo-inverse does not depend on the size.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/detail/body_step.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -101,8 +101,8 @@ class RigidBody {
     using I = TangentIndex;
     using BodyStep = detail::BodyStep<Scalar>;
     const Scalar zero(0), one(1);
-    const Triple force_rate = detail::triple_at(rate, I::force),
-                 torque_rate = detail::triple_at(rate, I::torque), none = BodyStep::none();
+    const Triple force_rate = detail::triple(rate, I::force),
+                 torque_rate = detail::triple(rate, I::torque), none = BodyStep::none();
     BodyStep step(body_, dt, freedom);
     detail::Push<Scalar> pushes[3];
     pushes[0] = {triple(x.wrench.force) + triple(external.force),
@@ -113,8 +113,8 @@ class RigidBody {
     step.template run<WithSensitivity>(body_, x.body, pushes, freedom, next.body);
     next.wrench.force = x.wrench.force;
     next.wrench.torque = x.wrench.torque;
-    detail::put(triple(x.wrench.force) + dt * force_rate, next.wrench.force, 0, 0);
-    detail::put(triple(x.wrench.torque) + dt * torque_rate, next.wrench.torque, 0, 0);
+    detail::put(triple(x.wrench.force) + dt * force_rate, next.wrench.force);
+    detail::put(triple(x.wrench.torque) + dt * torque_rate, next.wrench.torque);
     if constexpr (!WithSensitivity) return;
 
     for (int i = 0; i < 18 * 18; ++i) A->coeffRef(i) = zero;

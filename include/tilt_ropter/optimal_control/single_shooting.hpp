@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/entries.hpp>
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
 #include <tilt_ropter/optimal_control/detail/node_constraints.hpp>

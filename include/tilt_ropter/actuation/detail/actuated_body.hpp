@@ -3,7 +3,7 @@
 
 #include <tilt_ropter/actuation/detail/actuated_state.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/model/detail/body_step.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -43,10 +43,9 @@ class ActuatedBody {
       const double drag =
           static_cast<int>(geometry.spin) * rotor_parameters(vehicle, i).torque_ratio;
       const auto push_along = [&](int axis) {
-        const detail::Triple<double> force = detail::triple_at(geometry.orientation, 0, axis),
-                                     torque =
-                                         detail::cross(detail::triple(geometry.position), force) -
-                                         drag * force;
+        const detail::Triple<double> force = detail::triple(geometry.orientation, 0, axis),
+                                     torque = cross(detail::triple(geometry.position), force) -
+                                              drag * force;
         return Push{{Scalar(force.x), Scalar(force.y), Scalar(force.z)},
                     {Scalar(torque.x), Scalar(torque.y), Scalar(torque.z)}};
       };
@@ -69,8 +68,8 @@ class ActuatedBody {
       sum.torque += x.thrust.coeff(i) * push.torque;
     }
     Wrench<Scalar> wrench;
-    detail::put(sum.force, wrench.force, 0, 0);
-    detail::put(sum.torque, wrench.torque, 0, 0);
+    detail::put(sum.force, wrench.force);
+    detail::put(sum.torque, wrench.torque);
     return wrench;
   }
 
@@ -86,8 +85,8 @@ class ActuatedBody {
     using std::sin;
     const Scalar s = sin(angle), c = cos(angle);
     Direction d;
-    detail::put(rotor(i).at(s, c).force, d.along, 0, 0);
-    detail::put(rotor(i).derivative_at(s, c).force, d.derivative, 0, 0);
+    detail::put(rotor(i).at(s, c).force, d.along);
+    detail::put(rotor(i).derivative_at(s, c).force, d.derivative);
     return d;
   }
 

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/entries.hpp>
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -42,9 +41,9 @@ class ThrustInverse {
       for (const bool vertical : {false, true}) {
         if (!vertical && !rotor.tilts) continue;
         const detail::Triple<double> force =
-            (vertical ? 1.0 : -1.0) * detail::triple_at(rotor.orientation, 0, vertical ? 2 : 1);
+            (vertical ? 1.0 : -1.0) * detail::triple(rotor.orientation, 0, vertical ? 2 : 1);
         const detail::Triple<double> torque =
-            detail::cross(detail::triple(rotor.position), force) - drag * force;
+            cross(detail::triple(rotor.position), force) - drag * force;
         matrix[2 * i + vertical] = {force.x, force.y, force.z, torque.x, torque.y, torque.z};
       }
     }

@@ -268,10 +268,9 @@ class ActuatorLevelProblem {
       model.gradient(I::position + i) = 2.0 * factor * q(i) * e(i);
       model.hessian(I::position + i, I::position + i) = 2.0 * factor * q(i);
     }
-    const detail::Square<double> weighted = detail::transposed(
-        detail::scaled(by_angle, 2.0 * factor * detail::triple_at(q, orientation_error)));
-    detail::put(weighted * detail::triple_at(e, orientation_error), model.gradient, I::orientation,
-                0);
+    const detail::Square<double> weighted =
+        transposed(scaled(by_angle, 2.0 * factor * detail::triple(q, orientation_error)));
+    detail::put(weighted * detail::triple(e, orientation_error), model.gradient, I::orientation, 0);
     detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
     const double by_thrust = 2.0 * factor * thrust_weight(n);
     for (int i = 0; i < Rotors; ++i) {
@@ -304,18 +303,17 @@ class ActuatorLevelProblem {
     const detail::Triple<double> none{0.0, 0.0, 0.0},
         wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval, costate,
                                        I::position);
-    detail::Square<double> turning =
-        detail::square_at(model.hessian, I::orientation, I::orientation);
+    detail::Square<double> turning = detail::square(model.hessian, I::orientation, I::orientation);
     for (int i = 0; i < Rotors; ++i) {
       const auto direction = body_.direction(i, x.tilt_angle(i));
       const auto e = detail::triple(direction.along),
                  derivative = detail::triple(direction.derivative);
-      const double a = -x.thrust(i) * detail::dot(wanted, e);
+      const double a = -x.thrust(i) * dot(wanted, e);
       if (!(a > 0.0)) continue;
-      turning += a * detail::outer(1.0, -1.0 * e, e, none);
-      const detail::Triple<double> both = a * detail::cross(e, derivative);
+      turning += a * outer(1.0, -1.0 * e, e, none);
+      const detail::Triple<double> both = a * cross(e, derivative);
       const int column = I::tilt_angle + i;
-      model.hessian(column, column) += a * detail::dot(derivative, derivative);
+      model.hessian(column, column) += a * dot(derivative, derivative);
       for (int j = 0; j < 3; ++j) {
         const double part = j == 0 ? both.x : j == 1 ? both.y : both.z;
         model.hessian(I::orientation + j, column) += part;
@@ -327,7 +325,7 @@ class ActuatorLevelProblem {
 
   [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {
     Constraints value;
-    detail::put(detail::triple(x.body.angular_velocity), value, Part::angular_velocity, 0);
+    detail::put(detail::triple(x.body.angular_velocity), value, Part::angular_velocity);
     for (int i = 0; i < Rotors; ++i) {
       value(Part::thrust + i) = x.thrust(i);
       value(Part::tilt_angle + i) = x.tilt_angle(i);
@@ -373,10 +371,10 @@ class ActuatorLevelProblem {
   [[nodiscard]] BodyVector body_weights() const {
     const ActuatorLevelWeights& w = settings_.weights;
     BodyVector all;
-    detail::put(detail::triple(w.position), all, 0, 0);
-    detail::put(detail::triple(w.velocity), all, 3, 0);
-    detail::put(detail::triple(w.orientation), all, orientation_error, 0);
-    detail::put(detail::triple(w.angular_velocity), all, 9, 0);
+    detail::put(detail::triple(w.position), all);
+    detail::put(detail::triple(w.velocity), all, 3);
+    detail::put(detail::triple(w.orientation), all, orientation_error);
+    detail::put(detail::triple(w.angular_velocity), all, 9);
     return all;
   }
 

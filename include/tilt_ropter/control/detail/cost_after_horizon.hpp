@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
@@ -26,8 +26,7 @@ class CostAfterHorizon {
   /// Cost of the error `e` at the reference's heading `yaw` [rad].
   [[nodiscard]] [[gnu::noinline]] double value(double yaw, StateTangentd e) const {
     const Square<double> turn = to_heading(yaw);
-    for (const int i : {I::position, I::velocity, I::orientation})
-      put(turn * triple_at(e, i), e, i, 0);
+    for (const int i : {I::position, I::velocity, I::orientation}) put(turn * triple(e, i), e, i);
     double sum = 0.0;
     for (int j = 0; j < 18; ++j)
       for (int i = 0; i < 18; ++i) sum += e(i) * P_(i, j) * e(j);
@@ -46,11 +45,11 @@ class CostAfterHorizon {
       const Square<double> back = 2.0 * transposed(of_state[i]);
       Triple<double> gradient = none;
       for (int j = 0; j < 6; ++j) {
-        const Square<double> block = back * square_at(P_, 3 * i, 3 * j);
-        gradient += block * (of_error[j] * triple_at(e, 3 * j));
+        const Square<double> block = back * square(P_, 3 * i, 3 * j);
+        gradient += block * (of_error[j] * triple(e, 3 * j));
         put(block * of_state[j], model.hessian, 3 * i, 3 * j);
       }
-      put(gradient, model.gradient, 3 * i, 0);
+      put(gradient, model.gradient, 3 * i);
     }
   }
 

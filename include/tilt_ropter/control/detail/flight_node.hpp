@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -46,10 +46,10 @@ template <typename Error>
                                                   const Eigen::Quaterniond& turn, Error& e,
                                                   int first) {
   const BodyStated& reference = node.reference;
-  put(triple(body.position) - triple(reference.position), e, first, 0);
-  put(triple(body.velocity) - triple(reference.velocity), e, first + 3, 0);
-  put(2.0 * Triple<double>{turn.x(), turn.y(), turn.z()}, e, first + 6, 0);
-  put(triple(body.angular_velocity) - triple(reference.angular_velocity), e, first + 9, 0);
+  put(triple(body.position) - triple(reference.position), e, first);
+  put(triple(body.velocity) - triple(reference.velocity), e, first + 3);
+  put(2.0 * Triple<double>{turn.x(), turn.y(), turn.z()}, e, first + 6);
+  put(triple(body.angular_velocity) - triple(reference.angular_velocity), e, first + 9);
 }
 
 /// Derivative of 2 vec(q (x) q_r^-1) by dtheta: (w I - [v]x) R(q) for q (x) q_r^-1 = (w, v).
@@ -69,7 +69,7 @@ template <typename Costate>
                                            double mass, double interval, const Costate& costate,
                                            int first) {
   const Triple<double> by_velocity =
-      triple_at(costate, first + 3) + (0.5 * interval) * triple_at(costate, first);
+      triple(costate, first + 3) + (0.5 * interval) * triple(costate, first);
   return (interval / mass) * (transposed(square(body.orientation.toRotationMatrix())) *
                               (transposed(square(node.freedom.linear)) * by_velocity));
 }

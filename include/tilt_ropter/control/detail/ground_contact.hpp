@@ -3,7 +3,7 @@
 
 #include <tilt_ropter/control/detail/flight_node.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/detail/body_step.hpp>

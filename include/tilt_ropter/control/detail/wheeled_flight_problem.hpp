@@ -233,9 +233,8 @@ class WheeledFlightProblem {
     constexpr int thrust = I::force + 2;
     model.gradient(thrust) += 2.0 * ground_thrust_weight(k) * e(thrust);
     model.hessian(thrust, thrust) += 2.0 * ground_thrust_weight(k);
-    const Square weighted =
-        detail::transposed(detail::scaled(by_angle, 2.0 * detail::triple_at(q, I::orientation)));
-    detail::put(weighted * detail::triple_at(e, I::orientation), model.gradient, I::orientation, 0);
+    const Square weighted = transposed(scaled(by_angle, 2.0 * detail::triple(q, I::orientation)));
+    detail::put(weighted * detail::triple(e, I::orientation), model.gradient, I::orientation);
     detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
     for (int i = 0; k < horizon() && i < inputs; ++i) {
       model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
@@ -263,27 +262,25 @@ class WheeledFlightProblem {
     const Triple force = detail::triple(x.wrench.force),
                  wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval,
                                                 costate, I::position);
-    const double f = std::sqrt(detail::dot(force, force)), a = -detail::dot(wanted, force) / f;
+    const double f = std::sqrt(dot(force, force)), a = -dot(wanted, force) / f;
     if (!(a > 0.0)) return;  // also for zero force
     const Triple none{0.0, 0.0, 0.0}, e = (1.0 / f) * force;
-    const Square across = detail::outer(1.0, -1.0 * e, e, none),
-                 turn = detail::outer(0.0, none, none, -a * e);
+    const Square across = outer(1.0, -1.0 * e, e, none), turn = outer(0.0, none, none, -a * e);
     const auto add = [&model](const Square& block, int row, int column) {
-      detail::put(detail::square_at(model.hessian, row, column) + block, model.hessian, row,
-                  column);
+      detail::put(detail::square(model.hessian, row, column) + block, model.hessian, row, column);
     };
     add(a / f * across, I::force, I::force);
     add(a * f * across, I::orientation, I::orientation);
     add(turn, I::force, I::orientation);
-    add(detail::transposed(turn), I::orientation, I::force);
+    add(transposed(turn), I::orientation, I::force);
   }
 
   [[nodiscard]] Constraints constraint_values(int, const State& x, const Input& u) const {
     using detail::triple;
     Constraints value;
-    detail::put(triple(x.wrench.force), value, Part::force, 0);
-    detail::put(triple(x.wrench.torque), value, Part::torque, 0);
-    detail::put(triple(x.body.angular_velocity), value, Part::angular_velocity, 0);
+    detail::put(triple(x.wrench.force), value, Part::force);
+    detail::put(triple(x.wrench.torque), value, Part::torque);
+    detail::put(triple(x.body.angular_velocity), value, Part::angular_velocity);
     for (int i = 0; i < inputs; ++i) value(Part::rate + i) = u(i);
     if constexpr (Rotors > 0) {
       const auto of_actuators = actuators_.values(packed(x.wrench), u);
@@ -329,13 +326,13 @@ class WheeledFlightProblem {
     const Eigen::Vector3d* blocks[] = {&w.force,    &w.torque,      &w.position,
                                        &w.velocity, &w.orientation, &w.angular_velocity};
     Tangent all;
-    for (int i = 0; i < 6; ++i) detail::put(detail::triple(*blocks[i]), all, 3 * i, 0);
+    for (int i = 0; i < 6; ++i) detail::put(detail::triple(*blocks[i]), all, 3 * i);
     return all;
   }
   static Input input_weights_of(const NmpcWeights& w) {
     Input all;
-    detail::put(detail::triple(w.force_rate), all, I::force, 0);
-    detail::put(detail::triple(w.torque_rate), all, I::torque, 0);
+    detail::put(detail::triple(w.force_rate), all, I::force);
+    detail::put(detail::triple(w.torque_rate), all, I::torque);
     return all;
   }
 
@@ -370,9 +367,9 @@ class WheeledFlightProblem {
                                       &b.force_rate, &b.torque_rate};
     const Eigen::Vector3d* lower[] = {&b.force_min, &b.torque_min};
     for (int i = 0; i < 5; ++i) {
-      detail::put(detail::triple(*upper[i]), upper_, 3 * i, 0);
+      detail::put(detail::triple(*upper[i]), upper_, 3 * i);
       const Triple below = i < 2 ? detail::triple(*lower[i]) : -1.0 * detail::triple(*upper[i]);
-      detail::put(below, lower_, 3 * i, 0);
+      detail::put(below, lower_, 3 * i);
     }
     if constexpr (Rotors > 0) {
       std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
@@ -399,8 +396,8 @@ class WheeledFlightProblem {
     const WheeledFlightNode& n = node(k);
     const auto &wrench = x.wrench, &wrench_reference = n.wrench_reference;
     Tangent e;
-    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, I::force, 0);
-    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, I::torque, 0);
+    detail::put(triple(wrench.force) - triple(wrench_reference.force), e, I::force);
+    detail::put(triple(wrench.torque) - triple(wrench_reference.torque), e, I::torque);
     detail::put_body_error(n, x.body, detail::attitude_error(n, x.body), e, I::position);
     return e;
   }
@@ -442,8 +439,8 @@ class WheeledFlightProblem {
 
   [[nodiscard]] static Input packed(const Wrenchd& wrench) {
     Input w;
-    detail::put(detail::triple(wrench.force), w, I::force, 0);
-    detail::put(detail::triple(wrench.torque), w, I::torque, 0);
+    detail::put(detail::triple(wrench.force), w, I::force);
+    detail::put(detail::triple(wrench.torque), w, I::torque);
     return w;
   }
 

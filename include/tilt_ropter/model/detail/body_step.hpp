@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/triple.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -173,14 +173,14 @@ class BodyStep {
                             to_world_ * position_impulse_ + half_dt_ * fall,
                  velocity = triple(x.velocity) + to_world_ * velocity_impulse_ + fall,
                  angular_velocity = w0 + w_sum;
-    put(position, next.position, 0, 0);
-    put(velocity, next.velocity, 0, 0);
-    put(angular_velocity, next.angular_velocity, 0, 0);
+    put(position, next.position);
+    put(velocity, next.velocity);
+    put(angular_velocity, next.angular_velocity);
     const Scalar real = qw * c_ - dot(qv, v_);
     const Triple vector = qw * v_ + c_ * qv + cross(qv, v_);
     const Scalar per_length = one / sqrt(real * real + dot(vector, vector));
     auto& orientation = next.orientation.coeffs();
-    put(per_length * vector, orientation, 0, 0);
+    put(per_length * vector, orientation);
     orientation.coeffRef(3) = per_length * real;
   }
 
@@ -257,6 +257,15 @@ class BodyStep {
   }
 
  private:
+  // Returns the derivative of -w x (J w) with respect to w. `inertia` is J, `momentum` is J w.
+  [[gnu::always_inline]] static inline Square gyroscopic(const Square& inertia, const Triple& w,
+                                                         const Triple& momentum) {
+    const Scalar zero(0);
+    return {Triple{zero, momentum.z, -momentum.y} - cross(w, inertia.x),
+            Triple{-momentum.z, zero, momentum.x} - cross(w, inertia.y),
+            Triple{momentum.y, -momentum.x, zero} - cross(w, inertia.z)};
+  }
+
   // Values of one Runge-Kutta stage that its derivative needs.
   struct Stage {
     Square w_by_w, turned_by_v;          // d(rate of w)/dw, d(rotated force)/dv

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/entries.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati_stage.hpp>
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
-#include <tilt_ropter/optimal_control/detail/cholesky.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
 
 #include <Eigen/Core>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/entries.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/optimal_control/detail/active_set.hpp>
 #include <tilt_ropter/optimal_control/detail/dual_method.hpp>
 #include <tilt_ropter/optimal_control/detail/interior_point.hpp>

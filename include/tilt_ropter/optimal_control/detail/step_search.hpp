@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/optimal_control/detail/anderson.hpp>
 #include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/detail/cholesky.hpp>
 #include <tilt_ropter/optimal_control/detail/merit.hpp>
 #include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>

@@ -1,4 +1,4 @@
-#include <tilt_ropter/math/detail/singular_values.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 
 #include "support/random.hpp"
 
@@ -15,6 +15,7 @@
 namespace tilt_ropter {
 namespace {
 
+using detail::SingularValues;
 using test_support::Random;
 
 template <int Rows, int Columns>

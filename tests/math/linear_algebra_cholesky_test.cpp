@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/detail/cholesky.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 
 #include "support/random.hpp"
 
@@ -11,7 +11,7 @@
 #include <limits>
 #include <vector>
 
-namespace tilt_ropter::optimal_control {
+namespace tilt_ropter {
 namespace {
 
 using Eigen::MatrixXd;
@@ -247,4 +247,4 @@ TEST(Cholesky, CountsNonFiniteEntriesAsDroppedColumns) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter::optimal_control
+}  // namespace tilt_ropter
