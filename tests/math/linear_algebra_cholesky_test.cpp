@@ -232,6 +232,65 @@ TEST(Cholesky, DropsColumnsWithoutAFinitePositivePivot) {
       }
 }
 
+/// Factorises a copy of a matrix of fixed size with guards in its upper triangle and solves A y =
+/// x.
+template <int Size>
+struct FixedSolution {
+  Eigen::Matrix<double, Size, Size> L;
+  Eigen::Matrix<double, Size, 1> y;
+
+  FixedSolution(const MatrixXd& A, const VectorXd& x) : L(A), y(x) {
+    for (int j = 0; j < Size; ++j)
+      for (int i = 0; i < j; ++i) L(i, j) = guard;
+    detail::factorise(L);
+    detail::solve_factorised(L, y.data());
+    for (int j = 0; j < Size; ++j)
+      for (int i = 0; i < j; ++i) {
+        EXPECT_EQ(L(i, j), guard);
+        L(i, j) = 0.0;
+      }
+  }
+};
+
+TEST(Cholesky, OfFixedSizeEqualsThatOfAnySize) {
+  Random random(7);
+  for (int i = 0; i < 100; ++i) {
+    const MatrixXd A = random_definite(random, 7);
+    const VectorXd x = random_vector(random, 7);
+    const FixedSolution<7> solution(A, x);
+    const Solution other(A, x);
+    EXPECT_LT((solution.L - other.L).norm(), 1e-14 * A.norm());
+    EXPECT_LT(error(solution.y, other.y), 1e-13);
+  }
+}
+
+TEST(Cholesky, OfFixedSizeLeavesOutColumnsWithoutAPositivePivot) {
+  Random random(8);
+  constexpr int n = 6;
+  for (int bad = 0; bad < n; ++bad)
+    for (const double diagonal : {0.0, -1.0, nan}) {
+      SCOPED_TRACE(testing::Message() << diagonal << " at " << bad);
+      MatrixXd A = random_definite(random, n);
+      A(bad, bad) = diagonal;
+      const VectorXd x = random_vector(random, n);
+      const FixedSolution<n> solution(A, x);
+      EXPECT_EQ(solution.L(bad, bad), infinity);
+      EXPECT_EQ(solution.L.col(bad).tail(n - 1 - bad), VectorXd::Zero(n - 1 - bad));
+      EXPECT_EQ(solution.y(bad), 0.0);
+      std::vector<int> kept;
+      for (int j = 0; j < n; ++j)
+        if (j != bad) kept.push_back(j);
+      const VectorXd rest = MatrixXd(A(kept, kept)).llt().solve(VectorXd(x(kept)));
+      EXPECT_LT(error(solution.y(kept), rest), 1e-12);
+    }
+  // The second pivot is `above`, the second diagonal entry 1 + `above`.
+  for (const double above : {0x1p-52, 0x1p-48}) {
+    const Eigen::Matrix2d A = (Eigen::Matrix2d() << 4.0, 2.0, 2.0, 1.0 + above).finished();
+    const FixedSolution<2> solution(A, Eigen::Vector2d(4.0, 2.0 + above));
+    EXPECT_EQ(solution.y, above > 1e-15 ? Eigen::Vector2d(0.5, 1.0) : Eigen::Vector2d(1.0, 0.0));
+  }
+}
+
 // The caller can then see that the result is not a solution.
 TEST(Cholesky, CountsNonFiniteEntriesAsDroppedColumns) {
   Random random(6);

@@ -29,7 +29,6 @@ class ThrustInverse {
 
   /// The vehicle must be valid. Does not allocate or throw.
   explicit ThrustInverse(const Vehicle<Rotors>& vehicle) noexcept {
-    Columns matrix{};
     double size = 1e-9;
     for (std::size_t i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[i];
@@ -42,19 +41,18 @@ class ThrustInverse {
         if (!vertical && !rotor.tilts) continue;
         const detail::Triple<double> force =
             (vertical ? 1.0 : -1.0) * detail::triple(rotor.orientation, 0, vertical ? 2 : 1);
-        const detail::Triple<double> torque =
-            cross(detail::triple(rotor.position), force) - drag * force;
-        matrix[2 * i + vertical] = {force.x, force.y, force.z, torque.x, torque.y, torque.z};
+        const int column = 2 * static_cast<int>(i) + vertical;
+        detail::put(force, matrix_, 0, column);
+        detail::put(cross(detail::triple(rotor.position), force) - drag * force, matrix_, 3,
+                    column);
       }
     }
-    matrix_ = matrix;
-    for (auto& column : matrix)
-      for (std::size_t r = 3; r < 6; ++r) column[r] /= size;
-    const Columns inverse = damped(matrix, 0, 6);
+    Matrix matrix = matrix_;
     for (int j = 0; j < components; ++j)
-      for (int r = 0; r < 6; ++r)
-        inverse_(j, r) = inverse[static_cast<std::size_t>(j)][static_cast<std::size_t>(r)] /
-                         (r < 3 ? 1.0 : size);
+      for (int r = 3; r < 6; ++r) matrix(r, j) /= size;
+    const Matrix inverse = damped(matrix, 0, 6);
+    for (int j = 0; j < components; ++j)
+      for (int r = 0; r < 6; ++r) inverse_(j, r) = inverse(r, j) / (r < 3 ? 1.0 : size);
     set_steady_forces(matrix);
   }
 
@@ -91,13 +89,11 @@ class ThrustInverse {
       }
       if (!clamped) break;
       Wrenchd missing = wrench;
-      for (int j = 0; j < components; ++j) {
-        const auto& column = matrix_[static_cast<std::size_t>(j)];
+      for (int j = 0; j < components; ++j)
         for (int r = 0; r < 3; ++r) {
-          missing.force(r) -= column[static_cast<std::size_t>(r)] * thrusts(j);
-          missing.torque(r) -= column[static_cast<std::size_t>(3 + r)] * thrusts(j);
+          missing.force(r) -= matrix_(r, j) * thrusts(j);
+          missing.torque(r) -= matrix_(3 + r, j) * thrusts(j);
         }
-      }
       const Thrusts more = (*this)(missing);
       // A longer step than to the nearest point needs fewer iterations.
       for (int j = 0; j < components; ++j) thrusts(j) += 1.7 * more(j);
@@ -121,67 +117,52 @@ class ThrustInverse {
   }
 
  private:
-  using Columns = std::array<std::array<double, 6>, static_cast<std::size_t>(components)>;
+  using Matrix = Eigen::Matrix<double, 6, components>;
 
-  // Columns of (M' (M M' + e I)^-1)', where M has the rows first to last - 1 of `matrix`. Other
-  // rows of the result are zero.
-  static Columns damped(const Columns& matrix, std::size_t first, std::size_t last) noexcept {
-    double gram[6][6] = {};
+  // Transpose of M' (M M' + e I)^-1, where M has the rows first to last - 1 of `matrix`. Other rows
+  // of the result are zero.
+  static Matrix damped(const Matrix& matrix, int first, int last) noexcept {
+    Eigen::Matrix<double, 6, 6> gram = detail::Filled();
     double trace = 0.0;
-    for (std::size_t r = first; r < last; ++r) {
-      for (std::size_t c = first; c < last; ++c)
-        for (const auto& column : matrix) gram[r][c] += column[r] * column[c];
-      trace += gram[r][r];
+    for (int r = first; r < last; ++r) {
+      for (int c = first; c < last; ++c)
+        for (int j = 0; j < components; ++j) gram(r, c) += matrix(r, j) * matrix(c, j);
+      trace += gram(r, r);
     }
-    for (std::size_t r = first; r < last; ++r) gram[r][r] += std::max(1e-9 * trace, 1e-100);
-    // L L' = gram, in place.
-    for (std::size_t c = first; c < last; ++c) {
-      for (std::size_t r = c; r < last; ++r)
-        for (std::size_t k = first; k < c; ++k) gram[r][c] -= gram[r][k] * gram[c][k];
-      gram[c][c] = std::sqrt(std::max(gram[c][c], 1e-100));
-      for (std::size_t r = c + 1; r < last; ++r) gram[r][c] /= gram[c][c];
-    }
-    Columns solved{};
-    for (std::size_t j = 0; j < matrix.size(); ++j) {
-      auto& x = solved[j];
-      for (std::size_t r = first; r < last; ++r) {
-        x[r] = matrix[j][r];
-        for (std::size_t k = first; k < r; ++k) x[r] -= gram[r][k] * x[k];
-        x[r] /= gram[r][r];
-      }
-      for (std::size_t r = last; r-- > first;) {
-        for (std::size_t k = r + 1; k < last; ++k) x[r] -= gram[k][r] * x[k];
-        x[r] /= gram[r][r];
-      }
+    for (int r = first; r < last; ++r) gram(r, r) += std::max(1e-9 * trace, 1e-100);
+    detail::factorise(gram);  // leaves out the other rows: they are zero
+    Matrix solved = detail::Filled();
+    for (int j = 0; j < components; ++j) {
+      for (int r = first; r < last; ++r) solved(r, j) = matrix(r, j);
+      detail::solve_factorised(gram, &solved(0, j));
     }
     return solved;
   }
 
   // With the forces G = A_F (I - A_M^+ A_M) of thrusts without torque, the projection G G^+.
-  void set_steady_forces(const Columns& matrix) noexcept {
-    const Columns by_torque = damped(matrix, 3, 6);
-    Columns free = matrix;  // rows 0 to 2: G
-    for (std::size_t j = 0; j < matrix.size(); ++j)
-      for (std::size_t i = 0; i < matrix.size(); ++i) {
+  void set_steady_forces(const Matrix& matrix) noexcept {
+    const Matrix by_torque = damped(matrix, 3, 6);
+    Matrix free = matrix;  // rows 0 to 2: G
+    for (int j = 0; j < components; ++j)
+      for (int i = 0; i < components; ++i) {
         double along = 0.0;
-        for (std::size_t r = 3; r < 6; ++r) along += by_torque[i][r] * matrix[j][r];
-        for (std::size_t r = 0; r < 3; ++r) free[j][r] -= matrix[i][r] * along;
+        for (int r = 3; r < 6; ++r) along += by_torque(r, i) * matrix(r, j);
+        for (int r = 0; r < 3; ++r) free(r, j) -= matrix(r, i) * along;
       }
     // Directions of force below a thousandth of the thrusts do not count.
-    for (auto& column : free)
-      for (std::size_t r = 0; r < 3; ++r)
-        if (std::abs(column[r]) < 1e-3) column[r] = 0.0;
-    const Columns inverse = damped(free, 0, 3);
+    for (int j = 0; j < components; ++j)
+      for (int r = 0; r < 3; ++r)
+        if (std::abs(free(r, j)) < 1e-3) free(r, j) = 0.0;
+    const Matrix inverse = damped(free, 0, 3);
     for (int r = 0; r < 3; ++r)
       for (int c = 0; c < 3; ++c) {
         double sum = 0.0;
-        for (std::size_t j = 0; j < matrix.size(); ++j)
-          sum += free[j][static_cast<std::size_t>(r)] * inverse[j][static_cast<std::size_t>(c)];
+        for (int j = 0; j < components; ++j) sum += free(r, j) * inverse(c, j);
         steady_forces_(r, c) = sum;
       }
   }
 
-  Columns matrix_{};  // A
+  Matrix matrix_ = detail::Filled();  // A
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
   Inverse inverse_ = detail::Filled();
   Eigen::Matrix3d steady_forces_ = Eigen::Matrix3d::Zero();

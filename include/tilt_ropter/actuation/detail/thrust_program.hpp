@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
+
 #include <Eigen/Core>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 
 /// Small convex program for the allocation of thrusts, and an interior-point method that solves it.
 namespace tilt_ropter::detail {
@@ -144,32 +145,6 @@ class ThrustProgram {
   bool minimise(const Vector& cost, double weight, Vector& z, double tolerance,
                 const Target& target) const noexcept;
 
-  /// Solves H x = rhs in place for a positive semidefinite H. Directions without curvature get a
-  /// zero step.
-  static void solve(Eigen::Matrix<double, Variables, Variables>& h, Vector& x) noexcept {
-    for (int j = 0; j < Variables; ++j) {
-      const double before = h(j, j);
-      double pivot = before;
-      for (int k = 0; k < j; ++k) pivot -= h(j, k) * h(j, k);
-      const bool flat = !(pivot > 1e-15 * before) || !(before > 0.0);
-      const double root = flat ? std::numeric_limits<double>::infinity() : std::sqrt(pivot);
-      h(j, j) = root;
-      for (int i = j + 1; i < Variables; ++i) {
-        double entry = h(i, j);
-        for (int k = 0; k < j; ++k) entry -= h(i, k) * h(j, k);
-        h(i, j) = flat ? 0.0 : entry / root;
-      }
-    }
-    for (int j = 0; j < Variables; ++j) {
-      for (int k = 0; k < j; ++k) x(j) -= h(j, k) * x(k);
-      x(j) /= h(j, j);
-    }
-    for (int j = Variables - 1; j >= 0; --j) {
-      for (int k = j + 1; k < Variables; ++k) x(j) -= h(k, j) * x(k);
-      x(j) /= h(j, j);
-    }
-  }
-
   std::array<bool, static_cast<std::size_t>(Variables)> free_{};
 };
 
@@ -253,7 +228,8 @@ bool ThrustProgram<Rotors, Variables, Bounded>::minimise(const Vector& cost, dou
                                                  : 0.9;
     const double mu = centering * gap / constraint_count;
     Vector step = mu * barrier - cost_gradient;
-    solve(hessian, step);
+    factorise(hessian);  // directions without curvature get a zero step
+    solve_factorised(hessian, step.data());
     for (int j = 0; j < Variables; ++j)
       if (!is_free(j)) step(j) = 0.0;
 
