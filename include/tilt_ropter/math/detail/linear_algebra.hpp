@@ -14,9 +14,8 @@
 /// The small linear algebra of the control loop: entries, 3-vectors, the inverse of a 3x3 matrix,
 /// singular values, Cholesky factorisations.
 ///
-/// Matrices are stored in Eigen's types. Eigen also computes where a matrix meets few others and no
-/// tick of the controller waits: in the estimators and in identification. The functions below
-/// replace Eigen's for four reasons.
+/// Matrices are stored in Eigen's types, and the estimators and identification compute with Eigen.
+/// In the control loop the functions below replace Eigen's, for four reasons.
 ///
 /// 1. Time to compile. Every user of the controller compiles them. A file that includes Eigen/Dense
 ///    takes 0.8 s (clang 14, -O2). One use of each adds:
@@ -26,8 +25,8 @@
 ///        0.15 s   1.9 s    Cholesky factorisation, solution and product of any size (LLT)
 ///        0.06 s   0.43 s   one expression of 3-vectors and one of 3x3 matrices
 ///        0.05 s   0.17 s   inverse of a 3x3 matrix
-///        0.15 s   0.27 s   Filled in eight sizes of matrices (Zero)
 ///
+///    A program that uses Nmpc takes 11.0 s with Filled and fill(), 11.9 s with Eigen's Constant.
 /// 2. Instructions. vectorised() compiles a function for AVX2 and FMA, with all that the compiler
 ///    inlines into it. Every compiler inlines the operators of 3-vectors and 3x3 matrices, because
 ///    they are always_inline. Eigen's operators do not guarantee this.
@@ -187,8 +186,8 @@ template <typename Scalar, typename Matrix>
   put(a.z, m, row, column + 2);
 }
 
-/// Returns the inverse of a 3x3 matrix, from its cofactors. The entries for a singular matrix are
-/// infinite or NaN.
+/// Returns the inverse of a 3x3 matrix, from its cofactors. If the determinant is zero, the entries
+/// are infinite or NaN.
 [[nodiscard]] inline Eigen::Matrix3d inverse(const Eigen::Matrix3d& m) noexcept {
   const auto [x, y, z] = square(m);
   const Triple<double> yz = cross(y, z), zx = cross(z, x), xy = cross(x, y);
@@ -213,7 +212,8 @@ struct SingularValues {
   Eigen::Matrix<double, Rows, Columns> right;
 
   /// Decomposes `A`. Its entries must be finite, and their squares must not overflow or underflow.
-  /// Otherwise a value is not finite, and the rank is not full. Does not allocate.
+  /// With a NaN, an infinite entry or an overflow, a value is not finite, and the rank is less than
+  /// Rows. Does not allocate.
   explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
     constexpr int max_sweeps = 60;  // 6 or 7 sweeps are usual
     for (int i = 0; i < Rows; ++i) left(i, i) = 1.0;
