@@ -1,5 +1,5 @@
 #include "nmpc_by_nlopt.hpp"
 
-template class tilt_ropter::Nmpc<4, tilt_ropter::optimal_control::SingleShooting>;
-template class tilt_ropter::Nmpc<6, tilt_ropter::optimal_control::SingleShooting>;
-template class tilt_ropter::Nmpc<8, tilt_ropter::optimal_control::SingleShooting>;
+NMPC_BY_NLOPT_INSTANCE(, 4)
+NMPC_BY_NLOPT_INSTANCE(, 6)
+NMPC_BY_NLOPT_INSTANCE(, 8)

@@ -12,6 +12,12 @@ using NmpcByNlopt = tilt_ropter::Nmpc<Rotors, tilt_ropter::optimal_control::Sing
 
 }  // namespace examples
 
-extern template class tilt_ropter::Nmpc<4, tilt_ropter::optimal_control::SingleShooting>;
-extern template class tilt_ropter::Nmpc<6, tilt_ropter::optimal_control::SingleShooting>;
-extern template class tilt_ropter::Nmpc<8, tilt_ropter::optimal_control::SingleShooting>;
+/// Instance for one number of rotors. `prefix` is `extern` for a declaration.
+#define NMPC_BY_NLOPT_INSTANCE(prefix, rotors) \
+  TILT_ROPTER_NMPC_INSTANCE(                   \
+      prefix,                                  \
+      tilt_ropter::detail::WrenchLevel<rotors, tilt_ropter::optimal_control::SingleShooting>)
+
+NMPC_BY_NLOPT_INSTANCE(extern, 4)
+NMPC_BY_NLOPT_INSTANCE(extern, 6)
+NMPC_BY_NLOPT_INSTANCE(extern, 8)

@@ -13,11 +13,15 @@
 /// The library also contains Ekf in double precision, which does not depend on the number of
 /// rotors.
 
-/// Instances for one number of rotors. `prefix` is `extern` for a declaration.
-// NOLINTBEGIN(bugprone-macro-parentheses): `extern` cannot be in parentheses.
-#define TILT_ROPTER_INSTANCES(prefix, rotors)      \
-  prefix template class tilt_ropter::Nmpc<rotors>; \
+/// Instances for one number of rotors, and for one level of control. `prefix` is `extern` for a
+/// declaration.
+// NOLINTBEGIN(bugprone-macro-parentheses): types and `extern` cannot be in parentheses.
+#define TILT_ROPTER_INSTANCES(prefix, rotors)                                 \
+  TILT_ROPTER_NMPC_INSTANCE(prefix, tilt_ropter::detail::WrenchLevel<rotors>) \
   prefix template class tilt_ropter::Allocation<rotors>;
+#define TILT_ROPTER_NMPC_INSTANCE(prefix, ...) \
+  prefix template class __VA_ARGS__;           \
+  prefix template class tilt_ropter::RecedingHorizonController<__VA_ARGS__>;
 // NOLINTEND(bugprone-macro-parentheses)
 
 TILT_ROPTER_INSTANCES(extern, 4)

@@ -9,7 +9,7 @@
 
 /// Instance for one number of rotors. `prefix` is `extern` for a declaration.
 #define TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(prefix, rotors) \
-  prefix template class tilt_ropter::ActuatorNmpc<rotors>;
+  TILT_ROPTER_NMPC_INSTANCE(prefix, tilt_ropter::detail::ActuatorLevel<rotors>)
 
 TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(extern, 4)
 TILT_ROPTER_ACTUATOR_LEVEL_INSTANCE(extern, 6)

@@ -326,7 +326,7 @@ TEST(ActuatorNmpcSettings, AreCheckedAtConstructionAndWhenReplaced) {
   test_support::expect_refused(period, [&] { controller.set_settings(settings); });
   settings = valid;
   settings.solver.program.max_passes = 3;
-  test_support::expect_refused("ActuatorNmpcSettings.solver",
+  test_support::expect_refused("ControllerSettings.solver",
                                [&] { controller.set_settings(settings); });
   settings = valid;
   settings.problem.intervals = 10;

@@ -151,8 +151,7 @@ TEST(GroundContact, HoldsTheMotionsThatTheUndercarriagePrevents) {
     BodyStated state = measured_at(0.11);
     state.velocity.setConstant(0.1);
     state.angular_velocity.setConstant(0.2);
-    GroundContact(body, undercarriage).stop_held(node_on(undercarriage), state);
-    return state;
+    return GroundContact(body, undercarriage).stopped(node_on(undercarriage), state);
   };
   const Undercarriage four_wheels{0.11, true, false, false}, legs{0.11, false, false, false};
   EXPECT_EQ(node_on(four_wheels).freedom.linear, along_level_ground);
@@ -200,7 +199,7 @@ TEST(GroundContact, HoldsThePitchedBodyAboutTheDirectionInWhichItRolls) {
     EXPECT_LT((free * uneven.inertia.inverse() * rolls).norm(), 1e-12);
     BodyStated state = measured_at(0.11);
     state.angular_velocity = 0.7 * normal - 0.2 * axle + 0.1 * rolls;
-    contact.stop_held(node, state);
+    state = contact.stopped(node, state);
     EXPECT_LT((state.angular_velocity - 0.7 * normal + 0.2 * axle).norm(), 1e-12);
     EXPECT_NEAR(detail::ground_conditions(node, state)(1), 0.0, 1e-12);
   }
@@ -335,8 +334,8 @@ TEST(GroundContact, ExternalWrenchModelMovesFreelyUnderTheWholeWrench) {
   }
   BodyStated rolling = measured_at(0.11);
   rolling.angular_velocity.x() = 0.3;
-  axle_with(settings).stop_held(node_of(contact, at_height(0.11), 0.11, 0.0, settings), rolling);
-  EXPECT_EQ(rolling.angular_velocity.x(), 0.3);
+  const WheeledFlightNode standing = node_of(contact, at_height(0.11), 0.11, 0.0, settings);
+  EXPECT_EQ(axle_with(settings).stopped(standing, rolling).angular_velocity.x(), 0.3);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Wrenchd needed =
       ReferenceWrench<4>(vehicle, settings)(at_height(0.11), contact.external, true);

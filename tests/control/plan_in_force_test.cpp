@@ -16,7 +16,7 @@ using optimal_control::PrepareStatus;
 using optimal_control::SolveStatus;
 
 using Solver = optimal_control::MultipleShooting<WheeledFlightProblem<0>>;
-using Plan = PlanInForce<Solver>;
+using Plan = detail::WrenchPlan<Solver>;
 
 /// Near hover, where no bound is active.
 Stated start() {

@@ -152,7 +152,7 @@ TEST(RunTimeSettings, RejectedSettingsChangeNothing) {
   };
   expect_refused("WheeledFlightSettings.intervals", [](auto& s) { s.problem.intervals = 10; });
   expect_refused("WheeledFlightSettings.interval [s]", [](auto& s) { s.problem.interval = 0.05; });
-  expect_refused("NmpcSettings.solver", [](auto& s) { s.solver.program.max_passes = 3; });
+  expect_refused("ControllerSettings.solver", [](auto& s) { s.solver.program.max_passes = 3; });
   expect_refused("NmpcSettings.period [s]", [](auto& s) { s.period = 0.0; });
   expect_refused("NmpcWeights.force_rate", [](auto& s) { s.problem.weights.force_rate.setZero(); });
   expect_refused("GroundContactSettings", [](auto& s) { s.ground.settling_speed = -1.0; });

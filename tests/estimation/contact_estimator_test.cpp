@@ -80,6 +80,20 @@ TEST(ContactEstimator, LoadMeansGroundAtAnyHeight) {
   }
 }
 
+// The first update has no duration.
+TEST(ContactEstimator, TakesAnUnfilteredWrenchFromTheFirstUpdateOn) {
+  ContactEstimator contact(body, wheels);
+  BodyStated state;
+  state.position.z() = 0.11;
+  ObservedWrenchd observed;
+  EXPECT_TRUE(is_finite(contact.update(0.0, state, observed)));  // no sample yet
+  for (int i = 1; i < 50; ++i) {
+    observed = unfiltered_wrench(observed, 0.01 * i, with_lift(weight));
+    ASSERT_TRUE(is_finite(contact.update(0.01 * i, state, observed)));
+  }
+  EXPECT_TRUE(contact.estimate().on_ground);
+}
+
 TEST(ContactEstimator, WithoutUndercarriageTheWholeWrenchIsDisturbance) {
   Feed feed({}, std::nullopt);
   for (const double height : {3.0, 0.11, 0.0, -0.5}) {

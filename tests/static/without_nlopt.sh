@@ -7,7 +7,8 @@ set -euo pipefail
 leads_to=$(realpath "$(dirname "${BASH_SOURCE[0]}")/leads_to.sh")
 needing=$(bash "$leads_to" "$1" nlopt.h | grep -v '^tilt_ropter/[^/]*$')
 diff - <(echo "$needing") << 'HEADERS'
-tilt_ropter/control/detail/actuator_plan.hpp
+tilt_ropter/control/detail/actuator_level.hpp
+tilt_ropter/control/detail/wrench_level.hpp
 tilt_ropter/control/nmpc.hpp
 tilt_ropter/optimal_control/detail/dual_method.hpp
 tilt_ropter/optimal_control/detail/multipliers.hpp

@@ -43,15 +43,36 @@ enum class NmpcStatus {
   return status == NmpcStatus::solved || status == NmpcStatus::approximate;
 }
 
-/// Output of the controller.
-struct NmpcResult {
-  NmpcStatus status = NmpcStatus::no_plan;  ///< source of the wrench
-  Wrenchd wrench;          ///< to apply now, body frame [N; N m]; finite and within the bounds
-  Wrenchd rate;            ///< rate of the wrench from now on, body frame [N/s; N m/s]; actuators
-                           ///< with lag need it to follow the wrench, see Allocation::allocate
-  bool on_ground = false;  ///< contact mode
-  optimal_control::SolveReport report;  ///< of the last call of the solver
+/// Command of the wrench level.
+struct WrenchCommand {
+  Wrenchd wrench;  ///< to apply now, body frame [N; N m]; finite and within the bounds
+  Wrenchd rate;    ///< rate of the wrench from now on, body frame [N/s; N m/s]; actuators with lag
+                   ///< need it to follow the wrench, see Allocation::allocate
 };
+
+/// Command of the actuator level.
+template <int Rotors>
+struct ActuatorCommand {
+  ActuatorState<Rotors> command;  ///< to send now; finite and within the limits
+  /// Thrusts [N] and tilt angles [rad] of the plan at the time of the command, and their rates.
+  Eigen::Matrix<double, Rotors, 1> thrust = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   tilt_angle = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   thrust_rate = Eigen::Matrix<double, Rotors, 1>::Zero(),
+                                   tilt_rate = Eigen::Matrix<double, Rotors, 1>::Zero();
+  Wrenchd wrench;  ///< of these thrusts and angles, body frame [N; N m]
+};
+
+/// Output of the controller: the command, and how it was obtained.
+template <typename Command>
+struct ControlResult : Command {
+  NmpcStatus status = NmpcStatus::no_plan;  ///< source of the command
+  bool on_ground = false;                   ///< contact mode
+  optimal_control::SolveReport report;      ///< of the last call of the solver
+};
+using NmpcResult = ControlResult<WrenchCommand>;  ///< output of Nmpc
+/// Output of ActuatorNmpc.
+template <int Rotors>
+using ActuatorNmpcResult = ControlResult<ActuatorCommand<Rotors>>;
 
 /// Weights of the squared errors. The cost has no factor 1/2 and no time step.
 struct ActuatorLevelWeights {

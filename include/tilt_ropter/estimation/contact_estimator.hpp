@@ -235,7 +235,9 @@ class ContactEstimator {
   }
 
   // What a first-order filter keeps of its last output.
-  static double kept(double bandwidth, double dt) noexcept { return std::exp(-bandwidth * dt); }
+  static double kept(double bandwidth, double dt) noexcept {
+    return dt > 0.0 ? std::exp(-bandwidth * dt) : 1.0;  // also for an infinite bandwidth
+  }
 
   static void fade(Wrenchd& w, const ObservedWrenchd& filter, double dt) noexcept {
     for (int i = 0; i < 3; ++i) {

@@ -133,18 +133,23 @@ class GroundContact {
     return laid;
   }
 
-  /// Sets the velocities to zero that the ground holds at `node`. With both wheels down this is the
-  /// angular velocity about the roll axis of the node. A vehicle that is pitched more or less than
-  /// the node has an angular velocity about this axis while it turns. If the model let this
-  /// rotation continue, the plan would tend to keep the nose there.
-  void stop_held(const FlightNode& node, BodyStated& body) const noexcept {
-    if (!undercarriage_ || !holds()) return;
+  /// Returns `body` without the velocities that the ground holds at `node`. With both wheels down
+  /// this is the angular velocity about the roll axis of the node. A vehicle that is pitched more
+  /// or less than the node has an angular velocity about this axis while it turns. If the model let
+  /// this rotation continue, the plan would tend to keep the nose there.
+  [[nodiscard]] BodyStated stopped(const FlightNode& node, BodyStated body) const noexcept {
+    if (!undercarriage_ || !node.on_ground || !holds()) return body;
     Eigen::Vector3d& w = body.angular_velocity;
     const double along = node.roll_axis.dot(w);
     for (int i = 0; i < 3; ++i) w(i) -= along * node.roll_axis(i);
     if (!undercarriage_->pitches) w.y() = 0.0;
     if (!undercarriage_->turns) w.z() = 0.0;
     if (!undercarriage_->rolls) body.velocity.setZero();
+    return body;
+  }
+
+  [[nodiscard]] const std::optional<Undercarriage>& undercarriage() const noexcept {
+    return undercarriage_;
   }
 
   /// True with GroundModel::held.

@@ -49,6 +49,8 @@ class GroundThrust {
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
+  [[nodiscard]] const GroundContactSettings& settings() const noexcept { return settings_; }
+
   /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored.
   [[nodiscard]] double operator()(const Wrenchd& wrench) const noexcept {
     Eigen::Matrix<double, 6, 1> level;
@@ -79,19 +81,19 @@ class ReferenceWrench {
   /// Throws std::invalid_argument if the geometry cannot give every wrench.
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
       : body_(vehicle.body),
-        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_(vehicle.body, undercarriage(vehicle), settings),
         ground_thrust_(vehicle, settings) {}
 
   /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
                   const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
       : body_(vehicle.body),
-        contact_(vehicle.body, undercarriage(vehicle), settings),
+        ground_(vehicle.body, undercarriage(vehicle), settings),
         ground_thrust_(vehicle, settings, inverse) {}
 
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept {
-    contact_.set_settings(settings);
+    ground_.set_settings(settings);
     ground_thrust_.set_settings(settings);
   }
 
@@ -107,16 +109,33 @@ class ReferenceWrench {
                    external.force;
     wrench.torque =
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
-    if (on_ground && contact_.holds()) {
-      contact_.release(wrench);
+    if (on_ground && ground_.holds()) {
+      ground_.release(wrench);
       wrench.force.z() = ground_thrust_(wrench);
     }
     return wrench;
   }
 
+  /// Returns the wrench (body frame) to command without a plan. In the air it carries the weight
+  /// and the known disturbance without turning a level vehicle; on the ground it is almost no
+  /// thrust.
+  [[nodiscard]] Wrenchd without_plan(const ContactEstimate& contact) const noexcept {
+    Wrenchd wrench;
+    if (contact.on_ground) {
+      wrench.force.z() = ground_thrust_.settings().down_force;
+    } else {
+      wrench = {-contact.disturbance.force, -contact.disturbance.torque};
+      wrench.force.z() += body_.mass * gravity;
+    }
+    return wrench;
+  }
+
+  [[nodiscard]] const RigidBodyParameters& body() const noexcept { return body_; }
+  [[nodiscard]] const GroundContact& ground() const noexcept { return ground_; }
+
  private:
   RigidBodyParameters body_;
-  GroundContact contact_;
+  GroundContact ground_;
   GroundThrust<Rotors> ground_thrust_;
 };
 
