@@ -43,12 +43,8 @@ inline void add_level(CLI::App& app, std::string& level) {
 template <int Rotors>
 [[nodiscard]] tilt_ropter::ActuatorNmpcSettings actuator_level_settings(
     const VehicleFile& file, const tilt_ropter::Vehicle<Rotors>& vehicle) {
-  tilt_ropter::AllowedActuatorErrors errors;
-  errors.position = file.allowed_errors.position;
-  errors.velocity = file.allowed_errors.velocity;
-  errors.orientation = file.allowed_errors.orientation;
-  errors.angular_velocity = file.allowed_errors.angular_velocity;
-  tilt_ropter::ActuatorNmpcSettings settings = tilt_ropter::actuator_nmpc_settings(vehicle, errors);
+  tilt_ropter::ActuatorNmpcSettings settings =
+      tilt_ropter::actuator_nmpc_settings(vehicle, file.allowed_errors);
   settings.problem.bounds.angular_velocity = file.limits.angular_velocity;
   file.ground.apply_to(settings.ground);
   return settings;

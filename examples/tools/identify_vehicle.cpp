@@ -126,8 +126,7 @@ int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>
   const NmpcBounds before = nmpc_settings(given).problem.bounds;
   const NmpcBounds after = nmpc_settings(found.vehicle).problem.bounds;
   for (auto limit : {&NmpcBounds::force_min, &NmpcBounds::force_max, &NmpcBounds::torque_min,
-                     &NmpcBounds::torque_max, &NmpcBounds::angular_velocity,
-                     &NmpcBounds::force_rate, &NmpcBounds::torque_rate})
+                     &NmpcBounds::torque_max, &NmpcBounds::force_rate, &NmpcBounds::torque_rate})
     if ((file.limits.*limit).isApprox(before.*limit, 1e-9)) file.limits.*limit = after.*limit;
   file.vehicle = found.vehicle;
   const std::string path = o.output + "/identified_vehicle.json";

@@ -87,7 +87,10 @@ WheeledFlightProblem<0> benchmark_problem(examples::InstanceBounds bounds) {
   RigidBodyParameters body;
   body.mass = mass;
   body.inertia = Eigen::Vector3d(0.0137, 0.0143, 0.0246).asDiagonal();
-  WheeledFlightSettings settings;  // defaults: N, weights and wide bounds of the benchmark
+  WheeledFlightSettings settings;  // N and wide bounds of the benchmark are the defaults
+  settings.weights.position << 60.0, 60.0, 80.0;
+  settings.weights.velocity << 6.0, 6.0, 8.0;
+  settings.weights.angular_velocity.setConstant(0.6);
   if (bounds == examples::InstanceBounds::paper) settings.bounds = paper_bounds();
   return WheeledFlightProblem<0>(body, settings);
 }

@@ -27,7 +27,7 @@ struct Scenario {
 /// Figure eight in the air; a force acts that the controller does not know.
 inline Scenario air(int intervals = 20,
                     const tilt_ropter::NmpcBounds& bounds = tilt_ropter::paper_bounds()) {
-  tilt_ropter::WheeledFlightSettings settings;
+  tilt_ropter::WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.intervals = intervals;
   settings.bounds = bounds;
   return {WheeledFlightProblem<0>(test_support::benchmark_body(), settings),
@@ -68,7 +68,7 @@ inline void set_reference(WheeledFlightProblem<0>& problem, double time) {
 }  // namespace ground_data
 
 inline Scenario ground() {
-  tilt_ropter::WheeledFlightSettings settings;
+  tilt_ropter::WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.bounds = tilt_ropter::paper_bounds();
   settings.bounds.force_min.head<2>().setConstant(-3.0);
   settings.bounds.force_max.head<2>().setConstant(3.0);

@@ -39,7 +39,7 @@ template <int Rotors, typename S>
 Eigen::Matrix<S, 3 * Rotors, 1> written_out(const Vehicle<Rotors>& vehicle,
                                             const Eigen::Matrix<S, 12, 1>& wrench_and_rate) {
   using std::sqrt;
-  const ActuatorConstraintSettings settings;
+  constexpr double hold_thrust = ActuatorConstraints<Rotors>::hold_thrust;
   const AllocationMatrix<Rotors> allocation(vehicle);
   const Eigen::Matrix<S, 2 * Rotors, 1> T =
       allocation.pseudoinverse.template cast<S>() * wrench_and_rate.template head<6>();
@@ -50,9 +50,9 @@ Eigen::Matrix<S, 3 * Rotors, 1> written_out(const Vehicle<Rotors>& vehicle,
   for (int i = 0; i < Rotors; ++i) {
     const S square = T(2 * i) * T(2 * i) + T(2 * i + 1) * T(2 * i + 1);
     const S cross = dT(2 * i) * T(2 * i + 1) - T(2 * i) * dT(2 * i + 1);
-    const double least = settings.hold_thrust * settings.hold_thrust;
+    const double least = hold_thrust * hold_thrust;
     if (vehicle.rotors[static_cast<std::size_t>(i)].tilts) {
-      const S allowed = S(settings.tilt_rate_fraction * vehicle.servo.max_rate) *
+      const S allowed = S(NmpcBounds().tilt_rate_fraction * vehicle.servo.max_rate) *
                         (square > S(least) ? square : S(least));
       constraints(i) = (cross - allowed) / S(hover * hover);
       constraints(Rotors + i) = (-cross - allowed) / S(hover * hover);
@@ -144,7 +144,7 @@ TEST(ActuatorConstraints, CurvatureIsFiniteAtAnyThrust) {
   Random random(58);
   const ActuatorConstraints<4> constraints(tilt_ropter_vehicle());
   const Eigen::Matrix<double, 12, 1> penalties = Eigen::Matrix<double, 12, 1>::Constant(1e4);
-  const double least = ActuatorConstraintSettings{}.hold_thrust;
+  const double least = ActuatorConstraints<4>::hold_thrust;
   for (const double size : {0.0, 1e-170, 1e-150, 1e-12, 1e-3, 1.0, 1e6}) {
     Eigen::Matrix<double, 6, 6> curvature = Eigen::Matrix<double, 6, 6>::Zero();
     constraints.add_curvature(random_wrench(random, size, 0.1 * size), penalties, curvature);
@@ -173,9 +173,8 @@ TEST(ActuatorConstraints, TiltRateConstraintsAgreeWithTiltRatesOfAllocation) {
   Random random(53);
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
-  const ActuatorConstraintSettings settings;
-  const ActuatorConstraints<4> constraints(vehicle, settings);
-  const double limit = settings.tilt_rate_fraction * vehicle.servo.max_rate;
+  const ActuatorConstraints<4> constraints(vehicle);
+  const double limit = NmpcBounds().tilt_rate_fraction * vehicle.servo.max_rate;
   int held = 0, broken = 0;
   for (int i = 0; i < 5000; ++i) {
     const double size = std::pow(10.0, random.uniform(-3.0, 1.5));
@@ -197,11 +196,10 @@ TEST(ActuatorConstraints, TiltRateConstraintsAgreeWithTiltRatesOfAllocation) {
 TEST(ActuatorConstraints, InHoverTheValueIsTheTiltRateMinusTheLimit) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const Allocation<4> allocation(vehicle);
-  const ActuatorConstraintSettings settings;
   Vector6 wrench, rate;
   wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
   rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
-  const auto values = ActuatorConstraints<4>(vehicle, settings).values(wrench, rate);
+  const auto values = ActuatorConstraints<4>(vehicle).values(wrench, rate);
   const Eigen::Vector4d rates = allocation.rates(unpacked(wrench), unpacked(rate)).tilt_rate;
   EXPECT_LT(
       (values.head<4>().array() - (rates.array() - 0.85 * vehicle.servo.max_rate)).matrix().norm(),
@@ -265,18 +263,15 @@ TEST(ActuatorConstraints, DefaultConstructedHasNoBounds) {
   EXPECT_TRUE((by_rate.array() == 3.0).all());
 }
 
-TEST(ActuatorConstraints, SettingsTakeEffect) {
+TEST(ActuatorConstraints, TiltRateFractionTakesEffect) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   Vector6 wrench, rate;
   wrench << 0.0, 0.0, vehicle.body.mass * gravity, 0.0, 0.0, 0.0;
   rate << 0.0, 0.0, 0.0, 0.0, 0.0, 4.0;
-  ActuatorConstraintSettings half, held;
-  half.tilt_rate_fraction = 0.5;
-  held.hold_thrust = 10.0;  // above the thrust of a rotor in hover
   const double usual = ActuatorConstraints<4>(vehicle).values(wrench, rate)(0);
-  EXPECT_NEAR(ActuatorConstraints<4>(vehicle, half).values(wrench, rate)(0) - usual,
-              0.35 * vehicle.servo.max_rate, 1e-12);
-  EXPECT_LT(ActuatorConstraints<4>(vehicle, held).values(wrench, rate)(0), usual - 1.0);
+  for (const auto& half :
+       {ActuatorConstraints<4>(vehicle, 0.5), ActuatorConstraints<4>(vehicle).with(0.5)})
+    EXPECT_NEAR(half.values(wrench, rate)(0) - usual, 0.35 * vehicle.servo.max_rate, 1e-12);
 }
 
 }  // namespace

@@ -231,11 +231,11 @@ TEST(ActuatorLevelProblem, ChecksItsSettings) {
       test_support::expect_refused(name, [&] { Problem(tilt_ropter_vehicle(), settings); });
     test_support::expect_refused(name, [&] { problem.set_settings(settings); });
   };
-  expect_refused("ActuatorLevelWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
-  expect_refused("ActuatorLevelSettings.intervals", false, [](auto& s) { s.intervals = 19; });
-  expect_refused("ActuatorLevelSettings.intervals", false, [](auto& s) { s.intervals = 21; });
-  expect_refused("ActuatorLevelSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
-  expect_refused("ActuatorLevelSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
+  expect_refused("FlightWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
+  expect_refused("HorizonSettings.intervals", false, [](auto& s) { s.intervals = 19; });
+  expect_refused("HorizonSettings.intervals", false, [](auto& s) { s.intervals = 21; });
+  expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
+  expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
 }  // namespace

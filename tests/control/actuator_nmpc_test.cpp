@@ -293,7 +293,7 @@ TEST(ActuatorNmpcSettings, DefaultsEqualTheSettingsOfTheReferenceVehicle) {
 }
 
 TEST(ActuatorNmpcSettings, TwiceTheAllowedErrorHasAQuarterOfTheWeight) {
-  AllowedActuatorErrors errors;
+  AllowedErrors errors;
   errors.position *= 2.0;
   errors.velocity *= 2.0;
   errors.orientation *= 2.0;
@@ -321,7 +321,7 @@ TEST(ActuatorNmpcSettings, AreCheckedAtConstructionAndWhenReplaced) {
   ActuatorNmpc<4> controller(vehicle, valid);
   ActuatorNmpcSettings settings = valid;
   settings.period = 0.0;
-  const char* period = "ActuatorNmpcSettings.period [s]";
+  const char* period = "ControllerSettings.period [s]";
   test_support::expect_refused(period, [&] { ActuatorNmpc<4>(vehicle, settings); });
   test_support::expect_refused(period, [&] { controller.set_settings(settings); });
   settings = valid;
@@ -330,7 +330,7 @@ TEST(ActuatorNmpcSettings, AreCheckedAtConstructionAndWhenReplaced) {
                                [&] { controller.set_settings(settings); });
   settings = valid;
   settings.problem.intervals = 10;
-  test_support::expect_refused("ActuatorLevelSettings.intervals",
+  test_support::expect_refused("HorizonSettings.intervals",
                                [&] { controller.set_settings(settings); });
   test_support::expect_accepted([&] { controller.set_settings(valid); });
 }

@@ -16,25 +16,37 @@ namespace {
 
 using namespace test_support;
 
-const Range penalty{{1e-300, infinite}, {0.0, -1.0, not_a_number}};
+// The weights and bounds that both levels have.
+template <typename S>
+void check_flight_weights() {
+  const Fields<S> check;
+  check("FlightWeights.position [1/m^2]", &S::position, not_negative());
+  check("FlightWeights.velocity [s^2/m^2]", &S::velocity, not_negative());
+  check("FlightWeights.orientation [1/rad^2]", &S::orientation, not_negative());
+  check("FlightWeights.angular_velocity [s^2/rad^2]", &S::angular_velocity, not_negative());
+  check("FlightWeights.terminal", &S::terminal, positive());
+  check("FlightWeights.ground", &S::ground, not_negative());
+}
+
+template <typename S>
+void check_flight_bounds() {
+  const Fields<S> check;
+  check("FlightBounds.angular_velocity [rad/s]", &S::angular_velocity, positive_or_infinite());
+  check("FlightBounds.tilt_rate_fraction", &S::tilt_rate_fraction, above_up_to(0.0, 1.0));
+}
 
 TEST(ControlSettings, NmpcWeightsNameEachField) {
   using S = NmpcWeights;
   const Fields<S> check;
+  check_flight_weights<S>();
   check("NmpcWeights.force [1/N^2]", &S::force, not_negative());
   check("NmpcWeights.torque [1/(N m)^2]", &S::torque, not_negative());
-  check("NmpcWeights.position [1/m^2]", &S::position, not_negative());
-  check("NmpcWeights.velocity [s^2/m^2]", &S::velocity, not_negative());
-  check("NmpcWeights.orientation [1/rad^2]", &S::orientation, not_negative());
-  check("NmpcWeights.angular_velocity [s^2/rad^2]", &S::angular_velocity, not_negative());
   check("NmpcWeights.force_rate [s^2/N^2]", &S::force_rate, positive());
   check("NmpcWeights.torque_rate [s^2/(N m)^2]", &S::torque_rate, positive());
-  check("NmpcWeights.terminal", &S::terminal, positive());
-  check("NmpcWeights.ground", &S::ground, not_negative());
   check("NmpcWeights.ground_thrust [1/N^2]", &S::ground_thrust, not_negative());
 }
 
-TEST(ControlSettings, NmpcBoundsAndPenaltiesNameEachField) {
+TEST(ControlSettings, NmpcBoundsNameEachField) {
   using B = NmpcBounds;
   B valid;
   valid.force_min.setConstant(-1.0);
@@ -44,7 +56,6 @@ TEST(ControlSettings, NmpcBoundsAndPenaltiesNameEachField) {
   const Fields<B> bounds{valid};
   bounds("NmpcBounds.force_rate [N/s]", &B::force_rate, positive_or_infinite());
   bounds("NmpcBounds.torque_rate [N m/s]", &B::torque_rate, positive_or_infinite());
-  bounds("NmpcBounds.angular_velocity [rad/s]", &B::angular_velocity, positive_or_infinite());
   const auto lower = [](double limit) {
     return Range{{-infinite, limit}, {above(limit), not_a_number}};
   };
@@ -55,23 +66,17 @@ TEST(ControlSettings, NmpcBoundsAndPenaltiesNameEachField) {
   bounds("NmpcBounds.force [N] lower bound", &B::force_max, upper(-1.0));
   bounds("NmpcBounds.torque [N m] lower bound", &B::torque_min, lower(4.0));
   bounds("NmpcBounds.torque [N m] lower bound", &B::torque_max, upper(-3.0));
-  using P = NmpcPenalties;
-  const Fields<P> penalties;
-  penalties("NmpcPenalties.rate [s/N, s/(N m)]", &P::rate, penalty);
-  penalties("NmpcPenalties.wrench [1/N, 1/(N m)]", &P::wrench, penalty);
-  penalties("NmpcPenalties.angular_velocity [s/rad]", &P::angular_velocity, penalty);
-  penalties("NmpcPenalties.actuators", &P::actuators, penalty);
+  check_flight_bounds<B>();
 }
 
 TEST(ControlSettings, WheeledFlightNamesEachField) {
   using S = WheeledFlightSettings;
   S valid;
   const Fields<S> check;
-  check("WheeledFlightSettings.intervals", &S::intervals, whole_numbers(1, 1000));
-  check("WheeledFlightSettings.interval [s]", &S::interval, positive());
-  check.refuse("NmpcWeights.terminal", [](S& s) { s.weights.terminal = 0.0; });
+  check("HorizonSettings.intervals", &S::intervals, whole_numbers(1, 1000));
+  check("HorizonSettings.interval [s]", &S::interval, positive());
+  check.refuse("FlightWeights.terminal", [](S& s) { s.weights.terminal = 0.0; });
   check.refuse("NmpcBounds.force_rate [N/s]", [](S& s) { s.bounds.force_rate.setZero(); });
-  check.refuse("NmpcPenalties.wrench [1/N, 1/(N m)]", [](S& s) { s.penalties.wrench = 0.0; });
   // The cost after the horizon turns with the heading: x and y are the same.
   for (Eigen::Vector3d* weight :
        {&valid.weights.position, &valid.weights.velocity, &valid.weights.orientation})
@@ -82,12 +87,12 @@ TEST(ControlSettings, WheeledFlightNamesEachField) {
   const auto velocity = [](S& s, double v) { s.weights.velocity.y() = v; };
   const auto orientation = [](S& s, double v) { s.weights.orientation.x() = v; };
   const Range same{{5.0}, {6.0, 4.0}}, any{{5.0, 6.0, 4.0}, {}};
-  riccati("NmpcWeights.position [1/m^2]", position, same);
-  riccati("NmpcWeights.velocity [s^2/m^2]", velocity, same);
-  riccati("NmpcWeights.orientation [1/rad^2]", orientation, same);
-  check("NmpcWeights.position [1/m^2]", position, any);
-  check("NmpcWeights.velocity [s^2/m^2]", velocity, any);
-  check("NmpcWeights.orientation [1/rad^2]", orientation, any);
+  riccati("FlightWeights.position [1/m^2]", position, same);
+  riccati("FlightWeights.velocity [s^2/m^2]", velocity, same);
+  riccati("FlightWeights.orientation [1/rad^2]", orientation, same);
+  check("FlightWeights.position [1/m^2]", position, any);
+  check("FlightWeights.velocity [s^2/m^2]", velocity, any);
+  check("FlightWeights.orientation [1/rad^2]", orientation, any);
 }
 
 TEST(ControlSettings, GroundContactNamesEachField) {
@@ -110,37 +115,28 @@ TEST(ControlSettings, GroundContactNamesEachField) {
   expect_accepted([&] { GroundContact(body, std::nullopt); });
 }
 
-TEST(ControlSettings, ActuatorConstraintsNameEachField) {
-  using S = ActuatorConstraintSettings;
+// The fields that the settings of both levels have.
+template <typename S>
+void check_controller() {
   const Fields<S> check;
-  check("ActuatorConstraintSettings.tilt_rate_fraction", &S::tilt_rate_fraction,
-        above_up_to(0.0, 1.0));
-  check("ActuatorConstraintSettings.hold_thrust [N]", &S::hold_thrust, positive());
-  Vehicle<4> vehicle = tilt_ropter_vehicle();
-  const ActuatorConstraints<4> valid(vehicle);
-  S bad;
-  bad.hold_thrust = 0.0;
-  const char* name = "ActuatorConstraintSettings.hold_thrust [N]";
-  expect_refused(name, [&] { ActuatorConstraints<4>(vehicle, bad); });
-  expect_refused(name, [&] { (void)valid.with(bad); });
-  vehicle.servo.max_rate = 0.0;
-  expect_refused("ServoParameters.max_rate [rad/s]", [&] { ActuatorConstraints<4>{vehicle}; });
-}
-
-TEST(ControlSettings, NmpcNamesEachField) {
-  using S = NmpcSettings;
-  const Fields<S> check;
-  check.refuse("NmpcWeights.terminal", [](S& s) { s.problem.weights.terminal = 0.0; });
+  check.refuse("HorizonSettings.intervals", [](S& s) { s.problem.intervals = 0; });
+  check.refuse("FlightWeights.terminal", [](S& s) { s.problem.weights.terminal = 0.0; });
   check.refuse("SolverSettings.memory", [](S& s) { s.solver.memory = -1; });
   check.refuse("GroundContactSettings.down_force [N]",
                [](S& s) { s.ground.down_force = infinite; });
-  check.refuse("ActuatorConstraintSettings.hold_thrust [N]",
-               [](S& s) { s.actuators.hold_thrust = 0.0; });
-  check("NmpcSettings.period [s]", &S::period, positive());
-  check("NmpcSettings.time_limit [s]", &S::time_limit,
+  check("ControllerSettings.period [s]", &S::period, positive());
+  check("ControllerSettings.time_limit [s]", &S::time_limit,
         {{0.0, 1e300, infinite}, {below(0.0), -infinite, not_a_number}});
-  check("NmpcSettings.max_plan_age [s]", &S::max_plan_age, positive());
-  check("NmpcSettings.failures_before_reset", &S::failures_before_reset, at_least(1));
+  check("ControllerSettings.max_plan_age [s]", &S::max_plan_age, positive());
+  check("ControllerSettings.failures_before_reset", &S::failures_before_reset, at_least(1));
+}
+
+TEST(ControlSettings, BothLevelsNameEachField) {
+  check_controller<NmpcSettings>();
+  check_controller<ActuatorNmpcSettings>();
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.servo.max_rate = 0.0;
+  expect_refused("ServoParameters.max_rate [rad/s]", [&] { ActuatorConstraints<4>{vehicle}; });
 }
 
 TEST(ControlSettings, AllowedErrorsNameEachField) {
@@ -154,10 +150,16 @@ TEST(ControlSettings, AllowedErrorsNameEachField) {
   check("AllowedErrors.torque [m g size]", &S::torque, positive());
   check("AllowedErrors.force_rate [m g / s]", &S::force_rate, positive());
   check("AllowedErrors.torque_rate [m g size / s]", &S::torque_rate, positive());
+  check("AllowedErrors.thrust [thrust in hover]", &S::thrust, positive());
+  check("AllowedErrors.thrust_on_ground [thrust in hover]", &S::thrust_on_ground, positive());
+  check("AllowedErrors.thrust_rate [thrust in hover / s]", &S::thrust_rate, positive());
+  check("AllowedErrors.tilt_rate [rad/s]", &S::tilt_rate, positive());
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   S bad;
   bad.torque.z() = 0.0;
-  expect_refused("AllowedErrors.torque [m g size]", [&] { (void)nmpc_settings(vehicle, bad); });
+  const char* name = "AllowedErrors.torque [m g size]";
+  expect_refused(name, [&] { (void)nmpc_settings(vehicle, bad); });
+  expect_refused(name, [&] { (void)actuator_nmpc_settings(vehicle, bad); });
   Vehicle<4> point = vehicle;
   for (RotorGeometry& rotor : point.rotors) rotor.position.setZero();
   expect_refused(
@@ -170,67 +172,18 @@ TEST(ControlSettings, AllowedErrorsNameEachField) {
 TEST(ControlSettings, ActuatorLevelNamesEachField) {
   using W = ActuatorLevelWeights;
   const Fields<W> weights;
-  weights("ActuatorLevelWeights.position [1/m^2]", &W::position, not_negative());
-  weights("ActuatorLevelWeights.velocity [s^2/m^2]", &W::velocity, not_negative());
-  weights("ActuatorLevelWeights.orientation [1/rad^2]", &W::orientation, not_negative());
-  weights("ActuatorLevelWeights.angular_velocity [s^2/rad^2]", &W::angular_velocity,
-          not_negative());
+  check_flight_weights<W>();
   weights("ActuatorLevelWeights.thrust [1/N^2]", &W::thrust, not_negative());
   weights("ActuatorLevelWeights.thrust_on_ground [1/N^2]", &W::thrust_on_ground, not_negative());
   weights("ActuatorLevelWeights.thrust_rate [s^2/N^2]", &W::thrust_rate, positive());
   weights("ActuatorLevelWeights.tilt_rate [s^2/rad^2]", &W::tilt_rate, positive());
-  weights("ActuatorLevelWeights.terminal", &W::terminal, positive());
-  weights("ActuatorLevelWeights.ground", &W::ground, not_negative());
-  using B = ActuatorLevelBounds;
-  const Fields<B> bounds;
-  bounds("ActuatorLevelBounds.angular_velocity [rad/s]", &B::angular_velocity,
-         positive_or_infinite());
-  bounds("ActuatorLevelBounds.tilt_rate_fraction", &B::tilt_rate_fraction, above_up_to(0.0, 1.0));
-  using P = ActuatorLevelPenalties;
-  const Fields<P> penalties;
-  penalties("ActuatorLevelPenalties.thrust [1/N]", &P::thrust, penalty);
-  penalties("ActuatorLevelPenalties.tilt_angle [1/rad]", &P::tilt_angle, penalty);
-  penalties("ActuatorLevelPenalties.angular_velocity [s/rad]", &P::angular_velocity, penalty);
+  check_flight_bounds<FlightBounds>();
   using S = ActuatorLevelSettings;
   const Fields<S> check;
-  check("ActuatorLevelSettings.intervals", &S::intervals, whole_numbers(1, 1000));
-  check("ActuatorLevelSettings.interval [s]", &S::interval, positive());
-  check.refuse("ActuatorLevelWeights.terminal", [](S& s) { s.weights.terminal = 0.0; });
-  check.refuse("ActuatorLevelBounds.tilt_rate_fraction",
-               [](S& s) { s.bounds.tilt_rate_fraction = 0.0; });
-  check.refuse("ActuatorLevelPenalties.thrust [1/N]", [](S& s) { s.penalties.thrust = 0.0; });
-}
-
-TEST(ControlSettings, ActuatorNmpcNamesEachField) {
-  using S = ActuatorNmpcSettings;
-  const Fields<S> check;
-  check.refuse("ActuatorLevelSettings.intervals", [](S& s) { s.problem.intervals = 0; });
-  check.refuse("SolverSettings.memory", [](S& s) { s.solver.memory = -1; });
-  check.refuse("GroundContactSettings.down_force [N]",
-               [](S& s) { s.ground.down_force = infinite; });
-  check("ActuatorNmpcSettings.period [s]", &S::period, positive());
-  check("ActuatorNmpcSettings.time_limit [s]", &S::time_limit,
-        {{0.0, 1e300, infinite}, {below(0.0), -infinite, not_a_number}});
-  check("ActuatorNmpcSettings.max_plan_age [s]", &S::max_plan_age, positive());
-  check("ActuatorNmpcSettings.failures_before_reset", &S::failures_before_reset, at_least(1));
-}
-
-TEST(ControlSettings, AllowedActuatorErrorsNameEachField) {
-  using S = AllowedActuatorErrors;
-  const Fields<S> check;
-  check("AllowedActuatorErrors.position [m]", &S::position, positive());
-  check("AllowedActuatorErrors.velocity [m/s]", &S::velocity, positive());
-  check("AllowedActuatorErrors.orientation [rad]", &S::orientation, positive());
-  check("AllowedActuatorErrors.angular_velocity [rad/s]", &S::angular_velocity, positive());
-  check("AllowedActuatorErrors.thrust [thrust in hover]", &S::thrust, positive());
-  check("AllowedActuatorErrors.thrust_on_ground [thrust in hover]", &S::thrust_on_ground,
-        positive());
-  check("AllowedActuatorErrors.thrust_rate [thrust in hover / s]", &S::thrust_rate, positive());
-  check("AllowedActuatorErrors.tilt_rate [rad/s]", &S::tilt_rate, positive());
-  S bad;
-  bad.tilt_rate = 0.0;
-  expect_refused("AllowedActuatorErrors.tilt_rate [rad/s]",
-                 [&] { (void)actuator_nmpc_settings(tilt_ropter_vehicle(), bad); });
+  check("HorizonSettings.intervals", &S::intervals, whole_numbers(1, 1000));
+  check("HorizonSettings.interval [s]", &S::interval, positive());
+  check.refuse("FlightWeights.terminal", [](S& s) { s.weights.terminal = 0.0; });
+  check.refuse("FlightBounds.tilt_rate_fraction", [](S& s) { s.bounds.tilt_rate_fraction = 0.0; });
 }
 
 TEST(ControlSettings, ReferenceCheckNamesItsArguments) {
@@ -272,7 +225,7 @@ TEST(ControlSettings, ReferenceCheckNamesItsArguments) {
                });
   plane = {};
   settings.max_plan_age = 0.0;
-  expect_refused("NmpcSettings.max_plan_age [s]", check);
+  expect_refused("ControllerSettings.max_plan_age [s]", check);
   settings = {};
   vehicle.power.servo_move = -1.0;
   expect_refused("PowerParameters.servo_move [J/rad]", check);

@@ -118,7 +118,7 @@ TEST_F(HeapInTheLoop, RealTimeIterationsWithChangingActiveConstraints) {
 // Eigen allocates the blocks of large matrix products on the heap.
 TEST_F(HeapInTheLoop, ActiveConstraintsCloseToCapacity) {
   for (const int intervals : {20, 60}) {
-    WheeledFlightSettings settings;
+    WheeledFlightSettings settings = test_support::benchmark_settings();
     settings.intervals = intervals;
     settings.bounds.force_rate.setConstant(0.5);
     settings.bounds.torque_rate.setConstant(0.05);
@@ -145,7 +145,7 @@ TEST_F(HeapInTheLoop, ActiveConstraintsCloseToCapacity) {
 
 TEST_F(HeapInTheLoop, SolvesFromAColdStart) {
   for (const TerminalCost terminal : {TerminalCost::weights, TerminalCost::riccati}) {
-    WheeledFlightSettings settings;
+    WheeledFlightSettings settings = test_support::benchmark_settings();
     settings.terminal_cost = terminal;
     optimal_control::MultipleShooting<WheeledFlightProblem<0>> solver(
         test_support::step_problem(settings), test_support::patient());

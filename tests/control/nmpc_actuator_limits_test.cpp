@@ -129,7 +129,7 @@ SlowServos fly_with_slow_servos(bool actuator_constraints) {
 TEST(Nmpc, ActuatorConstraintsKeepSlowServosBelowTheirMaxRate) {
   const SlowServos with = fly_with_slow_servos(true), without = fly_with_slow_servos(false);
   EXPECT_EQ(with.failures, 0);
-  EXPECT_LE(with.planned, ActuatorConstraintSettings{}.tilt_rate_fraction + 1e-6);
+  EXPECT_LE(with.planned, NmpcBounds{}.tilt_rate_fraction + 1e-6);
   EXPECT_LE(with.demanded, 1.0);
   EXPECT_GT(with.planned, 0.8);
   EXPECT_GT(without.planned, 5.0);
@@ -141,8 +141,8 @@ TEST(Nmpc, ActuatorConstraintsKeepSlowServosBelowTheirMaxRate) {
 TEST(Nmpc, CommandKeepsActuatorConstraintsFromAnyStart) {
   const Allocation<4> allocation(vehicle);
   NmpcSettings settings;
-  settings.actuators.tilt_rate_fraction = 0.1;
-  const double limit = settings.actuators.tilt_rate_fraction * vehicle.servo.max_rate;
+  settings.problem.bounds.tilt_rate_fraction = 0.1;
+  const double limit = settings.problem.bounds.tilt_rate_fraction * vehicle.servo.max_rate;
   double fastest = 0.0;
   for (int start = 0; start < 6; ++start) {
     IdealLoop loop(settings);

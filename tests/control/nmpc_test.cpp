@@ -311,7 +311,8 @@ TEST(Nmpc, CommandWithoutThrustOnTheGroundStaysWithinBounds) {
 TEST(Nmpc, ChecksItsSettings) {
   NmpcSettings settings;
   settings.max_plan_age = 0.0;
-  test_support::expect_refused("NmpcSettings.max_plan_age [s]", [&] { Nmpc(vehicle, settings); });
+  test_support::expect_refused("ControllerSettings.max_plan_age [s]",
+                               [&] { Nmpc(vehicle, settings); });
 }
 
 }  // namespace

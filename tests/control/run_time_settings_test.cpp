@@ -94,7 +94,7 @@ TEST(RunTimeSettings, WeightsAndBoundsActInTheNextTick) {
   EXPECT_GT(upper(free), 1e300);
 
   settings = kept.nmpc.settings();
-  settings.actuators.tilt_rate_fraction = 0.1;
+  settings.problem.bounds.tilt_rate_fraction = 0.1;
   const auto row = [](const Loop& loop) {
     Stated hover;
     hover.wrench.force.z() = vehicle.body.mass * gravity;
@@ -150,13 +150,13 @@ TEST(RunTimeSettings, RejectedSettingsChangeNothing) {
       EXPECT_NE(std::string(error.what()).find(field), std::string::npos) << error.what();
     }
   };
-  expect_refused("WheeledFlightSettings.intervals", [](auto& s) { s.problem.intervals = 10; });
-  expect_refused("WheeledFlightSettings.interval [s]", [](auto& s) { s.problem.interval = 0.05; });
+  expect_refused("HorizonSettings.intervals", [](auto& s) { s.problem.intervals = 10; });
+  expect_refused("HorizonSettings.interval [s]", [](auto& s) { s.problem.interval = 0.05; });
   expect_refused("ControllerSettings.solver", [](auto& s) { s.solver.program.max_passes = 3; });
-  expect_refused("NmpcSettings.period [s]", [](auto& s) { s.period = 0.0; });
+  expect_refused("ControllerSettings.period [s]", [](auto& s) { s.period = 0.0; });
   expect_refused("NmpcWeights.force_rate", [](auto& s) { s.problem.weights.force_rate.setZero(); });
   expect_refused("GroundContactSettings", [](auto& s) { s.ground.settling_speed = -1.0; });
-  expect_refused("NmpcWeights.position", [](auto& s) {
+  expect_refused("FlightWeights.position", [](auto& s) {
     s.problem.terminal_cost = TerminalCost::riccati;
     s.problem.weights.position.x() = 1.0;
   });

@@ -29,7 +29,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 
 WheeledFlightProblem<0> random_problem(Random& random,
                                        TerminalCost terminal = TerminalCost::weights) {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.terminal_cost = terminal;
   if (terminal == TerminalCost::weights) settings.weights.orientation << 30.0, 20.0, 10.0;
   settings.weights.ground_thrust = 0.3;
@@ -124,7 +124,7 @@ Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<0>
 }
 
 WheeledFlightProblem<0> hovering_problem(double yaw) {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.terminal_cost = TerminalCost::riccati;
   WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
@@ -216,7 +216,7 @@ TEST(WheeledFlightProblem, GroundConditionsHaveExactDerivatives) {
 
 TEST(WheeledFlightProblem, ConstraintsArePapersBoundsWithExactDerivatives) {
   Random random(43);
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.bounds = paper_bounds();
   const WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
   const Stated x = random_state(random);
@@ -337,11 +337,11 @@ TEST(WheeledFlightProblem, ChecksItsSettings) {
           name, [&] { WheeledFlightProblem<0>(test_support::benchmark_body(), settings); });
     test_support::expect_refused(name, [&] { problem.set_settings(settings); });
   };
-  expect_refused("NmpcWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
-  expect_refused("WheeledFlightSettings.intervals", false, [](auto& s) { s.intervals = 19; });
-  expect_refused("WheeledFlightSettings.intervals", false, [](auto& s) { s.intervals = 21; });
-  expect_refused("WheeledFlightSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
-  expect_refused("WheeledFlightSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
+  expect_refused("FlightWeights.terminal", true, [](auto& s) { s.weights.terminal = 0.0; });
+  expect_refused("HorizonSettings.intervals", false, [](auto& s) { s.intervals = 19; });
+  expect_refused("HorizonSettings.intervals", false, [](auto& s) { s.intervals = 21; });
+  expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.05; });
+  expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
 }  // namespace

@@ -24,7 +24,7 @@ using Flight = WheeledFlightProblem<0>;
 constexpr int touch_down = 3;
 
 Flight landing(const Eigen::Vector3d& ground_weights) {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.intervals = 6;
   settings.weights.ground = ground_weights;
   Flight problem(test_support::benchmark_body(), settings);

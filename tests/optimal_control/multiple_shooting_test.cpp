@@ -172,13 +172,13 @@ TEST(MultipleShooting, OptimumCannotBeImprovedByFeasibleChanges) {
 }
 
 TEST(MultipleShooting, PenaltyIsThePriceAtWhichABoundIsRelaxed) {
+  struct Priced : WheeledFlightProblem<0> {
+    Constraints price;
+    [[nodiscard]] const Constraints& penalty(int) const { return price; }
+  };
   const auto violation_at = [](double constraint_penalty) {
-    WheeledFlightSettings settings;
-    settings.penalties = {constraint_penalty, constraint_penalty, constraint_penalty,
-                          constraint_penalty};
-    WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
-    for (int k = 0; k <= problem.horizon(); ++k) problem.node(k) = step_problem().node(k);
-    Solver solver(problem, patient());
+    const Priced problem{step_problem(), Priced::Constraints::Constant(constraint_penalty)};
+    MultipleShooting<Priced> solver(problem, patient());
     solver.reset(step_start());
     EXPECT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
     double largest = 0.0;

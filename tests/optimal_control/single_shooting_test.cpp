@@ -97,7 +97,7 @@ Quadrotor::State thrown_quadrotor() {
 }
 
 WheeledFlightProblem<0> short_flight(const NmpcBounds& bounds = {}) {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.intervals = 4;
   settings.bounds = bounds;
   WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);
@@ -120,7 +120,7 @@ Stated displaced_flight() {
 
 // The wheels touch the ground at `touch_down` and stay there.
 WheeledFlightProblem<0> short_landing(int touch_down, double ground_weight) {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = test_support::benchmark_settings();
   settings.intervals = 4;
   settings.weights.ground.setConstant(ground_weight);
   WheeledFlightProblem<0> problem(test_support::benchmark_body(), settings);

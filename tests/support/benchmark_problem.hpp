@@ -28,8 +28,19 @@ inline Eigen::Vector3d benchmark_hover_force() {
   return {0.0, 0.0, 1.5 * tilt_ropter::gravity};
 }
 
+/// Weights and wide bounds of the benchmark.
+inline WheeledFlightSettings benchmark_settings() {
+  WheeledFlightSettings settings;
+  settings.weights.position << 60.0, 60.0, 80.0;
+  settings.weights.velocity << 6.0, 6.0, 8.0;
+  settings.weights.angular_velocity.setConstant(0.6);
+  settings.weights.ground_thrust = 0.0;
+  return settings;
+}
+
 /// STEP: hover at (0, 0, 1.5) from a displaced, rotated and moving start, with wide bounds.
-inline WheeledFlightProblem<0> step_problem(const WheeledFlightSettings& settings = {}) {
+inline WheeledFlightProblem<0> step_problem(
+    const WheeledFlightSettings& settings = benchmark_settings()) {
   WheeledFlightProblem<0> problem(benchmark_body(), settings);
   for (int k = 0; k <= problem.horizon(); ++k) {
     problem.node(k).reference.position << 0.0, 0.0, 1.5;
@@ -61,7 +72,7 @@ inline Eigen::Vector3d air_velocity(double t) {
 
 /// AIR: with the bounds of the paper's table.
 inline WheeledFlightProblem<0> air_problem() {
-  WheeledFlightSettings settings;
+  WheeledFlightSettings settings = benchmark_settings();
   settings.bounds = tilt_ropter::paper_bounds();
   return WheeledFlightProblem<0>(benchmark_body(), settings);
 }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/control/detail/actuator_constraints.hpp>
 #include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -74,89 +73,6 @@ using NmpcResult = ControlResult<WrenchCommand>;  ///< output of Nmpc
 template <int Rotors>
 using ActuatorNmpcResult = ControlResult<ActuatorCommand<Rotors>>;
 
-/// Weights of the squared errors. The cost has no factor 1/2 and no time step.
-struct ActuatorLevelWeights {
-  Eigen::Vector3d position{240.0, 240.0, 320.0};       ///< p - p_r, world [1/m^2]
-  Eigen::Vector3d velocity{16.0, 16.0, 20.0};          ///< v - v_r, world [s^2/m^2]
-  Eigen::Vector3d orientation{30.0, 30.0, 30.0};       ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
-  Eigen::Vector3d angular_velocity{10.0, 10.0, 10.0};  ///< w - w_r, body [s^2/rad^2]
-  /// Of the deviation of each rotor's thrust vector (T sin alpha, T cos alpha) from its reference,
-  /// which is the smallest thrust that the reference motion needs [1/N^2].
-  double thrust = 0.15;
-  /// The same from 0.5 s after touch-down on, while the plan ends on the ground, if the vehicle
-  /// drives without leaning. There the thrusts are a fifteenth of those in the air and carry
-  /// nothing, so every deviation costs power.
-  double thrust_on_ground = 2.25;
-  double thrust_rate = 0.02;  ///< of each rotor [s^2/N^2]
-  double tilt_rate = 0.003;   ///< of each rotor [s^2/rad^2]
-  double terminal = 5.0;      ///< factor on the state weights at the last node
-  /// Ground conditions v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2].
-  Eigen::Vector3d ground{1e3, 1e3, 1e3};
-};
-
-/// Bounds in addition to those of the vehicle's actuators. Infinite: no bound.
-struct ActuatorLevelBounds {
-  Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
-  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate, in (0, 1]. A
-  /// command that is held for h seconds and inverts a lag with time constant T needs h / (2 T) more
-  /// than the planned rate: 6 % at 100 Hz and 80 ms.
-  double tilt_rate_fraction = 0.9;
-};
-
-/// Penalties for violating a constraint by one unit. A constraint whose multiplier would exceed its
-/// penalty is relaxed. Infinite: a hard constraint. Bounds on the inputs are always hard.
-struct ActuatorLevelPenalties {
-  double thrust = 1e4;            ///< range of the thrusts [1/N]
-  double tilt_angle = 1e4;        ///< range of the tilt angles [1/rad]
-  double angular_velocity = 1e4;  ///< for comfort; a measured state may violate them [s/rad]
-};
-
-/// Settings of the problem, in addition to the vehicle.
-struct ActuatorLevelSettings {
-  int intervals = 20;            ///< number of intervals N
-  double interval = 0.1;         ///< length of one interval [s]
-  ActuatorLevelWeights weights;  ///< of the squared errors
-  ActuatorLevelBounds bounds;
-  ActuatorLevelPenalties penalties;  ///< for violating the bounds
-};
-
-inline void validate(const ActuatorLevelWeights& w) {
-  require_non_negative("ActuatorLevelWeights.position [1/m^2]", w.position);
-  require_non_negative("ActuatorLevelWeights.velocity [s^2/m^2]", w.velocity);
-  require_non_negative("ActuatorLevelWeights.orientation [1/rad^2]", w.orientation);
-  require_non_negative("ActuatorLevelWeights.angular_velocity [s^2/rad^2]", w.angular_velocity);
-  require_non_negative("ActuatorLevelWeights.thrust [1/N^2]", w.thrust);
-  require_non_negative("ActuatorLevelWeights.thrust_on_ground [1/N^2]", w.thrust_on_ground);
-  require_positive("ActuatorLevelWeights.thrust_rate [s^2/N^2]", w.thrust_rate);
-  require_positive("ActuatorLevelWeights.tilt_rate [s^2/rad^2]", w.tilt_rate);
-  require_positive("ActuatorLevelWeights.terminal", w.terminal);
-  require_non_negative("ActuatorLevelWeights.ground", w.ground);
-}
-
-inline void validate(const ActuatorLevelBounds& b) {
-  require_positive_or_infinite("ActuatorLevelBounds.angular_velocity [rad/s]", b.angular_velocity);
-  require(b.tilt_rate_fraction > 0.0 && b.tilt_rate_fraction <= 1.0,
-          "ActuatorLevelBounds.tilt_rate_fraction", b.tilt_rate_fraction, "in (0, 1]");
-}
-
-inline void validate(const ActuatorLevelPenalties& p) {
-  const auto require_price = [](const char* field, double price) {
-    require(price > 0.0, field, price, "> 0, or infinite");
-  };
-  require_price("ActuatorLevelPenalties.thrust [1/N]", p.thrust);
-  require_price("ActuatorLevelPenalties.tilt_angle [1/rad]", p.tilt_angle);
-  require_price("ActuatorLevelPenalties.angular_velocity [s/rad]", p.angular_velocity);
-}
-
-inline void validate(const ActuatorLevelSettings& s) {
-  require(s.intervals >= 1 && s.intervals <= 1000, "ActuatorLevelSettings.intervals", s.intervals,
-          "in [1, 1000]");
-  require_positive("ActuatorLevelSettings.interval [s]", s.interval);
-  validate(s.weights);
-  validate(s.bounds);
-  validate(s.penalties);
-}
-
 /// How the model of the controller represents the ground.
 enum class GroundModel {
   /// The model cannot move in the directions that the ground holds. Of the external wrench, only
@@ -202,35 +118,110 @@ inline void validate(const GroundContactSettings& s) {
   require_non_negative("GroundContactSettings.rotor_thrust [N]", s.rotor_thrust);
 }
 
-/// Weights of the squared errors, per axis. The cost has no factor 1/2 and no time step.
-struct NmpcWeights {
-  Eigen::Vector3d force{0.02, 0.02, 0.02};          ///< F - F_r, body [1/N^2]
-  Eigen::Vector3d torque{0.2, 0.2, 0.2};            ///< M - M_r, body [1/(N m)^2]
-  Eigen::Vector3d position{60.0, 60.0, 80.0};       ///< p - p_r, world [1/m^2]
-  Eigen::Vector3d velocity{6.0, 6.0, 8.0};          ///< v - v_r, world [s^2/m^2]
-  Eigen::Vector3d orientation{30.0, 30.0, 30.0};    ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
-  Eigen::Vector3d angular_velocity{0.6, 0.6, 0.6};  ///< w - w_r, body [s^2/rad^2]
-  Eigen::Vector3d force_rate{0.02, 0.02, 0.02};     ///< dF [s^2/N^2]
-  Eigen::Vector3d torque_rate{0.2, 0.2, 0.2};       ///< dM [s^2/(N m)^2]
+/// Weights of the squared errors of the body at both levels of control, per axis. The cost has no
+/// factor 1/2 and no time step. The defaults track closely. The attitude is damped enough for
+/// actuators that are slower and later than the controller assumes. Example: servos and rotors are
+/// 1.7 times slower than assumed. With a quarter of this weight on angular velocity, a heavy
+/// vehicle then rocks until it tips.
+struct FlightWeights {
+  Eigen::Vector3d position{240.0, 240.0, 320.0};       ///< p - p_r, world [1/m^2]
+  Eigen::Vector3d velocity{16.0, 16.0, 20.0};          ///< v - v_r, world [s^2/m^2]
+  Eigen::Vector3d orientation{30.0, 30.0, 30.0};       ///< 2 vec(q (x) q_r^-1), world [1/rad^2]
+  Eigen::Vector3d angular_velocity{10.0, 10.0, 10.0};  ///< w - w_r, body [s^2/rad^2]
   double terminal = 5.0;  ///< factor on the state weights at the last node, see TerminalCost
   /// Ground conditions v_By [s^2/m^2], w_x [s^2/rad^2], p_z - r [1/m^2].
   Eigen::Vector3d ground{1e3, 1e3, 1e3};
-  /// Added to force.z() at nodes on the ground [1/N^2]. The thrust falls after touch-down, and
-  /// rises before take-off, with the time constant sqrt(force_rate.z() / (force.z() +
-  /// ground_thrust)) [s].
-  double ground_thrust = 0.0;
 };
 
-/// Bounds on wrench, wrench rate and body rate, all in the body frame. Infinite: no bound.
-struct NmpcBounds {
-  Eigen::Vector3d force_rate{20.0, 20.0, 40.0};     ///< |dF| <= [N/s]
-  Eigen::Vector3d torque_rate{4.0, 4.0, 4.0};       ///< |dM| <= [N m/s]
-  Eigen::Vector3d force_min{-6.0, -6.0, 0.0};       ///< F >= [N]
-  Eigen::Vector3d force_max{6.0, 6.0, 30.0};        ///< F <= [N]
-  Eigen::Vector3d torque_min{-1.5, -1.5, -1.5};     ///< M >= [N m]
-  Eigen::Vector3d torque_max{1.5, 1.5, 1.5};        ///< M <= [N m]
-  Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <= [rad/s]
+inline void validate(const FlightWeights& w) {
+  require_non_negative("FlightWeights.position [1/m^2]", w.position);
+  require_non_negative("FlightWeights.velocity [s^2/m^2]", w.velocity);
+  require_non_negative("FlightWeights.orientation [1/rad^2]", w.orientation);
+  require_non_negative("FlightWeights.angular_velocity [s^2/rad^2]", w.angular_velocity);
+  require_positive("FlightWeights.terminal", w.terminal);
+  require_non_negative("FlightWeights.ground", w.ground);
+}
+
+/// Weights of the wrench level.
+struct NmpcWeights : FlightWeights {
+  Eigen::Vector3d force{0.02, 0.02, 0.02};       ///< F - F_r, body [1/N^2]
+  Eigen::Vector3d torque{0.2, 0.2, 0.2};         ///< M - M_r, body [1/(N m)^2]
+  Eigen::Vector3d force_rate{0.02, 0.02, 0.02};  ///< dF [s^2/N^2]
+  Eigen::Vector3d torque_rate{0.2, 0.2, 0.2};    ///< dM [s^2/(N m)^2]
+  /// Added to force.z() at nodes on the ground [1/N^2]. The thrust falls after touch-down, and
+  /// rises before take-off, with the time constant sqrt(force_rate.z() / (force.z() +
+  /// ground_thrust)) [s]. The default, half a second, saves power.
+  double ground_thrust = 0.05;
 };
+
+inline void validate(const NmpcWeights& w) {
+  validate(static_cast<const FlightWeights&>(w));
+  require_non_negative("NmpcWeights.force [1/N^2]", w.force);
+  require_non_negative("NmpcWeights.torque [1/(N m)^2]", w.torque);
+  require_positive("NmpcWeights.force_rate [s^2/N^2]", w.force_rate);
+  require_positive("NmpcWeights.torque_rate [s^2/(N m)^2]", w.torque_rate);
+  require_non_negative("NmpcWeights.ground_thrust [1/N^2]", w.ground_thrust);
+}
+
+/// Weights of the actuator level.
+struct ActuatorLevelWeights : FlightWeights {
+  /// Of the deviation of each rotor's thrust vector (T sin alpha, T cos alpha) from its reference,
+  /// which is the smallest thrust that the reference motion needs [1/N^2].
+  double thrust = 0.15;
+  /// The same from 0.5 s after touch-down on, while the plan ends on the ground, if the vehicle
+  /// drives without leaning. There the thrusts are a fifteenth of those in the air and carry
+  /// nothing, so every deviation costs power.
+  double thrust_on_ground = 2.25;
+  double thrust_rate = 0.02;  ///< of each rotor [s^2/N^2]
+  double tilt_rate = 0.003;   ///< of each rotor [s^2/rad^2]
+};
+
+inline void validate(const ActuatorLevelWeights& w) {
+  validate(static_cast<const FlightWeights&>(w));
+  require_non_negative("ActuatorLevelWeights.thrust [1/N^2]", w.thrust);
+  require_non_negative("ActuatorLevelWeights.thrust_on_ground [1/N^2]", w.thrust_on_ground);
+  require_positive("ActuatorLevelWeights.thrust_rate [s^2/N^2]", w.thrust_rate);
+  require_positive("ActuatorLevelWeights.tilt_rate [s^2/rad^2]", w.tilt_rate);
+}
+
+/// Bounds at both levels of control; at the actuator level, in addition to those of the vehicle's
+/// actuators.
+struct FlightBounds {
+  Eigen::Vector3d angular_velocity{4.0, 4.0, 3.0};  ///< |w| <=, body frame, or infinite [rad/s]
+  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate, in (0, 1]. The
+  /// rate of the commands to the servo is higher than planned: a command that is held for h seconds
+  /// and inverts a lag with time constant T needs an extra h / (2 T), which is 6 % at 100 Hz and
+  /// 80 ms.
+  double tilt_rate_fraction = 0.9;
+};
+
+inline void validate(const FlightBounds& b) {
+  require_positive_or_infinite("FlightBounds.angular_velocity [rad/s]", b.angular_velocity);
+  require(b.tilt_rate_fraction > 0.0 && b.tilt_rate_fraction <= 1.0,
+          "FlightBounds.tilt_rate_fraction", b.tilt_rate_fraction, "in (0, 1]");
+}
+
+/// Bounds of the wrench level, all in the body frame. Infinite: no bound. `tilt_rate_fraction` has
+/// no effect without NmpcSettings::actuator_constraints. It is lower here, because with
+/// AllocationSettings.calm_fraction the lead of a command grows while the thrust grows: about 10 %.
+struct NmpcBounds : FlightBounds {
+  Eigen::Vector3d force_rate{20.0, 20.0, 40.0};  ///< |dF| <= [N/s]
+  Eigen::Vector3d torque_rate{4.0, 4.0, 4.0};    ///< |dM| <= [N m/s]
+  Eigen::Vector3d force_min{-6.0, -6.0, 0.0};    ///< F >= [N]
+  Eigen::Vector3d force_max{6.0, 6.0, 30.0};     ///< F <= [N]
+  Eigen::Vector3d torque_min{-1.5, -1.5, -1.5};  ///< M >= [N m]
+  Eigen::Vector3d torque_max{1.5, 1.5, 1.5};     ///< M <= [N m]
+
+  NmpcBounds() { tilt_rate_fraction = 0.85; }
+};
+
+inline void validate(const NmpcBounds& b) {
+  validate(static_cast<const FlightBounds&>(b));
+  require_positive_or_infinite("NmpcBounds.force_rate [N/s]", b.force_rate);
+  require_positive_or_infinite("NmpcBounds.torque_rate [N m/s]", b.torque_rate);
+  require_ordered("NmpcBounds.force [N]", b.force_min, b.force_max);
+  require_ordered("NmpcBounds.torque [N m]", b.torque_min, b.torque_max);
+}
 
 /// Returns `wrench` cut to the bounds.
 [[nodiscard]] inline Wrenchd within(const NmpcBounds& b, const Wrenchd& wrench) noexcept {
@@ -278,99 +269,104 @@ enum class TerminalCost {
   riccati,
 };
 
-/// Penalties for violating a constraint by one unit. A constraint whose multiplier would exceed its
-/// penalty is relaxed. Infinite: a hard constraint.
-struct NmpcPenalties {
-  /// Bounds on the wrench rate [s/N, s/(N m)]. They are hard, so the command meets them even if the
-  /// plan violates other constraints.
-  double rate = std::numeric_limits<double>::infinity();
-  double wrench = 1e4;            ///< bounds on the wrench [1/N, 1/(N m)]
-  double angular_velocity = 1e4;  ///< for comfort; a measured state may violate them [s/rad]
-  double actuators = 1e4;         ///< of ActuatorConstraints, per unit of each constraint
-};
-
-/// Settings of the problem, in addition to the model's parameters.
-struct WheeledFlightSettings {
+/// Settings of the optimal-control problem of one level, in addition to the vehicle.
+template <typename Weights, typename Bounds>
+struct HorizonSettings {
   int intervals = 20;     ///< number of intervals N (paper: 20)
   double interval = 0.1;  ///< length of one interval [s] (paper: 0.1)
-  NmpcWeights weights;    ///< of the squared errors
-  /// Cost of the last node.
-  TerminalCost terminal_cost = TerminalCost::weights;
-  NmpcBounds bounds;        ///< on wrench, wrench rate and body rate
-  NmpcPenalties penalties;  ///< for violating the bounds
+  Weights weights;        ///< of the squared errors
+  Bounds bounds;
 };
 
-inline void validate(const NmpcWeights& w) {
-  require_non_negative("NmpcWeights.force [1/N^2]", w.force);
-  require_non_negative("NmpcWeights.torque [1/(N m)^2]", w.torque);
-  require_non_negative("NmpcWeights.position [1/m^2]", w.position);
-  require_non_negative("NmpcWeights.velocity [s^2/m^2]", w.velocity);
-  require_non_negative("NmpcWeights.orientation [1/rad^2]", w.orientation);
-  require_non_negative("NmpcWeights.angular_velocity [s^2/rad^2]", w.angular_velocity);
-  require_positive("NmpcWeights.force_rate [s^2/N^2]", w.force_rate);
-  require_positive("NmpcWeights.torque_rate [s^2/(N m)^2]", w.torque_rate);
-  require_positive("NmpcWeights.terminal", w.terminal);
-  require_non_negative("NmpcWeights.ground", w.ground);
-  require_non_negative("NmpcWeights.ground_thrust [1/N^2]", w.ground_thrust);
+template <typename Weights, typename Bounds>
+void validate(const HorizonSettings<Weights, Bounds>& s) {
+  require(s.intervals >= 1 && s.intervals <= 1000, "HorizonSettings.intervals", s.intervals,
+          "in [1, 1000]");
+  require_positive("HorizonSettings.interval [s]", s.interval);
+  validate(s.weights);
+  validate(s.bounds);
 }
 
-inline void validate(const NmpcBounds& b) {
-  require_positive_or_infinite("NmpcBounds.force_rate [N/s]", b.force_rate);
-  require_positive_or_infinite("NmpcBounds.torque_rate [N m/s]", b.torque_rate);
-  require_ordered("NmpcBounds.force [N]", b.force_min, b.force_max);
-  require_ordered("NmpcBounds.torque [N m]", b.torque_min, b.torque_max);
-  require_positive_or_infinite("NmpcBounds.angular_velocity [rad/s]", b.angular_velocity);
+namespace detail {
+
+/// Throws std::invalid_argument if the horizon of `settings` differs from that of `built`.
+template <typename Weights, typename Bounds>
+void require_same_horizon(const HorizonSettings<Weights, Bounds>& settings,
+                          const HorizonSettings<Weights, Bounds>& built) {
+  require(settings.intervals == built.intervals, "HorizonSettings.intervals", settings.intervals,
+          "as at construction");
+  require(settings.interval == built.interval, "HorizonSettings.interval [s]", settings.interval,
+          "as at construction");
 }
 
-inline void validate(const NmpcPenalties& p) {
-  const auto require_price = [](const char* field, double price) {
-    require(price > 0.0, field, price, "> 0, or infinite");
-  };
-  require_price("NmpcPenalties.rate [s/N, s/(N m)]", p.rate);
-  require_price("NmpcPenalties.wrench [1/N, 1/(N m)]", p.wrench);
-  require_price("NmpcPenalties.angular_velocity [s/rad]", p.angular_velocity);
-  require_price("NmpcPenalties.actuators", p.actuators);
-}
+}  // namespace detail
+
+/// Settings of the problem of the wrench level.
+struct WheeledFlightSettings : HorizonSettings<NmpcWeights, NmpcBounds> {
+  TerminalCost terminal_cost = TerminalCost::weights;  ///< cost of the last node
+  /// Limit on passes in a control loop. The worst initial conditions of the example stress_flights
+  /// would need up to 30 passes. Flights with 8 passes recover in the same way.
+  static constexpr int max_passes = 10;
+};
 
 inline void validate(const WheeledFlightSettings& s) {
-  require(s.intervals >= 1 && s.intervals <= 1000, "WheeledFlightSettings.intervals", s.intervals,
-          "in [1, 1000]");
-  require_positive("WheeledFlightSettings.interval [s]", s.interval);
-  validate(s.weights);
-  if (s.terminal_cost == TerminalCost::riccati) {
-    const auto require_round = [](const char* field, const Eigen::Vector3d& weight) {
-      require(weight.x() == weight.y(), field, weight,
-              "the same for x and y with TerminalCost::riccati, which turns with the heading");
-    };
-    require_round("NmpcWeights.position [1/m^2]", s.weights.position);
-    require_round("NmpcWeights.velocity [s^2/m^2]", s.weights.velocity);
-    require_round("NmpcWeights.orientation [1/rad^2]", s.weights.orientation);
-  }
-  validate(s.bounds);
-  validate(s.penalties);
+  validate(static_cast<const HorizonSettings<NmpcWeights, NmpcBounds>&>(s));
+  if (s.terminal_cost != TerminalCost::riccati) return;
+  const auto require_round = [](const char* field, const Eigen::Vector3d& weight) {
+    require(weight.x() == weight.y(), field, weight,
+            "the same for x and y with TerminalCost::riccati, which turns with the heading");
+  };
+  require_round("FlightWeights.position [1/m^2]", s.weights.position);
+  require_round("FlightWeights.velocity [s^2/m^2]", s.weights.velocity);
+  require_round("FlightWeights.orientation [1/rad^2]", s.weights.orientation);
 }
 
-/// WheeledFlightSettings with weights for close tracking. The attitude is damped enough for
-/// actuators that are slower and later than the controller assumes. Example: servos and rotors are
-/// 1.7 times slower than assumed. With a quarter of this weight on angular velocity, a heavy
-/// vehicle then rocks until it tips.
-[[nodiscard]] inline WheeledFlightSettings damped_flight_settings() {
-  WheeledFlightSettings s;
-  s.weights.position = {240.0, 240.0, 320.0};
-  s.weights.velocity = {16.0, 16.0, 20.0};
-  s.weights.angular_velocity.setConstant(10.0);
-  s.weights.ground_thrust = 0.05;  // thrust falls in half a second: saves power
-  return s;
-}
+/// Settings of the problem of the actuator level.
+struct ActuatorLevelSettings : HorizonSettings<ActuatorLevelWeights, FlightBounds> {
+  /// Limit on passes in a control loop. A pass takes longer than at the wrench level. In the
+  /// flights of the example stress_flights, four passes recover as fast as ten. After the failure
+  /// of an actuator, six are needed: with four, 2 of 320 flights were lost.
+  static constexpr int max_passes = 6;
+};
 
 /// The solver's default settings with a lower limit on passes, for a control loop. A tick whose
-/// quadratic program needs more passes reports approximate. The worst initial conditions of the
-/// example stress_flights would need up to 30 passes. Flights with 8 passes recover in the same
-/// way.
-[[nodiscard]] inline optimal_control::SolverSettings real_time_settings() {
+/// quadratic program needs more passes reports approximate.
+[[nodiscard]] inline optimal_control::SolverSettings real_time_settings(int max_passes) {
   optimal_control::SolverSettings s;
-  s.program.max_passes = 10;
+  s.program.max_passes = max_passes;
   return s;
+}
+
+/// Settings of both levels of control. `Problem` is WheeledFlightSettings or ActuatorLevelSettings.
+template <typename Problem>
+struct ControllerSettings {
+  /// Weights, bounds and horizon of the optimal-control problem.
+  Problem problem;
+  /// Limits and tolerances of the solver.
+  optimal_control::SolverSettings solver = real_time_settings(Problem::max_passes);
+  double period = 0.01;  ///< period of the loop that calls the controller [s]
+  /// Time limit for prepare() and feedback() together, including cold starts and repeated plans
+  /// [s]. Work that would end later is not started, and is left to the next tick. Zero: half the
+  /// period. Infinite: no limit.
+  double time_limit = 0.0;
+  GroundContactSettings ground;  ///< references and thrusts on the ground
+  /// Age above which a plan is not followed and the safe command is given [s].
+  double max_plan_age = 0.2;
+  /// Number of failures in a row after which the next solve starts cold from the measured state.
+  int failures_before_reset = 3;
+};
+
+template <typename Problem>
+void validate(const ControllerSettings<Problem>& s) {
+  validate(s.problem);
+  validate(s.solver);
+  validate(s.ground);
+  require_positive("ControllerSettings.period [s]", s.period);
+  require(s.time_limit >= 0.0, "ControllerSettings.time_limit [s]", s.time_limit,
+          ">= 0, or infinite");
+  require_positive("ControllerSettings.max_plan_age [s]", s.max_plan_age);
+  require(s.failures_before_reset >= 1, "ControllerSettings.failures_before_reset",
+          s.failures_before_reset, ">= 1");
 }
 
 /// The wrench that the cost subtracts from the planned wrench: F_r and M_r.
@@ -382,41 +378,18 @@ enum class WrenchReference {
   inverse_dynamics,
 };
 
-/// The defaults fly the reference vehicle. nmpc_settings() computes the settings for other
-/// vehicles.
-struct NmpcSettings {
-  /// Weights, bounds, penalties and horizon of the optimal-control problem.
-  WheeledFlightSettings problem = damped_flight_settings();
-  /// Limits and tolerances of the solver.
-  optimal_control::SolverSettings solver = real_time_settings();
-  double period = 0.01;  ///< period of the loop that calls the controller [s]
-  /// Time limit for prepare() and feedback() together, including cold starts and repeated plans
-  /// [s]. Work that would end later is not started, and is left to the next tick. Zero: half the
-  /// period. Infinite: no limit.
-  double time_limit = 0.0;
-  GroundContactSettings ground;  ///< references and thrusts on the ground
-  /// Age above which a plan is not followed and the safe wrench is commanded [s].
-  double max_plan_age = 0.2;
-  /// Number of failures in a row after which the next solve starts cold from the measured state.
-  int failures_before_reset = 3;
+/// Settings of Nmpc. The defaults fly the reference vehicle. nmpc_settings() computes the settings
+/// for other vehicles.
+struct NmpcSettings : ControllerSettings<WheeledFlightSettings> {
   WrenchReference wrench_reference = WrenchReference::inverse_dynamics;
   /// True: a plan respects the servo speed and the rotor thrust, see ActuatorConstraints. False: a
   /// plan respects only the boxes of NmpcBounds, as in the paper.
   bool actuator_constraints = true;
-  ActuatorConstraintSettings actuators;  ///< limits; no effect without actuator_constraints
 };
 
-inline void validate(const NmpcSettings& s) {
-  validate(s.problem);
-  validate(s.solver);
-  validate(s.ground);
-  validate(s.actuators);
-  require_positive("NmpcSettings.period [s]", s.period);
-  require(s.time_limit >= 0.0, "NmpcSettings.time_limit [s]", s.time_limit, ">= 0, or infinite");
-  require_positive("NmpcSettings.max_plan_age [s]", s.max_plan_age);
-  require(s.failures_before_reset >= 1, "NmpcSettings.failures_before_reset",
-          s.failures_before_reset, ">= 1");
-}
+/// Settings of ActuatorNmpc. The defaults fly the reference vehicle. actuator_nmpc_settings()
+/// computes the settings for other vehicles.
+using ActuatorNmpcSettings = ControllerSettings<ActuatorLevelSettings>;
 
 /// The controller of the paper as printed: its table of bounds, N and interval; the cost on F and M
 /// themselves; no constraints of actuators; the indicator function delta by heights over the ground
@@ -447,18 +420,25 @@ inline void validate(const NmpcSettings& s) {
 
 /// Allowed errors for tuning; each of them costs the same. Half the allowed position error means
 /// four times the position weight. Forces are in units of the vehicle's weight m g. Torques are in
-/// units of m g times the mean distance of the rotors from the CoM. The same numbers therefore fit
-/// a vehicle of any size. The defaults give the reference vehicle's weights of NmpcSettings, to
-/// four digits.
+/// units of m g times the mean distance of the rotors from the CoM. Thrusts are in units of the
+/// thrust of one rotor in hover. The same numbers therefore fit a vehicle of any size. The defaults
+/// give the weights of NmpcSettings and ActuatorNmpcSettings for the reference vehicle, to four
+/// digits.
 struct AllowedErrors {
   Eigen::Vector3d position{0.06455, 0.06455, 0.0559};        ///< world [m]
   Eigen::Vector3d velocity{0.25, 0.25, 0.2236};              ///< world [m/s]
   Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
   Eigen::Vector3d angular_velocity{0.3162, 0.3162, 0.3162};  ///< body [rad/s]
-  Eigen::Vector3d force{0.4805, 0.4805, 0.4805};             ///< body [m g]
-  Eigen::Vector3d torque{0.8939, 0.8939, 0.8939};            ///< body [m g size]
-  Eigen::Vector3d force_rate{0.4805, 0.4805, 0.4805};        ///< body [m g / s]
-  Eigen::Vector3d torque_rate{0.8939, 0.8939, 0.8939};       ///< body [m g size / s]
+  // Of the wrench level:
+  Eigen::Vector3d force{0.4805, 0.4805, 0.4805};        ///< body [m g]
+  Eigen::Vector3d torque{0.8939, 0.8939, 0.8939};       ///< body [m g size]
+  Eigen::Vector3d force_rate{0.4805, 0.4805, 0.4805};   ///< body [m g / s]
+  Eigen::Vector3d torque_rate{0.8939, 0.8939, 0.8939};  ///< body [m g size / s]
+  // Of the actuator level:
+  double thrust = 0.7019;            ///< of each rotor [thrust in hover]
+  double thrust_on_ground = 0.1813;  ///< the same on the ground [thrust in hover]
+  double thrust_rate = 1.922;        ///< of each rotor [thrust in hover / s]
+  double tilt_rate = 18.26;          ///< of each rotor [rad/s]
 };
 
 inline void validate(const AllowedErrors& e) {
@@ -470,7 +450,30 @@ inline void validate(const AllowedErrors& e) {
   require_positive("AllowedErrors.torque [m g size]", e.torque);
   require_positive("AllowedErrors.force_rate [m g / s]", e.force_rate);
   require_positive("AllowedErrors.torque_rate [m g size / s]", e.torque_rate);
+  require_positive("AllowedErrors.thrust [thrust in hover]", e.thrust);
+  require_positive("AllowedErrors.thrust_on_ground [thrust in hover]", e.thrust_on_ground);
+  require_positive("AllowedErrors.thrust_rate [thrust in hover / s]", e.thrust_rate);
+  require_positive("AllowedErrors.tilt_rate [rad/s]", e.tilt_rate);
 }
+
+namespace detail {
+
+/// Weight of an allowed error in units of `unit`: one over its square.
+[[nodiscard]] inline double weigh(double error, double unit = 1.0) {
+  return 1.0 / ((unit * error) * (unit * error));
+}
+[[nodiscard]] inline Eigen::Vector3d weigh(const Eigen::Vector3d& error, double unit = 1.0) {
+  return {weigh(error.x(), unit), weigh(error.y(), unit), weigh(error.z(), unit)};
+}
+
+inline void set_weights(const AllowedErrors& errors, FlightWeights& w) {
+  w.position = weigh(errors.position);
+  w.velocity = weigh(errors.velocity);
+  w.orientation = weigh(errors.orientation);
+  w.angular_velocity = weigh(errors.angular_velocity);
+}
+
+}  // namespace detail
 
 /// Mean distance of the rotors from the CoM, without lost rotors [m].
 template <int Rotors>
@@ -500,19 +503,13 @@ template <int Rotors>
   validate(vehicle.body);
   const double weight = vehicle.body.mass * gravity, lever = weight * size_of(vehicle);
   require_positive("nmpc_settings: weight times mean distance of the rotors [N m]", lever);
-  const auto weigh = [](const Eigen::Vector3d& error, double unit) -> Eigen::Vector3d {
-    return (unit * error).cwiseAbs2().cwiseInverse();
-  };
   NmpcSettings s;
   NmpcWeights& w = s.problem.weights;
-  w.position = weigh(errors.position, 1.0);
-  w.velocity = weigh(errors.velocity, 1.0);
-  w.orientation = weigh(errors.orientation, 1.0);
-  w.angular_velocity = weigh(errors.angular_velocity, 1.0);
-  w.force = weigh(errors.force, weight);
-  w.torque = weigh(errors.torque, lever);
-  w.force_rate = weigh(errors.force_rate, weight);
-  w.torque_rate = weigh(errors.torque_rate, lever);
+  detail::set_weights(errors, w);
+  w.force = detail::weigh(errors.force, weight);
+  w.torque = detail::weigh(errors.torque, lever);
+  w.force_rate = detail::weigh(errors.force_rate, weight);
+  w.torque_rate = detail::weigh(errors.torque_rate, lever);
 
   const Vehicle<4> reference = tilt_ropter_vehicle();
   const double by_weight = vehicle.body.mass / reference.body.mass,
@@ -532,98 +529,26 @@ template <int Rotors>
   return s;
 }
 
-/// real_time_settings() with a lower limit on passes. A pass takes longer than at the wrench level.
-/// In the flights of the example stress_flights, four passes recover as fast as ten. After the
-/// failure of an actuator, six are needed: with four, 2 of 320 flights were lost.
-[[nodiscard]] inline optimal_control::SolverSettings actuator_real_time_settings() {
-  optimal_control::SolverSettings s = real_time_settings();
-  s.program.max_passes = 6;
-  return s;
-}
-
-/// The defaults fly the reference vehicle. actuator_nmpc_settings() computes the settings for other
-/// vehicles.
-struct ActuatorNmpcSettings {
-  /// Weights, bounds, penalties and horizon of the optimal-control problem.
-  ActuatorLevelSettings problem;
-  /// Limits and tolerances of the solver.
-  optimal_control::SolverSettings solver = actuator_real_time_settings();
-  double period = 0.01;  ///< period of the loop that calls the controller [s]
-  /// Time limit for prepare() and feedback() together [s], as in NmpcSettings. Zero: half the
-  /// period. Infinite: no limit.
-  double time_limit = 0.0;
-  GroundContactSettings ground;  ///< references and thrusts on the ground
-  /// Age above which a plan is not followed and the safe command is given [s].
-  double max_plan_age = 0.2;
-  /// Number of failures in a row after which the next solve starts cold from the measured state.
-  int failures_before_reset = 3;
-};
-
-inline void validate(const ActuatorNmpcSettings& s) {
-  validate(s.problem);
-  validate(s.solver);
-  validate(s.ground);
-  require_positive("ActuatorNmpcSettings.period [s]", s.period);
-  require(s.time_limit >= 0.0, "ActuatorNmpcSettings.time_limit [s]", s.time_limit,
-          ">= 0, or infinite");
-  require_positive("ActuatorNmpcSettings.max_plan_age [s]", s.max_plan_age);
-  require(s.failures_before_reset >= 1, "ActuatorNmpcSettings.failures_before_reset",
-          s.failures_before_reset, ">= 1");
-}
-
-/// Allowed errors for tuning, as AllowedErrors. Thrusts are in units of the thrust of one rotor in
-/// hover, so the same numbers fit a vehicle of any size. The defaults give the weights of
-/// ActuatorLevelWeights for the reference vehicle.
-struct AllowedActuatorErrors {
-  Eigen::Vector3d position{0.06455, 0.06455, 0.0559};        ///< world [m]
-  Eigen::Vector3d velocity{0.25, 0.25, 0.2236};              ///< world [m/s]
-  Eigen::Vector3d orientation{0.1826, 0.1826, 0.1826};       ///< world [rad]
-  Eigen::Vector3d angular_velocity{0.3162, 0.3162, 0.3162};  ///< body [rad/s]
-  double thrust = 0.7019;                                    ///< of each rotor [thrust in hover]
-  double thrust_on_ground = 0.1813;  ///< the same on the ground [thrust in hover]
-  double thrust_rate = 1.922;        ///< of each rotor [thrust in hover / s]
-  double tilt_rate = 18.26;          ///< of each rotor [rad/s]
-};
-
-inline void validate(const AllowedActuatorErrors& e) {
-  require_positive("AllowedActuatorErrors.position [m]", e.position);
-  require_positive("AllowedActuatorErrors.velocity [m/s]", e.velocity);
-  require_positive("AllowedActuatorErrors.orientation [rad]", e.orientation);
-  require_positive("AllowedActuatorErrors.angular_velocity [rad/s]", e.angular_velocity);
-  require_positive("AllowedActuatorErrors.thrust [thrust in hover]", e.thrust);
-  require_positive("AllowedActuatorErrors.thrust_on_ground [thrust in hover]", e.thrust_on_ground);
-  require_positive("AllowedActuatorErrors.thrust_rate [thrust in hover / s]", e.thrust_rate);
-  require_positive("AllowedActuatorErrors.tilt_rate [rad/s]", e.tilt_rate);
-}
-
 /// Returns settings with which a vehicle flies without tuning: weights of one over the square of
 /// the allowed error. The settings for the ground are those of nmpc_settings(), except that
 /// slow servos raise down_force by half as much. Throws std::invalid_argument if the errors are out
 /// of range or the vehicle has no mass or size.
 template <int Rotors>
-[[nodiscard]] ActuatorNmpcSettings actuator_nmpc_settings(
-    const Vehicle<Rotors>& vehicle, const AllowedActuatorErrors& errors = {}) {
-  validate(errors);
-  const auto weigh = [](double error) { return 1.0 / (error * error); };
-  const auto weigh_all = [&](const Eigen::Vector3d& error) {
-    return Eigen::Vector3d(weigh(error.x()), weigh(error.y()), weigh(error.z()));
-  };
+[[nodiscard]] ActuatorNmpcSettings actuator_nmpc_settings(const Vehicle<Rotors>& vehicle,
+                                                          const AllowedErrors& errors = {}) {
   ActuatorNmpcSettings s;
-  s.ground = nmpc_settings(vehicle).ground;
+  s.ground = nmpc_settings(vehicle, errors).ground;
   // The plan respects the speed of the servos: half of the thrust that slow ones add is enough.
   const double with_fast_servos =
       GroundContactSettings().down_force * vehicle.body.mass / tilt_ropter_vehicle().body.mass;
   s.ground.down_force = 0.5 * (with_fast_servos + s.ground.down_force);
   const double hover = vehicle.body.mass * gravity / Rotors;
   ActuatorLevelWeights& w = s.problem.weights;
-  w.position = weigh_all(errors.position);
-  w.velocity = weigh_all(errors.velocity);
-  w.orientation = weigh_all(errors.orientation);
-  w.angular_velocity = weigh_all(errors.angular_velocity);
-  w.thrust = weigh(hover * errors.thrust);
-  w.thrust_on_ground = weigh(hover * errors.thrust_on_ground);
-  w.thrust_rate = weigh(hover * errors.thrust_rate);
-  w.tilt_rate = weigh(errors.tilt_rate);
+  detail::set_weights(errors, w);
+  w.thrust = detail::weigh(errors.thrust, hover);
+  w.thrust_on_ground = detail::weigh(errors.thrust_on_ground, hover);
+  w.thrust_rate = detail::weigh(errors.thrust_rate, hover);
+  w.tilt_rate = detail::weigh(errors.tilt_rate);
   return s;
 }
 

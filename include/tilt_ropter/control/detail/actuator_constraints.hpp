@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -17,26 +18,6 @@
 /// Servo and rotor limits as constraints of the optimal-control problem. They go beyond the paper.
 /// The paper's box on the wrench rate lets an arm with little thrust turn at any speed.
 namespace tilt_ropter {
-
-/// Fraction of the actuator limits that a plan may use.
-struct ActuatorConstraintSettings {
-  /// Upper limit of the planned tilt rate, as a fraction of the servo's max_rate. The rate of the
-  /// commands to the servo is higher than planned. A command that is held for h seconds and leads
-  /// to invert a lag with time constant T needs an extra h / (2 T): 6 % at 100 Hz and 80 ms. About
-  /// 10 % more come from AllocationSettings.calm_fraction: the lead of a command grows while the
-  /// thrust grows.
-  double tilt_rate_fraction = 0.85;
-  /// Smallest thrust in the tilt-rate constraint [N]: a rotor with less thrust counts as a rotor
-  /// with this thrust, because the tilt rate is not defined at zero thrust. Same meaning as in
-  /// AllocationSettings.
-  double hold_thrust = 0.02;
-};
-
-inline void validate(const ActuatorConstraintSettings& s) {
-  require(s.tilt_rate_fraction > 0.0 && s.tilt_rate_fraction <= 1.0,
-          "ActuatorConstraintSettings.tilt_rate_fraction", s.tilt_rate_fraction, "in (0, 1]");
-  require_positive("ActuatorConstraintSettings.hold_thrust [N]", s.hold_thrust);
-}
 
 /// Three constraints for each rotor under a wrench W = (F, M) with the rate u = dW/dt. With the
 /// minimum-norm thrusts T = A^+ W, dT = A^+ u (see AllocationMatrix) and
@@ -62,20 +43,23 @@ class ActuatorConstraints {
   static constexpr int count = 3 * Rotors;
   using Values = Eigen::Matrix<double, count, 1>;
   using Vector = Eigen::Matrix<double, 6, 1>;
+  /// Smallest thrust in the tilt-rate constraint [N]: a rotor with less thrust counts as a rotor
+  /// with this thrust, because the tilt rate is not defined at zero thrust. Same meaning as in
+  /// AllocationSettings.
+  static constexpr double hold_thrust = 0.02;
 
   /// No bounds: values and derivatives are zero and cost no time.
   ActuatorConstraints() = default;
 
-  /// Throws std::invalid_argument if the vehicle, the settings or the geometry are out of range.
+  /// For FlightBounds::tilt_rate_fraction. Throws std::invalid_argument if the vehicle or the
+  /// geometry are out of range.
   explicit ActuatorConstraints(const Vehicle<Rotors>& vehicle,
-                               const ActuatorConstraintSettings& settings = {})
+                               double tilt_rate_fraction = NmpcBounds().tilt_rate_fraction)
       : enabled_(true) {
     validate(vehicle);
-    validate(settings);
     pseudoinverse_ = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
     const double hover = vehicle.body.mass * gravity / Rotors;
     scale_ = 1.0 / (hover * hover);
-    hold_square_ = settings.hold_thrust * settings.hold_thrust;
     battery_ = vehicle.battery;
     for (int i = 0; i < Rotors; ++i) {
       const auto k = static_cast<std::size_t>(i);
@@ -88,16 +72,13 @@ class ActuatorConstraints {
       servo_rate_(i) = vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
     }
-    max_rate_ = settings.tilt_rate_fraction * servo_rate_;
+    max_rate_ = tilt_rate_fraction * servo_rate_;
   }
 
-  /// Returns the same constraints with other settings. Does not allocate. Throws
-  /// std::invalid_argument if the settings are out of range.
-  [[nodiscard]] ActuatorConstraints with(const ActuatorConstraintSettings& settings) const {
-    validate(settings);
+  /// Returns the same constraints with another FlightBounds::tilt_rate_fraction. Does not allocate.
+  [[nodiscard]] ActuatorConstraints with(double tilt_rate_fraction) const noexcept {
     ActuatorConstraints changed = *this;
-    changed.hold_square_ = settings.hold_thrust * settings.hold_thrust;
-    changed.max_rate_ = settings.tilt_rate_fraction * servo_rate_;
+    changed.max_rate_ = tilt_rate_fraction * servo_rate_;
     return changed;
   }
 
@@ -202,8 +183,9 @@ class ActuatorConstraints {
   }
 
   bool enabled_ = false;
-  double scale_ = 0.0, hold_square_ = 0.0;  // [1/N^2], [N^2]
-  BatteryParameters battery_;               // no voltage if there are no bounds
+  static constexpr double hold_square_ = hold_thrust * hold_thrust;
+  double scale_ = 0.0;         // [1/N^2]
+  BatteryParameters battery_;  // no voltage if there are no bounds
   std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_{};
   std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
   using PerRotor = Eigen::Matrix<double, Rotors, 1>;

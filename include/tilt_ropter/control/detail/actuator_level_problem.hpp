@@ -131,10 +131,7 @@ class ActuatorLevelProblem {
   /// std::invalid_argument, and changes nothing, if the settings are out of range.
   void set_settings(const ActuatorLevelSettings& settings) {
     validate(settings);
-    require(settings.intervals == settings_.intervals, "ActuatorLevelSettings.intervals",
-            settings.intervals, "as at construction");
-    require(settings.interval == settings_.interval, "ActuatorLevelSettings.interval [s]",
-            settings.interval, "as at construction");
+    detail::require_same_horizon(settings, settings_);
     settings_ = settings;
     set_bounds();
   }
@@ -401,10 +398,7 @@ class ActuatorLevelProblem {
     std::fill_n(first_lower_.data(), Part::rate, -infinity);
     std::fill_n(last_upper_.data() + Part::rate, inputs, infinity);
     std::fill_n(last_lower_.data() + Part::rate, inputs, -infinity);
-    const ActuatorLevelPenalties& p = settings_.penalties;
-    std::fill_n(penalty_.data() + Part::angular_velocity, 3, p.angular_velocity);
-    std::fill_n(penalty_.data() + Part::thrust, Rotors, p.thrust);
-    std::fill_n(penalty_.data() + Part::tilt_angle, Rotors, p.tilt_angle);
+    penalty_.setConstant(detail::state_penalty);
     std::fill_n(penalty_.data() + Part::rate, inputs, infinity);
   }
 

@@ -30,6 +30,11 @@ struct FlightNode {
 
 namespace detail {
 
+/// Penalty for violating a constraint of the state, such as a bound on a force or on the angular
+/// velocity, by one unit. A constraint whose multiplier would exceed it is relaxed: a measured
+/// state may violate the bounds. In the benchmark STEP no multiplier reaches it.
+inline constexpr double state_penalty = 1e4;
+
 /// Rotation q (x) q_r^-1 from reference to body, with w >= 0: the shorter of the two equivalent
 /// rotations.
 [[nodiscard]] inline Eigen::Quaterniond attitude_error(const FlightNode& node,

@@ -103,10 +103,7 @@ class WheeledFlightProblem {
   void set_settings(const WheeledFlightSettings& settings,
                     const ActuatorConstraints<Rotors>& actuators = {}) {
     validate(settings);
-    require(settings.intervals == settings_.intervals, "WheeledFlightSettings.intervals",
-            settings.intervals, "as at construction");
-    require(settings.interval == settings_.interval, "WheeledFlightSettings.interval [s]",
-            settings.interval, "as at construction");
+    detail::require_same_horizon(settings, settings_);
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
     settings_ = settings;
     set_weights();
@@ -384,11 +381,9 @@ class WheeledFlightProblem {
     std::fill_n(first_upper_.data() + constraints - Rotors, Rotors, infinity);
     std::fill_n(last_upper_.data() + Part::rate, 6 + 2 * Rotors, infinity);
     std::fill_n(last_lower_.data() + Part::rate, 6 + 2 * Rotors, -infinity);
-    const NmpcPenalties& p = settings_.penalties;
-    std::fill_n(penalty_.data() + Part::force, 6, p.wrench);
-    std::fill_n(penalty_.data() + Part::angular_velocity, 3, p.angular_velocity);
-    std::fill_n(penalty_.data() + Part::rate, 6, p.rate);
-    std::fill_n(penalty_.data() + Part::actuators, 3 * Rotors, p.actuators);
+    // The rate is hard, so the command meets its bounds even if the plan violates others.
+    penalty_.setConstant(detail::state_penalty);
+    std::fill_n(penalty_.data() + Part::rate, 6, infinity);
   }
 
   [[nodiscard]] Tangent error(int k, const State& x) const {

@@ -37,7 +37,7 @@ class WrenchLevel {
   /// cannot give every wrench.
   WrenchLevel(const Vehicle<Rotors>& vehicle, const Settings& settings)
       : settings_(settings),
-        actuators_(vehicle, settings.actuators),
+        actuators_(vehicle, settings.problem.bounds.tilt_rate_fraction),
         reference_wrench_(vehicle, settings.ground) {}
 
   [[nodiscard]] static Settings settings_for(const Vehicle<Rotors>& vehicle) {
@@ -109,8 +109,9 @@ class WrenchLevel {
 
   // No bounds if the settings switch them off.
   [[nodiscard]] ActuatorConstraints<Rotors> constraints(const Settings& settings) const {
-    return settings.actuator_constraints ? actuators_.with(settings.actuators)
-                                         : ActuatorConstraints<Rotors>();
+    return settings.actuator_constraints
+               ? actuators_.with(settings.problem.bounds.tilt_rate_fraction)
+               : ActuatorConstraints<Rotors>();
   }
 
   [[nodiscard]] static Wrenchd unpacked(const Rate& rate) {
