@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/control/detail/actuator_level.hpp>
+#include <tilt_ropter/control/detail/own_term.hpp>
 #include <tilt_ropter/control/detail/plan_in_force.hpp>
 #include <tilt_ropter/control/detail/wrench_level.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
@@ -68,13 +69,16 @@ class RecedingHorizonController {
   using Settings = typename Level::Settings;
   using Result = ControlResult<typename Level::Command>;
   using Actuators = typename Level::Actuators;
+  using Term = typename Level::Term;
 
-  /// Throws std::invalid_argument if parameters or settings are out of range, and at the wrench
-  /// level if the geometry cannot give every wrench (see control_authority()). Allocates. The
-  /// functions for the loop below allocate only inside NLopt and never throw. If an actuator fails
-  /// in flight, construct a new controller for the remaining vehicle, see with_stuck_servo() and
+  /// `term` is a term of your own in the prediction of Nmpc, see OwnTerm. Throws
+  /// std::invalid_argument if parameters or settings are out of range, and at the wrench level if
+  /// the geometry cannot give every wrench (see control_authority()). Allocates. The functions for
+  /// the loop below allocate only inside NLopt and never throw. If an actuator fails in flight,
+  /// construct a new controller for the remaining vehicle, see with_stuck_servo() and
   /// with_weak_rotor().
-  RecedingHorizonController(const Vehicle<Level::rotors>& vehicle, const Settings& settings);
+  RecedingHorizonController(const Vehicle<Level::rotors>& vehicle, const Settings& settings,
+                            const Term& term = Term());
 
   /// Uses the settings that fly this vehicle without tuning.
   explicit RecedingHorizonController(const Vehicle<Level::rotors>& vehicle);
@@ -200,8 +204,10 @@ class RecedingHorizonController {
 
 template <typename Level>
 RecedingHorizonController<Level>::RecedingHorizonController(const Vehicle<Level::rotors>& vehicle,
-                                                            const Settings& settings)
-    : level_(validated(vehicle), validated(settings)), solver_(level_.problem(), settings.solver) {
+                                                            const Settings& settings,
+                                                            const Term& term)
+    : level_(validated(vehicle), validated(settings), term),
+      solver_(level_.problem(), settings.solver) {
   inputs_.points.resize(static_cast<std::size_t>(solver_.horizon()) + 1);
   (void)publish(level_.safe_command(solver_.problem(), inputs_.contact), NmpcStatus::no_plan);
 }
@@ -408,14 +414,19 @@ void RecedingHorizonController<Level>::start_cold(const State& x) {
 ///
 /// `SolverOf` solves the problem. MultipleShooting does one real-time iteration a tick;
 /// SingleShooting lets NLopt alone solve the whole problem in each tick, which takes a hundred
-/// times as long.
-template <int Rotors, template <typename> class SolverOf = optimal_control::MultipleShooting>
-class Nmpc : public RecedingHorizonController<detail::WrenchLevel<Rotors, SolverOf>> {
+/// times as long. `Term` is the type of a term of your own in the prediction, see OwnTerm.
+template <int Rotors, template <typename> class SolverOf = optimal_control::MultipleShooting,
+          typename Term = NoOwnTerm>
+class Nmpc : public RecedingHorizonController<detail::WrenchLevel<Rotors, SolverOf, Term>> {
  public:
-  using RecedingHorizonController<detail::WrenchLevel<Rotors, SolverOf>>::RecedingHorizonController;
+  using RecedingHorizonController<
+      detail::WrenchLevel<Rotors, SolverOf, Term>>::RecedingHorizonController;
 };
-template <int Rotors, typename... Settings>
-Nmpc(const Vehicle<Rotors>&, const Settings&...) -> Nmpc<Rotors>;
+template <int Rotors>
+Nmpc(const Vehicle<Rotors>&) -> Nmpc<Rotors>;
+template <int Rotors, typename Term = NoOwnTerm>
+Nmpc(const Vehicle<Rotors>&, const NmpcSettings&, const Term& = Term())
+    -> Nmpc<Rotors, optimal_control::MultipleShooting, Term>;
 
 /// The controller of the actuator level: the plan's state has the thrust and the tilt angle of each
 /// rotor. Its result is the speed and the tilt angle to send to each rotor. The commands invert the
@@ -429,7 +440,9 @@ class ActuatorNmpc : public RecedingHorizonController<detail::ActuatorLevel<Roto
  public:
   using RecedingHorizonController<detail::ActuatorLevel<Rotors>>::RecedingHorizonController;
 };
-template <int Rotors, typename... Settings>
-ActuatorNmpc(const Vehicle<Rotors>&, const Settings&...) -> ActuatorNmpc<Rotors>;
+template <int Rotors>
+ActuatorNmpc(const Vehicle<Rotors>&) -> ActuatorNmpc<Rotors>;
+template <int Rotors>
+ActuatorNmpc(const Vehicle<Rotors>&, const ActuatorNmpcSettings&) -> ActuatorNmpc<Rotors>;
 
 }  // namespace tilt_ropter

@@ -213,8 +213,9 @@ class WrenchObserver {
 
   /// Processes one sample at `time` [s]. `sample` is from an IMU at the CoM, or converted to the
   /// CoM, minus the biases. `applied` is the wrench of the actuators since the last sample (from
-  /// measured rotor speeds and modelled tilt angles; body frame). Returns what is known now; a
-  /// sample that is rejected changes nothing but the status.
+  /// measured rotor speeds and modelled tilt angles; body frame). If the controller predicts
+  /// another wrench, such as drag (OwnTerm), add it: otherwise it is also an external wrench.
+  /// Returns what is known now; a sample that is rejected changes nothing but the status.
   [[nodiscard]] const ObservedWrench<Scalar>& update(double time,
                                                      const InertialSample<Scalar>& sample,
                                                      const Wrench<Scalar>& applied) noexcept;

@@ -20,6 +20,12 @@ struct Wrench {
 };
 using Wrenchd = Wrench<double>;  ///< in double precision
 
+/// Sum of two wrenches about the same point, in the same frame.
+template <typename Scalar>
+[[nodiscard]] Wrench<Scalar> operator+(const Wrench<Scalar>& a, const Wrench<Scalar>& b) noexcept {
+  return {a.force + b.force, a.torque + b.torque};
+}
+
 /// Speed and tilt angle of every rotor: commanded, measured, modelled or true values.
 template <int Rotors, typename Scalar = double>
 struct ActuatorState {

@@ -44,10 +44,11 @@ class ActuatorLevel {
   using Plan = PlanInForce<Solver>;
   using Settings = ActuatorNmpcSettings;
   using Command = ActuatorCommand<Rotors>;
+  struct Term {};                           ///< none
   using Actuators = ActuatorState<Rotors>;  ///< measured or modelled: the plan starts from them
 
   /// Throws std::invalid_argument if parameters or settings are out of range.
-  ActuatorLevel(const Vehicle<Rotors>& vehicle, const Settings& settings)
+  ActuatorLevel(const Vehicle<Rotors>& vehicle, const Settings& settings, const Term&)
       : settings_(settings),
         vehicle_(vehicle),
         inverse_(vehicle),

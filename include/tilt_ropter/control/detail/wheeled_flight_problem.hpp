@@ -144,16 +144,26 @@ class WheeledFlightProblem {
   }
 
   [[nodiscard]] State step(int k, const State& x, const Input& u) const {
-    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom);
+    return step_for(settings_.interval, k, x, u);
   }
   [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
                            InputJacobian& B) const {
-    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B);
+    return step_under(node(k).external, settings_.interval, k, x, u, A, B);
   }
 
   /// End state after the first `seconds` of interval k.
   [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
-    return body_.step(x, u, node(k).external, seconds, node(k).freedom);
+    return step_under(node(k).external, seconds, k, x, u);
+  }
+
+  /// The same with another external wrench than that of the node; with the derivatives.
+  [[nodiscard]] State step_under(const Wrenchd& external, double seconds, int k, const State& x,
+                                 const Input& u) const {
+    return body_.step(x, u, external, seconds, node(k).freedom);
+  }
+  [[nodiscard]] State step_under(const Wrenchd& external, double seconds, int k, const State& x,
+                                 const Input& u, StateJacobian& A, InputJacobian& B) const {
+    return body_.step(x, u, external, seconds, node(k).freedom, A, B);
   }
 
   /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the

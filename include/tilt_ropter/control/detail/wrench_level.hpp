@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/control/detail/actuator_constraints.hpp>
+#include <tilt_ropter/control/detail/own_term.hpp>
 #include <tilt_ropter/control/detail/plan_in_force.hpp>
 #include <tilt_ropter/control/detail/reference_wrench.hpp>
 #include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
@@ -15,16 +16,22 @@
 #include <Eigen/Core>
 
 #include <cstddef>
+#include <type_traits>
+#include <utility>
 
 namespace tilt_ropter::detail {
 
 /// The wrench level of RecedingHorizonController: the wrench is a part of the plan's state, its
 /// rate is the input. No function but the constructor and set_settings() throws or allocates.
-template <int Rotors, template <typename> class SolverOf = optimal_control::MultipleShooting>
+template <int Rotors, template <typename> class SolverOf = optimal_control::MultipleShooting,
+          typename OwnTermType = NoOwnTerm>
 class WrenchLevel {
  public:
   static constexpr int rotors = Rotors;
-  using Problem = WheeledFlightProblem<Rotors>;
+  using Term = OwnTermType;
+  static constexpr bool has_term = !std::is_same_v<Term, NoOwnTerm>;
+  using Problem =
+      std::conditional_t<has_term, ProblemWithTerm<Rotors, Term>, WheeledFlightProblem<Rotors>>;
   using Solver = SolverOf<Problem>;
   using Plan = WrenchPlan<Solver>;
   using Settings = NmpcSettings;
@@ -35,8 +42,9 @@ class WrenchLevel {
 
   /// Throws std::invalid_argument if parameters or settings are out of range, or if the geometry
   /// cannot give every wrench.
-  WrenchLevel(const Vehicle<Rotors>& vehicle, const Settings& settings)
-      : settings_(settings),
+  WrenchLevel(const Vehicle<Rotors>& vehicle, const Settings& settings, const Term& term)
+      : term_(term),
+        settings_(settings),
         actuators_(vehicle, settings.problem.bounds.tilt_rate_fraction),
         reference_wrench_(vehicle, settings.ground) {}
 
@@ -49,7 +57,12 @@ class WrenchLevel {
 
   /// The problem that the solver solves.
   [[nodiscard]] Problem problem() const {
-    return Problem(reference_wrench_.body(), settings_.problem, constraints(settings_));
+    WheeledFlightProblem<Rotors> plain(reference_wrench_.body(), settings_.problem,
+                                       constraints(settings_));
+    if constexpr (has_term)
+      return Problem(std::move(plain), term_);
+    else
+      return plain;
   }
 
   /// Changes the settings of this level and of `problem`. Throws std::invalid_argument, and changes
@@ -118,13 +131,15 @@ class WrenchLevel {
     return {{rate(0), rate(1), rate(2)}, {rate(3), rate(4), rate(5)}};
   }
 
+  Term term_;
   Settings settings_;
   ActuatorConstraints<Rotors> actuators_;  // with the measured voltage
   ReferenceWrench<Rotors> reference_wrench_;
 };
 
-template <int Rotors, template <typename> class SolverOf>
-void WrenchLevel<Rotors, SolverOf>::set_nodes(const PlanInputs& inputs, Problem& problem) const {
+template <int Rotors, template <typename> class SolverOf, typename Term>
+void WrenchLevel<Rotors, SolverOf, Term>::set_nodes(const PlanInputs& inputs,
+                                                    Problem& problem) const {
   for (std::size_t k = 0; k < inputs.points.size(); ++k) {
     WheeledFlightNode& node = problem.node(static_cast<int>(k));
     const double ahead = settings_.problem.interval * static_cast<double>(k);
@@ -139,13 +154,18 @@ void WrenchLevel<Rotors, SolverOf>::set_nodes(const PlanInputs& inputs, Problem&
             node.on_ground ? settings_.ground.down_force : mass() * gravity;
         break;
       case WrenchReference::inverse_dynamics:
-        node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
+        if constexpr (has_term)
+          node.wrench_reference = reference_wrench_(
+              followed, node.external + term_(node.reference).wrench, node.on_ground);
+        else
+          node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
     }
   }
 }
 
-template <int Rotors, template <typename> class SolverOf>
-bool WrenchLevel<Rotors, SolverOf>::is_credible(const Problem& problem, const Stated& x) const {
+template <int Rotors, template <typename> class SolverOf, typename Term>
+bool WrenchLevel<Rotors, SolverOf, Term>::is_credible(const Problem& problem,
+                                                      const Stated& x) const {
   const NmpcBounds& b = problem.settings().bounds;
   const double turn = 10.0 * b.angular_velocity.maxCoeff(),
                force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
@@ -154,9 +174,9 @@ bool WrenchLevel<Rotors, SolverOf>::is_credible(const Problem& problem, const St
          x.wrench.torque.norm() <= torque;
 }
 
-template <int Rotors, template <typename> class SolverOf>
-auto WrenchLevel<Rotors, SolverOf>::correct(const Solver& solver, Plan& plan, double time,
-                                            const BodyStated& measured) const -> Command {
+template <int Rotors, template <typename> class SolverOf, typename Term>
+auto WrenchLevel<Rotors, SolverOf, Term>::correct(const Solver& solver, Plan& plan, double time,
+                                                  const BodyStated& measured) const -> Command {
   const Stated x{plan.wrench(solver, time), ground().stopped(solver.problem().node(0), measured)};
   return {x.wrench, unpacked(plan.correct(solver, time, x))};
 }
