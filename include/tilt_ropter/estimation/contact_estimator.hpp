@@ -73,7 +73,8 @@ class ContactEstimator {
     else if (!means)
       means = {observed.external, observed.external};
     const Wrenchd& external = means->external;
-    if (!std::isfinite(time) || !is_credible(measured, external) || !is_finite(means->raw))
+    if (!std::isfinite(time) || !is_credible(measured, external) || !is_finite(means->raw) ||
+        !is_finite(observed.external))
       return estimate_;
     BodyStated body = measured;
     body.orientation.normalize();
