@@ -94,6 +94,18 @@ TEST(ContactEstimator, TakesAnUnfilteredWrenchFromTheFirstUpdateOn) {
   EXPECT_TRUE(contact.estimate().on_ground);
 }
 
+// A sample above ten times the weight is ignored, and is not part of the next mean.
+TEST(ContactEstimator, AnOutlierIsIgnoredForOneUpdateOnly) {
+  Feed feed = flying(3.0);
+  feed.observed.raw.force.z() = feed.observed.external.force.z() = 1e4 * weight;
+  feed.observed.add_to_sums(1e-3);
+  feed.time += 0.01;
+  feed.contact.update(feed.time, feed.state, feed.observed);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+  EXPECT_NEAR(feed(3.0, breeze).external.force.x(), feed.shown.force.x(), 1e-9);
+  EXPECT_FALSE(feed.contact.estimate().on_ground);
+}
+
 TEST(ContactEstimator, WithoutUndercarriageTheWholeWrenchIsDisturbance) {
   Feed feed({}, std::nullopt);
   for (const double height : {3.0, 0.11, 0.0, -0.5}) {

@@ -72,9 +72,10 @@ class ContactEstimator {
       means = {observed.external, observed.raw};
     else if (!means)
       means = {observed.external, observed.external};
+    observed_ = observed;  // an outlier is not part of the next mean
     const Wrenchd& external = means->external;
-    if (!std::isfinite(time) || !is_credible(measured, external) || !is_finite(means->raw) ||
-        !is_finite(observed.external))
+    if (!std::isfinite(time) || !is_credible(measured) || !is_credible(external) ||
+        !is_credible(means->raw) || !is_finite(observed.external))
       return estimate_;
     BodyStated body = measured;
     body.orientation.normalize();
@@ -87,7 +88,6 @@ class ContactEstimator {
       estimate_.disturbance = external;
     started_ = true;
     time_ = time;
-    observed_ = observed;
     return estimate_;
   }
 
@@ -188,8 +188,11 @@ class ContactEstimator {
 
   // Update on the ground, until the vehicle is not carried and has left its place.
   void stay(const BodyStated& body, double clearance, double dt) noexcept {
-    // The ground only pushes, and freely turning wheels give no pitch torque.
-    if (lift_ < lift_of(air_, body)) set_air_lift(lift_, body);
+    // The ground only pushes, and freely turning wheels give no pitch torque. A wrench that was
+    // sideways in the air may be vertical now: its lift has to stay possible, or the vehicle would
+    // seem carried wherever it is.
+    const double air = lift_of(air_, body);
+    if (lift_ < air || possible(air) != air) set_air_lift(std::min(lift_, air), body);
     if (undercarriage_->pitches) air_.torque.y() = estimate_.external.torque.y();
     if (lift_ - lift_of(air_, body) > carried_load * weight_) {
       unloaded_for_ = 0.0;
@@ -227,12 +230,13 @@ class ContactEstimator {
     return std::clamp(lift, -0.9 * carried_load * weight_, 0.5 * weight_);
   }
 
-  [[nodiscard]] bool is_credible(const BodyStated& body, const Wrenchd& external) const noexcept {
-    constexpr double most = 1e6;  // NaN fails the comparisons with this bound
-    const double largest = 10.0 * weight_;
+  static bool is_credible(const BodyStated& body) noexcept {
+    constexpr double most = 1e6;
     return is_finite(body) && body.orientation.norm() <= most && body.position.norm() <= most &&
-           body.velocity.norm() <= most && external.force.norm() <= largest &&
-           external.torque.norm() <= largest;
+           body.velocity.norm() <= most;
+  }
+  [[nodiscard]] bool is_credible(const Wrenchd& w) const noexcept {  // NaN fails the comparisons
+    return w.force.norm() <= 10.0 * weight_ && w.torque.norm() <= 10.0 * weight_;
   }
 
   // What a first-order filter keeps of its last output.
