@@ -55,8 +55,8 @@ template <typename Reference, int Rotors>
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   GroundContactSettings ground_settings = settings.ground;
   ground_settings.model = GroundModel::held;  // what the ground gives needs no thrust
-  const GroundContact ground(vehicle.body, undercarriage(vehicle), ground_settings);
   const ReferenceWrench<Rotors> reference_wrench(vehicle, ground_settings);
+  const GroundContact& ground = reference_wrench.ground();
   ContactEstimate contact;
   contact.ground = plane;
   const NmpcBounds& bounds = settings.problem.bounds;

@@ -72,42 +72,25 @@ class ActuatorLevel {
   [[nodiscard]] const Settings& settings() const { return settings_; }
   [[nodiscard]] double mass() const { return vehicle_.body.mass; }
 
-  /// The problem that the solver solves.
+  // As in WrenchLevel:
   [[nodiscard]] Problem problem() const { return Problem(vehicle_, settings_.problem); }
-
-  /// Changes the settings of this level and of `problem`. Throws std::invalid_argument, and changes
-  /// nothing, if the problem cannot have the new settings.
   void set_settings(const Settings& settings, Problem& problem) {
     problem.set_settings(settings.problem);
     settings_ = settings;
     reference_wrench_.set_settings(settings.ground);
   }
 
-  /// See RecedingHorizonController::set_voltage().
   bool set_voltage(double voltage, Problem& problem) noexcept;
-
-  /// Sets references, external wrenches and ground contact of the nodes of `problem`.
   void set_nodes(const PlanInputs& inputs, Problem& problem) const;
-
-  /// The state from which the plan starts.
   [[nodiscard]] State initial_state(const Solver& solver, const Plan& plan, double time,
                                     const PlanInputs& inputs, const Actuators& actuators) const;
-
-  /// The first state of the solver, with the part of it that is known before the measurement at
-  /// `time` [s].
   [[nodiscard]] State guess(const Solver& solver, const Plan& plan, double time) const {
     State first = planned(solver, plan, plan.age(time));
     first.body = solver.state(0).body;
     return first;
   }
-
-  /// Returns false for a state that only bad input leads to.
   [[nodiscard]] bool is_credible(const Problem& problem, const State& x) const;
-
-  /// What the plan commands at `time` [s].
   [[nodiscard]] Command command(const Solver& solver, const Plan& plan, double time) const;
-
-  /// What is commanded without a plan.
   [[nodiscard]] Command safe_command(const Problem& problem, const ContactEstimate& contact) const {
     return command_for(problem, reference_wrench_.without_plan(contact));
   }

@@ -40,6 +40,8 @@ class GroundContact {
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
+  [[nodiscard]] const GroundContactSettings& settings() const noexcept { return settings_; }
+
   /// Returns true if the reference `point` is on the ground of `contact`. `position` is the
   /// vehicle's position (world frame). The ground height is the larger of the heights at `point`
   /// and at `position`, because the ground may fall away under a level reference.

@@ -49,8 +49,6 @@ class GroundThrust {
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
-  [[nodiscard]] const GroundContactSettings& settings() const noexcept { return settings_; }
-
   /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored.
   [[nodiscard]] double operator()(const Wrenchd& wrench) const noexcept {
     Eigen::Matrix<double, 6, 1> level;
@@ -80,9 +78,7 @@ class ReferenceWrench {
  public:
   /// Throws std::invalid_argument if the geometry cannot give every wrench.
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
-      : body_(vehicle.body),
-        ground_(vehicle.body, undercarriage(vehicle), settings),
-        ground_thrust_(vehicle, settings) {}
+      : ReferenceWrench(vehicle, settings, AllocationMatrix<Rotors>(vehicle).pseudoinverse) {}
 
   /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
   ReferenceWrench(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
@@ -122,7 +118,7 @@ class ReferenceWrench {
   [[nodiscard]] Wrenchd without_plan(const ContactEstimate& contact) const noexcept {
     Wrenchd wrench;
     if (contact.on_ground) {
-      wrench.force.z() = ground_thrust_.settings().down_force;
+      wrench.force.z() = ground_.settings().down_force;
     } else {
       wrench = {-contact.disturbance.force, -contact.disturbance.torque};
       wrench.force.z() += body_.mass * gravity;
