@@ -35,7 +35,7 @@ int main(int argc, char** argv) {
   for (const NmpcSettings& settings : {nmpc_settings(vehicle), paper_nmpc_settings()}) {
     const auto violations =
         check_reference(mission, mission.start_time(), mission.end_time(), vehicle, settings);
-    std::printf("%zu bounds passed\n", violations.size());
+    std::printf("%zu bounds exceeded\n", violations.size());
     for (const BoundViolation& v : violations)
       std::printf("  %s[%d] = %.2f at %.2f s, allowed is %.2f\n", v.bound, v.axis, v.required,
                   v.time, v.allowed);

@@ -2,8 +2,8 @@
 #pragma once
 
 /// What a loop needs; without NLopt, all of it but what solves with NLopt. Including only the
-/// headers of one piece compiles faster. Each header can be included alone. Not here is what is
-/// used at a desk: identification/, optimal_control/derivative_check.hpp,
+/// headers of one piece compiles faster. Each header can be included alone. Not included is what
+/// is used outside the loop: identification/, optimal_control/derivative_check.hpp,
 /// optimal_control/single_shooting.hpp.
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>

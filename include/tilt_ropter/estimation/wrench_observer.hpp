@@ -41,7 +41,7 @@ struct WrenchObserverSettings {
 
 /// Settings with one bandwidth [1/s] for force and torque in all axes. The default of 15 keeps the
 /// time constant within 10 % in a loop of 50 Hz. A loop of 100 Hz with an IMU of 1 kHz works better
-/// with 20 (measured: README, on the observer).
+/// with 20 (measured: examples/missions/README.md, "Bandwidth of the wrench observer").
 [[nodiscard]] inline WrenchObserverSettings observer_settings(double bandwidth) {
   WrenchObserverSettings settings;
   settings.force_bandwidth.setConstant(bandwidth);

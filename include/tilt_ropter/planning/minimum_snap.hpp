@@ -68,9 +68,9 @@ inline void validate(const MinimumSnapSettings& p) {
 }
 
 /// Reference along the path. The time from point to point is proportional to the distance, and
-/// twice as long next to a rest. The whole takes the first duration that keeps the limits on speed,
-/// acceleration and yaw rate, in a search from below; the mean speed next to a rest is at most 0.55
-/// of the limit. Limits are checked at 200 samples from point to point.
+/// twice as long next to a rest. The total duration is the first one, in a search from below, that
+/// keeps the limits on speed, acceleration and yaw rate; the mean speed next to a rest is at most
+/// 0.55 of the limit. Limits are checked at 200 samples from point to point.
 class MinimumSnap : public detail::Timing {
  public:
   /// Takes milliseconds; allocates. Throws std::invalid_argument if the settings are invalid, if no

@@ -18,7 +18,7 @@
 namespace tilt_ropter::detail {
 
 /// Sum of the covariances of the scores up to a distance of `block`, with falling weights
-/// (Bartlett's window), so that scores that depend on one another count right.
+/// (Bartlett's window), so that correlated scores are weighted correctly.
 template <typename Score>
 [[nodiscard]] auto spread_of(const std::vector<Score>& scores, std::size_t block) {
   constexpr int n = Score::RowsAtCompileTime;

@@ -17,7 +17,7 @@
 #include <utility>
 #include <vector>
 
-/// What a vehicle with given unknowns does in each window of a flight, for VehicleFit.
+/// Prediction of each window of a flight for given values of the unknowns, for VehicleFit.
 namespace tilt_ropter::detail {
 
 /// Places of the unknowns in the unknowns of a VehicleFit. Scales are logarithms of the ratio to
