@@ -167,7 +167,7 @@ TEST(Ekf, EstimatesBiasesAndMarkerFrame) {
     turn = std::max(turn, e.segment<3>(InertialIndex::marker_orientation).norm());
     arm = std::max(arm, e.segment<3>(InertialIndex::marker_position).norm());
     EXPECT_EQ(ekf.counts().unused + ekf.counts().restarts, 0);
-    EXPECT_LE(ekf.counts().gated, 6);  // the gate refuses one valid pose in 10^4
+    EXPECT_LE(ekf.counts().gated, 6);  // the gate rejects one valid pose in 10^4
   }
   EXPECT_LT(gyro, 2e-3);
   EXPECT_LT(accelerometer, 2e-2);

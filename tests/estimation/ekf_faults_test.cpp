@@ -62,7 +62,7 @@ TEST(Ekf, BridgesTwoSecondsWithoutPoses) {
       if (ekf.time() > 16.0 && e.position > 0.01) recovery = std::max(recovery, ekf.time() - 16.0);
     });
     EXPECT_EQ(ekf.counts().restarts, 0);
-    EXPECT_LE(ekf.counts().gated, 1);  // the gate refuses one valid pose in 10^4
+    EXPECT_LE(ekf.counts().gated, 1);  // the gate rejects one valid pose in 10^4
     expect_good(ekf, flight);
   }
   test_support::check_at_most(10, "EKF: error after 2 s without poses [m]", at_end, 0.15);

@@ -41,7 +41,7 @@ struct View {
 struct Result {
   double nees = 0.0, nis = 0.0;                              // means per degree of freedom
   double position = 0.0, velocity = 0.0, orientation = 0.0;  // rms errors in the second half
-  long used = 0, refused = 0;
+  long used = 0, gated = 0;
 };
 
 // Adds the status of a measurement of `rows` rows to the result.
@@ -50,7 +50,7 @@ void count(Result& r, EkfStatus status, const Ekfd& ekf, int rows) {
     ++r.used;
     r.nis += ekf.nis() / rows;
   } else {
-    ++r.refused;
+    ++r.gated;
   }
 }
 
@@ -110,7 +110,7 @@ void expect_consistent(const Result& r) {
   EXPECT_GT(r.nees, 0.8);
   EXPECT_LT(r.nees, 1.25);
   EXPECT_NEAR(r.nis, 1.0, 0.1);
-  EXPECT_LT(static_cast<double>(r.refused), 0.002 * static_cast<double>(r.used) + 2.0);
+  EXPECT_LT(static_cast<double>(r.gated), 0.002 * static_cast<double>(r.used) + 2.0);
 }
 
 const Vector3d antenna(0.1, -0.05, 0.2);

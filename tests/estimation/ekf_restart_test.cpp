@@ -143,7 +143,7 @@ TEST(EkfRestart, IsLikeNewAfterAReset) {
     EXPECT_EQ(a.age, b.age) << now;
     EXPECT_EQ(a.position_stddev, b.position_stddev) << now;
     EXPECT_EQ(a.poses_frozen, b.poses_frozen) << now;
-    EXPECT_EQ(a.poses_disputed, b.poses_disputed) << now;
+    EXPECT_EQ(a.poses_gated, b.poses_gated) << now;
     EXPECT_EQ(a.poses_mistimed, b.poses_mistimed) << now;
     EXPECT_EQ(a.unconfirmed, b.unconfirmed) << now;
   };

@@ -152,7 +152,7 @@ TEST(EkfSensorFaults, StampJitterIsMeasuredAndTolerated) {
   EXPECT_LT(o.position, 0.05);
   EXPECT_LT(o.velocity, 0.15);
   EXPECT_EQ(o.states.back(), EstimateState::good);
-  // Jitter beyond the period of 10 ms: most poses are late or refused, but they are no other
+  // Jitter beyond the period of 10 ms: most poses are late or gated, but they are no other
   // object.
   const Outcome wild = fly({}, 30.0, {fault(Kind::pose_jitter, 5.0, 25.0, 0.015)});
   EXPECT_EQ(wild.counts.restarts, 0);
@@ -228,7 +228,7 @@ TEST(EkfSensorFaults, TrustNamesReasons) {
 
   fly_to(5.2, true, Vector3d(1.0, 0.0, 0.0));
   trust = ekf.trust(t);
-  EXPECT_TRUE(trust.poses_disputed);
+  EXPECT_TRUE(trust.poses_gated);
   EXPECT_TRUE(trust.no_position);
   EXPECT_EQ(trust.state, EstimateState::dead_reckoning);
   fly_to(30.0, false, Vector3d::Zero());

@@ -193,11 +193,11 @@ TEST(EkfSettings, RestartTimeBoundsJumpsThatAreIgnored) {
 }
 
 // Poses that do not move like the IMU are used only when nothing else is left.
-TEST(EkfSettings, GiveUpTimeBoundsDeadReckoningBesidePoses) {
+TEST(EkfSettings, FullRestartTimeBoundsDeadReckoningBesidePoses) {
   const Flight flight(18, Random(221).orientation()), other(21);
   for (const double time : {2.0, 4.0}) {
     EkfSettings s;
-    s.give_up_time = time;
+    s.full_restart_time = time;
     Log log = record(flight, 12.0, 18);
     for (auto& p : log.poses)
       if (p.time > 4.0) {

@@ -93,13 +93,14 @@ TEST(EstimationSettings, EkfNamesEachField) {
   check("EkfSettings.gate", &S::gate, positive());
   check("EkfSettings.max_rejections", &S::max_rejections, at_least(1));
   check("EkfSettings.restart_distance [m]", &S::restart_distance, in_range(0.0, 1e6));
-  check("EkfSettings.give_up_time [s]", &S::give_up_time, in_range(S().restart_time, 600.0));
+  check("EkfSettings.full_restart_time [s]", &S::full_restart_time,
+        in_range(S().restart_time, 600.0));
   check("EkfSettings.max_delay [s]", &S::max_delay, in_range(1e-6, 10.0));
   check("EkfSettings.max_imu_rate [Hz]", &S::max_imu_rate, in_range(1.0, 1e5));
   check("EkfSettings.fusion_delay [s]", &S::fusion_delay, in_range(0.0, S().max_delay));
   check("EkfSettings.max_imu_gap [s]", &S::max_imu_gap, in_range(1e-6, 1.0));
   S patient;
-  patient.give_up_time = 600.0;
+  patient.full_restart_time = 600.0;
   Fields<S>{patient}("EkfSettings.restart_time [s]", &S::restart_time, in_range(0.0, 60.0));
 }
 

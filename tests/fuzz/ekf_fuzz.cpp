@@ -24,7 +24,7 @@ EkfSettings any_settings(fuzz::Input& input) {
       s.marker_orientation.coeffs(), s.marker_position_stddev, s.marker_orientation_stddev,
       s.clock_offset, s.gyro_bias, s.accelerometer_bias, s.velocity_stddev, s.gyro_bias_stddev,
       s.accelerometer_bias_stddev, s.gate, s.max_rejections, s.restart_time, s.restart_distance,
-      s.give_up_time, s.max_delay, s.max_imu_rate, s.fusion_delay, s.max_imu_gap,
+      s.full_restart_time, s.max_delay, s.max_imu_rate, s.fusion_delay, s.max_imu_gap,
       s.trust.position_error, s.trust.orientation_error, s.trust.lost_position_error,
       s.trust.position_age, s.trust.imu_age);
   return s;

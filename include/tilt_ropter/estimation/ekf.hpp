@@ -42,10 +42,10 @@ namespace tilt_ropter {
 /// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
 ///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
 ///   then keeps lean, velocity and biases. If the poses move smoothly along a path of at least
-///   0.3 m, it restarts after give_up_time and keeps nothing but the marker frame. If that estimate
-///   does not last for give_up_time either, it keeps nothing, and doubts the last step of the
-///   poses' clock. Positions, velocities and poses through on_measurement() have the first kind of
-///   restart; such a pose must also agree about the orientation. See detail::Dispute.
+///   0.3 m, it restarts after full_restart_time and keeps nothing but the marker frame. If that
+///   estimate does not last for full_restart_time either, it keeps nothing, and doubts the last
+///   step of the poses' clock. Positions, velocities and poses through on_measurement() have the
+///   first kind of restart; such a pose must also agree about the orientation. See detail::Dispute.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -229,7 +229,7 @@ class Ekf {
 
   void used(MeasurementKind kind) noexcept {
     last_used_[static_cast<std::size_t>(kind)] = filter_time();
-    if (is_position(kind)) poses_disputed_ = poses_mistimed_ = false;
+    if (is_position(kind)) poses_gated_ = poses_mistimed_ = false;
   }
   static constexpr bool is_position(MeasurementKind kind) noexcept {
     return kind == MeasurementKind::pose || kind == MeasurementKind::position;
@@ -301,7 +301,7 @@ class Ekf {
   double pose_time_ = 0.0;                           ///< time of the last pose compared
   double received_ = 0.0;                            ///< stamp of the last pose received
   double last_position_ = 0.0;                       ///< time of the last pose used
-  double given_up_at_ = 0.0;   ///< time of the last restart after give_up_time
+  double given_up_at_ = 0.0;   ///< time of the last restart after full_restart_time
   double stopped_at_ = 0.0;    ///< last time at which the filter ran
   double behind_time_ = 0.0;   ///< time of the last late IMU sample
   double behind_since_ = 0.0;  ///< time of the first of consecutive late IMU samples
@@ -311,7 +311,7 @@ class Ekf {
   EkfCounts counts_;
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_ = {};
   bool has_imu_ = false, has_pose_ = false, running_ = false, was_started_ = false;
-  bool poses_frozen_ = false, poses_disputed_ = false, poses_mistimed_ = false;
+  bool poses_frozen_ = false, poses_gated_ = false, poses_mistimed_ = false;
   bool doubtful_ = false;  ///< clock set back or gap bridged, and no pose was used since
 };
 using Ekfd = Ekf<double>;  ///< in double precision
@@ -552,7 +552,7 @@ EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kin
     const double rate_stddev =
         is_place ? std::min(0.3, stddev_of(InertialIndex::velocity)) : acceleration;
     dispute.on_refused(time, distance, there, {here}, noise, rate_stddev);
-    if (is_place) poses_disputed_ = true;
+    if (is_place) poses_gated_ = true;
     if (!dispute.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
         !(there.orientation.angularDistance(Eigen::Quaternion<Scalar>::Identity()) < Scalar(0.1)))
       return EkfStatus::gated;
@@ -619,18 +619,19 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
   detail::Dispute<Scalar>& dispute = pose_dispute();
   dispute.on_refused(time, distance_to(arrived.pose), arrived.pose, predicted_pose(), noise,
                      std::min(0.3, stddev_of(InertialIndex::velocity)));
-  poses_disputed_ = true;
+  poses_gated_ = true;
   stamps_.on_displaced(offset_along_path(arrived.pose, noise));
   const detail::RefusedPoses<Scalar>& refused = dispute.refused();
   const bool moves_like_imu = dispute.moves_like_imu(time, settings_.max_rejections, settings_) &&
                               refused.lean() < Scalar(0.1);
   const bool start_was_wrong = has_just_started() && dispute.is_proven() && nis_ > far &&
                                refused.smooth() >= std::min(5, settings_.max_rejections);
-  const bool given_up = time - last_position_ >= settings_.give_up_time && dispute.is_proven() &&
-                        refused.smooth() >= settings_.max_rejections && refused.extent() > 0.3;
-  // If the estimate does not last for give_up_time twice in a row, what was kept is wrong.
+  const bool given_up = time - last_position_ >= settings_.full_restart_time &&
+                        dispute.is_proven() && refused.smooth() >= settings_.max_rejections &&
+                        refused.extent() > 0.3;
+  // If the estimate does not last for full_restart_time twice in a row, what was kept is wrong.
   const bool nothing_held =
-      given_up && !moves_like_imu && last_position_ - given_up_at_ < settings_.give_up_time;
+      given_up && !moves_like_imu && last_position_ - given_up_at_ < settings_.full_restart_time;
   if (moves_like_imu) {
     detail::relocate(filter_, arrived.pose);
   } else if (start_was_wrong || given_up) {
@@ -690,7 +691,7 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   if (!was_started_) return t;
   t.imu_stopped = !running_;
   t.poses_frozen = poses_frozen_;
-  t.poses_disputed = poses_disputed_;
+  t.poses_gated = poses_gated_;
   t.poses_mistimed = poses_mistimed_;
   for (const detail::Dispute<Scalar>& dispute : disputes_)
     t.unconfirmed = t.unconfirmed || !dispute.is_proven();
@@ -704,7 +705,7 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
 template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
-  poses_frozen_ = poses_disputed_ = poses_mistimed_ = doubtful_ = false;
+  poses_frozen_ = poses_gated_ = poses_mistimed_ = doubtful_ = false;
   behind_ = rates_ = confirmed_ = 0;
   pose_time_ = received_ = last_position_ = stopped_at_ = behind_time_ = behind_since_ = 0.0;
   nis_ = Scalar(0);

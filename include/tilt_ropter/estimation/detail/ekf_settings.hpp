@@ -80,11 +80,11 @@ struct EstimateTrust {
   bool imu_stopped = false;     ///< gap of the IMU, nothing used since
   bool no_position = false;     ///< no pose or position within position_age
   bool poses_frozen = false;    ///< the last pose or position was a repetition
-  bool poses_disputed = false;  ///< the last pose or position was refused by the gate
+  bool poses_gated = false;     ///< the last pose or position was above the gate
   bool poses_mistimed = false;  ///< the last pose or position was late or early
   /// The filter has restarted at measurements of something at rest, and no motion has confirmed
-  /// since that they are those of the vehicle. Hold the position, then land: the descent confirms
-  /// them or has them refused.
+  /// since that they are those of the vehicle. Hold the position, then land: during the descent
+  /// they are confirmed, or above the gate.
   bool unconfirmed = false;
   bool position_error = false;     ///< predicted position error above its limit
   bool velocity_error = false;     ///< predicted velocity error above its limit
@@ -156,9 +156,9 @@ struct EkfSettings {
   /// Largest NIS of a pose that is used. One in 10^4 valid poses exceeds 27.9. Other measurements
   /// have gates of the same probability.
   double gate = 27.9;
-  /// Smallest number of consecutive poses refused by the gate before the filter restarts.
+  /// Smallest number of consecutive poses above the gate before the filter restarts.
   int max_rejections = 25;
-  /// Shortest time of consecutive refused poses before the filter restarts at them. They must move
+  /// Shortest time of consecutive gated poses before the filter restarts at them. They must move
   /// like the IMU during all this time. A jump that ends earlier is ignored.
   double restart_time = 1.0;
   /// Largest distance over which the filter restarts like this at rest, where no motion shows that
@@ -166,9 +166,9 @@ struct EkfSettings {
   /// vehicle that hovers looks the same, and the estimate must not fall to the ground with it.
   double restart_distance = 0.6;
   /// Time without a used pose after which the filter restarts at poses that move smoothly, along a
-  /// path of at least 0.3 m, although they do not move like the IMU. Then the estimate itself may
-  /// be wrong. Of an object at rest this is not believed.
-  double give_up_time = 6.0;
+  /// path of at least 0.3 m, although they do not move like the IMU: the estimate itself may be
+  /// wrong. It does not restart like this at poses of an object at rest.
+  double full_restart_time = 6.0;
   /// Largest time by which a measurement may arrive after, or before, the IMU sample of the same
   /// time.
   double max_delay = 0.2;
@@ -179,7 +179,7 @@ struct EkfSettings {
   /// several sensors; at most max_delay.
   double fusion_delay = 0.0;
   /// Longest pause of the IMU that is bridged. After a longer pause the next pose restarts the
-  /// filter. After at most 0.4 s any other measurement lets it go on, with a larger covariance.
+  /// filter. After at most 0.4 s any other measurement resumes it, with a larger covariance.
   double max_imu_gap = 0.1;
 
   EkfTrustLimits trust;  ///< allowed errors, for Ekf::trust()
@@ -219,7 +219,7 @@ inline void validate(const EkfSettings& s) {
   require(s.max_rejections >= 1, "EkfSettings.max_rejections", s.max_rejections, "at least 1");
   require_in("EkfSettings.restart_time [s]", s.restart_time, 0.0, 60.0);
   require_in("EkfSettings.restart_distance [m]", s.restart_distance, 0.0, 1e6);
-  require_in("EkfSettings.give_up_time [s]", s.give_up_time, s.restart_time, 600.0);
+  require_in("EkfSettings.full_restart_time [s]", s.full_restart_time, s.restart_time, 600.0);
   require_in("EkfSettings.max_delay [s]", s.max_delay, 1e-6, 10.0);
   require_in("EkfSettings.max_imu_rate [Hz]", s.max_imu_rate, 1.0, 1e5);
   require_in("EkfSettings.fusion_delay [s]", s.fusion_delay, 0.0, s.max_delay);
