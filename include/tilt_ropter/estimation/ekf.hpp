@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/estimation/detail/disputes.hpp>
 #include <tilt_ropter/estimation/detail/ekf_settings.hpp>
 #include <tilt_ropter/estimation/detail/ekf_start.hpp>
 #include <tilt_ropter/estimation/detail/ekf_trust.hpp>
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/estimation/detail/imu_history.hpp>
+#include <tilt_ropter/estimation/detail/measurement_faults.hpp>
 #include <tilt_ropter/estimation/detail/measurement_model.hpp>
 #include <tilt_ropter/estimation/detail/measurement_queue.hpp>
-#include <tilt_ropter/estimation/detail/pose_faults.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 
@@ -39,13 +38,12 @@ namespace tilt_ropter {
 ///
 /// - A pose, position or velocity that repeats an earlier one bit for bit, while the IMU's samples
 ///   change, is not used.
-/// - A pose above the gate is not used. The filter restarts at refused poses only if they moved
-///   like the IMU, but elsewhere, for restart_time (the origin of motion capture was moved). It
-///   then keeps lean, velocity and biases. If the poses move smoothly along a path of at least
-///   0.3 m, it restarts after full_restart_time and keeps nothing but the marker frame. If that
-///   estimate does not last for full_restart_time either, it keeps nothing, and doubts the last
-///   step of the poses' clock. Positions, velocities and poses through on_measurement() have the
-///   first kind of restart; such a pose must also agree about the orientation. See detail::Dispute.
+/// - A pose above the gate is not used. If poses move like the IMU but elsewhere for restart_time
+///   (the origin of motion capture was moved), the filter restarts there and keeps tilt, velocity
+///   and biases. If they move smoothly along a path of at least 0.3 m, it restarts after
+///   full_restart_time and keeps only the marker frame. The second time in a row it keeps nothing,
+///   and takes back the last step of the poses' clock if they are then in time. on_measurement()
+///   has the first kind of restart only, with the orientation of the estimate.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -204,17 +202,17 @@ class Ekf {
     if (!stamps_.on_unused(lag, settings_.max_rejections)) return;
     ++counts_.clock_steps;
     queue_.clear();
-    pose_dispute().clear();
+    pose_gate().clear();
   }
-  /// Doubts the last step of the poses' clock. If the clock changes, the pose with this `lag` had
-  /// the wrong stamp, so the next one starts the filter.
+  /// Takes back the last step of the poses' clock. If the clock changes, the pose with this `lag`
+  /// had the wrong stamp, so the next one starts the filter.
   void try_other_clock(double lag) noexcept {
     if (!stamps_.swap_clocks(lag, settings_.max_delay)) return;
     queue_.clear();
     stopped_at_ = -std::numeric_limits<double>::infinity();
     running_ = false;
   }
-  [[nodiscard]] detail::Dispute<Scalar>& pose_dispute() noexcept { return disputes_[0]; }
+  [[nodiscard]] detail::GateMonitor<Scalar>& pose_gate() noexcept { return gates_[0]; }
 
   /// Uses a measurement that is not ahead of the IMU.
   EkfStatus apply(double time, const ArrivedPose& arrived) noexcept;
@@ -223,7 +221,7 @@ class Ekf {
   template <typename Measurement>
   EkfStatus use(const Measurement& at, MeasurementKind kind) noexcept;
   template <typename Measurement>
-  EkfStatus use_disputable(const Measurement& at, MeasurementKind kind, int part) noexcept;
+  EkfStatus use_gated(const Measurement& at, MeasurementKind kind, int part) noexcept;
   template <typename Measurement>
   EkfStatus queue(double time, const Measurement& measurement) noexcept;
 
@@ -235,7 +233,7 @@ class Ekf {
     return kind == MeasurementKind::pose || kind == MeasurementKind::position;
   }
   /// Gate for a number of rows, of the same probability as settings_.gate for six.
-  [[nodiscard]] Scalar gate(int rows) const noexcept {
+  [[nodiscard]] Scalar gate_of(int rows) const noexcept {
     constexpr std::array<double, 6> quantile = {15.14, 18.42, 21.11, 23.51, 25.74, 27.86};
     return Scalar(settings_.gate * quantile[static_cast<std::size_t>(rows - 1)] / quantile[5]);
   }
@@ -274,11 +272,11 @@ class Ekf {
   /// Goes on after a short gap of the IMU, for measurements other than poses.
   bool resume() noexcept {
     if (was_started_) running_ = detail::resume(filter_, filter_time() - stopped_at_, rate());
-    doubtful_ = running_;
+    bridged_ = running_;
     return running_;
   }
   EkfStatus start_at(const ArrivedPose& arrived) noexcept;
-  EkfStatus refuse(double time, const ArrivedPose& arrived) noexcept;
+  EkfStatus reject(double time, const ArrivedPose& arrived) noexcept;
   /// Counts a used pose and propagates the state to the newest sample. Returns `status`.
   EkfStatus finish(EkfStatus status) noexcept;
   /// Too few poses have confirmed the start.
@@ -297,14 +295,15 @@ class Ekf {
   int rates_ = 0;
   detail::RepetitionDetector<Scalar> repetitions_;
   detail::StampMonitor stamps_;
-  std::array<detail::Dispute<Scalar>, 4> disputes_;  ///< of on_pose(), positions, velocities, poses
-  double pose_time_ = 0.0;                           ///< time of the last pose compared
-  double received_ = 0.0;                            ///< stamp of the last pose received
-  double last_position_ = 0.0;                       ///< time of the last pose used
-  double given_up_at_ = 0.0;   ///< time of the last restart after full_restart_time
-  double stopped_at_ = 0.0;    ///< last time at which the filter ran
-  double behind_time_ = 0.0;   ///< time of the last late IMU sample
-  double behind_since_ = 0.0;  ///< time of the first of consecutive late IMU samples
+  std::array<detail::GateMonitor<Scalar>, 4>
+      gates_;                   ///< of on_pose(), positions, velocities, poses
+  double pose_time_ = 0.0;      ///< time of the last pose compared
+  double received_ = 0.0;       ///< stamp of the last pose received
+  double last_position_ = 0.0;  ///< time of the last pose used
+  double given_up_at_ = 0.0;    ///< time of the last restart after full_restart_time
+  double stopped_at_ = 0.0;     ///< last time at which the filter ran
+  double behind_time_ = 0.0;    ///< time of the last late IMU sample
+  double behind_since_ = 0.0;   ///< time of the first of consecutive late IMU samples
   Scalar nis_ = Scalar(0);
   int behind_ = 0;     ///< consecutive late IMU samples
   int confirmed_ = 0;  ///< poses used since the start
@@ -312,7 +311,7 @@ class Ekf {
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_ = {};
   bool has_imu_ = false, has_pose_ = false, running_ = false, was_started_ = false;
   bool poses_frozen_ = false, poses_gated_ = false, poses_mistimed_ = false;
-  bool doubtful_ = false;  ///< clock set back or gap bridged, and no pose was used since
+  bool bridged_ = false;  ///< clock set back or gap bridged, and no pose was used since
 };
 using Ekfd = Ekf<double>;  ///< in double precision
 
@@ -403,7 +402,7 @@ EkfStatus Ekf<Scalar>::set_clock(const Sample& sample) noexcept {
   last_position_ += step;
   given_up_at_ += step;
   queue_.clear();
-  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.clear();
+  for (detail::GateMonitor<Scalar>& gate : gates_) gate.clear();
   has_pose_ = false;
   // After a single wrong stamp the time since the filter ran is still known.
   const double stopped_for = sample.time - stopped_at_;
@@ -415,7 +414,7 @@ EkfStatus Ekf<Scalar>::set_clock(const Sample& sample) noexcept {
     if (running_) ahead_ = history_.step(ahead_, newest, sample);
     filter_.reset(ahead_, filter_.covariance());
   }
-  doubtful_ = running_;
+  bridged_ = running_;
   angular_acceleration_.setZero();
   history_.begin(sample);
   begin_mean(sample);
@@ -504,13 +503,13 @@ template <typename Measurement>
 EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept {
   if (!at.valid || !at.is_finite()) return EkfStatus::rejected;
   if constexpr (Measurement::rows == 3 || Measurement::rows == 6) {
-    if (is_position(kind)) return use_disputable(at, kind, InertialIndex::position);
+    if (is_position(kind)) return use_gated(at, kind, InertialIndex::position);
     if (Measurement::rows == 3 && kind == MeasurementKind::velocity)
-      return use_disputable(at, kind, InertialIndex::velocity);
+      return use_gated(at, kind, InertialIndex::velocity);
   }
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
-  if (!(nis_ <= gate(Measurement::rows)) || !filter_.update(innovation, at))
+  if (!(nis_ <= gate_of(Measurement::rows)) || !filter_.update(innovation, at))
     return EkfStatus::gated;
   used(kind);
   look_ahead();
@@ -521,12 +520,11 @@ EkfStatus Ekf<Scalar>::use(const Measurement& at, MeasurementKind kind) noexcept
 // in the state. The names and units are those of a position.
 template <typename Scalar>
 template <typename Measurement>
-EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kind,
-                                      int part) noexcept {
+EkfStatus Ekf<Scalar>::use_gated(const Measurement& at, MeasurementKind kind, int part) noexcept {
   using std::sqrt;
   constexpr bool is_pose = Measurement::rows == 6;
   const bool is_place = part == InertialIndex::position;
-  detail::Dispute<Scalar>& dispute = disputes_[is_pose ? 3 : is_place ? 1 : 2];
+  detail::GateMonitor<Scalar>& gate = gates_[is_pose ? 3 : is_place ? 1 : 2];
   const InertialState<Scalar>& x = filter_.state();
   const Vector3<Scalar> here = is_place ? x.position : x.velocity,
                         off = at.jacobian.template block<3, 3>(0, part).transpose() *
@@ -542,22 +540,22 @@ EkfStatus Ekf<Scalar>::use_disputable(const Measurement& at, MeasurementKind kin
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
   EkfStatus status = EkfStatus::updated;
-  if (nis_ <= gate(Measurement::rows) &&
-      dispute.accepts(time, distance, 6.0 * noise, settings_.restart_time) &&
+  if (nis_ <= gate_of(Measurement::rows) &&
+      gate.accepts(time, distance, 6.0 * noise, settings_.restart_time) &&
       filter_.update(innovation, at)) {
-    dispute.on_used(here);
+    gate.on_used(here);
   } else {
-    // Error by lean and bias [m/s^2]. With it a velocity is believed only after a motion.
+    // Error by lean and bias [m/s^2]. With it the filter restarts only after a motion.
     constexpr double acceleration = 0.3;
     const double rate_stddev =
         is_place ? std::min(0.3, stddev_of(InertialIndex::velocity)) : acceleration;
-    dispute.on_refused(time, distance, there, {here}, noise, rate_stddev);
+    gate.on_gated(time, {there, MarkerPose<Scalar>{here}, distance, noise, rate_stddev});
     if (is_place) poses_gated_ = true;
-    if (!dispute.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
+    if (!gate.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
         !(there.orientation.angularDistance(Eigen::Quaternion<Scalar>::Identity()) < Scalar(0.1)))
       return EkfStatus::gated;
     detail::shift(filter_, part, off, at);
-    dispute.on_restart(here);
+    gate.on_restart(here);
     status = EkfStatus::restarted;
   }
   used(kind);
@@ -588,11 +586,11 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   const auto innovation = filter_.innovation_of(at);
   nis_ = innovation.distance;
   const double small = std::max(0.1, 6.0 * position_noise());  // the controller can follow [m]
-  if (!(nis_ <= gate(6)) ||
-      !pose_dispute().accepts(time, distance_to(arrived.pose), small, settings_.restart_time) ||
+  if (!(nis_ <= gate_of(6)) ||
+      !pose_gate().accepts(time, distance_to(arrived.pose), small, settings_.restart_time) ||
       !filter_.update(innovation, at))
-    return doubtful_ ? start_at(arrived) : refuse(time, arrived);
-  pose_dispute().on_used(filter_.state().position);
+    return bridged_ ? start_at(arrived) : reject(time, arrived);
+  pose_gate().on_used(filter_.state().position);
   stamps_.on_used(arrived.lag);
   ++confirmed_;
   return finish(EkfStatus::updated);
@@ -601,11 +599,11 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
   const bool again = was_started_;
-  // Poses on a smooth path that the gate refused until the attitude was lost: the velocity or the
+  // Poses on a smooth path that the gate rejected until the attitude was lost: the velocity or the
   // biases are wrong.
-  const bool refuted = pose_dispute().refused().smooth() >= settings_.max_rejections;
+  const bool is_wrong = pose_gate().smooth() >= settings_.max_rejections;
   detail::start_at_pose(filter_, arrived.pose,
-                        {counts_.used > 0, again && !refuted, filter_time() - stopped_at_},
+                        {counts_.used > 0, again && !is_wrong, filter_time() - stopped_at_},
                         settings_);
   confirmed_ = 0;
   stamps_.on_used(arrived.lag);
@@ -613,22 +611,21 @@ EkfStatus Ekf<Scalar>::start_at(const ArrivedPose& arrived) noexcept {
 }
 
 template <typename Scalar>
-EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept {
+EkfStatus Ekf<Scalar>::reject(double time, const ArrivedPose& arrived) noexcept {
   const Scalar far(60);  // no valid pose has such a NIS
   const double noise = position_noise();
-  detail::Dispute<Scalar>& dispute = pose_dispute();
-  dispute.on_refused(time, distance_to(arrived.pose), arrived.pose, predicted_pose(), noise,
-                     std::min(0.3, stddev_of(InertialIndex::velocity)));
+  detail::GateMonitor<Scalar>& gate = pose_gate();
+  gate.on_gated(time, {arrived.pose, predicted_pose(), distance_to(arrived.pose), noise,
+                       std::min(0.3, stddev_of(InertialIndex::velocity))});
   poses_gated_ = true;
   stamps_.on_displaced(offset_along_path(arrived.pose, noise));
-  const detail::RefusedPoses<Scalar>& refused = dispute.refused();
-  const bool moves_like_imu = dispute.moves_like_imu(time, settings_.max_rejections, settings_) &&
-                              refused.lean() < Scalar(0.1);
-  const bool start_was_wrong = has_just_started() && dispute.is_proven() && nis_ > far &&
-                               refused.smooth() >= std::min(5, settings_.max_rejections);
+  const bool moves_like_imu =
+      gate.moves_like_imu(time, settings_.max_rejections, settings_) && gate.tilt() < Scalar(0.1);
+  const bool start_was_wrong = has_just_started() && gate.is_confirmed() && nis_ > far &&
+                               gate.smooth() >= std::min(5, settings_.max_rejections);
   const bool given_up = time - last_position_ >= settings_.full_restart_time &&
-                        dispute.is_proven() && refused.smooth() >= settings_.max_rejections &&
-                        refused.extent() > 0.3;
+                        gate.is_confirmed() && gate.smooth() >= settings_.max_rejections &&
+                        gate.extent() > 0.3;
   // If the estimate does not last for full_restart_time twice in a row, what was kept is wrong.
   const bool nothing_held =
       given_up && !moves_like_imu && last_position_ - given_up_at_ < settings_.full_restart_time;
@@ -642,7 +639,7 @@ EkfStatus Ekf<Scalar>::refuse(double time, const ArrivedPose& arrived) noexcept 
     watch_clock(arrived.lag);
     return EkfStatus::gated;
   }
-  if (!start_was_wrong) dispute.on_restart(filter_.state().position);
+  if (!start_was_wrong) gate.on_restart(filter_.state().position);
   if (!moves_like_imu) confirmed_ = 0;
   const EkfStatus status = finish(EkfStatus::restarted);
   if (nothing_held) try_other_clock(arrived.lag);
@@ -653,8 +650,8 @@ template <typename Scalar>
 EkfStatus Ekf<Scalar>::finish(EkfStatus status) noexcept {
   if (status == EkfStatus::restarted) ++counts_.restarts;
   ++counts_.used;
-  pose_dispute().clear();
-  doubtful_ = false;
+  pose_gate().clear();
+  bridged_ = false;
   last_position_ = filter_time();
   used(MeasurementKind::pose);
   running_ = was_started_ = true;
@@ -670,10 +667,10 @@ bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev
     return false;
   catch_up(time());
   detail::start_at_state(filter_, body, stddev, imu_position(), was_started_, settings_);
-  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.reset();
+  for (detail::GateMonitor<Scalar>& gate : gates_) gate = {};
   last_position_ = filter_time();
   confirmed_ = 0;
-  doubtful_ = false;
+  bridged_ = false;
   running_ = was_started_ = true;
   look_ahead();
   return true;
@@ -693,8 +690,8 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   t.poses_frozen = poses_frozen_;
   t.poses_gated = poses_gated_;
   t.poses_mistimed = poses_mistimed_;
-  for (const detail::Dispute<Scalar>& dispute : disputes_)
-    t.unconfirmed = t.unconfirmed || !dispute.is_proven();
+  for (const detail::GateMonitor<Scalar>& gate : gates_)
+    t.unconfirmed = t.unconfirmed || !gate.is_confirmed();
   typename ErrorStateFilter<Scalar>::Covariance p = filter_.covariance();
   if (finds_imu()) detail::move_to_body(p, filter_.state().orientation, rate(), imu_position());
   detail::predict_errors(p, std::min(since(filter_time()), 1e3), settings_.imu_noise, t);
@@ -705,7 +702,7 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
 template <typename Scalar>
 void Ekf<Scalar>::reset() noexcept {
   has_imu_ = has_pose_ = running_ = was_started_ = false;
-  poses_frozen_ = poses_gated_ = poses_mistimed_ = doubtful_ = false;
+  poses_frozen_ = poses_gated_ = poses_mistimed_ = bridged_ = false;
   behind_ = rates_ = confirmed_ = 0;
   pose_time_ = received_ = last_position_ = stopped_at_ = behind_time_ = behind_since_ = 0.0;
   nis_ = Scalar(0);
@@ -714,9 +711,9 @@ void Ekf<Scalar>::reset() noexcept {
   last_used_.fill(-std::numeric_limits<double>::infinity());
   history_.begin({});
   queue_.clear();
-  repetitions_.reset();
-  stamps_.reset();
-  for (detail::Dispute<Scalar>& dispute : disputes_) dispute.reset();
+  repetitions_ = {};
+  stamps_ = {};
+  for (detail::GateMonitor<Scalar>& gate : gates_) gate = {};
   angular_acceleration_.setZero();
   InertialState<Scalar> x;
   detail::set_marker_frame(x, settings_);

@@ -1,6 +1,6 @@
 // Repetitions of measurements, and stamps whose clock jitters or steps.
 
-#include <tilt_ropter/estimation/detail/pose_faults.hpp>
+#include <tilt_ropter/estimation/detail/measurement_faults.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
@@ -72,7 +72,7 @@ TEST_F(Repetitions, FirstPoseMayBeAtTheOrigin) {
   for (int run = 0; run < 2; ++run) {
     EXPECT_FALSE(repeats(MarkerPosed{}));
     EXPECT_TRUE(repeats(MarkerPosed{}));
-    detector.reset();
+    detector = {};
   }
 }
 

@@ -1,4 +1,5 @@
-// Measurements of something at rest: poses of another object, fixes that stand still.
+// Measurements above the gate, of something at rest: poses of another object, fixes that stand
+// still.
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/measurement_models.hpp>
@@ -53,7 +54,7 @@ AtRest hover_beside(const Vector3d& away) {
 }
 
 // At rest another object at rest cannot be told from a moved origin. The first motion tells it.
-TEST(EkfDisputes, OneShortRestartAtRestIsBelieved) {
+TEST(EkfGate, OneShortRestartAtRestIsAllowed) {
   const AtRest near = hover_beside({0.5, 0.0, 0.0});
   EXPECT_EQ(near.counts.restarts, 1);
   EXPECT_EQ(near.before.state, EstimateState::good);
@@ -82,7 +83,7 @@ void fly_circle(Ekfd& ekf, unsigned seed, const Sense& sense) {
 }
 
 // A receiver that repeats its last fix, bit for bit or with noise.
-TEST(EkfDisputes, FixesThatStandStillAreNotFollowed) {
+TEST(EkfGate, FixesThatStandStillAreNotFollowed) {
   struct Case {
     double noise, duration, limit;
   };
@@ -143,7 +144,7 @@ Measured fly_by_measurements(double duration, bool is_object, const Vector3d& or
   return result;
 }
 
-TEST(EkfDisputes, MeasuredPosesOfAnotherObjectAreNotFollowed) {
+TEST(EkfGate, MeasuredPosesOfAnotherObjectAreNotFollowed) {
   for (const double duration : {1.0, 4.0, 8.0}) {
     const Measured object = fly_by_measurements(duration, true, Vector3d::Zero());
     EXPECT_EQ(object.restarts, 0) << duration;
@@ -152,14 +153,14 @@ TEST(EkfDisputes, MeasuredPosesOfAnotherObjectAreNotFollowed) {
   }
 }
 
-TEST(EkfDisputes, MeasuredPosesOfAMovedOriginAreFollowed) {
+TEST(EkfGate, MeasuredPosesOfAMovedOriginAreFollowed) {
   const Measured moved = fly_by_measurements(100.0, false, {0.0, 3.0, 0.0});
   EXPECT_EQ(moved.restarts, 1);
   EXPECT_NEAR(moved.at_end, 3.0, 0.02);
 }
 
 // A vehicle that is known to stand has the velocity zero at every measurement.
-TEST(EkfDisputes, VelocityZeroMayRepeat) {
+TEST(EkfGate, VelocityZeroMayRepeat) {
   Ekfd ekf;
   test_support::Random random(7);
   for (int i = 0; i <= 3000; ++i) {

@@ -1,0 +1,337 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/estimation/detail/ekf_settings.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <type_traits>
+#include <utility>
+
+/// Detectors of faulty measurements, for Ekf: repetitions, wrong stamps, and series of
+/// measurements that do not fit the estimate. Nothing here throws or allocates.
+namespace tilt_ropter::detail {
+
+/// Finds measurements that repeat an earlier one bit for bit. A sensor with noise never does this.
+/// A simulation without noise does it at rest, but then the IMU's samples repeat as well.
+template <typename Scalar>
+class RepetitionDetector {
+ public:
+  void on_imu(const InertialSample<Scalar>& sample) noexcept {
+    if (sample.angular_velocity != imu_.angular_velocity ||
+        sample.specific_force != imu_.specific_force)
+      ++imu_changes_;
+    imu_ = sample;
+  }
+
+  /// Returns true if `pose` repeats the last one while the samples of the IMU changed.
+  [[nodiscard]] bool repeats(const MarkerPose<Scalar>& pose) noexcept {
+    const bool same = pose_changes_ >= 0 && pose.position == pose_.position &&
+                      (pose.orientation.coeffs() == pose_.orientation.coeffs() ||
+                       pose.orientation.coeffs() == -pose_.orientation.coeffs());
+    if (same && pose_changes_ != imu_changes_) return true;
+    pose_changes_ = imu_changes_;
+    pose_ = pose;
+    return false;
+  }
+
+  /// Returns true if the position or velocity `value` is one of the last eight, of all sensors,
+  /// and the samples of the IMU changed since. A velocity of zero may repeat: the user knows that
+  /// the vehicle stands.
+  [[nodiscard]] bool repeats(const Vector3<Scalar>& value) noexcept {
+    if (value == Vector3<Scalar>::Zero()) return false;
+    ++received_;
+    Vector* oldest = &vectors_[0];
+    for (Vector& v : vectors_) {
+      if (v.received > 0 && v.value == value) {
+        v.received = received_;
+        return v.imu_changes != imu_changes_;
+      }
+      if (v.received < oldest->received) oldest = &v;
+    }
+    *oldest = {value, received_, imu_changes_};
+    return false;
+  }
+
+ private:
+  struct Vector {
+    Vector3<Scalar> value = Vector3<Scalar>::Zero();
+    long received = 0;  ///< when, in counts of received vectors; 0: empty
+    long imu_changes = 0;
+  };
+  InertialSample<Scalar> imu_;
+  MarkerPose<Scalar> pose_;
+  std::array<Vector, 8> vectors_;
+  long imu_changes_ = 0, received_ = 0;
+  long pose_changes_ = -1;  ///< of the IMU before the last pose; -1: no pose yet
+};
+
+/// The value by which repetitions of a measurement are found; null if they are not looked for.
+template <typename Scalar, typename M>
+const Vector3<Scalar>* vector_of(const M& m) noexcept {
+  if constexpr (std::is_same_v<M, PositionMeasurement<Scalar>> ||
+                std::is_same_v<M, PoseMeasurement<Scalar>>)
+    return &m.position;
+  else if constexpr (std::is_same_v<M, WorldVelocityMeasurement<Scalar>> ||
+                     std::is_same_v<M, BodyVelocityMeasurement<Scalar>>)
+    return &m.velocity;
+  else
+    return nullptr;
+}
+
+/// The kind that a measurement declares.
+template <typename M, typename = void>
+inline constexpr MeasurementKind kind_of = MeasurementKind::other;
+template <typename M>
+inline constexpr MeasurementKind kind_of<M, std::void_t<decltype(M::kind)>> = M::kind;
+
+/// Consecutive numbers that are alike, and their mean.
+struct AlikeNumbers {
+  void add(double number, double tolerance) noexcept {
+    if (count == 0 || std::abs(number - mean) > tolerance) *this = {number, 0};
+    mean += (number - mean) / static_cast<double>(++count);
+  }
+  double mean = 0.0;
+  int count = 0;
+};
+
+/// Measures the jitter of stamps of a periodic sensor, and corrects steps of its clock.
+class StampMonitor {
+ public:
+  /// Sum of the steps of the sensor's clock [s], to be added to its stamps.
+  [[nodiscard]] double clock_step() const noexcept { return clock_step_; }
+
+  /// Processes a corrected stamp [s].
+  void on_stamp(double stamp) noexcept {
+    const double step = stamp - last_;
+    const bool known = has_last_;
+    if (known && step < -0.5 * period_ && step > -1.0) return;  // sent again, or out of order
+    has_last_ = true;
+    last_ = stamp;
+    if (!known || !(std::abs(step) < 1.0)) return;
+    if (steps_ == 0) period_ = step;
+    if (++steps_ < 5) {  // the median of the first steps is not needed: outliers fade
+      period_ = std::max(1e-4, period_ + (step - period_) / static_cast<double>(steps_));
+      return;
+    }
+    // A step over missing measurements is a multiple of the period.
+    const double multiple = std::max(1.0, std::floor(step / period_ + 0.25));
+    const double error = step - multiple * period_;
+    if (multiple < 1.5) period_ = std::max(1e-4, period_ + 0.02 * error);
+    const double bounded = std::clamp(error, -max_stddev, max_stddev);
+    variance_ += 0.02 * (0.5 * bounded * bounded - variance_);
+  }
+
+  /// Standard deviation of a stamp [s]; zero for regular stamps whose clock agrees with the IMU's.
+  [[nodiscard]] double stddev() const noexcept {
+    const double jitter = std::sqrt(variance_);
+    return std::max(jitter > negligible ? jitter : 0.0, offset_);
+  }
+
+  /// Processes a gated position that lies `offset` [s] along the path of the estimate, or beside it
+  /// (not finite). If enough of them lie at the same place, the clock has an offset that the
+  /// settings do not know. It then counts as an error of the stamps.
+  void on_displaced(double offset) noexcept {
+    constexpr int enough = 8;
+    constexpr double same = 0.005;  // [s]
+    if (std::abs(offset) <= 1.5 * max_stddev)
+      displaced_.add(offset, same);
+    else
+      displaced_ = {};
+    if (displaced_.count >= enough) offset_ = std::max(offset_, std::abs(displaced_.mean));
+  }
+
+  /// Processes the time between stamp and arrival of a measurement that was used [s].
+  void on_used(double lag) noexcept {
+    lag_ = used_++ == 0 ? lag : lag_ + 0.05 * (lag - lag_);
+    strange_ = {};
+  }
+
+  /// Processes the time between stamp and arrival of a measurement that could not be used [s]. If
+  /// `needed` measurements in a row arrived with the same strange lag, the sensor's clock has
+  /// stepped. Then corrects clock_step() and returns true.
+  bool on_unused(double lag, int needed) noexcept {
+    // Clocks differ by less than 300 years. Larger numbers would leave no digits for the stamps.
+    if (!(std::abs(lag) < 1e10)) return false;
+    constexpr double same = 0.02, strange = 0.03;  // [s]
+    if (used_ == 0 || std::abs(lag - lag_) < strange)
+      strange_ = {};
+    else
+      strange_.add(lag, same);
+    if (strange_.count < needed) return false;
+    other_clock_step_ = clock_step_;
+    clock_step_ += strange_.mean - lag_;
+    strange_ = {};
+    has_last_ = false;
+    return true;
+  }
+
+  /// Takes the last step of the clock back, or makes it again, if a measurement with this `lag` [s]
+  /// would then be in time. Returns true if clock_step() changed.
+  bool swap_clocks(double lag, double max_delay) noexcept {
+    const double change = other_clock_step_ - clock_step_;
+    if (change == 0.0 || !(std::abs(lag - change) < max_delay)) return false;
+    std::swap(clock_step_, other_clock_step_);
+    lag_ -= change;
+    strange_ = {};
+    has_last_ = false;
+    return true;
+  }
+
+ private:
+  static constexpr double max_stddev = 0.02, negligible = 3e-4;  // [s]
+
+  double last_ = 0.0, period_ = 0.0, variance_ = 0.0, lag_ = 0.0, offset_ = 0.0;
+  AlikeNumbers strange_, displaced_;                  ///< lags, offsets
+  double clock_step_ = 0.0, other_clock_step_ = 0.0;  ///< in force, and before the last step
+  long steps_ = 0, used_ = 0;
+  bool has_last_ = false;
+};
+
+/// A measured pose beside the estimate. For a velocity, all positions are velocities [m/s].
+template <typename Scalar>
+struct PoseComparison {
+  MarkerPose<Scalar> measured, predicted;
+  double distance;         ///< between them: position [m] plus angle [rad]
+  double noise;            ///< standard deviation of the measured position [m]
+  double velocity_stddev;  ///< of the estimate [m/s]
+};
+
+/// Tests whether measurements that the gate rejects move like the IMU but elsewhere: with a
+/// constant displacement and a constant rotation about the vertical.
+///
+/// While nothing is used, the covariance grows, until the gate passes even faulty measurements. So
+/// after a long series on a smooth path, a measurement must also be close, or must come back to the
+/// estimate in one step. Otherwise the filter restarts, and only at measurements that move like the
+/// IMU. At rest this is no evidence: another object at rest does the same. Such a restart is
+/// allowed once, over a small distance, while the velocity is still known and if the rejected
+/// measurements have never moved unlike the IMU. The next one needs a motion that agrees, unless
+/// measurements that were used have followed a motion since.
+template <typename Scalar>
+class GateMonitor {
+ public:
+  /// Forgets the measurements that were rejected.
+  void clear() noexcept {
+    gated_ = count_ = smooth_ = 0;
+    inconsistent_ = moved_ = false;
+  }
+
+  /// True if a measurement at `distance` from the estimate that passes the gate may be used.
+  /// `small`: distance that does no harm. `short_time` [s]: duration of a short series.
+  [[nodiscard]] bool accepts(double time, double distance, double small,
+                             double short_time) const noexcept {
+    return smooth_ < 5 || time - since_ < short_time || distance <= small ||
+           distance <= 0.5 * last_distance_;
+  }
+
+  /// Processes a measurement that is rejected at `time` [s].
+  void on_gated(double time, const PoseComparison<Scalar>& c) noexcept {
+    if (gated_++ == 0) since_ = time;
+    last_distance_ = c.distance;
+    const Eigen::Quaternion<Scalar> turn =
+        c.measured.orientation * c.predicted.orientation.conjugate();
+    if (count_ == 0 || !continues(time, c, turn)) {
+      count_ = 0;
+      moved_ = false;
+      first_time_ = time;
+      first_ = c;
+      turn_ = turn;
+    }
+    ++count_;
+    check_smoothness(time, c.measured.position, c.noise);
+    constexpr double known = 0.1;  // error of a velocity with which rest can be detected [m/s]
+    if ((gated_ > 1 && count_ == 1) || c.velocity_stddev > known) inconsistent_ = true;
+  }
+
+  /// True if at least `count` rejected measurements have moved like the IMU for restart_time, and
+  /// the filter may restart at them.
+  [[nodiscard]] bool moves_like_imu(double time, int count,
+                                    const EkfSettings& settings) const noexcept {
+    return count_ >= count && time - first_time_ >= settings.restart_time &&
+           (moved_ ||
+            (confirmed_ && !inconsistent_ && last_distance_ <= settings.restart_distance));
+  }
+  /// Angle between the verticals of these measurements and of the estimate [rad].
+  [[nodiscard]] Scalar tilt() const noexcept {
+    using std::acos;
+    return acos(std::clamp((turn_ * Vector3<Scalar>::UnitZ()).z(), Scalar(-1), Scalar(1)));
+  }
+  /// Number of consecutive measurements on a smooth path, and its extent [m].
+  [[nodiscard]] int smooth() const noexcept { return smooth_; }
+  [[nodiscard]] double extent() const noexcept { return extent_; }
+  /// False if the filter has restarted at these measurements and no motion has confirmed it.
+  [[nodiscard]] bool is_confirmed() const noexcept { return confirmed_; }
+
+  /// Processes a restart, or a measurement that was used, with the estimate's `position`.
+  void on_restart(const Vector3<Scalar>& position) noexcept {
+    confirmed_ = moved_;
+    restarted_at_ = position;
+    used_ = 0;
+    clear();
+  }
+  void on_used(const Vector3<Scalar>& position) noexcept {
+    constexpr int enough = 10;
+    constexpr double far = 0.3;  // [m]
+    if (++used_ >= enough && (position - restarted_at_).norm() > Scalar(far)) confirmed_ = true;
+    used_ = std::min(used_, enough);
+    clear();
+  }
+
+ private:
+  /// True if a measurement moves like the IMU since the first one of the series.
+  [[nodiscard]] bool continues(double time, const PoseComparison<Scalar>& c,
+                               const Eigen::Quaternion<Scalar>& turn) noexcept {
+    const double dt = time - first_time_;
+    if (!(dt > 0.0)) return false;
+    const Vector3<Scalar> moved = c.measured.position - first_.measured.position;
+    const Vector3<Scalar> expected =
+        quaternion_from_yaw(yaw_of(turn_)) * (c.predicted.position - first_.predicted.position);
+    const double most = 6.0 * c.noise + (3.0 * c.velocity_stddev + 0.02) * dt;
+    if (!(static_cast<double>((moved - expected).norm()) <= most) ||
+        !(turn.angularDistance(turn_) < Scalar(0.1)))
+      return false;
+    // So far that it is not an object at rest.
+    moved_ = moved_ || static_cast<double>(expected.norm()) > 2.0 * most;
+    return true;
+  }
+
+  /// Positions on a smooth path: the change of velocity between three measurements is an
+  /// acceleration of at most 30 m/s^2, beyond noise.
+  void check_smoothness(double time, const Vector3<Scalar>& position, double stddev) noexcept {
+    const double dt = time - last_time_;
+    if (smooth_ > 0 && !(dt > 1e-4 && dt < 2.5)) smooth_ = 0;
+    if (smooth_ > 0) {
+      const Vector3<Scalar> velocity = (position - last_) / Scalar(dt);
+      const double change = static_cast<double>((velocity - velocity_).norm());
+      const double most = 30.0 * (dt + last_step_) + 12.0 * stddev / std::min(dt, last_step_);
+      if (smooth_ > 1 && change > most) smooth_ = 0;
+      velocity_ = velocity;
+      last_step_ = dt;
+    }
+    if (smooth_ == 0) {
+      begin_ = position;
+      extent_ = 0.0;
+    }
+    extent_ = std::max(extent_, static_cast<double>((position - begin_).norm()));
+    ++smooth_;
+    last_ = position;
+    last_time_ = time;
+  }
+
+  PoseComparison<Scalar> first_ = {};  ///< of those that move like the IMU
+  Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();  ///< estimate -> first_
+  Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero(),
+                  begin_ = Vector3<Scalar>::Zero(), restarted_at_ = Vector3<Scalar>::Zero();
+  double first_time_ = 0.0, last_time_ = 0.0, last_step_ = 0.0, extent_ = 0.0;
+  double since_ = 0.0, last_distance_ = 0.0;
+  int gated_ = 0, count_ = 0, smooth_ = 0, used_ = 0;
+  bool moved_ = false, confirmed_ = true, inconsistent_ = false;
+};
+
+}  // namespace tilt_ropter::detail
