@@ -40,6 +40,14 @@ void set_variance(Covariance& p, int part, double stddev) noexcept {
   p.diagonal().template segment<3>(part).setConstant(Scalar(stddev * stddev));
 }
 
+/// Replaces the covariance of one part of the state: it does not depend on other parts any more.
+template <typename Covariance>
+void forget(Covariance& p, int part, double stddev) noexcept {
+  p.template middleRows<3>(part).setZero();
+  p.template middleCols<3>(part).setZero();
+  set_variance(p, part, stddev);
+}
+
 /// Sets the marker frame, relative to the IMU, to that of the settings.
 template <typename Scalar>
 void set_marker_frame(InertialState<Scalar>& x, const EkfSettings& settings) noexcept {
@@ -91,13 +99,38 @@ struct KnownAtStart {
   bool marker_frame = false;         ///< learned from poses that were used before
   bool biases_and_velocity = false;  ///< from before a gap
   double gap = 0.0;                  ///< its duration [s]
+  bool all_but_place = false;        ///< all except position and heading
 };
+
+/// Moves the estimate to a pose in another place, and turns it about the vertical.
+template <typename Scalar>
+void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) noexcept {
+  using I = InertialIndex;
+  InertialState<Scalar> x = filter.state();
+  const Eigen::Quaternion<Scalar> turn = quaternion_from_yaw(yaw_of(Eigen::Quaternion<Scalar>(
+      pose.orientation * (x.orientation * x.marker_orientation).conjugate())));
+  x.orientation = (turn * x.orientation).normalized();
+  x.velocity = turn * x.velocity;
+  x.position = pose.position - x.orientation * x.marker_position;
+  auto p = filter.covariance();
+  const Matrix3<Scalar> rotation = turn.toRotationMatrix();
+  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
+  p.template middleCols<3>(I::velocity) =
+      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
+  forget(p, I::position, 1.0);
+  // The heading is as good as the pose says; the tilt is kept.
+  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
+  filter.reset(x, p);
+  filter.update(pose);
+}
 
 /// Starts at the pose, with the known marker frame. The update from a much larger covariance sets
 /// the correlation between the pose and an uncertain marker frame.
 template <typename Scalar>
 void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose,
                    const KnownAtStart& known, const EkfSettings& settings) noexcept {
+  if (known.all_but_place) return relocate(filter, pose);
   using I = InertialIndex;
   using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
   InertialState<Scalar> x = filter.state();
@@ -119,10 +152,8 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
     x.velocity.setZero();
     x.gyro_bias = settings.gyro_bias.template cast<Scalar>();
     x.accelerometer_bias = settings.accelerometer_bias.template cast<Scalar>();
-    p.template block<6, 12>(I::gyro_bias, I::gyro_bias).setZero();
-    p.template block<12, 6>(I::gyro_bias, I::gyro_bias).setZero();
-    set_variance(p, I::gyro_bias, settings.gyro_bias_stddev);
-    set_variance(p, I::accelerometer_bias, settings.accelerometer_bias_stddev);
+    forget(p, I::gyro_bias, settings.gyro_bias_stddev);
+    forget(p, I::accelerometer_bias, settings.accelerometer_bias_stddev);
   }
   set_variance(p, I::position, 1.0);
   set_variance(p, I::orientation, 1.0);
@@ -131,50 +162,26 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
   filter.update(pose);
 }
 
-/// Moves and turns the estimate about the vertical, to a pose in another place.
-template <typename Scalar>
-void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) noexcept {
-  using I = InertialIndex;
-  using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
-  InertialState<Scalar> x = filter.state();
-  const Eigen::Quaternion<Scalar> turn = quaternion_from_yaw(yaw_of(Eigen::Quaternion<Scalar>(
-      pose.orientation * (x.orientation * x.marker_orientation).conjugate())));
-  x.orientation = (turn * x.orientation).normalized();
-  x.velocity = turn * x.velocity;
-  x.position = pose.position - x.orientation * x.marker_position;
-  Covariance p = filter.covariance();
-  const Matrix3<Scalar> rotation = turn.toRotationMatrix();
-  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
-  p.template middleCols<3>(I::velocity) =
-      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
-  p.template middleRows<3>(I::position).setZero();
-  p.template middleCols<3>(I::position).setZero();
-  set_variance(p, I::position, 1.0);
-  // The heading is as good as the pose says; the lean is kept.
-  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
-  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
-  filter.reset(x, p);
-  filter.update(pose);
+/// Difference of the first three rows of a measurement from a part of the state, world frame.
+template <typename Scalar, typename Measurement>
+[[nodiscard]] Vector3<Scalar> displacement(int part, const Measurement& at) noexcept {
+  return at.jacobian.template block<3, 3>(0, part).transpose() * at.residual.template head<3>();
 }
 
-/// Moves one part of the state, position or velocity, by `off` (world frame), to the measurement
-/// `at` that was refused there.
+/// Moves one part of the state, position or velocity, to the measurement `at`.
 template <typename Scalar, typename Measurement>
-void shift(ErrorStateFilter<Scalar>& filter, int part, const Vector3<Scalar>& off,
-           Measurement at) noexcept {
+void shift(ErrorStateFilter<Scalar>& filter, int part, Measurement at) noexcept {
   InertialState<Scalar> x = filter.state();
-  (part == InertialIndex::position ? x.position : x.velocity) += off;
-  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
-  p.template middleRows<3>(part).setZero();
-  p.template middleCols<3>(part).setZero();
-  set_variance(p, part, 1.0);
+  (part == InertialIndex::position ? x.position : x.velocity) += displacement<Scalar>(part, at);
+  auto p = filter.covariance();
+  forget(p, part, 1.0);
   filter.reset(x, p);
   at.residual.setZero();
   (void)filter.update(filter.innovation_of(at), at);
 }
 
-/// Goes on after `gap` [s] without IMU samples, during which the vehicle accelerated and turned in
-/// an unknown way. `angular_velocity`: after the gap, body frame [rad/s]. Returns false and changes
+/// Bridges `gap` [s] without IMU samples, during which the vehicle accelerated and turned in an
+/// unknown way. `angular_velocity`: after the gap, body frame [rad/s]. Returns false and changes
 /// nothing if the gap is so long that the attitude is lost.
 template <typename Scalar>
 [[nodiscard]] bool resume(ErrorStateFilter<Scalar>& filter, double gap,
@@ -188,7 +195,7 @@ template <typename Scalar>
   x.position += dt * x.velocity;
   x.orientation =
       (x.orientation * quaternion_exp(Vector3<Scalar>(dt * angular_velocity))).normalized();
-  typename ErrorStateFilter<Scalar>::Covariance p = filter.covariance();
+  auto p = filter.covariance();
   p.template middleRows<3>(I::position) += dt * p.template middleRows<3>(I::velocity);
   p.template middleCols<3>(I::position) += dt * p.template middleCols<3>(I::velocity);
   const auto add = [&p](int part, double stddev) {

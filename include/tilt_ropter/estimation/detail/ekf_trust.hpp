@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 /// How Ekf::trust() predicts its errors and judges them. Nothing here throws or allocates.
 namespace tilt_ropter::detail {
@@ -17,6 +18,12 @@ template <typename Covariance>
 [[nodiscard]] double largest_stddev(const Covariance& p, int part) noexcept {
   return std::sqrt(
       std::max(0.0, static_cast<double>(p.diagonal().template segment<3>(part).maxCoeff())));
+}
+
+/// Time since `then` [s], at least zero; infinite if it is not a number.
+[[nodiscard]] inline double age(double now, double then) noexcept {
+  if (std::isnan(now - then)) return std::numeric_limits<double>::infinity();
+  return std::max(now - then, 0.0);
 }
 
 /// Predicts the standard deviations of `t`, `dt` [s] after the time of the covariance `p`, by the

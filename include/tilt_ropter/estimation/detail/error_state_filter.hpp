@@ -130,6 +130,7 @@ struct MeasurementInnovation {
   /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if it overflows,
   /// or if rounding has made S indefinite.
   Scalar distance;
+  bool is_definite;  ///< S is positive definite
   /// P H', cross-covariance of the state's error and the residual.
   Eigen::Matrix<Scalar, InertialIndex::size, Rows> correlation;
 };
@@ -237,7 +238,8 @@ MeasurementInnovation<Scalar, Measurement::rows> ErrorStateFilter<Scalar>::innov
   at.add_noise(in.covariance);
   const auto factor = in.covariance.llt();
   in.distance = std::numeric_limits<Scalar>::max();
-  if (factor.info() != Eigen::Success) return in;
+  in.is_definite = factor.info() == Eigen::Success;
+  if (!in.is_definite) return in;
   const Scalar square = in.residual.dot(factor.solve(in.residual));
   if (square < in.distance) in.distance = square;  // huge residuals overflow
   return in;

@@ -14,7 +14,7 @@
 #include <type_traits>
 #include <utility>
 
-/// Detectors of faulty measurements, for Ekf: repetitions, wrong stamps, and series of
+/// Detectors of faulty measurements, for MeasurementGuard: repetitions, wrong stamps, and series of
 /// measurements that do not fit the estimate. Nothing here throws or allocates.
 namespace tilt_ropter::detail {
 

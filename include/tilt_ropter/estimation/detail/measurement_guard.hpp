@@ -1,0 +1,362 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <tilt_ropter/estimation/detail/delayed_filter.hpp>
+#include <tilt_ropter/estimation/detail/ekf_settings.hpp>
+#include <tilt_ropter/estimation/detail/ekf_start.hpp>
+#include <tilt_ropter/estimation/detail/ekf_trust.hpp>
+#include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/measurement_faults.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+/// Decides what Ekf does with each measurement and each IMU sample. Nothing here throws or
+/// allocates. Times are in the clock of the IMU [s].
+namespace tilt_ropter::detail {
+
+/// What Ekf does with a measurement or an IMU sample.
+enum class Action { use, wait, drop, restart };
+
+/// Decision about a measurement or an IMU sample.
+struct Verdict {
+  Action action = Action::use;
+  EkfStatus status = EkfStatus::updated;  ///< for the caller
+  bool clock_changed = false;             ///< measurements that wait have wrong stamps
+  KnownAtStart known = {};                ///< for a start or restart at a pose
+  bool needs_motion = false;              ///< a motion has to confirm the restart
+};
+
+/// A pose and the time between its stamp and its arrival [s].
+template <typename Scalar>
+struct ArrivedPose {
+  MarkerPose<Scalar> pose;
+  double lag;
+};
+
+/// Judges IMU samples and measurements at their arrival, by values and stamps: use, wait or drop.
+/// Judges measurements when the filter is at their time, by the innovation: use, drop or restart.
+template <typename Scalar>
+class MeasurementGuard {
+ public:
+  using Filter = DelayedFilter<Scalar>;
+
+  explicit MeasurementGuard(const EkfSettings& settings) noexcept : settings_(settings) {
+    last_used_.fill(never);
+  }
+
+  [[nodiscard]] Scalar nis() const noexcept { return nis_; }
+  [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
+  [[nodiscard]] const StampMonitor& stamps() const noexcept { return stamps_; }
+  /// Too few poses have confirmed the start.
+  [[nodiscard]] bool has_just_started() const noexcept { return used_since_start_ < 25; }
+
+  /// Judges an IMU sample. `restart`: it is the first one, or follows a gap, or the clock was set
+  /// back to late_since() (clock_changed).
+  Verdict on_imu(double time, const InertialSample<Scalar>& sample, const Filter& filter) noexcept {
+    if (!std::isfinite(time) || !within(sample.angular_velocity, 1e3) ||
+        !within(sample.specific_force, 1e5))
+      return {Action::drop, EkfStatus::rejected};
+    const double newest = filter.newest().time, pause = time - newest;
+    const bool has_imu = filter.has_imu(), is_late = has_imu && pause < 0.0;
+    if (has_imu && pause == 0.0) return {Action::drop, EkfStatus::duplicate};
+    if (is_late) {
+      // The clock was set back if several samples in a row are late but follow each other.
+      late_samples_ = late_samples_ > 0 && time <= late_time_ ? 1 : late_samples_ + 1;
+      if (late_samples_ == 1) late_since_ = time;
+      late_time_ = time;
+      if (late_samples_ < std::min(settings_.max_rejections, 5))
+        return {Action::drop, EkfStatus::late};
+    }
+    late_samples_ = 0;
+    repetitions_.on_imu(sample);
+    if (!has_imu) return {Action::restart};
+    if (!is_late && pause <= settings_.max_imu_gap) return {};
+    if (!is_late) return {Action::restart, EkfStatus::stopped};
+    for (double& last : last_used_) last += late_since_ - newest;
+    last_pose_ += late_since_ - newest;
+    full_restart_ += late_since_ - newest;
+    compared_ = never;
+    for (GateMonitor<Scalar>& gate : gates_) gate.clear();
+    constexpr bool clock_changed = true;
+    return {Action::restart, EkfStatus::stopped, clock_changed};
+  }
+  [[nodiscard]] double late_since() const noexcept { return late_since_; }
+
+  /// Judges a pose that arrives with this corrected stamp. `has_room`: it may wait.
+  Verdict on_pose(double stamp, const MarkerPose<Scalar>& pose, bool has_room,
+                  const Filter& filter) noexcept {
+    using std::abs;
+    if (!std::isfinite(stamp) || !within(pose.position, 1e6) ||
+        !(abs(pose.orientation.norm() - Scalar(1)) < Scalar(0.1)))
+      return drop(EkfStatus::rejected);
+    if (!filter.has_imu()) return drop(EkfStatus::early);
+    if (counts_.used > 0 && stamp == received_) return drop(EkfStatus::duplicate);
+    received_ = stamp;
+    faults_.poses_frozen = repetitions_.repeats(pose);
+    if (faults_.poses_frozen) return drop(EkfStatus::frozen);
+    stamps_.on_stamp(stamp);
+    const double newest = filter.newest().time;
+    const Verdict verdict = when(stamp, newest, has_room);
+    return verdict.action == Action::drop ? drop(verdict.status, newest - stamp) : verdict;
+  }
+
+  /// Judges another measurement that arrives.
+  template <typename Measurement>
+  Verdict on_measurement(double time, const Measurement& measurement, bool has_room,
+                         const Filter& filter) noexcept {
+    if (!std::isfinite(time)) return {Action::drop, EkfStatus::rejected};
+    if (!filter.has_imu()) return {Action::drop, EkfStatus::early};
+    if (const Vector3<Scalar>* value = vector_of<Scalar>(measurement)) {
+      const bool repeats = repetitions_.repeats(*value);
+      if (is_position(kind_of<Measurement>)) faults_.poses_frozen = repeats;
+      if (repeats) return {Action::drop, EkfStatus::frozen};
+    }
+    return when(time, filter.newest().time, has_room);
+  }
+
+  /// Judges a pose of this `time`, which the filter has reached unless the pose is late, by its
+  /// innovation at the state of the filter. After `use` or `restart` comes on_used().
+  Verdict judge(double time, const ArrivedPose<Scalar>& arrived,
+                const MeasurementInnovation<Scalar, 6>& innovation, const Filter& filter) noexcept {
+    if (time == compared_) return drop(EkfStatus::duplicate);
+    if (time < filter.time()) return drop(EkfStatus::late, arrived.lag);
+    compared_ = time;
+    // With such an attitude error an update is far from linear.
+    constexpr double linear = 0.3;  // [rad]
+    if (!filter.running()) return start(time, filter.stopped_at(), arrived.lag, filter);
+    if (largest_stddev(filter.filter().covariance(), InertialIndex::orientation) > linear)
+      return start(time, last_pose_, arrived.lag, filter);
+    GateMonitor<Scalar>& gate = gates_[0];
+    const PoseComparison<Scalar> c = compare(arrived.pose, filter);
+    const double small = std::max(0.1, 6.0 * c.noise);  // the controller can follow [m]
+    if (passes(innovation) && gate.accepts(time, c.distance, small, settings_.restart_time)) {
+      stamps_.on_used(arrived.lag);
+      ++used_since_start_;
+      return use(time, Verdict{});
+    }
+    if (filter.is_bridged()) return start(time, filter.stopped_at(), arrived.lag, filter);
+    gate.on_gated(time, c);
+    stamps_.on_displaced(offset_along_path(c, filter));
+    const int needed = settings_.max_rejections;
+    const bool is_displaced =
+        gate.moves_like_imu(time, needed, settings_) && gate.tilt() < Scalar(0.1);
+    const Scalar far(60);  // no valid pose has such a NIS
+    const bool start_was_wrong = has_just_started() && gate.is_confirmed() && nis_ > far &&
+                                 gate.smooth() >= std::min(5, needed);
+    const bool is_lost = time - last_pose_ >= settings_.full_restart_time && gate.is_confirmed() &&
+                         gate.smooth() >= needed && gate.extent() > 0.3;
+    if (!is_displaced && !start_was_wrong && !is_lost) return drop(EkfStatus::gated, arrived.lag);
+    Verdict verdict{Action::restart, EkfStatus::restarted};
+    verdict.known.all_but_place = is_displaced;
+    verdict.known.marker_frame = counts_.used > 0;
+    verdict.needs_motion = !start_was_wrong;
+    if (is_displaced) return use(time, verdict);
+    used_since_start_ = 0;
+    // If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
+    // or the last step of the poses' clock.
+    if (is_lost && last_pose_ - full_restart_ < settings_.full_restart_time) {
+      verdict.known.marker_frame = false;
+      verdict.clock_changed = stamps_.swap_clocks(arrived.lag, settings_.max_delay);
+    }
+    if (is_lost) full_restart_ = time;
+    return use(time, verdict);
+  }
+
+  /// Processes the `position` of the estimate [m] after a pose was used with this verdict.
+  void on_used(const Verdict& verdict, const Vector3<Scalar>& position) noexcept {
+    if (verdict.action == Action::use) return gates_[0].on_used(position);
+    if (verdict.needs_motion) return gates_[0].on_restart(position);
+    gates_[0].clear();
+  }
+
+  /// Judges another measurement, linearised at the state of the filter. If it is a position or a
+  /// velocity, `part` is that part of the state, and `restart` concerns it alone.
+  template <typename Linear>
+  Verdict judge(MeasurementKind kind, int part, const Linear& at,
+                const MeasurementInnovation<Scalar, Linear::rows>& innovation,
+                const Filter& filter) noexcept {
+    const bool is_likely = passes(innovation);
+    if constexpr (Linear::rows == 3 || Linear::rows == 6) {
+      constexpr bool is_pose = Linear::rows == 6;
+      GateMonitor<Scalar>& gate = gates_[is_pose ? 3 : is_position(kind) ? 1 : 2];
+      if (is_position(kind) || (kind == MeasurementKind::velocity && !is_pose))
+        return judge_series(filter.time(), kind, compare(part, at, filter), is_likely, gate);
+    }
+    return is_likely ? use(filter.time(), kind) : Verdict{Action::drop, EkfStatus::gated};
+  }
+
+  /// Processes a measurement that is too late or too early.
+  void on_mistimed(MeasurementKind kind) noexcept { faults_.poses_mistimed |= is_position(kind); }
+
+  /// Processes a start at `time` by other means than a measurement.
+  void on_start(double time) noexcept {
+    gates_ = {};
+    last_pose_ = time;
+    used_since_start_ = 0;
+  }
+
+  /// Ages of the measurements at `now`, and the faults of poses if the filter has `started`.
+  [[nodiscard]] EstimateTrust report(double now, bool started) const noexcept {
+    EstimateTrust t = started ? faults_ : EstimateTrust();
+    for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = age(now, last_used_[i]);
+    for (const GateMonitor<Scalar>& gate : gates_) t.unconfirmed |= !gate.is_confirmed();
+    return t;
+  }
+
+ private:
+  static constexpr double infinity = std::numeric_limits<double>::infinity(), never = -infinity;
+
+  static constexpr bool is_position(MeasurementKind kind) noexcept {
+    return kind == MeasurementKind::pose || kind == MeasurementKind::position;
+  }
+  static bool within(const Vector3<Scalar>& v, double limit) noexcept {
+    return all_finite(v) && v.cwiseAbs().maxCoeff() <= Scalar(limit);
+  }
+  static double velocity_stddev(const Filter& filter) noexcept {
+    return std::min(0.3, largest_stddev(filter.filter().covariance(), InertialIndex::velocity));
+  }
+
+  /// Judges the time of a measurement.
+  [[nodiscard]] Verdict when(double time, double newest, bool has_room) const noexcept {
+    if (time <= newest - settings_.fusion_delay) return {};
+    if (time > newest + settings_.max_delay || !has_room) return {Action::drop, EkfStatus::early};
+    return {Action::wait, EkfStatus::waiting};
+  }
+
+  /// Compares the NIS with the gate, which has the same probability for any number of rows.
+  template <int Rows>
+  bool passes(const MeasurementInnovation<Scalar, Rows>& innovation) noexcept {
+    constexpr std::array<double, 6> quantile = {15.14, 18.42, 21.11, 23.51, 25.74, 27.86};
+    nis_ = innovation.distance;
+    return innovation.is_definite &&
+           nis_ <= Scalar(settings_.gate * quantile[Rows - 1] / quantile[5]);
+  }
+
+  /// Drops a pose. With its `lag` [s], corrects the clock if all poses have arrived alike.
+  Verdict drop(EkfStatus status) noexcept {
+    ++(status == EkfStatus::gated ? counts_.gated : counts_.unused);
+    if (status == EkfStatus::frozen) ++counts_.frozen;
+    return {Action::drop, status};
+  }
+  Verdict drop(EkfStatus status, double lag) noexcept {
+    (status == EkfStatus::gated ? faults_.poses_gated : faults_.poses_mistimed) = true;
+    Verdict verdict = drop(status);
+    verdict.clock_changed = stamps_.on_unused(lag, settings_.max_rejections);
+    if (!verdict.clock_changed) return verdict;
+    ++counts_.clock_steps;
+    gates_[0].clear();
+    return verdict;
+  }
+
+  /// Judges a position, velocity or pose after the series of gated ones before it.
+  Verdict judge_series(double time, MeasurementKind kind, const PoseComparison<Scalar>& c,
+                       bool is_likely, GateMonitor<Scalar>& gate) noexcept {
+    if (is_likely && gate.accepts(time, c.distance, 6.0 * c.noise, settings_.restart_time)) {
+      gate.on_used(c.predicted.position);
+      return use(time, kind);
+    }
+    gate.on_gated(time, c);
+    faults_.poses_gated |= is_position(kind);
+    if (!gate.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
+        !(c.measured.orientation.angularDistance(c.predicted.orientation) < Scalar(0.1)))
+      return {Action::drop, EkfStatus::gated};
+    gate.on_restart(c.predicted.position);
+    use(time, kind);
+    return {Action::restart, EkfStatus::restarted};
+  }
+
+  Verdict use(double time, MeasurementKind kind) noexcept {
+    last_used_[static_cast<std::size_t>(kind)] = time;
+    if (is_position(kind)) faults_.poses_gated = faults_.poses_mistimed = false;
+    return {};
+  }
+  /// Uses a pose.
+  Verdict use(double time, const Verdict& verdict) noexcept {
+    if (verdict.status == EkfStatus::restarted) ++counts_.restarts;
+    ++counts_.used;
+    last_pose_ = time;
+    use(time, MeasurementKind::pose);
+    return verdict;
+  }
+  /// Starts or restarts at a pose. The estimate is that of the time `since`.
+  Verdict start(double time, double since, double lag, const Filter& filter) noexcept {
+    Verdict verdict{Action::restart, EkfStatus::started};
+    if (filter.started()) verdict.status = EkfStatus::restarted;
+    // After a long series of gated poses on a smooth path, the velocity or the biases are wrong.
+    const bool is_wrong = gates_[0].smooth() >= settings_.max_rejections;
+    verdict.known = {counts_.used > 0, filter.started() && !is_wrong, time - since};
+    stamps_.on_used(lag);
+    used_since_start_ = 0;
+    return use(time, verdict);
+  }
+
+  PoseComparison<Scalar> compare(const MarkerPose<Scalar>& pose,
+                                 const Filter& filter) const noexcept {
+    const InertialState<Scalar>& x = filter.filter().state();
+    const MarkerPose<Scalar> here{x.position + x.orientation * x.marker_position,
+                                  x.orientation * x.marker_orientation};
+    const auto distance =
+        (pose.position - here.position).norm() + pose.orientation.angularDistance(here.orientation);
+    const double jitter = static_cast<double>(x.velocity.norm()) * stamps_.stddev(),
+                 noise = std::hypot(settings_.pose_noise.position, jitter);
+    return {pose, here, static_cast<double>(distance), noise, velocity_stddev(filter)};
+  }
+  template <typename Linear>
+  static PoseComparison<Scalar> compare(int part, const Linear& at, const Filter& filter) noexcept {
+    using std::sqrt;
+    const bool is_place = part == InertialIndex::position;
+    const InertialState<Scalar>& x = filter.filter().state();
+    const MarkerPose<Scalar> here{is_place ? x.position : x.velocity};
+    const Vector3<Scalar> off = displacement<Scalar>(part, at);
+    MarkerPose<Scalar> there{here.position + off};
+    if constexpr (Linear::rows == 6)
+      there.orientation = quaternion_exp(Vector3<Scalar>(
+          x.orientation *
+          (at.jacobian.template block<3, 3>(3, InertialIndex::orientation).transpose() *
+           at.residual.template tail<3>())));
+    const auto noise = sqrt(at.noise.diagonal().template head<3>().maxCoeff());
+    // Error by tilt and bias [m/s^2]: the filter restarts at velocities only after a motion.
+    constexpr double acceleration = 0.3;
+    return {there, here, static_cast<double>(off.norm()), static_cast<double>(noise),
+            is_place ? velocity_stddev(filter) : acceleration};
+  }
+
+  /// Time [s] by which a pose is ahead of the estimate, along the estimate's path. Infinite if it
+  /// is not on the path, within the noise, or if the marker hardly moves.
+  static double offset_along_path(const PoseComparison<Scalar>& c, const Filter& filter) noexcept {
+    const InertialState<Scalar>& x = filter.filter().state();
+    const Vector3<Scalar> velocity =
+                              x.velocity + x.orientation * filter.rate().cross(x.marker_position),
+                          off = c.measured.position - c.predicted.position;
+    const Scalar square = velocity.squaredNorm();
+    if (!(square > Scalar(0.25))) return infinity;
+    const Scalar ahead = off.dot(velocity) / square;
+    const bool on_path = (off - ahead * velocity).norm() <= Scalar(6.0 * c.noise + 0.01);
+    return on_path ? static_cast<double>(ahead) : infinity;
+  }
+
+  EkfSettings settings_;
+  EkfCounts counts_;
+  RepetitionDetector<Scalar> repetitions_;
+  StampMonitor stamps_;
+  std::array<GateMonitor<Scalar>, 4> gates_;  ///< of on_pose(), positions, velocities, poses
+  std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_;
+  EstimateTrust faults_;                       ///< what happened to poses and positions
+  double received_ = 0.0;                      ///< stamp of the last pose that arrived
+  double compared_ = never;                    ///< time of the last pose compared
+  double last_pose_ = 0.0;                     ///< time of the last pose used
+  double full_restart_ = never;                ///< time of the last restart after full_restart_time
+  double late_time_ = 0.0, late_since_ = 0.0;  ///< of the last and the first late IMU sample
+  int late_samples_ = 0;                       ///< consecutive
+  int used_since_start_ = 0;                   ///< poses
+  Scalar nis_ = Scalar(0);
+};
+
+}  // namespace tilt_ropter::detail
