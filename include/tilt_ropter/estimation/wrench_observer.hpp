@@ -132,8 +132,9 @@ struct WrenchMeans {
   Sum external, raw;
 };
 
-/// Nothing if there was no sample between the two values. The vibration of a rotor is aliased in a
-/// single sample, and cancels in a mean.
+/// Returns the means between two values of one observer, at the CoM, in the body frame [N; N m];
+/// nothing if there was no sample between them. The vibration of a rotor is aliased in a single
+/// sample, and cancels in a mean.
 template <typename Scalar>
 [[nodiscard]] auto means_between(const ObservedWrench<Scalar>& before,
                                  const ObservedWrench<Scalar>& now) noexcept {
