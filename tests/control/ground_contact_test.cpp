@@ -90,12 +90,14 @@ TEST(GroundContact, OnSlopeTheLocalGroundHeightCounts) {
 TEST(GroundContact, DrivesOnGroundThatIsLowerThanPlanned) {
   GroundContactSettings settings;
   settings.planned_height = 0.0;
-  const ContactEstimate contact = standing_at(-0.5);
+  ContactEstimate contact = standing_at(-0.5);
   EXPECT_TRUE(
       axle_with(settings).is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(0.11)));
   EXPECT_FALSE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(0.11)));
   EXPECT_DOUBLE_EQ(node_of(contact, at_height(0.11), -0.39, 0.0, settings).reference.position.z(),
                    -0.39);
+  contact.planned_height = 0.0;  // the contact estimate says the same
+  EXPECT_TRUE(axle_with().is_ground_reference(contact, Eigen::Vector3d::Zero(), at_height(0.11)));
 }
 
 TEST(GroundContact, HoldsVerticalAndRollAndGivesForcesAlongTheGround) {

@@ -24,6 +24,18 @@ namespace tilt_ropter {
 /// vehicle that is carried is on the ground, at any height. A vehicle that is not carried is in the
 /// air when it leaves the place where it was carried.
 ///
+/// The load has two witnesses. The accelerometer feels it: external force upward. The motion shows
+/// it: the change of the vertical velocity, which poses correct, against weight and applied
+/// force. An accelerometer that lies, for example about the vibration of a rotor, feels ground in
+/// mid-air; therefore both must agree, except near the expected ground. Where they contradict each
+/// other for longer than vibration lasts, the disturbance follows the motion. A wrench from another
+/// source (ObservedWrench::applied is unknown) has no second witness.
+///
+/// A vehicle that starts more than 0.3 m above the assumed ground, but feels its weight carried, is
+/// taken for one whose rotors turn unknown to the actuator model, as after a take-over from another
+/// controller: it is in the air, and the disturbance is zero until model and observer have settled
+/// (0.5 s). To start on a table, give its height as the assumed ground.
+///
 /// The ground is a plane through the lowest points of wheels or feet. Its height follows these
 /// points while they carry the vehicle. Its slope follows lines that lie in the plane: the axle and
 /// the direction in which the vehicle rolls. If the undercarriage does not pitch, body x is a third
@@ -35,6 +47,10 @@ namespace tilt_ropter {
 /// missing in the air (a heavy vehicle, weak rotors). Freely turning wheels on one axle give no
 /// pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the air, and its
 /// whole external wrench is a disturbance.
+///
+/// The disturbance has limits, because the reaction of a wall is a disturbance to this estimator,
+/// too, and must not wind up: 0.3 weights sideways, one upward or downward, and 0.03 m times the
+/// weight as a torque. ContactEstimate::limited says when it was cut.
 ///
 /// The observer is a filter. After take-off its output still contains a decaying part of the
 /// ground's wrench. This part is known and is subtracted. Does not allocate. Only the constructor
@@ -55,6 +71,7 @@ class ContactEstimator {
             "finite, or -infinity");
     estimate_ = in_the_air({});
     if (undercarriage) estimate_.ground = assumed_ground;
+    assumed_ground_ = estimate_.ground;
   }
   template <int Rotors>
   explicit ContactEstimator(const Vehicle<Rotors>& vehicle, const GroundPlane& assumed_ground = {})
@@ -81,11 +98,21 @@ class ContactEstimator {
     body.orientation.normalize();
     double dt = started_ ? time - time_ : 0.0;
     if (started_ && dt <= 0.0 && !clock_was_set_back(time, time_)) return estimate_;
+    dt = std::max(dt, 0.0);
     estimate_.external = external;
-    if (undercarriage_)
-      decide(body, means->raw, observed, std::max(dt, 0.0));
+    judge(body, means->raw, observed.applied, dt);
+    const bool starts_carried = !started_ && lift_ > carried_load * weight_;
+    if (starts_carried && !(clearance_of(body) < start_height)) settling_ = settling_time;
+    settling_ = std::max(0.0, settling_ - dt);
+    if (settling_ > 0.0)
+      estimate_.disturbance = {};
+    else if (undercarriage_)
+      decide(body, starts_carried, observed, dt);
     else
       estimate_.disturbance = external;
+    if (settling_ == 0.0 && !estimate_.on_ground)
+      estimate_.disturbance.force += body.orientation.conjugate() * unfelt();
+    limit(body);
     started_ = true;
     time_ = time;
     return estimate_;
@@ -94,6 +121,12 @@ class ContactEstimator {
   [[nodiscard]] const ContactEstimate& estimate() const noexcept { return estimate_; }
   /// Number of changes between air and ground after the first update.
   [[nodiscard]] int mode_changes() const noexcept { return mode_changes_; }
+  /// Time for which the ground has carried the vehicle without a break by both witnesses [s].
+  [[nodiscard]] double standing_for() const noexcept { return standing_for_; }
+  /// Upward external force that the accelerometer feels, mean over 0.1 s [N].
+  [[nodiscard]] double felt_load() const noexcept { return felt_.z(); }
+  /// The same by the motion; felt_load() if the applied wrench is unknown [N].
+  [[nodiscard]] double load_by_motion() const noexcept { return moved_.z(); }
 
  private:
   // The load is the upward external force (lift) minus the lift that the air gives.
@@ -118,6 +151,19 @@ class ContactEstimator {
   // because its height may only be overestimated.
   static constexpr double search_depth = 0.25;
   static constexpr double load_time = 0.01;  // time constant of the load's average [s]
+  // Time constant of the comparison of felt and moved force [s]. The noise of a filter's velocity
+  // must cancel within it.
+  static constexpr double motion_time = 0.1;
+  // Difference of both that counts as noise, as a fraction of the weight.
+  static constexpr double agreement = 0.1;
+  // A vehicle that starts carried this high above the assumed ground is in the air [m].
+  static constexpr double start_height = 0.3;
+  // Until the actuator model follows the commands, and the observer has forgotten the start [s].
+  static constexpr double settling_time = 0.5;
+  // Distance of the true from the assumed ground up to which references were planned for it [m].
+  static constexpr double planned_reach = 0.6;
+  // Largest disturbance, as a fraction of the weight; the torque's has an arm [m].
+  static constexpr double most_sideways = 0.3, most_vertical = 1.0, most_arm = 0.03;
   // Time constant of the average of the wrench in the air, which is kept on the ground [s].
   static constexpr double air_time = 0.5;
   // Time constant of the average of the ground's height [s].
@@ -127,12 +173,61 @@ class ContactEstimator {
   // Largest slope of the ground; a steeper estimate is ignored.
   static constexpr double max_slope = 0.5;
 
-  // Air or ground, for a vehicle with an undercarriage. `raw` is the mean wrench since the last
-  // update without the lag of the observer's filter.
-  void decide(const BodyStated& body, const Wrenchd& raw, const ObservedWrenchd& observed,
+  // Asks both witnesses. `raw` is the mean external wrench since the last update without the lag
+  // of the observer's filter.
+  void judge(const BodyStated& body, const Wrenchd& raw, const std::optional<Wrenchd>& applied,
+             double dt) noexcept {
+    const Eigen::Vector3d felt = body.orientation * raw.force;
+    const Eigen::Vector3d thrust =
+        applied ? body.orientation * applied->force : Eigen::Vector3d::Zero();
+    lift_ += (started_ ? fraction(dt, load_time) : 1.0) * (felt.z() - lift_);
+    // A state that jumps has not moved.
+    const bool jumped = !((body.velocity - velocity_).norm() < 0.3 + 50.0 * dt);
+    if (!started_ || jumped) {
+      if (!started_) felt_ = felt, thrust_ = thrust;
+      slow_velocity_ =
+          body.velocity - (started_ ? Eigen::Vector3d(velocity_ - slow_velocity_)
+                                    : motion_time / body_mass() *
+                                          (felt + thrust - weight_ * Eigen::Vector3d::UnitZ()));
+    }
+    velocity_ = body.velocity;
+    const double part = fraction(dt, motion_time);
+    felt_ += part * (felt - felt_);
+    thrust_ += part * (thrust - thrust_);
+    slow_velocity_ += part * (body.velocity - slow_velocity_);
+    moved_ = felt_;
+    if (!applied) return;
+    moved_ = body_mass() / motion_time * (body.velocity - slow_velocity_) - thrust_;
+    moved_.z() += weight_;
+  }
+
+  [[nodiscard]] double body_mass() const noexcept { return weight_ / gravity; }
+
+  // External force that the accelerometer does not feel, beyond what is noise; world frame [N].
+  [[nodiscard]] Eigen::Vector3d unfelt() const noexcept {
+    const Eigen::Vector3d difference = moved_ - felt_;
+    const double size = difference.norm(), noise = agreement * weight_;
+    return size > noise ? (difference * (1.0 - noise / size)).eval() : Eigen::Vector3d::Zero();
+  }
+
+  void limit(const BodyStated& body) noexcept {
+    Wrenchd& d = estimate_.disturbance;
+    Eigen::Vector3d force = body.orientation * d.force;
+    const double side = force.head<2>().norm(), turn = d.torque.norm();
+    const double side_limit = most_sideways * weight_, turn_limit = most_arm * weight_;
+    estimate_.limited =
+        side > side_limit || turn > turn_limit || std::abs(force.z()) > most_vertical * weight_;
+    if (!estimate_.limited) return;
+    if (side > side_limit) force.head<2>() *= side_limit / side;
+    force.z() = std::clamp(force.z(), -most_vertical * weight_, most_vertical * weight_);
+    d.force = body.orientation.conjugate() * force;
+    if (turn > turn_limit) d.torque *= turn_limit / turn;
+  }
+
+  // Air or ground, for a vehicle with an undercarriage.
+  void decide(const BodyStated& body, bool starts_carried, const ObservedWrenchd& observed,
               double dt) noexcept {
     const Wrenchd& external = estimate_.external;
-    lift_ += (started_ ? fraction(dt, load_time) : 1.0) * (lift_of(raw, body) - lift_);
     const double clearance = clearance_of(body);
     const bool was_on_ground = estimate_.on_ground;
     if (was_on_ground) {
@@ -141,8 +236,9 @@ class ContactEstimator {
       fade(left_over_, observed, dt);
       estimate_.disturbance = {external.force - left_over_.force,
                                external.torque - left_over_.torque};
-      fly(body, clearance, dt);
+      fly(body, starts_carried, clearance, dt);
     }
+    if (!estimate_.on_ground) standing_for_ = 0.0;
     if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
     if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
     split(external, body.orientation);
@@ -159,13 +255,14 @@ class ContactEstimator {
   }
 
   // Update in the air, until a load indicates contact.
-  void fly(const BodyStated& body, double clearance, double dt) noexcept {
-    const double load = lift_ - air_lift_, rising = rising_of(body);
+  void fly(const BodyStated& body, bool starts_carried, double clearance, double dt) noexcept {
+    const double load = lift_ + unfelt().z() - air_lift_, rising = rising_of(body);
     const bool near = std::abs(clearance) < leave_height;
     const double enough = (near ? near_load : far_load) * weight_;
-    // The velocity of a filter that has just started is uncertain, but such a load is not.
-    const bool starts_carried = !started_ && load > carried_load * weight_;
-    if (starts_carried || (load > enough && rising < 0.1)) {
+    const bool moves_carried = near || moved_.z() - air_lift_ > 0.5 * enough;
+    // The velocity of a filter that has just started is uncertain, but a start with the load of
+    // the ground is not.
+    if (starts_carried || (load > enough && moves_carried && rising < 0.1)) {
       estimate_.on_ground = estimate_.ground_known = true;
       unloaded_for_ = 0.0;
       if (!near) estimate_.ground.slope.setZero();
@@ -191,11 +288,16 @@ class ContactEstimator {
     // The ground only pushes, and freely turning wheels give no pitch torque. A wrench that was
     // sideways in the air may be vertical now: its lift has to stay possible, or the vehicle would
     // seem carried wherever it is.
-    const double air = lift_of(air_, body);
-    if (lift_ < air || possible(air) != air) set_air_lift(std::min(lift_, air), body);
+    const double air = lift_of(air_, body), lift = lift_ + unfelt().z();
+    if (lift < air || possible(air) != air) set_air_lift(std::min(lift, air), body);
     if (undercarriage_->pitches) air_.torque.y() = estimate_.external.torque.y();
-    if (lift_ - lift_of(air_, body) > carried_load * weight_) {
+    const double missing = lift_of(air_, body), enough = carried_load * weight_;
+    const bool carried = lift - missing > enough;
+    standing_for_ = carried && moved_.z() - missing > enough ? standing_for_ + dt : 0.0;
+    if (carried && moved_.z() - missing > 0.5 * enough) {
       unloaded_for_ = 0.0;
+      if (std::abs(assumed_ground_.height - estimate_.ground.height) < planned_reach)
+        estimate_.planned_height = assumed_ground_.height;
       place_ground(body, fraction(dt, ground_time));
       learn_slope(body, fraction(dt, slope_time));
       return;
@@ -302,11 +404,17 @@ class ContactEstimator {
 
   double weight_;
   std::optional<Undercarriage> undercarriage_;
+  GroundPlane assumed_ground_;
   ContactEstimate estimate_;
   Wrenchd air_;               // average wrench in the air; kept on the ground
   Wrenchd left_over_;         // ground's part that remains in the observer's output
   ObservedWrenchd observed_;  // at the last update
+  // World frame, all averaged over motion_time but the first: velocity, force of the actuators, and
+  // the external force as felt and as the motion shows it.
+  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero(), slow_velocity_ = velocity_;
+  Eigen::Vector3d thrust_ = velocity_, felt_ = velocity_, moved_ = velocity_;
   double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
+  double settling_ = 0.0, standing_for_ = 0.0;  // [s]
   int mode_changes_ = 0;
   bool started_ = false;
 };

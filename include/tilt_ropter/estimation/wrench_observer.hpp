@@ -27,10 +27,10 @@ struct WrenchObserverSettings {
   Eigen::Vector3d torque_bandwidth{15.0, 15.0, 15.0};          ///< K_m, torque bandwidth [1/s]
   Eigen::Vector3d force_dead_band = Eigen::Vector3d::Zero();   ///< subtracted from the size [N]
   Eigen::Vector3d torque_dead_band = Eigen::Vector3d::Zero();  ///< subtracted from the size [N m]
-  Eigen::Vector3d force_limit = Eigen::Vector3d::Constant(
-      std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N]
-  Eigen::Vector3d torque_limit = Eigen::Vector3d::Constant(
-      std::numeric_limits<double>::infinity());  ///< largest magnitude, may be infinite [N m]
+  /// Largest magnitude [N]. Infinite: three times the weight, which only an impact exceeds.
+  Eigen::Vector3d force_limit = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
+  /// Largest magnitude [N m]. Infinite: three times the weight at one metre.
+  Eigen::Vector3d torque_limit = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
   double max_gap = 0.1;  ///< longest time between samples without a restart [s]
   static constexpr double min_calibration_time = 1.0;  ///< shortest valid calibration [s]
   /// Largest standard deviation of a calibration's blocks [N].
@@ -106,6 +106,9 @@ struct ObservedWrench {
   /// From the last sample alone, without filter, dead band and limits, with all its noise. The
   /// torque needs two samples and is zero after the first one.
   Wrench<Scalar> raw;
+  /// The wrench of the actuators that update() was told with the last sample; nothing from another
+  /// source of external wrenches.
+  std::optional<Wrench<Scalar>> applied;
   Sum external_sum, raw_sum;  ///< integrals over the intervals of all samples [N s; N m s]
   double duration = 0.0;      ///< sum of these intervals [s]
   /// Bandwidths of the filter of `external` [1/s].
@@ -165,6 +168,7 @@ template <typename Scalar>
   next.trust = WrenchTrust::trusted;
   next.time = time;
   next.external = next.raw = external;
+  next.applied.reset();
   if (follows) next.add_to_sums(dt);
   return next;
 }
@@ -330,6 +334,9 @@ WrenchObserver<Scalar>::WrenchObserver(const RigidBodyParameters& body,
   validate(body);
   mass_ = Scalar(body.mass);
   inertia_ = body.inertia.cast<Scalar>();
+  const double most = 3.0 * body.mass * gravity;
+  settings_.force_limit = settings.force_limit.cwiseMin(most);
+  settings_.torque_limit = settings.torque_limit.cwiseMin(most);
   settling_time_ =
       3.0 / std::min(settings.force_bandwidth.minCoeff(), settings.torque_bandwidth.minCoeff());
   observed_.force_bandwidth = settings.force_bandwidth;
@@ -347,6 +354,7 @@ const ObservedWrench<Scalar>& WrenchObserver<Scalar>::update(
     return observed_;
   const double dt = time - observed_.time;
   if (!started_ || std::abs(dt) > longest_gap()) {
+    observed_.applied = applied;
     observed_.status = started_ ? ObserverStatus::gap : ObserverStatus::started;
     started_ = true;
     observed_.time = settling_since_ = time;
@@ -366,6 +374,7 @@ const ObservedWrench<Scalar>& WrenchObserver<Scalar>::update(
   if (!within(residual, 1e30)) return observed_;  // dt was almost zero
   observed_.status = ObserverStatus::updated;
   observed_.time = time;
+  observed_.applied = applied;
   angular_velocity_ = angular_velocity;
   observed_.raw = {residual.force - offset_.force, residual.torque - offset_.torque};
   filtered_.force +=

@@ -47,6 +47,10 @@ struct ContactEstimate {
   bool on_ground = false;     ///< the ground carries part of the weight, or did so recently
   bool ground_known = false;  ///< `ground` is measured or given; false: assumed or unknown
   GroundPlane ground;         ///< height -infinity: no ground
+  /// Height of the ground for which references are planned, if the vehicle has stood near it [m]. A
+  /// reference on this ground counts as on the ground, also where the true ground is lower.
+  double planned_height = -std::numeric_limits<double>::infinity();
+  bool limited = false;  ///< `disturbance` was cut to what a vehicle of this weight can carry
   /// In the air: the external wrench. On the ground: the external wrench that would act if the
   /// vehicle left the ground.
   Wrenchd disturbance;
@@ -75,7 +79,8 @@ struct ContactEstimate {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
          is_finite(e.external) && std::isfinite(e.ground.slope.x()) &&
          std::isfinite(e.ground.slope.y()) &&
-         e.ground.height < std::numeric_limits<double>::infinity();
+         e.ground.height < std::numeric_limits<double>::infinity() &&
+         e.planned_height < std::numeric_limits<double>::infinity();
 }
 
 }  // namespace tilt_ropter

@@ -204,7 +204,8 @@ class GroundContact {
   // `position`.
   [[nodiscard]] double expected(const ContactEstimate& contact,
                                 const Eigen::Vector3d& position) const noexcept {
-    return std::max(settings_.planned_height, contact.ground.height_at(position));
+    return std::max(
+        {settings_.planned_height, contact.planned_height, contact.ground.height_at(position)});
   }
 
   // The reference descends to the expected ground with decreasing speed, then continues with
