@@ -115,14 +115,14 @@ class Ros2Node {
     s.reference = reference_.point;
     s.actuators = controller_.applied();
     s.contact = controller_.contact().estimate();
-    s.estimate = to_string(controller_.trust().state);
+    s.estimate = tilt_ropter::to_string(controller_.trust().state);
     s.planned = has_plan(controller_.result().status);
-    s.mode = silent_ ? "silent" : to_string(controller_.mode());
+    s.mode = silent_ ? "silent" : examples::to_string(controller_.mode());
     s.level = silent_ || controller_.mode() == FlightMode::landing ||
                       controller_.mode() == FlightMode::stopped
                   ? Level::error
-              : controller_.mode() == FlightMode::hold || !s.planned ? Level::warning
-                                                                     : Level::ok;
+              : controller_.mode() != FlightMode::mission || !s.planned ? Level::warning
+                                                                        : Level::ok;
     return s;
   }
 
@@ -137,25 +137,6 @@ class Ros2Node {
                     parameters.number("orientation_noise", 3e-3)};
     s.clock_offset = parameters.number("pose_clock_offset", 0.0);
     return s;
-  }
-
-  static const char* to_string(examples::FlightMode mode) {
-    switch (mode) {
-      case examples::FlightMode::mission:
-        return "mission";
-      case examples::FlightMode::hold:
-        return "hold";
-      case examples::FlightMode::landing:
-        return "landing";
-      case examples::FlightMode::emergency:
-        return "emergency";
-      case examples::FlightMode::stopped:
-        break;
-    }
-    return "stopped";
-  }
-  static const char* to_string(tilt_ropter::EstimateState state) {
-    return tilt_ropter::to_string(state);
   }
 
   examples::VehicleFile file_;

@@ -151,7 +151,7 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
   else if (mode_ == FlightMode::landing)
     settle_at(after_failure_.ground.settling_speed);
   mode_ = mode;
-  mode_since_ = carried_since_ = time;
+  mode_since_ = bad_until_ = time;
   const BodyStated body = ekf_.state();
   held_ = {};
   held_.position = body.position;
@@ -161,11 +161,55 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
   sink_to_ = contact_.estimate().ground.height_at(body.position);
 }
 
+// Another controller has flown until now. What turns is not known: about hover is the best guess.
 template <int Rotors>
-void FlightController<Rotors>::choose_mode(double time) {
+void FlightController<Rotors>::start_in_the_air(double time) {
+  sent_ = {};
+  sent_.command = lift(vehicle_.body.mass * gravity);
+  actuators_.reset(sent_.command, time);
+  observer_.reset();
+  observed_ = observer_.observed();
+  contact_ = ContactEstimator(vehicle_);
+  contact_.update(time, ekf_.state(), observed_);
+  starts_in_air_ = true;
+  begin(FlightMode::hold, time);
+}
+
+// The polynomial's largest speed and acceleration stay below these values.
+template <int Rotors>
+void FlightController<Rotors>::return_to(const ReferencePoint& point, double time) {
+  constexpr double fastest = 1.5, turning = 0.5, hardest = 1.0;  // [m/s], [rad/s], [m/s^2]
+  const ReferencePoint now = stand_in(time);
+  way_ = now.position - point.position;
+  turn_ = std::remainder(yaw_of(now.orientation) - yaw_of(point.orientation), 2.0 * pi);
+  const double far = way_.norm();
+  way_time_ = std::max({1.0, 1.875 * far / fastest, std::sqrt(5.774 * far / hardest),
+                        1.875 * std::abs(turn_) / turning});
+  starts_in_air_ = false;
+  mode_ = FlightMode::returning;
+  mode_since_ = time;
+}
+
+// The reference plus an offset that fades with a polynomial of fifth order.
+template <int Rotors>
+ReferencePoint FlightController<Rotors>::on_way_back(ReferencePoint point, double time) const {
+  const double u = std::clamp((time - mode_since_) / way_time_, 0.0, 1.0), rest = 1.0 - u;
+  const double left = rest * rest * rest * (1.0 + 3.0 * u + 6.0 * u * u);
+  const double rate = -30.0 * u * u * rest * rest / way_time_;
+  const double change = -60.0 * u * rest * (1.0 - 2.0 * u) / (way_time_ * way_time_);
+  point.position += left * way_;
+  point.velocity += rate * way_;
+  point.acceleration += change * way_;
+  point.orientation = quaternion_from_yaw(left * turn_) * point.orientation;
+  point.angular_velocity += point.orientation.conjugate() * Eigen::Vector3d(0.0, 0.0, rate * turn_);
+  return point;
+}
+
+template <int Rotors>
+void FlightController<Rotors>::choose_mode(double time, const Reference& reference) {
   if (clock_was_set_back(time, time_)) {
     mode_since_ += time - time_;
-    carried_since_ += time - time_;
+    bad_until_ += time - time_;
   }
   const double passed = time - time_;
   time_ = time;
@@ -180,16 +224,24 @@ void FlightController<Rotors>::choose_mode(double time) {
     go_on_without(detector_.failure(), time);
     begin(FlightMode::emergency, time);
   }
+  if (!is_good) bad_until_ = time;
+  const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
   switch (mode_) {
     case FlightMode::mission:
+    case FlightMode::returning:
     case FlightMode::hold:
       // Who holds for long does not know where.
       if (lost || (mode_ == FlightMode::hold && time - mode_since_ > longest_hold))
         begin(FlightMode::landing, time);
-      else if ((trust_.state == EstimateState::degraded && mode_ == FlightMode::mission) ||
+      else if ((trust_.state == EstimateState::degraded && follows) ||
                (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground))
         begin(FlightMode::hold, time);
-      else if (is_good && mode_ == FlightMode::hold)
+      else if (mode_ == FlightMode::hold && starts_in_air_ &&
+               vertical_stddev(InertialIndex::velocity) > 0.03)
+        begin(FlightMode::hold, time);  // where it is now: the first velocity is a guess
+      else if (mode_ == FlightMode::hold && time - bad_until_ > good_for)
+        return_to(reference(time), time);
+      else if (mode_ == FlightMode::returning && time - mode_since_ > way_time_)
         mode_ = FlightMode::mission;
       break;
     case FlightMode::emergency:
@@ -197,29 +249,32 @@ void FlightController<Rotors>::choose_mode(double time) {
       if (mode_ == FlightMode::landing) sink(passed);
       constexpr double settled = 0.3;  // on the ground for this time [s]
       const bool falls = mode_ == FlightMode::emergency && ekf_.state().velocity.norm() > 0.5;
-      if (!contact_.estimate().on_ground || falls) carried_since_ = time;
-      if (time - carried_since_ > settled)
+      if (contact_.standing_for() > settled && !falls)
         mode_ = FlightMode::stopped;
       else if (mode_ == FlightMode::emergency && lost)
         begin(FlightMode::landing, time);
-      else if (mode_ == FlightMode::landing && is_good)
-        begin(failed ? FlightMode::emergency : FlightMode::hold, time);
+      else if (mode_ == FlightMode::landing && is_good && failed)
+        begin(FlightMode::emergency, time);
       break;
     }
     case FlightMode::stopped:
+      // What was ground is not: a vehicle that stands, or is carried by hand, has its weight.
+      if (contact_.load_by_motion() < 0.5 * vehicle_.body.mass * gravity &&
+          ekf_.state().velocity.z() < -0.3)
+        begin(failed ? FlightMode::emergency : FlightMode::landing, time);
       break;
   }
 }
 
 template <int Rotors>
-double FlightController<Rotors>::height_stddev() const {
-  constexpr int z = InertialIndex::position + 2;
-  return std::sqrt(std::max(0.0, ekf_.filter().covariance()(z, z)));
+double FlightController<Rotors>::vertical_stddev(int of) const {
+  return std::sqrt(std::max(0.0, ekf_.filter().covariance()(of + 2, of + 2)));
 }
 
 template <int Rotors>
 bool FlightController<Rotors>::is_off_the_ground() const {
-  const double enough = 0.05 + 3.0 * height_stddev();  // under the wheels [m]
+  const double enough =
+      0.05 + 3.0 * vertical_stddev(InertialIndex::position);  // under the wheels [m]
   const std::optional<Undercarriage> stands = undercarriage(vehicle_);
   const Eigen::Vector3d position = ekf_.state().position;
   const ContactEstimate& contact = contact_.estimate();
@@ -238,7 +293,9 @@ void FlightController<Rotors>::sink(double duration) {
   const std::optional<Undercarriage> stands = undercarriage(vehicle_);
   const double height = ekf_.state().position.z() - (stands ? stands->height : 0.0) - sink_to_;
   const double off =
-      std::isfinite(height) ? std::max(height - margin - height_stddev(), -height - margin) : 0.0;
+      std::isfinite(height)
+          ? std::max(height - margin - vertical_stddev(InertialIndex::position), -height - margin)
+          : 0.0;
   const double wanted =
       sink_speed + (fastest_sink - sink_speed) * std::clamp(off / reach, 0.0, 1.0);
   constexpr double acceleration = 0.5;  // [m/s^2]
@@ -276,12 +333,16 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
   on_tick(time);
   if (ekf_.running()) contact_.update(time, ekf_.state(), observed_);
   airborne_ = ekf_.running() && is_off_the_ground();
-  choose_mode(time);
+  if (!started_ && airborne_ && sent_.command.rotor_speed.isZero()) start_in_the_air(time);
+  choose_mode(time, reference);
   const Reference other = [this](double t) { return stand_in(t); };
+  const Reference back = [this, &reference](double t) { return on_way_back(reference(t), t); };
   ContactEstimate contact = contact_.estimate();
   if (external_ == ExternalWrench::unused)
     contact.disturbance = contact.rolling = contact.external = {};
-  const Reference& followed = mode_ == FlightMode::mission ? reference : other;
+  const Reference& followed = mode_ == FlightMode::mission     ? reference
+                              : mode_ == FlightMode::returning ? back
+                                                               : other;
   // control() reports the status
   if (actuator_nmpc_) (void)actuator_nmpc_->prepare(time, followed, contact);
   at_wrench_level([&](auto& nmpc) { (void)nmpc.prepare(time, followed, contact); });

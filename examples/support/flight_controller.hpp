@@ -39,12 +39,19 @@ enum class ExternalWrench {
 
 /// What the controller does, by the trust in the estimate and the state of the actuators.
 enum class FlightMode {
-  mission,   ///< follows the reference
-  hold,      ///< the estimate is degraded: holds the estimated position until it is good again
-  landing,   ///< position or attitude is lost, or it held for too long: sinks by IMU and wrench
-  stopped,   ///< landed like this: rotors off, for good
-  emergency  ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
+  mission,    ///< follows the reference
+  hold,       ///< the estimate is degraded, or the flight began in the air: holds the position
+  returning,  ///< flies a smooth way back to the reference
+  landing,    ///< position or attitude is lost, or it held for too long: sinks by IMU and wrench
+  stopped,    ///< landed like this: rotors off, unless the vehicle falls
+  emergency   ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
 };
+
+[[nodiscard]] constexpr const char* to_string(FlightMode mode) noexcept {
+  constexpr const char* names[] = {"mission", "hold",    "returning",
+                                   "landing", "stopped", "emergency"};
+  return names[static_cast<int>(mode)];
+}
 
 /// For 2 to 8 rotors; compiled once, in flight_controller.cpp. With 2, 3, 5 and 7 rotors there is
 /// no wrench level, see has_wrench_level.
@@ -54,6 +61,7 @@ class FlightController {
   /// Speed of a landing without position [m/s]: near the ground, and where the ground is far.
   static constexpr double sink_speed = 0.4, fastest_sink = 0.8;
   static constexpr double longest_hold = 10.0;  ///< then the vehicle lands [s]
+  static constexpr double good_for = 1.0;       ///< then the vehicle returns from a hold [s]
 
   /// Controls at the wrench level, with `solved_by_nlopt_alone` much slower than in real time.
   /// Throws std::invalid_argument if the vehicle does not give every wrench or has less than 4
@@ -190,26 +198,32 @@ class FlightController {
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   bool started_ = false;
 
-  void choose_mode(double time);
+  void choose_mode(double time, const Reference& reference);
+  void start_in_the_air(double time);
+  void return_to(const tilt_ropter::ReferencePoint& point, double time);
   void go_on_without(const tilt_ropter::ActuatorFailure& failure, double time);
   void settle_at(double speed);
   void begin(FlightMode mode, double time);
-  [[nodiscard]] double height_stddev() const;  ///< of the estimate [m]
+  [[nodiscard]] double vertical_stddev(int of) const;  ///< of the estimate [m] or [m/s]
   [[nodiscard]] bool is_off_the_ground() const;
   void sink(double duration);
   [[nodiscard]] tilt_ropter::ReferencePoint stand_in(double time) const;
+  [[nodiscard]] tilt_ropter::ReferencePoint on_way_back(tilt_ropter::ReferencePoint point,
+                                                        double time) const;
 
   FlightMode mode_ = FlightMode::mission;
   tilt_ropter::EstimateTrust trust_;
-  tilt_ropter::ReferencePoint held_;                ///< of the modes hold and landing
-  double sunk_ = 0.0, sink_ = 0.0, sink_to_ = 0.0;  ///< of a landing [m], [m/s], ground [m]
-  double mode_since_ = 0.0, carried_since_ = 0.0, time_ = 0.0;  ///< time_: of the last prepare()
+  tilt_ropter::ReferencePoint held_;                        ///< of the modes hold and landing
+  double sunk_ = 0.0, sink_ = 0.0, sink_to_ = 0.0;          ///< of a landing [m], [m/s], ground [m]
+  double mode_since_ = 0.0, bad_until_ = 0.0, time_ = 0.0;  ///< time_: of the last prepare()
+  Eigen::Vector3d way_ = Eigen::Vector3d::Zero();           ///< from the reference to its start [m]
+  double turn_ = 0.0, way_time_ = 1.0;                      ///< of the way back [rad], [s]
 
   tilt_ropter::Vehicle<Rotors> vehicle_;
   tilt_ropter::FailureDetector<Rotors> detector_;
   tilt_ropter::ActuatorFailure failure_;
   tilt_ropter::ActuatorNmpcSettings after_failure_;  ///< of the controller after a failure
-  bool airborne_ = false;
+  bool airborne_ = false, starts_in_air_ = false;
 };
 
 }  // namespace examples

@@ -54,6 +54,7 @@ namespace examples {
 struct MissionOptions {
   std::string output = "results";
   MissionChoice mission;
+  double start_in_air = 0.0, start_speed = 0.0;  // height [m] and speed [m/s], 0: on the ground
   double start_off = 0.0;  // distance from the reference at the start, for missions in flight [m]
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
@@ -94,6 +95,13 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
                  "if the mission starts in flight: distance from the reference at the start [m]")
       ->check(CLI::Range(0.0, 2.0))
       ->capture_default_str();
+  app.add_option(
+         "--start-in-air", options.start_in_air,
+         "take over in hover at this height above the start [m]: the controller is not told "
+         "that the rotors turn")
+      ->check(CLI::Range(0.5, 100.0));
+  app.add_option("--start-speed", options.start_speed, "forward speed at that take-over [m/s]")
+      ->check(CLI::Range(0.0, 5.0));
   app.add_option("--seed", options.seed, "seed of the sensor noise")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
@@ -205,6 +213,11 @@ template <int Rotors>
   return {truth, believed};
 }
 
+/// Returns the angle of body z to world z [rad].
+[[nodiscard]] inline double lean_of(const Eigen::Quaterniond& orientation) {
+  return std::acos(std::clamp((orientation * Eigen::Vector3d::UnitZ()).z(), -1.0, 1.0));
+}
+
 /// Figures about the trust in the estimate and what the controller made of it.
 class TrustFigures {
  public:
@@ -217,22 +230,19 @@ class TrustFigures {
 
   void on_plant(const tilt_ropter::BodyStated& body, bool touches) {
     if (!lands()) return;
-    const Eigen::Vector3d up = body.orientation * Eigen::Vector3d::UnitZ();
     if (touches && !touched_) speed_ = body.velocity.norm();
-    const double lean = std::acos(std::clamp(up.z(), -1.0, 1.0));
+    const double lean = lean_of(body.orientation);
     if (!touched_) largest_lean_ = std::max(largest_lean_, lean);
     if (!touched_) last_lean_ = lean;
     touched_ = touched_ || touches;
   }
 
   void print(std::ostream& out, const tilt_ropter::EkfCounts& counts) const {
-    constexpr std::array<const char*, 5> modes = {"mission", "hold", "landing", "stopped",
-                                                  "emergency"};
     out << std::setprecision(3) << "estimate_not_good_s: " << not_good_ << '\n'
         << "poses_used: " << counts.used << "\nposes_refused: " << counts.gated
         << "\nposes_frozen: " << counts.frozen << "\nfilter_restarts: " << counts.restarts
         << "\npose_clock_steps: " << counts.clock_steps
-        << "\nflight_mode_at_end: " << modes[static_cast<std::size_t>(mode_)] << '\n';
+        << "\nflight_mode_at_end: " << to_string(mode_) << '\n';
     out << "actuator_failure: " << to_string(failure_.kind) << '\n';
     const double degrees = 180.0 / tilt_ropter::pi;
     if (failure_.kind == tilt_ropter::FailureKind::none) {
@@ -274,10 +284,11 @@ struct FlownMission {
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
-  double duration = 0.0;  ///< of the mission [s]
-  double elapsed = 0.0;   ///< [s], on the clock
-  double lean = 0.0;      ///< largest angle of body z to world z [rad]
-  std::string loss;       ///< how the vehicle was lost; empty if it was not
+  double duration = 0.0;                              ///< of the mission [s]
+  double elapsed = 0.0;                               ///< [s], on the clock
+  double lean = 0.0;                                  ///< largest angle of body z to world z [rad]
+  double take_over_drop = 0.0, take_over_lean = 0.0;  ///< within 3 s of a take-over [m], [rad]
+  std::string loss;  ///< how the vehicle was lost; empty if it was not
   std::vector<tilt_ropter::BoundViolation> violations;  ///< bounds that the reference passes
 };
 
@@ -315,6 +326,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
+  constexpr double take_over_time = 3.0;
 
   const Mission mission = mission_of(options.mission, vehicles.believed);
   const Reference reference = [&mission](double time) { return mission(time); };
@@ -368,11 +380,16 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
           ? options.mission.name == "hybrid" && options.mission.trajectory.empty()
           : std::hypot(away.x(), away.y()) < 1e-9 &&
                 std::abs(yaw_of(mission(0.0).orientation)) < 1e-9;
-  if (in_flight || !at_origin) {
+  if (in_flight || !at_origin || options.start_in_air > 0.0) {
     BodyStated start;
     start.position = mission(0.0).position;
     start.orientation = mission(0.0).orientation;
-    if (in_flight) {
+    if (options.start_in_air > 0.0) {
+      start.position.z() += options.start_in_air;
+      start.velocity = start.orientation * Eigen::Vector3d(options.start_speed, 0.0, 0.0);
+      command = controller.lift(vehicles.truth.body.mass * gravity);
+    }
+    if (in_flight && options.start_in_air == 0.0) {
       command = controller.lift(vehicles.believed.body.mass * gravity);
       controller.start_with(command);
       start.position.y() += options.start_off;
@@ -401,7 +418,9 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
   IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
   LossWatch loss;
-  double away_until = 0.0;  // the vehicle was not on its mission, and may take some time to return
+  // Until then the vehicle was not on its mission, and may take some time to return.
+  double away_until = options.start_in_air > 0.0 ? 5.0 : 0.0;
+  const double start_height = plant.body().position.z();
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -449,6 +468,12 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                      plant.normal_forces().sum() > 0.0);
     if (phase == MissionPhase::ground)
       figures.on_bearings(plant.bearing_torque(), plant.servo_stiffness());
+    if (options.start_in_air > 0.0 && plant.time() < take_over_time &&
+        controller.mode() != FlightMode::returning) {
+      flown.take_over_drop =
+          std::max(flown.take_over_drop, start_height - plant.body().position.z());
+      flown.take_over_lean = std::max(flown.take_over_lean, lean_of(plant.body().orientation));
+    }
     upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
     if (controller.mode() != FlightMode::mission) away_until = plant.time() + 5.0;
     const bool follows = plant.time() >= away_until;
@@ -508,6 +533,9 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
   flown.solver.print(printed);
   flown.battery.print(printed);
   flown.trust.print(printed, flown.counts);
+  if (options.start_in_air > 0.0)
+    printed << "take_over_drop_m: " << flown.take_over_drop
+            << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();

@@ -116,7 +116,7 @@ Outcome fly(double duration, const std::string& fault_text,
 
 void expect_near_reference(const std::string& fault, double limit = 0.15) {
   SCOPED_TRACE(fault);
-  const Outcome o = fly(9.0, fault);
+  const Outcome o = fly(14.0, fault);  // the way back takes some seconds
   EXPECT_LT(o.error, limit);
   EXPECT_EQ(o.mode, FlightMode::mission);
   EXPECT_LT(o.at_end, 0.05);

@@ -102,7 +102,8 @@ class ContactEstimator {
     estimate_.external = external;
     judge(body, means->raw, observed.applied, dt);
     const bool starts_carried = !started_ && lift_ > carried_load * weight_;
-    if (starts_carried && !(clearance_of(body) < start_height)) settling_ = settling_time;
+    if (starts_carried && !(undercarriage_ && clearance_of(body) < start_height))
+      settling_ = settling_time;
     settling_ = std::max(0.0, settling_ - dt);
     if (settling_ > 0.0)
       estimate_.disturbance = {};
