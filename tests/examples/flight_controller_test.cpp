@@ -2,7 +2,7 @@
 // CTest: flight
 
 #include "../../examples/support/flight_controller.hpp"
-
+#include "../../examples/support/fault_option.hpp"
 #include "../../examples/support/mission_loop.hpp"
 #include "../../examples/support/mission_sensors.hpp"
 #include "../../examples/support/vehicle_choice.hpp"
@@ -17,7 +17,9 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 
 namespace tilt_ropter {
 namespace {
@@ -105,6 +107,53 @@ TEST(FlightController, OptionsOfTheMissionReachTheSettings) {
   options = {};
   options.ground_thrust = 3.0;
   EXPECT_EQ(settings(options).ground.down_force, 3.0);
+}
+
+// It landed without poses, and stopped. Then what carried it gives way.
+TEST(FlightController, RotorsStartAgainIfTheVehicleFallsAfterItsLanding) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  examples::FlightController<4> controller(vehicle,
+                                           examples::in_simulated_time(nmpc_settings(vehicle)),
+                                           examples::MissionSensors<4>::estimation());
+  examples::MissionSensors<4> sensors(1);
+  sensors.add_fault(examples::parse_fault("pose_dropout:start=2"));
+  Plant<4> plant(vehicle);
+  ReferencePoint point;
+  point.position.z() = 0.6;
+  BodyStated start;
+  start.position = point.position;
+  ActuatorState<4> command = controller.lift(vehicle.body.mass * gravity);
+  controller.start_with(command);
+  plant.reset(start, command);
+  int stopped_at = 0;
+  double fastest = 0.0, at_touch = 0.0;
+  bool flew_again = false;
+  for (int i = 0; i < 30000; ++i) {
+    sensors.sense(plant, controller);
+    if (i % 10 == 0 && controller.started()) {
+      controller.prepare(plant.time(), [&point](double) { return point; });
+      command = controller.control(plant.time());
+    }
+    ASSERT_TRUE(plant.step(command, {}, 1e-3));
+    const bool stopped = controller.mode() == examples::FlightMode::stopped;
+    if (stopped && stopped_at == 0) stopped_at = i;
+    if (stopped_at > 0 && i < stopped_at + 1000) EXPECT_TRUE(stopped) << i;
+    if (stopped_at > 0 && i == stopped_at + 1000) {
+      PlantState<4> higher = plant.state();
+      higher.body.position.z() += 4.0;
+      plant.reset(higher);
+    }
+    if (stopped_at == 0 || i <= stopped_at + 1000) continue;
+    fastest = std::max(fastest, -plant.body().velocity.z());
+    flew_again = flew_again || !stopped;
+    if (at_touch == 0.0 && plant.normal_forces().sum() > 0.0) at_touch = -plant.body().velocity.z();
+  }
+  EXPECT_GT(stopped_at, 2000);
+  EXPECT_TRUE(flew_again);
+  EXPECT_LT(fastest, 4.0);
+  EXPECT_LT(at_touch, 1.5);
+  EXPECT_EQ(controller.mode(), examples::FlightMode::stopped);
+  std::printf("falls at %.2f m/s, touches the ground at %.2f m/s\n", fastest, at_touch);
 }
 
 }  // namespace
