@@ -100,6 +100,7 @@ class Px4Node {
     pilot_ = !armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else;
     if (pilot_ == before) return;
     if (pilot_ != Pilot::this_node) sent_ = {};
+    if (pilot_ == Pilot::this_node && before == Pilot::somebody_else && body_) take_over();
     if (pilot_ == Pilot::nobody) observer_.begin_calibration();
     if (before == Pilot::nobody && body_) {
       // The vehicle stands on the ground, which carries its weight.
@@ -169,6 +170,24 @@ class Px4Node {
 
  private:
   enum class Pilot { somebody_else, nobody, this_node };
+
+  // Another controller has flown: what turns is not known, and what the observer knew is old. In
+  // the air, about hover is the best guess.
+  void take_over() {
+    using namespace tilt_ropter;
+    const ContactEstimate& last = contact_.estimate();
+    const GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
+    observer_.reset();
+    observed_ = observer_.observed();
+    contact_ = ContactEstimator(vehicle_, ground);
+    constexpr double in_the_air = 0.3;  // under the vehicle [m]
+    const double standing = undercarriage(vehicle_).value_or(Undercarriage{0.0}).height;
+    Wrenchd hover;
+    hover.force.z() = vehicle_.body.mass * gravity;
+    if (body_->position.z() - standing - ground.height_at(body_->position) > in_the_air)
+      sent_ = allocation_.allocate(hover, {});
+    actuators_.reset(sent_.command);
+  }
 
   examples::VehicleFile file_;
   tilt_ropter::Vehicle<4> vehicle_;

@@ -28,6 +28,12 @@ constexpr float nan_f = std::numeric_limits<float>::quiet_NaN();
 
 /// A vehicle and the node.
 struct Flight {
+  explicit Flight(const std::string& hover_z = "1.5")
+      : parameters{
+            {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
+            {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", hover_z},
+            {"hover_yaw", "-0.5"}} {}
+
   void say(bool armed, bool offboard) { node.on_status(vehicle.status(armed, offboard)); }
 
   void fly(double seconds) {
@@ -48,9 +54,7 @@ struct Flight {
 
   test_support::Px4Vehicle vehicle{5000000000LL};
   px4_msgs::msg::ActuatorServos servos{};
-  Parameters parameters{
-      {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
-      {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_yaw", "-0.5"}};
+  Parameters parameters;
   Px4Node node{parameters};
 };
 
@@ -105,6 +109,40 @@ TEST(Px4Node, SendsNoCommandsUnlessArmedAndOffboard) {
   flight.say(true, false);
   flight.fly(0.2);
   EXPECT_NEAR(flight.vehicle.commands, 20, 1);
+}
+
+// A pilot flies, then switches to offboard mode. Nobody tells the node that the rotors turn.
+TEST(Px4Node, TakesOverInTheAir) {
+  for (const bool started_in_flight : {false, true})
+    for (const char* height : {"1.5", "5", "60"}) {
+      SCOPED_TRACE(height);
+      Flight flight(height);
+      if (!started_in_flight) {
+        flight.say(false, false);
+        flight.fly(2.0);
+      }
+      tilt_ropter::BodyStated body;
+      body.position << 0.3, 0.6, std::stod(height);
+      body.orientation = tilt_ropter::quaternion_from_yaw(-0.5);
+      tilt_ropter::PlantState<4> state = flight.vehicle.plant.state();
+      state.body = body;
+      flight.vehicle.by_another.rotor_speed.setConstant(std::sqrt(1.03 * 1.5 * 9.81 / 4 / 1.4e-6));
+      state.actuators = flight.vehicle.by_another;
+      flight.vehicle.plant.reset(state);
+      flight.say(true, false);
+      flight.fly(0.3);
+      flight.say(true, true);
+      double lowest = body.position.z(), level = 1.0;
+      for (int i = 0; i < 100; ++i) {
+        flight.fly(0.03);
+        const tilt_ropter::BodyStated& now = flight.vehicle.plant.body();
+        lowest = std::min(lowest, now.position.z());
+        level = std::min(level, (now.orientation * Vector3d::UnitZ()).z());
+      }
+      EXPECT_GT(lowest, body.position.z() - 0.1);
+      EXPECT_GT(level, std::cos(5.0 * pi / 180.0));
+      EXPECT_LT((flight.vehicle.plant.body().position - body.position).norm(), 0.05);
+    }
 }
 
 TEST(Px4Node, StopsSendingOneSecondAfterOdometryIsLost) {

@@ -71,7 +71,7 @@ class Px4Vehicle {
   [[nodiscard]] bool step() {
     tilt_ropter::Wrenchd wind;
     if (obeys_) wind.force << 0.3, 0.6, 0.0;  // on the ground the wind would roll it away
-    return plant.step(obeys_ ? command_ : tilt_ropter::ActuatorState<4>{}, wind, 1e-3);
+    return plant.step(obeys_ ? command_ : by_another, wind, 1e-3);
   }
   [[nodiscard]] std::int64_t now() const {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
@@ -82,6 +82,7 @@ class Px4Vehicle {
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
   px4_msgs::msg::ActuatorMotors last_motors{};
+  tilt_ropter::ActuatorState<4> by_another;  ///< while the node does not fly
 
  private:
   [[nodiscard]] std::uint64_t now_us() const { return static_cast<std::uint64_t>(now() / 1000); }
