@@ -1,5 +1,5 @@
-// A wall stops the vehicle in front of its reference. To the observer its reaction is a
-// disturbance, which must not wind up. CTest: flight
+// A wall stops the vehicle in front of its reference.
+// CTest: flight
 
 #include "support/control_loop.hpp"
 
