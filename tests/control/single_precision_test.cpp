@@ -75,6 +75,7 @@ class OnBoard {
                  seen.time,
                  cast<double>(seen.external),
                  cast<double>(seen.raw),
+                 cast<double>(*seen.applied),
                  seen.external_sum,
                  seen.raw_sum,
                  seen.duration,

@@ -142,6 +142,7 @@ TEST(ContactWitnesses, ReferencesArePlannedForTheGroundNearTheAssumedOne) {
   constexpr double unknown = -std::numeric_limits<double>::infinity();
   Vertical near(0.06, -0.05), far(-1.0, -1.11), above(1.5);
   EXPECT_EQ(near.fly(0.5).planned_height, 0.0);
+  EXPECT_EQ(Vertical(0.11).fly(0.5).planned_height, unknown);  // the estimated ground is better
   EXPECT_EQ(far.fly(0.5).planned_height, unknown);
   EXPECT_EQ(above.hover(0.5).planned_height, unknown);
 }

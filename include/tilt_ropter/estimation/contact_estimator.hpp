@@ -161,7 +161,7 @@ class ContactEstimator {
   static constexpr double start_height = 0.3;
   // Until the actuator model follows the commands, and the observer has forgotten the start [s].
   static constexpr double settling_time = 0.5;
-  // Distance of the true from the assumed ground up to which references were planned for it [m].
+  // Depth of the true below the assumed ground up to which references were planned for it [m].
   static constexpr double planned_reach = 0.6;
   // Largest disturbance, as a fraction of the weight; the torque's has an arm [m].
   static constexpr double most_sideways = 0.3, most_vertical = 1.0, most_arm = 0.03;
@@ -297,8 +297,8 @@ class ContactEstimator {
     standing_for_ = carried && moved_.z() - missing > enough ? standing_for_ + dt : 0.0;
     if (carried && moved_.z() - missing > 0.5 * enough) {
       unloaded_for_ = 0.0;
-      if (std::abs(assumed_ground_.height - estimate_.ground.height) < planned_reach)
-        estimate_.planned_height = assumed_ground_.height;
+      const double lower = assumed_ground_.height - estimate_.ground.height_at(body.position);
+      if (lower > 0.01 && lower < planned_reach) estimate_.planned_height = assumed_ground_.height;
       place_ground(body, fraction(dt, ground_time));
       learn_slope(body, fraction(dt, slope_time));
       return;

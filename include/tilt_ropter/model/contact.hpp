@@ -47,8 +47,8 @@ struct ContactEstimate {
   bool on_ground = false;     ///< the ground carries part of the weight, or did so recently
   bool ground_known = false;  ///< `ground` is measured or given; false: assumed or unknown
   GroundPlane ground;         ///< height -infinity: no ground
-  /// Height of the ground for which references are planned, if the vehicle has stood near it [m]. A
-  /// reference on this ground counts as on the ground, also where the true ground is lower.
+  /// Height of the ground for which references are planned, if the vehicle has stood somewhat lower
+  /// [m]. A reference on this ground counts as on the ground.
   double planned_height = -std::numeric_limits<double>::infinity();
   bool limited = false;  ///< `disturbance` was cut to what a vehicle of this weight can carry
   /// In the air: the external wrench. On the ground: the external wrench that would act if the
