@@ -15,7 +15,7 @@ int main(int argc, char** argv) {
   }
   const Vehicle<4> vehicle = tilt_ropter_vehicle();  // or your own
   const Allocation allocation(vehicle);              // wrench -> rotor speeds, tilt angles
-  ActuatorModel<4> actuators(vehicle);               // servo angles without encoders
+  ActuatorModel<4> actuators(vehicle);               // servo angles, and slow rotors
   Ekfd ekf;                                          // position, velocity, attitude, biases
   WrenchObserverd observer(vehicle.body, observer_settings(20.0));  // external force and torque
   ContactEstimator contact(vehicle);                                // the ground's part of it
@@ -35,8 +35,8 @@ int main(int argc, char** argv) {
   for (int i = 0; i < 10000; ++i) {  // IMU and robot at 1 kHz, the controller at 100 Hz, for 10 s
     const double time = robot.time();
     if (const auto m = imu.sample(time, robot.body().angular_velocity, robot.specific_force())) {
-      const ActuatorState<4> applied{robot.actuators().rotor_speed,  // measured
-                                     actuators.update(time, sent.command).tilt_angle};
+      const ActuatorState<4>& applied =  // measured speeds, modelled angles
+          actuators.update(time, sent.command, robot.actuators().rotor_speed);
       ekf.on_imu(m->time, *m);
       observed = observer.update(m->time, ekf.corrected(*m), allocation.wrench(applied));
     }
@@ -49,7 +49,7 @@ int main(int argc, char** argv) {
       sent = allocation.allocate(time, result.wrench, result.rate, sent);
       actuators.update(time, sent.command);  // acts from now on
     }
-    robot.step(sent.command, wind, 0.001);
+    robot.step(actuators.to_send(sent.command), wind, 0.001);  // corrects slow rotors
     if (i % 5000 == 4999)
       std::printf("t %4.1f s  height %.3f m  wind %5.2f %5.2f %5.2f N\n", robot.time(),
                   robot.body().position.z(), observed.external.force.x(),

@@ -52,7 +52,7 @@ class Onboard {
   void on_rotor_speeds(const Eigen::Vector4d& speed) { rotor_speed_ = speed; }
 
   void on_inertial(const hitl::Inertial& m) {
-    const ActuatorState<4> applied{rotor_speed_, actuators_.update(m.time, command_).tilt_angle};
+    const ActuatorState<4>& applied = actuators_.update(m.time, command_, rotor_speed_);
     ekf_.on_imu(m.time, m.sample);
     observed_ = observer_.update(m.time, ekf_.corrected(m.sample), allocation_.wrench(applied));
   }

@@ -95,8 +95,8 @@ void run(const Options& options) {
     const std::int64_t woken = loops::now_ns();
 
     const double time = robot.time();
-    const ActuatorState<4> applied{robot.actuators().rotor_speed,
-                                   actuators.update(time, sent.command).tilt_angle};
+    const ActuatorState<4>& applied =
+        actuators.update(time, sent.command, robot.actuators().rotor_speed);
     const ObservedWrenchd& observed =
         observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
     (void)nmpc.prepare(time, reference, contact.update(time, robot.body(), observed));
@@ -116,7 +116,8 @@ void run(const Options& options) {
     skipped += next - (k + 1);
     missed += next - (k + 1);
     for (; k < next; ++k)
-      if (!robot.step(sent.command, {}, dt)) throw std::runtime_error("the plant rejected a step");
+      if (!robot.step(actuators.to_send(sent.command), {}, dt))
+        throw std::runtime_error("the plant rejected a step");
   }
 
   const std::int64_t page_faults_at_end = loops::page_faults();

@@ -83,6 +83,11 @@ Wrenchd FlightController<Rotors>::wrench_of(const ActuatorState<Rotors>& actuato
 template <int Rotors>
 void FlightController<Rotors>::on_voltage(double voltage) {
   (void)actuators_.set_voltage(voltage);
+  set_voltage(std::min(voltage, actuators_.usable_voltage()));
+}
+
+template <int Rotors>
+void FlightController<Rotors>::set_voltage(double voltage) {
   if (actuator_nmpc_) (void)actuator_nmpc_->set_voltage(voltage);
   if constexpr (has_wrench_level<Rotors>)
     if (allocation_) (void)allocation_->set_voltage(voltage);
@@ -92,13 +97,17 @@ void FlightController<Rotors>::on_voltage(double voltage) {
 template <int Rotors>
 void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sample) {
   const double time = imu_clock_.on_sample(stamp);
-  const ActuatorState<Rotors>& modelled = actuators_.update(time, sent_.command);
-  applied_ = {rotor_speeds_, modelled.tilt_angle};
+  applied_ = measures_speeds_ ? actuators_.update(time, sent_.command, rotor_speeds_)
+                              : actuators_.update(time, sent_.command);
   ekf_.on_imu(time, sample);
   const InertialSampled corrected = ekf_.corrected(sample);
   const bool as_modelled = external_ != ExternalWrench::commanded;
   observed_ = observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
-  detector_.update(time, corrected, applied_, modelled.rotor_speed, airborne_);
+  const ActuatorState<Rotors>& modelled = actuators_.state();
+  detector_.update(
+      time, corrected,
+      measures_speeds_ ? ActuatorState<Rotors>{rotor_speeds_, modelled.tilt_angle} : modelled,
+      modelled.rotor_speed, airborne_);
 }
 
 template <int Rotors>
@@ -361,7 +370,17 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
     });
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
-  return sent_.command;
+  limit_speeds();
+  return actuators_.to_send(sent_.command);
+}
+
+// Plans and allocation then respect the top speed of the slowest rotor.
+template <int Rotors>
+void FlightController<Rotors>::limit_speeds() {
+  const double usable = actuators_.usable_voltage();
+  if (std::abs(usable - usable_voltage_) < 0.005 * usable) return;
+  usable_voltage_ = usable;
+  set_voltage(usable);
 }
 
 template <int Rotors>

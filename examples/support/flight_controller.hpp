@@ -86,8 +86,11 @@ class FlightController {
   /// Returns rotor speeds and tilt angles for an upward `force` [N] and zero torque.
   [[nodiscard]] tilt_ropter::ActuatorState<Rotors> lift(double force) const;
 
-  /// Speeds reported by the motor controllers [rad/s].
-  void on_rotor_speeds(const Eigen::Matrix<double, Rotors, 1>& speeds) { rotor_speeds_ = speeds; }
+  /// Speeds reported by the motor controllers [rad/s]. Without them the modelled speeds are used.
+  void on_rotor_speeds(const Eigen::Matrix<double, Rotors, 1>& speeds) {
+    rotor_speeds_ = speeds;
+    measures_speeds_ = true;
+  }
 
   /// Measured battery voltage [V]. Allocation, actuator model and NMPC then respect the top rotor
   /// speeds at this voltage. voltage_ratio() says which voltages are ignored.
@@ -136,7 +139,12 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::ActuatorFailure& failure() const { return failure_; }
   /// Trust in the estimate at the last prepare().
   [[nodiscard]] const tilt_ropter::EstimateTrust& trust() const { return trust_; }
+  /// What the vehicle should do. control() returns it corrected for slow rotors.
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return sent_.command; }
+  /// See ActuatorModel::speed_ratio().
+  [[nodiscard]] const Eigen::Matrix<double, Rotors, 1>& speed_ratio() const {
+    return actuators_.speed_ratio();
+  }
   /// Measured speeds and modelled tilt angles.
   [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& applied() const { return applied_; }
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
@@ -196,8 +204,11 @@ class FlightController {
   tilt_ropter::AllocationResult<Rotors> sent_;
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
-  bool started_ = false;
+  bool started_ = false, measures_speeds_ = false;
+  double usable_voltage_ = 0.0;  ///< that limits the speeds, because of slow rotors [V]; 0: none
 
+  void set_voltage(double voltage);
+  void limit_speeds();
   void choose_mode(double time, const Reference& reference);
   void start_in_the_air(double time);
   void return_to(const tilt_ropter::ReferencePoint& point, double time);

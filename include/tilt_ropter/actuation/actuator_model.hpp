@@ -8,7 +8,9 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <optional>
@@ -16,13 +18,25 @@
 /// Model of all rotors and tilt servos of a vehicle.
 namespace tilt_ropter {
 
-/// Model of the rotor speeds and tilt angles, computed from the commands. Servos report no angle.
-/// For the wrench that is really applied, take tilt_angle from this model. Take rotor_speed from
-/// the speed controllers if they measure the speed (paper, Sec. External Wrench Estimation). Does
-/// not allocate. Only the constructor throws.
+/// Model of the rotor speeds and tilt angles, computed from the commands, for the wrench that is
+/// really applied (paper, Sec. External Wrench Estimation). Servos report no angle.
+///
+/// If the speed controllers measure the rotor speeds, the model learns for each rotor the ratio of
+/// measured to commanded speed in steady flight, with a time constant of 0.3 s. A low battery or a
+/// wrong throttle map is such a ratio. to_send() divides it out:
+///
+///     const auto& applied = model.update(time, command, measured);  // for WrenchObserver
+///     ...                                                           // the next command
+///     motors.send(model.to_send(command));
+///
+/// What is not divided out is a difference between commanded and applied wrench that the observer
+/// reports as external, so the controller compensates it. Does not allocate. Only the constructor
+/// throws.
 template <int Rotors, typename Scalar = double>
 class ActuatorModel {
  public:
+  using Speeds = Eigen::Matrix<Scalar, Rotors, 1>;  ///< one number for each rotor
+
   /// Throws std::invalid_argument if the rotor, servo or battery parameters fail validate().
   explicit ActuatorModel(const Vehicle<Rotors>& vehicle);
 
@@ -32,13 +46,36 @@ class ActuatorModel {
   const ActuatorState<Rotors, Scalar>& update(
       double time, const ActuatorState<Rotors, Scalar>& command) noexcept;
 
+  /// The same with the `measured` speeds [rad/s]. Returns the actuators as applied at `time`:
+  /// modelled angles, and speeds with the measured changes whose steady difference from the
+  /// command is removed. A rotor has its modelled speed while its reading is below 0.6 or above 1.4
+  /// times the expected speed (it has failed, or its sensor), or has been the same for 0.2 s.
+  const ActuatorState<Rotors, Scalar>& update(double time,
+                                              const ActuatorState<Rotors, Scalar>& command,
+                                              const Speeds& measured) noexcept;
+
+  /// Returns `command` with the speeds divided by speed_ratio(), at most the nominal top speeds.
+  [[nodiscard]] const ActuatorState<Rotors, Scalar>& to_send(
+      const ActuatorState<Rotors, Scalar>& command) noexcept;
+
+  /// Learnt speed / sent speed of each rotor, in [0.7, 1.2].
+  [[nodiscard]] const Speeds& speed_ratio() const noexcept { return ratio_; }
+
+  /// Voltage [V] that limits the rotors to the top speed that the slowest of them reaches, for
+  /// set_voltage() of controller and allocation: at most the nominal voltage and that of
+  /// set_voltage(). Zero if the nominal voltage is unknown.
+  [[nodiscard]] double usable_voltage() const noexcept {
+    const double least = static_cast<double>(ratio_.minCoeff());
+    return battery_.nominal_voltage * std::min({1.0, voltage_ratio_, least});
+  }
+
   /// Sets the measured battery `voltage` [V]. The top speeds of the rotors fall with the voltage.
   /// Returns true if voltage_ratio() accepts the voltage. Otherwise the last accepted voltage
   /// remains in effect.
   bool set_voltage(double voltage) noexcept;
 
   /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s]. Without a time,
-  /// at that of the next update.
+  /// at that of the next update. Keeps the ratios.
   void reset(const ActuatorState<Rotors, Scalar>& state,
              double time = std::numeric_limits<double>::quiet_NaN()) noexcept;
 
@@ -47,6 +84,27 @@ class ActuatorModel {
   [[nodiscard]] const ActuatorState<Rotors, Scalar>& state() const noexcept { return state_; }
 
  private:
+  // Time constant of the ratio [s]. It averages noise and transients, and follows a battery.
+  static constexpr double ratio_time = 0.3;
+  // The same of the difference that is left, which the observer shall see soon [s]. Faster changes
+  // of the measured speed are known to the observer.
+  static constexpr double difference_time = 0.15;
+  static constexpr double longest_step = 0.02;  // that one reading counts for [s]
+  static constexpr double most_frozen = 0.2;    // time without a change of the reading [s]
+  // Largest difference of command and modelled speed in steady flight, as a fraction. Beyond it an
+  // error of the motor's time constant would be learnt.
+  static constexpr double steady = 0.05;
+  // Slower than this fraction of the top speed a rotor is not learnt: its noise is a large
+  // fraction.
+  static constexpr double min_fraction = 0.1;
+  // Outside these fractions of the expected speed the rotor or its sensor has failed.
+  static constexpr double least_part = 0.6, most_part = 1.4;
+  // Largest error of one reading that counts, as a fraction of the expected speed.
+  static constexpr double largest_error = 0.2;
+
+  // `part`: measured speed / speed expected by the ratio.
+  void learn(Eigen::Index i, double dt, const Scalar& command, const Scalar& part) noexcept;
+
   void read() noexcept {
     for (std::size_t i = 0; i < Rotors; ++i) {
       const auto row = static_cast<Eigen::Index>(i);
@@ -59,7 +117,12 @@ class ActuatorModel {
   std::array<Servo<Scalar>, static_cast<std::size_t>(Rotors)> servos_;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
   BatteryParameters battery_;
-  ActuatorState<Rotors, Scalar> state_;
+  double voltage_ratio_ = 1.0;
+  ActuatorState<Rotors, Scalar> state_, applied_, sent_;
+  // The ratio, its value in the last sent command, and measured / modelled speed.
+  Speeds ratio_ = Speeds::Ones(), divisor_ = Speeds::Ones(), difference_ = Speeds::Ones();
+  Speeds reading_ = Speeds::Zero(), top_speed_;  // last reading, nominal top speed [rad/s]
+  Eigen::Matrix<double, Rotors, 1> changed_ = Eigen::Matrix<double, Rotors, 1>::Zero();  // then [s]
 };
 
 template <int Rotors, typename Scalar>
@@ -70,6 +133,7 @@ ActuatorModel<Rotors, Scalar>::ActuatorModel(const Vehicle<Rotors>& vehicle) {
   for (std::size_t i = 0; i < Rotors; ++i) {
     rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
     tilts_[i] = vehicle.rotors[i].tilts;
+    top_speed_(static_cast<Eigen::Index>(i)) = rotors_[i].max_speed();
   }
   read();
 }
@@ -87,9 +151,56 @@ const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::update(
 }
 
 template <int Rotors, typename Scalar>
+const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::update(
+    double time, const ActuatorState<Rotors, Scalar>& command, const Speeds& measured) noexcept {
+  applied_ = update(time, command);
+  if (!std::isfinite(time)) return applied_;
+  for (Eigen::Index i = 0; i < Rotors; ++i) {
+    const Scalar &speed = measured(i), &modelled = state_.rotor_speed(i);
+    const Scalar part = speed * divisor_(i) / (modelled * ratio_(i));
+    if (!(part > Scalar(least_part) && part < Scalar(most_part))) continue;  // also NaN
+    if (speed != reading_(i) || !(time >= changed_(i))) {
+      const double dt = std::clamp(time - changed_(i), 0.0, longest_step);
+      learn(i, dt, command.rotor_speed(i), part);
+      reading_(i) = speed;
+      changed_(i) = time;
+    }
+    if (time - changed_(i) < most_frozen) applied_.rotor_speed(i) = speed / difference_(i);
+  }
+  return applied_;
+}
+
+template <int Rotors, typename Scalar>
+void ActuatorModel<Rotors, Scalar>::learn(Eigen::Index i, double dt, const Scalar& command,
+                                          const Scalar& part) noexcept {
+  using std::abs;
+  const Scalar modelled = state_.rotor_speed(i);
+  if (!(modelled > Scalar(min_fraction) * top_speed_(i)) ||
+      !(abs(command - modelled) < Scalar(steady) * modelled))
+    return;
+  difference_(i) +=
+      Scalar(dt / difference_time) * (part * ratio_(i) / divisor_(i) - difference_(i));
+  // If the sent speed is at its limit, the rotor cannot follow.
+  if (command > divisor_(i) * top_speed_(i) && part < Scalar(1)) return;
+  const Scalar error = std::clamp(part - Scalar(1), Scalar(-largest_error), Scalar(largest_error));
+  ratio_(i) *= Scalar(1) + Scalar(dt / ratio_time) * error;
+  ratio_(i) = std::clamp(ratio_(i), Scalar(0.7), Scalar(1.2));
+}
+
+template <int Rotors, typename Scalar>
+const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::to_send(
+    const ActuatorState<Rotors, Scalar>& command) noexcept {
+  divisor_ = ratio_;
+  sent_ = command;
+  sent_.rotor_speed = command.rotor_speed.cwiseQuotient(divisor_).cwiseMin(top_speed_);
+  return sent_;
+}
+
+template <int Rotors, typename Scalar>
 bool ActuatorModel<Rotors, Scalar>::set_voltage(double voltage) noexcept {
   const std::optional<double> ratio = voltage_ratio(battery_, voltage);
   if (!ratio) return false;
+  voltage_ratio_ = *ratio;
   for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
   read();
   return true;
