@@ -112,4 +112,42 @@ struct ActuatorFailureOption {
   return given;
 }
 
+/// Rotors that turn slower or faster than commanded, from a time on.
+struct RotorSpeedOption {
+  int rotor = 0;              ///< from 1; 0: all of them
+  double ratio = 1.0;         ///< measured / commanded speed
+  double start = 0.0;         ///< [s]
+  double end = 0.0;           ///< the ratio changes evenly from 1 until then [s]; 0: at once
+  bool with_battery = false;  ///< the speed is proportional to the voltage of the battery
+
+  /// Factor for the speed of rotor `i` (from 0) at `time` [s]; `voltage` is a fraction of the full
+  /// battery's.
+  [[nodiscard]] double factor(int i, double time, double voltage) const {
+    if (with_battery) return voltage;
+    if ((rotor > 0 && rotor != i + 1) || time < start) return 1.0;
+    return time < end ? 1.0 + (ratio - 1.0) * (time - start) / (end - start) : ratio;
+  }
+};
+
+/// Reads `0.9`, `battery` or `rotor=2,ratio=0.9,start=20,end=60`. Throws std::invalid_argument that
+/// names what is wrong.
+[[nodiscard]] inline RotorSpeedOption parse_rotor_speed(const std::string& text, int rotors) {
+  RotorSpeedOption given;
+  given.with_battery = text == "battery";
+  if (given.with_battery) return given;
+  double rotor = 0.0;
+  const bool one_number = text.find('=') == std::string::npos;
+  detail::read_fields(
+      "--rotor-speed", one_number ? "ratio=" + text : text,
+      {{"rotor", &rotor}, {"ratio", &given.ratio}, {"start", &given.start}, {"end", &given.end}});
+  tilt_ropter::require(rotor >= 0.0 && rotor <= rotors && rotor == std::floor(rotor),
+                       "--rotor-speed: rotor", rotor,
+                       "a whole number from 0 (all) to " + std::to_string(rotors));
+  tilt_ropter::require_in("--rotor-speed: ratio", given.ratio, 0.5, 1.2);
+  tilt_ropter::require_in("--rotor-speed: start [s]", given.start, 0.0, 1e6);
+  tilt_ropter::require_in("--rotor-speed: end [s]", given.end, 0.0, 1e6);
+  given.rotor = static_cast<int>(rotor);
+  return given;
+}
+
 }  // namespace examples

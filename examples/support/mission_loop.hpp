@@ -68,6 +68,8 @@ struct MissionOptions {
   std::string solver = "automatic";  // see add_solver()
   std::string imu_log;               // file for identify_vehicle, or empty
   std::string failure;  // see parse_failure(); empty: none. An option of hybrid_mission only
+  std::vector<std::string> rotor_speeds;  // see parse_rotor_speed()
+  bool no_telemetry = false;
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -147,6 +149,21 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
         }
         return std::string();
       });
+  app.add_option("--rotor-speed", options.rotor_speeds,
+                 "measured / commanded speed of all rotors, 0.5 to 1.2; or "
+                 "rotor=2,ratio=0.9,start=20 for one rotor from a time on; with end=60 the ratio "
+                 "changes evenly from 1 until then; battery: in proportion to the voltage, 1 for "
+                 "the full battery. May be repeated")
+      ->check([](const std::string& text) {
+        try {
+          (void)parse_rotor_speed(text, 8);
+        } catch (const std::invalid_argument& error) {
+          return std::string(error.what());
+        }
+        return std::string();
+      });
+  app.add_flag("--no-telemetry", options.no_telemetry,
+               "no measured rotor speeds; the controller uses the modelled ones");
   app.add_option("--observer-bandwidth", options.observer_bandwidth,
                  "bandwidth of the wrench observer in all axes [1/s]")
       ->check(CLI::Range(0.1, 1000.0))
@@ -276,11 +293,40 @@ class TrustFigures {
   FlightMode mode_ = FlightMode::mission;
 };
 
+/// How much slower or faster than commanded the rotors turn, as the controller has learnt it.
+class RotorSpeedFigures {
+ public:
+  template <typename Ratios>
+  void add(const Ratios& ratios) {
+    last_ = ratios.template cast<double>();
+    min_ = std::min(min_, last_.minCoeff());
+    max_ = std::max(max_, last_.maxCoeff());
+  }
+
+  void print(std::ostream& out) const {
+    out << std::fixed << std::setprecision(3) << "rotor_speed_ratio_min: " << min_
+        << "\nrotor_speed_ratio_max: " << max_ << '\n';
+  }
+
+  /// A line for each rotor that is more than 3 % off at the end.
+  void print_health(std::ostream& out) const {
+    for (Eigen::Index i = 0; i < last_.size(); ++i)
+      if (std::abs(last_(i) - 1.0) > 0.03)
+        out << "rotor " << i + 1 << " turns " << std::lround(100.0 * std::abs(last_(i) - 1.0))
+            << " % " << (last_(i) < 1.0 ? "slower" : "faster") << " than commanded\n";
+  }
+
+ private:
+  double min_ = 1.0, max_ = 1.0;
+  Eigen::VectorXd last_;
+};
+
 /// A flown mission.
 struct FlownMission {
   MissionFigures figures{0.0};
   BatteryFigures battery{{}};
   TrustFigures trust;
+  RotorSpeedFigures rotor_speeds;
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
@@ -354,6 +400,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                              static_cast<std::uint64_t>(options.seed));
   suite.set_up(sensors, static_cast<std::uint64_t>(options.seed));
   for (const std::string& fault : options.faults) sensors.add_fault(parse_fault(fault));
+  sensors.has_rotor_speeds = !options.no_telemetry;
+  std::vector<RotorSpeedOption> speeds;
+  for (const std::string& text : options.rotor_speeds)
+    speeds.push_back(parse_rotor_speed(text, Rotors));
   const WrenchObserverSettings observer = observer_settings(options.observer_bandwidth);
   const ExternalWrench external = observer_inputs().at(options.observer);
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, vehicles.believed);
@@ -415,6 +465,9 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       options.height_offset != 0.0 || options.height_drift != 0.0 || ground_is_off;
   double power = power_model.power(plant.actuators().rotor_speed);  // during the last step [W]
   battery.on_plant(mission.phase(0.0), plant.time(), power, 0.0);
+  const auto charge = [&] {  // voltage as a fraction of that of the full battery
+    return battery.known() ? battery.load().voltage / vehicles.truth.battery.full_voltage : 1.0;
+  };
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
   IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
   LossWatch loss;
@@ -444,6 +497,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       flown.solver.add(result.status, result.report);
       flown.trust.on_control(controller.trust().state, controller.mode(), controller.failure(),
                              steps_per_tick * step);
+      flown.rotor_speeds.add(controller.speed_ratio());
       if (log) {
         times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
         detail::log_row(*log, mission, plant, controller, power, &battery);
@@ -453,7 +507,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
-    if (!plant.step(command, disturbance(), step))
+    ActuatorState<Rotors> turned = command;
+    for (const RotorSpeedOption& speed : speeds)
+      for (int k = 0; k < Rotors; ++k) turned.rotor_speed(k) *= speed.factor(k, time, charge());
+    if (!plant.step(turned, disturbance(), step))
       throw std::runtime_error("the plant rejected a step");
     flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());
@@ -536,9 +593,11 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
   if (options.start_in_air > 0.0)
     printed << "take_over_drop_m: " << flown.take_over_drop
             << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
+  flown.rotor_speeds.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();
+  flown.rotor_speeds.print_health(std::cout);
   return {printed.str(), flown.loss};
 }
 

@@ -57,8 +57,8 @@ struct MissionSensors {
   template <typename Plant, typename Controller>
   void sense(const Plant& plant, Controller& controller, double height_error = 0.0) {
     const double time = plant.time();
-    if (const auto m = rotor_speeds.sample(time, plant.actuators().rotor_speed))
-      controller.on_rotor_speeds(m->rotor_speed);
+    const auto speeds = rotor_speeds.sample(time, plant.actuators().rotor_speed);
+    if (const auto& m = speeds; m && has_rotor_speeds) controller.on_rotor_speeds(m->rotor_speed);
     if (auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force())) {
       if (vibration > 0.0) {
         // Near 100 Hz: a loop with a single sample per tick sees this vibration as a slow
@@ -81,6 +81,7 @@ struct MissionSensors {
 
   /// Rms of each angular rate [rad/s]; the specific force has ten times this value in [m/s^2].
   double vibration = 0.0;
+  bool has_rotor_speeds = true;                          // false: no telemetry
   bool has_poses = true;                                 // false: motion capture is off
   Eigen::Vector3d pose_drift = Eigen::Vector3d::Zero();  // of the frame of the poses [m]
   double yaw_drift = 0.0;                                // of that frame [rad]
