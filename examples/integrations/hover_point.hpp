@@ -6,7 +6,7 @@
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 
 #include <stdexcept>
 #include <string>

@@ -11,7 +11,7 @@
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 

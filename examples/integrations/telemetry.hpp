@@ -7,7 +7,6 @@
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

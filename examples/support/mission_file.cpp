@@ -4,7 +4,7 @@
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/transition.hpp>

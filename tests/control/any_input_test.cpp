@@ -12,7 +12,6 @@
 #include <tilt_ropter/control/detail/ground_contact.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>

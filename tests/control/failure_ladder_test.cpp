@@ -6,7 +6,6 @@
 #include "support/hovering.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 

@@ -9,7 +9,7 @@
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 

@@ -30,8 +30,7 @@ add() {  # header, headers that include it
 }
 
 add Eigen/Core "$(bash "$here/eigen_users.sh" "$include")"
-for header in math/rotation model/vehicle model/rigid_body optimal_control/multiple_shooting \
-  model/reference; do
+for header in math/rotation model/vehicle model/rigid_body optimal_control/multiple_shooting; do
   users=$(bash "$here/leads_to.sh" "$include" "tilt_ropter/$header.hpp" | sed "s|^|$include/|")
   add "tilt_ropter/$header.hpp" "$users"
 done

@@ -27,7 +27,7 @@ plant() {  # directory, header, line
 
 plant "$1" math/rotation.hpp '#include <tilt_ropter/model/state.hpp>'
 plant "$1" model/state.hpp '#  include <tilt_ropter/actuation/rotor.hpp>'
-plant "$1" model/reference.hpp '#include <tilt_ropter/control/nmpc_settings.hpp>'
+plant "$1" model/contact.hpp '#include <tilt_ropter/control/nmpc_settings.hpp>'
 plant "$1" model/frames.hpp '#include <nlopt.h>'
 plant "$1" model/state.hpp '#include "vehicle.hpp"'
 plant "$1" model/state.hpp '#include <boost/version.hpp>'

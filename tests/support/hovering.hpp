@@ -2,7 +2,6 @@
 
 #include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 
 #include <gtest/gtest.h>

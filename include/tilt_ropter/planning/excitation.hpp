@@ -3,7 +3,7 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/planning/detail/timing.hpp>
 #include <tilt_ropter/planning/transition.hpp>
 

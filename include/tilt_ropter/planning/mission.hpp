@@ -4,7 +4,7 @@
 #include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/reference.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>

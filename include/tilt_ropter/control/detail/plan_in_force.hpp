@@ -3,7 +3,6 @@
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/contact.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>

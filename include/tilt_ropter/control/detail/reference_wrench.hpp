@@ -4,7 +4,6 @@
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/control/detail/ground_contact.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 

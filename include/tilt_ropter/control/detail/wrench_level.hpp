@@ -8,7 +8,6 @@
 #include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/model/contact.hpp>
-#include <tilt_ropter/model/reference.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
