@@ -82,7 +82,7 @@ Wrenchd FlightController<Rotors>::wrench_of(const ActuatorState<Rotors>& actuato
 
 template <int Rotors>
 void FlightController<Rotors>::on_voltage(double voltage) {
-  (void)actuators_.set_voltage(voltage);
+  if (actuators_.set_voltage(voltage)) voltage_ = voltage;
   set_voltage(std::min(voltage, actuators_.usable_voltage()));
 }
 
@@ -371,6 +371,7 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
   actuators_.update(time, sent_.command);  // the command acts from now on
   limit_speeds();
+  compare_sources();
   return actuators_.to_send(sent_.command);
 }
 
@@ -381,6 +382,29 @@ void FlightController<Rotors>::limit_speeds() {
   if (std::abs(usable - usable_voltage_) < 0.005 * usable) return;
   usable_voltage_ = usable;
   set_voltage(usable);
+}
+
+template <int Rotors>
+void FlightController<Rotors>::compare_sources() {
+  using Speeds = Eigen::Matrix<double, Rotors, 1>;
+  const double weight = vehicle_.body.mass * gravity,
+               ratio = voltage_ratio(vehicle_.battery, voltage_).value_or(1.0);
+  Speeds top;
+  for (int i = 0; i < Rotors; ++i) {
+    const RotorParameters& rotor = rotor_parameters(vehicle_, static_cast<std::size_t>(i));
+    top(i) = speed_from_thrust(max_thrust_at(rotor, ratio), rotor);
+  }
+  const Speeds& modelled = actuators_.state().rotor_speed;
+  const Speeds& measured = measures_speeds_ ? rotor_speeds_ : modelled;
+  const auto means = means_between(observed_at_tick_, observed_);
+  observed_at_tick_ = observed_;
+  const std::optional<Undercarriage> stands = undercarriage(vehicle_);
+  consistency_.rotor_speed = rotor_speed_residual<Rotors>(measured, modelled);
+  if (means) consistency_.wrench = wrench_residual(means->raw.force, weight, !airborne_);
+  consistency_.pose = pose_residual(ekf_.nis());
+  consistency_.load =
+      load_residual(contact_.estimate(), ekf_.state(), weight, stands ? stands->height : 0.0);
+  consistency_.battery = battery_residual<Rotors>(measured, top);
 }
 
 template <int Rotors>

@@ -7,6 +7,7 @@
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/consistency.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -154,6 +155,8 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::WrenchObserverd& observer() const { return observer_; }
   [[nodiscard]] const tilt_ropter::AllocationResult<Rotors>& allocated() const { return sent_; }
   [[nodiscard]] const tilt_ropter::ContactEstimator& contact() const { return contact_; }
+  /// What the sources of the last tick said of each other.
+  [[nodiscard]] const tilt_ropter::Consistency& consistency() const { return consistency_; }
   /// The controller at the wrench level; there is none at the actuator level or by NLopt alone.
   [[nodiscard]] const tilt_ropter::Nmpc<Rotors>& nmpc() const { return *nmpc_; }
   [[nodiscard]] bool at_wrench_level() const { return !actuator_nmpc_; }
@@ -204,10 +207,14 @@ class FlightController {
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   bool started_ = false, measures_speeds_ = false;
+  tilt_ropter::Consistency consistency_;
+  tilt_ropter::ObservedWrenchd observed_at_tick_;
+  double voltage_ = 0.0;         ///< measured [V]
   double usable_voltage_ = 0.0;  ///< that limits the speeds, because of slow rotors [V]; 0: none
 
   void set_voltage(double voltage);
   void limit_speeds();
+  void compare_sources();
   void choose_mode(double time, const Reference& reference);
   void start_in_the_air(double time);
   void return_to(const tilt_ropter::ReferencePoint& point, double time);

@@ -321,12 +321,33 @@ class RotorSpeedFigures {
   Eigen::VectorXd last_;
 };
 
+/// The largest residuals between the sources, over their spread.
+class ResidualFigures {
+ public:
+  void add(const tilt_ropter::Consistency& consistency) {
+    const auto residuals = named_residuals(consistency);
+    for (std::size_t i = 0; i < max_.size(); ++i)
+      max_[i] = std::max(max_[i], std::abs(residuals[i].second));
+  }
+
+  void print(std::ostream& out) const {
+    const auto residuals = named_residuals({});
+    for (std::size_t i = 0; i < max_.size(); ++i)
+      out << residuals[i].first << "_max: " << std::fixed << std::setprecision(2) << max_[i]
+          << '\n';
+  }
+
+ private:
+  std::array<double, 5> max_{};
+};
+
 /// A flown mission.
 struct FlownMission {
   MissionFigures figures{0.0};
   BatteryFigures battery{{}};
   TrustFigures trust;
   RotorSpeedFigures rotor_speeds;
+  ResidualFigures residuals;
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
@@ -498,6 +519,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       flown.trust.on_control(controller.trust().state, controller.mode(), controller.failure(),
                              steps_per_tick * step);
       flown.rotor_speeds.add(controller.speed_ratio());
+      flown.residuals.add(controller.consistency());
       if (log) {
         times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
         detail::log_row(*log, mission, plant, controller, power, &battery);
@@ -594,6 +616,7 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
     printed << "take_over_drop_m: " << flown.take_over_drop
             << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
   flown.rotor_speeds.print(printed);
+  flown.residuals.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
           << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
   std::cout << printed.str();

@@ -5,17 +5,30 @@
 #include "mission_log.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/consistency.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <Eigen/Geometry>
 
+#include <array>
 #include <string>
+#include <utility>
 #include <vector>
 
 /// The columns of the log of a mission.
 namespace examples {
+
+/// The residuals of `consistency`, value over spread, by the names of the log's columns.
+[[nodiscard]] inline std::array<std::pair<const char*, double>, 5> named_residuals(
+    const tilt_ropter::Consistency& consistency) {
+  return {{{"residual_rotor_speed", consistency.rotor_speed.ratio()},
+           {"residual_wrench", consistency.wrench.ratio()},
+           {"residual_pose", consistency.pose.ratio()},
+           {"residual_load", consistency.load.ratio()},
+           {"residual_battery", consistency.battery.ratio()}}};
+}
 
 namespace detail {
 
@@ -49,6 +62,7 @@ inline std::vector<std::string> mission_columns(int rotor_count, bool battery = 
         "ground_height_m", "ground_force_n", "estimate_state", "flight_mode", "position_stddev_m",
         "solved_by", "nlopt_evaluations", "polishing_steps"})
     names.emplace_back(name);
+  for (const auto& residual : named_residuals({})) names.emplace_back(residual.first);
   if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
 }
@@ -82,6 +96,7 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add(controller.trust().position_stddev);
   log.add(static_cast<int>(result.report.solved_by)).add(result.report.evaluations);
   log.add(result.report.polishing_steps);
+  for (const auto& residual : named_residuals(controller.consistency())) log.add(residual.second);
   if (battery != nullptr && battery->known())
     log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();

@@ -48,6 +48,8 @@ std::vector<std::string> shown_columns(std::size_t rotors) {
     for (const char* name : {"position_m", "reference_m", "velocity_mps", "orientation",
                              "command_force_n", "estimated_force_n", "external_force_n"})
       names.push_back(std::string(name) + axis);
+  for (const char* name : {"rotor_speed", "wrench", "pose", "load", "battery"})
+    names.push_back(std::string("residual_") + name);
   for (std::size_t i = 1; i <= rotors; ++i)
     for (const char* name : {"tilt_true_rad_", "rotor_speed_radps_"})
       names.push_back(name + std::to_string(i));

@@ -11,6 +11,7 @@
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
+#include <tilt_ropter/estimation/consistency.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/measurement_models.hpp>
