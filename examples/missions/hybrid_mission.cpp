@@ -19,11 +19,6 @@ int main(int argc, char** argv) {
       "eight."};
   examples::MissionOptions options;
   examples::add_options(app, options);
-  app.add_option(
-      "--failure", options.failure,
-      "an actuator fails in flight: servo:rotor=2,angle=90,start=20 sticks at this angle "
-      "[deg], rotor:rotor=1,effectiveness=0,start=20 keeps this fraction of its thrust. "
-      "The controller is not told; it has to find the failure, and lands");
   app.footer(examples::mission_exit_codes);
   std::string write_path;
   app.add_option("--write-vehicle", write_path,

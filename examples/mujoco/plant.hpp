@@ -96,6 +96,15 @@ class MujocoPlant {
     servos_.at(arm) = servo;
   }
 
+  /// Same as tilt_ropter::Plant::set_rotors(), but the arms stay where the model has them.
+  void set_rotors(const tilt_ropter::Vehicle<Rotors>& vehicle) { vehicle_.rotors = vehicle.rotors; }
+
+  /// Takes the torque from a servo: its arm swings freely from now on. `arm` counts from 0.
+  void release_servo(std::size_t arm) {
+    model_->actuator_gainprm[mjNGAIN * servo_.at(arm)] = 0.0;
+    model_->actuator_biasprm[mjNBIAS * servo_.at(arm) + 2] = 0.0;
+  }
+
   /// Advances the plant by `dt` [s] with constant command and constant disturbance, a wrench at the
   /// CoM in the body frame. Returns false if an argument is not finite, if dt is out of range, or
   /// if MuJoCo reports an invalid state. After an invalid state the plant must not be used.

@@ -1,14 +1,21 @@
 #pragma once
 
-#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/sensors.hpp>
 
+#include <Eigen/Core>
+
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
+#include <optional>
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 namespace examples {
@@ -74,41 +81,49 @@ inline void read_fields(const std::string& option, const std::string& text,
   return fault;
 }
 
-/// An actuator that fails in flight.
+/// Which actuator of a plant fails, how, and when.
 struct ActuatorFailureOption {
-  tilt_ropter::ActuatorFailure failure;
+  std::string name;            ///< motor, motor_silent, blade, servo or limp
+  std::size_t rotor = 0;       ///< from 0
+  double effectiveness = 0.0;  ///< fraction of the thrust that a broken blade leaves
+  /// To which a servo goes, NaN: the angle at that time [rad].
+  double angle = std::numeric_limits<double>::quiet_NaN();
   double start = 20.0;  ///< [s]
 };
 
-/// Reads `servo:rotor=2,angle=90,start=20` (it sticks at this angle [deg]) or
-/// `rotor:rotor=1,effectiveness=0,start=20`. Rotors are counted from 1 to `rotors`. Throws
+inline constexpr const char* failure_help =
+    "an actuator fails at start (default: 20 s; 0: before the take-off). motor:rotor=1,start=20 "
+    "stops, and its telemetry says so; motor_silent stops, but its telemetry goes on with the "
+    "commanded speed; blade:rotor=1,effectiveness=0 keeps its speed and this fraction of its "
+    "thrust (also named rotor); servo:rotor=2,angle=90 sticks at this angle [deg], by default "
+    "where it is; limp:rotor=2,angle=90 holds no torque: its arm sinks to this angle (in MuJoCo "
+    "it swings freely). The controller is not told; it has to find the failure, and lands";
+
+/// Reads an option as failure_help describes it. Rotors are counted from 1 to `rotors`. Throws
 /// std::invalid_argument that names what is wrong.
 [[nodiscard]] inline ActuatorFailureOption parse_failure(const std::string& text, int rotors) {
-  using tilt_ropter::FailureKind;
   const std::size_t colon = text.find(':');
   const std::string name = text.substr(0, colon), option = "--failure " + name;
   ActuatorFailureOption given;
-  given.failure.effectiveness = 0.0;
-  double rotor = 1.0, degrees = 0.0;
+  given.name = name == "rotor" ? "blade" : name;
+  double rotor = 1.0, degrees = name == "limp" ? 90.0 : given.angle;
   std::vector<NamedNumber> fields = {{"rotor", &rotor}, {"start", &given.start}};
-  if (name == "servo") {
-    given.failure.kind = FailureKind::servo;
+  if (name == "servo" || name == "limp")
     fields.push_back({"angle", &degrees});
-  } else if (name == "rotor") {
-    given.failure.kind = FailureKind::rotor;
-    fields.push_back({"effectiveness", &given.failure.effectiveness});
-  } else {
-    throw std::invalid_argument(option + ": must be servo or rotor");
-  }
+  else if (given.name == "blade")
+    fields.push_back({"effectiveness", &given.effectiveness});
+  else if (name != "motor" && name != "motor_silent")
+    throw std::invalid_argument(option + ": must be motor, motor_silent, blade, servo or limp");
   detail::read_fields(option, colon == std::string::npos ? "" : text.substr(colon + 1), fields);
   tilt_ropter::require(rotor >= 1.0 && rotor <= rotors && rotor == std::floor(rotor),
                        option + ": rotor", rotor,
                        "a whole number from 1 to " + std::to_string(rotors));
-  tilt_ropter::require_in(option + ": angle [deg]", degrees, -180.0, 180.0);
-  tilt_ropter::require_in(option + ": effectiveness", given.failure.effectiveness, 0.0, 1.0);
+  if (!std::isnan(degrees))
+    tilt_ropter::require_in(option + ": angle [deg]", degrees, -180.0, 180.0);
+  tilt_ropter::require_in(option + ": effectiveness", given.effectiveness, 0.0, 1.0);
   tilt_ropter::require_in(option + ": start [s]", given.start, 0.0, 1e6);
-  given.failure.rotor = static_cast<std::size_t>(rotor) - 1;
-  given.failure.angle = degrees * tilt_ropter::pi / 180.0;
+  given.rotor = static_cast<std::size_t>(rotor) - 1;
+  given.angle = degrees * tilt_ropter::pi / 180.0;
   return given;
 }
 
@@ -149,5 +164,66 @@ struct RotorSpeedOption {
   given.rotor = static_cast<int>(rotor);
   return given;
 }
+
+/// Breaks an actuator of a plant by what it does to the rotors and to the commands.
+template <int Rotors>
+class FailingActuator {
+ public:
+  /// `truth` is the vehicle of the plant. Throws like parse_failure(); nothing fails if `option` is
+  /// empty.
+  FailingActuator(const std::string& option, const tilt_ropter::Vehicle<Rotors>& truth)
+      : truth_(truth) {
+    if (!option.empty()) failure_ = parse_failure(option, Rotors);
+  }
+
+  /// Call before each step of `plant`; returns what its actuators receive instead of `command`.
+  template <typename Plant>
+  [[nodiscard]] tilt_ropter::ActuatorState<Rotors> command(
+      Plant& plant, tilt_ropter::ActuatorState<Rotors> command) {
+    const double passed = failure_ ? plant.time() - failure_->start : -1.0;
+    if (passed < 0.0) return command;
+    const std::string& name = failure_->name;
+    const auto row = static_cast<Eigen::Index>(failure_->rotor);
+    double& angle = command.tilt_angle(row);
+    const bool begins = std::isnan(began_at_);
+    if (begins) began_at_ = plant.actuators().tilt_angle(row);
+    const double to = std::isnan(failure_->angle) ? began_at_ : failure_->angle;
+    if (name == "motor") {
+      command.rotor_speed(row) = 0.0;
+      tilt_ropter::RotorParameters stopped = rotor_parameters(truth_, failure_->rotor);
+      stopped.min_thrust = 0.0;
+      auto vehicle = truth_;
+      vehicle.rotors[failure_->rotor].parameters = stopped;
+      if (begins) plant.set_rotors(vehicle);
+    } else if (name == "motor_silent") {  // the thrust falls with the square of the speed
+      const double lag = rotor_parameters(truth_, failure_->rotor).time_constant;
+      plant.set_rotors(with_weak_rotor(truth_, failure_->rotor, std::exp(-2.0 * passed / lag)));
+    } else if (name == "blade") {
+      if (begins)
+        plant.set_rotors(with_weak_rotor(truth_, failure_->rotor, failure_->effectiveness));
+    } else if (name == "servo") {
+      angle = to;  // for a plant whose arms are bodies and cannot jump
+      // The rotor no longer tilts from the angle at which it was.
+      if (begins) plant.set_rotors(with_stuck_servo(truth_, failure_->rotor, to - began_at_));
+    } else if constexpr (has_free_servos<Plant>::value) {
+      plant.release_servo(failure_->rotor);
+    } else {
+      constexpr double sinks = 1.0;  // against the friction of its gear [rad/s]
+      angle = began_at_ + std::clamp(to - began_at_, -sinks * passed, sinks * passed);
+    }
+    return command;
+  }
+
+ private:
+  // True for a plant that moves an arm by its forces: it has release_servo().
+  template <typename Plant, typename = void>
+  struct has_free_servos : std::false_type {};
+  template <typename Plant>
+  struct has_free_servos<Plant, std::void_t<decltype(&Plant::release_servo)>> : std::true_type {};
+
+  tilt_ropter::Vehicle<Rotors> truth_;
+  std::optional<ActuatorFailureOption> failure_;
+  double began_at_ = std::numeric_limits<double>::quiet_NaN();  // its angle at the failure [rad]
+};
 
 }  // namespace examples

@@ -67,9 +67,9 @@ struct MissionOptions {
   std::string level;                 // "wrench" or "actuator"; empty: see level_for()
   std::string solver = "automatic";  // see add_solver()
   std::string imu_log;               // file for identify_vehicle, or empty
-  std::string failure;  // see parse_failure(); empty: none. An option of hybrid_mission only
   std::vector<std::string> rotor_speeds;  // see parse_rotor_speed()
   bool no_telemetry = false;
+  std::string failure;               // see parse_failure(); empty: none
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -164,6 +164,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
       });
   app.add_flag("--no-telemetry", options.no_telemetry,
                "no measured rotor speeds; the controller uses the modelled ones");
+  app.add_option("--failure", options.failure, failure_help);
   app.add_option("--observer-bandwidth", options.observer_bandwidth,
                  "bandwidth of the wrench observer in all axes [1/s]")
       ->check(CLI::Range(0.1, 1000.0))
@@ -495,6 +496,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   // Until then the vehicle was not on its mission, and may take some time to return.
   double away_until = options.start_in_air > 0.0 ? 5.0 : 0.0;
   const double start_height = plant.body().position.z();
+  FailingActuator<Rotors> failing(options.failure, vehicles.truth);
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps; ++i) {
@@ -532,7 +534,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     ActuatorState<Rotors> turned = command;
     for (const RotorSpeedOption& speed : speeds)
       for (int k = 0; k < Rotors; ++k) turned.rotor_speed(k) *= speed.factor(k, time, charge());
-    if (!plant.step(turned, disturbance(), step))
+    if (!plant.step(failing.command(plant, turned), disturbance(), step))
       throw std::runtime_error("the plant rejected a step");
     flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());

@@ -86,7 +86,9 @@ TEST(ActuatorFailure, OptionNamesWhatIsWrong) {
     EXPECT_NE(refused.exit_code, 0) << option;
     EXPECT_NE(refused.output.find(reason), std::string::npos) << refused.output;
   };
-  expect_refused("motor:rotor=1", "--failure motor: must be servo or rotor");
+  expect_refused("wing:rotor=1",
+                 "--failure wing: must be motor, motor_silent, blade, servo or limp");
+  expect_refused("motor:rotor=1,angle=3", "unknown field angle, must be rotor or start");
   expect_refused("servo:rotor=5,angle=10", "rotor = 5: must be a whole number from 1 to 4");
   expect_refused("servo:rotor=1.5", "a whole number from 1 to 4");
   expect_refused("servo:rotor=1,angle=270", "angle [deg] = 270");

@@ -14,6 +14,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <stdexcept>
 #include <vector>
 
 namespace tilt_ropter {
@@ -315,6 +316,27 @@ TEST(Plant, CommandsAreClampedToActuatorRange) {
   EXPECT_NEAR(plant.actuators().tilt_angle(1), -0.5, 1e-6);
   EXPECT_NEAR(plant.actuators().tilt_angle(2), 0.7, 1e-6);
   EXPECT_NEAR(plant.actuators().tilt_angle(3), 0.0, 1e-15);
+}
+
+// A rotor that fails changes neither the state nor the commands that wait for the servos.
+TEST(Plant, RotorsCanBeReplacedInFlight) {
+  Vehicle<4> slow = vehicle;
+  slow.servo.dead_time = 0.05;
+  Plant<4> plant(slow), whole(slow);
+  ActuatorState<4> command = hover();
+  command.tilt_angle.setConstant(0.3);
+  run(plant, command, {}, 0.02);
+  run(whole, command, {}, 0.02);
+  plant.set_rotors(with_stuck_servo(with_weak_rotor(slow, 1, 0.0), 2, 0.5));
+  run(plant, command, {}, 0.1);
+  run(whole, command, {}, 0.1);
+  EXPECT_EQ(plant.actuators().tilt_angle(2), 0.0);
+  EXPECT_EQ(plant.actuators().tilt_angle(3), whole.actuators().tilt_angle(3));
+  EXPECT_EQ(plant.actuators().rotor_speed, whole.actuators().rotor_speed);
+  const Wrenchd left = plant.actuator_wrench();
+  EXPECT_LT(left.force.z(), whole.actuator_wrench().force.z() - 0.2 * slow.body.mass * gravity);
+  slow.rotors[0].effectiveness = -1.0;
+  EXPECT_THROW(plant.set_rotors(slow), std::invalid_argument);
 }
 
 }  // namespace

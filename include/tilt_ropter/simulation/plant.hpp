@@ -143,6 +143,14 @@ class Plant {
     return ratio.has_value();
   }
 
+  /// Replaces the rotors by those of `vehicle` from the next step on, for example to let one fail
+  /// (with_weak_rotor()). Time constants of rotors remain, a servo that no longer tilts keeps its
+  /// angle. Throws std::invalid_argument if the vehicle is out of range.
+  void set_rotors(const Vehicle<Rotors>& vehicle) {
+    vehicle_.rotors = validated(vehicle).rotors;
+    min_rotor_speed_ = of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); });
+  }
+
   [[nodiscard]] const PlantState<Rotors>& state() const noexcept { return state_; }
   [[nodiscard]] double time() const noexcept { return state_.time; }
   [[nodiscard]] const BodyStated& body() const noexcept { return state_.body; }
