@@ -8,6 +8,7 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -119,6 +120,104 @@ TEST(FailureDetector, FindsAStoppedRotorByItsSpeed) {
   EXPECT_EQ(detector.failure().rotor, 2U);
   EXPECT_EQ(detector.failure().effectiveness, 0.0);
   EXPECT_LE(body.since_failure(detector.failure().time), 0.15);
+}
+
+/// Ticks at 1 kHz whose wrench is as modelled: only the telemetry shows what happens. `telemetry`
+/// returns the reading of rotor 3 at a time since the start.
+template <typename Reading>
+ActuatorFailure by_telemetry(const Reading& telemetry, bool airborne, double duration = 2.0,
+                             bool others_change = true,
+                             double commanded = std::sqrt(0.25 * 1.5 * gravity / 1.4e-6)) {
+  FailureDetector<4> detector(tilt_ropter_vehicle());
+  const ActuatedBody<4> body(tilt_ropter_vehicle());
+  ActuatorState<4> modelled;
+  modelled.rotor_speed.setConstant(commanded);
+  const Wrenchd wrench = body.wrench(modelled);
+  test_support::Random random(5);
+  for (int tick = 0; tick < 1000.0 * duration; ++tick) {
+    ActuatorState<4> measured = modelled;
+    if (others_change) measured.rotor_speed.head<3>() += random.vector(3.0);
+    measured.rotor_speed(2) = telemetry(1e-3 * tick, commanded);
+    detector.update(5.0 + 1e-3 * tick, {Eigen::Vector3d::Zero(), wrench.force / 1.5}, measured,
+                    modelled.rotor_speed, airborne);
+  }
+  return detector.failure();
+}
+
+double stopping(double time, double speed) {
+  return time < 1.0 ? speed : speed * std::exp(-(time - 1.0) / 0.03);
+}
+
+TEST(FailureDetector, FindsAStoppingMotorIn20ms) {
+  for (const bool airborne : {true, false})
+    for (const double thrust : {0.3, 1.0, 2.0}) {
+      const ActuatorFailure found =
+          by_telemetry(stopping, airborne, 1.5, true, 1621.0 * std::sqrt(thrust));
+      ASSERT_EQ(found.kind, FailureKind::rotor) << airborne << thrust;
+      EXPECT_EQ(found.rotor, 2U);
+      EXPECT_EQ(found.effectiveness, 0.0);
+      EXPECT_LE(found.time, 6.0 + (thrust < 1.0 ? 0.03 : 0.02)) << airborne << thrust;
+    }
+  const auto coarse = [](double time, double speed) {  // 100 Hz, steps of 60 rad/s
+    return 60.0 * std::floor(stopping(0.01 * std::floor(100.0 * time), speed) / 60.0);
+  };
+  EXPECT_LE(by_telemetry(coarse, true).time, 6.05);
+  EXPECT_EQ(by_telemetry(coarse, true).rotor, 2U);
+}
+
+TEST(FailureDetector, WrongTelemetryIsNoFailure) {
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  using Reading = double (*)(double, double);
+  for (const bool airborne : {true, false})
+    for (const Reading reading : {
+             Reading([](double, double w) { return 0.8 * w; }),
+             Reading([](double, double w) { return 100.0 * std::floor(w / 100.0); }),
+             // one wrong reading of 50 a second, of different sizes
+             Reading([](double t, double w) { return t > 1.0 && t < 1.02 ? 0.0 : w; }),
+             Reading([](double t, double w) { return t > 1.0 && t < 1.02 ? 0.3 * w : w; }),
+             Reading([](double t, double w) { return t > 1.0 && t < 1.02 ? nan : w; }),
+             Reading([](double t, double w) { return t > 1.0 && t < 1.02 ? 1e6 : w; }),
+             Reading([](double t, double w) {  // four falling readings in 4 ms
+               return t > 1.0005 && t < 1.0045 ? (0.6 - 100.0 * (t - 1.0)) * w : w;
+             }),
+             // for good: frozen, not a number, too fast
+             Reading([](double t, double w) { return t > 1.0 ? 0.6 * w : w; }),
+             Reading([](double t, double w) { return t > 1.0 ? nan : w; }),
+             Reading([](double t, double w) { return t > 1.0 ? 1e6 : w; }),
+             // it starts to turn late, and slowly
+             Reading([](double t, double w) { return w * std::min(1.0, std::max(0.0, t - 0.3)); }),
+             Reading([](double t, double w) { return w * std::min(1.0, t); }),
+             Reading([](double t, double w) {
+               return (t < 1.0 ? 0.5 + 0.5 * t : 1.0) * w +
+                      (std::sin(1e5 * t) > 0.0 ? 25.0 : -25.0);
+             }),
+         })
+      EXPECT_EQ(by_telemetry(reading, airborne).kind, FailureKind::none)
+          << airborne << ", reading at 1.01 s: " << reading(1.01, 1.0);
+  EXPECT_EQ(by_telemetry([](double t, double w) { return t > 1.0 ? 0.0 : w; }, true).kind,
+            FailureKind::none)
+      << "a channel without signal in flight";
+}
+
+// On the ground this costs no more than a take-off.
+TEST(FailureDetector, AMotorThatDoesNotStartIsLostOnTheGround) {
+  const auto dead = [](double, double) { return 0.0; };
+  EXPECT_EQ(by_telemetry(dead, true).kind, FailureKind::none);
+  EXPECT_EQ(by_telemetry(dead, false).kind, FailureKind::rotor);
+  EXPECT_EQ(by_telemetry(dead, false).rotor, 2U);
+  EXPECT_NEAR(by_telemetry(dead, false).time, 5.43, 0.05);
+  EXPECT_EQ(by_telemetry(dead, false, 2.0, false).kind, FailureKind::none) << "frozen telemetry";
+}
+
+// A switch or a battery stops all motors; no vehicle remains for which one is lost.
+TEST(FailureDetector, RotorsThatStopTogetherWereSwitchedOff) {
+  FailureDetector<4> detector(tilt_ropter_vehicle());
+  const Eigen::Vector4d modelled = Eigen::Vector4d::Constant(1621.0);
+  for (int tick = 0; tick < 1200; ++tick)
+    detector.update(1e-3 * tick, {Eigen::Vector3d::Zero(), {0.0, 0.0, gravity}},
+                    {modelled * stopping(1e-3 * tick, 1.0), Eigen::Vector4d::Zero()}, modelled,
+                    false);
+  EXPECT_EQ(detector.failure().kind, FailureKind::none);
 }
 
 // Near zero thrust the model of a rotor and its speed may differ by any factor.

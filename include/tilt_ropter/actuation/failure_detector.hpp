@@ -62,9 +62,15 @@ template <int Rotors>
 /// the angle of a stuck servo or what is left of the thrust. Wind, a wrong mass or a wrong time
 /// constant change the wrench in ways that no single rotor explains.
 ///
+/// A motor that stops is found earlier, also on the ground, by its measured speed: three readings
+/// fall below 0.7 of the speed that the model expects. No reading counts that repeats or rises, so
+/// wrong, late, coarse or frozen telemetry and a rotor that spins up are no failure. On the ground
+/// a rotor that stands still for 0.4 s is lost, too, if the telemetry of other rotors changes.
+/// Rotors that stop together were switched off.
+///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
-/// it is commanded. Nothing is found while the vehicle touches the ground, in the first 0.2 s of a
-/// flight, and with less than 20 ticks per second.
+/// it is commanded. The wrench shows no failure while the vehicle touches the ground, in the first
+/// 0.2 s of a flight, and with less than 20 ticks per second.
 ///
 /// Only the constructor throws. Nothing allocates.
 template <int Rotors>
@@ -75,9 +81,10 @@ class FailureDetector {
 
   /// Processes one tick at `time` [s]. `sample` is as for WrenchObserver::update(). `measured` has
   /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
-  /// [rad/s] is that of ActuatorModel, or the measured speed again if it is not measured. Set
-  /// `airborne` to false if the vehicle touches the ground or may touch it. Returns the first
-  /// failure that was found; reset() forgets it. Ignores numbers that are not finite or above 1e6.
+  /// [rad/s] is that of ActuatorModel. It replaces a measured speed that is more than 30 % off, as
+  /// it is not finite or not measured. Set `airborne` to false if the vehicle touches the ground or
+  /// may touch it. Returns the first failure that was found; reset() forgets it. Ignores ticks with
+  /// other numbers that are not finite or above 1e6.
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
@@ -111,9 +118,18 @@ class FailureDetector {
   static constexpr double lost_fraction = 0.25;
   // The servo is all right if the force keeps its direction within this angle [rad].
   static constexpr double max_angle_error = 0.26;
-  // A rotor is lost if its measured speed is below this fraction of the modelled speed, and if its
-  // thrust is also smaller by min_change.
-  static constexpr double min_speed_fraction = 0.5;
+  // A rotor whose measured speed is below this fraction of the expected speed is too slow. An empty
+  // battery and a wrong thrust map leave 0.8.
+  static constexpr double min_speed_fraction = 0.7;
+  // It also lacks this fraction of the hover speed: idle speeds differ from the model by any
+  // factor.
+  static constexpr double min_missing_speed = 0.25;
+  static constexpr int falling_readings = 3;     // that show a motor that stops
+  static constexpr double falling_time = 0.006,  // they take at least [s]
+      standing_time = 0.4;                       // in which a motor starts to turn [s]
+  // The expected speed follows a rise of the modelled speed with this time constant, because
+  // telemetry is late and a rotor may be slower than its model [s].
+  static constexpr double rise_time = 0.05;
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   static constexpr int blocks = 6;             // of a window
@@ -130,6 +146,13 @@ class FailureDetector {
 
   static constexpr std::size_t index(int i) { return static_cast<std::size_t>(i); }
 
+  /// What the telemetry of a rotor shows.
+  struct Telemetry {
+    double expected = 0.0, last = 0.0;  ///< speed, last reading [rad/s]
+    double slow_for = 0.0;              ///< [s]
+    int falls = 0, others = 0;          ///< readings since then: that fell, of other rotors
+  };
+
   [[nodiscard]] Vector6 scaled(const Wrenchd& wrench) const noexcept {
     Vector6 v;
     v << wrench.force, per_torque_ * wrench.torque;
@@ -141,8 +164,8 @@ class FailureDetector {
   }
 
   void forget() noexcept;
-  void watch_speeds(double time, double dt, const ActuatorState<Rotors>& measured,
-                    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept;
+  void watch_speeds(double time, double dt, const Eigen::Matrix<double, Rotors, 1>& measured,
+                    const Eigen::Matrix<double, Rotors, 1>& modelled, bool airborne) noexcept;
   void add(double dt, const InertialSampled& sample,
            const ActuatorState<Rotors>& actuators) noexcept;
   void end_block(double time, const InertialSampled& sample) noexcept;
@@ -177,7 +200,8 @@ class FailureDetector {
   std::array<Block, blocks> ring_;
   int filled_ = 0, next_ = 0, suspect_ = -1;
   Vector6 baseline_ = Vector6::Zero();
-  std::array<double, static_cast<std::size_t>(Rotors)> slow_for_{};
+  std::array<Telemetry, static_cast<std::size_t>(Rotors)> telemetry_{};
+  Eigen::Matrix<double, Rotors, 1> hover_speed_;  // [rad/s]
 };
 
 template <int Rotors>
@@ -191,6 +215,7 @@ FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
   for (int i = 0; i < Rotors; ++i) {
     tilts_[index(i)] = vehicle.rotors[index(i)].tilts;
     lost_[index(i)] = !(vehicle.rotors[index(i)].effectiveness > 0.0);
+    hover_speed_(i) = speed_from_thrust(hover_thrust_, rotor_parameters(vehicle, index(i)));
     for (const bool vertical : {false, true}) {
       ActuatedState<Rotors> one;
       one.thrust(i) = 1.0;
@@ -209,15 +234,26 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
     return (values.array().abs() <= 1e6).all();  // false for NaN
   };
   const bool valid = std::isfinite(time) && plausible(sample.specific_force) &&
-                     plausible(sample.angular_velocity) && plausible(measured.rotor_speed) &&
-                     plausible(measured.tilt_angle) && plausible(modelled_speed);
+                     plausible(sample.angular_velocity) && plausible(measured.tilt_angle) &&
+                     plausible(modelled_speed);
   if (!valid || failure_.kind != FailureKind::none) return failure_;
-  if (!started_ || !airborne || !(dt > 0.0 && dt <= longest_gap)) {
+  const bool in_time = started_ && dt > 0.0 && dt <= longest_gap;
+  if (in_time)
+    watch_speeds(time, dt, measured.rotor_speed, modelled_speed, airborne);
+  else
+    telemetry_.fill({});
+  if (!in_time || !airborne) {
     forget();
     started_ = true;
   } else {
-    watch_speeds(time, dt, measured, modelled_speed);
-    add(dt, sample, measured);
+    // A speed far from the model is that of a motor that fails, or a wrong measurement. The model
+    // is right about the wrench that the body then misses, or does not miss.
+    ActuatorState<Rotors> actuators{modelled_speed, measured.tilt_angle};
+    for (int i = 0; i < Rotors; ++i)
+      if (std::abs(measured.rotor_speed(i) - modelled_speed(i)) <
+          (1.0 - min_speed_fraction) * modelled_speed(i))
+        actuators.rotor_speed(i) = measured.rotor_speed(i);
+    add(dt, sample, actuators);
     if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
   }
   time_ = time;
@@ -234,23 +270,39 @@ void FailureDetector<Rotors>::forget() noexcept {
   baseline_.setZero();
   suspect_ = -1;
   suspected_for_ = 0.0;
-  slow_for_.fill(0.0);
 }
 
 template <int Rotors>
-void FailureDetector<Rotors>::watch_speeds(
-    double time, double dt, const ActuatorState<Rotors>& measured,
-    const Eigen::Matrix<double, Rotors, 1>& modelled) noexcept {
+void FailureDetector<Rotors>::watch_speeds(double time, double dt,
+                                           const Eigen::Matrix<double, Rotors, 1>& measured,
+                                           const Eigen::Matrix<double, Rotors, 1>& modelled,
+                                           bool airborne) noexcept {
+  int changed = 0, slow = 0, stopped = -1;
+  for (int i = 0; i < Rotors; ++i) changed += measured(i) != telemetry_[index(i)].last;
   for (int i = 0; i < Rotors; ++i) {
-    double& slow = slow_for_[index(i)];
-    const double speed = measured.rotor_speed(i),
-                 missing = body_.thrust(i, modelled(i)) - body_.thrust(i, speed);
-    const bool is_slow =
-        speed < min_speed_fraction * modelled(i) && missing > min_change * hover_thrust_;
-    slow = is_slow ? slow + dt : 0.0;
-    if (slow >= confirmation + window && failure_.kind == FailureKind::none)
-      failure_ = {FailureKind::rotor, index(i), 0.0, 0.0, time};
+    Telemetry& rotor = telemetry_[index(i)];
+    const double speed = measured(i), change = speed - rotor.last;
+    rotor.last = speed;
+    rotor.expected =
+        std::min(modelled(i), rotor.expected + dt / rise_time * (modelled(i) - rotor.expected));
+    const double missing = min_missing_speed * hover_speed_(i);
+    const bool is_slow = speed < min_speed_fraction * rotor.expected &&
+                         speed < rotor.expected - missing && !lost_[index(i)];
+    if (!is_slow || change > 0.1 * missing) {
+      rotor.slow_for = 0.0;
+      rotor.falls = rotor.others = 0;
+    }
+    if (!is_slow) continue;
+    ++slow;
+    rotor.slow_for += dt;
+    rotor.falls += change < 0.0;
+    rotor.others += changed - (change != 0.0);
+    const bool falls = rotor.falls >= falling_readings && rotor.slow_for >= falling_time,
+               stands = speed < 0.1 * missing && rotor.others >= falling_readings &&
+                        rotor.slow_for >= standing_time && !airborne;
+    if (falls || stands) stopped = i;
   }
+  if (stopped >= 0 && slow == 1) failure_ = {FailureKind::rotor, index(stopped), 0.0, 0.0, time};
 }
 
 template <int Rotors>
@@ -338,13 +390,16 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
                                      double thrust, double angle) noexcept {
   const double size = force.norm(), actual = std::atan2(force.x(), force.y());
   const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
-  const bool turned = std::abs(std::remainder(actual - angle, 2.0 * pi)) > max_angle_error;
+  const bool turned =
+      tilts_[index(rotor)] && std::abs(std::remainder(actual - angle, 2.0 * pi)) > max_angle_error;
+  // No failure makes a rotor push more than its model; a wrong measured speed seems to.
+  if (!turned && fraction >= 1.0) return;
   failure_.rotor = index(rotor);
   failure_.time = time;
   if (fraction < lost_fraction) {
     failure_.kind = FailureKind::rotor;
     failure_.effectiveness = 0.0;
-  } else if (turned && tilts_[index(rotor)]) {
+  } else if (turned) {
     failure_.kind = FailureKind::servo;
     failure_.angle = actual;
   } else {
