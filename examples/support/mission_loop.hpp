@@ -64,12 +64,12 @@ struct MissionOptions {
   std::string sensors = "mocap";                   // see SensorSuite
   double observer_bandwidth = 20.0;                // bandwidth [1/s]
   std::string vehicle_path, model_path;
-  std::string level;                 // "wrench" or "actuator"; empty: see level_for()
-  std::string solver = "automatic";  // see add_solver()
-  std::string imu_log;               // file for identify_vehicle, or empty
+  std::string level;                      // "wrench" or "actuator"; empty: see level_for()
+  std::string solver = "automatic";       // see add_solver()
+  std::string imu_log;                    // file for identify_vehicle, or empty
   std::vector<std::string> rotor_speeds;  // see parse_rotor_speed()
   bool no_telemetry = false;
-  std::string failure;               // see parse_failure(); empty: none
+  std::string failure;  // see parse_failure(); empty: none
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
