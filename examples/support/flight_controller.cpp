@@ -123,7 +123,10 @@ void FlightController<Rotors>::go_on_without(const ActuatorFailure& failure, dou
   const Vehicle<Rotors> remaining = with_failure(vehicle_, failure);
   const ActuatorState<Rotors> now{rotor_speeds_, actuators_.state().tilt_angle};
   body_ = ActuatedBody<Rotors>(remaining);
+  const Eigen::Matrix<double, Rotors, 1> ratio = actuators_.speed_ratio();
   actuators_ = ActuatorModel<Rotors>(remaining);
+  actuators_.set_speed_ratio(ratio);
+  usable_voltage_ = 0.0;  // the new controller does not know it yet
   actuators_.reset(now, time);
   actuator_nmpc_.emplace(remaining, after_failure_);
   // What the observer has estimated since the failure is the failure. Without it the vehicle would

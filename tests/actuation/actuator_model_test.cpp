@@ -130,6 +130,17 @@ TEST(ActuatorModel, BoundsTheRatioAndCommandsNoMoreThanTheTopSpeed) {
   EXPECT_DOUBLE_EQ(motors.model.to_send(motors.command).rotor_speed(0), top);
 }
 
+TEST(ActuatorModel, StartsFromKnownRatios) {
+  ActuatorModel<4> model(tilt_ropter_vehicle());
+  model.set_speed_ratio({0.8, 0.5, 2.0, 1.0});
+  EXPECT_EQ(model.speed_ratio(), Eigen::Vector4d(0.8, 0.7, 1.2, 1.0));
+  model.set_speed_ratio({std::nan(""), 1.0, 1.0, 1.0});
+  EXPECT_EQ(model.speed_ratio(), Eigen::Vector4d(0.8, 0.7, 1.2, 1.0));
+  ActuatorState<4> command;
+  command.rotor_speed.setConstant(800.0);
+  EXPECT_DOUBLE_EQ(model.to_send(command).rotor_speed(0), 1000.0);
+}
+
 TEST(ActuatorModel, IsRightWithoutToSend) {
   SlowMotors motors(tilt_ropter_vehicle(), false);
   motors.ratio = 0.9;

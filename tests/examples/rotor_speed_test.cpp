@@ -59,6 +59,15 @@ TEST(RotorSpeed, IsNamedAboveThreePercent) {
   EXPECT_TRUE(says(flown, "actuator_failure: none"));
 }
 
+// The vehicle that remains has the same battery: what was learnt holds for it, too.
+TEST(RotorSpeed, IsKeptWhenAnActuatorFails) {
+  const test_support::Outcome flown =
+      fly("--rotor-speed 0.85 --failure rotor:rotor=2,effectiveness=0,start=12");
+  ASSERT_EQ(flown.exit_code, 0) << flown.output;
+  EXPECT_EQ(flown["failed_rotor"], 2.0);
+  EXPECT_LE(flown["emergency_landing_speed_mps"], 0.5);
+}
+
 // Without telemetry a slow rotor is a weak one: the observer sees the missing thrust.
 TEST(RotorSpeed, WithoutTelemetryTheMissingThrustIsADisturbance) {
   const test_support::Outcome flown = fly("--rotor-speed 0.9 --no-telemetry");

@@ -60,6 +60,11 @@ class ActuatorModel {
 
   /// Learnt speed / sent speed of each rotor, in [0.7, 1.2].
   [[nodiscard]] const Speeds& speed_ratio() const noexcept { return ratio_; }
+  /// Starts from known ratios, such as those of the model before a failure. They are clamped to
+  /// [0.7, 1.2]; ignored if not finite.
+  void set_speed_ratio(const Speeds& ratio) noexcept {
+    if (all_finite(ratio)) ratio_ = divisor_ = ratio.cwiseMax(Scalar(0.7)).cwiseMin(Scalar(1.2));
+  }
 
   /// Voltage [V] that limits the rotors to the top speed that the slowest of them reaches, for
   /// set_voltage() of controller and allocation: at most the nominal voltage and that of
