@@ -190,6 +190,17 @@ TEST(EkfGaps, StaysStoppedWithoutPosesAfterALongGap) {
   EXPECT_TRUE(f.ekf.trust(f.ekf.time()).imu_stopped);
 }
 
+TEST(EkfGaps, RestartsAtAPoseElsewhereAfterABridgedGap) {
+  WithoutPoses f(3, 0.25);
+  const MarkerPosed truth = f.flight.pose(f.ekf.time());
+  const double time = f.ekf.time();
+  MarkerPosed aside = truth;
+  aside.position.x() += 2.0;
+  EXPECT_EQ(f.ekf.on_pose(time, aside), EkfStatus::restarted);
+  f.ekf.on_imu(time + imu_period, {});
+  EXPECT_EQ(f.ekf.on_pose(time + imu_period, truth), EkfStatus::gated);
+}
+
 TEST(EkfGaps, OneWrongStampIsAShortGap) {
   const WithoutPoses f(2, 0.0, true);
   EXPECT_LE(f.stopped, 15);

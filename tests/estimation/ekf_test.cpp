@@ -54,6 +54,18 @@ TEST(Ekf, ResultIsIndependentOfQuaternionSignsBitForBit) {
   expect_good(b, flight);
 }
 
+TEST(Ekf, APoseThatIsSentAgainAfterAnOlderOneIsADuplicate) {
+  const Flight flight(1, Random(206).orientation());
+  const Log log = record(flight, 0.1, 1);
+  Ekfd ekf;
+  for (const auto& sample : log.imu) ekf.on_imu(sample.time, sample.value);
+  EXPECT_EQ(ekf.on_pose(0.0, flight.pose(0.0)), EkfStatus::started);
+  EXPECT_EQ(ekf.on_pose(0.01, flight.pose(0.01)), EkfStatus::updated);
+  EXPECT_EQ(ekf.on_pose(0.005, flight.pose(0.005)), EkfStatus::late);
+  EXPECT_EQ(ekf.on_pose(0.01, flight.pose(0.01)), EkfStatus::duplicate);
+  EXPECT_EQ(ekf.counts().used, 2);
+}
+
 TEST(Ekf, SameInputGivesSameOutputBitForBit) {
   const Flight flight(2, Random(207).orientation());
   const Log log = record(flight, 5.0, 2);
