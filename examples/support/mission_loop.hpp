@@ -58,11 +58,12 @@ struct MissionOptions {
   double start_off = 0.0;  // distance from the reference at the start, for missions in flight [m]
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10, thrust_error = 0.0;
-  double height_offset = 0.0, height_drift = 0.0;  // height error of motion capture [m]
-  double vibration = 0.0;                          // rms of the gyroscope vibration [rad/s]
-  std::vector<std::string> faults;                 // see parse_fault()
-  std::string sensors = "mocap";                   // see SensorSuite
-  double observer_bandwidth = 20.0;                // bandwidth [1/s]
+  double height_offset = 0.0, height_drift = 0.0;        // height error of motion capture [m]
+  double vibration = 0.0;                                // rms of the gyroscope vibration [rad/s]
+  double vibration_frequency = 97.0, imu_rate = 1000.0;  // [Hz]
+  std::vector<std::string> faults;                       // see parse_fault()
+  std::string sensors = "mocap";                         // see SensorSuite
+  double observer_bandwidth = 20.0;                      // bandwidth [1/s]
   std::string vehicle_path, model_path;
   std::string level;                      // "wrench" or "actuator"; empty: see level_for()
   std::string solver = "automatic";       // see add_solver()
@@ -125,11 +126,17 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
                  "error of that height at the end of the mission; it grows evenly [m]")
       ->check(CLI::Range(-2.0, 2.0))
       ->capture_default_str();
-  app.add_option(
-         "--vibration", options.vibration,
-         "vibration of the IMU at 97 Hz: rms of each angular velocity [rad/s]; ten times this "
-         "number in each specific force [m/s^2]")
+  app.add_option("--vibration", options.vibration,
+                 "vibration of the IMU: rms of each angular velocity [rad/s]; ten times this "
+                 "number in each specific force [m/s^2]")
       ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--vibration-frequency", options.vibration_frequency,
+                 "frequency of this vibration [Hz]")
+      ->check(CLI::Range(1.0, 5000.0))
+      ->capture_default_str();
+  app.add_option("--imu-rate", options.imu_rate, "samples of the IMU per second [Hz]")
+      ->check(CLI::Range(100.0, 1000.0))
+      ->capture_default_str();
   app.add_option("--sensors", options.sensors,
                  "sensors beside the IMU: mocap; vio, odometry whose frame drifts; gps, with two "
                  "antennas and a range finder; wheels, mocap in the air and only wheels on the "
@@ -140,7 +147,9 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
                  "break a sensor, such as pose_freeze:start=20,duration=1 or "
                  "pose_jump:start=20,duration=2,size=0.1; may be repeated. Kinds: pose_freeze, "
                  "pose_jump, pose_dropout, pose_jitter, pose_clock_step, pose_ghost, imu_dropout, "
-                 "imu_clock_step, imu_vibration, imu_saturation")
+                 "imu_clock_step, imu_vibration, imu_saturation, accelerometer_step [m/s^2], "
+                 "gyro_step [rad/s], accelerometer_clip [m/s^2], orientation_step [deg], "
+                 "pose_late [s], pose_burst [poses]; the units are those of size")
       ->check([](const std::string& text) {
         try {
           (void)parse_fault(text);
@@ -416,8 +425,9 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       flown.violations = check_reference(mission, mission.start_time(), mission.end_time(),
                                          vehicles.believed, settings);
 
-  MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
+  MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed), options.imu_rate);
   sensors.vibration = options.vibration;
+  sensors.vibration_frequency = options.vibration_frequency;
   SuiteSensors<Rotors> suite(sensor_suite(options.sensors), vehicles.believed,
                              static_cast<std::uint64_t>(options.seed));
   suite.set_up(sensors, static_cast<std::uint64_t>(options.seed));

@@ -12,12 +12,12 @@
 
 namespace examples {
 
-/// The sensors of the vehicle in the mission: an IMU with biases at 1 kHz, rotor speeds, and motion
+/// The sensors of the vehicle in the mission: an IMU with biases, rotor speeds, and motion
 /// capture at 100 Hz with a delay of 20 ms.
 template <int Rotors>
 struct MissionSensors {
-  explicit MissionSensors(std::uint64_t seed)
-      : imu(imu_parameters(), seed),
+  explicit MissionSensors(std::uint64_t seed, double imu_rate = 1000.0)
+      : imu(imu_parameters(imu_rate), seed),
         rotor_speeds({}, seed + 1000),
         poses(pose_parameters(), seed + 2000) {}
 
@@ -28,9 +28,9 @@ struct MissionSensors {
     faults.push_back(fault);
   }
 
-  static tilt_ropter::ImuSensorParameters imu_parameters() {
+  static tilt_ropter::ImuSensorParameters imu_parameters(double rate) {
     tilt_ropter::ImuSensorParameters p;
-    p.rate = 1000.0;
+    p.rate = rate;
     p.gyro_bias << 0.01, -0.02, 0.015;
     p.accelerometer_bias << 0.05, -0.08, 0.1;
     return p;
@@ -61,11 +61,8 @@ struct MissionSensors {
     if (const auto& m = speeds; m && has_rotor_speeds) controller.on_rotor_speeds(m->rotor_speed);
     if (auto m = imu.sample(time, plant.body().angular_velocity, plant.specific_force())) {
       if (vibration > 0.0) {
-        // Near 100 Hz: a loop with a single sample per tick sees this vibration as a slow
-        // oscillation.
-        constexpr double frequency = 97.0;  // [Hz]
-        const double now =
-            vibration * std::sqrt(2.0) * std::sin(2.0 * tilt_ropter::pi * frequency * time);
+        const double now = vibration * std::sqrt(2.0) *
+                           std::sin(2.0 * tilt_ropter::pi * vibration_frequency * time);
         m->angular_velocity.array() += now;
         m->specific_force.array() += 10.0 * now;
       }
@@ -81,7 +78,9 @@ struct MissionSensors {
 
   /// Rms of each angular rate [rad/s]; the specific force has ten times this value in [m/s^2].
   double vibration = 0.0;
-  bool has_rotor_speeds = true;                          // false: no telemetry
+  bool has_rotor_speeds = true;  // false: no telemetry
+  /// [Hz]. Near 100 Hz a loop with one sample per tick sees a slow oscillation.
+  double vibration_frequency = 97.0;
   bool has_poses = true;                                 // false: motion capture is off
   Eigen::Vector3d pose_drift = Eigen::Vector3d::Zero();  // of the frame of the poses [m]
   double yaw_drift = 0.0;                                // of that frame [rad]

@@ -90,7 +90,10 @@ TEST(SimulationSettings, SensorFaultNamesEachField) {
     fault.kind = static_cast<SensorFaultKind>(i);
     const bool size_is_positive = fault.kind == SensorFaultKind::pose_jitter ||
                                   fault.kind == SensorFaultKind::imu_vibration ||
-                                  fault.kind == SensorFaultKind::imu_saturation;
+                                  fault.kind == SensorFaultKind::imu_saturation ||
+                                  fault.kind == SensorFaultKind::accelerometer_clip ||
+                                  fault.kind == SensorFaultKind::pose_late ||
+                                  fault.kind == SensorFaultKind::pose_burst;
     Fields<S>{fault}("SensorFault.size", &S::size,
                      size_is_positive ? Range{{1e-12}, {0.0, -1.0}} : Range{{0.0, -1.0}, {}});
   }

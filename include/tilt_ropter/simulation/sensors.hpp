@@ -37,12 +37,20 @@ enum class SensorFaultKind {
   imu_dropout,      ///< no IMU samples
   imu_clock_step,   ///< stamps of the IMU are off by `size` [s]
   imu_vibration,    ///< rates vibrate with an rms of `size` [rad/s], specific forces ten times it
-  imu_saturation    ///< rates are cut at `size` [rad/s], specific forces at ten times it [m/s^2]
+  imu_saturation,   ///< rates are cut at `size` [rad/s], specific forces at ten times it [m/s^2]
+  accelerometer_step,  ///< the bias of the specific force along body x is off by `size` [m/s^2]
+  gyro_step,           ///< the bias of the rate about body x is off by `size` [rad/s]
+  accelerometer_clip,  ///< specific forces are cut at `size` [m/s^2]
+  orientation_step,    ///< orientations are turned by `size` [deg] about body z, positions are not
+  pose_late,           ///< stamps are `size` [s] later than the measurement, arrivals likewise
+  pose_burst           ///< `size` poses arrive together
 };
 
-inline constexpr std::array<std::string_view, 10> sensor_fault_names = {
-    "pose_freeze", "pose_jump",   "pose_dropout",   "pose_jitter",   "pose_clock_step",
-    "pose_ghost",  "imu_dropout", "imu_clock_step", "imu_vibration", "imu_saturation"};
+inline constexpr std::array<std::string_view, 16> sensor_fault_names = {
+    "pose_freeze",        "pose_jump",        "pose_dropout",       "pose_jitter",
+    "pose_clock_step",    "pose_ghost",       "imu_dropout",        "imu_clock_step",
+    "imu_vibration",      "imu_saturation",   "accelerometer_step", "gyro_step",
+    "accelerometer_clip", "orientation_step", "pose_late",          "pose_burst"};
 
 [[nodiscard]] inline std::string_view to_string(SensorFaultKind kind) {
   return sensor_fault_names[static_cast<std::size_t>(kind)];
@@ -72,9 +80,10 @@ inline void validate(const SensorFault& f) {
   require_finite("SensorFault.start [s]", f.start);
   require(f.duration > 0.0, "SensorFault.duration [s]", f.duration, "> 0, may be infinite");
   require_in("SensorFault.size", f.size, -1e3, 1e3);
-  const bool positive = f.kind == SensorFaultKind::pose_jitter ||
-                        f.kind == SensorFaultKind::imu_vibration ||
-                        f.kind == SensorFaultKind::imu_saturation;
+  const bool positive =
+      f.kind == SensorFaultKind::pose_jitter || f.kind == SensorFaultKind::imu_vibration ||
+      f.kind == SensorFaultKind::imu_saturation || f.kind == SensorFaultKind::accelerometer_clip ||
+      f.kind == SensorFaultKind::pose_late || f.kind == SensorFaultKind::pose_burst;
   require(!positive || f.size > 0.0, "SensorFault.size", f.size, "> 0 for this kind");
   require_in("SensorFault.frequency [Hz]", f.frequency, 1e-3, 1e4);
 }
@@ -90,7 +99,7 @@ class SensorCore {
   SensorCore(const Parameters& given, std::uint64_t seed)
       : parameters(validated(given)),
         noise(seed),
-        queue_(static_cast<std::size_t>(given.rate * given.delay) + 4) {}
+        queue_(static_cast<std::size_t>(given.rate * given.delay) + 128) {}  // room for faults
 
   /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
   /// of a period.
@@ -254,6 +263,10 @@ class ImuSensor {
         m.specific_force =
             m.specific_force.cwiseMax(-10.0 * fault.size).cwiseMin(10.0 * fault.size);
       }
+      if (fault.kind == Kind::accelerometer_step) m.specific_force.x() += fault.size;
+      if (fault.kind == Kind::gyro_step) m.angular_velocity.x() += fault.size;
+      if (fault.kind == Kind::accelerometer_clip)
+        m.specific_force = m.specific_force.cwiseMax(-fault.size).cwiseMin(fault.size);
     });
     if (!silent) core_.push(time, m);
     gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
@@ -316,6 +329,7 @@ class PoseSensor {
                      quaternion_exp(core_.noise.draw<3>(core_.parameters.orientation_noise)))
                         .normalized();
     bool silent = false, frozen = false;
+    double sent = time;
     core_.for_faults(time, [&](const SensorFault& fault) {
       using Kind = SensorFaultKind;
       if (fault.kind == Kind::pose_dropout) silent = true;
@@ -327,13 +341,23 @@ class PoseSensor {
       }
       if (fault.kind == Kind::pose_clock_step) m.time += fault.size;
       if (fault.kind == Kind::pose_jitter) m.time += jitter_.draw() * fault.size;
+      if (fault.kind == Kind::orientation_step)
+        m.orientation = m.orientation * quaternion_from_yaw(fault.size * pi / 180.0);
+      if (fault.kind == Kind::pose_late) {
+        m.time += fault.size;
+        sent += fault.size;
+      }
+      if (fault.kind == Kind::pose_burst) {
+        const double period = fault.size / core_.parameters.rate;
+        sent = period * std::ceil(time / period - 1e-6);
+      }
     });
     if (frozen && last_) {
       m.position = last_->position;
       m.orientation = last_->orientation;
     }
     last_ = m;
-    if (!silent) core_.push(time, m);
+    if (!silent) core_.push(sent, m);
   }
 
   detail::SensorCore<PoseSensorParameters, Measurement> core_;
