@@ -103,11 +103,15 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   const InertialSampled corrected = ekf_.corrected(sample);
   const bool as_modelled = external_ != ExternalWrench::commanded;
   observed_ = observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
+  // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
+  const bool pulled =
+      ekf_.running() && (ekf_.state().orientation * observer_.external().force).z() <
+                            -0.35 * vehicle_.body.mass * gravity / Rotors;
   const ActuatorState<Rotors>& modelled = actuators_.state();
   detector_.update(
       time, corrected,
       measures_speeds_ ? ActuatorState<Rotors>{rotor_speeds_, modelled.tilt_angle} : modelled,
-      modelled.rotor_speed, airborne_);
+      modelled.rotor_speed, airborne_ || pulled);
 }
 
 template <int Rotors>

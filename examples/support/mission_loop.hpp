@@ -281,7 +281,8 @@ class TrustFigures {
     out << "failed_rotor: " << failure_.rotor + 1 << "\nfailure_found_at_s: " << failure_.time
         << '\n';
     if (failure_.kind == tilt_ropter::FailureKind::servo)
-      out << "stuck_at_deg: " << failure_.angle * degrees << '\n';
+      out << "stuck_at_deg: " << failure_.angle * degrees
+          << "\nstuck_at_stddev_deg: " << failure_.stddev * degrees << '\n';
     else
       out << "thrust_left: " << failure_.effectiveness << '\n';
     out << "emergency_landing_speed_mps: " << speed_

@@ -220,6 +220,54 @@ TEST(FailureDetector, RotorsThatStopTogetherWereSwitchedOff) {
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
 }
 
+// No time in the air has shown what is normal, so the whole residual is judged.
+TEST(FailureDetector, AFailureFromBeforeTheFlightIsNotNormal) {
+  for (const double angle : {-37.0, 73.0})
+    for (std::size_t rotor = 0; rotor < 4; ++rotor) {
+      FailureDetector<4> detector(tilt_ropter_vehicle());
+      Body body(tilt_ropter_vehicle(), 100.0);
+      body.disturbance.force << 0.4, 0.2, -0.3;
+      body.fail({FailureKind::servo, rotor, angle * degree, 1.0, 0.0});
+      body.run(detector, 1.0, false);
+      body.run(detector, 0.3);
+      const ActuatorFailure& found = detector.failure();
+      ASSERT_EQ(found.kind, FailureKind::servo) << angle << rotor;
+      EXPECT_EQ(found.rotor, rotor);
+      EXPECT_NEAR(found.angle, angle * degree, 2.0 * found.stddev) << angle;
+      EXPECT_LT(found.stddev, 20.0 * degree) << angle;
+    }
+}
+
+// An asymmetric load hides a stuck servo at the start. When it is found, its angle is uncertain.
+TEST(FailureDetector, AnAngleIsUncertainByWhatWasNormal) {
+  const auto stddev_with = [](double sideways) {
+    FailureDetector<4> detector(tilt_ropter_vehicle());
+    Body body(tilt_ropter_vehicle(), 100.0);
+    body.disturbance.force << 0.0, sideways, 0.0;
+    body.run(detector, 2.0);
+    body.fail({FailureKind::servo, 2, 60.0 * degree, 1.0, 0.0});
+    body.run(detector, 0.3);
+    EXPECT_EQ(detector.failure().kind, FailureKind::servo);
+    return detector.failure().stddev;
+  };
+  EXPECT_LT(stddev_with(0.0), 4.0 * degree);
+  EXPECT_GT(stddev_with(2.0), 8.0 * degree);
+}
+
+// Neither a mass nor a centre of mass that is a little wrong is a rotor.
+TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
+  test_support::Random random(3);
+  for (int i = 0; i < 100; ++i) {
+    FailureDetector<4> detector(tilt_ropter_vehicle());
+    Body body(tilt_ropter_vehicle(), 100.0);
+    body.disturbance.force = random.vector(2.0) - Eigen::Vector3d(0.0, 0.0, random.uniform(0, 3));
+    body.disturbance.torque = random.vector(0.1);
+    body.run(detector, 1.0);
+    EXPECT_EQ(detector.failure().kind, FailureKind::none)
+        << body.disturbance.force.transpose() << ", " << body.disturbance.torque.transpose();
+  }
+}
+
 // Near zero thrust the model of a rotor and its speed may differ by any factor.
 TEST(FailureDetector, ASlowRotorWithoutThrustIsNotStopped) {
   FailureDetector<4> detector(tilt_ropter_vehicle());

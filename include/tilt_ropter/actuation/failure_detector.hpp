@@ -37,6 +37,7 @@ struct ActuatorFailure {
   double angle = 0.0;          ///< of a stuck servo [rad]
   double effectiveness = 1.0;  ///< of a weak rotor, a fraction; 0: lost
   double time = 0.0;           ///< of the report [s]
+  double stddev = 0.0;         ///< standard deviation of the angle [rad]
 };
 
 /// Returns the vehicle that remains after `failure`, see with_stuck_servo() and with_weak_rotor().
@@ -62,6 +63,10 @@ template <int Rotors>
 /// the angle of a stuck servo or what is left of the thrust. Wind, a wrong mass or a wrong time
 /// constant change the wrench in ways that no single rotor explains.
 ///
+/// In the first 0.5 s of a flight no normal residual is known. A failure from before is then found
+/// by the whole residual. Otherwise it becomes a part of what is normal, and the angle of a servo
+/// that is found later differs from the truth: its standard deviation says by how much.
+///
 /// A motor that stops is found earlier, also on the ground, by its measured speed: three readings
 /// fall below 0.7 of the speed that the model expects. No reading counts that repeats or rises, so
 /// wrong, late, coarse or frozen telemetry and a rotor that spins up are no failure. On the ground
@@ -70,7 +75,7 @@ template <int Rotors>
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
 /// it is commanded. The wrench shows no failure while the vehicle touches the ground, in the first
-/// 0.2 s of a flight, and with less than 20 ticks per second.
+/// 0.1 s of a flight, and with less than 20 ticks per second.
 ///
 /// Only the constructor throws. Nothing allocates.
 template <int Rotors>
@@ -107,6 +112,8 @@ class FailureDetector {
   static constexpr double confirmation = 0.05;
   // Time constant with which the normal residual is learnt: wind, wrong mass, wrong thrust [s].
   static constexpr double baseline_time = 1.0;
+  // After this time in the air it is known [s].
+  static constexpr double known_after = 0.5;
   // Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
   // rotor carries in hover.
   static constexpr double min_change = 0.35;
@@ -183,8 +190,9 @@ class FailureDetector {
   // Force of rotor i (lateral, vertical) that explains most of `change`.
   [[nodiscard]] Eigen::Vector2d fit(int i, const Vector6& change) const noexcept;
 
-  void report(double time, int rotor, const Eigen::Vector2d& force, double thrust,
-              double angle) noexcept;
+  // `rest` is the residual that `force` does not explain.
+  void report(double time, int rotor, const Eigen::Vector2d& force, double thrust, double angle,
+              double rest) noexcept;
 
   ActuatedBody<Rotors> body_;
   RigidBodyParameters parameters_;
@@ -302,7 +310,8 @@ void FailureDetector<Rotors>::watch_speeds(double time, double dt,
                         rotor.slow_for >= standing_time && !airborne;
     if (falls || stands) stopped = i;
   }
-  if (stopped >= 0 && slow == 1) failure_ = {FailureKind::rotor, index(stopped), 0.0, 0.0, time};
+  if (stopped >= 0 && slow == 1)
+    failure_ = {FailureKind::rotor, index(stopped), 0.0, 0.0, time, 0.0};
 }
 
 template <int Rotors>
@@ -336,7 +345,7 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   block_ = {};
   next_ = (next_ + 1) % blocks;
   filled_ = std::min(filled_ + 1, blocks);
-  if (learnt_for_ >= window) judge(time, dt);
+  if (filled_ == blocks) judge(time, dt);
 }
 
 template <int Rotors>
@@ -350,7 +359,8 @@ void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
     sum.vertical += block.vertical;
   }
   const double per_second = 1.0 / sum.duration;
-  const Vector6 change = per_second * sum.residual - baseline_;
+  Vector6 change = per_second * sum.residual;
+  if (learnt_for_ >= known_after) change -= baseline_;
   int best = -1;
   double least = max_unexplained * change.norm();
   Eigen::Vector2d force = Eigen::Vector2d::Zero();
@@ -373,7 +383,7 @@ void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
   const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
   if (best < 0 || suspected_for_ < needed_time) return;
   report(time, best, force, per_second * sum.thrust(best),
-         std::atan2(sum.lateral(best), sum.vertical(best)));
+         std::atan2(sum.lateral(best), sum.vertical(best)), least);
 }
 
 template <int Rotors>
@@ -387,7 +397,7 @@ Eigen::Vector2d FailureDetector<Rotors>::fit(int i, const Vector6& change) const
 
 template <int Rotors>
 void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector2d& force,
-                                     double thrust, double angle) noexcept {
+                                     double thrust, double angle, double rest) noexcept {
   const double size = force.norm(), actual = std::atan2(force.x(), force.y());
   const double fraction = std::min(size / std::max(thrust, 1e-3), 1.0);
   const bool turned =
@@ -402,6 +412,9 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
   } else if (turned) {
     failure_.kind = FailureKind::servo;
     failure_.angle = actual;
+    // What is normal may be wrong by all of it.
+    const double uncertain = learnt_for_ >= known_after ? fit(rotor, baseline_).norm() : 0.0;
+    failure_.stddev = std::atan2(std::hypot(rest, uncertain), size);
   } else {
     failure_.kind = FailureKind::rotor;
     failure_.effectiveness = fraction;
