@@ -269,10 +269,14 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   if (verdict.clock_changed) queue_.clear();
   if (verdict.action == Action::drop) return verdict.status;
   filter_.change([&](ErrorStateFilter<Scalar>& f) {
-    if (verdict.action == Action::use)
-      f.update(innovation, at);
+    if (verdict.action == Action::use) return void(f.update(innovation, at));
+    if (verdict.action == Action::restart)
+      return detail::start_at_pose(f, arrived.pose, verdict.known, settings_);
+    if (verdict.action == Action::turn_marker)
+      detail::turn_marker(f, arrived.pose);
     else
-      detail::start_at_pose(f, arrived.pose, verdict.known, settings_);
+      f.widen(verdict.action == Action::widen_gyro);
+    f.update(arrived.pose);
   });
   filter_.set_running();
   guard_.on_used(verdict, filter().state().position);

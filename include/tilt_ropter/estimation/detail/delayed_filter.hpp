@@ -33,6 +33,7 @@ class DelayedFilter {
     phase_ = Phase::no_imu;
     stopped_at_ = 0.0;
     filter_.reset(x, ErrorStateFilter<Scalar>::Covariance::Zero());
+    filter_.forget_wider_noise();
     ahead_ = x;
     begin({});
   }

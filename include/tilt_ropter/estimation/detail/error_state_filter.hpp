@@ -12,6 +12,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -151,6 +152,11 @@ class ErrorStateFilter {
     covariance_ = covariance;
   }
 
+  /// Widens the covariance, and the noise of one sensor of the IMU, after measurements have shown
+  /// that this sensor is wrong. predict() forgets the larger noise slowly.
+  void widen(bool gyro) noexcept;
+  void forget_wider_noise() noexcept { wider_.setOnes(); }
+
   /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
   void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept;
 
@@ -191,6 +197,8 @@ class ErrorStateFilter {
   /// Variance rates of velocity ... accelerometer bias [1/s].
   Eigen::Matrix<Scalar, 12, 1> process_noise_;
   Eigen::Matrix<Scalar, 6, 1> pose_noise_;
+  /// Factors of the noise of accelerometer and gyroscope, at least 1.
+  Eigen::Matrix<Scalar, 2, 1> wider_ = Eigen::Matrix<Scalar, 2, 1>::Ones();
 };
 using ErrorStateFilterd = ErrorStateFilter<double>;  ///< in double precision
 
@@ -222,8 +230,29 @@ void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
   covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
   covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
   covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
-  covariance_.diagonal().template segment<12>(noisy) += dt * process_noise_;
+  auto variances = covariance_.diagonal().template segment<12>(noisy);
+  for (int i = 0; i < 4; ++i) {  // velocity, orientation, biases of gyroscope and accelerometer
+    const Scalar factor = wider_(i == 1 || i == 2 ? 1 : 0);
+    variances.template segment<3>(3 * i) +=
+        (dt * factor * factor) * process_noise_.template segment<3>(3 * i);
+  }
+  constexpr double time_constant = 20.0;  // long beside the contradictions of a vibration [s]
+  wider_.array() -= (wider_.array() - Scalar(1)) * std::min(Scalar(1), dt / Scalar(time_constant));
   state_ = propagate(state_, sample, dt);
+}
+
+template <typename Scalar>
+void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
+  using I = InertialIndex;
+  // Steps of the bias that are followed at once, and what they have done since.
+  constexpr double rate = 0.3, turn = 0.05, force = 2.0, velocity = 0.3;
+  constexpr double growth = 3.0, most = 100.0;  // of the noise
+  const auto add = [this](int part, double stddev) {
+    covariance_.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
+  };
+  add(gyro ? I::gyro_bias : I::accelerometer_bias, gyro ? rate : force);
+  add(gyro ? I::orientation : I::velocity, gyro ? turn : velocity);
+  wider_(gyro) = std::min(Scalar(growth) * wider_(gyro), Scalar(most));
 }
 
 template <typename Scalar>

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <type_traits>
 #include <utility>
 
@@ -203,6 +204,63 @@ struct PoseComparison {
   double velocity_stddev;  ///< of the estimate [m/s]
 };
 
+/// Tests whether poses continue each other without a jump, used or not: positions with a plausible
+/// acceleration, orientations as the gyroscope measures. Poses that are above the gate but continue
+/// those that were used show that the IMU is wrong.
+template <typename Scalar>
+class PoseContinuity {
+ public:
+  void on_pose(double time, const PoseComparison<Scalar>& c, double orientation_noise) noexcept {
+    const double dt = time - last_time_;
+    const Vector3<Scalar>& position = c.measured.position;
+    const Vector3<Scalar> velocity = (position - last_) / Scalar(dt);
+    const Eigen::Quaternion<Scalar> turn =
+        c.predicted.orientation.conjugate() * c.measured.orientation;
+    ++since_turn_;
+    if (!(dt > 1e-4 && dt < longest)) {
+      steps_ = 0;
+      jumped_ = true;
+    } else {
+      constexpr double acceleration = 30.0;  // [m/s^2]
+      const double step = std::min(dt, last_step_),
+                   most = acceleration * (dt + last_step_) + 12.0 * c.noise / step;
+      if (steps_++ > 0 && !(static_cast<double>((velocity - velocity_).norm()) <= most))
+        jumped_ = true;
+      constexpr double rate = 1.0;  // of a wrong gyroscope [rad/s]
+      if (!(static_cast<double>(turn.angularDistance(turn_)) <=
+            8.0 * orientation_noise + rate * dt)) {
+        turned_ = true;
+        since_turn_ = 0;
+      }
+    }
+    last_time_ = time;
+    last_step_ = dt;
+    last_ = position;
+    velocity_ = velocity;
+    turn_ = turn;
+  }
+  /// The last pose was used, and the next ones are compared with an estimate that follows it.
+  void on_used(bool estimate_turned) noexcept {
+    jumped_ = turned_ = false;
+    if (estimate_turned) turn_.setIdentity();
+  }
+
+  /// True if all positions since the last pose that was used continue each other.
+  [[nodiscard]] bool positions_continue() const noexcept { return !jumped_ && steps_ > 1; }
+  /// True if the orientation has stepped since then; and the number of poses since.
+  [[nodiscard]] bool turned() const noexcept { return turned_; }
+  [[nodiscard]] int since_turn() const noexcept { return since_turn_; }
+
+ private:
+  static constexpr double longest = 0.15;  // of a gap in which nothing jumps unseen [s]
+
+  Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero();
+  Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();
+  double last_time_ = -std::numeric_limits<double>::infinity(), last_step_ = 1.0;
+  int steps_ = 0, since_turn_ = 0;
+  bool jumped_ = false, turned_ = false;
+};
+
 /// Tests whether measurements that the gate rejects move like the IMU but elsewhere: with a
 /// constant displacement and a constant rotation about the vertical.
 ///
@@ -262,6 +320,8 @@ class GateMonitor {
     using std::acos;
     return acos(std::clamp((turn_ * Vector3<Scalar>::UnitZ()).z(), Scalar(-1), Scalar(1)));
   }
+  /// Number of consecutive measurements that were rejected.
+  [[nodiscard]] int gated() const noexcept { return gated_; }
   /// Number of consecutive measurements on a smooth path, and its extent [m].
   [[nodiscard]] int smooth() const noexcept { return smooth_; }
   [[nodiscard]] double extent() const noexcept { return extent_; }

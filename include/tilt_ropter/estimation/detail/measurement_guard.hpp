@@ -21,8 +21,9 @@
 /// allocates. Times are in the clock of the IMU [s].
 namespace tilt_ropter::detail {
 
-/// What Ekf does with a measurement or an IMU sample.
-enum class Action { use, wait, drop, restart };
+/// What Ekf does with a measurement or an IMU sample. It uses a pose after it has widened the noise
+/// of accelerometer or gyroscope, or after it has learned the marker's orientation again.
+enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro, turn_marker };
 
 /// Decision about a measurement or an IMU sample.
 struct Verdict {
@@ -135,6 +136,7 @@ class MeasurementGuard {
       return start(time, last_pose_, arrived.lag, filter);
     GateMonitor<Scalar>& gate = gates_[0];
     const PoseComparison<Scalar> c = compare(arrived.pose, filter);
+    continuity_.on_pose(time, c, settings_.pose_noise.orientation);
     const double small = std::max(0.1, 6.0 * c.noise);  // the controller can follow [m]
     if (passes(innovation) && gate.accepts(time, c.distance, small, settings_.restart_time)) {
       stamps_.on_used(arrived.lag);
@@ -143,7 +145,14 @@ class MeasurementGuard {
     }
     if (filter.is_bridged()) return start(time, filter.stopped_at(), arrived.lag, filter);
     gate.on_gated(time, c);
-    stamps_.on_displaced(offset_along_path(c, filter));
+    const double offset = offset_along_path(c, filter);
+    stamps_.on_displaced(offset);
+    const Action contradiction = which_is_wrong(time, c, offset, filter.rate());
+    if (contradiction != Action::drop) {
+      stamps_.on_used(arrived.lag);
+      ++used_since_start_;
+      return use(time, Verdict{contradiction});
+    }
     const int needed = settings_.max_rejections;
     const bool is_displaced =
         gate.moves_like_imu(time, needed, settings_) && gate.tilt() < Scalar(0.1);
@@ -171,7 +180,8 @@ class MeasurementGuard {
 
   /// Processes the `position` of the estimate [m] after a pose was used with this verdict.
   void on_used(const Verdict& verdict, const Vector3<Scalar>& position) noexcept {
-    if (verdict.action == Action::use) return gates_[0].on_used(position);
+    continuity_.on_used(verdict.action != Action::use);
+    if (verdict.action != Action::restart) return gates_[0].on_used(position);
     if (verdict.needs_motion) return gates_[0].on_restart(position);
     gates_[0].clear();
   }
@@ -297,6 +307,32 @@ class MeasurementGuard {
     return use(time, verdict);
   }
 
+  /// Decides which side is wrong if a pose is above the gate: the IMU if the poses continue each
+  /// other, the marker's orientation if it alone has stepped. `drop`: the poses, or not known yet.
+  [[nodiscard]] Action which_is_wrong(double time, const PoseComparison<Scalar>& c, double offset,
+                                      const Vector3<Scalar>& rate) const noexcept {
+    constexpr double shortest = 0.045;    // a jump of the poses shows within this time [s]
+    constexpr double late = 0.03;         // an unknown delay of poses, see StampMonitor [s]
+    constexpr double long_enough = 0.15;  // for StampMonitor to find this delay [s]
+    constexpr double close = 0.5;         // [m]
+    const double distance =
+        static_cast<double>((c.measured.position - c.predicted.position).norm());
+    const double since = time - last_pose_;
+    const double noise = settings_.pose_noise.orientation;
+    const double turn =
+        static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
+    const bool may_be_late =
+        std::abs(offset) <= late && turn <= 6.0 * noise + late * static_cast<double>(rate.norm());
+    if (has_just_started() || !gates_[0].is_confirmed() || !continuity_.positions_continue() ||
+        gates_[0].gated() < 3 || !(since >= (may_be_late ? long_enough : shortest)) ||
+        !(distance <= close))
+      return Action::drop;
+    // The marker has turned only if the positions agree with the IMU.
+    if (continuity_.turned() && distance <= 6.0 * c.noise + 0.01)
+      return continuity_.since_turn() >= 4 ? Action::turn_marker : Action::drop;
+    return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
+  }
+
   PoseComparison<Scalar> compare(const MarkerPose<Scalar>& pose,
                                  const Filter& filter) const noexcept {
     const InertialState<Scalar>& x = filter.filter().state();
@@ -346,6 +382,7 @@ class MeasurementGuard {
   EkfCounts counts_;
   RepetitionDetector<Scalar> repetitions_;
   StampMonitor stamps_;
+  PoseContinuity<Scalar> continuity_;         ///< of on_pose()
   std::array<GateMonitor<Scalar>, 4> gates_;  ///< of on_pose(), positions, velocities, poses
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_;
   EstimateTrust faults_;                       ///< what happened to poses and positions

@@ -1,0 +1,173 @@
+// IMU and poses contradict each other: poses that continue each other are followed.
+
+#include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/simulation/sensors.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+namespace tilt_ropter {
+namespace {
+
+using Eigen::Vector3d;
+using Kind = SensorFaultKind;
+
+// A motion in closed form, with derivatives by differences: position and attitude oscillate.
+struct Motion {
+  double size = 1.0;  // 0: at rest, in hover
+
+  [[nodiscard]] Vector3d position(double t) const {
+    return {size * std::sin(1.1 * t), size * std::cos(0.8 * t),
+            1.5 + 0.3 * size * std::sin(0.6 * t)};
+  }
+  [[nodiscard]] Eigen::Quaterniond orientation(double t) const {
+    return quaternion_exp(Vector3d(size * Vector3d(0.2 * std::sin(1.3 * t), 0.2 * std::cos(0.9 * t),
+                                                   0.5 * std::sin(0.4 * t))));
+  }
+  [[nodiscard]] BodyStated body(double t) const {
+    constexpr double h = 1e-4;
+    BodyStated b;
+    b.position = position(t);
+    b.velocity = (position(t + h) - position(t - h)) / (2.0 * h);
+    b.orientation = orientation(t);
+    b.angular_velocity =
+        quaternion_log(Eigen::Quaterniond(orientation(t - h).conjugate() * orientation(t + h))) /
+        (2.0 * h);
+    return b;
+  }
+  [[nodiscard]] Vector3d specific_force(double t) const {
+    constexpr double h = 1e-3;
+    const Vector3d acceleration = (position(t + h) - 2.0 * position(t) + position(t - h)) / (h * h);
+    return orientation(t).conjugate() * (acceleration + Vector3d(0.0, 0.0, gravity));
+  }
+};
+
+struct Outcome {
+  double position = 0.0, orientation = 0.0;  // largest errors after 5 s [m], [rad]
+  double at_end = 0.0;                       // position error at the end [m]
+  double longest = 0.0;                      // longest time without a used pose [s]
+  EstimateState state = EstimateState::lost;
+  EkfCounts counts;
+};
+
+struct Given {
+  double size = 1.0;      // of the motion
+  double imu_rate = 1e3;  // [Hz]
+  double duration = 16.0;
+};
+
+Outcome fly(const SensorFault& fault, const Given& given = {}) {
+  const Motion motion{given.size};
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = given.imu_rate;
+  imu_parameters.gyro_bias << 0.01, -0.02, 0.015;
+  imu_parameters.accelerometer_bias << 0.05, -0.08, 0.1;
+  ImuSensor imu(imu_parameters, 1);
+  PoseSensorParameters pose_parameters;
+  pose_parameters.delay = 0.02;
+  pose_parameters.position_noise = 1e-3;
+  pose_parameters.orientation_noise = 3e-3;
+  PoseSensor poses(pose_parameters, 2);
+  imu.add_fault(fault);
+  poses.add_fault(fault);
+  EkfSettings settings;
+  settings.pose_noise = {1e-3, 3e-3};
+  Ekfd ekf(settings);
+  Outcome o;
+  for (int i = 0; i <= static_cast<int>(given.duration * 1e3); ++i) {
+    const double t = 1e-3 * i;
+    const BodyStated truth = motion.body(t);
+    if (const auto m = imu.sample(t, truth.angular_velocity, motion.specific_force(t)))
+      ekf.on_imu(m->time, *m);
+    if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time, *m);
+    EXPECT_TRUE(is_finite(ekf.state()));
+    if (t < 5.0 || given.imu_rate * (t - ekf.time()) > 0.5) continue;
+    const BodyStated body = ekf.state();
+    o.at_end = (body.position - truth.position).norm();
+    o.position = std::max(o.position, o.at_end);
+    o.orientation = std::max(o.orientation, body.orientation.angularDistance(truth.orientation));
+    o.longest = std::max(o.longest, ekf.trust(t).age_of(MeasurementKind::pose));
+  }
+  o.state = ekf.trust(ekf.time()).state;
+  o.counts = ekf.counts();
+  return o;
+}
+
+SensorFault fault_of(Kind kind, double size, double frequency = 97.0) {
+  SensorFault f;
+  f.kind = kind;
+  f.start = 8.0;
+  f.size = size;
+  f.frequency = frequency;
+  return f;
+}
+
+void expect_followed(const Outcome& o, double at_end = 0.02) {
+  EXPECT_LT(o.position, 0.15);
+  EXPECT_LT(o.at_end, at_end);
+  EXPECT_LT(o.longest, 0.3);
+  EXPECT_EQ(o.counts.restarts, 0);
+}
+
+TEST(EkfContradiction, BiasStepsOfTheAccelerometerAreLearned) {
+  for (const double motion : {0.0, 1.0})
+    for (const double size : {0.2, 0.5, 1.0, 2.0, 3.0}) {
+      SCOPED_TRACE(size);
+      expect_followed(fly(fault_of(Kind::accelerometer_step, size), {motion}));
+    }
+}
+
+TEST(EkfContradiction, BiasStepsOfTheGyroscopeAreLearned) {
+  for (const double motion : {0.0, 1.0})
+    for (const double size : {0.02, 0.1, 0.3, 0.5}) {
+      SCOPED_TRACE(size);
+      const Outcome o = fly(fault_of(Kind::gyro_step, size), {motion});
+      expect_followed(o);
+      EXPECT_LT(o.orientation, 0.1);
+    }
+}
+
+TEST(EkfContradiction, ARigidBodyThatIsDefinedAgainIsFollowed) {
+  for (const double motion : {0.0, 1.0})
+    for (const double size : {2.0, 5.0, 20.0, 90.0, 180.0}) {
+      SCOPED_TRACE(size);
+      expect_followed(fly(fault_of(Kind::orientation_step, size), {motion}));
+    }
+}
+
+TEST(EkfContradiction, BurstsOfPosesAreUsed) {
+  for (const double size : {2.0, 5.0, 10.0}) {
+    SCOPED_TRACE(size);
+    expect_followed(fly(fault_of(Kind::pose_burst, size)));
+  }
+}
+
+TEST(EkfContradiction, VibrationThatIsAliasedIsNoise) {
+  for (const double rate : {100.0, 250.0, 500.0, 1000.0})
+    for (const double alias : {3.0, 8.0, 20.0})
+      for (const double size : {0.05, 0.3, 1.0}) {
+        SCOPED_TRACE(rate);
+        SCOPED_TRACE(alias);
+        SCOPED_TRACE(size);
+        expect_followed(fly(fault_of(Kind::imu_vibration, size, rate + alias), {1.0, rate}), 0.15);
+      }
+}
+
+TEST(EkfContradiction, AnAccelerometerThatIsCutIsNotBelieved) {
+  for (const double motion : {0.0, 1.0})
+    for (const double size : {9.0, 9.7}) {
+      SCOPED_TRACE(size);
+      expect_followed(fly(fault_of(Kind::accelerometer_clip, size), {motion}), 0.05);
+    }
+}
+
+}  // namespace
+}  // namespace tilt_ropter
