@@ -69,7 +69,7 @@ Outcome fly(double duration, const std::string& fault_text,
   truth.body.inertia *= 1.1;
   Plant<4> plant(truth);
   MissionSensors<4> sensors(3);
-  ImuSensorParameters imu = MissionSensors<4>::imu_parameters();
+  ImuSensorParameters imu = MissionSensors<4>::imu_parameters(1000.0);
   imu.position = lever;
   sensors.imu = ImuSensor(imu, 3);
   const SensorFault fault = fault_text.empty() ? SensorFault() : parse_fault(fault_text);

@@ -272,10 +272,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
     if (verdict.action == Action::use) return void(f.update(innovation, at));
     if (verdict.action == Action::restart)
       return detail::start_at_pose(f, arrived.pose, verdict.known, settings_);
-    if (verdict.action == Action::turn_marker)
-      detail::turn_marker(f, arrived.pose);
-    else
-      f.widen(verdict.action == Action::widen_gyro);
+    f.widen(verdict.action == Action::widen_gyro);
     f.update(arrived.pose);
   });
   filter_.set_running();

@@ -85,6 +85,7 @@ class DelayedFilter {
       stopped_at_ = sample.time - gap;
     }
     phase_ = started() ? Phase::stopped : Phase::not_started;
+    filter_.forget_wider_noise();
     begin(sample);
   }
 

@@ -162,17 +162,6 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
   filter.update(pose);
 }
 
-/// Learns the orientation of the marker frame from the pose. The update with this pose, which has
-/// to follow, sets its correlation with the orientation of the body.
-template <typename Scalar>
-void turn_marker(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) noexcept {
-  InertialState<Scalar> x = filter.state();
-  x.marker_orientation = (x.orientation.conjugate() * pose.orientation).normalized();
-  auto p = filter.covariance();
-  forget(p, InertialIndex::marker_orientation, 1.0);
-  filter.reset(x, p);
-}
-
 /// Difference of the first three rows of a measurement from a part of the state, world frame.
 template <typename Scalar, typename Measurement>
 [[nodiscard]] Vector3<Scalar> displacement(int part, const Measurement& at) noexcept {

@@ -156,6 +156,10 @@ class ErrorStateFilter {
   /// that this sensor is wrong. predict() forgets the larger noise slowly.
   void widen(bool gyro) noexcept;
   void forget_wider_noise() noexcept { wider_.setOnes(); }
+  /// True for some time after widen().
+  [[nodiscard]] bool is_wider() const noexcept { return wider_.maxCoeff() > Scalar(1.2); }
+  /// True if more noise explains nothing: something else is wrong, such as the marker frame.
+  [[nodiscard]] bool is_widest() const noexcept { return wider_.maxCoeff() > Scalar(0.9 * widest); }
 
   /// Propagates state and covariance by `dt` > 0 [s] under `sample` (see propagate).
   void predict(const InertialSample<Scalar>& sample, const Scalar& dt) noexcept;
@@ -197,7 +201,8 @@ class ErrorStateFilter {
   /// Variance rates of velocity ... accelerometer bias [1/s].
   Eigen::Matrix<Scalar, 12, 1> process_noise_;
   Eigen::Matrix<Scalar, 6, 1> pose_noise_;
-  /// Factors of the noise of accelerometer and gyroscope, at least 1.
+  static constexpr double widest = 100.0;
+  /// Factors of the noise of accelerometer and gyroscope, from 1 to `widest`.
   Eigen::Matrix<Scalar, 2, 1> wider_ = Eigen::Matrix<Scalar, 2, 1>::Ones();
 };
 using ErrorStateFilterd = ErrorStateFilter<double>;  ///< in double precision
@@ -246,13 +251,13 @@ void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
   using I = InertialIndex;
   // Steps of the bias that are followed at once, and what they have done since.
   constexpr double rate = 0.3, turn = 0.05, force = 2.0, velocity = 0.3;
-  constexpr double growth = 3.0, most = 100.0;  // of the noise
+  constexpr double growth = 3.0;  // of the noise
   const auto add = [this](int part, double stddev) {
     covariance_.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
   };
   add(gyro ? I::gyro_bias : I::accelerometer_bias, gyro ? rate : force);
   add(gyro ? I::orientation : I::velocity, gyro ? turn : velocity);
-  wider_(gyro) = std::min(Scalar(growth) * wider_(gyro), Scalar(most));
+  wider_(gyro) = std::min(Scalar(growth) * wider_(gyro), Scalar(widest));
 }
 
 template <typename Scalar>

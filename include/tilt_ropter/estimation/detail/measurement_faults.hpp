@@ -216,7 +216,6 @@ class PoseContinuity {
     const Vector3<Scalar> velocity = (position - last_) / Scalar(dt);
     const Eigen::Quaternion<Scalar> turn =
         c.predicted.orientation.conjugate() * c.measured.orientation;
-    ++since_turn_;
     if (!(dt > 1e-4 && dt < longest)) {
       steps_ = 0;
       jumped_ = true;
@@ -230,7 +229,6 @@ class PoseContinuity {
       if (!(static_cast<double>(turn.angularDistance(turn_)) <=
             8.0 * orientation_noise + rate * dt)) {
         turned_ = true;
-        since_turn_ = 0;
       }
     }
     last_time_ = time;
@@ -240,16 +238,15 @@ class PoseContinuity {
     turn_ = turn;
   }
   /// The last pose was used, and the next ones are compared with an estimate that follows it.
-  void on_used(bool estimate_turned) noexcept {
+  void on_used() noexcept {
     jumped_ = turned_ = false;
-    if (estimate_turned) turn_.setIdentity();
+    turn_.setIdentity();
   }
 
   /// True if all positions since the last pose that was used continue each other.
   [[nodiscard]] bool positions_continue() const noexcept { return !jumped_ && steps_ > 1; }
-  /// True if the orientation has stepped since then; and the number of poses since.
+  /// True if the orientation has stepped since then.
   [[nodiscard]] bool turned() const noexcept { return turned_; }
-  [[nodiscard]] int since_turn() const noexcept { return since_turn_; }
 
  private:
   static constexpr double longest = 0.15;  // of a gap in which nothing jumps unseen [s]
@@ -257,7 +254,7 @@ class PoseContinuity {
   Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero();
   Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();
   double last_time_ = -std::numeric_limits<double>::infinity(), last_step_ = 1.0;
-  int steps_ = 0, since_turn_ = 0;
+  int steps_ = 0;
   bool jumped_ = false, turned_ = false;
 };
 

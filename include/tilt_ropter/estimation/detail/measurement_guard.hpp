@@ -22,8 +22,8 @@
 namespace tilt_ropter::detail {
 
 /// What Ekf does with a measurement or an IMU sample. It uses a pose after it has widened the noise
-/// of accelerometer or gyroscope, or after it has learned the marker's orientation again.
-enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro, turn_marker };
+/// of accelerometer or gyroscope.
+enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro };
 
 /// Decision about a measurement or an IMU sample.
 struct Verdict {
@@ -140,24 +140,27 @@ class MeasurementGuard {
     const double small = std::max(0.1, 6.0 * c.noise);  // the controller can follow [m]
     if (passes(innovation) && gate.accepts(time, c.distance, small, settings_.restart_time)) {
       stamps_.on_used(arrived.lag);
-      ++used_since_start_;
+      if (++used_since_start_ >= enough) wrong_starts_ = 0;
       return use(time, Verdict{});
     }
     if (filter.is_bridged()) return start(time, filter.stopped_at(), arrived.lag, filter);
     gate.on_gated(time, c);
     const double offset = offset_along_path(c, filter);
     stamps_.on_displaced(offset);
-    const Action contradiction = which_is_wrong(time, c, offset, filter.rate());
+    const Action contradiction = which_is_wrong(time, c, offset, filter);
     if (contradiction != Action::drop) {
       stamps_.on_used(arrived.lag);
-      ++used_since_start_;
       return use(time, Verdict{contradiction});
     }
     const int needed = settings_.max_rejections;
-    const bool is_displaced =
-        gate.moves_like_imu(time, needed, settings_) && gate.tilt() < Scalar(0.1);
+    // Poses that continue those that were used have not been displaced.
+    const bool is_displaced = !continuity_.positions_continue() &&
+                              gate.moves_like_imu(time, needed, settings_) &&
+                              gate.tilt() < Scalar(0.1);
     const Scalar far(60);  // no valid pose has such a NIS
-    const bool start_was_wrong = has_just_started() && gate.is_confirmed() && nis_ > far &&
+    const bool is_far = !(distance_of(c) <= close);
+    const bool start_was_wrong = has_just_started() && (is_far || wrong_starts_ < most_starts) &&
+                                 gate.is_confirmed() && nis_ > far &&
                                  gate.smooth() >= std::min(5, needed);
     const bool is_lost = time - last_pose_ >= settings_.full_restart_time && gate.is_confirmed() &&
                          gate.smooth() >= needed && gate.extent() > 0.3;
@@ -168,6 +171,7 @@ class MeasurementGuard {
     verdict.needs_motion = !start_was_wrong;
     if (is_displaced) return use(time, verdict);
     used_since_start_ = 0;
+    wrong_starts_ += start_was_wrong;
     // If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
     // or the last step of the poses' clock.
     if (is_lost && last_pose_ - full_restart_ < settings_.full_restart_time) {
@@ -180,7 +184,7 @@ class MeasurementGuard {
 
   /// Processes the `position` of the estimate [m] after a pose was used with this verdict.
   void on_used(const Verdict& verdict, const Vector3<Scalar>& position) noexcept {
-    continuity_.on_used(verdict.action != Action::use);
+    continuity_.on_used();
     if (verdict.action != Action::restart) return gates_[0].on_used(position);
     if (verdict.needs_motion) return gates_[0].on_restart(position);
     gates_[0].clear();
@@ -222,6 +226,10 @@ class MeasurementGuard {
 
  private:
   static constexpr double infinity = std::numeric_limits<double>::infinity(), never = -infinity;
+  /// After so many restarts at once the start is right, and the IMU is wrong.
+  static constexpr int most_starts = 2;
+  static constexpr int enough = 100;    ///< poses that make a start right
+  static constexpr double close = 0.5;  ///< to an estimate that a wrong IMU has moved [m]
 
   static constexpr bool is_position(MeasurementKind kind) noexcept {
     return kind == MeasurementKind::pose || kind == MeasurementKind::position;
@@ -303,34 +311,38 @@ class MeasurementGuard {
     const bool is_wrong = gates_[0].smooth() >= settings_.max_rejections;
     verdict.known = {counts_.used > 0, filter.started() && !is_wrong, time - since};
     stamps_.on_used(lag);
-    used_since_start_ = 0;
+    used_since_start_ = wrong_starts_ = 0;
     return use(time, verdict);
   }
 
   /// Decides which side is wrong if a pose is above the gate: the IMU if the poses continue each
-  /// other, the marker's orientation if it alone has stepped. `drop`: the poses, or not known yet.
+  /// other. `drop`: the poses, or not known yet.
   [[nodiscard]] Action which_is_wrong(double time, const PoseComparison<Scalar>& c, double offset,
-                                      const Vector3<Scalar>& rate) const noexcept {
-    constexpr double shortest = 0.045;    // a jump of the poses shows within this time [s]
-    constexpr double late = 0.03;         // an unknown delay of poses, see StampMonitor [s]
-    constexpr double long_enough = 0.15;  // for StampMonitor to find this delay [s]
-    constexpr double close = 0.5;         // [m]
+                                      const Filter& filter) const noexcept {
+    constexpr double shortest = 0.045;   // a jump of the poses shows within this time [s]
+    constexpr double late = 0.03;        // an unknown delay of poses, see StampMonitor [s]
+    constexpr double long_enough = 0.6;  // for StampMonitor to find this delay [s]
     const double distance =
         static_cast<double>((c.measured.position - c.predicted.position).norm());
     const double since = time - last_pose_;
     const double noise = settings_.pose_noise.orientation;
     const double turn =
         static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
-    const bool may_be_late =
-        std::abs(offset) <= late && turn <= 6.0 * noise + late * static_cast<double>(rate.norm());
-    if (has_just_started() || !gates_[0].is_confirmed() || !continuity_.positions_continue() ||
-        gates_[0].gated() < 3 || !(since >= (may_be_late ? long_enough : shortest)) ||
-        !(distance <= close))
+    // Poses that are late err along the path, as those beside a wrong accelerometer do.
+    const bool may_be_late = std::abs(offset) <= late && !filter.filter().is_wider() &&
+                             turn <= 6.0 * noise + late * static_cast<double>(filter.rate().norm());
+    if ((used_since_start_ < enough && wrong_starts_ < most_starts) ||
+        filter.filter().is_widest() || !gates_[0].is_confirmed() ||
+        !continuity_.positions_continue() || gates_[0].gated() < 3 ||
+        !(since >= (may_be_late ? long_enough : shortest)) || !(distance <= close))
       return Action::drop;
-    // The marker has turned only if the positions agree with the IMU.
-    if (continuity_.turned() && distance <= 6.0 * c.noise + 0.01)
-      return continuity_.since_turn() >= 4 ? Action::turn_marker : Action::drop;
+    // The marker may have turned, if the positions agree with the IMU.
+    if (continuity_.turned() && distance <= 6.0 * c.noise + 0.01) return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
+  }
+
+  static double distance_of(const PoseComparison<Scalar>& c) noexcept {
+    return static_cast<double>((c.measured.position - c.predicted.position).norm());
   }
 
   PoseComparison<Scalar> compare(const MarkerPose<Scalar>& pose,
@@ -393,6 +405,7 @@ class MeasurementGuard {
   double late_time_ = 0.0, late_since_ = 0.0;  ///< of the last and the first late IMU sample
   int late_samples_ = 0;                       ///< consecutive
   int used_since_start_ = 0;                   ///< poses
+  int wrong_starts_ = 0;                       ///< consecutive
   Scalar nis_ = Scalar(0);
 };
 
