@@ -40,6 +40,8 @@ void write_logs(const Directory& directory, int rows, int times) {
     for (const char* name : {"position_m", "reference_m", "velocity_mps", "orientation",
                              "command_force_n", "estimated_force_n", "external_force_n"})
       add(std::string(name) + axis);
+  for (const char* name : {"rotor_speed", "wrench", "pose", "load", "battery"})
+    add(std::string("residual_") + name);
   for (const char* rotor : {"_1", "_2", "_3", "_4"})
     for (const char* name : {"tilt_true_rad", "rotor_speed_radps"}) add(std::string(name) + rotor);
   std::string log = names + '\n', solve_times = "time_s,prepare_us,feedback_us\n";
