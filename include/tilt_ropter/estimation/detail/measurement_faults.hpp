@@ -227,9 +227,8 @@ class PoseContinuity {
         jumped_ = true;
       constexpr double rate = 1.0;  // of a wrong gyroscope [rad/s]
       if (!(static_cast<double>(turn.angularDistance(turn_)) <=
-            8.0 * orientation_noise + rate * dt)) {
+            8.0 * orientation_noise + rate * dt))
         turned_ = true;
-      }
     }
     last_time_ = time;
     last_step_ = dt;

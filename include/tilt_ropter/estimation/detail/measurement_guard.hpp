@@ -322,8 +322,7 @@ class MeasurementGuard {
     constexpr double shortest = 0.045;   // a jump of the poses shows within this time [s]
     constexpr double late = 0.03;        // an unknown delay of poses, see StampMonitor [s]
     constexpr double long_enough = 0.6;  // for StampMonitor to find this delay [s]
-    const double distance =
-        static_cast<double>((c.measured.position - c.predicted.position).norm());
+    const double distance = distance_of(c);
     const double since = time - last_pose_;
     const double noise = settings_.pose_noise.orientation;
     const double turn =
