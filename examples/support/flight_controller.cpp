@@ -235,8 +235,13 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool lost = trust_.state == EstimateState::position_lost ||
                     (trust_.state == EstimateState::lost && imu_works);
   const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;
-  const bool failed = detector_.failure().kind != FailureKind::none;
-  if (failed && failure_.kind == FailureKind::none && mode_ != FlightMode::stopped) {
+  const FailureKind found = detector_.failure().kind;
+  const bool failed = found != FailureKind::none;
+  if (found == FailureKind::slow_servos) {
+    go_on_without(detector_.failure(), time);
+    vehicle_ = with_failure(vehicle_, failure_);
+    detector_ = FailureDetector<Rotors>(vehicle_);
+  } else if (failed && !has_lost_actuator() && mode_ != FlightMode::stopped) {
     go_on_without(detector_.failure(), time);
     begin(FlightMode::emergency, time);
   }

@@ -135,7 +135,7 @@ class FlightController {
   }
   [[nodiscard]] FlightMode mode() const { return mode_; }
   /// The failed actuator that was found in flight, if any. The controller then goes on at the
-  /// actuator level with the vehicle that remains, and lands.
+  /// actuator level with the vehicle that remains, and lands, except with slow servos.
   [[nodiscard]] const tilt_ropter::ActuatorFailure& failure() const { return failure_; }
   /// Trust in the estimate at the last prepare().
   [[nodiscard]] const tilt_ropter::EstimateTrust& trust() const { return trust_; }
@@ -218,6 +218,10 @@ class FlightController {
   void choose_mode(double time, const Reference& reference);
   void start_in_the_air(double time);
   void return_to(const tilt_ropter::ReferencePoint& point, double time);
+  [[nodiscard]] bool has_lost_actuator() const {
+    return failure_.kind == tilt_ropter::FailureKind::servo ||
+           failure_.kind == tilt_ropter::FailureKind::rotor;
+  }
   void go_on_without(const tilt_ropter::ActuatorFailure& failure, double time);
   void settle_at(double speed);
   void begin(FlightMode mode, double time);

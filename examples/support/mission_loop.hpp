@@ -272,7 +272,11 @@ class TrustFigures {
         << "\nflight_mode_at_end: " << to_string(mode_) << '\n';
     out << "actuator_failure: " << to_string(failure_.kind) << '\n';
     const double degrees = 180.0 / tilt_ropter::pi;
-    if (failure_.kind == tilt_ropter::FailureKind::none) {
+    if (failure_.kind == tilt_ropter::FailureKind::slow_servos)
+      out << "failure_found_at_s: " << failure_.time
+          << "\nservo_time_constant_s: " << failure_.time_constant << '\n';
+    if (failure_.kind == tilt_ropter::FailureKind::none ||
+        failure_.kind == tilt_ropter::FailureKind::slow_servos) {
       if (lands())
         out << "imu_landing_speed_mps: " << speed_
             << "\nimu_landing_lean_deg: " << largest_lean_ * degrees << '\n';

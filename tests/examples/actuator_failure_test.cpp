@@ -65,6 +65,21 @@ void expect_found_and_landed(const Failure& failure) {
   }
 }
 
+// The servos follow four times later than the model says.
+TEST(ActuatorFailure, SlowServosAreFoundAndTheMissionGoesOn) {
+  for (const std::string level : {"wrench", "actuator"}) {
+    const test_support::Directory directory("slow_servos");
+    const test_support::Outcome flown = test_support::run(
+        HYBRID_MISSION_PROGRAM, "--no-pictures --servo-time-constant 0.02 --output '" +
+                                    directory.file("") + "' --level " + level);
+    ASSERT_EQ(flown.exit_code, 0) << level << flown.output;
+    EXPECT_NE(flown.output.find("actuator_failure: slow_servos"), std::string::npos) << level;
+    EXPECT_NEAR(flown["servo_time_constant_s"], 0.08, 0.01) << level;  // the vehicle's
+    EXPECT_LT(flown["air_rmse_m"], 0.005) << level;
+    EXPECT_LT(flown["ground_rmse_m"], 0.01) << level;
+  }
+}
+
 TEST(ActuatorFailure, IsFoundAndTheVehicleLandsSoftAndLevel) {
   std::vector<Failure> failures;
   const int seeds = test_support::quick_or_full(1, 3);

@@ -26,7 +26,7 @@ void expect_names(Enum middle, const char* name, Enum last, const char* last_nam
 
 TEST(Names, AreThoseOfTheEnumerators) {
   expect_names(AllocationStatus::angle_held, "angle_held", AllocationStatus::rejected, "rejected");
-  expect_names(FailureKind::servo, "servo", FailureKind::rotor, "rotor");
+  expect_names(FailureKind::servo, "servo", FailureKind::slow_servos, "slow_servos");
   expect_names(EkfStatus::gated, "gated", EkfStatus::frozen, "frozen");
   expect_names(EstimateState::degraded, "degraded", EstimateState::lost, "lost");
   expect_names(ObserverStatus::gap, "gap", ObserverStatus::rejected, "rejected");

@@ -15,6 +15,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 
 /// Finds a failed rotor or a stuck servo from the motion of the body and the speeds of the rotors.
 namespace tilt_ropter {
@@ -22,12 +23,13 @@ namespace tilt_ropter {
 /// What has failed.
 enum class FailureKind {
   none,
-  servo,  ///< the rotor pushes in another direction than commanded
-  rotor   ///< the rotor pushes less than commanded
+  servo,       ///< the rotor pushes in another direction than commanded
+  rotor,       ///< the rotor pushes less than commanded
+  slow_servos  ///< all servos follow later than modelled
 };
 
 [[nodiscard]] constexpr const char* to_string(FailureKind kind) noexcept {
-  return detail::name_in({"none", "servo", "rotor"}, kind);
+  return detail::name_in({"none", "servo", "rotor", "slow_servos"}, kind);
 }
 
 /// Result of FailureDetector.
@@ -38,9 +40,11 @@ struct ActuatorFailure {
   double effectiveness = 1.0;  ///< of a weak rotor, a fraction; 0: lost
   double time = 0.0;           ///< of the report [s]
   double stddev = 0.0;         ///< standard deviation of the angle [rad]
+  double time_constant = 0.0;  ///< of slow servos [s]
 };
 
 /// Returns the vehicle that remains after `failure`, see with_stuck_servo() and with_weak_rotor().
+/// With slow servos it has their time constant.
 template <int Rotors>
 [[nodiscard]] Vehicle<Rotors> with_failure(const Vehicle<Rotors>& vehicle,
                                            const ActuatorFailure& failure) {
@@ -51,6 +55,11 @@ template <int Rotors>
       return with_stuck_servo(vehicle, failure.rotor, failure.angle);
     case FailureKind::rotor:
       return with_weak_rotor(vehicle, failure.rotor, failure.effectiveness);
+    case FailureKind::slow_servos: {
+      Vehicle<Rotors> slower = vehicle;
+      slower.servo.time_constant = failure.time_constant;
+      return slower;
+    }
   }
   return vehicle;
 }
@@ -62,6 +71,10 @@ template <int Rotors>
 /// squares. Together with the modelled force it gives the force that the rotor really has, and so
 /// the angle of a stuck servo or what is left of the thrust. Wind, a wrong mass or a wrong time
 /// constant change the wrench in ways that no single rotor explains.
+///
+/// Servos that are 2, 4 or 8 times slower than modelled leave a residual that changes as their
+/// angles would, also while the vehicle drives (its yaw torque). They are found if this explains
+/// the changes for 0.3 s, on the ground 0.6 s, better than a wrong mass or one weak rotor does.
 ///
 /// In the first 0.5 s of a flight no normal residual is known. A failure from before is then found
 /// by the whole residual. Otherwise it becomes a part of what is normal, and the angle of a servo
@@ -140,18 +153,31 @@ class FailureDetector {
   // The expected speed follows a rise of the modelled speed with this time constant, because
   // telemetry is late and a rotor may be slower than its model [s].
   static constexpr double rise_time = 0.05;
+  // Servos may be slower than modelled by these factors, of which the better one is reported.
+  static constexpr std::array<double, 3> slower{2.0, 4.0, 8.0};
+  // Slower changes of the residual are wind, a load or a wrong mass [s].
+  static constexpr double change_time = 0.3;
+  // Slow servos explain the residual this long, on the ground only its yaw torque, which a lost
+  // rotor changes as well [s].
+  static constexpr double slow_in_air_for = 0.3, slow_on_ground_for = 0.6;
+  // Changes are compared for about this time, because noise is as large as they are [s].
+  static constexpr double servo_time = 3.0;
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
+  static constexpr int explanations = Rotors + static_cast<int>(slower.size());
   static constexpr int blocks = 6;             // of a window
   static constexpr double longest_gap = 0.05;  // between two ticks [s]
 
   /// Sums over a part of the window.
   struct Block {
     double duration = 0.0;
-    Vector6 residual = Vector6::Zero();  ///< force [N s] and torque [N s, by the longest arm]
+    Vector6 residual = Vector6::Zero(),  ///< force [N s] and torque [N s, by the longest arm]
+        applied = Vector6::Zero();       ///< by the modelled actuators
     Eigen::Matrix<double, Rotors, 1> thrust = Eigen::Matrix<double, Rotors, 1>::Zero(),
                                      lateral = Eigen::Matrix<double, Rotors, 1>::Zero(),
                                      vertical = Eigen::Matrix<double, Rotors, 1>::Zero();
+    /// Residual that the loss of each rotor would leave, then each slower servo.
+    Eigen::Matrix<double, 6, explanations> left = Eigen::Matrix<double, 6, explanations>::Zero();
   };
 
   static constexpr std::size_t index(int i) { return static_cast<std::size_t>(i); }
@@ -179,6 +205,7 @@ class FailureDetector {
   void add(double dt, const InertialSampled& sample,
            const ActuatorState<Rotors>& actuators) noexcept;
   void end_block(double time, const InertialSampled& sample) noexcept;
+  void judge_servos(double time, const Block& block) noexcept;
 
   // A mean at first, then exponentially weighted.
   void learn(const Block& block) noexcept {
@@ -199,11 +226,11 @@ class FailureDetector {
 
   ActuatedBody<Rotors> body_;
   RigidBodyParameters parameters_;
-  double hover_thrust_ = 0.0, per_torque_ = 0.0;
+  double hover_thrust_ = 0.0, per_torque_ = 0.0, time_constant_ = 0.0;
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{}, lost_{};
   std::array<Vector6, 2 * static_cast<std::size_t>(Rotors)> columns_;
   ActuatorFailure failure_;
-  bool started_ = false;
+  bool started_ = false, airborne_ = false;
   double time_ = 0.0, learnt_for_ = 0.0, suspected_for_ = 0.0;
   Eigen::Vector3d start_rate_ = Eigen::Vector3d::Zero(),  // at the start of the block [rad/s]
       gyroscopic_ = Eigen::Vector3d::Zero();              // at the last sample [N m]
@@ -212,6 +239,19 @@ class FailureDetector {
   int filled_ = 0, next_ = 0, suspect_ = -1;
   Vector6 baseline_ = Vector6::Zero();
   std::array<Telemetry, static_cast<std::size_t>(Rotors)> telemetry_{};
+  // Angles behind the modelled ones, of the slower servos [rad]; NaN: not started.
+  std::array<Eigen::Matrix<double, Rotors, 1>, slower.size()> behind_;
+  // Changes over time: of the residual, of the modelled wrench, and of what each explanation
+  // leaves.
+  struct Changes {
+    Vector6 mean = Vector6::Zero();
+    Eigen::Array2d size = Eigen::Array2d::Zero(), by_applied = Eigen::Array2d::Zero(),
+                   by_residual = Eigen::Array2d::Zero();  ///< mean products: force, torque
+  };
+  Changes residual_, applied_;
+  std::array<Changes, index(explanations)> left_;
+  Vector6 last_residual_;
+  double noise_ = 0.0, watched_for_ = 0.0, slow_for_ = 0.0;
   Eigen::Matrix<double, Rotors, 1> hover_speed_;  // [rad/s]
 };
 
@@ -220,6 +260,8 @@ FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
     : body_(vehicle), parameters_(vehicle.body) {
   validate(vehicle);
   hover_thrust_ = vehicle.body.mass * gravity / Rotors;
+  time_constant_ = vehicle.servo.time_constant;
+  forget();
   double arm = 0.0;
   for (const RotorGeometry& rotor : vehicle.rotors) arm = std::max(arm, rotor.position.norm());
   per_torque_ = 1.0 / std::max(arm, 1e-3);
@@ -253,9 +295,10 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
     watch_speeds(time, dt, measured.rotor_speed, modelled_speed, airborne);
   else
     telemetry_.fill({});
-  if (!in_time || !airborne) {
+  if (!in_time || airborne != airborne_) {
     forget();
     started_ = true;
+    airborne_ = airborne;
   } else {
     // A speed far from the model is that of a motor that fails, or a wrong measurement. The model
     // is right about the wrench that the body then misses, or does not miss.
@@ -281,6 +324,11 @@ void FailureDetector<Rotors>::forget() noexcept {
   baseline_.setZero();
   suspect_ = -1;
   suspected_for_ = 0.0;
+  for (auto& angles : behind_) angles.setConstant(std::numeric_limits<double>::quiet_NaN());
+  residual_ = applied_ = {};
+  left_.fill({});
+  last_residual_.setZero();
+  noise_ = watched_for_ = slow_for_ = 0.0;
 }
 
 template <int Rotors>
@@ -328,11 +376,30 @@ void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
     block_.lateral(i) += dt * x.thrust(i) * std::sin(x.tilt_angle(i));
     block_.vertical(i) += dt * x.thrust(i) * std::cos(x.tilt_angle(i));
   }
+  for (int i = 0; i < Rotors; ++i)
+    block_.left.col(i) -= dt * x.thrust(i) *
+                          (std::sin(x.tilt_angle(i)) * columns_[index(2 * i)] +
+                           std::cos(x.tilt_angle(i)) * columns_[index(2 * i + 1)]);
+  for (std::size_t k = 0; k < slower.size(); ++k) {
+    if (!behind_[k].allFinite()) behind_[k] = x.tilt_angle;
+    // A lag of T instead of t: t / T of the angle, and the rest through the lag of T.
+    const double lag = slower[k] * time_constant_;
+    behind_[k] += (1.0 - std::exp(-dt / lag)) * (x.tilt_angle - behind_[k]);
+    for (int i = 0; i < Rotors; ++i) {
+      const double angle = x.tilt_angle(i),
+                   late = angle + (1.0 - 1.0 / slower[k]) * (behind_[k](i) - angle);
+      block_.left.col(Rotors + static_cast<int>(k)) +=
+          dt * x.thrust(i) *
+          ((std::sin(late) - std::sin(angle)) * columns_[index(2 * i)] +
+           (std::cos(late) - std::cos(angle)) * columns_[index(2 * i + 1)]);
+    }
+  }
   const Wrenchd applied = body_.wrench(x);
   const Eigen::Vector3d gyroscopic = gyroscopic_torque(sample.angular_velocity),
                         mean = 0.5 * (gyroscopic + gyroscopic_);
   block_.residual += dt * scaled({parameters_.mass * sample.specific_force - applied.force,
                                   mean - applied.torque});
+  block_.applied += dt * scaled(applied);
   block_.duration += dt;
 }
 
@@ -340,6 +407,11 @@ template <int Rotors>
 void FailureDetector<Rotors>::end_block(double time, const InertialSampled& sample) noexcept {
   const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
   block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
+  if (!airborne_) {
+    judge_servos(time, block_);
+    block_ = {};
+    return;
+  }
   // What leaves the window is learnt, unless the window may contain a failure.
   Block& oldest = ring_[index(next_)];
   if (filled_ == blocks && suspect_ < 0) learn(oldest);
@@ -348,7 +420,61 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   block_ = {};
   next_ = (next_ + 1) % blocks;
   filled_ = std::min(filled_ + 1, blocks);
-  if (filled_ == blocks) judge(time, dt);
+  judge_servos(time, oldest);
+  if (filled_ == blocks && failure_.kind == FailureKind::none) judge(time, dt);
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noexcept {
+  const double dt = block.duration;
+  watched_for_ += dt;
+  const double part = std::min(1.0, dt / std::min(change_time, watched_for_));
+  double fades = std::min(1.0, dt / servo_time);
+  const auto change_of = [&](const Vector6& sum, Vector6& mean) -> Vector6 {
+    const Vector6 change = sum / dt - mean;
+    mean += part * change;
+    return airborne_ ? change : change.cwiseProduct(Vector6::Unit(5));
+  };
+  // Of forces and torques, averaged.
+  const auto products = [&](const Vector6& a, const Vector6& b, Eigen::Array2d& mean) {
+    const Eigen::Array2d now(a.head<3>().dot(b.head<3>()), a.tail<3>().dot(b.tail<3>()));
+    mean += fades * (now - mean);
+  };
+  if (watched_for_ < known_after) fades = 0.0;
+  const Vector6 residual = change_of(block.residual, residual_.mean),
+                applied = change_of(block.applied, applied_.mean);
+  products(residual, residual, residual_.size);
+  products(applied, applied, applied_.size);
+  products(residual, applied, residual_.by_applied);
+  // White noise from one block to the next: servos are slower.
+  noise_ += fades * (0.5 * (residual - last_residual_).squaredNorm() - noise_);
+  last_residual_ = residual;
+  const Eigen::Array2d gain = residual_.by_applied / (applied_.size + 1e-12);
+  const double changes = (residual_.size - gain * residual_.by_applied).sum();
+  int best = 0;
+  double most = 0.0;
+  for (int k = 0; k < explanations; ++k) {
+    Changes& left = left_[index(k)];
+    const Vector6 by_this = change_of(block.left.col(k), left.mean);
+    products(by_this, by_this, left.size);
+    products(by_this, applied, left.by_applied);
+    products(by_this, residual, left.by_residual);
+    // A wrong mass, inertia or thrust is a gain, which explains its part first.
+    const double size = (left.size - left.by_applied.square() / (applied_.size + 1e-12)).sum(),
+                 common = (left.by_residual - gain * left.by_applied).sum(), slope = common / size,
+                 explained = slope * common, stddev = std::sqrt(changes * fades / 6.0 / size);
+    const bool fits = k < Rotors ? slope > 0.0
+                                 : slope - 5.0 * stddev > 0.5 && slope < 2.0 &&
+                                       changes - explained < 2.0 * noise_ + explained;
+    if (!fits || !(explained > most)) continue;
+    best = k;
+    most = explained;
+  }
+  slow_for_ = best >= Rotors ? slow_for_ + dt : 0.0;
+  if (slow_for_ < (airborne_ ? slow_in_air_for : slow_on_ground_for)) return;
+  failure_ = {FailureKind::slow_servos};
+  failure_.time = time;
+  failure_.time_constant = slower[index(best - Rotors)] * time_constant_;
 }
 
 template <int Rotors>
