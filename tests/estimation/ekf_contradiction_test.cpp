@@ -165,5 +165,17 @@ TEST(EkfContradiction, AnAccelerometerThatIsCutIsNotBelieved) {
     }
 }
 
+// Motion capture defines the rigid body again: its orientation steps, its positions go on.
+TEST(EkfContradiction, TheOrientationOfTheRigidBodyMayStep) {
+  for (const double motion : {0.0, 1.0})
+    for (const double size : {2.0, 5.0, 20.0, 90.0, 180.0}) {
+      SCOPED_TRACE(size);
+      const Outcome o = fly(fault_of(Kind::orientation_step, size), {motion});
+      expect_followed(o);
+      EXPECT_LT(o.orientation, 0.03);
+      EXPECT_EQ(o.state, EstimateState::good);
+    }
+}
+
 }  // namespace
 }  // namespace tilt_ropter

@@ -38,6 +38,9 @@ namespace tilt_ropter {
 ///   full_restart_time and keeps only the marker frame. The second time in a row it keeps nothing,
 ///   and takes back the last step of the poses' clock if they are then in time. on_measurement()
 ///   has the first kind of restart only, with the orientation of the estimate.
+/// - If the orientation of the poses steps while their positions go on, motion capture has defined
+///   the rigid body again. Their positions alone are used until the step is known, 0.25 s or
+///   longer, and later orientations are corrected by it.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -257,7 +260,8 @@ EkfStatus Ekf<Scalar>::receive(double time, const Measurement& measurement,
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   filter_.catch_up(time);
-  LinearisedPose<Scalar> at = filter().linearise(arrived.pose);
+  const MarkerPose<Scalar> pose = guard_.turn().undone(arrived.pose);
+  LinearisedPose<Scalar> at = filter().linearise(pose);
   const Vector3<Scalar>& velocity = filter().state().velocity;
   // Bounded, because a wrong velocity must not make every pose likely.
   constexpr double most = 0.1;  // effect of the jitter [m]
@@ -265,15 +269,16 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
       std::min(stamp_stddev(), most / std::max(static_cast<double>(velocity.norm()), 1.0));
   if (jitter > 0.0) at.add_stamp_noise(velocity, filter_.rate(), Scalar(jitter));
   const auto innovation = filter().innovation_of(at);
-  const detail::Verdict verdict = guard_.judge(time, arrived, innovation, filter_);
+  const detail::Verdict verdict = guard_.judge(time, {pose, arrived.lag}, innovation, filter_);
   if (verdict.clock_changed) queue_.clear();
   if (verdict.action == Action::drop) return verdict.status;
   filter_.change([&](ErrorStateFilter<Scalar>& f) {
-    if (verdict.action == Action::use) return void(f.update(innovation, at));
     if (verdict.action == Action::restart)
-      return detail::start_at_pose(f, arrived.pose, verdict.known, settings_);
-    f.widen(verdict.action == Action::widen_gyro);
-    f.update(arrived.pose);
+      return detail::start_at_pose(f, guard_.turn().undone(arrived.pose), verdict.known, settings_);
+    if (verdict.action != Action::use) f.widen(verdict.action == Action::widen_gyro);
+    if (verdict.position_only) at.ignore_orientation();
+    const bool is_same = verdict.action == Action::use && !verdict.position_only;
+    f.update(is_same ? innovation : f.innovation_of(at), at);
   });
   filter_.set_running();
   guard_.on_used(verdict, filter().state().position);

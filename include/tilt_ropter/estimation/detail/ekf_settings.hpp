@@ -82,6 +82,10 @@ struct EstimateTrust {
   bool poses_frozen = false;    ///< the last pose or position was a repetition
   bool poses_gated = false;     ///< the last pose or position was above the gate
   bool poses_mistimed = false;  ///< the last pose or position was late or early
+  /// The orientation of on_pose() has stepped while the positions went on: motion capture has
+  /// defined the rigid body again. The positions alone are used, for 0.25 s or longer.
+  bool orientation_unused = false;
+  bool marker_turned = false;  ///< such a step was found: orientations are corrected by it
   /// The filter has restarted at measurements of something at rest, and no motion has confirmed
   /// since that they are those of the vehicle. Hold the position, then land: during the descent
   /// they are confirmed, or above the gate.

@@ -83,6 +83,12 @@ struct LinearisedPose {
     stamp_noise *= stddev;
   }
 
+  /// Leaves the position alone.
+  void ignore_orientation() noexcept {
+    residual.template tail<3>().setZero();
+    noise.template tail<3>().setConstant(Scalar(1e6));
+  }
+
   [[nodiscard]] Columns times_transpose(
       const Eigen::Matrix<Scalar, InertialIndex::size, InertialIndex::size>& m) const noexcept {
     using I = InertialIndex;

@@ -257,6 +257,48 @@ class PoseContinuity {
   bool jumped_ = false, turned_ = false;
 };
 
+/// Finds by how much the orientation of the poses has stepped while their positions go on: motion
+/// capture has defined the rigid body again. The marker frame of the filter is kept, and later
+/// orientations are turned back.
+template <typename Scalar>
+class OrientationStep {
+ public:
+  /// The pose with the orientation that it had before the steps.
+  [[nodiscard]] MarkerPose<Scalar> undone(const MarkerPose<Scalar>& pose) const noexcept {
+    return {pose.position, (pose.orientation * back_).normalized()};
+  }
+
+  /// Processes a pose whose orientation does not fit. `noise`: of the orientation [rad].
+  void on_pose(double time, const PoseComparison<Scalar>& c, double noise) noexcept {
+    constexpr double long_enough = 0.25;  // to tell a step from outliers and from a drift [s]
+    const Eigen::Quaternion<Scalar> turn =
+        c.predicted.orientation.conjugate() * c.measured.orientation;
+    if (count_ == 0 || !(static_cast<double>(turn.angularDistance(turn_)) <= 8.0 * noise)) {
+      since_ = time;
+      turn_ = turn;
+      count_ = 0;
+    }
+    turn_ = turn_.slerp(Scalar(1) / Scalar(++count_), turn);
+    if (!is_steady() || !(time - since_ >= long_enough)) return;
+    back_ = (back_ * turn_.conjugate()).normalized();
+    count_ = 0;
+  }
+  /// The orientation fits again.
+  void end() noexcept { count_ = 0; }
+
+  /// True if the orientation has stepped and the step is not known yet.
+  [[nodiscard]] bool is_open() const noexcept { return count_ > 0; }
+  /// True if some consecutive poses show the same step.
+  [[nodiscard]] bool is_steady() const noexcept { return count_ >= 5; }
+  /// True if orientations are turned back.
+  [[nodiscard]] bool is_known() const noexcept { return back_.w() != Scalar(1); }
+
+ private:
+  Eigen::Quaternion<Scalar> back_ = Eigen::Quaternion<Scalar>::Identity(), turn_ = back_;
+  double since_ = 0.0;
+  int count_ = 0;
+};
+
 /// Tests whether measurements that the gate rejects move like the IMU but elsewhere: with a
 /// constant displacement and a constant rotation about the vertical.
 ///

@@ -32,6 +32,7 @@ struct Verdict {
   bool clock_changed = false;             ///< measurements that wait have wrong stamps
   KnownAtStart known = {};                ///< for a start or restart at a pose
   bool needs_motion = false;              ///< a motion has to confirm the restart
+  bool position_only = false;             ///< the orientation of the pose is not used
 };
 
 /// A pose and the time between its stamp and its arrival [s].
@@ -55,6 +56,8 @@ class MeasurementGuard {
   [[nodiscard]] Scalar nis() const noexcept { return nis_; }
   [[nodiscard]] const EkfCounts& counts() const noexcept { return counts_; }
   [[nodiscard]] const StampMonitor& stamps() const noexcept { return stamps_; }
+  /// Orientations that have stepped are turned back.
+  [[nodiscard]] const OrientationStep<Scalar>& turn() const noexcept { return turn_; }
   /// Too few poses have confirmed the start.
   [[nodiscard]] bool has_just_started() const noexcept { return used_since_start_ < 25; }
 
@@ -140,10 +143,18 @@ class MeasurementGuard {
     const double small = std::max(0.1, 6.0 * c.noise);  // the controller can follow [m]
     if (passes(innovation) && gate.accepts(time, c.distance, small, settings_.restart_time)) {
       stamps_.on_used(arrived.lag);
+      turn_.end();
       if (++used_since_start_ >= enough) wrong_starts_ = 0;
       return use(time, Verdict{});
     }
     if (filter.is_bridged()) return start(time, filter.stopped_at(), arrived.lag, filter);
+    if (has_turned(innovation)) {
+      turn_.on_pose(time, c, settings_.pose_noise.orientation);
+      stamps_.on_used(arrived.lag);
+      Verdict verdict;
+      verdict.position_only = true;
+      return use(time, verdict);
+    }
     gate.on_gated(time, c);
     const double offset = offset_along_path(c, filter);
     stamps_.on_displaced(offset);
@@ -170,6 +181,7 @@ class MeasurementGuard {
     verdict.known.marker_frame = counts_.used > 0;
     verdict.needs_motion = !start_was_wrong;
     if (is_displaced) return use(time, verdict);
+    turn_ = {};
     used_since_start_ = 0;
     wrong_starts_ += start_was_wrong;
     // If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
@@ -221,6 +233,8 @@ class MeasurementGuard {
     EstimateTrust t = started ? faults_ : EstimateTrust();
     for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = age(now, last_used_[i]);
     for (const GateMonitor<Scalar>& gate : gates_) t.unconfirmed |= !gate.is_confirmed();
+    t.orientation_unused = turn_.is_open();
+    t.marker_turned = turn_.is_known();
     return t;
   }
 
@@ -251,10 +265,12 @@ class MeasurementGuard {
   /// Compares the NIS with the gate, which has the same probability for any number of rows.
   template <int Rows>
   bool passes(const MeasurementInnovation<Scalar, Rows>& innovation) noexcept {
-    constexpr std::array<double, 6> quantile = {15.14, 18.42, 21.11, 23.51, 25.74, 27.86};
     nis_ = innovation.distance;
-    return innovation.is_definite &&
-           nis_ <= Scalar(settings_.gate * quantile[Rows - 1] / quantile[5]);
+    return innovation.is_definite && nis_ <= Scalar(gate_of(Rows));
+  }
+  [[nodiscard]] double gate_of(std::size_t rows) const noexcept {
+    constexpr std::array<double, 6> quantile = {15.14, 18.42, 21.11, 23.51, 25.74, 27.86};
+    return settings_.gate * quantile[rows - 1] / quantile[5];
   }
 
   /// Drops a pose. With its `lag` [s], corrects the clock if all poses have arrived alike.
@@ -335,9 +351,17 @@ class MeasurementGuard {
         !continuity_.positions_continue() || gates_[0].gated() < 3 ||
         !(since >= (may_be_late ? long_enough : shortest)) || !(distance <= close))
       return Action::drop;
-    // The marker may have turned, if the positions agree with the IMU.
-    if (continuity_.turned() && distance <= 6.0 * c.noise + 0.01) return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
+  }
+
+  /// True if the orientation of a pose above the gate has stepped, and its position has not.
+  [[nodiscard]] bool has_turned(const MeasurementInnovation<Scalar, 6>& in) const noexcept {
+    if (!turn_.is_open() && !(continuity_.turned() && used_since_start_ >= 2 * enough))
+      return false;
+    const Vector3<Scalar> residual = in.residual.template head<3>();
+    const auto factor = in.covariance.template topLeftCorner<3, 3>().llt();
+    return factor.info() == Eigen::Success &&
+           residual.dot(factor.solve(residual)) <= Scalar(gate_of(3));
   }
 
   static double distance_of(const PoseComparison<Scalar>& c) noexcept {
@@ -394,6 +418,7 @@ class MeasurementGuard {
   RepetitionDetector<Scalar> repetitions_;
   StampMonitor stamps_;
   PoseContinuity<Scalar> continuity_;         ///< of on_pose()
+  OrientationStep<Scalar> turn_;              ///< of on_pose()
   std::array<GateMonitor<Scalar>, 4> gates_;  ///< of on_pose(), positions, velocities, poses
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_;
   EstimateTrust faults_;                       ///< what happened to poses and positions
