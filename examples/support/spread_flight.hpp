@@ -45,7 +45,8 @@ struct FlightRecord {
   double touchdown_speed = 0.0;  ///< largest of all touchdowns [m/s]
   int mode_changes = 0, solver_failures = 0;
   SolverTicks solver;
-  int false_alarms = 0;  ///< 1 if the controller found a failed actuator; none fails
+  /// 1 if the controller found a failed actuator; none fails, but servos may be slow.
+  int false_alarms = 0;
 };
 
 /// A vehicle and its flight.

@@ -114,7 +114,7 @@ TEST(FailureDetector, FindsEveryFailureAtAnyRate) {
 
 TEST(FailureDetector, FindsSlowServosInTheAirAndOnTheGround) {
   for (const bool airborne : {true, false})
-    for (const double slowness : {2.0, 4.0, 8.0}) {
+    for (const double slowness : {4.0, 8.0}) {
       FailureDetector<4> detector(tilt_ropter_vehicle());
       Body body(tilt_ropter_vehicle(), 1000.0);
       body.slowness = slowness;
@@ -126,6 +126,15 @@ TEST(FailureDetector, FindsSlowServosInTheAirAndOnTheGround) {
       const double factor = lag / (slowness * tilt_ropter_vehicle().servo.time_constant);
       EXPECT_TRUE(factor > 0.49 && factor < 2.01) << factor;  // the next finding halves the error
     }
+}
+
+// A healthy vehicle may differ by that.
+TEST(FailureDetector, ServosOfHalfTheSpeedAreNoFailureInTheAir) {
+  FailureDetector<4> detector(tilt_ropter_vehicle());
+  Body body(tilt_ropter_vehicle(), 1000.0);
+  body.slowness = 2.0;
+  body.run(detector, 10.0);
+  EXPECT_EQ(detector.failure().kind, FailureKind::none);
 }
 
 // What is proportional to the modelled wrench is no lag.

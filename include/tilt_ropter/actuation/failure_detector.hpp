@@ -72,9 +72,10 @@ template <int Rotors>
 /// the angle of a stuck servo or what is left of the thrust. Wind, a wrong mass or a wrong time
 /// constant change the wrench in ways that no single rotor explains.
 ///
-/// Servos that are 2, 4 or 8 times slower than modelled leave a residual that changes as their
+/// Servos that are 4 or 8 times slower than modelled leave a residual that changes as their
 /// angles would, also while the vehicle drives (its yaw torque). They are found if this explains
-/// the changes for 0.3 s, on the ground 0.6 s, better than a wrong mass or one weak rotor does.
+/// the changes for 1 to 2.5 s, on the ground 0.6 s, better than a wrong mass, one weak rotor or
+/// servos of half the speed do.
 ///
 /// In the first 0.5 s of a flight no normal residual is known. A failure from before is then found
 /// by the whole residual. Otherwise it becomes a part of what is normal, and the angle of a servo
@@ -153,13 +154,16 @@ class FailureDetector {
   // The expected speed follows a rise of the modelled speed with this time constant, because
   // telemetry is late and a rotor may be slower than its model [s].
   static constexpr double rise_time = 0.05;
-  // Servos may be slower than modelled by these factors, of which the better one is reported.
+  // Servos may be slower than modelled by these factors. The one that explains most is reported;
+  // the first is what a healthy vehicle may differ by, unless it begins to swing.
   static constexpr std::array<double, 3> slower{2.0, 4.0, 8.0};
   // Slower changes of the residual are wind, a load or a wrong mass [s].
   static constexpr double change_time = 0.3;
-  // Slow servos explain the residual this long, on the ground only its yaw torque, which a lost
-  // rotor changes as well [s].
-  static constexpr double slow_in_air_for = 0.3, slow_on_ground_for = 0.6;
+  // Then the vehicle begins to swing: rms of the changes by servos, as a fraction of the weight.
+  static constexpr double unstable_changes = 0.015;
+  // Slow servos explain the changes this long, less if they explain nearly all of them; on the
+  // ground the changes of the yaw torque [s].
+  static constexpr double slow_for = 2.5, surely_slow_for = 1.0, slow_on_ground_for = 0.6;
   // Changes are compared for about this time, because noise is as large as they are [s].
   static constexpr double servo_time = 3.0;
 
@@ -245,8 +249,7 @@ class FailureDetector {
   // leaves.
   struct Changes {
     Vector6 mean = Vector6::Zero();
-    Eigen::Array2d size = Eigen::Array2d::Zero(), by_applied = Eigen::Array2d::Zero(),
-                   by_residual = Eigen::Array2d::Zero();  ///< mean products: force, torque
+    double size = 0.0, by_applied = 0.0, by_residual = 0.0;  ///< mean products
   };
   Changes residual_, applied_;
   std::array<Changes, index(explanations)> left_;
@@ -430,51 +433,57 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
   watched_for_ += dt;
   const double part = std::min(1.0, dt / std::min(change_time, watched_for_));
   double fades = std::min(1.0, dt / servo_time);
+  // In the air the forces, because a wrong CoM and inertia change the torques in many ways. On the
+  // ground only the turning is free.
+  Vector6 counts = Vector6::Unit(5);
+  if (airborne_) counts << 1.0, 1.0, 1.0, 0.0, 0.0, 0.0;
   const auto change_of = [&](const Vector6& sum, Vector6& mean) -> Vector6 {
     const Vector6 change = sum / dt - mean;
     mean += part * change;
-    return airborne_ ? change : change.cwiseProduct(Vector6::Unit(5));
+    return counts.cwiseProduct(change);
   };
-  // Of forces and torques, averaged.
-  const auto products = [&](const Vector6& a, const Vector6& b, Eigen::Array2d& mean) {
-    const Eigen::Array2d now(a.head<3>().dot(b.head<3>()), a.tail<3>().dot(b.tail<3>()));
-    mean += fades * (now - mean);
+  const auto average = [&](const Vector6& a, const Vector6& b, double& product) {
+    product += fades * (a.dot(b) - product);
   };
   if (watched_for_ < known_after) fades = 0.0;
   const Vector6 residual = change_of(block.residual, residual_.mean),
                 applied = change_of(block.applied, applied_.mean);
-  products(residual, residual, residual_.size);
-  products(applied, applied, applied_.size);
-  products(residual, applied, residual_.by_applied);
+  average(residual, residual, residual_.size);
+  average(applied, applied, applied_.size);
+  average(residual, applied, residual_.by_applied);
   // White noise from one block to the next: servos are slower.
   noise_ += fades * (0.5 * (residual - last_residual_).squaredNorm() - noise_);
   last_residual_ = residual;
-  const Eigen::Array2d gain = residual_.by_applied / (applied_.size + 1e-12);
-  const double changes = (residual_.size - gain * residual_.by_applied).sum();
-  int best = 0;
-  double most = 0.0;
+  const double gain = residual_.by_applied / (applied_.size + 1e-12);
+  const double changes = residual_.size - gain * residual_.by_applied;
+  const double unstable = unstable_changes * Rotors * hover_thrust_;
+  bool is_slow = false;
+  double most = 0.0, slowest = 1.0;
   for (int k = 0; k < explanations; ++k) {
     Changes& left = left_[index(k)];
     const Vector6 by_this = change_of(block.left.col(k), left.mean);
-    products(by_this, by_this, left.size);
-    products(by_this, applied, left.by_applied);
-    products(by_this, residual, left.by_residual);
+    average(by_this, by_this, left.size);
+    average(by_this, applied, left.by_applied);
+    average(by_this, residual, left.by_residual);
     // A wrong mass, inertia or thrust is a gain, which explains its part first.
-    const double size = (left.size - left.by_applied.square() / (applied_.size + 1e-12)).sum(),
-                 common = (left.by_residual - gain * left.by_applied).sum(), slope = common / size,
-                 explained = slope * common, stddev = std::sqrt(changes * fades / 6.0 / size);
+    const double size = left.size - left.by_applied * left.by_applied / (applied_.size + 1e-12),
+                 common = left.by_residual - gain * left.by_applied, slope = common / size,
+                 explained = slope * common,
+                 surely = slope - 5.0 * std::sqrt(changes * fades / 3.0 / size);
     const bool fits = k < Rotors ? slope > 0.0
-                                 : slope - 5.0 * stddev > 0.5 && slope < 2.0 &&
-                                       changes - explained < 2.0 * noise_ + explained;
+                                 : surely > 0.5 && slope < 2.0 &&
+                                       changes - explained < 2.0 * noise_ + 0.5 * explained;
     if (!fits || !(explained > most)) continue;
-    best = k;
+    is_slow = k > Rotors || (k == Rotors && (!airborne_ || explained > unstable * unstable));
     most = explained;
+    slowest = slower[index(std::max(k - Rotors, 1))];
   }
-  slow_for_ = best >= Rotors ? slow_for_ + dt : 0.0;
-  if (slow_for_ < (airborne_ ? slow_in_air_for : slow_on_ground_for)) return;
+  slow_for_ = is_slow ? slow_for_ + dt : 0.0;
+  const double in_air = most > 0.85 * changes ? surely_slow_for : slow_for;
+  if (slow_for_ < (airborne_ ? in_air : slow_on_ground_for)) return;
   failure_ = {FailureKind::slow_servos};
   failure_.time = time;
-  failure_.time_constant = slower[index(best - Rotors)] * time_constant_;
+  failure_.time_constant = slowest * time_constant_;
 }
 
 template <int Rotors>
