@@ -85,21 +85,20 @@ TEST(WheeledFlightProblem, CostModelIsGaussNewtonModelOfThePapersCost) {
     u << random.vector(10.0), random.vector(2.0);
 
     using S = Dual<18>;
-    const Eigen::Matrix<double, 18, 18> jacobian = test_support::jacobian_at_zero<18, 18>(
+    const Eigen::MatrixXd jacobian = test_support::jacobian_at_zero<18, 18>(
         [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 18, 1> {
           return paper_error<S>(moved<S>(x, d), problem.node(k));
         });
-    const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
-    Eigen::Matrix<double, 18, 1> q;
+    const Eigen::VectorXd e = paper_error<double>(x, problem.node(k));
+    Eigen::VectorXd q(18);
     q << w.force, w.torque, w.position, w.velocity, w.orientation, w.angular_velocity;
     if (problem.node(k).on_ground) q(TangentIndex::force + 2) += w.ground_thrust;
     if (k == problem.horizon()) q *= w.terminal;
 
     WheeledFlightProblem<0>::Model model;
     problem.cost_model(k, x, u, model);
-    const Eigen::Matrix<double, 18, 18> hessian =
-        2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
-    const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * q.cwiseProduct(e);
+    const Eigen::MatrixXd hessian = 2.0 * jacobian.transpose() * q.asDiagonal() * jacobian;
+    const Eigen::VectorXd gradient = 2.0 * jacobian.transpose() * q.cwiseProduct(e);
     worst = std::max({worst, relative(model.lxx(), hessian), relative(model.lx(), gradient)});
     double cost = e.dot(q.cwiseProduct(e));
     if (k < problem.horizon()) {
@@ -114,7 +113,7 @@ TEST(WheeledFlightProblem, CostModelIsGaussNewtonModelOfThePapersCost) {
 }
 
 // Hessian of the cost at the node's reference, in tangent coordinates.
-Eigen::Matrix<double, 18, 18> hessian_at_reference(const WheeledFlightProblem<0>& problem, int k) {
+Eigen::MatrixXd hessian_at_reference(const WheeledFlightProblem<0>& problem, int k) {
   Stated x;
   x.wrench = problem.node(k).wrench_reference;
   x.body = problem.node(k).reference;
@@ -144,13 +143,14 @@ TEST(WheeledFlightProblem, RiccatiCostIsCostToGoOfHoverAtEveryHeading) {
     D::A A;
     D::B B;
     (void)problem.step(0, x, D::Input::Zero(), A, B);
+    const Eigen::MatrixXd a = A, b = B;  // products of fixed size take seconds to compile
     WheeledFlightProblem<0>::Model model;
     problem.cost_model(0, x, D::Input::Zero(), model);
-    const Eigen::Matrix<double, 18, 18> P = hessian_at_reference(problem, problem.horizon());
-    const Eigen::Matrix<double, 6, 6> by_input = model.luu() + B.transpose() * P * B;
-    const Eigen::Matrix<double, 6, 18> mixed = B.transpose() * P * A;
-    const Eigen::Matrix<double, 18, 18> residual =
-        model.lxx() + A.transpose() * P * A - mixed.transpose() * by_input.llt().solve(mixed) - P;
+    const Eigen::MatrixXd P = hessian_at_reference(problem, problem.horizon());
+    const Eigen::MatrixXd by_input = model.luu() + b.transpose() * P * b;
+    const Eigen::MatrixXd mixed = b.transpose() * P * a;
+    const Eigen::MatrixXd residual =
+        model.lxx() + a.transpose() * P * a - mixed.transpose() * by_input.llt().solve(mixed) - P;
     EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff()) << yaw;
     EXPECT_LT((P - P.transpose()).cwiseAbs().maxCoeff(), 1e-14 * P.cwiseAbs().maxCoeff());
     EXPECT_EQ(Eigen::LLT<Eigen::MatrixXd>(P - model.lxx()).info(), Eigen::Success);  // P > Q
@@ -160,28 +160,28 @@ TEST(WheeledFlightProblem, RiccatiCostIsCostToGoOfHoverAtEveryHeading) {
 TEST(WheeledFlightProblem, RiccatiCostHasExactDerivatives) {
   Random random(46);
   double worst = 0.0;
-  const Eigen::Matrix<double, 18, 18> level = 0.5 * hessian_at_reference(hovering_problem(0.0), 20);
+  const Eigen::MatrixXd level = 0.5 * hessian_at_reference(hovering_problem(0.0), 20);
   for (int i = 0; i < test_support::quick_or_full(200, 10000); ++i) {
     const WheeledFlightProblem<0> problem = random_problem(random, TerminalCost::riccati);
     const int k = problem.horizon();
     const Stated x = random_state(random);
-    Eigen::Matrix<double, 18, 18> turn = Eigen::Matrix<double, 18, 18>::Identity();
+    Eigen::MatrixXd turn = Eigen::MatrixXd::Identity(18, 18);
     const double yaw = yaw_of(problem.node(k).reference.orientation);
     for (const int axes : {6, 9, 12})
       turn.block<3, 3>(axes, axes) =
           Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
-    const Eigen::Matrix<double, 18, 18> P = turn.transpose() * level * turn;
+    const Eigen::MatrixXd P = turn.transpose() * level * turn;
 
     using S = Dual<18>;
-    const Eigen::Matrix<double, 18, 18> jacobian = test_support::jacobian_at_zero<18, 18>(
+    const Eigen::MatrixXd jacobian = test_support::jacobian_at_zero<18, 18>(
         [&](const Eigen::Matrix<S, 18, 1>& d) -> Eigen::Matrix<S, 18, 1> {
           return paper_error<S>(moved<S>(x, d), problem.node(k));
         });
-    const Eigen::Matrix<double, 18, 1> e = paper_error<double>(x, problem.node(k));
+    const Eigen::VectorXd e = paper_error<double>(x, problem.node(k));
     WheeledFlightProblem<0>::Model model;
     problem.cost_model(k, x, D::Input::Zero(), model);
-    const Eigen::Matrix<double, 18, 18> hessian = 2.0 * jacobian.transpose() * P * jacobian;
-    const Eigen::Matrix<double, 18, 1> gradient = 2.0 * jacobian.transpose() * P * e;
+    const Eigen::MatrixXd hessian = 2.0 * jacobian.transpose() * P * jacobian;
+    const Eigen::VectorXd gradient = 2.0 * jacobian.transpose() * P * e;
     worst = std::max({worst, relative(model.lxx(), hessian), relative(model.lx(), gradient)});
     const double cost = e.dot(P * e);
     EXPECT_NEAR(problem.cost(k, x, D::Input::Zero()), cost, 1e-12 * cost);

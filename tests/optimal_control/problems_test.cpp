@@ -9,6 +9,7 @@
 #include "support/pendulum.hpp"
 #include "support/quadrotor.hpp"
 #include "support/refusals.hpp"
+#include "support/same_optimum.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
@@ -22,6 +23,8 @@ namespace {
 
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
+using test_support::expect_same_optimum;
+using test_support::is_active;
 using test_support::patient;
 using test_support::Pendulum;
 using test_support::Quadrotor;
@@ -139,6 +142,39 @@ TEST(Problems, QuadrotorRecoversFromItsSide) {
   EXPECT_EQ(report.status, SolveStatus::converged);
   EXPECT_GT(report.active_constraints, 2);
   EXPECT_LT(problem.difference(solver.state(30), Quadrotor::State{}).cwiseAbs().maxCoeff(), 0.05);
+}
+
+Quadrotor::State thrown_quadrotor() {
+  Quadrotor::State x;
+  x.position << 0.3, -0.2, 0.1;
+  x.velocity << 0.5, 0.0, -0.2;
+  x.orientation = quaternion_exp(Eigen::Vector3d(0.6, -0.4, 0.8));
+  x.angular_velocity << 0.5, -1.0, 0.3;
+  return x;
+}
+
+TEST(SingleShooting, AgreesWithMultipleShootingOnTheQuadrotor) {
+  const auto oracle = expect_same_optimum(Quadrotor({5}), thrown_quadrotor());
+  EXPECT_TRUE(is_active(oracle, 0) || is_active(oracle, 1));
+}
+
+TEST(SingleShooting, AgreesWithMultipleShootingOnThePendulum) {
+  for (const double angle : {0.4, pi}) {
+    Pendulum problem({8});
+    const auto oracle = expect_same_optimum(problem, Eigen::Vector2d(angle, 0.3));
+    EXPECT_TRUE(is_active(oracle, 0));
+  }
+}
+
+TEST(SingleShooting, AgreesWithMultipleShootingOnTheDoubleIntegrator) {
+  expect_same_optimum(DoubleIntegrator({7}), Eigen::Vector2d(3.0, 1.0));
+}
+
+TEST(SingleShooting, AgreesWithMultipleShootingOnBoundsWithAnEquality) {
+  DoubleIntegrator problem({7, 30.0, 1.0, true, 0.3, 0.1});
+  const auto oracle = expect_same_optimum(problem, Eigen::Vector2d::Zero());
+  for (int k = 0; k < 7; ++k)
+    EXPECT_NEAR(oracle.input(k)(0), k < 3 ? 1.0 : k == 3 ? 0.0 : -1.0, 1e-9);
 }
 
 TEST(MultipleShooting, NeedsAHorizonOfOneNodeOrMore) {

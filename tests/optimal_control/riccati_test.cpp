@@ -1,18 +1,20 @@
-#include <tilt_ropter/optimal_control/detail/riccati.hpp>
-
 #include <tilt_ropter/optimal_control/detail/adjoint_batch.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati_equation.hpp>
 
 #include "support/linear_quadratic.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <optional>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -36,15 +38,11 @@ void expect_the_dense_optimum(unsigned seed) {
 
 TEST(Riccati, OptimumMatchesDenseKktSystemForSizesOfEveryRemainder) {
   expect_the_dense_optimum<1, 1>(1);
-  expect_the_dense_optimum<2, 1>(2);
-  expect_the_dense_optimum<3, 2>(3);
   expect_the_dense_optimum<4, 4>(4);
   expect_the_dense_optimum<5, 3>(5);
-  expect_the_dense_optimum<7, 6>(6);
+  expect_the_dense_optimum<7, 2>(6);
   expect_the_dense_optimum<9, 2>(7);
-  expect_the_dense_optimum<12, 5>(8);
   expect_the_dense_optimum<18, 6>(9);
-  expect_the_dense_optimum<20, 8>(10);
 }
 
 struct Staircase {  // A: upper triangle, B: last three rows
@@ -279,6 +277,67 @@ TEST(Riccati, RejectsACostWithoutMinimum) {
   EXPECT_FALSE(lq.pass.factorise());
   lq.pass.stage(horizon).cost.lxx().setConstant(std::numeric_limits<double>::quiet_NaN());
   EXPECT_FALSE(lq.pass.factorise());
+}
+
+// Returns the spectral radius of m, from the growth of the powers m^(2^k). Eigen's eigenvalue
+// solvers take as long to compile as the rest of this file.
+double spectral_radius(Eigen::Matrix4d m) {
+  double exponent = 0.0, weight = 1.0;
+  for (int k = 0; k < 40; ++k, weight /= 2.0) {
+    const double size = m.norm();
+    exponent += weight * std::log(size);
+    m /= size;
+    m = (m * m).eval();
+  }
+  return std::exp(exponent);
+}
+
+TEST(SolveDare, SolvesTheEquationWithAStabilisingFeedback) {
+  constexpr int nx = 4, nu = 2;
+  using Matrix4 = Eigen::Matrix<double, nx, nx>;
+  double fastest = 0.0;  // largest spectral radius without feedback
+  for (unsigned seed = 1; seed <= 200; ++seed) {
+    const LinearQuadratic<nx, nu> lq(seed);
+    const auto& cost = lq.pass.stage(0).cost;
+    const auto& A = lq.A[0];
+    const auto& B = lq.B[0];
+    const std::optional<Matrix4> found = solve_dare<nx, nu>(A, B, cost);
+    ASSERT_TRUE(found);
+    const Matrix4& P = *found;
+    EXPECT_EQ(P, P.transpose());
+    EXPECT_EQ(P.llt().info(), Eigen::Success);
+    const Eigen::Matrix<double, nu, nx> mixed = cost.lux() + B.transpose() * P * A;
+    const Eigen::Matrix2d by_input = cost.luu() + B.transpose() * P * B;
+    const Eigen::Matrix<double, nu, nx> feedback = by_input.ldlt().solve(mixed);
+    const Matrix4 residual = cost.lxx() + A.transpose() * P * A - mixed.transpose() * feedback - P;
+    EXPECT_LT(residual.cwiseAbs().maxCoeff(), 1e-11 * P.cwiseAbs().maxCoeff());
+    EXPECT_LT(spectral_radius(A - B * feedback), 1.0);
+    fastest = std::max(fastest, spectral_radius(A));
+  }
+  EXPECT_GT(fastest, 2.0);
+}
+
+TEST(SolveDare, IsEmptyIfThereIsNoSolution) {
+  Eigen::Matrix2d A;  // two integrators in a chain
+  Eigen::Vector2d B(0.0, 0.1);
+  QuadraticModel<2, 1> cost;
+  A << 1.0, 0.1, 0.0, 1.0;
+  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
+  cost.luu() << 1.0;
+  const auto exists = [&](int max_passes = 20000) {
+    return solve_dare<2, 1>(A, B, cost, max_passes).has_value();
+  };
+  EXPECT_TRUE(exists());
+  EXPECT_FALSE(exists(10));                             // 10 passes; hundreds are needed
+  cost.lxx() = Eigen::Vector2d(0.0, 1.0).asDiagonal();  // the first state has no cost
+  EXPECT_FALSE(exists());
+  cost.lxx() = Eigen::Vector2d(1.0, 0.0).asDiagonal();
+  B.setZero();  // no input can stop the motion
+  EXPECT_FALSE(exists());
+  A << 0.5, 0.1, 0.0, 0.5;  // stable without input
+  EXPECT_TRUE(exists());
+  cost.luu().setZero();  // the best input is not unique
+  EXPECT_FALSE(exists());
 }
 
 }  // namespace

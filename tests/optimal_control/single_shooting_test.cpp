@@ -1,18 +1,14 @@
 #include <tilt_ropter/optimal_control/single_shooting.hpp>
 
 #include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
-#include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
+#include "benchmark/scenarios.hpp"
 #include "support/audit.hpp"
 #include "support/benchmark_problem.hpp"
-#include "support/contradiction.hpp"
-#include "support/double_integrator.hpp"
-#include "support/mass.hpp"
 #include "support/patient.hpp"
-#include "support/pendulum.hpp"
-#include "support/quadrotor.hpp"
 #include "support/refusals.hpp"
+#include "support/same_optimum.hpp"
 #include "support/unicycle.hpp"
 
 #include <gtest/gtest.h>
@@ -29,72 +25,12 @@ namespace {
 
 using test_support::Audit;
 using test_support::audit;
-using test_support::Contradiction;
-using test_support::DoubleIntegrator;
+using test_support::expect_same_optimum;
+using test_support::is_active;
 using test_support::patient;
-using test_support::Pendulum;
-using test_support::Quadrotor;
 using test_support::Unicycle;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-// Returns true if the constraint `component` is at its bound at any node of the solution.
-template <typename Solver>
-bool is_active(const Solver& solver, int component) {
-  const auto& problem = solver.problem();
-  for (int k = 0; k <= problem.horizon(); ++k) {
-    const double value = problem.constraint_values(k, solver.state(k), solver.input(k))(component);
-    if (std::min(std::abs(value - problem.upper(k)(component)),
-                 std::abs(value - problem.lower(k)(component))) < 1e-7)
-      return true;
-  }
-  return false;
-}
-
-// Solves with NLopt's SLSQP and with MultipleShooting for each algorithm of the dual, all from a
-// cold start, and compares the optima. Returns the SLSQP solver for further checks.
-template <typename Problem>
-SingleShooting<Problem> expect_same_optimum(const Problem& problem,
-                                            const typename Problem::State& x0,
-                                            double tolerance = 1e-8) {
-  SolverSettings exact = patient();
-  exact.tolerance = 1e-10;
-  SingleShooting<Problem> oracle(problem, exact);
-  oracle.reset(x0);
-  const SolveReport truth = oracle.solve(x0);
-  EXPECT_EQ(truth.status, SolveStatus::converged)
-      << truth.max_violation << " " << truth.max_equality;
-  for (const DualAlgorithm algorithm :
-       {DualAlgorithm::truncated_newton, DualAlgorithm::lbfgs, DualAlgorithm::variable_metric,
-        DualAlgorithm::ccsa, DualAlgorithm::slsqp}) {
-    SCOPED_TRACE("algorithm " + std::to_string(static_cast<int>(algorithm)));
-    SolverSettings settings = patient();
-    settings.max_iterations = 200;
-    settings.tolerance = tolerance;
-    settings.program.dual.algorithm = algorithm;
-    MultipleShooting<Problem> solver(problem, settings);
-    solver.reset(x0);
-    const SolveReport report = solver.solve(x0);
-    if (report.status != SolveStatus::converged) {
-      ADD_FAILURE() << "status " << static_cast<int>(report.status) << ", KKT residual "
-                    << report.kkt << " after " << report.iterations << " iterations";
-      continue;
-    }
-    EXPECT_NEAR(report.cost, truth.cost, 1e-8 * truth.cost);
-    for (int k = 0; k < problem.horizon(); ++k)
-      EXPECT_LT((solver.input(k) - oracle.input(k)).cwiseAbs().maxCoeff(), 1e-6) << "node " << k;
-  }
-  return oracle;
-}
-
-Quadrotor::State thrown_quadrotor() {
-  Quadrotor::State x;
-  x.position << 0.3, -0.2, 0.1;
-  x.velocity << 0.5, 0.0, -0.2;
-  x.orientation = quaternion_exp(Eigen::Vector3d(0.6, -0.4, 0.8));
-  x.angular_velocity << 0.5, -1.0, 0.3;
-  return x;
-}
 
 WheeledFlightProblem<0> short_flight(const NmpcBounds& bounds = {}) {
   WheeledFlightSettings settings = test_support::benchmark_settings();
@@ -152,32 +88,6 @@ TEST(SingleShooting, AgreesWithMultipleShootingOnTheUnicycle) {
   expect_same_optimum(Unicycle({8}), Eigen::Vector3d(-1.5, 0.5, 3.1));
 }
 
-TEST(SingleShooting, AgreesWithMultipleShootingOnTheQuadrotor) {
-  const auto oracle = expect_same_optimum(Quadrotor({5}), thrown_quadrotor());
-  EXPECT_TRUE(is_active(oracle, 0) || is_active(oracle, 1));
-}
-
-#ifdef TILT_ROPTER_FULL_TESTS
-TEST(SingleShooting, AgreesWithMultipleShootingOnThePendulum) {
-  for (const double angle : {0.4, pi}) {
-    Pendulum problem({8});
-    const auto oracle = expect_same_optimum(problem, Eigen::Vector2d(angle, 0.3));
-    EXPECT_TRUE(is_active(oracle, 0));
-  }
-}
-
-TEST(SingleShooting, AgreesWithMultipleShootingOnTheDoubleIntegrator) {
-  expect_same_optimum(DoubleIntegrator({7}), Eigen::Vector2d(3.0, 1.0));
-}
-
-TEST(SingleShooting, AgreesWithMultipleShootingOnBoundsWithAnEquality) {
-  DoubleIntegrator problem({7, 30.0, 1.0, true, 0.3, 0.1});
-  const auto oracle = expect_same_optimum(problem, Eigen::Vector2d::Zero());
-  for (int k = 0; k < 7; ++k)
-    EXPECT_NEAR(oracle.input(k)(0), k < 3 ? 1.0 : k == 3 ? 0.0 : -1.0, 1e-9);
-}
-#endif
-
 TEST(SingleShooting, AgreesWithMultipleShootingInFlightWithinWideBounds) {
   const auto oracle = expect_same_optimum(short_flight({}), displaced_flight());
   for (int i = 0; i < 15; ++i) EXPECT_FALSE(is_active(oracle, i));
@@ -219,16 +129,16 @@ TEST(SingleShooting, ReportAgreesWithAnIndependentAudit) {
 }
 
 TEST(SingleShooting, FindsTheOptimumFromAnyGuess) {
-  const Quadrotor problem({5});
-  const Quadrotor::State x0 = thrown_quadrotor();
-  SingleShooting<Quadrotor> cold(problem), warm(problem);
+  const WheeledFlightProblem<0> problem = short_flight();
+  const Stated x0 = displaced_flight();
+  SingleShooting<WheeledFlightProblem<0>> cold(problem), warm(problem);
   cold.reset(x0);
   const SolveReport from_cold = cold.solve(x0);
   // A guess with an orientation that differs by 1.5 rad.
-  Quadrotor::State turned = x0;
-  turned.orientation = x0.orientation * quaternion_exp(Eigen::Vector3d(0.9, -1.2, 0.0));
-  const Eigen::Vector4d hover = Eigen::Vector4d::Constant(Quadrotor::hover_thrust());
-  for (int k = 0; k <= 5; ++k) warm.set_guess(k, turned, hover);
+  Stated turned = x0;
+  turned.body.orientation = x0.body.orientation * quaternion_exp(Eigen::Vector3d(0.9, -1.2, 0.0));
+  for (int k = 0; k <= problem.horizon(); ++k)
+    warm.set_guess(k, turned, WheeledFlightProblem<0>::Input::Zero());
   const SolveReport from_turned = warm.solve(x0);
   EXPECT_EQ(from_turned.status, SolveStatus::converged);
   EXPECT_NEAR(from_turned.cost, from_cold.cost, 1e-12 * from_cold.cost);
@@ -239,56 +149,13 @@ TEST(SingleShooting, FindsTheOptimumFromAnyGuess) {
   EXPECT_LE(again.evaluations, 2);
 }
 
-TEST(SingleShooting, PaysThePriceOfAContradiction) {
-  SingleShooting<Contradiction> solver(Contradiction({4}));
-  MultipleShooting<Contradiction> other(Contradiction({4}), patient());
-  const Contradiction::State x0(0.3);
-  solver.reset(x0);
-  other.reset(x0);
-  EXPECT_EQ(solver.solve(x0).status, SolveStatus::converged);
-  EXPECT_EQ(other.solve(x0).status, SolveStatus::converged);
-  EXPECT_NEAR(solver.report().cost, other.report().cost, 1e-6);
-  EXPECT_NEAR(solver.report().max_violation, other.report().max_violation, 1e-6);
-  EXPECT_GE(solver.report().max_violation, 1.0);
-}
-
-TEST(SingleShooting, SoftBoundsAreRelaxedAboveTheirPrice) {
-  for (const double penalty : {0.01, 1e3})
-    for (const double stiffness : {std::numeric_limits<double>::infinity(), 5.0}) {
-      test_support::Mass mass;
-      mass.high(1) = 0.2;
-      mass.penalties(1) = penalty;
-      mass.stiffnesses(1) = stiffness;
-      const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
-      using Problem = AutoDiffProblem<test_support::Mass>;
-      SingleShooting<Problem> solver{Problem(mass)};
-      MultipleShooting<Problem> other(Problem(mass), patient());
-      solver.reset(rest);
-      other.reset(rest);
-      EXPECT_EQ(solver.solve(rest).status, SolveStatus::converged) << penalty << ' ' << stiffness;
-      EXPECT_EQ(other.solve(rest).status, SolveStatus::converged);
-      EXPECT_NEAR(solver.report().cost, other.report().cost, 1e-6 * other.report().cost);
-      EXPECT_EQ(solver.report().max_violation > 1e-3, penalty < 1.0 || stiffness < 10.0);
-    }
-}
-
-TEST(SingleShooting, StallsWhereHardConstraintsContradict) {
-  test_support::Mass mass;
-  mass.low(0) = 0.5;  // must accelerate
-  mass.penalties(1) = std::numeric_limits<double>::infinity();
-  const Eigen::Vector2d rest = Eigen::Vector2d::Zero();
-  SingleShooting<AutoDiffProblem<test_support::Mass>> solver{
-      AutoDiffProblem<test_support::Mass>(mass)};
-  solver.reset(rest);
-  EXPECT_EQ(solver.solve(rest).status, SolveStatus::stalled);
-  EXPECT_GT(solver.report().max_violation, 0.1);
-}
-
 TEST(SingleShooting, ConvergesAtOnceFromAnExactOptimum) {
-  SingleShooting<Quadrotor> solver(Quadrotor({5}));
-  const Quadrotor::State hovering;
-  for (int k = 0; k <= 5; ++k)
-    solver.set_guess(k, hovering, Eigen::Vector4d::Constant(Quadrotor::hover_thrust()));
+  SingleShooting<WheeledFlightProblem<0>> solver(short_flight());
+  Stated hovering;
+  hovering.body.position.z() = 1.0;
+  hovering.wrench.force = test_support::benchmark_hover_force();
+  for (int k = 0; k <= solver.horizon(); ++k)
+    solver.set_guess(k, hovering, WheeledFlightProblem<0>::Input::Zero());
   const SolveReport report = solver.solve(hovering);
   EXPECT_EQ(report.status, SolveStatus::converged);
   EXPECT_LT(report.cost, 1e-15);
@@ -392,6 +259,42 @@ TEST(SingleShooting, ChecksSettingsAndHorizon) {
   test_support::expect_range(
       "Problem.horizon()", {{1.0, 6.0}, {0.0, -1.0}}, true,
       [](double horizon) { SingleShooting<Unicycle>(Unicycle({static_cast<int>(horizon)})); });
+}
+
+using NloptAlone = SingleShooting<WheeledFlightProblem<0>>;
+
+template <typename Solver>
+Solver at_the_start(const benchmarks::Scenario& scenario, const SolverSettings& settings) {
+  Solver solver(scenario.problem, settings);
+  scenario.set_reference(solver.problem(), 0.0);
+  solver.reset(scenario.start);
+  return solver;
+}
+
+// On the ground of the benchmark, whose conditions have a weight of 1000.
+TEST(EqualitiesByWeight, HoldByTheirWeightWithoutUpdates) {
+  const benchmarks::Scenario ground = benchmarks::ground();
+  SolverSettings settings;
+  settings.max_time = 60.0;
+  auto exact = at_the_start<NloptAlone>(ground, settings);
+  ASSERT_EQ(exact.solve(ground.start).status, SolveStatus::converged);
+  EXPECT_LT(exact.report().max_equality, 1e-6);
+
+  // In a control loop, whatever the setting.
+  auto in_the_loop = at_the_start<NloptAlone>(ground, settings);
+  ASSERT_EQ(in_the_loop.feedback(ground.start).status, SolveStatus::converged);
+  settings.update_multipliers = false;
+  auto by_weight = at_the_start<NloptAlone>(ground, settings);
+  ASSERT_EQ(by_weight.solve(ground.start).status, SolveStatus::converged);
+  auto truth = at_the_start<benchmarks::Solver>(ground, settings);
+  ASSERT_EQ(truth.solve(ground.start).status, SolveStatus::converged);
+
+  EXPECT_GT(truth.report().max_equality, 1e-5);
+  EXPECT_LT(truth.report().cost, exact.report().cost - 1e-3);
+  for (const NloptAlone* solver : {&by_weight, &in_the_loop}) {
+    EXPECT_NEAR(solver->report().cost, truth.report().cost, 1e-6);
+    EXPECT_LT((solver->input(0) - truth.input(0)).norm(), 1e-4);
+  }
 }
 
 }  // namespace
