@@ -69,7 +69,7 @@ SolverSettings settings_of(const Choice& choice) {
   settings.max_time = 60.0;
   settings.program.method = choice.method;
   settings.program.max_dual_constraints = choice.most;
-  settings.program.dual.algorithm = choice.algorithm;
+  settings.program.algorithm = choice.algorithm;
   return settings;
 }
 

@@ -22,7 +22,6 @@ using benchmarks::ClosedLoop;
 using benchmarks::Scenario;
 using benchmarks::Solver;
 using tilt_ropter::optimal_control::DualAlgorithm;
-using tilt_ropter::optimal_control::DualSettings;
 using tilt_ropter::optimal_control::DualSolver;
 using tilt_ropter::optimal_control::SolveReport;
 using tilt_ropter::optimal_control::SolveStatus;
@@ -123,18 +122,16 @@ struct Dual {
 
 void solve_dual(benchmark::State& state, DualAlgorithm algorithm, bool warm) {
   const Dual dual;
-  DualSettings settings;
-  settings.algorithm = algorithm;
-  DualSolver solver(Dual::rows, settings);
+  DualSolver solver(Dual::rows, algorithm);
   Eigen::VectorXd lambda = Eigen::VectorXd::Zero(Dual::rows);
   // A warm start is the solution of a slightly different problem, as in a control loop.
   Eigen::VectorXd start = Eigen::VectorXd::Zero(Dual::rows);
-  if (warm && !solver.solve(dual.hessian, 1.02 * dual.offsets, dual.bounds, start))
+  if (warm && !solver.solve(Dual::rows, dual.hessian, 1.02 * dual.offsets, dual.bounds, start))
     state.SkipWithError("no solution");
   const long before = solver.evaluations();
   for (auto _ : state) {
     lambda = start;
-    if (!solver.solve(dual.hessian, dual.offsets, dual.bounds, lambda))
+    if (!solver.solve(Dual::rows, dual.hessian, dual.offsets, dual.bounds, lambda))
       state.SkipWithError("no solution");
     benchmark::DoNotOptimize(lambda.data());
   }

@@ -150,22 +150,6 @@ TEST(FailureLadder, FliesWhenFeedbackExceedsItsTimeLimit) {
   EXPECT_LT(distance(loop), 0.05);
 }
 
-TEST(FailureLadder, FliesWithOneEvaluationOfTheDual) {
-  NmpcSettings settings;
-  settings.solver.program.dual.max_evaluations = 1;
-  settings.problem.bounds.force_max.z() = 15.5;  // weight 14.7: active during the whole climb
-  Loop loop(1, settings);
-  loop.start(0.89, Eigen::Vector3d::Zero(), 0.0);
-  int active = 0;
-  for (int i = 0; i < 300; ++i) {
-    const NmpcResult& result = loop.tick(hover);
-    expect_within_bounds(result, settings.problem.bounds);
-    active += result.report.active_constraints > 0;
-  }
-  EXPECT_GT(active, 20);
-  EXPECT_LT(distance(loop), 0.05);
-}
-
 TEST(FailureLadder, RelaxesBoundsThatContradictTheState) {
   Loop loop(1);
   BodyStated body;

@@ -60,10 +60,7 @@ TEST_F(HeapInTheLoop, NloptKeepsDocumentedBoundsForEveryNumberOfConstraints) {
   for (int rows = 1; rows <= capacity; ++rows) {
     const HeapUse before = heap_use(HeapUser::nlopt), sum_before = nlopt_calls.sum;
     const long count_before = nlopt_calls.count;
-    auto multipliers = lambda.head(rows);
-    EXPECT_TRUE(watch("DualSolver::solve", [&] {
-      return solver.solve(H.topLeftCorner(rows, rows), b.head(rows), rho.head(rows), multipliers);
-    }));
+    EXPECT_TRUE(watch("DualSolver::solve", [&] { return solver.solve(rows, H, b, rho, lambda); }));
     const HeapUse created = heap_use(HeapUser::nlopt) - before - (nlopt_calls.sum - sum_before);
     EXPECT_GT(created.allocations, 0) << rows << " rows";
     EXPECT_LE(created.allocations, creation_allocations) << rows << " rows";

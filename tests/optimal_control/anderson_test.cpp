@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/detail/anderson.hpp>
+#include <tilt_ropter/optimal_control/detail/step_search.hpp>
 
 #include "support/random.hpp"
 

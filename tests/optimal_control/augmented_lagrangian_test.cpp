@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
+#include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 
 #include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 

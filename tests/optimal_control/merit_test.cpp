@@ -1,4 +1,4 @@
-#include <tilt_ropter/optimal_control/detail/merit.hpp>
+#include <tilt_ropter/optimal_control/detail/step_search.hpp>
 
 #include <tilt_ropter/control/detail/wheeled_flight_problem.hpp>
 #include <tilt_ropter/optimal_control/detail/quadratic_program.hpp>

@@ -306,8 +306,9 @@ TEST(MultipleShooting, PreparingAnInterruptedProgramIsNoWork) {
 
 TEST(MultipleShooting, ChecksItsSettings) {
   SolverSettings bad;
-  bad.program.dual.max_rounds = 0;
-  test_support::expect_refused("DualSettings.max_rounds", [&] { Solver(step_problem(), bad); });
+  bad.program.max_passes = 0;
+  test_support::expect_refused("QuadraticProgramSettings.max_passes",
+                               [&] { Solver(step_problem(), bad); });
 }
 
 TEST(MultipleShooting, LogHasEveryIterate) {

@@ -1,6 +1,4 @@
-#include <tilt_ropter/optimal_control/detail/adjoint_batch.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati.hpp>
-#include <tilt_ropter/optimal_control/detail/riccati_equation.hpp>
 
 #include "support/linear_quadratic.hpp"
 #include "support/random.hpp"

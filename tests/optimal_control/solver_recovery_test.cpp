@@ -122,16 +122,6 @@ TEST(SolverRecovery, ConvergesAfterAShiftThroughANonFiniteProblem) {
   EXPECT_EQ(solver.solve(step_start()).status, SolveStatus::converged);
 }
 
-TEST(SolverRecovery, OneRoundOfTheWorkingSetActivatesConstraints) {
-  SolverSettings settings = patient();
-  settings.program.dual.max_rounds = 1;
-  settings.max_iterations = 30;
-  Solver solver(step_problem(), settings);
-  solver.reset(step_start());
-  solver.solve(step_start());
-  EXPECT_GT(solver.report().active_constraints, 0);
-}
-
 // A bare solver, without a controller around it that would refuse the state.
 TEST(SolverRecovery, AStateOutOfRangeCostsThreeTicks) {
   for (const double wild : {1e3, 1e6, 1e20, 1e150}) {

@@ -11,14 +11,6 @@ namespace {
 
 using namespace test_support;
 
-TEST(SolverSettings, DualNamesEachField) {
-  using S = DualSettings;
-  const Fields<S> check;
-  check("DualSettings.max_evaluations", &S::max_evaluations, at_least(1));
-  check("DualSettings.tolerance", &S::tolerance, positive());
-  check("DualSettings.max_rounds", &S::max_rounds, at_least(1));
-}
-
 TEST(SolverSettings, QuadraticProgramNamesEachField) {
   using S = QuadraticProgramSettings;
   const Fields<S> check;
@@ -26,7 +18,6 @@ TEST(SolverSettings, QuadraticProgramNamesEachField) {
   check("QuadraticProgramSettings.max_dual_constraints", &S::max_dual_constraints,
         whole_numbers(0, 1000));
   check("QuadraticProgramSettings.max_passes", &S::max_passes, at_least(1));
-  check.refuse("DualSettings.max_rounds", [](S& s) { s.dual.max_rounds = 0; });
 }
 
 TEST(SolverSettings, SolverNamesEachField) {

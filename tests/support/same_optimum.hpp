@@ -54,7 +54,7 @@ SingleShooting<Problem> expect_same_optimum(const Problem& problem,
     SolverSettings settings = patient();
     settings.max_iterations = 200;
     settings.tolerance = tolerance;
-    settings.program.dual.algorithm = algorithm;
+    settings.program.algorithm = algorithm;
     MultipleShooting<Problem> solver(problem, settings);
     solver.reset(x0);
     const SolveReport report = solver.solve(x0);

@@ -8,7 +8,6 @@
 #include <Eigen/Eigenvalues>
 #include <unsupported/Eigen/AutoDiff>
 
-#include <algorithm>
 #include <limits>
 #include <type_traits>
 #include <utility>
@@ -56,29 +55,6 @@ constexpr int count_of() {
   return 0;
 }
 
-/// Has the constant only if the struct has it, because ProblemConstraints tests for it.
-template <typename User, bool = has_member<TerminalConstraintsMember, User>>
-struct AutoDiffTerminalConstraints {};
-template <typename User>
-struct AutoDiffTerminalConstraints<User, true> {
-  static constexpr int terminal_constraints = User::terminal_constraints;
-};
-
-/// Has add_curvature() only if the struct asks for it, because HasCurvature tests for it.
-template <typename Problem, typename User, bool = has_member<CurvatureMember, User>>
-struct AutoDiffCurvature {};
-template <typename Problem, typename User>
-struct AutoDiffCurvature<Problem, User, true> {
-  template <int Rows>
-  using Vector = Eigen::Matrix<double, Rows, 1>;
-  static constexpr int rows =
-      std::max(count_of<ConstraintsMember, User>(), count_of<TerminalConstraintsMember, User>());
-  void add_curvature(int k, const Vector<User::states>& x, const Vector<User::inputs>& u,
-                     const Vector<rows>& multipliers, const Vector<User::states>& costate,
-                     optimal_control::QuadraticModel<User::states, User::inputs>& model) const {
-    static_cast<const Problem&>(*this).add_curvature_to(k, x, u, multipliers, costate, model);
-  }
-};
 }  // namespace tilt_ropter::detail
 
 namespace tilt_ropter::optimal_control {
@@ -138,9 +114,7 @@ namespace tilt_ropter::optimal_control {
 /// AutoDiffProblem allocates only if the struct allocates; Eigen's atan2 of AutoDiffScalars
 /// allocates.
 template <typename User>
-class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
-                        public detail::AutoDiffCurvature<AutoDiffProblem<User>, User> {
-  friend detail::AutoDiffCurvature<AutoDiffProblem<User>, User>;
+class AutoDiffProblem {
   template <template <typename> class Member>
   static constexpr bool has = detail::has_member<Member, User>;
   static_assert(has<detail::ConstraintsMember> || !has<detail::LowerMember>,
@@ -158,7 +132,9 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
 
  public:
   static constexpr int states = User::states, inputs = User::inputs, equalities = 0,
-                       constraints = detail::count_of<detail::ConstraintsMember, User>();
+                       constraints = detail::count_of<detail::ConstraintsMember, User>(),
+                       /// -1: as the other nodes
+      terminal_constraints = has<detail::TerminalConstraintsMember> ? end_constraints : -1;
   using D = ProblemDimensions<AutoDiffProblem>;
   using Tangent = typename D::Tangent;
   using State = Tangent;
@@ -260,6 +236,29 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
     return user_.terminal_stiffness();
   }
 
+  /// Exists if the struct asks for it: see `curvature` above.
+  template <typename Multipliers, typename U = User, typename = detail::CurvatureMember<U>>
+  void add_curvature(int k, const State& x, const Input& u, const Multipliers& multipliers,
+                     const Tangent& costate, Model& model) const {
+    const auto x2 = variables_of_second(x);
+    const auto u2 = variables_of_second(k < horizon() ? u : arbitrary_input(), states);
+    Dual2 sum(Dual(0.0));
+    if (k < horizon()) {
+      const Eigen::Matrix<Dual2, states, 1> end = user_.step(k, x2, u2);
+      for (int i = 0; i < states; ++i) sum += end(i) * Dual2(Dual(costate(i)));
+    }
+    if (k == horizon() && has<detail::TerminalConstraintsMember>) {
+      if constexpr (end_constraints > 0) {
+        const Eigen::Matrix<Dual2, end_constraints, 1> c = user_.terminal_constraint_values(x2);
+        for (int i = 0; i < end_constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
+      }
+    } else if constexpr (constraints > 0) {
+      const Eigen::Matrix<Dual2, constraints, 1> c = user_.constraint_values(k, x2, u2);
+      for (int i = 0; i < constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
+    }
+    add_convex_part(k, second_derivatives(sum), model);
+  }
+
  private:
   // A number with its derivatives by (x, u).
   using Dual = Eigen::AutoDiffScalar<Eigen::Matrix<double, states + inputs, 1>>;
@@ -309,28 +308,6 @@ class AutoDiffProblem : public detail::AutoDiffTerminalConstraints<User>,
     return i < states
                ? (j < states ? model.lxx()(i, j) : model.lux()(j - states, i))
                : (j < states ? model.lux()(i - states, j) : model.luu()(i - states, j - states));
-  }
-
-  template <typename Multipliers>
-  void add_curvature_to(int k, const State& x, const Input& u, const Multipliers& multipliers,
-                        const Tangent& costate, Model& model) const {
-    const auto x2 = variables_of_second(x);
-    const auto u2 = variables_of_second(k < horizon() ? u : arbitrary_input(), states);
-    Dual2 sum(Dual(0.0));
-    if (k < horizon()) {
-      const Eigen::Matrix<Dual2, states, 1> end = user_.step(k, x2, u2);
-      for (int i = 0; i < states; ++i) sum += end(i) * Dual2(Dual(costate(i)));
-    }
-    if (k == horizon() && has<detail::TerminalConstraintsMember>) {
-      if constexpr (end_constraints > 0) {
-        const Eigen::Matrix<Dual2, end_constraints, 1> c = user_.terminal_constraint_values(x2);
-        for (int i = 0; i < end_constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
-      }
-    } else if constexpr (constraints > 0) {
-      const Eigen::Matrix<Dual2, constraints, 1> c = user_.constraint_values(k, x2, u2);
-      for (int i = 0; i < constraints; ++i) sum += c(i) * Dual2(Dual(multipliers(i)));
-    }
-    add_convex_part(k, second_derivatives(sum), model);
   }
 
   // Independent variables: entries of (x, u), starting at index `first`.

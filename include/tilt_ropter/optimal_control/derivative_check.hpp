@@ -3,7 +3,6 @@
 
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
@@ -214,17 +213,17 @@ class DerivativeCheck {
     Eigen::Matrix<Lanes, D::nx, D::nu> lanes_B;
     lanes_A.setIdentity();
     lanes_B.setZero();
-    std::vector<State> ends(static_cast<std::size_t>(Lanes::count));
-    const auto start = static_cast<std::size_t>(first);
+    std::vector<State> ends(size(Lanes::count));
+    const auto start = size(first);
     problem_.step_lanes(first, count, &xs[start], &us[start], ends.data(), lanes_A, lanes_B);
     for (int lane = 0; lane < count; ++lane) {
       const int k = first + lane;
-      const auto node = static_cast<std::size_t>(k);
+      const auto node = size(k);
       typename D::A A = D::A::Constant(nan);
       typename D::B B = D::B::Constant(nan);
       const State end = problem_.step(k, xs[node], us[node], A, B);
       // Errors of step() itself are already reported, so they are skipped here.
-      const Tangent end_minus = problem_.difference(ends[static_cast<std::size_t>(lane)], end);
+      const Tangent end_minus = problem_.difference(ends[size(lane)], end);
       if (all_finite(problem_.difference(end, xs[node])))
         expect_zero("step_lanes: end minus that of step", k, end_minus);
       const auto expect_same = [&](const char* callback, const auto& given, const auto& expected) {
@@ -375,7 +374,7 @@ template <typename Problem>
     const std::vector<typename ProblemDimensions<Problem>::Input>& us, double tolerance = 1e-6) {
   using Input = typename ProblemDimensions<Problem>::Input;
   require(problem.horizon() >= 1, "Problem.horizon()", problem.horizon(), ">= 1");
-  const auto horizon = static_cast<std::size_t>(problem.horizon());
+  const auto horizon = detail::size(problem.horizon());
   require(xs.size() == horizon + 1, "check_derivatives: number of states", xs.size(),
           "Problem.horizon() + 1");
   require(us.size() >= horizon, "check_derivatives: number of inputs", us.size(),
@@ -393,7 +392,7 @@ template <typename Problem>
 [[nodiscard]] std::vector<DerivativeError> check_derivatives(
     const Problem& problem, const typename Problem::State& x,
     const typename ProblemDimensions<Problem>::Input& u, double tolerance = 1e-6) {
-  const auto horizon = static_cast<std::size_t>(std::max(problem.horizon(), 0));
+  const auto horizon = detail::size(std::max(problem.horizon(), 0));
   return check_derivatives(problem, std::vector<typename Problem::State>(horizon + 1, x),
                            std::vector<typename ProblemDimensions<Problem>::Input>(horizon, u),
                            tolerance);

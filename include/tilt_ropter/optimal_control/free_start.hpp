@@ -3,9 +3,7 @@
 
 #include <Eigen/Core>
 
-#include <cstddef>
 #include <limits>
-#include <type_traits>
 #include <utility>
 
 /// Problems whose initial state the solver chooses.
@@ -28,8 +26,6 @@ template <typename User>
 struct FreeStart : User {
   template <typename S, int Size>
   using Vector = Eigen::Matrix<S, Size, 1>;
-  using States = Vector<double, User::states>;
-  using Inputs = Vector<double, User::inputs>;
 
   static constexpr int free = static_cast<int>(User::free_states.size()),
                        in_front = (free + User::inputs - 1) / User::inputs;
@@ -45,7 +41,7 @@ struct FreeStart : User {
     Vector<S, User::states> moved = x;
     for (int i = 0; i < User::inputs; ++i) {
       const int which = User::inputs * k + i;
-      if (which < free) moved(User::free_states[static_cast<std::size_t>(which)]) += u(i);
+      if (which < free) moved(User::free_states[detail::size(which)]) += u(i);
     }
     return moved;
   }

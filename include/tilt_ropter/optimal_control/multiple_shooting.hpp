@@ -2,10 +2,8 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/detail/best_plan.hpp>
-#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/detail/quadratic_program.hpp>
 #include <tilt_ropter/optimal_control/detail/scaled_problem.hpp>
 #include <tilt_ropter/optimal_control/detail/step_search.hpp>
@@ -18,11 +16,9 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstddef>
 #include <limits>
 #include <optional>
 #include <utility>
-#include <vector>
 
 #if defined(__GNUC__) && !defined(__OPTIMIZE__) && !defined(TILT_ROPTER_NOT_OPTIMISED)
 #pragma message( \
@@ -73,7 +69,7 @@ class MultipleShooting {
     const auto& n = program_.node(k);
     const double multiplier = std::abs(n.multiplier(i));
     return (multiplier > 0.0 && multiplier >= n.penalty(i)) ||
-           (n.crossed && n.crosses[static_cast<std::size_t>(i)]);
+           (n.crossed && n.crosses[detail::size(i)]);
   }
   /// Violation of constraint i of node k in the last quadratic program, at least zero.
   [[nodiscard]] double slack(int k, int i) const {
@@ -153,10 +149,6 @@ class MultipleShooting {
   using Scaled = ScaledProblem<Problem>;
   using Program = QuadraticProgram<nx, nu, nc, typename TransitionPatternOf<Problem>::type>;
 
-  static const SolverSettings& checked(const SolverSettings& settings) {
-    validate(settings);
-    return settings;
-  }
   static int checked_horizon(int horizon) {
     require(horizon >= 1, "Problem.horizon()", horizon, ">= 1");
     return horizon;
@@ -266,7 +258,7 @@ class MultipleShooting {
 template <typename Problem>
 MultipleShooting<Problem>::MultipleShooting(Problem problem, const SolverSettings& settings)
     : problem_(std::move(problem)),
-      settings_(checked(settings)),
+      settings_(validated(settings)),
       horizon_(checked_horizon(problem_.horizon())),
       program_(horizon_, settings.program),
       here_(horizon_),
@@ -283,9 +275,8 @@ void MultipleShooting<Problem>::reset(const State& x0) {
   for (int k = 0; k <= horizon_; ++k) {
     here_.x(k) = x0;
     detail::fill(here_.u(k), 0.0);
-    detail::fill(program_.node(k).multiplier, 0.0);
   }
-  equalities_.forget_multipliers();
+  forget_multipliers();
   program_.forget();
   report_.damping = 0.0;
   shifted_ = 0.0;
@@ -558,7 +549,7 @@ SolveStatus MultipleShooting<Problem>::solve_program(const Tangent& dx0,
   report_.relaxed_constraints = report_.relaxed_hard_constraints = 0;
   report_.largest_relaxation = report_.largest_hard_relaxation = 0.0;
   const auto note = [this](int k, int i) {
-    const bool hard = program_.node(k).hard[static_cast<std::size_t>(i)];
+    const bool hard = program_.node(k).hard[detail::size(i)];
     ++report_.relaxed_constraints;
     report_.relaxed_hard_constraints += hard;
     double& largest = hard ? report_.largest_hard_relaxation : report_.largest_relaxation;
@@ -694,7 +685,7 @@ bool MultipleShooting<Problem>::inputs_are_within_bounds() {
   for (int k = 0; k < horizon_; ++k)
     for (int i = 0; i < nc; ++i) {
       const auto& node = program_.node(k);
-      if (node.hard[static_cast<std::size_t>(i)] && program_.single_input(k, i) &&
+      if (node.hard[detail::size(i)] && program_.single_input(k, i) &&
           !(node.violation(i, node.value(i)) <= settings_.tolerance))
         return false;
     }

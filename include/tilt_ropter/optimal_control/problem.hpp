@@ -6,7 +6,10 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
+#include <limits>
 #include <type_traits>
+#include <utility>
 
 // clang-format off
 /// The concept of a multiple-shooting problem. A problem is any type `Problem` with
@@ -79,51 +82,10 @@
 /// last value for that node, initially zero. None of these functions may throw or allocate. They
 /// may return non-finite numbers, which the solver reports as a failure.
 ///
-/// AutoDiffProblem makes such a type from four short functions and computes the derivatives.
-/// check_derivatives() finds errors in derivatives written by hand. A complete program: a pendulum
-/// (1 kg, 1 m, semi-implicit Euler step) swings up with half the torque that would be needed to
-/// lift it. The tests compile and run exactly these lines.
-///
-/// ```cpp
-/// #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
-/// #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
-///
-/// struct Pendulum {
-///   static constexpr int states = 2, inputs = 1, residuals = 3, constraints = 1;
-///   template <typename S> using Vector2 = Eigen::Matrix<S, 2, 1>;  // angle from upright, its rate
-///   template <typename S> using Vector1 = Eigen::Matrix<S, 1, 1>;  // torque [N m]
-///
-///   int horizon() const { return 80; }
-///   template <typename S>
-///   Vector2<S> step(int, const Vector2<S>& x, const Vector1<S>& u) const {
-///     using std::sin;
-///     const S rate = x(1) + S(0.05) * (S(9.81) * sin(x(0)) + u(0));
-///     return {x(0) + S(0.05) * rate, rate};
-///   }
-///   template <typename S>  // the cost is the square of its norm
-///   Eigen::Matrix<S, 3, 1> residual(int, const Vector2<S>& x, const Vector1<S>& u) const {
-///     return {x(0), S(0.3) * x(1), S(0.3) * u(0)};
-///   }
-///   template <typename S>
-///   Vector1<S> constraint_values(int, const Vector2<S>&, const Vector1<S>& u) const { return u; }
-///   Vector1<double> lower(int) const { return Vector1<double>(-5.0); }
-///   Vector1<double> upper(int) const { return Vector1<double>(5.0); }
-/// };
-///
-/// int main() {
-///   tilt_ropter::optimal_control::MultipleShooting solver{tilt_ropter::optimal_control::AutoDiffProblem<Pendulum>()};
-///   const Eigen::Vector2d hanging(3.14, 0.0);
-///   solver.reset(hanging);  // the guess: it stays there
-///   const bool solved = solver.solve(hanging).status == tilt_ropter::optimal_control::SolveStatus::converged;
-///
-///   // In a loop, every 0.05 s: the plan moves on, what needs no measurement is done before it
-///   // comes, the little rest after it; solver.input(0) is the torque to apply.
-///   solver.shift(1.0);
-///   const auto prepared = solver.prepare();
-///   solver.feedback({3.13, -0.2});
-///   return solved && prepared == tilt_ropter::optimal_control::PrepareStatus::prepared ? 0 : 1;
-/// }
-/// ```
+/// AutoDiffProblem makes such a type from four short functions and computes the derivatives; a
+/// complete program is examples/getting_started/solve.cpp. check_derivatives() finds errors in
+/// derivatives written by hand. In a loop, call shift(1.0) and prepare() in every interval before the
+/// measurement comes, then feedback(measured); input(0) is the input to apply.
 // clang-format on
 namespace tilt_ropter::optimal_control {
 
@@ -192,10 +154,127 @@ struct HasLanes : std::false_type {};
 template <typename Problem>
 struct HasLanes<Problem, std::void_t<decltype(&Problem::step_lanes)>> : std::true_type {};
 
+/// The constraints of a problem in vectors of the same size for every node. The solvers read them
+/// in this form, whether or not the problem has the optional functions.
+template <typename Problem>
+class ProblemConstraints {
+ private:
+  template <typename P, typename = void>
+  struct TerminalCount : std::integral_constant<int, -1> {};
+  template <typename P>
+  struct TerminalCount<P, std::void_t<decltype(P::terminal_constraints)>>
+      : std::integral_constant<int, P::terminal_constraints> {};
+  template <typename P, typename = void>
+  struct HasStiffness : std::false_type {};
+  template <typename P>
+  struct HasStiffness<P, std::void_t<decltype(std::declval<const P&>().stiffness(0))>>
+      : std::true_type {};
+  template <typename P, typename = void>
+  struct HasTerminalStiffness : std::false_type {};
+  template <typename P>
+  struct HasTerminalStiffness<P,
+                              std::void_t<decltype(std::declval<const P&>().terminal_stiffness())>>
+      : std::true_type {};
+
+ public:
+  using D = ProblemDimensions<Problem>;
+  using State = typename Problem::State;
+  using Input = typename D::Input;
+  static constexpr int of_nodes = D::nc;
+  /// Number of separate constraints of node N; -1 if node N has the constraints of the other nodes.
+  static constexpr int of_end = TerminalCount<Problem>::value;
+  static constexpr int count = std::max(of_nodes, of_end);
+  using Values = Eigen::Matrix<double, count, 1>;
+  using ByState = Eigen::Matrix<double, count, D::nx>;
+  using ByInput = Eigen::Matrix<double, count, D::nu>;
+
+  [[nodiscard]] static Values values(const Problem& problem, int k, const State& x,
+                                     const Input& u) {
+    if constexpr (count == of_nodes && of_end < 0) {
+      if constexpr (count > 0) return problem.constraint_values(k, x, u);
+      return {};
+    } else {
+      Values all = Values::Zero();
+      if (k == problem.horizon()) {
+        if constexpr (of_end > 0)
+          all.template head<of_end>() = problem.terminal_constraint_values(x);
+      } else if constexpr (of_nodes > 0) {
+        all.template head<of_nodes>() = problem.constraint_values(k, x, u);
+      }
+      return all;
+    }
+  }
+
+  /// Writes the derivatives. Entries that the problem does not set keep their values.
+  static void derivatives(const Problem& problem, int k, const State& x, const Input& u, ByState& C,
+                          ByInput& E) {
+    if constexpr (count == of_nodes && of_end < 0) {
+      if constexpr (count > 0) problem.constraint_derivatives(k, x, u, C, E);
+    } else if (k == problem.horizon()) {
+      if constexpr (of_end > 0) {
+        Eigen::Matrix<double, of_end, D::nx> by_state = C.template topRows<of_end>();
+        problem.terminal_constraint_derivatives(x, by_state);
+        C.template topRows<of_end>() = by_state;
+      }
+    } else if constexpr (of_nodes > 0) {
+      typename D::ConstraintsX by_state = C.template topRows<of_nodes>();
+      typename D::ConstraintsU by_input = E.template topRows<of_nodes>();
+      problem.constraint_derivatives(k, x, u, by_state, by_input);
+      C.template topRows<of_nodes>() = by_state;
+      E.template topRows<of_nodes>() = by_input;
+    }
+  }
+
+  /// Writes bounds, penalty and stiffness, infinite where the problem has none. If the problem has
+  /// no stiffness at all, `stiffness` is not written.
+  static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& penalty,
+                     Values& stiffness) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    if constexpr (count > of_nodes || of_end >= 0) {
+      lower.setConstant(-infinity);
+      upper.setConstant(infinity);
+      penalty.setConstant(infinity);
+    }
+    if constexpr (HasStiffness<Problem>::value || HasTerminalStiffness<Problem>::value)
+      stiffness.setConstant(infinity);
+    if constexpr (of_end >= 0) {
+      if (k == problem.horizon()) {
+        if constexpr (of_end > 0) {
+          detail::copy_first(of_end, problem.terminal_lower(), lower);
+          detail::copy_first(of_end, problem.terminal_upper(), upper);
+          detail::copy_first(of_end, problem.terminal_penalty(), penalty);
+          if constexpr (HasTerminalStiffness<Problem>::value)
+            detail::copy_first(of_end, problem.terminal_stiffness(), stiffness);
+        }
+        return;
+      }
+    }
+    if constexpr (of_nodes > 0) {
+      detail::copy_first(of_nodes, problem.lower(k), lower);
+      detail::copy_first(of_nodes, problem.upper(k), upper);
+      detail::copy_first(of_nodes, problem.penalty(k), penalty);
+      if constexpr (HasStiffness<Problem>::value)
+        detail::copy_first(of_nodes, problem.stiffness(k), stiffness);
+    }
+  }
+
+  /// Returns true if constraint i, with the derivative `E`, applies at node k. Node N has no input.
+  [[nodiscard]] static bool applies(const Problem& problem, int k, const ByInput& E, int i) {
+    if constexpr (count == 0) return false;
+    bool sees_input = false;
+    for (int j = 0; j < D::nu; ++j) sees_input |= E(i, j) != 0.0;
+    return k < problem.horizon() || of_end >= 0 || !sees_input;
+  }
+};
+
 /// True for a problem that has add_curvature().
 template <typename Problem, typename = void>
 struct HasCurvature : std::false_type {};
-template <typename Problem>
-struct HasCurvature<Problem, std::void_t<decltype(&Problem::add_curvature)>> : std::true_type {};
+template <typename P>
+struct HasCurvature<
+    P, std::void_t<decltype(std::declval<const P&>().add_curvature(
+           0, typename P::State(), typename ProblemDimensions<P>::Input(),
+           typename ProblemConstraints<P>::Values(), typename ProblemDimensions<P>::Tangent(),
+           std::declval<QuadraticModel<P::states, P::inputs>&>()))>> : std::true_type {};
 
 }  // namespace tilt_ropter::optimal_control

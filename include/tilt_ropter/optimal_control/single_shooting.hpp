@@ -3,11 +3,10 @@
 
 #include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/detail/node_constraints.hpp>
-#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati.hpp>
+#include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 #include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
@@ -78,7 +77,7 @@ class SingleShooting {
         before_(horizon_),
         riccati_(horizon_),
         equalities_(horizon_, 1e6),
-        intervals_(static_cast<std::size_t>(horizon_)),
+        intervals_(detail::size(horizon_)),
         steps_(intervals_.size() + 1),
         models_(steps_.size()),
         working_(steps_.size()) {}
@@ -213,7 +212,7 @@ class SingleShooting {
   }
   // A step in z of this length costs half its square.
   [[nodiscard]] double smallest_move() const { return 0.01 * settings_.tolerance; }
-  static std::size_t at(int k) { return static_cast<std::size_t>(k); }
+  static std::size_t at(int k) { return detail::size(k); }
   [[nodiscard]] int coordinates() const { return nu * horizon_; }
 
   // The guess may have defects. The first base follows it by the gains.
@@ -377,7 +376,7 @@ class SingleShooting {
     gram.diagonal().array() += 1e-12 * gram.trace();
     const Eigen::VectorXd multipliers = gram.ldlt().solve(-(active * gradient.head(coordinates())));
     for (Eigen::Index i = 0; i < count(); ++i) {
-      Row& row = *at_bound[static_cast<std::size_t>(i)];
+      Row& row = *at_bound[detail::size(i)];
       row.gives_way = multipliers(i) > row.penalty;
       any = any || row.gives_way;
     }

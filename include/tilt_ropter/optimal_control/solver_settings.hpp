@@ -98,36 +98,12 @@ struct SolveReport {
   double linearise_us = 0.0, factorise_us = 0.0, gradients_us = 0.0;
 };
 
-/// NLopt's algorithms for the dual; all converge to the same point.
+/// NLopt's algorithms for the dual of the constraints. All converge to the same point; they differ
+/// in time and memory.
 enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
 
 /// Clock of all time limits.
 using SolverClock = std::chrono::steady_clock;
-
-/// Limits and tolerances for the dual of the constraints.
-struct DualSettings {
-  /// NLopt's algorithm; it changes time and memory, but not the solution.
-  DualAlgorithm algorithm = DualAlgorithm::truncated_newton;
-  int max_evaluations = 40;  ///< of the dual's gradient in one call of NLopt, between Newton steps
-  double tolerance = 1e-11;  ///< on the scaled projected gradient of an accepted solution
-  /// Violation above which a constraint joins the working set.
-  static constexpr double constraint_tolerance = 1e-9;
-  int max_rounds = 20;  ///< rounds in which constraints join the working set
-};
-
-[[nodiscard]] inline bool operator==(const DualSettings& a, const DualSettings& b) {
-  const auto all = [](const DualSettings& s) {
-    return std::tie(s.algorithm, s.max_evaluations, s.tolerance, s.constraint_tolerance,
-                    s.max_rounds);
-  };
-  return all(a) == all(b);
-}
-
-inline void validate(const DualSettings& s) {
-  require(s.max_evaluations > 0, "DualSettings.max_evaluations", s.max_evaluations, "> 0");
-  require_positive("DualSettings.tolerance", s.tolerance);
-  require(s.max_rounds > 0, "DualSettings.max_rounds", s.max_rounds, "> 0");
-}
 
 /// Method that solves a quadratic program.
 enum class ProgramMethod {
@@ -146,13 +122,13 @@ struct QuadraticProgramSettings {
   /// more constraints join, the time spent in NLopt is lost.
   int max_dual_constraints = 16;
   int max_passes = 100;  ///< Riccati passes in one solve, without the pass of prepare()
-  DualSettings dual;     ///< limits and tolerances of the dual
+  DualAlgorithm algorithm = DualAlgorithm::truncated_newton;  ///< of NLopt
 };
 
 [[nodiscard]] inline bool operator==(const QuadraticProgramSettings& a,
                                      const QuadraticProgramSettings& b) {
   const auto all = [](const QuadraticProgramSettings& s) {
-    return std::tie(s.method, s.tolerance, s.max_dual_constraints, s.max_passes, s.dual);
+    return std::tie(s.method, s.tolerance, s.max_dual_constraints, s.max_passes, s.algorithm);
   };
   return all(a) == all(b);
 }
@@ -162,7 +138,6 @@ inline void validate(const QuadraticProgramSettings& s) {
   require(s.max_dual_constraints >= 0 && s.max_dual_constraints <= 1000,
           "QuadraticProgramSettings.max_dual_constraints", s.max_dual_constraints, "in [0, 1000]");
   require(s.max_passes >= 1, "QuadraticProgramSettings.max_passes", s.max_passes, ">= 1");
-  validate(s.dual);
 }
 
 /// Limits and tolerances. The defaults suit problems whose cost is of order 1 to 10^4.

@@ -12,7 +12,7 @@
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/optimal_control/detail/riccati_equation.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>

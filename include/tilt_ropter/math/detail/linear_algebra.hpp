@@ -325,9 +325,7 @@ template <int Width, int Packets>
   Packet<Width> sum[size(Packets)] = {};
   for (int j = 0; j < m.columns; ++j) {
     const double* column = m.data + m.stride * j + first;
-#pragma GCC unroll 4
-    for (int t = 0; t < Packets; ++t)
-      add_product<Width>(sum[t], column + Width * t, x.data[x.stride * j]);
+    add_product<Width>(sum, column, x.data[x.stride * j]);
   }
 #pragma GCC unroll 4
   for (int t = 0; t < Packets; ++t) {
@@ -351,7 +349,6 @@ inline void add_product(double factor, const MatrixView& m, const VectorView& x,
       for (int j = 0; j < m.columns; ++j) sum += m.data[m.stride * j + i] * x.data[x.stride * j];
       result[i] += factor * sum;
     }
-    return true;
   });
 }
 

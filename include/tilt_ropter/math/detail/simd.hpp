@@ -19,8 +19,8 @@
 /// convention.
 namespace tilt_ropter::detail {
 
-/// Converts a count to the size of an array.
-[[nodiscard]] constexpr std::size_t size(int count) {
+/// Converts a count or an index to the type of the standard containers.
+[[nodiscard]] constexpr std::size_t size(std::ptrdiff_t count) {
   return static_cast<std::size_t>(count);
 }
 
@@ -46,6 +46,25 @@ template <int Width>
 [[gnu::always_inline]] inline void add_product(Packet<Width>& sum, const double* from,
                                                double factor) {
   sum += *reinterpret_cast<const typename PacketType<Width>::anywhere*>(from) * factor;
+}
+
+/// The same for packets side by side, the first of them at `from` or `to`.
+template <int Width, std::size_t Count>
+[[gnu::always_inline]] inline void load(const double* from, Packet<Width> (&packets)[Count]) {
+#pragma GCC unroll 16
+  for (int t = 0; t < static_cast<int>(Count); ++t) load<Width>(from + Width * t, packets[t]);
+}
+template <int Width, std::size_t Count>
+[[gnu::always_inline]] inline void store(double* to, const Packet<Width> (&packets)[Count]) {
+#pragma GCC unroll 16
+  for (int t = 0; t < static_cast<int>(Count); ++t) store<Width>(to + Width * t, packets[t]);
+}
+template <int Width, std::size_t Count>
+[[gnu::always_inline]] inline void add_product(Packet<Width> (&sums)[Count], const double* from,
+                                               double factor) {
+#pragma GCC unroll 16
+  for (int t = 0; t < static_cast<int>(Count); ++t)
+    add_product<Width>(sums[t], from + Width * t, factor);
 }
 
 /// Transposes a square matrix in place. Its columns are packets.
@@ -83,23 +102,14 @@ template <int Width>
 struct FiniteCheck {
   static constexpr unsigned long long exponent = 0x7FF0000000000000, one = 0x0010000000000000,
                                       sign = 0x8000000000000000;
-  template <int Count>
-  struct BitsType {
-    typedef unsigned long long type [[gnu::vector_size(8 * Count)]];
-  };
-  template <int Count>
-  using Bits = typename BitsType<Count>::type;
+  typedef unsigned long long Bits [[gnu::vector_size(8 * Width)]];
 
   // The sign bit of an entry is set after a number that is not finite.
-  Bits<Width> packets{};
-  Bits<2> pairs{};
+  Bits packets{};
   unsigned long long single = 0;
 
   [[gnu::always_inline]] inline void add(const Packet<Width>& numbers) {
-    packets |= (reinterpret_cast<Bits<Width>>(numbers) & exponent) + one;
-  }
-  [[gnu::always_inline]] inline void add_pair(const Packet<2>& numbers) {
-    pairs |= (reinterpret_cast<Bits<2>>(numbers) & exponent) + one;
+    packets |= (reinterpret_cast<Bits>(numbers) & exponent) + one;
   }
   [[gnu::always_inline]] inline void add(double number) {
     unsigned long long bits;
@@ -119,7 +129,7 @@ struct FiniteCheck {
     for (Index left = count % Width; left > 0; --left) add(numbers[count - left]);
   }
   [[gnu::always_inline]] inline bool passed() const {
-    unsigned long long all = single | pairs[0] | pairs[1];
+    unsigned long long all = single;
 #pragma GCC unroll 4
     for (int i = 0; i < Width; ++i) all |= packets[i];
     return (all & sign) == 0;
@@ -157,25 +167,9 @@ template <int Width, int Rows, int Columns>
 #pragma GCC unroll 4
       for (int c = 0; c < Width; ++c) store<Width>(to + stride * (i + c) + j, square[c]);
     }
-  // Copies the remaining numbers: first in 2 x 2 squares, then one by one.
-  const auto copy_pair = [&](int i, int j) __attribute__((always_inline)) {
-    Packet<2> square[2];
-    load<2>(from + Rows * j + i, square[0]);
-    load<2>(from + Rows * (j + 1) + i, square[1]);
-    check.add_pair(square[0]);
-    check.add_pair(square[1]);
-    transpose(square);
-    store<2>(to + stride * i + j, square[0]);
-    store<2>(to + stride * (i + 1) + j, square[1]);
-  };
-  constexpr int even_rows = Rows - Rows % 2, even_columns = Columns - Columns % 2;
-  if constexpr (Width > 2) {
-    for (int j = 0; j < even_columns; j += 2)
-#pragma GCC unroll 2
-      for (int i = j < columns ? rows : 0; i < even_rows; i += 2) copy_pair(i, j);
-  }
+  // The remaining numbers, one by one.
   for (int j = 0; j < Columns; ++j)
-    for (int i = j < even_columns ? even_rows : 0; i < Rows; ++i) {
+    for (int i = j < columns ? rows : 0; i < Rows; ++i) {
       to[stride * i + j] = from[Rows * j + i];
       check.add(from[Rows * j + i]);
     }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -9,7 +10,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstddef>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -36,7 +36,7 @@ class ActiveSet {
 
   /// Allocates everything for `horizon` intervals.
   explicit ActiveSet(int horizon)
-      : states_(static_cast<std::size_t>(horizon) + 1),
+      : states_(detail::size(horizon) + 1),
         curvatures_(states_.size(), Program::Vector::Ones()),
         weights_(states_.size()),
         offsets_(states_.size()) {}
@@ -59,7 +59,7 @@ class ActiveSet {
   /// moving this constraint. `row` is the gradient of the constraint by (dx, du). Uses the Hessians
   /// of the last pass without active constraints.
   [[nodiscard]] double curvature(int k, const typename Program::Vector& row) const {
-    const auto& curvature = curvatures_[static_cast<std::size_t>(k)];
+    const auto& curvature = curvatures_[detail::size(k)];
     double squares = 0.0, weighted = 0.0;
     for (Eigen::Index j = 0; j < row.size(); ++j) {
       squares += row(j) * row(j);
@@ -74,7 +74,7 @@ class ActiveSet {
   [[nodiscard]] bool factorise_free(Program& program, double damping) {
     double most = 0.0;
     const auto note = [&](int k, double* hessian, double*) {
-      auto& c = curvatures_[static_cast<std::size_t>(k)];
+      auto& c = curvatures_[detail::size(k)];
       for (int j = 0; j < Program::width; ++j) {
         c(j) = hessian[(Program::rows + 1) * j];
         most = std::max(most, c(j));
@@ -96,7 +96,7 @@ class ActiveSet {
 
   /// Divides what is known of the cost of node k by `cost`, for another unit.
   void change_unit(int k, double cost) {
-    for (double& c : curvatures_[static_cast<std::size_t>(k)]) c /= cost;
+    for (double& c : curvatures_[detail::size(k)]) c /= cost;
   }
   /// Multiplies the weights by 10, up to a limit that is set by rounding errors. Necessary if many
   /// constraints are active: the curvature of the cost alone is then too small as a reference for
@@ -122,18 +122,12 @@ class ActiveSet {
  private:
   // State of a constraint: 0 inactive, +-1 active at its upper or lower bound, +-2 relaxed at that
   // bound (multiplier at its penalty).
-  using States8 = std::array<signed char, static_cast<std::size_t>(Constraints)>;
+  using States8 = std::array<signed char, detail::size(Constraints)>;
 
-  signed char& state(int k, int i) {
-    return states_[static_cast<std::size_t>(k)][static_cast<std::size_t>(i)];
-  }
-  double& weight(int k, int i) {
-    return weights_[static_cast<std::size_t>(k)][static_cast<std::size_t>(i)];
-  }
+  signed char& state(int k, int i) { return states_[detail::size(k)][detail::size(i)]; }
+  double& weight(int k, int i) { return weights_[detail::size(k)][detail::size(i)]; }
 
-  double& offset(int k, int i) {
-    return offsets_[static_cast<std::size_t>(k)][static_cast<std::size_t>(i)];
-  }
+  double& offset(int k, int i) { return offsets_[detail::size(k)][detail::size(i)]; }
 
   void add_terms(const Program& program, int k, double* hessian, double* gradient) {
     constexpr int width = Program::width, rows = Program::rows;
@@ -141,7 +135,7 @@ class ActiveSet {
       const signed char assumed = state(k, i);
       if (assumed == 0) continue;
       const auto& n = program.node(k);
-      double row[static_cast<std::size_t>(width)];
+      double row[detail::size(width)];
       for (int j = 0; j < States; ++j) row[j] = n.C(i, j);
       for (int j = 0; j < Inputs; ++j) row[States + j] = k < program.horizon() ? n.E(i, j) : 0.0;
       double slope = assumed > 0 ? n.penalty(i) : -n.penalty(i);
@@ -150,7 +144,7 @@ class ActiveSet {
         for (int j = 0; j < width; ++j) {
           const double square = row[j] * row[j];
           squares += square;
-          curvature += square * curvatures_[static_cast<std::size_t>(k)](j);
+          curvature += square * curvatures_[detail::size(k)](j);
         }
         if (squares == 0.0) {
           state(k, i) = 0;
@@ -221,7 +215,7 @@ class ActiveSet {
   double stiffening_ = least_stiffening;  // ratio of the weights to the curvature of the cost
   std::vector<States8> states_;
   std::vector<typename Program::Vector> curvatures_;  // diagonals of H in a pass without weights
-  std::vector<std::array<double, static_cast<std::size_t>(Constraints)>> weights_, offsets_;
+  std::vector<std::array<double, detail::size(Constraints)>> weights_, offsets_;
 };
 
 }  // namespace tilt_ropter::optimal_control

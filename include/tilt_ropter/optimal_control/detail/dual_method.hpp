@@ -2,8 +2,9 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
-#include <tilt_ropter/optimal_control/detail/adjoint_batch.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/multipliers.hpp>
+#include <tilt_ropter/optimal_control/detail/riccati.hpp>
 #include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -41,18 +42,17 @@ class DualMethod {
   };
 
   /// Allocates everything for `horizon` intervals and `capacity` constraints.
-  DualMethod(int horizon, int capacity, const DualSettings& settings)
-      : settings_(settings),
-        capacity_(capacity),
-        dual_(capacity, settings),
+  DualMethod(int horizon, int capacity, DualAlgorithm algorithm)
+      : capacity_(capacity),
+        dual_(capacity, algorithm),
         gradients_(capacity, Inputs * horizon),
         gram_(capacity, capacity),
         offsets_(capacity),
         bounds_(capacity),
         multipliers_(capacity),
         z_(Inputs * horizon),
-        in_set_(static_cast<std::size_t>(horizon) + 1) {
-    active_.reserve(static_cast<std::size_t>(capacity));
+        in_set_(detail::size(horizon) + 1) {
+    active_.reserve(detail::size(capacity));
     for (auto& batch : adjoints_) {
       batch.resize(detail::padded(capacity), States + Inputs);
       std::fill_n(batch.data(), batch.size(), 0.0);  // packets read beyond the last row
@@ -105,8 +105,8 @@ class DualMethod {
       const int first = size();
       const bool has_room = add_violated(program, most);
       if (size() == first && has_room) break;
-      if (!has_room || rounds_ == settings_.max_rounds) {
-        active_.resize(static_cast<std::size_t>(first));
+      if (!has_room || rounds_ == max_rounds) {
+        active_.resize(detail::size(first));
         store_multipliers(program);
         return Outcome::full;
       }
@@ -130,12 +130,12 @@ class DualMethod {
     int k, component;
     double side;
     [[nodiscard]] std::size_t slot() const {
-      return static_cast<std::size_t>(side > 0.0 ? Constraints + component : component);
+      return detail::size(side > 0.0 ? Constraints + component : component);
     }
   };
 
   [[nodiscard]] int size() const { return static_cast<int>(active_.size()); }
-  [[nodiscard]] const Active& row(int i) const { return active_[static_cast<std::size_t>(i)]; }
+  [[nodiscard]] const Active& row(int i) const { return active_[detail::size(i)]; }
 
   [[nodiscard]] static double violation(const Program& program, const Active& r) {
     const auto& n = program.node(r.k);
@@ -146,16 +146,16 @@ class DualMethod {
   /// Adds the constraints that the prediction violates to the working set. Returns false if there
   /// are more than `most`.
   [[nodiscard]] bool add_violated(const Program& program, int most) {
-    if (program.excess() <= settings_.constraint_tolerance) return true;
+    if (program.excess() <= constraint_tolerance) return true;
     for (auto& flags : in_set_) flags.fill(false);
-    for (const Active& r : active_) in_set_[static_cast<std::size_t>(r.k)][r.slot()] = true;
+    for (const Active& r : active_) in_set_[detail::size(r.k)][r.slot()] = true;
     for (int k = program.horizon(); k >= 0; --k) {
       const auto& n = program.node(k);
       for (int i = 0; i < Constraints; ++i) {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
-        if (std::max(over, under) <= settings_.constraint_tolerance) continue;
+        if (std::max(over, under) <= constraint_tolerance) continue;
         const Active r{k, i, over > under ? 1.0 : -1.0};
-        if (in_set_[static_cast<std::size_t>(k)][r.slot()]) continue;
+        if (in_set_[detail::size(k)][r.slot()]) continue;
         if (size() == most) return false;
         active_.push_back(r);
       }
@@ -229,18 +229,20 @@ class DualMethod {
         program.node(row(i).k).multiplier(row(i).component) += row(i).side * multipliers_(i);
   }
 
+  static constexpr int max_rounds = 20;  // in which constraints join the working set
+  // Violation above which a constraint joins the working set.
+  static constexpr double constraint_tolerance = 1e-9;
   // Limit that keeps the dual regular if constraints are multiples of each other.
   static constexpr double most_stiffness = 1e12;
 
-  DualSettings settings_;
   int capacity_;
-  DualSolver<> dual_;
+  DualSolver dual_;
   std::vector<Active> active_;
   Eigen::MatrixXd gradients_;  // row i: gradient of constraint i of the working set by z
   std::array<typename Adjoint::Gradients, 2> adjoints_;
   Eigen::MatrixXd gram_;
   Eigen::VectorXd offsets_, bounds_, multipliers_, z_;
-  std::vector<std::array<bool, 2 * static_cast<std::size_t>(Constraints)>> in_set_;
+  std::vector<std::array<bool, 2 * detail::size(Constraints)>> in_set_;
   int rounds_ = 0;
 };
 

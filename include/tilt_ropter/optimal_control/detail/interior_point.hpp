@@ -3,7 +3,7 @@
 
 #include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
-#include <tilt_ropter/optimal_control/detail/bounded_sides.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 
 #include <Eigen/Core>
@@ -16,6 +16,123 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
+
+/// List of the finite bounds of a Subproblem: each entry is one side (upper or lower) of one
+/// constraint. Also adds the weights of the constraints to the Hessians. This takes little time for
+/// constraints whose gradient has a single entry.
+template <int States, int Inputs, int Constraints, typename Pattern>
+class BoundedSides {
+ public:
+  using Program = Subproblem<States, Inputs, Constraints, Pattern>;
+  using Vector = typename Program::Vector;
+
+  /// One finite bound of one constraint.
+  struct Side {
+    int k, row;   ///< node, and constraint of this node
+    int at;       ///< index of the constraint among all nodes: Constraints * k + row
+    double sign;  ///< 1: upper bound, -1: lower bound
+  };
+
+  /// Allocates everything for `horizon` intervals.
+  explicit BoundedSides(int horizon) : nodes_(detail::size(horizon) + 1) {
+    sides_.reserve(2 * detail::size(Constraints) * nodes_.size());
+    immovable_.reserve(detail::size(Constraints) * nodes_.size());
+  }
+
+  /// Reads the finite bounds of `program` at its current linearisation. Does not allocate.
+  void read(const Program& program) {
+    sides_.clear();
+    immovable_.clear();
+    for (int k = 0; k <= program.horizon(); ++k) {
+      const auto& n = program.node(k);
+      Node& node = nodes_[detail::size(k)];
+      node.single = node.dense = node.columns = 0;
+      std::array<bool, detail::size(width)> reached{};
+      for (int i = 0; i < Constraints; ++i) {
+        const bool above = std::isfinite(n.upper(i)), below = std::isfinite(n.lower(i));
+        if (!above && !below) continue;
+        Vector& gradient = node.gradient[detail::size(node.dense)];
+        gradient = program.constraint_gradient(k, i);
+        int entries = 0, last = 0;
+        for (int j = 0; j < width; ++j)
+          if (gradient(j) != 0.0) {
+            ++entries;
+            last = j;
+          }
+        if (entries == 0) {
+          immovable_.push_back({k, i});
+          continue;
+        }
+        if (entries == 1) {
+          const auto b = detail::size(node.single++);
+          node.single_constraint[b] = i;
+          node.entry[b] = last;
+          node.square[b] = gradient(last) * gradient(last);
+        } else {
+          node.row[detail::size(node.dense++)] = i;
+          for (int j = 0; j < width; ++j)
+            if (gradient(j) != 0.0) reached[detail::size(j)] = true;
+        }
+        for (const double sign : {1.0, -1.0})
+          if (sign > 0.0 ? above : below) sides_.push_back({k, i, Constraints * k + i, sign});
+      }
+      for (int j = 0; j < width; ++j)
+        if (reached[detail::size(j)]) node.column[detail::size(node.columns++)] = j;
+    }
+  }
+
+  [[nodiscard]] Eigen::Index count() const { return static_cast<Eigen::Index>(sides_.size()); }
+  [[nodiscard]] const Side& operator[](Eigen::Index i) const { return sides_[detail::size(i)]; }
+  /// Bounded constraints that no step changes. They have no entry in the list of sides.
+  [[nodiscard]] const std::vector<typename Program::ActiveConstraint>& immovable() const {
+    return immovable_;
+  }
+
+  /// Adds weight gradient gradient' of each constraint of node k to the Hessian of this node. The
+  /// Hessian has Program::rows x Program::width numbers, `weights` has one number per constraint.
+  template <int W>
+  [[gnu::always_inline]] inline void add_weights(int k, const double* weights,
+                                                 double* hessian) const {
+    constexpr int rows = Program::rows, packets = rows / W;
+    const Node& node = nodes_[detail::size(k)];
+    for (int b = 0; b < node.single; ++b) {
+      const auto i = detail::size(b);
+      hessian[(rows + 1) * node.entry[i]] += weights[node.single_constraint[i]] * node.square[i];
+    }
+    if (node.dense == 0) return;
+    for (int c = 0; c < node.columns; ++c) {
+      const int j = node.column[detail::size(c)];
+      double* column = hessian + rows * j;
+      detail::Packet<W> sum[detail::size(packets)];
+      detail::load<W>(column, sum);
+      for (int d = 0; d < node.dense; ++d) {
+        const auto i = detail::size(d);
+        const double factor = weights[node.row[i]] * node.gradient[i](j);
+        detail::add_product<W>(sum, node.gradient[i].data(), factor);
+      }
+      detail::store<W>(column, sum);
+    }
+  }
+
+ private:
+  static constexpr int width = Program::width;
+
+  // The bounded constraints of a node, grouped by the number of entries of their gradients.
+  struct Node {
+    int single = 0;  // constraints with one non-zero entry
+    std::array<int, detail::size(Constraints)> single_constraint{}, entry{};
+    std::array<double, detail::size(Constraints)> square{};
+    int dense = 0;  // constraints with several non-zero entries
+    std::array<int, detail::size(Constraints)> row{};
+    std::array<Vector, detail::size(Constraints)> gradient;
+    int columns = 0;  // columns with a non-zero entry in a gradient of this group
+    std::array<int, detail::size(width)> column{};
+  };
+
+  std::vector<Node> nodes_;
+  std::vector<Side> sides_;
+  std::vector<typename Program::ActiveConstraint> immovable_;
+};
 
 /// Solves a Subproblem by a primal-dual interior-point method. Every iteration takes one Riccati
 /// pass and two solves with its factorisation, for any set of active constraints. The method uses
@@ -42,7 +159,7 @@ class InteriorPoint {
   /// Allocates everything for `horizon` intervals.
   explicit InteriorPoint(int horizon)
       : sides_(horizon),
-        here_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
+        here_(detail::size(horizon) + 1, detail::Filled()),
         change_(here_),
         cost_gradients_(here_),
         gradients_(here_),
@@ -82,7 +199,7 @@ class InteriorPoint {
     set_values(program);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
-      if (!program.node(side.k).hard[static_cast<std::size_t>(side.row)])
+      if (!program.node(side.k).hard[detail::size(side.row)])
         gain += 0.1 * penalty_(i) * std::max(value_(i), 0.0);
     }
     begin(program, gain + to_gain(program), far_above);
@@ -113,7 +230,6 @@ class InteriorPoint {
     const auto weights = [this](int k, double* hessian, double*) {
       detail::vectorised([&](auto packet) __attribute__((always_inline)) {
         sides_.template add_weights<packet()>(k, of_constraints_.data() + Constraints * k, hessian);
-        return true;
       });
     };
     if (!program.riccati.factorise(damping_, weights)) return false;
@@ -159,7 +275,7 @@ class InteriorPoint {
   /// penalty become the penalty.
   void finish(Program& program, bool decided) const {
     for (int k = 0; k <= program.horizon(); ++k) {
-      program.step(k) = here_[static_cast<std::size_t>(k)];
+      program.step(k) = here_[detail::size(k)];
       detail::fill(program.node(k).multiplier, 0.0);
     }
     for (Eigen::Index i = 0; i < count(); ++i) {
@@ -232,40 +348,37 @@ class InteriorPoint {
     set_cost_gradients(program);
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (int k = 0; k <= program.horizon(); ++k) {
-        const auto i = static_cast<std::size_t>(k);
+        const auto i = detail::size(k);
         program.template cost_gradient<packet()>(k, program.step(k), damping_, gradients_[i]);
         for (int j = 0; j < Program::width; ++j)
           sum +=
               0.5 * (cost_gradients_[i](j) + gradients_[i](j)) * (here_[i](j) - program.step(k)(j));
       }
-      return true;
     });
     return std::abs(sum);
   }
 
   void begin(Program& program, double gain, double far_above) {
-    std::array<double, static_cast<std::size_t>(Constraints)>
+    std::array<double, detail::size(Constraints)>
         unit{};  // estimated largest change of the value of each constraint
     for (Eigen::Index i = 0; i < count(); ++i) {
-      double& u = unit[static_cast<std::size_t>(sides_[i].row)];
+      double& u = unit[detail::size(sides_[i].row)];
       u = std::max({u, std::abs(value_change_(i) - value_(i)), value_(i)});
     }
     // Derivatives of the cost by (dx, du) of each node, with the effect on later nodes, at the step
     // of the program.
     (void)program.sweep_back(
-        false, [&](auto, int k, Vector& g) { g = gradients_[static_cast<std::size_t>(k)]; },
-        [&](int k, const Vector& sum, const Vector&) {
-          gradients_[static_cast<std::size_t>(k)] = sum;
-        });
+        false, [&](auto, int k, Vector& g) { g = gradients_[detail::size(k)]; },
+        [&](int k, const Vector& sum, const Vector&) { gradients_[detail::size(k)] = sum; });
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       auto& n = program.node(side.k);
-      if (!n.hard[static_cast<std::size_t>(side.row)]) continue;
+      if (!n.hard[detail::size(side.row)]) continue;
       const Vector row = program.constraint_gradient(side.k, side.row);
-      double push = 1.0 + gain / std::max(unit[static_cast<std::size_t>(side.row)], 1e-100);
+      double push = 1.0 + gain / std::max(unit[detail::size(side.row)], 1e-100);
       for (int j = 0; j < Program::width; ++j)
         if (row(j) != 0.0)
-          push = std::max(push, std::abs(gradients_[static_cast<std::size_t>(side.k)](j) / row(j)));
+          push = std::max(push, std::abs(gradients_[detail::size(side.k)](j) / row(j)));
       n.penalty(side.row) = n.finite_penalty(side.row) = penalty_(i) =
           program.inputs_last && program.single_input(side.k, side.row)
               ? 1e6 * std::min(far_above * push, Program::hard_penalty)
@@ -281,7 +394,7 @@ class InteriorPoint {
   void center(double mu) {
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
-      const double u = unit_[static_cast<std::size_t>(side.row)];
+      const double u = unit_[detail::size(side.row)];
       slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
       multiplier_(i) = std::min(mu / slack_(i), 0.1 * penalty_(i));
       excess_(i) = mu / (penalty_(i) - multiplier_(i));
@@ -291,13 +404,25 @@ class InteriorPoint {
     mu_ = mu;
   }
 
+  // Loads or stores the packets of sides from i on: pairs of numbers and packets.
+  template <int W, typename... More>
+  [[gnu::always_inline]] static inline void load(Eigen::Index i, const Eigen::VectorXd& from,
+                                                 detail::Packet<W>& packet, More&... more) {
+    detail::load<W>(from.data() + i, packet);
+    if constexpr (sizeof...(more) > 0) load<W>(i, more...);
+  }
+  template <int W, typename... More>
+  [[gnu::always_inline]] static inline void store(Eigen::Index i, Eigen::VectorXd& to,
+                                                  const detail::Packet<W>& packet, More&&... more) {
+    detail::store<W>(to.data() + i, packet);
+    if constexpr (sizeof...(more) > 0) store<W>(i, more...);
+  }
   // Calls body(width, i) for every packet of sides.
   template <typename Body>
   void for_sides(const Body& body) const {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       const Eigen::Index end = count();
       for (Eigen::Index i = 0; i < end; i += packet()) body(packet, i);
-      return true;
     });
   }
   // Returns the sum of the numbers that body(width, i, total) adds to `total`.
@@ -311,7 +436,6 @@ class InteriorPoint {
       for (Eigen::Index i = 0; i < end; i += W) body(packet, i, total);
 #pragma GCC unroll 4
       for (int j = 0; j < W; ++j) sum += total[j];
-      return true;
     });
     return sum;
   }
@@ -328,7 +452,6 @@ class InteriorPoint {
 #pragma GCC unroll 4
       for (int j = 0; j < W; ++j)
         most = {std::max(most[0], first[j]), std::max(most[1], second[j])};
-      return true;
     });
     return most;
   }
@@ -346,16 +469,10 @@ class InteriorPoint {
           constexpr int W = packet();
           using P = detail::Packet<W>;
           P l, t, s, rho, c;
-          detail::load<W>(multiplier_.data() + i, l);
-          detail::load<W>(slack_.data() + i, t);
-          detail::load<W>(excess_.data() + i, s);
-          detail::load<W>(penalty_.data() + i, rho);
-          detail::load<W>(per_stiffness_.data() + i, c);
+          load<W>(i, multiplier_, l, slack_, t, excess_, s, penalty_, rho, per_stiffness_, c);
           const P rest = rho - l, per_l = 1.0 / l, per_rest = 1.0 / rest,
                   weight = 1.0 / (t * per_l + s * per_rest + c);
-          detail::store<W>(per_multiplier_.data() + i, per_l);
-          detail::store<W>(per_rest_.data() + i, per_rest);
-          detail::store<W>(weight_.data() + i, weight);
+          store<W>(i, per_multiplier_, per_l, per_rest_, per_rest, weight_, weight);
           total += l * t + rest * s;
         });
     detail::fill(of_constraints_, 0.0);
@@ -369,9 +486,8 @@ class InteriorPoint {
       for (int k = 0; k <= program.horizon(); ++k) {
         double* result = of_constraints_.data() + Constraints * k;
         std::fill(result, result + Constraints, 0.0);
-        program.template add_constraint_values<packet()>(k, w[static_cast<std::size_t>(k)], result);
+        program.template add_constraint_values<packet()>(k, w[detail::size(k)], result);
       }
-      return true;
     });
   }
 
@@ -380,7 +496,6 @@ class InteriorPoint {
       for (std::size_t k = 0; k < here_.size(); ++k)
         program.template cost_gradient<packet()>(static_cast<int>(k), here_[k], damping_,
                                                  cost_gradients_[k]);
-      return true;
     });
   }
 
@@ -391,11 +506,8 @@ class InteriorPoint {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, v, c, weight;
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(value_.data() + i, v);
-      detail::load<W>(per_stiffness_.data() + i, c);
-      detail::load<W>(weight_.data() + i, weight);
-      detail::store<W>(push_.data() + i, l + weight * (v - c * l));
+      load<W>(i, multiplier_, l, value_, v, per_stiffness_, c, weight_, weight);
+      store<W>(i, push_, l + weight * (v - c * l));
     });
   }
 
@@ -406,22 +518,13 @@ class InteriorPoint {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, t, s, v, c, weight, per_l, per_rest, dl, dt, ds;
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(slack_.data() + i, t);
-      detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(value_.data() + i, v);
-      detail::load<W>(per_stiffness_.data() + i, c);
-      detail::load<W>(weight_.data() + i, weight);
-      detail::load<W>(per_multiplier_.data() + i, per_l);
-      detail::load<W>(per_rest_.data() + i, per_rest);
-      detail::load<W>(multiplier_change_.data() + i, dl);
-      detail::load<W>(slack_change_.data() + i, dt);
-      detail::load<W>(excess_change_.data() + i, ds);
+      load<W>(i, multiplier_, l, slack_, t, excess_, s, value_, v, per_stiffness_, c, weight_,
+              weight, per_multiplier_, per_l, per_rest_, per_rest, multiplier_change_, dl,
+              slack_change_, dt, excess_change_, ds);
       const P slack_aim = (mu - correction * dl * dt) * per_l - t,
               excess_aim = (mu + correction * dl * ds) * per_rest - s;
-      detail::store<W>(slack_aim_.data() + i, slack_aim);
-      detail::store<W>(excess_aim_.data() + i, excess_aim);
-      detail::store<W>(push_.data() + i, l + weight * (v + t - s - c * l + slack_aim - excess_aim));
+      store<W>(i, slack_aim_, slack_aim, excess_aim_, excess_aim, push_,
+               l + weight * (v + t - s - c * l + slack_aim - excess_aim));
     });
   }
 
@@ -439,7 +542,6 @@ class InteriorPoint {
             static_cast<int>(k),
             of_constraints_.data() + Constraints * static_cast<Eigen::Index>(k), gradients_[k]);
       }
-      return true;
     });
     program.riccati.solve(gradients_);
     std::fill_n(change_[0].data(), States, 0.0);
@@ -456,44 +558,30 @@ class InteriorPoint {
   // vanishes and the slack stays (El-Bakry, Tapia & Zhang 1994). Returns the sum of the
   // complementarity products after the longest step along the direction.
   double predict() {
-    const auto [most_primal, most_dual] = largest_of_sides(
-        1.0, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
-                 __attribute__((always_inline)) {
-                   constexpr int W = packet();
-                   using P = detail::Packet<W>;
-                   P l, t, s, weight, per_l, per_rest, push, dv;
-                   detail::load<W>(multiplier_.data() + i, l);
-                   detail::load<W>(slack_.data() + i, t);
-                   detail::load<W>(excess_.data() + i, s);
-                   detail::load<W>(weight_.data() + i, weight);
-                   detail::load<W>(per_multiplier_.data() + i, per_l);
-                   detail::load<W>(per_rest_.data() + i, per_rest);
-                   detail::load<W>(push_.data() + i, push);
-                   detail::load<W>(value_change_.data() + i, dv);
-                   const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest;
-                   detail::store<W>(multiplier_change_.data() + i, dl);
-                   detail::store<W>(slack_change_.data() + i, -t - t * of_l);
-                   detail::store<W>(excess_change_.data() + i, s * of_rest - s);
-                   detail::store<W>(of_multiplier_.data() + i, -of_l);
-                   detail::store<W>(of_rest_.data() + i, of_rest);
-                   const P slacks = 1.0 + (of_l > -of_rest ? of_l : -of_rest),
-                           multipliers = -of_l > of_rest ? -of_l : of_rest;
-                   of_primal = slacks > of_primal ? slacks : of_primal;
-                   of_dual = multipliers > of_dual ? multipliers : of_dual;
-                 });
+    const auto step = [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
+        __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, weight, per_l, per_rest, push, dv;
+      load<W>(i, multiplier_, l, slack_, t, excess_, s, weight_, weight, per_multiplier_, per_l,
+              per_rest_, per_rest, push_, push, value_change_, dv);
+      const P dl = push - l + weight * dv, of_l = dl * per_l, of_rest = dl * per_rest;
+      store<W>(i, multiplier_change_, dl, slack_change_, -t - t * of_l, excess_change_,
+               s * of_rest - s, of_multiplier_, -of_l, of_rest_, of_rest);
+      const P slacks = 1.0 + (of_l > -of_rest ? of_l : -of_rest),
+              multipliers = -of_l > of_rest ? -of_l : of_rest;
+      of_primal = slacks > of_primal ? slacks : of_primal;
+      of_dual = multipliers > of_dual ? multipliers : of_dual;
+    };
+    const auto [most_primal, most_dual] = largest_of_sides(1.0, step);
     const double primal = 1.0 / most_primal, dual = 1.0 / most_dual;
     return sum_of_sides([&](auto packet, Eigen::Index i,
                             auto& total) __attribute__((always_inline)) {
       constexpr int W = packet();
       using P = detail::Packet<W>;
       P l, t, s, rho, dl, dt, ds;
-      detail::load<W>(multiplier_.data() + i, l);
-      detail::load<W>(slack_.data() + i, t);
-      detail::load<W>(excess_.data() + i, s);
-      detail::load<W>(penalty_.data() + i, rho);
-      detail::load<W>(multiplier_change_.data() + i, dl);
-      detail::load<W>(slack_change_.data() + i, dt);
-      detail::load<W>(excess_change_.data() + i, ds);
+      load<W>(i, multiplier_, l, slack_, t, excess_, s, penalty_, rho, multiplier_change_, dl,
+              slack_change_, dt, excess_change_, ds);
       const P after = l + dual * dl;
       total += after * (t + primal * dt) + (rho - after) * (s + primal * ds);
     });
@@ -506,33 +594,23 @@ class InteriorPoint {
   // Completes the direction towards the centre. Returns the step lengths: the fraction
   // most_of_the_way of the distance to the nearest bound, at most 1.
   [[nodiscard]] Lengths complete_direction() {
-    const auto [most_primal, most_dual] = largest_of_sides(
-        most_of_the_way, [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
-                             __attribute__((always_inline)) {
-                               constexpr int W = packet();
-                               using P = detail::Packet<W>;
-                               P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
-                               detail::load<W>(multiplier_.data() + i, l);
-                               detail::load<W>(slack_.data() + i, t);
-                               detail::load<W>(excess_.data() + i, s);
-                               detail::load<W>(weight_.data() + i, weight);
-                               detail::load<W>(per_multiplier_.data() + i, per_l);
-                               detail::load<W>(per_rest_.data() + i, per_rest);
-                               detail::load<W>(push_.data() + i, push);
-                               detail::load<W>(slack_aim_.data() + i, slack_aim);
-                               detail::load<W>(excess_aim_.data() + i, excess_aim);
-                               detail::load<W>(value_change_.data() + i, dv);
-                               const P dl = push - l + weight * dv, dt = slack_aim - t * per_l * dl,
-                                       ds = excess_aim + s * per_rest * dl, of_t = dt / t,
-                                       of_s = ds / s, of_l = dl * per_l, of_rest = dl * per_rest;
-                               detail::store<W>(multiplier_change_.data() + i, dl);
-                               detail::store<W>(slack_change_.data() + i, dt);
-                               detail::store<W>(excess_change_.data() + i, ds);
-                               const P slacks = of_t < of_s ? -of_t : -of_s,
-                                       multipliers = -of_l > of_rest ? -of_l : of_rest;
-                               of_primal = slacks > of_primal ? slacks : of_primal;
-                               of_dual = multipliers > of_dual ? multipliers : of_dual;
-                             });
+    const auto step = [&](auto packet, Eigen::Index i, auto& of_primal, auto& of_dual)
+        __attribute__((always_inline)) {
+      constexpr int W = packet();
+      using P = detail::Packet<W>;
+      P l, t, s, weight, per_l, per_rest, push, slack_aim, excess_aim, dv;
+      load<W>(i, multiplier_, l, slack_, t, excess_, s, weight_, weight, per_multiplier_, per_l,
+              per_rest_, per_rest, push_, push, slack_aim_, slack_aim, excess_aim_, excess_aim,
+              value_change_, dv);
+      const P dl = push - l + weight * dv, dt = slack_aim - t * per_l * dl,
+              ds = excess_aim + s * per_rest * dl, of_t = dt / t, of_s = ds / s, of_l = dl * per_l,
+              of_rest = dl * per_rest;
+      store<W>(i, multiplier_change_, dl, slack_change_, dt, excess_change_, ds);
+      const P slacks = of_t < of_s ? -of_t : -of_s, multipliers = -of_l > of_rest ? -of_l : of_rest;
+      of_primal = slacks > of_primal ? slacks : of_primal;
+      of_dual = multipliers > of_dual ? multipliers : of_dual;
+    };
+    const auto [most_primal, most_dual] = largest_of_sides(most_of_the_way, step);
     return {most_of_the_way / most_primal, most_of_the_way / most_dual};
   }
 
@@ -559,7 +637,7 @@ class InteriorPoint {
           constexpr int W = packet();
           using P = detail::Packet<W>;
           P l, t, s, v, rho;
-          detail::load<W>(penalty_.data() + i, rho);
+          load<W>(i, penalty_, rho);
           add_packet<W>(multiplier_change_, dual, i, multiplier_, l);
           add_packet<W>(slack_change_, primal, i, slack_, t);
           add_packet<W>(excess_change_, primal, i, excess_, s);
@@ -590,7 +668,7 @@ class InteriorPoint {
       excess_change_, value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
   int stuck_ = 0;
-  std::array<double, static_cast<std::size_t>(Constraints)> unit_{};
+  std::array<double, detail::size(Constraints)> unit_{};
 };
 
 }  // namespace tilt_ropter::optimal_control

@@ -26,11 +26,10 @@
 /// for every b (Nocedal & Wright, "Numerical Optimization", Sec. 17.2).
 namespace tilt_ropter::optimal_control {
 
-/// Minimiser of the dual above for up to `capacity` constraints. If `Capacity` is known at compile
-/// time (up to 128, Eigen's limit), the matrices are stored inside the object. NLopt starts from
-/// the given multipliers and solves until the residual is a thousandth of that at the start, or
-/// within the tolerance. Projected Newton steps polish its result; where they do not suffice, NLopt
-/// goes on from there.
+/// Minimiser of the dual above for up to `capacity` constraints. NLopt starts from the given
+/// multipliers and solves until the residual is a thousandth of that at the start, or within the
+/// tolerance. Projected Newton steps polish its result; where they do not suffice, NLopt goes on
+/// from there.
 ///
 /// After construction only NLopt allocates. A solve makes at most 20 calls of NLopt. A call with n
 /// constraints allocates 2 blocks and frees them before it returns. Together these have at most 256
@@ -38,13 +37,11 @@ namespace tilt_ropter::optimal_control {
 /// blocks that are kept. Together these have at most 32 n + 512 bytes (16 n + 248). These bounds
 /// hold for the default algorithm. lbfgs, variable_metric and ccsa need less. For n = 150, slsqp
 /// needs 1.6 MB per call.
-template <int Capacity = Eigen::Dynamic>
 class DualSolver {
  public:
-  /// Allocates. `capacity` must not be larger than a fixed Capacity.
-  explicit DualSolver(int capacity, const DualSettings& settings = {})
-      : settings_(settings),
-        optimizers_(static_cast<std::size_t>(capacity) + 1),
+  explicit DualSolver(int capacity, DualAlgorithm algorithm = DualAlgorithm::truncated_newton)
+      : algorithm_(algorithm),
+        optimizers_(detail::size(capacity) + 1),
         hessian_(capacity, capacity),
         factor_(capacity, capacity),
         linear_(capacity),
@@ -56,24 +53,14 @@ class DualSolver {
         candidate_(capacity),
         step_(capacity),
         reduced_(capacity),
-        free_(static_cast<std::size_t>(capacity)) {}
+        free_(detail::size(capacity)) {}
 
-  /// Solves for `lambda` (in: warm start; out: solution) with the lower triangle of H = G G' +
-  /// I/stiffness (size x size), offsets b and penalties. Returns false if no finite solution was
-  /// found, or none before `deadline`, which is checked between steps; lambda is then unchanged.
-  /// Never throws.
-  template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
-  [[nodiscard]] bool solve(const Eigen::MatrixBase<Hessian>& H, const Eigen::MatrixBase<Offset>& b,
-                           const Eigen::MatrixBase<Bound>& penalty,
-                           Eigen::MatrixBase<Multiplier>& lambda,
-                           std::optional<SolverClock::time_point> deadline = {}) noexcept {
-    return solve(static_cast<int>(b.size()), H.derived(), b.derived(), penalty.derived(),
-                 lambda.derived(), deadline);
-  }
-  /// The same for the first `size` constraints of larger matrices and vectors.
-  template <typename Hessian, typename Offset, typename Bound, typename Multiplier>
-  [[nodiscard]] bool solve(int size, const Hessian& H, const Offset& b, const Bound& penalty,
-                           Multiplier& lambda,
+  /// Solves for the first `size` entries of `lambda` (in: warm start; out: solution) with the lower
+  /// triangle of H = G G' + I/stiffness, offsets b and penalties, of `size` rows or more. Returns
+  /// false if no finite solution was found, or none before `deadline`, which is checked between
+  /// steps; lambda is then unchanged. Never throws.
+  [[nodiscard]] bool solve(int size, const Eigen::MatrixXd& H, const Eigen::VectorXd& b,
+                           const Eigen::VectorXd& penalty, Eigen::VectorXd& lambda,
                            std::optional<SolverClock::time_point> deadline = {}) noexcept {
     deadline_ = deadline;
     size_ = size;
@@ -120,10 +107,11 @@ class DualSolver {
     Optimizer& operator=(Optimizer&&) noexcept = default;
     ~Optimizer() = default;
   };
-  using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, Capacity, 1>;
-  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Capacity, Capacity>;
+  using Vector = Eigen::VectorXd;
   static constexpr int max_rounds = 20, max_passes = 20;
-  static constexpr unsigned vector_storage = 8;  // NLopt's default needs 21 MB per call
+  static constexpr int max_evaluations = 40;           // in one call of NLopt, between Newton steps
+  static constexpr double gradient_tolerance = 1e-11;  // relative; on the scaled projected gradient
+  static constexpr unsigned vector_storage = 8;        // NLopt's default needs 21 MB per call
 
   static nlopt_algorithm algorithm(DualAlgorithm name) {
     switch (name) {
@@ -193,7 +181,7 @@ class DualSolver {
     if (!finite(linear_) || !finite(iterate_)) return false;
     double largest = 0.0;
     for (int i = 0; i < size_; ++i) largest = std::max(largest, std::abs(linear_(i)));
-    const double tolerance = settings_.tolerance * (1.0 + largest);
+    const double tolerance = gradient_tolerance * (1.0 + largest);
     bool solved = false;
     for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
       optimize(tolerance);
@@ -202,16 +190,16 @@ class DualSolver {
     return (solved || !late()) && finite(iterate_);
   }
 
-  [[nodiscard]] Optimizer& optimizer() { return optimizers_[static_cast<std::size_t>(size_)]; }
+  [[nodiscard]] Optimizer& optimizer() { return optimizers_[detail::size(size_)]; }
 
   /// One call of NLopt from iterate_. It ends when the residual has become a thousand times
   /// smaller, or is within the tolerance: Newton steps do the rest with fewer evaluations.
   void optimize(double tolerance) {
     if (!optimizer()) {
-      optimizer().reset(nlopt_create(algorithm(settings_.algorithm), static_cast<unsigned>(size_)));
+      optimizer().reset(nlopt_create(algorithm(algorithm_), static_cast<unsigned>(size_)));
       if (!optimizer()) return;
       nlopt_set_lower_bounds1(optimizer().get(), 0.0);
-      nlopt_set_maxeval(optimizer().get(), settings_.max_evaluations);
+      nlopt_set_maxeval(optimizer().get(), max_evaluations);
       nlopt_set_vector_storage(optimizer().get(), vector_storage);
       nlopt_set_ftol_rel(optimizer().get(), 1e-15);
     }
@@ -254,18 +242,17 @@ class DualSolver {
       if (next <= 0.0 || next >= upper_(i))
         step_(i) = -gradient_(i);
       else
-        free_[static_cast<std::size_t>(free++)] = i;
+        free_[detail::size(free++)] = i;
     }
     for (int j = 0; j < free; ++j) {
-      const int column = free_[static_cast<std::size_t>(j)];
+      const int column = free_[detail::size(j)];
       reduced_(j) = -gradient_(column);
       double* entries = factor_.data() + static_cast<std::ptrdiff_t>(free) * j;
-      for (int i = j; i < free; ++i)
-        entries[i] = hessian(free_[static_cast<std::size_t>(i)], column);
+      for (int i = j; i < free; ++i) entries[i] = hessian(free_[detail::size(i)], column);
     }
     if (detail::factorise(factor_.data(), free, free) > 0) return false;
     detail::solve_factorised(factor_.data(), free, free, reduced_.data());
-    for (int i = 0; i < free; ++i) step_(free_[static_cast<std::size_t>(i)]) = reduced_(i);
+    for (int i = 0; i < free; ++i) step_(free_[detail::size(i)]) = reduced_(i);
     return true;
   }
 
@@ -290,9 +277,9 @@ class DualSolver {
     return change;
   }
 
-  DualSettings settings_;
+  DualAlgorithm algorithm_;
   std::vector<Optimizer> optimizers_;  // one for each size, created at first use
-  Matrix hessian_, factor_;            // stored without gaps, see hessian()
+  Eigen::MatrixXd hessian_, factor_;   // stored without gaps, see hessian()
   Vector linear_, upper_, scale_, iterate_, gradient_, gradient_before_, candidate_, step_;
   Vector reduced_;
   std::vector<int> free_;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/active_set.hpp>
 #include <tilt_ropter/optimal_control/detail/dual_method.hpp>
 #include <tilt_ropter/optimal_control/detail/interior_point.hpp>
@@ -10,7 +11,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <limits>
 #include <optional>
 #include <utility>
@@ -41,10 +41,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   QuadraticProgram(int horizon, const QuadraticProgramSettings& settings)
       : Program(horizon),
         settings_(settings),
-        dual_(horizon, dual_capacity(settings, horizon), settings.dual),
+        dual_(horizon, dual_capacity(settings, horizon), settings.algorithm),
         active_set_(horizon),
         interior_point_(horizon),
-        saved_steps_(static_cast<std::size_t>(horizon) + 1, detail::Filled()),
+        saved_steps_(detail::size(horizon) + 1, detail::Filled()),
         saved_multipliers_(saved_steps_.size()),
         saved_penalties_(saved_steps_.size()) {}
 
@@ -121,7 +121,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     if constexpr (Constraints > 0) {
       const auto& n = this->node(k);
       for (int i = 0; i < Constraints; ++i) {
-        if (!n.hard[static_cast<std::size_t>(i)] || n.stiffness(i) < infinity) continue;
+        if (!n.hard[detail::size(i)] || n.stiffness(i) < infinity) continue;
         int j = -1, entries = 0;
         for (int l = 0; l < Inputs; ++l)
           if (n.E(i, l) != 0.0) {
@@ -156,7 +156,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       this->riccati.sweep_deviation(saved_steps_, 1);
       for (int k = 1; k <= this->horizon(); ++k)
         for (int i = 0; i < States + Inputs; ++i)
-          this->step(k)(i) += saved_steps_[static_cast<std::size_t>(k)](i);
+          this->step(k)(i) += saved_steps_[detail::size(k)](i);
       this->predict();
       if (largest > 1e-12 * (1.0 + size)) (void)solved();
     }
@@ -371,27 +371,26 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   [[nodiscard]] bool hard_relaxed() const {
     for (const auto& [k, i] : this->active()) {
       const auto& n = this->node(k);
-      if (n.hard[static_cast<std::size_t>(i)] && std::abs(n.multiplier(i)) >= 0.99 * n.penalty(i))
-        return true;
+      if (n.hard[detail::size(i)] && std::abs(n.multiplier(i)) >= 0.99 * n.penalty(i)) return true;
     }
     return false;
   }
 
   void save() {
     for (int k = 0; k <= this->horizon(); ++k) {
-      saved_steps_[static_cast<std::size_t>(k)] = this->step(k);
-      saved_multipliers_[static_cast<std::size_t>(k)] = this->node(k).multiplier;
-      saved_penalties_[static_cast<std::size_t>(k)] = this->node(k).penalty;
+      saved_steps_[detail::size(k)] = this->step(k);
+      saved_multipliers_[detail::size(k)] = this->node(k).multiplier;
+      saved_penalties_[detail::size(k)] = this->node(k).penalty;
     }
   }
   void restore() {
     for (int k = 0; k <= this->horizon(); ++k) {
-      this->step(k) = saved_steps_[static_cast<std::size_t>(k)];
-      this->node(k).multiplier = saved_multipliers_[static_cast<std::size_t>(k)];
+      this->step(k) = saved_steps_[detail::size(k)];
+      this->node(k).multiplier = saved_multipliers_[detail::size(k)];
       auto& n = this->node(k);
-      n.penalty = saved_penalties_[static_cast<std::size_t>(k)];
+      n.penalty = saved_penalties_[detail::size(k)];
       for (int i = 0; i < Constraints; ++i)
-        if (n.hard[static_cast<std::size_t>(i)]) n.finite_penalty(i) = n.penalty(i);
+        if (n.hard[detail::size(i)]) n.finite_penalty(i) = n.penalty(i);
     }
     this->predict();
     (void)solved();

@@ -3,7 +3,6 @@
 
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
-#include <tilt_ropter/optimal_control/detail/riccati_stage.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
@@ -12,6 +11,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -33,9 +33,84 @@
 ///
 /// is the distance from the unconstrained optimal input. Completing the square turns the total cost
 /// into 1/2 |z|^2 + const, with continuity eliminated.
-///
-/// The adjoint propagation for many functions at once is in adjoint_batch.hpp.
 namespace tilt_ropter::optimal_control {
+
+/// A node of the linear-quadratic problem, stored in whole packets: vectors and columns are (dx,
+/// du), padded with zeros.
+template <int States, int Inputs>
+struct RiccatiStage {
+  static constexpr int width = States + Inputs, rows = detail::padded(width),
+                       state_rows = detail::padded(States), input_rows = detail::padded(Inputs);
+  using Vector = Eigen::Matrix<double, rows, 1>;
+
+  Eigen::Matrix<double, rows, state_rows> transition =
+      detail::Filled();  ///< [A B]' of the interval that starts here
+  Eigen::Matrix<double, state_rows, 1> defect = detail::Filled();
+  QuadraticModel<States, Inputs> cost;
+
+  // factorise() writes the following three: the columns [Y; L] divided by the diagonal of L, in
+  // order of elimination; 1 / (diagonal of L)^2; and the entry of g_u of each input at its
+  // elimination.
+  Eigen::Matrix<double, rows, input_rows> factor = detail::Filled();
+  Eigen::Matrix<double, Inputs, 1> inverse_pivot = detail::Filled();
+  Eigen::Matrix<double, Inputs, 1> eliminated = detail::Filled();
+
+  [[nodiscard]] auto A() const {
+    return transition.template topLeftCorner<States, States>().transpose();
+  }
+  [[nodiscard]] auto B() const {
+    return transition.template block<Inputs, States>(States, 0).transpose();
+  }
+};
+
+/// Terms that are added to the Hessian and gradient of a node before its inputs are eliminated:
+/// add(k, hessian, gradient) of any callable, or nothing. The callable must outlive this object.
+/// The callable's type is erased: as a template, Riccati::factorise() would be compiled for every
+/// callable.
+class NodeTerms {
+ public:
+  NodeTerms() = default;
+  template <typename Add>
+  NodeTerms(const Add& add)
+      : add_(&add), call_([](const void* of, int k, double* hessian, double* gradient) {
+          (*static_cast<const Add*>(of))(k, hessian, gradient);
+        }) {}
+
+  void operator()(int k, double* hessian, double* gradient) const {
+    if (call_) call_(add_, k, hessian, gradient);
+  }
+
+ private:
+  const void* add_ = nullptr;
+  void (*call_)(const void*, int, double*, double*) = nullptr;
+};
+
+/// The entries of dx at the end of an interval that depend on certain entries of (dx, du) at its
+/// start.
+template <int States>
+struct Reached {
+  int count = 0;
+  std::array<int, detail::size(States)> at{};
+  [[nodiscard]] constexpr const int* begin() const { return at.data(); }
+  [[nodiscard]] constexpr const int* end() const { return at.data() + count; }
+};
+
+/// Returns one list for each packet of `Width` entries of (dx, du), from the pattern of [A B].
+template <int States, int Inputs, typename Pattern, int Width>
+constexpr auto reached_by() {
+  constexpr int width = States + Inputs;
+  std::array<Reached<States>, detail::size(detail::padded(width) / Width)> lists{};
+  for (int t = 0; t < detail::padded(width) / Width; ++t)
+    for (int row = 0; row < States; ++row) {
+      bool nonzero = false;
+      for (int column = Width * t; column < Width * (t + 1) && column < width; ++column)
+        nonzero = nonzero || Pattern::nonzero(row, column);
+      if (!nonzero) continue;
+      auto& list = lists[detail::size(t)];
+      list.at[detail::size(list.count++)] = row;
+    }
+  return lists;
+}
 
 /// The problem for a horizon with the nodes stage(0) to stage(N). Of the last node only the cost of
 /// dx is used. `Pattern` defines which entries of [A B] can be non-zero: see TransitionPattern.
@@ -53,11 +128,11 @@ class Riccati {
   using Vector = typename Stage::Vector;
 
   /// Allocates once for `horizon` intervals.
-  explicit Riccati(int horizon) : stages_(static_cast<std::size_t>(horizon) + 1) {}
+  explicit Riccati(int horizon) : stages_(detail::size(horizon) + 1) {}
 
   [[nodiscard]] int horizon() const { return static_cast<int>(stages_.size()) - 1; }
-  [[nodiscard]] Stage& stage(int k) { return stages_[static_cast<std::size_t>(k)]; }
-  [[nodiscard]] const Stage& stage(int k) const { return stages_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] Stage& stage(int k) { return stages_[detail::size(k)]; }
+  [[nodiscard]] const Stage& stage(int k) const { return stages_[detail::size(k)]; }
 
   /// Sets A and B of the interval dx_{k+1} = A dx_k + B du_k + defect. Returns false if a number is
   /// not finite.
@@ -78,12 +153,11 @@ class Riccati {
       int k, int count, const Eigen::Matrix<Lanes, States, States>& A,
       const Eigen::Matrix<Lanes, States, Inputs>& B) {
     constexpr int lanes = Lanes::count;
-    static constexpr auto lists = reached_by<lanes>();
+    static constexpr auto lists = reached_by<States, Inputs, Pattern, lanes>();
     detail::FiniteCheck<lanes> check;
     for (int t = 0; t < rows / lanes; ++t) {
-      const auto& list = lists[static_cast<std::size_t>(t)];
-      for (int n = 0; n < list.count; ++n) {
-        const int row = list.at[static_cast<std::size_t>(n)];
+      const auto& list = lists[detail::size(t)];
+      for (const int row : list) {
         Packet<lanes> square[detail::size(lanes)];
 #pragma GCC unroll 4
         for (int c = 0; c < lanes; ++c) {
@@ -121,59 +195,40 @@ class Riccati {
   /// Backward pass for other gradients, one for each node, without defects. Uses the last
   /// factorisation.
   void solve(const std::vector<Vector>& gradients) {
-    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      solve_for<packet()>(gradients);
-      return true;
-    });
+    detail::vectorised([&](auto packet)
+                           __attribute__((always_inline)) { solve_for<packet()>(gradients); });
   }
 
   /// Forward sweep from the dx in w[0]. Computes the inputs du with the coordinates z, and the dx
   /// that they lead to. `z` has Inputs numbers for each node; null means zero: the optimal inputs.
   void sweep(std::vector<Vector>& w, const double* z = nullptr) const {
-    Sweep how;
-    how.z = z;
-    run(how, w);
+    run({z}, w);
   }
   /// Forward sweep with inputs that follow dx by the gains alone, without feed-forward.
   void sweep_plan(std::vector<Vector>& w) const {
-    Sweep how;
-    how.feedforward = false;
-    run(how, w);
+    run({nullptr, false}, w);
   }
   /// Forward sweep with the unchanged inputs du in w.
   void roll_out(std::vector<Vector>& w) const {
-    Sweep how;
-    how.first = w.size();
-    run(how, w);
+    run({nullptr, true, true, w.size()}, w);
   }
   /// The same as sweep() without defects, for a change of a step.
   void sweep_change(std::vector<Vector>& w) const {
-    Sweep how;
-    how.defects = false;
-    run(how, w);
+    run({nullptr, true, false}, w);
   }
   /// The same as sweep_plan() without defects, for a deviation from a step. Nodes before `first`
   /// keep their inputs in w.
   void sweep_deviation(std::vector<Vector>& w, std::size_t first = 0) const {
-    Sweep how;
-    how.first = first;
-    how.feedforward = how.defects = false;
-    run(how, w);
+    run({nullptr, false, false, first}, w);
   }
   /// Forward sweep in which choose(k, w) may change the optimal input of each node in w = (dx, du).
   template <typename Choose>
   void sweep_with(std::vector<Vector>& w, const Choose& choose) const {
     for (int k = 0; k < horizon(); ++k) {
-      const auto i = static_cast<std::size_t>(k);
-      Sweep how;
-      how.begin = i;
-      how.end = i + 1;
-      how.move = false;
-      run(how, w);
+      const auto i = detail::size(k);
+      run({nullptr, true, true, 0, i, i + 1, false}, w);
       choose(k, w[i]);
-      how.move = true;
-      how.first = how.end;
-      run(how, w);
+      run({nullptr, true, true, i + 1, i, i + 1}, w);
     }
   }
 
@@ -214,11 +269,6 @@ class Riccati {
   static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
 
   template <int Width>
-  static constexpr auto reached_by() {
-    return detail::reached_by<States, Inputs, Pattern, Width>();
-  }
-
-  template <int Width>
   [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
     const Stage& last = stages_.back();
     for (int j = 0; j < width; ++j)
@@ -257,11 +307,10 @@ class Riccati {
   }
   template <int Width, int Columns>
   [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
-    static constexpr auto lists = reached_by<Width>();
-    const auto& list = lists[static_cast<std::size_t>(t)];
+    static constexpr auto lists = reached_by<States, Inputs, Pattern, Width>();
+    const auto& list = lists[detail::size(t)];
     Packet<Width> sum[detail::size(Columns)] = {};
-    for (int n = 0; n < list.count; ++n) {
-      const int k = list.at[static_cast<std::size_t>(n)];
+    for (const int k : list) {
       Packet<Width> m;
       detail::load<Width>(s.transition.data() + rows * k + Width * t, m);
       const double* p = cost_to_go_.data() + state_rows * k + first;
@@ -278,19 +327,12 @@ class Riccati {
   [[gnu::always_inline]] inline void add_gradient(const Stage& s) {
     constexpr int packets = rows / Width;
     Packet<Width> sum[detail::size(packets)];
-#pragma GCC unroll 16
-    for (int t = 0; t < packets; ++t)
-      detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
+    detail::load<Width>(s.cost.gradient.data(), sum);
     for (int k = 0; k < States; ++k) {
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) {
-        detail::add_product<Width>(sum[t], s.transition.data() + rows * k + Width * t,
-                                   gradient_(k));
-        detail::add_product<Width>(sum[t], product_.data() + rows * k + Width * t, s.defect(k));
-      }
+      detail::add_product<Width>(sum, s.transition.data() + rows * k, gradient_(k));
+      detail::add_product<Width>(sum, product_.data() + rows * k, s.defect(k));
     }
-#pragma GCC unroll 16
-    for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, sum[t]);
+    detail::store<Width>(gradient_.data(), sum);
   }
 
   // Sets hessian_ to H: columns of dx from the diagonal down, complete columns of du.
@@ -311,23 +353,18 @@ class Riccati {
   }
   template <int Width, int First, int Last>
   [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
-    static constexpr auto lists = reached_by<1>();
-    const auto& list = lists[static_cast<std::size_t>(j)];
+    static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>();
+    const auto& list = lists[detail::size(j)];
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
     Packet<Width> sum[detail::size(Last - First)];
-#pragma GCC unroll 16
-    for (int t = First; t < Last; ++t) detail::load<Width>(cost + Width * t, sum[t - First]);
-    for (int n = 0; n < list.count; ++n) {
-      const int k = list.at[static_cast<std::size_t>(n)];
+    detail::load<Width>(cost + Width * First, sum);
+    for (const int k : list) {
       const double m = s.transition(j, k);
       const double* product = product_.data() + rows * k;
-#pragma GCC unroll 16
-      for (int t = First; t < Last; ++t)
-        detail::add_product<Width>(sum[t - First], product + Width * t, m);
+      detail::add_product<Width>(sum, product + Width * First, m);
     }
-#pragma GCC unroll 16
-    for (int t = First; t < Last; ++t) detail::store<Width>(column + Width * t, sum[t - First]);
+    detail::store<Width>(column + Width * First, sum);
   }
 
   // Cholesky factorisation of the last rows and columns, which also eliminates du from the
@@ -337,22 +374,17 @@ class Riccati {
     constexpr int packets = rows / Width;
     bool positive = true;
     Packet<Width> g[detail::size(packets)];
-#pragma GCC unroll 16
-    for (int t = 0; t < packets; ++t) detail::load<Width>(gradient_.data() + Width * t, g[t]);
+    detail::load<Width>(gradient_.data(), g);
     for (int j = 0; j < Inputs; ++j) {
       double* column = hessian_.data() + rows * (States + j);
       Packet<Width> c[detail::size(packets)];
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::load<Width>(column + Width * t, c[t]);
+      detail::load<Width>(column, c);
       for (int i = 0; i < j; ++i) {
         const double factor = -s.factor(States + j, i);
         const double* before = hessian_.data() + rows * (States + i);
-#pragma GCC unroll 16
-        for (int t = 0; t < packets; ++t)
-          detail::add_product<Width>(c[t], before + Width * t, factor);
+        detail::add_product<Width>(c, before, factor);
       }
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::store<Width>(column + Width * t, c[t]);
+      detail::store<Width>(column, c);
       const double pivot = column[States + j], inverse = 1.0 / pivot;
       positive = positive && pivot > 0.0;
       s.inverse_pivot(j) = inverse;
@@ -383,19 +415,13 @@ class Riccati {
     constexpr int count = state_rows / Width - First;
     for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
       Packet<Width> sum[detail::size(count)];
-#pragma GCC unroll 16
-      for (int t = 0; t < count; ++t)
-        detail::load<Width>(hessian_.data() + rows * j + Width * (First + t), sum[t]);
+      detail::load<Width>(hessian_.data() + rows * j + Width * First, sum);
       for (int i = 0; i < Inputs; ++i) {
         const double factor = -s.factor(j, i);
         const double* column = hessian_.data() + rows * (States + i) + Width * First;
-#pragma GCC unroll 16
-        for (int t = 0; t < count; ++t)
-          detail::add_product<Width>(sum[t], column + Width * t, factor);
+        detail::add_product<Width>(sum, column, factor);
       }
-#pragma GCC unroll 16
-      for (int t = 0; t < count; ++t)
-        detail::store<Width>(cost_to_go_.data() + state_rows * j + Width * (First + t), sum[t]);
+      detail::store<Width>(cost_to_go_.data() + state_rows * j + Width * First, sum);
     }
   }
 
@@ -433,41 +459,32 @@ class Riccati {
     gradient_ = gradients.back();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
-      const Vector& own = gradients[static_cast<std::size_t>(k)];
+      const Vector& own = gradients[detail::size(k)];
       Packet<Width> g[detail::size(packets)];
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::load<Width>(own.data() + Width * t, g[t]);
-      for (int i = 0; i < States; ++i) {
-#pragma GCC unroll 16
-        for (int t = 0; t < packets; ++t)
-          detail::add_product<Width>(g[t], s.transition.data() + rows * i + Width * t,
-                                     gradient_(i));
-      }
+      detail::load<Width>(own.data(), g);
+      for (int i = 0; i < States; ++i)
+        detail::add_product<Width>(g, s.transition.data() + rows * i, gradient_(i));
       double by_input[detail::size(rows)];
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::store<Width>(by_input + Width * t, g[t]);
+      detail::store<Width>(by_input, g);
       for (int j = 0; j < Inputs; ++j) {
         double sum = by_input[States + j];
         for (int i = 0; i < j; ++i) sum -= s.factor(States + j, i) * s.eliminated(i);
         s.eliminated(j) = sum;
-#pragma GCC unroll 16
-        for (int t = 0; t < packets; ++t)
-          detail::add_product<Width>(g[t], s.factor.data() + rows * j + Width * t, -sum);
+        detail::add_product<Width>(g, s.factor.data() + rows * j, -sum);
       }
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t) detail::store<Width>(gradient_.data() + Width * t, g[t]);
+      detail::store<Width>(gradient_.data(), g);
     }
   }
 
   // Options of a forward sweep. They are chosen at run time; as template parameters, each
   // combination would be compiled separately.
   struct Sweep {
-    std::size_t begin = 0, end = static_cast<std::size_t>(-1);  // nodes of the sweep
-    std::size_t first = 0;  // first node whose input is computed; earlier nodes keep the input in w
     const double* z = nullptr;  // coordinates of the inputs; null: zero
     bool feedforward = true;    // false: inputs follow dx by the gains alone
     bool defects = true;        // false: without defects
-    bool move = true;           // false: only the inputs are computed
+    std::size_t first = 0;  // first node whose input is computed; earlier nodes keep the input in w
+    std::size_t begin = 0, end = detail::size(-1);  // nodes of the sweep
+    bool move = true;                               // false: only the inputs are computed
   };
   void run(const Sweep& how, std::vector<Vector>& w) const {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
@@ -479,7 +496,6 @@ class Riccati {
                               how.feedforward, w[k]);
         if (how.move) advance<packet()>(s, w[k], how.defects, w[k + 1]);
       }
-      return true;
     });
   }
   // Computes du of w = (dx, du).
@@ -537,5 +553,122 @@ class Riccati {
   Eigen::Matrix<double, rows, width> hessian_ = detail::Filled();
   Vector gradient_ = detail::Filled();
 };
+
+/// Adjoint propagation of the derivatives of many linear functions of the trajectory at once, from
+/// node to node. It uses the factorisation of Riccati, and its results are derivatives by Riccati's
+/// coordinates z. DualMethod uses it for the gradients of its constraints.
+template <int States, int Inputs, typename Pattern = FullTransition>
+class AdjointBatch {
+ public:
+  using Stage = RiccatiStage<States, Inputs>;
+  /// One function per row: its derivative by dx_k, then by du_k. The number of rows must be a
+  /// multiple of detail::packet_width.
+  using Gradients = Eigen::Matrix<double, Eigen::Dynamic, States + Inputs>;
+
+  /// Adjoint step through the interval of node k, whose stage is `s`. Computes the derivatives by
+  /// (dx_k, du_k) from the derivatives by dx_{k+1}, for the first `count` rows. Does not allocate.
+  static void step_back(const Stage& s, const Gradients& after, Gradients& before,
+                        Eigen::Index count) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>();
+      for (int j = 0; j < width; ++j) {
+        const auto& list = lists[detail::size(j)];
+        Eigen::Index i = 0;
+        for (; i + 4 * Width <= count + Width - 1; i += 4 * Width)
+          step_back_column<Width, 4>(s, list, after, i, before, j);
+        for (; i < count; i += Width) step_back_column<Width, 1>(s, list, after, i, before, j);
+      }
+    });
+  }
+
+  /// Transforms derivatives by (dx_k, du_k) into derivatives by (dx_k, z_k), for the first `count`
+  /// rows. factorise() must have eliminated the inputs of this node. Does not allocate.
+  static void to_coordinates(const Stage& s, Gradients& batch, Eigen::Index count) {
+    detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+      constexpr int Width = packet();
+      const Eigen::Index stride = batch.rows();
+      for (Eigen::Index first = 0; first < count; first += Width) {
+        double* row = batch.data() + first;
+        for (int j = 0; j < Inputs; ++j) {
+          Packet<Width> by_input;
+          detail::load<Width>(row + stride * (States + j), by_input);
+          for (int i = 0; i < j; ++i)
+            detail::add_product<Width>(by_input, row + stride * (States + i),
+                                       -s.factor(States + j, i));
+          detail::store<Width>(row + stride * (States + j), by_input);
+          for (int i = 0; i < States; ++i) {
+            Packet<Width> by_state;
+            detail::load<Width>(row + stride * i, by_state);
+            by_state -= by_input * s.factor(i, j);
+            detail::store<Width>(row + stride * i, by_state);
+          }
+        }
+        for (int j = 0; j < Inputs; ++j) {
+          Packet<Width> by_input;
+          detail::load<Width>(row + stride * (States + j), by_input);
+          by_input *= std::sqrt(s.inverse_pivot(j));
+          detail::store<Width>(row + stride * (States + j), by_input);
+        }
+      }
+    });
+  }
+
+ private:
+  template <int Width>
+  using Packet = detail::Packet<Width>;
+  using List = Reached<States>;
+  static constexpr int width = States + Inputs;
+
+  template <int Width, int Packets>
+  [[gnu::always_inline]] static inline void step_back_column(const Stage& s, const List& list,
+                                                             const Gradients& after,
+                                                             Eigen::Index row, Gradients& before,
+                                                             int column) {
+    Packet<Width> sum[detail::size(Packets)] = {};
+    for (const int k : list) {
+      const double factor = s.transition(column, k);
+      const double* from = after.data() + after.rows() * k + row;
+      detail::add_product<Width>(sum, from, factor);
+    }
+    detail::store<Width>(before.data() + before.rows() * column + row, sum);
+  }
+};
+
+/// Returns P of an infinite horizon with the same interval and cost at every node: the stabilising
+/// solution of the discrete algebraic Riccati equation
+///
+///     P = lxx + A' P A - (A' P B + lux') (luu + B' P B)^-1 (B' P A + lux).
+///
+/// The function repeats passes of Riccati from the identity until no entry P_ij changes by more
+/// than 1e-12 sqrt(P_ii P_jj) in a pass. Returns nothing if `max_passes` passes are not enough or a
+/// pass fails. P does not exist if a motion that does not decay has no cost or cannot be stopped.
+/// Allocates. For an NMPC, a pass takes about a microsecond. The number of passes is the number of
+/// intervals in which the slowest motion decays by 1e-6, because the cost is the square of the
+/// motion.
+template <int States, int Inputs, typename Pattern = FullTransition>
+[[nodiscard]] std::optional<Eigen::Matrix<double, States, States>> solve_dare(
+    const Eigen::Matrix<double, States, States>& A, const Eigen::Matrix<double, States, Inputs>& B,
+    const QuadraticModel<States, Inputs>& cost, int max_passes = 20000) {
+  Riccati<States, Inputs, Pattern> pass(1);
+  auto& end = pass.stage(1).cost;
+  if (!pass.set_transition(0, A, B)) return std::nullopt;
+  pass.stage(0).cost = cost;
+  Eigen::Matrix<double, States, States> P = detail::Filled();
+  for (int i = 0; i < States; ++i) P(i, i) = 1.0;
+  for (int i = 0; i < max_passes; ++i) {
+    for (int c = 0; c < States; ++c)
+      for (int r = 0; r < States; ++r) end.hessian(r, c) = P(r, c);
+    if (!pass.factorise()) return std::nullopt;
+    const auto last = P;
+    P = pass.initial_cost();
+    bool moved = false;
+    for (int c = 0; c < States; ++c)
+      for (int r = 0; r < States; ++r)
+        moved |= !(std::abs(P(r, c) - last(r, c)) <= 1e-12 * std::sqrt(P(r, r) * P(c, c)));
+    if (!moved) return P;
+  }
+  return std::nullopt;
+}
 
 }  // namespace tilt_ropter::optimal_control

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
-#include <tilt_ropter/optimal_control/detail/problem_constraints.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>

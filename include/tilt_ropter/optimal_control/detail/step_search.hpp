@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
-#include <tilt_ropter/optimal_control/detail/anderson.hpp>
-#include <tilt_ropter/optimal_control/detail/augmented_lagrangian.hpp>
-#include <tilt_ropter/optimal_control/detail/merit.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
+#include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 #include <tilt_ropter/optimal_control/detail/trajectory.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
@@ -13,9 +13,297 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
+#include <vector>
 
 namespace tilt_ropter::optimal_control {
+
+/// Returns the distance of `value` outside its bounds, or zero if it is inside; NaN for NaN.
+[[nodiscard]] inline double violation(double value, double lower, double upper) {
+  const double over = std::max(value - upper, lower - value);
+  return over <= 0.0 ? 0.0 : over;
+}
+
+/// Merit function of the line search: cost + weighted 1-norms of defects and violations (Nocedal &
+/// Wright, "Numerical Optimization", Sec. 15.4). The weights follow the multipliers (Powell 1978).
+template <typename Problem, typename Program>
+class Merit {
+ public:
+  using D = ProblemDimensions<Problem>;
+  using Tangent = typename D::Tangent;
+  using AllConstraints = ProblemConstraints<Problem>;
+  using Constraints = typename AllConstraints::Values;
+
+  /// Allocates; the functions below do not.
+  explicit Merit(int horizon)
+      : defect_weights_(detail::size(horizon) + 1), constraint_weights_(defect_weights_.size()) {
+    forget();
+  }
+
+  /// Sets all weights to zero.
+  void forget() {
+    for (Tangent& w : defect_weights_) w.setZero();
+    for (Constraints& w : constraint_weights_) w.setZero();
+  }
+
+  /// Sets every weight to `weight`, but that of a soft constraint at most to its penalty.
+  void weigh_alike(const Program& program, double weight) {
+    for (std::size_t k = 0; k < defect_weights_.size(); ++k) {
+      const auto& node = program.node(static_cast<int>(k));
+      for (int i = 0; i < D::nx; ++i) defect_weights_[k](i) = weight;
+      for (int i = 0; i < AllConstraints::count; ++i)
+        constraint_weights_[k](i) =
+            node.hard[detail::size(i)] ? weight : std::min(weight, node.penalty(i));
+    }
+  }
+
+  /// Updates the weights from the multipliers of a solved program. Returns the slope of the merit
+  /// function along the step of the program.
+  double update(const Program& program, int horizon) {
+    double slope = 0.0;
+    double largest = 0.0;
+    for (int k = 1; k <= horizon; ++k)
+      largest = std::max(largest, detail::largest(program.costate(k)));
+    const double least = least_share * largest;
+    for (int k = horizon; k >= 0; --k) {
+      const auto& s = program.riccati.stage(k);
+      const auto& node = program.node(k);
+      Constraints& constraint_weight = constraint_weights_[detail::size(k)];
+      const double* step = program.step(k).data();  // (dx, du)
+      for (int i = 0; i < (k < horizon ? D::nx + D::nu : D::nx); ++i)
+        slope += s.cost.gradient(i) * step[i];
+      for (int i = 0; i < AllConstraints::count; ++i) {
+        follow(constraint_weight(i), node.multiplier(i));
+        // With a weight above the penalty, the merit would rise towards a solution that relaxes
+        // this constraint.
+        constraint_weight(i) = std::min(constraint_weight(i), node.penalty(i));
+        slope += of_constraint(node, constraint_weight, i, node.predicted(i)) -
+                 of_constraint(node, constraint_weight, i, node.value(i));
+      }
+      if (k < horizon) {
+        Tangent& defect_weight = defect_weights_[detail::size(k)];
+        for (int i = 0; i < D::nx; ++i)
+          follow(defect_weight(i), std::max(least, std::abs(program.costate(k + 1)(i))));
+        slope -= weighted_norm(defect_weight, s.defect.data());
+      }
+    }
+    return slope;
+  }
+
+  /// Returns the merit at the point where `program` was linearised; `cost` is the cost there.
+  [[nodiscard]] double value_here(const Problem& problem, const Program& program,
+                                  const AugmentedLagrangian<Problem>& equalities,
+                                  const Trajectory<Problem>& here, double cost) const {
+    double sum = cost;
+    for (int k = 0; k <= here.horizon(); ++k) {
+      sum += equalities.value(problem, k, here.x(k)) +
+             of_constraints(program, k, program.node(k).value);
+      if (k < here.horizon())
+        sum += weighted_norm(defect_weight(k), program.riccati.stage(k).defect.data());
+    }
+    return sum;
+  }
+
+  /// Returns the merit at any other trajectory.
+  [[nodiscard]] double value(const Problem& problem, const Program& program,
+                             const AugmentedLagrangian<Problem>& equalities,
+                             const Trajectory<Problem>& at) const {
+    double sum = 0.0;
+    for (int k = 0; k <= at.horizon(); ++k) {
+      const auto& x = at.x(k);
+      const auto& u = at.u(k);
+      sum += problem.cost(k, x, u) + equalities.value(problem, k, x);
+      sum += of_constraints(program, k, AllConstraints::values(problem, k, x, u));
+      if (k < at.horizon()) {
+        const Tangent defect = problem.difference(problem.step(k, x, u), at.x(k + 1));
+        sum += weighted_norm(defect_weight(k), defect.data());
+      }
+    }
+    return sum;
+  }
+
+ private:
+  static void follow(double& weight, double multiplier) {
+    const double m = 1.1 * std::abs(multiplier);
+    weight = std::max(m, 0.5 * (weight + m));
+  }
+
+  [[nodiscard]] static double weighted_norm(const Tangent& weight, const double* defect) {
+    double sum = 0.0;
+    for (int i = 0; i < D::nx; ++i) sum += weight(i) * std::abs(defect[i]);
+    return sum;
+  }
+
+  [[nodiscard]] const Tangent& defect_weight(int k) const {
+    return defect_weights_[detail::size(k)];
+  }
+
+  [[nodiscard]] double of_constraints(const Program& program, int k,
+                                      const Constraints& value) const {
+    const auto& node = program.node(k);
+    const Constraints& weight = constraint_weights_[detail::size(k)];
+    double sum = 0.0;
+    for (int i = 0; i < AllConstraints::count; ++i) sum += of_constraint(node, weight, i, value(i));
+    return sum;
+  }
+  // Cost of the violation if the stiffness is finite, otherwise the weight times the violation.
+  [[nodiscard]] static double of_constraint(const typename Program::Node& node,
+                                            const Constraints& weight, int i, double value) {
+    const double v = violation(value, node.lower(i), node.upper(i));
+    return std::isfinite(node.stiffness(i)) ? violation_cost(node.penalty(i), node.stiffness(i), v)
+                                            : weight(i) * v;
+  }
+
+  static constexpr double least_share = 0.01;
+
+  std::vector<Tangent> defect_weights_;  // one for each interval, at its first node
+  std::vector<Constraints> constraint_weights_;
+};
+
+/// The best of a guess and of the ends of several starts from it. The measure is the cost plus
+/// defects and violations times the largest multiplier of all starts, at most times their penalty.
+/// The weights of the line search do not serve: they are near zero where a multiplier is, so that
+/// iterates far from any solution can look good.
+template <typename Problem, typename Program>
+class BestPlan {
+ public:
+  using Plan = Trajectory<Problem>;
+
+  /// Allocates; the functions below do not.
+  explicit BestPlan(int horizon) : guess_(horizon), plan_(horizon), merit_(horizon) {}
+
+  /// Starts with the guess as the best plan.
+  void begin(const Plan& guess) {
+    guess_ = plan_ = guess;
+    status_ = SolveStatus::stalled;
+    weight_ = 0.0;
+    is_guess_ = true;
+    is_last_ = false;
+  }
+
+  /// Takes the end of a start if no plan before it is better. `program` has the multipliers.
+  void offer(const Problem& problem, const Program& program,
+             const AugmentedLagrangian<Problem>& equalities, const Plan& end, SolveStatus status) {
+    for (int k = 1; k <= end.horizon(); ++k)
+      weight_ = std::max(weight_, detail::largest(program.costate(k)));
+    for (const auto& [k, i] : program.active())
+      weight_ = std::max(weight_, std::abs(program.node(k).multiplier(i)));
+    if (!(weight_ < std::numeric_limits<double>::infinity())) weight_ = 1e12;
+    const auto value = [&](const Plan& plan) {
+      return value_of(problem, program, equalities, plan);
+    };
+    // Rounding decides for a solution.
+    const double best = value(plan_), rounding = 1e-6 * std::abs(best);
+    is_last_ =
+        value(end) <= best + (is_solution(status_) ? -rounding : rounding) || !std::isfinite(best);
+    if (!is_last_) return;
+    plan_ = end;
+    status_ = status;
+    is_guess_ = false;
+  }
+
+  /// Replaces `plan` by `other` if that is better by the same measure.
+  void choose(const Problem& problem, const Program& program,
+              const AugmentedLagrangian<Problem>& equalities, Plan& plan, const Plan& other) {
+    const double value = value_of(problem, program, equalities, plan);
+    if (!(value <= value_of(problem, program, equalities, other))) plan = other;
+  }
+
+  [[nodiscard]] const Plan& guess() const { return guess_; }
+  [[nodiscard]] const Plan& plan() const { return plan_; }
+  /// How the start ended that led to plan(); `stalled` if it is the guess.
+  [[nodiscard]] SolveStatus status() const { return status_; }
+  [[nodiscard]] bool is_guess() const { return is_guess_; }
+  [[nodiscard]] bool is_last() const { return is_last_; }  ///< plan() was offered last
+
+ private:
+  [[nodiscard]] double value_of(const Problem& problem, const Program& program,
+                                const AugmentedLagrangian<Problem>& equalities, const Plan& plan) {
+    merit_.weigh_alike(program, weight_);
+    double sum = merit_.value(problem, program, equalities, plan);
+    for (int k = 1; k <= plan.horizon(); ++k)
+      sum += weight_ * equalities.distance(problem, k, plan.x(k));
+    return sum;
+  }
+
+  Plan guess_, plan_;
+  Merit<Problem, Program> merit_;
+  SolveStatus status_ = SolveStatus::stalled;
+  double weight_ = 0.0;
+  bool is_guess_ = true, is_last_ = false;
+};
+
+/// Anderson acceleration (Anderson 1965; Walker & Ni, "Anderson acceleration for fixed-point
+/// iterations", 2011) of an iteration x <- x + f(x) that converges slowly, oscillates or diverges.
+/// It is a secant method that uses only the visited points and their f. Allocates only in the
+/// constructor.
+class Anderson {
+ public:
+  using Vector = Eigen::VectorXd;
+
+  /// For vectors of `size` entries. Stores the last `memory` moves.
+  Anderson(Eigen::Index size, int memory)
+      : size_(static_cast<int>(size)),
+        moves_(size, memory),
+        changes_(size, memory),
+        step_(size),
+        gram_(memory, memory),
+        factor_(memory, memory),
+        weights_(memory) {}
+
+  [[nodiscard]] bool empty() const { return count_ == 0; }
+  void clear() { count_ = next_ = 0; }
+
+  /// Adds a move between two points. `before` and `after` are f at these points. The entries should
+  /// be scaled to similar importance.
+  void add(const Vector& move, const Vector& before, const Vector& after) {
+    const int memory = static_cast<int>(weights_.size());
+    for (int i = 0; i < size_; ++i) {
+      moves_(i, next_) = move(i);
+      changes_(i, next_) = after(i) - before(i);
+    }
+    count_ = std::min(count_ + 1, memory);
+    for (int i = 0; i < count_; ++i)
+      gram_(i, next_) = gram_(next_, i) = detail::dot(change(i), change(next_), size_);
+    next_ = (next_ + 1) % memory;
+  }
+
+  /// Returns the accelerated step from a point with this f. The step combines the stored moves so
+  /// that the predicted f is smallest in the 2-norm.
+  [[nodiscard]] const Vector& step(const Vector& f) {
+    solve(f);
+    std::copy_n(f.data(), size_, step_.data());
+    for (const Matrix* columns : {&changes_, &moves_})
+      detail::add_product(-1.0, {columns->data(), size_, count_, size_}, {weights_.data()},
+                          step_.data());
+    return step_;
+  }
+
+ private:
+  using Matrix = Eigen::MatrixXd;
+
+  [[nodiscard]] const double* change(int i) const { return &changes_(0, i); }
+
+  // Least squares by the normal equations. A column that depends linearly on the columns before it
+  // gets weight zero.
+  void solve(const Vector& f) {
+    for (int j = 0; j < count_; ++j) {
+      weights_(j) = detail::dot(change(j), f.data(), size_);
+      for (int i = j; i < count_; ++i) factor_(i, j) = gram_(i, j);
+      factor_(j, j) *= 1.0 + 1e-10;
+    }
+    (void)detail::factorise(factor_.data(), factor_.rows(), count_, 1e-11);
+    detail::solve_factorised(factor_.data(), factor_.rows(), count_, weights_.data());
+  }
+
+  int size_;
+  Matrix moves_, changes_;  // one column per move
+  Vector step_;
+  Matrix gram_, factor_;  // changes_' changes_ and its lower Cholesky factor
+  Vector weights_;
+  int count_ = 0, next_ = 0;
+};
 
 /// Finds the next iterate of MultipleShooting::solve() from the step of a quadratic program.
 ///

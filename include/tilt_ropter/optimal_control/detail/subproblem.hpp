@@ -2,13 +2,14 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
-#include <tilt_ropter/optimal_control/detail/node_constraints.hpp>
 #include <tilt_ropter/optimal_control/detail/riccati.hpp>
 
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -19,6 +20,67 @@
 /// constraints lower <= value + C dx + E du <= upper at every node, see NodeConstraints.
 /// All methods that solve the program share its data and sweeps.
 namespace tilt_ropter::optimal_control {
+
+/// Cost of a `violation` >= 0. The cost is quadratic while its slope, stiffness times violation, is
+/// below the penalty, and linear beyond.
+[[nodiscard]] inline double violation_cost(double penalty, double stiffness, double violation) {
+  const double linear = violation - 0.5 * penalty / stiffness;
+  return stiffness * violation < penalty ? 0.5 * stiffness * violation * violation
+                                         : penalty * linear;
+}
+
+/// Constraints of one node.
+///
+/// Every constraint has a penalty: the cost of violating it by one unit, and the upper bound on its
+/// multiplier (Nocedal & Wright, "Numerical Optimization", Sec. 17.2). Every constraint has a
+/// stiffness: the multiplier per unit of violation. While a multiplier m is below the penalty, the
+/// violation is m / stiffness. Therefore every program has a solution.
+template <int States, int Inputs, int Constraints>
+struct NodeConstraints {
+  using Values = Eigen::Matrix<double, Constraints, 1>;
+  static constexpr double infinity = std::numeric_limits<double>::infinity();
+  Values value = detail::Filled();  ///< at the point of linearisation
+  Eigen::Matrix<double, Constraints, States> C = detail::Filled();  ///< derivative by the state
+  Eigen::Matrix<double, Constraints, Inputs> E = detail::Filled();  ///< derivative by the input
+  Values lower = detail::Filled{-infinity};                         ///< infinite: no bound
+  Values upper = detail::Filled{infinity};                          ///< infinite: no bound
+  Values penalty = detail::Filled{1.0};                             ///< largest multiplier, finite
+  Values stiffness = detail::Filled{infinity};  ///< infinite: no violation below the penalty
+  /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
+  Values multiplier = detail::Filled();
+  Values predicted = detail::Filled();  ///< value + C dx + E du at the current step
+  /// Finite penalties of the hard constraints in the last program, see InteriorPoint.
+  Values finite_penalty = detail::Filled{infinity};
+  /// `crossed`: some lower bound was above its upper bound, see Subproblem::check_node().
+  /// `crosses`: the same for each constraint, valid only if `crossed`.
+  bool crossed = false;
+  std::array<bool, detail::size(Constraints)> crosses{};
+  std::array<bool, detail::size(Constraints)> hard{};  ///< its own penalty is infinite
+
+  /// Returns the violation of the original bounds of constraint i at this value, at least zero.
+  [[nodiscard]] double violation(int i, double constraint_value) const {
+    const bool swapped = crossed && crosses[detail::size(i)];
+    const double below = swapped ? upper(i) : lower(i), above = swapped ? lower(i) : upper(i);
+    return std::max({0.0, below - constraint_value, constraint_value - above});
+  }
+};
+
+/// Residual of a step and its multipliers in a program: the largest residual of each condition.
+struct ProgramResidual {
+  double stationarity = 0.0;     ///< of the inputs, relative to the largest term
+  double violation = 0.0;        ///< beyond the violation that the multiplier accounts for,
+                                 ///< relative to the bound
+  double complementarity = 0.0;  ///< the smaller of distance from the bound, relative to the bound,
+                                 ///< and multiplier, relative to the largest multiplier
+  double gap = 0.0;              ///< error of the cost due to complementarity, relative to the cost
+  [[nodiscard]] double largest() const {
+    const double most = std::max({stationarity, violation, complementarity, gap});
+    return stationarity + violation + complementarity + gap <
+                   std::numeric_limits<double>::infinity()
+               ? most
+               : std::numeric_limits<double>::infinity();  // also for NaN
+  }
+};
 
 /// Data of the program, a step, and the functions that all solution methods need. Allocates only in
 /// the constructor.
@@ -34,19 +96,19 @@ class Subproblem {
 
   explicit Subproblem(int horizon)
       : riccati(horizon),
-        nodes_(static_cast<std::size_t>(horizon) + 1),
+        nodes_(detail::size(horizon) + 1),
         steps_(nodes_.size(), detail::Filled()),
         costates_(nodes_.size(), Tangent::Zero()) {
-    active_.reserve(static_cast<std::size_t>(Constraints) * nodes_.size());
+    active_.reserve(detail::size(Constraints) * nodes_.size());
   }
 
   [[nodiscard]] int horizon() const { return riccati.horizon(); }
-  [[nodiscard]] Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
-  [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] Node& node(int k) { return nodes_[detail::size(k)]; }
+  [[nodiscard]] const Node& node(int k) const { return nodes_[detail::size(k)]; }
   [[nodiscard]] auto dx(int k) const { return step(k).template head<States>(); }
   [[nodiscard]] auto du(int k) const { return step(k).template segment<Inputs>(States); }
-  [[nodiscard]] Vector& step(int k) { return steps_[static_cast<std::size_t>(k)]; }
-  [[nodiscard]] const Vector& step(int k) const { return steps_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] Vector& step(int k) { return steps_[detail::size(k)]; }
+  [[nodiscard]] const Vector& step(int k) const { return steps_[detail::size(k)]; }
   [[nodiscard]] std::vector<Vector>& steps() { return steps_; }
   /// Sets dx of node 0.
   void set_first(const Tangent& dx0) { detail::copy_first(States, dx0, steps_[0]); }
@@ -60,10 +122,9 @@ class Subproblem {
   [[nodiscard]] bool check_node(int k) {
     Node& n = node(k);
     n.crossed = false;
-    for (int i = 0; i < Constraints; ++i)
-      n.hard[static_cast<std::size_t>(i)] = n.penalty(i) == infinity;
+    for (int i = 0; i < Constraints; ++i) n.hard[detail::size(i)] = n.penalty(i) == infinity;
     for (int i = 0; i < Constraints; ++i) {
-      if (!n.hard[static_cast<std::size_t>(i)]) continue;
+      if (!n.hard[detail::size(i)]) continue;
       // A relaxed hard constraint keeps the penalty at which it was relaxed.
       const bool was_relaxed = std::abs(n.multiplier(i)) >= n.finite_penalty(i);
       n.penalty(i) = n.finite_penalty(i) = was_relaxed ? n.finite_penalty(i) : hard_penalty;
@@ -150,9 +211,7 @@ class Subproblem {
     });
   }
   /// Multiplier of the continuity constraint that ends at node k >= 1, as of the last residual().
-  [[nodiscard]] const Tangent& costate(int k) const {
-    return costates_[static_cast<std::size_t>(k)];
-  }
+  [[nodiscard]] const Tangent& costate(int k) const { return costates_[detail::size(k)]; }
   /// Largest violation in the last prediction, at least zero; infinite if a number was not finite.
   [[nodiscard]] double excess() const { return excess_; }
   /// The same for the given values of the constraints of a node.
@@ -220,13 +279,10 @@ class Subproblem {
           for (int j = 0; k < horizon() && j < Inputs; ++j) g(States + j) += m * node(k).E(i, j);
         }
         detail::Packet<Width> sum[detail::size(packets)];
-#pragma GCC unroll 16
-        for (int t = 0; t < packets; ++t) detail::load<Width>(g.data() + Width * t, sum[t]);
+        detail::load<Width>(g.data(), sum);
         for (int i = 0; k < horizon() && i < States; ++i) {
-#pragma GCC unroll 16
-          for (int t = 0; t < packets; ++t)
-            detail::add_product<Width>(
-                sum[t], riccati.stage(k).transition.data() + rows * i + Width * t, adjoint(i));
+          detail::add_product<Width>(sum, riccati.stage(k).transition.data() + rows * i,
+                                     adjoint(i));
         }
 #pragma GCC unroll 16
         for (int t = 0; t < packets; ++t) {
@@ -316,20 +372,6 @@ class Subproblem {
     }
   }
 
-  /// Largest predicted violation, relative to 1 + |bound|. Infinite if a number is not finite.
-  [[nodiscard]] double largest_violation() const {
-    double largest = 0.0;
-    bool finite = true;
-    for (const Node& n : nodes_)
-      for (int i = 0; i < Constraints; ++i) {
-        const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
-        const double unit = 1.0 + std::abs(over > under ? n.upper(i) : n.lower(i));
-        finite = finite && (over < infinity || under < infinity);
-        largest = std::max(largest, std::max(over, under) / unit);
-      }
-    return finite ? largest : infinity;
-  }
-
   /// Computes the gradient of the cost of node k at w = (dx, du), without continuity and
   /// constraints. `damping` is added to the diagonal of the Hessian.
   template <int Width>
@@ -345,13 +387,9 @@ class Subproblem {
       detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
       detail::add_product<Width>(sum[t], w + Width * t, damping);
     }
-    for (int j = 0; j < (k < horizon() ? width : States); ++j) {
-#pragma GCC unroll 16
-      for (int t = 0; t < packets; ++t)
-        detail::add_product<Width>(sum[t], s.cost.hessian.data() + rows * j + Width * t, w[j]);
-    }
-#pragma GCC unroll 16
-    for (int t = 0; t < packets; ++t) detail::store<Width>(g.data() + Width * t, sum[t]);
+    for (int j = 0; j < (k < horizon() ? width : States); ++j)
+      detail::add_product<Width>(sum, s.cost.hessian.data() + rows * j, w[j]);
+    detail::store<Width>(g.data(), sum);
     if (k == horizon()) return;
     for (int j = 0; j < Inputs; ++j)
       for (int i = 0; i < States; ++i) g(States + j) += s.cost.hessian(i, States + j) * w[i];
@@ -368,7 +406,6 @@ class Subproblem {
         const int columns = k < horizon() ? width : States;
         for (int j = 0; j < columns; ++j) sum += 0.5 * (g(j) + cost(j)) * step(k)(j);
       }
-      return true;
     });
     for (const Node& n : nodes_)
       for (int i = 0; i < Constraints; ++i) {
@@ -428,7 +465,7 @@ class Subproblem {
       } else if (lower > upper) {
         std::swap(lower, upper);
         if (!n.crossed) n.crosses.fill(false);
-        n.crossed = n.crosses[static_cast<std::size_t>(i)] = true;
+        n.crossed = n.crosses[detail::size(i)] = true;
       }
     }
     return true;
@@ -443,7 +480,7 @@ class Subproblem {
     double largest_term = 0.0;
     const bool finite =
         sweep_back(true, gradient, [&](int k, const Vector& sum, const Vector& own) {
-          detail::copy_first(States, sum, costates_[static_cast<std::size_t>(k)]);
+          detail::copy_first(States, sum, costates_[detail::size(k)]);
           for (int j = States; k < horizon() && j < width; ++j) {
             r.stationarity = std::max(r.stationarity, std::abs(sum(j)));
             largest_term = std::max(largest_term, std::abs(own(j)));
@@ -456,7 +493,7 @@ class Subproblem {
       largest_multiplier = std::max(largest_multiplier, m);
       // The large terms of contradicting hard constraints cancel each other, and their rounding
       // errors hide the remaining terms.
-      if (n.hard[static_cast<std::size_t>(row.i)] && m >= n.penalty(row.i))
+      if (n.hard[detail::size(row.i)] && m >= n.penalty(row.i))
         largest_term =
             std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
     }
