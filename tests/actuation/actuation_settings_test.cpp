@@ -147,23 +147,21 @@ TEST(ActuationSettings, PowerModelNamesItsArguments) {
   expect_vehicle_refused(
       "PowerParameters.servo_move [J/rad]", [](Vehicle<4>& v) { v.power.servo_move = -1.0; },
       construct);
-  PowerParameters power;
-  power.electronics = 18.0;
-  power.servo_hold = 0.5;
+  Vehicle<4> vehicle = tilt_ropter_vehicle();
+  vehicle.power.electronics = 18.0;
+  vehicle.power.servo_hold = 0.5;
   const Eigen::Vector4d hover = Eigen::Vector4d::Constant(1000.0);
-  expect_range("PowerModel: number of servos", {{0.0, 4.0}, {-1.0}}, true,
-               [&](double servos) { PowerModel(power, hover, static_cast<int>(servos)); });
   expect_range(
       "PowerModel: speeds in hover [rad/s]", {{0.0, 1.0}, {-1.0, not_a_number, infinite}}, false,
-      [&](double speed) { PowerModel(power, Eigen::Vector4d(1000.0, 1000.0, speed, 1000.0), 4); });
+      [&](double speed) { PowerModel(vehicle, Eigen::Vector4d(1000.0, 1000.0, speed, 1000.0)); });
   expect_range("PowerParameters.hover [W]", {{above(20.0)}, {20.0, 19.0}}, true, [&](double watts) {
-    PowerParameters p = power;
-    p.hover = watts;
-    PowerModel(p, hover, 4);
+    Vehicle<4> other = vehicle;
+    other.power.hover = watts;
+    PowerModel(other, hover);
   });
-  power.hover = 21.0;  // 1 W for one rotor
+  vehicle.power.hover = 21.0;  // 1 W for one rotor
   expect_range("PowerModel's coefficient [W s^3]", {{3e-67}, {2e-67, 0.0}}, false,
-               [&](double speed) { PowerModel(power, Eigen::Vector4d(speed, 0.0, 0.0, 0.0), 4); });
+               [&](double speed) { PowerModel(vehicle, Eigen::Vector4d(speed, 0.0, 0.0, 0.0)); });
 }
 
 }  // namespace

@@ -38,8 +38,6 @@ TEST(Power, EveryRotorThatTiltsHasAServo) {
   const Eigen::Vector4d hover = Eigen::Vector4d::Constant(hover_speed(vehicle));
   EXPECT_NEAR(three.power(hover), 653.64, 1e-9);
   EXPECT_EQ(PowerModel(vehicle, hover).at_rest(), 16.0);
-  EXPECT_EQ(PowerModel(vehicle.power, hover).at_rest(), 18.0);
-  EXPECT_EQ(PowerModel(vehicle.power, hover, 0).at_rest(), 10.0);
 }
 
 TEST(Power, MovingServosTakePowerInProportionToTheirSpeeds) {

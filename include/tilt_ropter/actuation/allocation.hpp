@@ -3,9 +3,10 @@
 
 #include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/detail/allocation_settings.hpp>
-#include <tilt_ropter/actuation/detail/thrust_choice.hpp>
 #include <tilt_ropter/actuation/detail/thrust_limits.hpp>
+#include <tilt_ropter/actuation/detail/thrust_search.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -128,10 +129,9 @@ class Allocation {
 
   /// Calls ThrustChoice and converts its result to this class's scalar. Not inlined, because it is
   /// long and rarely called.
-  [[gnu::noinline]] void choose(
-      const Wrench<Scalar>& wanted, const Angles& last, Scalar faint, Thrusts& thrusts,
-      AllocationStatus& status,
-      std::array<bool, static_cast<std::size_t>(Rotors)>& at_end) const noexcept;
+  [[gnu::noinline]] void choose(const Wrench<Scalar>& wanted, const Angles& last, Scalar faint,
+                                Thrusts& thrusts, AllocationStatus& status,
+                                std::array<bool, detail::size(Rotors)>& at_end) const noexcept;
 
   /// Fraction of the way to its target that an angle covers in `elapsed` [s], depending on its
   /// thrust.
@@ -146,15 +146,13 @@ class Allocation {
 
   /// Curve and limits of a rotor, multiplied by its effectiveness unless the rotor is lost.
   [[nodiscard]] const RotorParameters& rotor(int i) const noexcept {
-    return rotors_[static_cast<std::size_t>(i)];
+    return rotors_[detail::size(i)];
   }
 
-  [[nodiscard]] Scalar hold_thrust(int i) const noexcept {
-    return hold_thrust_[static_cast<std::size_t>(i)];
-  }
+  [[nodiscard]] Scalar hold_thrust(int i) const noexcept { return hold_thrust_[detail::size(i)]; }
 
   [[nodiscard]] Scalar bounded_speed(int i, Scalar speed) const noexcept {
-    const auto rotor = static_cast<std::size_t>(i);
+    const auto rotor = detail::size(i);
     return std::max(min_speed_[rotor], std::min(speed, max_speed_[rotor]));
   }
 
@@ -162,8 +160,8 @@ class Allocation {
       const ActuatorState<Rotors, Scalar>& last) const noexcept;
 
   Limits limits_;
-  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_;
-  std::array<Scalar, static_cast<std::size_t>(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
+  std::array<RotorParameters, detail::size(Rotors)> rotors_;
+  std::array<Scalar, detail::size(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
   Scalar largest_hold_thrust_{};
   bool has_min_thrust_ = false;
   BatteryParameters battery_;
@@ -173,7 +171,7 @@ class Allocation {
   Matrix matrix_;
   Pseudoinverse pseudoinverse_;
   detail::ThrustChoice<Rotors> choice_;
-  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
+  std::array<bool, detail::size(Rotors)> tilts_{};
 
   Allocation(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings,
              const AllocationMatrix<Rotors>& allocation);
@@ -227,7 +225,7 @@ Wrench<Value> Allocation<Rotors, Scalar>::wrench(
   Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
   for (int i = 0; i < Rotors; ++i) {
     const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor(i));
-    if (!tilts_[static_cast<std::size_t>(i)]) {
+    if (!tilts_[detail::size(i)]) {
       thrusts(2 * i + 1) = thrust;
     } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
       thrusts(2 * i) = thrust * sin(actuators.tilt_angle(i));
@@ -258,7 +256,7 @@ bool Allocation<Rotors, Scalar>::are_good(const Thrusts& thrusts, const Angles& 
   for (int i = 0; i < Rotors; ++i) {
     const Vector2 thrust = thrusts.template segment<2>(2 * i);
     if (!limits_.contains(i, thrust)) return false;
-    if (!tilts_[static_cast<std::size_t>(i)]) continue;
+    if (!tilts_[detail::size(i)]) continue;
     if (limits_.beyond_range(angles(i)) > Scalar(0) &&
         limits_.part_of_end(last(i)) != detail::AnglePart::whole &&
         thrust.squaredNorm() > faint * faint)
@@ -272,8 +270,7 @@ bool Allocation<Rotors, Scalar>::are_good(const Thrusts& thrusts, const Angles& 
 template <int Rotors, typename Scalar>
 void Allocation<Rotors, Scalar>::choose(
     const Wrench<Scalar>& wanted, const Angles& last, Scalar faint, Thrusts& thrusts,
-    AllocationStatus& status,
-    std::array<bool, static_cast<std::size_t>(Rotors)>& at_end) const noexcept {
+    AllocationStatus& status, std::array<bool, detail::size(Rotors)>& at_end) const noexcept {
   const Wrench<double> wrench{wanted.force.template cast<double>(),
                               wanted.torque.template cast<double>()};
   const auto chosen = choice_.choose(wrench, thrusts.template cast<double>(),
@@ -306,7 +303,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
     from(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
   }
   point_angles();
-  std::array<bool, static_cast<std::size_t>(Rotors)> at_end{};
+  std::array<bool, detail::size(Rotors)> at_end{};
   result.status = Status::ok;
   // With a finite elapsed time, an arm never turns over below hold_thrust.
   const Scalar faint = std::isfinite(elapsed) ? largest_hold_thrust_ : limits_.tolerance();
@@ -317,7 +314,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
 
   bool holds = false, waits = result.status == Status::range_end_held, cuts = false;
   for (int i = 0; i < Rotors; ++i) {
-    const auto arm = static_cast<std::size_t>(i);
+    const auto arm = detail::size(i);
     auto thrust = thrusts.template segment<2>(2 * i);
     Scalar angle(0), follow(1);
     bool waiting = at_end[arm];
@@ -406,7 +403,7 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
   for (int i = 0; i < Rotors; ++i) {
     const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
     command.rotor_speed(i) = bounded_speed(i, std::isfinite(speed) ? speed : Scalar(0));
-    if (tilts_[static_cast<std::size_t>(i)])
+    if (tilts_[detail::size(i)])
       command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
   }
   return command;

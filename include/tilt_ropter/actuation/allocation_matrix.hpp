@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -9,12 +10,26 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <string>
 #include <vector>
 
 /// Allocation matrix of a vehicle's geometry (paper, Sec. Control Allocation).
 namespace tilt_ropter {
+
+namespace detail {
+
+/// Writes the wrench at the CoM, body frame, of a force of 1 N along an axis of the rotor frame,
+/// times `sign`, to a column of a 6 x 2n matrix.
+template <typename Matrix>
+void put_wrench(const RotorGeometry& rotor, const RotorParameters& parameters, double sign,
+                int axis, int column, Matrix& matrix) {
+  const Triple<double> force = sign * triple(rotor.orientation, 0, axis);
+  const double drag = static_cast<int>(rotor.spin) * parameters.torque_ratio;
+  put(force, matrix, 0, column);
+  put(cross(triple(rotor.position), force) - drag * force, matrix, 3, column);
+}
+
+}  // namespace detail
 
 /// Allocation matrix A with W = A T. W = (F, M) is the wrench at the CoM in the body frame. T =
 /// (T_1l, T_1v, ..., T_nl, T_nv) holds the lateral and vertical thrusts T_il = T_i sin(alpha_i),
@@ -61,28 +76,18 @@ struct AllocationMatrix {
   Columns fill(const Vehicle<Rotors>& vehicle) {
     Columns columns;
     for (int i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[static_cast<std::size_t>(i)];
-      const RotorParameters& parameters = rotor_parameters(vehicle, static_cast<std::size_t>(i));
+      const RotorGeometry& rotor = vehicle.rotors[detail::size(i)];
+      const RotorParameters& parameters = rotor_parameters(vehicle, detail::size(i));
       columns.size = std::max(columns.size, rotor.position.norm() + parameters.torque_ratio);
       if (!(rotor.effectiveness > 0.0)) continue;
       if (rotor.tilts) {
-        set_column(2 * i, rotor, -1.0, 1, parameters);
+        detail::put_wrench(rotor, parameters, -1.0, 1, 2 * i, matrix);
         columns.of.push_back(2 * i);
       }
-      set_column(2 * i + 1, rotor, 1.0, 2, parameters);
+      detail::put_wrench(rotor, parameters, 1.0, 2, 2 * i + 1, matrix);
       columns.of.push_back(2 * i + 1);
     }
     return columns;
-  }
-
-  /// Writes the wrench of a force of 1 N along an axis of the rotor frame, times `sign`, to a
-  /// column of A.
-  void set_column(int column, const RotorGeometry& rotor, double sign, int axis,
-                  const RotorParameters& parameters) {
-    const detail::Triple<double> force = sign * detail::triple(rotor.orientation, 0, axis);
-    const double drag = static_cast<int>(rotor.spin) * parameters.torque_ratio;
-    detail::put(force, matrix, 0, column);
-    detail::put(cross(detail::triple(rotor.position), force) - drag * force, matrix, 3, column);
   }
 
   // For two rotors, two columns of zeros.

@@ -220,19 +220,10 @@ class PowerModel {
   /// above.
   template <int Rotors>
   PowerModel(const Vehicle<Rotors>& vehicle, const Eigen::Matrix<double, Rotors, 1>& hover)
-      : PowerModel(vehicle.power, hover, servo_count(vehicle)) {}
-
-  /// The same for `servos` servos and a vector `hover` of any length. By default every rotor has a
-  /// servo.
-  template <typename Derived>
-  PowerModel(const PowerParameters& parameters, const Eigen::MatrixBase<Derived>& hover)
-      : PowerModel(parameters, hover, static_cast<int>(hover.size())) {}
-  template <typename Derived>
-  PowerModel(const PowerParameters& parameters, const Eigen::MatrixBase<Derived>& hover, int servos)
-      : at_rest_(parameters.electronics + servos * parameters.servo_hold),
-        servo_move_(parameters.servo_move) {
+      : at_rest_(vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold),
+        servo_move_(vehicle.power.servo_move) {
+    const PowerParameters& parameters = vehicle.power;
     validate(parameters);
-    require(servos >= 0, "PowerModel: number of servos", servos, ">= 0");
     require(parameters.hover > at_rest_, "PowerParameters.hover [W]", parameters.hover,
             "> electronics and servos at rest, " + std::to_string(at_rest_));
     require_non_negative("PowerModel: speeds in hover [rad/s]", hover);

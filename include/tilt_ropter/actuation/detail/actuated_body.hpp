@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/actuation/detail/actuated_state.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/model/detail/body_step.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -18,6 +18,54 @@
 /// and the analytic sensitivity of that step. It needs no inverse of the allocation matrix, so the
 /// vehicle may have any rotors.
 namespace tilt_ropter {
+
+/// Thrust and tilt angle of each rotor, and the body state.
+template <int Rotors, typename Scalar = double>
+struct ActuatedState {
+  using Vector = Eigen::Matrix<Scalar, Rotors, 1>;
+  Vector thrust = Vector::Zero();      ///< [N]
+  Vector tilt_angle = Vector::Zero();  ///< about the rotor frame's x [rad]
+  BodyState<Scalar> body;
+};
+
+/// First index of each part of a tangent vector of ActuatedState: (dT, dalpha, dp, dv, dtheta, dw),
+/// with dtheta in the body frame. In an input, the thrust rates come first, then the tilt rates.
+template <int Rotors>
+struct ActuatedIndex {
+  static constexpr int thrust = 0, tilt_angle = Rotors, position = 2 * Rotors,
+                       velocity = position + 3, orientation = position + 6,
+                       angular_velocity = position + 9;
+};
+
+/// Tangent vector of an ActuatedState.
+template <int Rotors, typename Scalar = double>
+using ActuatedTangent = Eigen::Matrix<Scalar, 2 * Rotors + 12, 1>;
+
+/// Returns x (+) dx.
+template <int Rotors, typename Scalar>
+[[nodiscard]] ActuatedState<Rotors, Scalar> retract(const ActuatedState<Rotors, Scalar>& x,
+                                                    const ActuatedTangent<Rotors, Scalar>& dx) {
+  ActuatedState<Rotors, Scalar> y;
+  for (int i = 0; i < Rotors; ++i) {
+    y.thrust(i) = x.thrust(i) + dx(i);
+    y.tilt_angle(i) = x.tilt_angle(i) + dx(Rotors + i);
+  }
+  y.body = detail::retract_body(x.body, dx, 2 * Rotors);
+  return y;
+}
+
+/// Returns y (-) x, so that retract(x, difference(y, x)) = y.
+template <int Rotors, typename Scalar>
+[[nodiscard]] ActuatedTangent<Rotors, Scalar> difference(const ActuatedState<Rotors, Scalar>& y,
+                                                         const ActuatedState<Rotors, Scalar>& x) {
+  ActuatedTangent<Rotors, Scalar> dx;
+  for (int i = 0; i < Rotors; ++i) {
+    dx(i) = y.thrust(i) - x.thrust(i);
+    dx(Rotors + i) = y.tilt_angle(i) - x.tilt_angle(i);
+  }
+  detail::subtract_body(y.body, x.body, dx, 2 * Rotors);
+  return dx;
+}
 
 /// Prediction model at the level of actuators. Thrusts and tilt angles are integrals of the inputs.
 /// Rotor i pushes along n_i = (0, -sin alpha_i, cos alpha_i) in its rotor frame. Its wrench at the
@@ -92,7 +140,7 @@ class ActuatedBody {
 
   /// Thrust of rotor i [N] at `speed` [rad/s].
   [[nodiscard]] Scalar thrust(int i, const Scalar& speed) const {
-    const auto k = static_cast<std::size_t>(i);
+    const auto k = detail::size(i);
     return Scalar(effectiveness_[k]) * thrust_from_speed(speed, parameters_[k]);
   }
 
@@ -100,7 +148,7 @@ class ActuatedBody {
   [[nodiscard]] Wrench<Scalar> wrench(const ActuatorState<Rotors, Scalar>& actuators) const {
     State x;
     for (int i = 0; i < Rotors; ++i) {
-      const auto k = static_cast<std::size_t>(i);
+      const auto k = detail::size(i);
       x.thrust(i) =
           Scalar(effectiveness_[k]) * thrust_from_speed(actuators.rotor_speed(i), parameters_[k]);
       x.tilt_angle(i) = tilts_[k] ? actuators.tilt_angle(i) : Scalar(0);
@@ -166,7 +214,7 @@ class ActuatedBody {
       return {-s * along_z.force - c * along_y.force, -s * along_z.torque - c * along_y.torque};
     }
   };
-  [[nodiscard]] const RotorPush& rotor(int i) const { return rotors_[static_cast<std::size_t>(i)]; }
+  [[nodiscard]] const RotorPush& rotor(int i) const { return rotors_[detail::size(i)]; }
 
   // Thrust, sine and cosine of the angle of one rotor at the start, middle and end of a step.
   struct Sample {
@@ -187,14 +235,14 @@ class ActuatedBody {
     const Scalar zero(0), one(1), half_dt = Scalar(0.5) * dt;
     const Triple nothing = BodyStep::none();
 
-    Sample samples[static_cast<std::size_t>(Rotors)][3];
+    Sample samples[detail::size(Rotors)][3];
     Push pushed[3];
     for (Push& p : pushed) p = {triple(external.force), triple(external.torque)};
     for (int i = 0; i < Rotors; ++i) {
       const Scalar& rate = u.coeff(i);
       const Scalar turn = half_dt * u.coeff(Rotors + i);
       const Scalar s_turn = sin(turn), c_turn = cos(turn);
-      Sample(&of)[3] = samples[static_cast<std::size_t>(i)];
+      Sample(&of)[3] = samples[detail::size(i)];
       of[0] = {x.thrust.coeff(i), sin(x.tilt_angle.coeff(i)), cos(x.tilt_angle.coeff(i))};
       for (int n = 1; n < 3; ++n)
         of[n] = {of[n - 1].thrust + half_dt * rate, of[n - 1].s * c_turn + of[n - 1].c * s_turn,
@@ -251,7 +299,7 @@ class ActuatedBody {
     }
 
     for (int i = 0; i < Rotors; ++i) {
-      const Sample(&of)[3] = samples[static_cast<std::size_t>(i)];
+      const Sample(&of)[3] = samples[detail::size(i)];
       Column by_thrust[3], by_angle[3];
       for (int n = 0; n < 3; ++n) {
         const auto effect = [&](Push push) __attribute__((always_inline)) {
@@ -287,11 +335,11 @@ class ActuatedBody {
   }
 
   detail::BodyInertia<Scalar> body_;
-  std::array<RotorPush, static_cast<std::size_t>(Rotors)> rotors_{};
+  std::array<RotorPush, detail::size(Rotors)> rotors_{};
   // For the wrench of speeds:
-  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> parameters_{};
-  std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
-  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
+  std::array<RotorParameters, detail::size(Rotors)> parameters_{};
+  std::array<double, detail::size(Rotors)> effectiveness_{};
+  std::array<bool, detail::size(Rotors)> tilts_{};
 };
 
 }  // namespace tilt_ropter

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/names.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 
@@ -92,7 +93,7 @@ inline void validate(const AllocationSettings& p) {
     const int index = static_cast<int>(group);
     order += (order.empty() ? "" : ", ") + std::to_string(index);
     known = known && index >= 0 && index < static_cast<int>(wrench_group_count);
-    if (known) ++named[static_cast<std::size_t>(index)];
+    if (known) ++named[detail::size(index)];
   }
   for (const int count : named) known = known && count == 1;
   require(known, "AllocationSettings.priorities", order,

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -32,20 +34,13 @@ class ThrustInverse {
     double size = 1e-9;
     for (std::size_t i = 0; i < Rotors; ++i) {
       const RotorGeometry& rotor = vehicle.rotors[i];
-      const double ratio = rotor_parameters(vehicle, i).torque_ratio;
-      size = std::max(size, rotor.position.norm() + ratio);
+      const RotorParameters& parameters = rotor_parameters(vehicle, i);
+      size = std::max(size, rotor.position.norm() + parameters.torque_ratio);
       tilts_[i] = rotor.tilts;
       if (!(rotor.effectiveness > 0.0)) continue;
-      const double drag = static_cast<int>(rotor.spin) * ratio;
-      for (const bool vertical : {false, true}) {
-        if (!vertical && !rotor.tilts) continue;
-        const detail::Triple<double> force =
-            (vertical ? 1.0 : -1.0) * detail::triple(rotor.orientation, 0, vertical ? 2 : 1);
-        const int column = 2 * static_cast<int>(i) + vertical;
-        detail::put(force, matrix_, 0, column);
-        detail::put(cross(detail::triple(rotor.position), force) - drag * force, matrix_, 3,
-                    column);
-      }
+      const int column = 2 * static_cast<int>(i);
+      if (rotor.tilts) detail::put_wrench(rotor, parameters, -1.0, 1, column, matrix_);
+      detail::put_wrench(rotor, parameters, 1.0, 2, column + 1, matrix_);
     }
     Matrix matrix = matrix_;
     for (int j = 0; j < components; ++j)
@@ -81,7 +76,7 @@ class ThrustInverse {
     for (int n = 0; n < 30; ++n) {
       bool clamped = false;
       for (int i = 0; i < Rotors; ++i) {
-        if (tilts_[static_cast<std::size_t>(i)]) continue;
+        if (tilts_[detail::size(i)]) continue;
         double& thrust = thrusts(2 * i + 1);
         const double inside = std::max(least(i), std::min(thrust, most(i)));
         clamped = clamped || std::abs(inside - thrust) > 1e-3 * most(i);
@@ -99,7 +94,7 @@ class ThrustInverse {
       for (int j = 0; j < components; ++j) thrusts(j) += 1.7 * more(j);
     }
     for (int i = 0; i < Rotors; ++i)
-      if (!tilts_[static_cast<std::size_t>(i)])
+      if (!tilts_[detail::size(i)])
         thrusts(2 * i + 1) = std::max(least(i), std::min(thrusts(2 * i + 1), most(i)));
     return thrusts;
   }
@@ -163,7 +158,7 @@ class ThrustInverse {
   }
 
   Matrix matrix_ = detail::Filled();  // A
-  std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{};
+  std::array<bool, detail::size(Rotors)> tilts_{};
   Inverse inverse_ = detail::Filled();
   Eigen::Matrix3d steady_forces_ = Eigen::Matrix3d::Zero();
 };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/actuation/detail/actuated_state.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/detail/thrust_inverse.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/control/detail/actuator_level_problem.hpp>
