@@ -18,6 +18,7 @@
 #include "support/loop_watch.hpp"
 #include "support/random.hpp"
 #include "support/simulated_time.hpp"
+#include "support/state_sensor.hpp"
 #include "support/vehicles.hpp"
 
 #include <gtest/gtest.h>
@@ -43,6 +44,8 @@ using test_support::HeapUser;
 using test_support::LoopWatch;
 using test_support::NloptInTicks;
 using test_support::Random;
+using test_support::StateSensor;
+using test_support::StateSensorParameters;
 using test_support::ticks;
 using test_support::warm_up;
 

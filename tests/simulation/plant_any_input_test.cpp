@@ -5,6 +5,7 @@
 
 #include "support/plant_runs.hpp"
 #include "support/random.hpp"
+#include "support/state_sensor.hpp"
 
 #include <gtest/gtest.h>
 
@@ -24,6 +25,7 @@ using test_support::hover_speed;
 using test_support::idle;
 using test_support::Random;
 using test_support::run;
+using test_support::StateSensor;
 using test_support::tumbling;
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();

@@ -1,6 +1,7 @@
 #include <tilt_ropter/simulation/sensors.hpp>
 
 #include "support/random.hpp"
+#include "support/state_sensor.hpp"
 
 #include <gtest/gtest.h>
 
@@ -13,6 +14,8 @@ namespace tilt_ropter {
 namespace {
 
 using test_support::Random;
+using test_support::StateSensor;
+using test_support::StateSensorParameters;
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 const Eigen::Vector3d zero = Eigen::Vector3d::Zero();

@@ -58,14 +58,6 @@ TEST(SimulationSettings, OtherSensorsNameEachField) {
   using R = RotorSpeedSensorParameters;
   check_timing<R>("RotorSpeedSensorParameters");
   Fields<R>{}("RotorSpeedSensorParameters.noise [rad/s]", &R::noise, not_negative());
-  using S = StateSensorParameters;
-  check_timing<S>("StateSensorParameters");
-  const Fields<S> state;
-  state("StateSensorParameters.position_noise [m]", &S::position_noise, not_negative());
-  state("StateSensorParameters.velocity_noise [m/s]", &S::velocity_noise, not_negative());
-  state("StateSensorParameters.orientation_noise [rad]", &S::orientation_noise, not_negative());
-  state("StateSensorParameters.angular_velocity_noise [rad/s]", &S::angular_velocity_noise,
-        not_negative());
   P bad_pose;
   bad_pose.position_noise = -1.0;
   expect_refused("PoseSensorParameters.position_noise [m]", [&] { PoseSensor(bad_pose, 1); });
@@ -73,9 +65,6 @@ TEST(SimulationSettings, OtherSensorsNameEachField) {
   bad_speed.noise = -1.0;
   expect_refused("RotorSpeedSensorParameters.noise [rad/s]",
                  [&] { RotorSpeedSensor<4>(bad_speed, 1); });
-  S bad_state;
-  bad_state.velocity_noise = -1.0;
-  expect_refused("StateSensorParameters.velocity_noise [m/s]", [&] { StateSensor(bad_state, 1); });
 }
 
 TEST(SimulationSettings, SensorFaultNamesEachField) {

@@ -7,7 +7,8 @@
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
-#include <tilt_ropter/simulation/sensors.hpp>
+
+#include "support/state_sensor.hpp"
 
 #include <Eigen/Core>
 
@@ -143,7 +144,7 @@ class ActuatorLoop {
   }
 
   tilt_ropter::Plant<Rotors> plant_;
-  tilt_ropter::StateSensor state_sensor_;
+  StateSensor state_sensor_;
   tilt_ropter::ActuatedBody<Rotors> body_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::WrenchObserverd observer_;

@@ -7,9 +7,9 @@
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
-#include <tilt_ropter/simulation/sensors.hpp>
 
 #include "support/simulated_time.hpp"
+#include "support/state_sensor.hpp"
 
 #include <gtest/gtest.h>
 
@@ -140,7 +140,7 @@ class ControlLoop {
  private:
   tilt_ropter::Vehicle<4> vehicle_;
   PlantType plant_;
-  tilt_ropter::StateSensor state_sensor_;
+  StateSensor state_sensor_;
   tilt_ropter::Allocation<4> allocation_;
   tilt_ropter::ActuatorModel<4> actuators_;
   tilt_ropter::WrenchObserverd observer_;

@@ -8,7 +8,6 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/detail/delay_queue.hpp>
-#include <tilt_ropter/simulation/detail/gaussian_noise.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -19,12 +18,54 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <random>
 #include <string>
 #include <string_view>
 #include <vector>
 
 /// Simulated sensors, each with noise, a rate, a delay and faults to try estimators on.
 namespace tilt_ropter {
+
+/// White Gaussian noise by Marsaglia's polar method. The results of std::normal_distribution differ
+/// between standard libraries.
+class GaussianNoise {
+ public:
+  explicit GaussianNoise(std::uint64_t seed) : generator_(seed) {}
+
+  /// Returns a sample with zero mean and unit variance.
+  [[nodiscard]] double draw() noexcept {
+    if (has_spare_) {
+      has_spare_ = false;
+      return spare_;
+    }
+    double u = 0.0, v = 0.0, square = 0.0;
+    do {
+      u = uniform();
+      v = uniform();
+      square = u * u + v * v;
+    } while (square >= 1.0 || square <= 0.0);
+    const double scale = std::sqrt(-2.0 * std::log(square) / square);
+    spare_ = scale * v;
+    has_spare_ = true;
+    return scale * u;
+  }
+
+  /// Returns `Size` independent samples with standard deviation `stddev`.
+  template <int Size>
+  [[nodiscard]] Eigen::Matrix<double, Size, 1> draw(double stddev) noexcept {
+    Eigen::Matrix<double, Size, 1> sample;
+    for (int i = 0; i < Size; ++i) sample(i) = stddev * draw();
+    return sample;
+  }
+
+ private:
+  /// Uniform sample in [-1, 1) with 53 random bits.
+  double uniform() noexcept { return static_cast<double>(generator_() >> 11U) * 0x1.0p-52 - 1.0; }
+
+  std::mt19937_64 generator_;
+  double spare_ = 0.0;
+  bool has_spare_ = false;
+};
 
 /// What is wrong with a sensor.
 enum class SensorFaultKind {
@@ -92,38 +133,45 @@ inline void validate(const SensorFault& f) {
 
 namespace tilt_ropter::detail {
 
-/// Common part of all sensors: parameters, noise, sampling grid and delay.
-template <typename Parameters, typename Measurement>
-class SensorCore {
+/// Common part of all sensors: parameters, noise, sampling grid, delay and faults.
+template <typename Parameters, typename Sample>
+class Sensor {
  public:
-  SensorCore(const Parameters& given, std::uint64_t seed)
-      : parameters(validated(given)),
-        noise(seed),
+  using Measurement = Sample;  ///< measurement of this sensor
+
+  /// `seed` is the seed of the noise. Throws std::invalid_argument if `given` is invalid.
+  Sensor(const Parameters& given, std::uint64_t seed)
+      : parameters_(validated(given)),
+        noise_(seed),
         queue_(static_cast<std::size_t>(given.rate * given.delay) + 128) {}  // room for faults
 
-  /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
-  /// of a period.
-  [[nodiscard]] bool due(double time) noexcept {
-    if (!std::isfinite(time)) return false;
-    if (!started_) start_ = time;
-    const double instant = std::floor((time - start_) * parameters.rate + 1e-3);
-    if (started_ && instant <= last_instant_) return false;
-    started_ = true;
-    last_instant_ = instant;
-    return true;
-  }
+  /// Adds a fault; only kinds of this sensor act. Throws std::invalid_argument if it is out of
+  /// range.
+  void add_fault(const SensorFault& fault) { faults_.push_back(validated(fault)); }
 
-  void push(const Measurement& m) noexcept { push(m.time, m); }
-  /// For a measurement taken at `time` [s] with another stamp.
-  void push(double time, const Measurement& m) noexcept { queue_.push(time + parameters.delay, m); }
-  [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
-
+  /// Prepares for a run whose time starts anew. Keeps biases, faults and the state of the noise.
   void reset() noexcept {
     queue_.clear();
     started_ = false;
   }
 
-  void add_fault(const SensorFault& fault) { faults_.push_back(validated(fault)); }
+ protected:
+  /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
+  /// of a period.
+  [[nodiscard]] bool due(double time) noexcept {
+    if (!std::isfinite(time)) return false;
+    if (!started_) start_ = time;
+    const double instant = std::floor((time - start_) * parameters_.rate + 1e-3);
+    if (started_ && instant <= last_instant_) return false;
+    started_ = true;
+    last_instant_ = instant;
+    return true;
+  }
+  /// For a measurement taken at `time` [s], perhaps with another stamp.
+  void push(double time, const Measurement& m) noexcept {
+    queue_.push(time + parameters_.delay, m);
+  }
+  [[nodiscard]] std::optional<Measurement> pop(double time) noexcept { return queue_.pop(time); }
   /// Calls `act` with each fault that acts at `time` [s].
   template <typename Act>
   void for_faults(double time, Act act) const noexcept {
@@ -131,14 +179,20 @@ class SensorCore {
       if (fault.acts(time)) act(fault);
   }
 
-  Parameters parameters;
-  GaussianNoise noise;
+  Parameters parameters_;
+  GaussianNoise noise_;
 
  private:
   std::vector<SensorFault> faults_;
   DelayQueue<Measurement> queue_;
   bool started_ = false;
   double start_ = 0.0, last_instant_ = 0.0;
+};
+
+/// A value with the time at which it was taken.
+template <typename Value>
+struct Stamped : Value {
+  double time = 0.0;  ///< [s]
 };
 
 inline void require_timing(const std::string& sensor, double rate, double delay) {
@@ -179,16 +233,10 @@ inline void validate(const ImuSensorParameters& p) {
 }
 
 /// Simulated IMU with white noise, random-walk biases, a rate and a delay.
-class ImuSensor {
+class ImuSensor : public detail::Sensor<ImuSensorParameters, detail::Stamped<InertialSampled>> {
  public:
-  /// Measurement of this sensor.
-  struct Measurement : InertialSampled {
-    double time = 0.0;  ///< at which it was taken [s]
-  };
-
-  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   ImuSensor(const ImuSensorParameters& parameters, std::uint64_t seed)
-      : core_(parameters, seed),
+      : Sensor(parameters, seed),
         gyro_bias_(parameters.gyro_bias),
         accelerometer_bias_(parameters.accelerometer_bias) {}
 
@@ -199,18 +247,14 @@ class ImuSensor {
                                                   const Eigen::Vector3d& specific_force) noexcept {
     if (all_finite(angular_velocity) && all_finite(specific_force)) {
       const Eigen::Vector3d at_imu =
-          specific_force + lever_acceleration(time, angular_velocity, core_.parameters.position);
-      if (core_.due(time)) take(time, angular_velocity, at_imu);
+          specific_force + lever_acceleration(time, angular_velocity, parameters_.position);
+      if (due(time)) take(time, angular_velocity, at_imu);
     }
-    return core_.pop(time);
+    return pop(time);
   }
 
-  /// Adds a fault; only kinds of the IMU act. Throws std::invalid_argument if it is out of range.
-  void add_fault(const SensorFault& fault) { core_.add_fault(fault); }
-
-  /// Prepares for a run whose time starts anew. Keeps biases, faults and the state of the noise.
   void reset() noexcept {
-    core_.reset();
+    Sensor::reset();
     has_last_ = false;
   }
 
@@ -238,16 +282,16 @@ class ImuSensor {
 
   void take(double time, const Eigen::Vector3d& angular_velocity,
             const Eigen::Vector3d& specific_force) noexcept {
-    const ImuSensorParameters& p = core_.parameters;
+    const ImuSensorParameters& p = parameters_;
     const double root_rate = std::sqrt(p.rate);
     Measurement m;
     m.time = time;
     m.angular_velocity =
-        angular_velocity + gyro_bias_ + core_.noise.draw<3>(p.gyro_noise_density * root_rate);
+        angular_velocity + gyro_bias_ + noise_.draw<3>(p.gyro_noise_density * root_rate);
     m.specific_force = specific_force + accelerometer_bias_ +
-                       core_.noise.draw<3>(p.accelerometer_noise_density * root_rate);
+                       noise_.draw<3>(p.accelerometer_noise_density * root_rate);
     bool silent = false;
-    core_.for_faults(time, [&](const SensorFault& fault) {
+    for_faults(time, [&](const SensorFault& fault) {
       using Kind = SensorFaultKind;
       if (fault.kind == Kind::imu_dropout) silent = true;
       if (fault.kind == Kind::imu_clock_step) m.time += fault.size;
@@ -268,12 +312,11 @@ class ImuSensor {
       if (fault.kind == Kind::accelerometer_clip)
         m.specific_force = m.specific_force.cwiseMax(-fault.size).cwiseMin(fault.size);
     });
-    if (!silent) core_.push(time, m);
-    gyro_bias_ += core_.noise.draw<3>(p.gyro_bias_walk / root_rate);
-    accelerometer_bias_ += core_.noise.draw<3>(p.accelerometer_bias_walk / root_rate);
+    if (!silent) push(time, m);
+    gyro_bias_ += noise_.draw<3>(p.gyro_bias_walk / root_rate);
+    accelerometer_bias_ += noise_.draw<3>(p.accelerometer_bias_walk / root_rate);
   }
 
-  detail::SensorCore<ImuSensorParameters, Measurement> core_;
   Eigen::Vector3d gyro_bias_, accelerometer_bias_;
   Eigen::Vector3d last_rate_ = Eigen::Vector3d::Zero();
   double last_time_ = 0.0;
@@ -295,28 +338,18 @@ inline void validate(const PoseSensorParameters& p) {
 }
 
 /// Simulated pose sensor with white noise, a rate and a delay.
-class PoseSensor {
+class PoseSensor : public detail::Sensor<PoseSensorParameters, detail::Stamped<MarkerPosed>> {
  public:
-  /// Measurement of this sensor.
-  struct Measurement : MarkerPosed {
-    double time = 0.0;  ///< at which it was taken [s]
-  };
-
-  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
   PoseSensor(const PoseSensorParameters& parameters, std::uint64_t seed)
-      : core_(parameters, seed), jitter_(seed + 1) {}
+      : Sensor(parameters, seed), jitter_(seed + 1) {}
 
   [[nodiscard]] std::optional<Measurement> sample(double time, const BodyStated& truth) noexcept {
-    if (is_finite(truth) && core_.due(time)) take(time, truth);
-    return core_.pop(time);
+    if (is_finite(truth) && due(time)) take(time, truth);
+    return pop(time);
   }
 
-  /// Adds a fault; only kinds of poses act. Throws std::invalid_argument if it is out of range.
-  void add_fault(const SensorFault& fault) { core_.add_fault(fault); }
-
-  /// Prepares for a run whose time starts anew. Keeps faults and the state of the noise.
   void reset() noexcept {
-    core_.reset();
+    Sensor::reset();
     last_.reset();
   }
 
@@ -324,13 +357,13 @@ class PoseSensor {
   void take(double time, const BodyStated& truth) noexcept {
     Measurement m;
     m.time = time;
-    m.position = truth.position + core_.noise.draw<3>(core_.parameters.position_noise);
-    m.orientation = (truth.orientation *
-                     quaternion_exp(core_.noise.draw<3>(core_.parameters.orientation_noise)))
-                        .normalized();
+    m.position = truth.position + noise_.draw<3>(parameters_.position_noise);
+    m.orientation =
+        (truth.orientation * quaternion_exp(noise_.draw<3>(parameters_.orientation_noise)))
+            .normalized();
     bool silent = false, frozen = false;
     double sent = time;
-    core_.for_faults(time, [&](const SensorFault& fault) {
+    for_faults(time, [&](const SensorFault& fault) {
       using Kind = SensorFaultKind;
       if (fault.kind == Kind::pose_dropout) silent = true;
       if (fault.kind == Kind::pose_freeze) frozen = true;
@@ -348,7 +381,7 @@ class PoseSensor {
         sent += fault.size;
       }
       if (fault.kind == Kind::pose_burst) {
-        const double period = fault.size / core_.parameters.rate;
+        const double period = fault.size / parameters_.rate;
         sent = period * std::ceil(time / period - 1e-6);
       }
     });
@@ -357,10 +390,9 @@ class PoseSensor {
       m.orientation = last_->orientation;
     }
     last_ = m;
-    if (!silent) core_.push(sent, m);
+    if (!silent) push(sent, m);
   }
 
-  detail::SensorCore<PoseSensorParameters, Measurement> core_;
   GaussianNoise jitter_;  // of its own, so that faults do not change the other noise
   std::optional<Measurement> last_;
 };
@@ -377,94 +409,34 @@ inline void validate(const RotorSpeedSensorParameters& p) {
   require_non_negative("RotorSpeedSensorParameters.noise [rad/s]", p.noise);
 }
 
+/// Measurement of a RotorSpeedSensor.
+template <int Rotors>
+struct RotorSpeedMeasurement {
+  double time = 0.0;  ///< at which it was taken [s]
+  Eigen::Matrix<double, Rotors, 1> rotor_speed =
+      Eigen::Matrix<double, Rotors, 1>::Zero();  ///< [rad/s], >= 0
+};
+
 /// Simulated rotor speed sensor with white noise, a rate and a delay.
 template <int Rotors>
-class RotorSpeedSensor {
+class RotorSpeedSensor
+    : public detail::Sensor<RotorSpeedSensorParameters, RotorSpeedMeasurement<Rotors>> {
  public:
-  /// Measurement of this sensor.
-  struct Measurement {
-    double time = 0.0;  ///< at which it was taken [s]
-    Eigen::Matrix<double, Rotors, 1> rotor_speed =
-        Eigen::Matrix<double, Rotors, 1>::Zero();  ///< [rad/s], >= 0
-  };
-
-  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
-  RotorSpeedSensor(const RotorSpeedSensorParameters& parameters, std::uint64_t seed)
-      : core_(parameters, seed) {}
+  using Base = detail::Sensor<RotorSpeedSensorParameters, RotorSpeedMeasurement<Rotors>>;
+  using Base::Base;
+  using typename Base::Measurement;
 
   [[nodiscard]] std::optional<Measurement> sample(
       double time, const Eigen::Matrix<double, Rotors, 1>& rotor_speed) noexcept {
-    if (all_finite(rotor_speed) && core_.due(time)) {
+    if (all_finite(rotor_speed) && this->due(time)) {
       Measurement m;
       m.time = time;
       m.rotor_speed =
-          (rotor_speed + core_.noise.template draw<Rotors>(core_.parameters.noise)).cwiseMax(0.0);
-      core_.push(m);
+          (rotor_speed + this->noise_.template draw<Rotors>(this->parameters_.noise)).cwiseMax(0.0);
+      this->push(time, m);
     }
-    return core_.pop(time);
+    return this->pop(time);
   }
-
-  /// Prepares for a run whose time starts anew. Keeps the state of the noise.
-  void reset() noexcept { core_.reset(); }
-
- private:
-  detail::SensorCore<RotorSpeedSensorParameters, Measurement> core_;
-};
-
-/// Sensor of the whole body state. It replaces sensors and estimator in tests of a controller.
-struct StateSensorParameters {
-  double rate = 1000.0;                  ///< measurements per second [Hz]
-  double delay = 0.0;                    ///< from measurement to output [s]
-  double position_noise = 1.0e-3;        ///< standard deviation per axis, world frame [m]
-  double velocity_noise = 1.0e-2;        ///< standard deviation per axis, world frame [m/s]
-  double orientation_noise = 3.0e-3;     ///< standard deviation per axis, body frame [rad]
-  double angular_velocity_noise = 1e-2;  ///< standard deviation per axis, body frame [rad/s]
-};
-
-inline void validate(const StateSensorParameters& p) {
-  detail::require_timing("StateSensorParameters", p.rate, p.delay);
-  require_non_negative("StateSensorParameters.position_noise [m]", p.position_noise);
-  require_non_negative("StateSensorParameters.velocity_noise [m/s]", p.velocity_noise);
-  require_non_negative("StateSensorParameters.orientation_noise [rad]", p.orientation_noise);
-  require_non_negative("StateSensorParameters.angular_velocity_noise [rad/s]",
-                       p.angular_velocity_noise);
-}
-
-/// Simulated sensor of the body state with white noise, a rate and a delay.
-class StateSensor {
- public:
-  /// Measurement of this sensor.
-  struct Measurement {
-    double time = 0.0;  ///< at which it was taken [s]
-    BodyStated body;
-  };
-
-  /// `seed` is the seed of the noise. Throws std::invalid_argument if `parameters` are invalid.
-  StateSensor(const StateSensorParameters& parameters, std::uint64_t seed)
-      : core_(parameters, seed) {}
-
-  [[nodiscard]] std::optional<Measurement> sample(double time, const BodyStated& truth) noexcept {
-    if (is_finite(truth) && core_.due(time)) {
-      const StateSensorParameters& p = core_.parameters;
-      Measurement m;
-      m.time = time;
-      m.body.position = truth.position + core_.noise.draw<3>(p.position_noise);
-      m.body.velocity = truth.velocity + core_.noise.draw<3>(p.velocity_noise);
-      m.body.orientation =
-          (truth.orientation * quaternion_exp(core_.noise.draw<3>(p.orientation_noise)))
-              .normalized();
-      m.body.angular_velocity =
-          truth.angular_velocity + core_.noise.draw<3>(p.angular_velocity_noise);
-      core_.push(m);
-    }
-    return core_.pop(time);
-  }
-
-  /// Prepares for a run whose time starts anew. Keeps the state of the noise.
-  void reset() noexcept { core_.reset(); }
-
- private:
-  detail::SensorCore<StateSensorParameters, Measurement> core_;
 };
 
 }  // namespace tilt_ropter
