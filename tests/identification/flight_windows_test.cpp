@@ -1,6 +1,6 @@
 // What IMU and poses say in short windows of a log, for motions in closed form.
 
-#include <tilt_ropter/identification/detail/flight_windows.hpp>
+#include <tilt_ropter/identification/detail/window_model.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
 #include "support/random.hpp"

@@ -1,6 +1,6 @@
 // Time constant and dead time of rotors from a log of commanded and measured speeds.
 
-#include <tilt_ropter/identification/detail/rotor_lag_fit.hpp>
+#include <tilt_ropter/identification/detail/vehicle_fit.hpp>
 
 #include "support/random.hpp"
 

@@ -78,7 +78,6 @@ struct VehicleIdentificationSettings {
   int max_iterations = 30;  ///< largest number of steps of one least-squares solution
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const VehicleIdentificationSettings& s) {
   require_finite("VehicleIdentificationSettings.imu_position [m]", s.imu_position);
   require(!std::isnan(s.min_height), "VehicleIdentificationSettings.min_height [m]", s.min_height,

@@ -10,10 +10,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-#include <algorithm>
-#include <cmath>
 #include <cstddef>
-#include <utility>
 #include <vector>
 
 /// Least squares over a whole log of an IMU and motion capture: the trajectory, the biases, and
