@@ -1,5 +1,6 @@
 #pragma once
 
+#include "hybrid_experiment.hpp"
 #include "mission_file.hpp"
 #include "trajectory_file.hpp"
 

@@ -5,6 +5,7 @@
 
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
+#include "../support/propeller_clearance.hpp"
 #include "../support/run_program.hpp"
 #include "../support/simulated_mission.hpp"
 #include "../support/solver_choice.hpp"
@@ -18,7 +19,6 @@
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/math/rotation.hpp>
-#include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>
@@ -216,7 +216,7 @@ void print_losses(const Vehicle<Rotors>& vehicle) {
 template <int Rotors>
 void check_propellers(const Vehicle<Rotors>& vehicle, Findings& findings) {
   constexpr double narrow = 0.005;  // [m]
-  const PropellerClearance clearance = propeller_clearance(vehicle);
+  const examples::PropellerClearance clearance = examples::propeller_clearance(vehicle);
   bool known = true;
   for (std::size_t i = 0; i < Rotors; ++i)
     known = known && rotor_parameters(vehicle, i).propeller_radius > 0.0;

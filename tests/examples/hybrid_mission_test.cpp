@@ -5,6 +5,7 @@
 #include "support/program.hpp"
 
 #include "../../examples/support/csv.hpp"
+#include "../../examples/support/hybrid_experiment.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
@@ -244,7 +245,7 @@ TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
 TEST(HybridMission, FollowsATrajectoryFromAFile) {
   using namespace tilt_ropter;
   const test_support::Directory directory("trajectory");
-  const Mission mission = hybrid_experiment(*undercarriage(tilt_ropter_vehicle()));
+  const Mission mission = examples::hybrid_experiment(*undercarriage(tilt_ropter_vehicle()));
   std::ofstream file(directory.file("path.csv"));
   file << "time_s,x_m,y_m,z_m,yaw_rad\n" << std::setprecision(12);
   for (double time = 0.0; time <= mission.end_time(); time += 0.05) {

@@ -2,6 +2,7 @@
 // CTest: flight
 
 #include "../../examples/support/mission_file.hpp"
+#include "../../examples/support/hybrid_experiment.hpp"
 #include "support/program.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
@@ -83,7 +84,7 @@ TEST(MissionFile, WrittenMissionIsTheSameMission) {
       {hybrid_mission(two_axles, turned), two_axles},
       {hybrid_mission(std::nullopt), std::nullopt},
       {ground_experiment(*wheels, turned), wheels},
-      {hybrid_experiment(*wheels, turned), wheels}};
+      {examples::hybrid_experiment(*wheels, turned), wheels}};
   for (const auto& [mission, undercarriage] : missions) {
     examples::write_mission(mission, undercarriage, path);
     expect_same(mission, examples::read_mission(path, undercarriage));
@@ -95,7 +96,7 @@ TEST(MissionFile, OneFileFitsVehiclesOfDifferentHeights) {
   const test_support::Directory directory("mission_file");
   const std::string path = directory.file("written.json");
   const Undercarriage large{0.3, true, true, true};
-  examples::write_mission(hybrid_experiment(*wheels), wheels, path);
+  examples::write_mission(examples::hybrid_experiment(*wheels), wheels, path);
   const Mission mission = examples::read_mission(path, large);
   for (const MissionSegment& segment : mission.segments()) {
     if (segment.phase != MissionPhase::ground) continue;

@@ -1,13 +1,15 @@
 // CTest: optimised
 
-#include <tilt_ropter/model/frames.hpp>
+#include "../../examples/support/propeller_clearance.hpp"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-namespace tilt_ropter {
+namespace examples {
 namespace {
+
+using namespace tilt_ropter;
 
 // A tilted disc stays between the planes that are one radius from its centre along the arm. Its
 // most distant point is as far from the arm as the rim of the disc at zero tilt.
@@ -62,4 +64,4 @@ TEST(PropellerClearance, OfParallelDiscsIsClosedForm) {
 }
 
 }  // namespace
-}  // namespace tilt_ropter
+}  // namespace examples

@@ -14,19 +14,6 @@ namespace {
 using test_support::Random;
 using test_support::random_state;
 
-TEST(State, PackedOrderMatchesPaperWithQuaternionRealPartFirst) {
-  Stated x;
-  x.wrench = {Eigen::Vector3d(1, 2, 3), Eigen::Vector3d(4, 5, 6)};
-  x.body.position << 7, 8, 9;
-  x.body.velocity << 10, 11, 12;
-  x.body.orientation = Eigen::Quaterniond(13, 14, 15, 16);  // (w, x, y, z)
-  x.body.angular_velocity << 17, 18, 19;
-  const PackedStated packed = pack(x);
-  for (int i = 0; i < 19; ++i) EXPECT_EQ(packed(i), i + 1.0);
-  EXPECT_EQ(pack(unpack(packed)), packed);
-  EXPECT_EQ(unpack(packed).body.orientation.w(), 13.0);
-}
-
 TEST(State, DifferenceUndoesRetract) {
   Random random(61);
   for (int i = 0; i < 1000; ++i) {

@@ -1,5 +1,6 @@
 #include <tilt_ropter/planning/mission.hpp>
 
+#include "../../examples/support/hybrid_experiment.hpp"
 #include "support/refusals.hpp"
 
 #include <gtest/gtest.h>
@@ -12,6 +13,8 @@
 namespace tilt_ropter {
 namespace {
 
+using examples::hybrid_experiment;
+using examples::HybridExperimentSettings;
 using Phase = MissionPhase;
 
 const Undercarriage wheels = *undercarriage(tilt_ropter_vehicle());

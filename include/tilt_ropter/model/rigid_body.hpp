@@ -8,23 +8,12 @@
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
 #include <type_traits>
 
 /// Rigid body under an actuator wrench and an external wrench (paper, Sec. Rigid Body Dynamics,
 /// Eqs. rb1-rb4), with its discrete step and the analytic sensitivity of that step.
 namespace tilt_ropter {
-
-/// Time derivative of a BodyState.
-template <typename Scalar>
-struct BodyDerivative {
-  Vector3<Scalar> velocity;               ///< dp/dt [m/s]
-  Vector3<Scalar> acceleration;           ///< dv/dt, world frame [m/s^2]
-  Eigen::Quaternion<Scalar> orientation;  ///< dq/dt, not a unit quaternion [1/s]
-  Vector3<Scalar> angular_acceleration;   ///< body frame [rad/s^2]
-};
-using BodyDerivatived = BodyDerivative<double>;  ///< in double precision
 
 /// Prediction model of the controller. The actuator wrench (F, M) is the integral of its rate and
 /// drives the body.
@@ -40,22 +29,6 @@ class RigidBody {
 
   [[nodiscard]] const Scalar& mass() const { return body_.mass; }
   [[nodiscard]] const Matrix3<Scalar>& inertia() const { return body_.inertia; }
-
-  /// Returns the derivative by Eqs. rb1-rb4. `wrench` is the sum of all wrenches at the CoM, body
-  /// frame.
-  [[nodiscard]] BodyDerivative<Scalar> derivative(const BodyState<Scalar>& body,
-                                                  const Wrench<Scalar>& wrench) const {
-    const Vector3<Scalar> w = body.angular_velocity;
-    const Vector3<Scalar> half = w / Scalar(2);
-    BodyDerivative<Scalar> d;
-    d.velocity = body.velocity;
-    d.acceleration = body.orientation.toRotationMatrix() * wrench.force / body_.mass;
-    d.acceleration.z() -= Scalar(gravity);
-    d.orientation =
-        body.orientation * Eigen::Quaternion<Scalar>(Scalar(0), half.x(), half.y(), half.z());
-    d.angular_acceleration = body_.inverse_inertia * (wrench.torque - w.cross(body_.inertia * w));
-    return d;
-  }
 
   /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The wrench rate `u` (body
   /// frame, [N/s; N m/s]) and the `external` wrench (body frame) are constant during the step. The

@@ -7,8 +7,8 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-/// Wrench, actuator state, body state and the NMPC's state with its packed form; a wrench about
-/// other points and in other frames. No function in this header throws or allocates.
+/// Wrench, actuator state, body state and the NMPC's state; a wrench about other points and in
+/// other frames. No function in this header throws or allocates.
 namespace tilt_ropter {
 
 /// Force [N] and torque [N m] at the CoM, both in the body frame. transport() and rotate() convert
@@ -66,43 +66,6 @@ struct TangentIndex {
   static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
                        angular_velocity = 15;
 };
-
-/// First index of each part of a PackedState.
-struct PackedIndex {
-  static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
-                       angular_velocity = 16;
-};
-
-/// Packed State in the paper's order (F, M, p, v, q, w), with q as (w, x, y, z).
-template <typename Scalar>
-using PackedState = Eigen::Matrix<Scalar, 19, 1>;
-using PackedStated = PackedState<double>;  ///< in double precision
-
-/// Packs a State. Only this function and unpack() convert quaternions between Eigen's storage order
-/// (x, y, z, w) and the paper's order (w, x, y, z).
-template <typename Scalar>
-[[nodiscard]] PackedState<Scalar> pack(const State<Scalar>& x) {
-  PackedState<Scalar> packed;
-  const Eigen::Quaternion<Scalar>& q = x.body.orientation;
-  packed << x.wrench.force, x.wrench.torque, x.body.position, x.body.velocity, q.w(), q.x(), q.y(),
-      q.z(), x.body.angular_velocity;
-  return packed;
-}
-
-/// Inverse of pack(). Does not normalise the quaternion.
-template <typename Scalar>
-[[nodiscard]] State<Scalar> unpack(const PackedState<Scalar>& packed) {
-  using I = PackedIndex;
-  State<Scalar> x;
-  x.wrench.force = packed.template segment<3>(I::force);
-  x.wrench.torque = packed.template segment<3>(I::torque);
-  x.body.position = packed.template segment<3>(I::position);
-  x.body.velocity = packed.template segment<3>(I::velocity);
-  const Eigen::Matrix<Scalar, 4, 1> q = packed.template segment<4>(I::orientation);
-  x.body.orientation = Eigen::Quaternion<Scalar>(q(0), q(1), q(2), q(3));
-  x.body.angular_velocity = packed.template segment<3>(I::angular_velocity);
-  return x;
-}
 
 namespace detail {
 

@@ -44,7 +44,7 @@ struct RotorParameters {
   /// Factor of the speed, at least -sqrt(thrust_coefficient max_thrust / 2) [N s / rad]. At this
   /// lower bound the thrust begins at half of the top speed.
   double linear_thrust_coefficient = 0.0;
-  double propeller_radius = 0.0;  ///< zero: unknown, propeller_clearance() then ignores it [m]
+  double propeller_radius = 0.0;  ///< zero: unknown, its clearance is then not checked [m]
   double propeller_height = 0.0;  ///< of the propeller above the arm axis, along the thrust [m]
 };
 

@@ -28,7 +28,6 @@ struct ExcitationSettings {
   double max_angle = 0.12;                      ///< largest amplitude of each angle sine [rad]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const ExcitationSettings& p) {
   validate(p.center, "ExcitationSettings.center");
   require_in("ExcitationSettings.duration [s]", p.duration, 1e-3, 1e10);
@@ -52,8 +51,7 @@ class Excitation : public detail::Timing {
     set_timing(0.0, settings.duration);
   }
 
-  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
-  /// the end. NaN counts as a time before the start. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time, see Timing. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     double value[6], rate[6], second[6];
     for (std::size_t axis = 0; axis < 6; ++axis)

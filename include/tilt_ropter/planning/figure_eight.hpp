@@ -43,7 +43,6 @@ struct FigureEightSettings {
       1.5;  ///< limit with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const FigureEightSettings& p) {
   require_finite("FigureEightSettings.center [m]", p.center);
   const Eigen::Vector3d& a = p.amplitude;
@@ -80,8 +79,7 @@ class FigureEight : public detail::Timing {
     require_in("FigureEight's duration within its limits [s]", duration(), 1e-3, 1e10);
   }
 
-  /// Returns the reference at `time` [s], for every time: the first point before the start and the
-  /// last point after the end. NaN counts as a time before the start. The sign of the quaternion
+  /// Returns the reference at `time` [s], for every time, see Timing. The sign of the quaternion
   /// does not jump during the motion. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept { return at(elapsed(time)); }
 

@@ -38,7 +38,6 @@ struct MinimumSnapSettings {
   double duration = 0.0;      ///< zero: the shortest duration found within the limits [s]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const MinimumSnapSettings& p) {
   require(p.points.size() >= 2 && p.points.size() <= 100, "MinimumSnapSettings.points.size()",
           p.points.size(), "in [2, 100]");
@@ -108,9 +107,8 @@ class MinimumSnap : public detail::Timing {
     require_in("MinimumSnap's duration within its limits [s]", duration(), 1e-3, 1e10);
   }
 
-  /// Returns the reference at `time` [s], for every time: the first point before the start and the
-  /// last point after the end, with its velocity. NaN counts as a time before the start. Does not
-  /// throw or allocate.
+  /// Returns the reference at `time` [s], for every time, see Timing: the points at the ends have
+  /// their velocity. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept { return at(elapsed(time)); }
 
   [[nodiscard]] const MinimumSnapSettings& settings() const noexcept { return settings_; }

@@ -12,7 +12,6 @@
 #include <array>
 #include <cstddef>
 #include <string>
-#include <utility>
 #include <vector>
 
 /// Reference from samples, such as the output of a planner or a log.
@@ -67,8 +66,7 @@ class SampledPath : public detail::Timing {
     return cut;
   }
 
-  /// Returns the reference at `time` [s], for every time: the first point before the start and the
-  /// last point after the end. NaN counts as a time before the start. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time, see Timing. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     const double inside = from_ + elapsed(time);
     const auto after =

@@ -7,7 +7,6 @@
 #include <tilt_ropter/planning/detail/timing.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
 #include <algorithm>
 #include <cmath>
@@ -40,7 +39,6 @@ inline void validate(const Waypoint& p, const std::string& field = "Waypoint") {
   require_finite(field + ".yaw [rad]", p.yaw);
 }
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const TransitionSettings& p) {
   validate(p.from, "TransitionSettings.from");
   validate(p.to, "TransitionSettings.to");
@@ -79,9 +77,8 @@ class Transition : public detail::Timing {
     set_timing(0.0, duration);
   }
 
-  /// Returns the reference at `time` [s], for every time. It is at rest before the start and after
-  /// the end. NaN counts as a time before the start. The sign of the quaternion does not jump
-  /// during the motion. Does not throw or allocate.
+  /// Returns the reference at `time` [s], for every time, see Timing. The sign of the quaternion
+  /// does not jump during the motion. Does not throw or allocate.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     const double x = elapsed(time) / duration();
     const double hump = x * (1.0 - x);
