@@ -188,7 +188,12 @@ inline bool normalise(Eigen::Quaterniond& q) {
   }
   using I = detail::InstanceIndex;
   instance.external = {n.segment<3>(I::external_force), n.segment<3>(I::external_torque)};
-  instance.start = tilt_ropter::unpack<double>(n.segment<19>(I::start));
+  const auto start = n.segment<19>(I::start);  // in the paper's order, q as (w, x, y, z)
+  instance.start.wrench = {start.segment<3>(0), start.segment<3>(3)};
+  instance.start.body.position = start.segment<3>(6);
+  instance.start.body.velocity = start.segment<3>(9);
+  instance.start.body.orientation = Eigen::Quaterniond(start(12), start(13), start(14), start(15));
+  instance.start.body.angular_velocity = start.segment<3>(16);
   instance.reference.position = n.segment<3>(I::reference_position);
   instance.reference.velocity = n.segment<3>(I::reference_velocity);
   const Eigen::Vector4d q = n.segment<4>(I::reference_orientation);
@@ -209,9 +214,12 @@ inline bool normalise(Eigen::Quaterniond& q) {
 
 /// Returns the line, without its line end, that parse_instance() reads.
 [[nodiscard]] inline std::string to_csv(const Instance& instance) {
-  const Eigen::Quaterniond& q = instance.reference.orientation;
+  const Eigen::Quaterniond &q = instance.reference.orientation,
+                           &at_start = instance.start.body.orientation;
   detail::InstanceNumbers n;
-  n << instance.external.force, instance.external.torque, tilt_ropter::pack(instance.start),
+  n << instance.external.force, instance.external.torque, instance.start.wrench.force,
+      instance.start.wrench.torque, instance.start.body.position, instance.start.body.velocity,
+      at_start.w(), at_start.x(), at_start.y(), at_start.z(), instance.start.body.angular_velocity,
       instance.reference.position, instance.reference.velocity, q.w(), q.x(), q.y(), q.z();
   std::string line = instance.id;
   line += instance.bounds == InstanceBounds::paper ? ",paper" : ",wide";

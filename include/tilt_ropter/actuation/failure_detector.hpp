@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
@@ -384,7 +385,7 @@ void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
                           (std::sin(x.tilt_angle(i)) * columns_[index(2 * i)] +
                            std::cos(x.tilt_angle(i)) * columns_[index(2 * i + 1)]);
   for (std::size_t k = 0; k < slower.size(); ++k) {
-    if (!behind_[k].allFinite()) behind_[k] = x.tilt_angle;
+    if (!all_finite(behind_[k])) behind_[k] = x.tilt_angle;
     // A lag of T instead of t: t / T of the angle, and the rest through the lag of T.
     const double lag = slower[k] * time_constant_;
     behind_[k] += (1.0 - std::exp(-dt / lag)) * (x.tilt_angle - behind_[k]);

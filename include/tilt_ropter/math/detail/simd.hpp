@@ -102,7 +102,11 @@ template <int Width>
 struct FiniteCheck {
   static constexpr unsigned long long exponent = 0x7FF0000000000000, one = 0x0010000000000000,
                                       sign = 0x8000000000000000;
-  typedef unsigned long long Bits [[gnu::vector_size(8 * Width)]];
+  template <int Count>  // GCC 12 ignores the attribute if it depends on the outer template
+  struct BitsType {
+    typedef unsigned long long type [[gnu::vector_size(8 * Count)]];
+  };
+  using Bits = typename BitsType<Width>::type;
 
   // The sign bit of an entry is set after a number that is not finite.
   Bits packets{};
