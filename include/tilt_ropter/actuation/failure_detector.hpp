@@ -156,7 +156,8 @@ class FailureDetector {
   // telemetry is late and a rotor may be slower than its model [s].
   static constexpr double rise_time = 0.05;
   // Servos may be slower than modelled by these factors. The one that explains most is reported;
-  // the first is what a healthy vehicle may differ by, unless it begins to swing.
+  // the first, by which a healthy vehicle may differ, only if it begins to swing, and as the
+  // second.
   static constexpr std::array<double, 3> slower{2.0, 4.0, 8.0};
   // Slower changes of the residual are wind, a load or a wrong mass [s].
   static constexpr double change_time = 0.3;
@@ -167,6 +168,8 @@ class FailureDetector {
   static constexpr double slow_for = 2.5, surely_slow_for = 1.0, slow_on_ground_for = 0.6;
   // Changes are compared for about this time, because noise is as large as they are [s].
   static constexpr double servo_time = 3.0;
+  // No servo is slower; the next finding would only repeat the last one [s].
+  static constexpr double slowest_lag = 10.0;
 
   using Vector6 = Eigen::Matrix<double, 6, 1>;
   static constexpr int explanations = Rotors + static_cast<int>(slower.size());
@@ -482,6 +485,7 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
   slow_for_ = is_slow ? slow_for_ + dt : 0.0;
   const double in_air = most > 0.85 * changes ? surely_slow_for : slow_for;
   if (slow_for_ < (airborne_ ? in_air : slow_on_ground_for)) return;
+  if (slowest * time_constant_ > slowest_lag) return;
   failure_ = {FailureKind::slow_servos};
   failure_.time = time;
   failure_.time_constant = slowest * time_constant_;
