@@ -18,7 +18,8 @@
 #include <cstddef>
 #include <limits>
 
-/// Finds a failed rotor or a stuck servo from the motion of the body and the speeds of the rotors.
+/// Finds a failed rotor, a stuck servo or slow servos from the motion of the body and the speeds of
+/// the rotors.
 namespace tilt_ropter {
 
 /// What has failed.
@@ -36,7 +37,7 @@ enum class FailureKind {
 /// Result of FailureDetector.
 struct ActuatorFailure {
   FailureKind kind = FailureKind::none;
-  std::size_t rotor = 0;       ///< index of the rotor
+  std::size_t rotor = 0;       ///< index of the rotor; without meaning for slow servos
   double angle = 0.0;          ///< of a stuck servo [rad]
   double effectiveness = 1.0;  ///< of a weak rotor, a fraction; 0: lost
   double time = 0.0;           ///< of the report [s]
@@ -89,7 +90,7 @@ template <int Rotors>
 /// Rotors that stop together were switched off.
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
-/// it is commanded. The wrench shows no failure while the vehicle touches the ground, in the first
+/// it is commanded. On the ground the wrench shows slow servos only, and no failure in the first
 /// 0.1 s of a flight, and with less than 20 ticks per second.
 ///
 /// Only the constructor throws. Nothing allocates.
