@@ -109,7 +109,7 @@ class Px4Node {
       const auto status =
           observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
       if (status != tilt_ropter::CalibrationStatus::calibrated)
-        std::cerr << "px4_node: the observer is not calibrated: moved, or armed too soon\n";
+        std::cerr << "px4_node: the observer is not calibrated: " << to_string(status) << '\n';
     }
   }
 

@@ -177,5 +177,50 @@ TEST(EkfContradiction, TheOrientationOfTheRigidBodyMayStep) {
     }
 }
 
+// A unit, sign or axis of the IMU that is wrong is never a good estimate, at rest or in motion.
+TEST(EkfContradiction, AWrongImuIsNeverGood) {
+  const Eigen::DiagonalMatrix<double, 3> to_frd(1.0, -1.0, -1.0);
+  struct Lie {
+    const char* name;
+    Eigen::Matrix3d force, rate;
+  };
+  const Eigen::Matrix3d same = Eigen::Matrix3d::Identity(), frd = to_frd;
+  Eigen::Matrix3d exchanged;
+  exchanged << 0, 0, 1, 1, 0, 0, 0, 1, 0;
+  const std::vector<Lie> lies{{"in g", same / gravity, same},
+                              {"force reversed", -same, same},
+                              {"forward-right-down", frd, frd},
+                              {"force forward-right-down", frd, same},
+                              {"axes exchanged", exchanged, exchanged},
+                              {"no gravity", Eigen::Matrix3d::Zero(), same},
+                              {"degrees per second", same, same * 180.0 / pi}};
+  const auto good = [](const Lie& lie, double size, double from) {
+    const Motion motion{size};
+    ImuSensorParameters parameters;
+    parameters.rate = 500.0;
+    ImuSensor imu(parameters, 1);
+    PoseSensor poses(PoseSensorParameters{}, 2);
+    Ekfd ekf;
+    int ticks = 0;
+    for (int i = 0; i <= 6000; ++i) {
+      const double t = 2e-3 * i;
+      const BodyStated truth = motion.body(t);
+      if (const auto m = imu.sample(t, truth.angular_velocity, motion.specific_force(t)))
+        ekf.on_imu(m->time, {lie.rate * m->angular_velocity, lie.force * m->specific_force});
+      if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time, *m);
+      ticks += t > from && ekf.trust(t).state == EstimateState::good;
+    }
+    return ticks;
+  };
+  for (const double size : {0.0, 1.0}) {
+    EXPECT_GT(good({"right", same, same}, size, 1.0), 5490);
+    for (const Lie& lie : lies) {
+      if (size == 0.0 && lie.rate != same && lie.force == same) continue;  // nothing turns
+      SCOPED_TRACE(lie.name);
+      EXPECT_EQ(good(lie, size, 3.0), 0) << "motion " << size;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace tilt_ropter

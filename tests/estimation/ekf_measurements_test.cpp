@@ -345,6 +345,30 @@ TEST(EkfMeasurements, StatusesAndGate) {
   EXPECT_NEAR(ekf.trust(1.02).age_of(MeasurementKind::height), 0.01, 1e-9);  // the one that waited
 }
 
+TEST(EkfMeasurements, WhatIsNoCovarianceIsRejected) {
+  Eigen::Matrix3d one_zero = Eigen::Matrix3d::Identity(), indefinite = one_zero;
+  one_zero(1, 1) = 0.0;
+  indefinite(0, 1) = indefinite(1, 0) = 2.0;
+  const Eigen::Matrix3d unit = Eigen::Matrix3d::Identity();
+  for (const Eigen::Matrix3d& covariance :
+       {Eigen::Matrix3d(0.0 * unit), Eigen::Matrix3d(-unit), one_zero, indefinite,
+        Eigen::Matrix3d(1e12 * unit), Eigen::Matrix3d(std::nan("") * unit)}) {
+    Ekfd ekf;
+    ekf.on_imu(1.0, {Vector3d::Zero(), Vector3d(0, 0, gravity)});
+    EXPECT_TRUE(ekf.start({}, {}));
+    ekf.on_imu(1.01, {Vector3d::Zero(), Vector3d(0, 0, gravity)});
+    const Vector3d place(0.1, 0.0, 0.0);
+    const BodyStated before = ekf.state();
+    EXPECT_EQ(ekf.on_measurement(1.01, PositionMeasurement<double>{place, covariance}),
+              EkfStatus::rejected);
+    EXPECT_EQ(ekf.on_measurement(1.01, WorldVelocityMeasurement<double>{place, covariance}),
+              EkfStatus::rejected);
+    EXPECT_EQ(ekf.state().position, before.position);
+    EXPECT_EQ(ekf.on_measurement(1.01, PositionMeasurement<double>{place, unit}),
+              EkfStatus::updated);
+  }
+}
+
 TEST(EkfMeasurements, LevelOrientationPutsForceUp) {
   Random random(70);
   for (int i = 0; i < 100; ++i) {

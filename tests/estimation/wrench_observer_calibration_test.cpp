@@ -138,6 +138,41 @@ TEST(WrenchObserver, CalibrationReportsReasonOfRejection) {
   EXPECT_LT(distance(observer.offset(), {}), 1e-12);
 }
 
+// What contradicts the weight is not an offset: on the ground and in hover, on every axis.
+TEST(WrenchObserver, CalibrationNamesUnitsAndAxesThatContradictTheWeight) {
+  const Vector3d up(0.0, 0.0, gravity);
+  const double weight = body().mass * gravity;
+  const auto calibrate = [&](const Vector3d& measured, bool in_hover,
+                             const Vector3d& torque = Vector3d(0.0, 0.0, 0.0)) {
+    WrenchObserverd observer(body());
+    const Wrenchd carried{Vector3d(0.0, 0.0, weight), Vector3d::Zero()};
+    const Wrenchd applied{in_hover ? carried.force : Vector3d::Zero(), -torque};
+    observer.begin_calibration();
+    for (int i = 0; i <= 200; ++i)
+      (void)observer.update(0.01 * i, {Vector3d::Zero(), measured}, applied);
+    const CalibrationStatus status = observer.end_calibration(in_hover ? Wrenchd{} : carried);
+    if (status != CalibrationStatus::calibrated) {
+      EXPECT_EQ(distance(observer.offset(), {}), 0.0);
+    }
+    return status;
+  };
+  for (const bool in_hover : {false, true}) {
+    EXPECT_EQ(calibrate(up, in_hover), CalibrationStatus::calibrated);
+    EXPECT_EQ(calibrate(1.3 * up, in_hover), CalibrationStatus::calibrated);  // a wrong mass
+    EXPECT_EQ(calibrate(up / gravity, in_hover), CalibrationStatus::in_g);
+    EXPECT_EQ(calibrate(Vector3d(0.1, 0.1, 0.05), in_hover), CalibrationStatus::without_gravity);
+    EXPECT_EQ(calibrate(-up, in_hover), CalibrationStatus::reversed);
+    EXPECT_EQ(calibrate(Vector3d(-gravity, 0, 0), in_hover), CalibrationStatus::along_x);
+    EXPECT_EQ(calibrate(Vector3d(0, gravity, 0.3), in_hover), CalibrationStatus::along_y);
+    EXPECT_EQ(calibrate(3.0 * up, in_hover), CalibrationStatus::implausible);
+    EXPECT_EQ(calibrate(-up / gravity, in_hover), CalibrationStatus::without_gravity);
+    EXPECT_EQ(calibrate(up, in_hover, Vector3d(0.12 * weight, 0, 0)),
+              CalibrationStatus::implausible);
+    EXPECT_EQ(calibrate(up, in_hover, Vector3d(0.05 * weight, 0, 0)),
+              CalibrationStatus::calibrated);
+  }
+}
+
 TEST(WrenchObserver, CalibrationNeedsTimeAndRest) {
   const auto calibrate = [](int samples, double force, double torque) {
     WrenchObserverd observer(body());

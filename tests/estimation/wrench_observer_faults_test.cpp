@@ -181,7 +181,7 @@ TEST(WrenchObserver, RecoversFromAnyInput) {
   settings.torque_limit.setConstant(2.0);
   WrenchObserverd observer(body(), settings);
   std::array<int, 4> statuses{};
-  std::array<int, 5> calibrations{};
+  std::array<int, 12> calibrations{};
   const Vector3d none = Vector3d::Zero();
   double good_time = 1000.0;
   const auto expect_finite = [&] {

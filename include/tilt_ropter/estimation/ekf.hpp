@@ -315,7 +315,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
     at.by(I::marker_position) += at.by(I::position) * rotation +
                                  at.by(I::velocity) * rotation * skew(motion.angular_velocity);
   }
-  if (!at.valid || !at.is_finite()) return EkfStatus::rejected;
+  if (!at.valid || !at.is_usable()) return EkfStatus::rejected;
   const auto innovation = filter().innovation_of(at);
   const detail::Verdict verdict = guard_.judge(kind, part, at, innovation, filter_);
   if (verdict.action == Action::drop) return verdict.status;
@@ -353,6 +353,7 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   if (finds_imu())
     detail::move_to_body(p, filter().state().orientation, filter_.rate(), imu_position());
   detail::predict_errors(p, std::min(detail::age(now, filter_time()), 1e3), settings_.imu_noise, t);
+  t.implausible_bias = detail::has_implausible_bias(filter().state(), settings_);
   detail::judge(settings_.trust, guard_.has_just_started(), t);
   return t;
 }

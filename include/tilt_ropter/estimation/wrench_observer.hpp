@@ -179,12 +179,47 @@ enum class CalibrationStatus {
   not_begun,
   too_short,  ///< shorter than min_calibration_time
   moved,      ///< a standard deviation is above its limit: not at rest
-  rejected    ///< the offset would not be finite or would exceed 1e6
+  rejected,   ///< a number is not finite or exceeds 1e6
+  // The offset would exceed half the weight. The measured specific force
+  in_g,             ///< is right in units of 9.81 m/s^2
+  without_gravity,  ///< is near zero
+  reversed,         ///< points the wrong way, as in forward-right-down axes
+  along_x,          ///< is right, but along body x instead
+  along_y,          ///< is right, but along body y instead
+  along_z,          ///< is right, but along body z instead
+  implausible       ///< or the torque contradicts the known wrench in another way
 };
 
 [[nodiscard]] constexpr const char* to_string(CalibrationStatus status) noexcept {
-  return detail::name_in({"calibrated", "not_begun", "too_short", "moved", "rejected"}, status);
+  return detail::name_in(
+      {"calibrated", "not_begun", "too_short", "moved", "rejected", "in_g", "without_gravity",
+       "reversed", "along_x", "along_y", "along_z", "implausible"},
+      status);
 }
+
+namespace detail {
+
+/// Compares the `felt` with the `expected` force (mass times specific force, body frame), both [N].
+/// An error of up to half the `weight` may be an offset, or a wrong mass.
+template <typename Scalar>
+[[nodiscard]] CalibrationStatus compare_force(const Vector3<Scalar>& felt,
+                                              const Vector3<Scalar>& expected,
+                                              Scalar weight) noexcept {
+  const Scalar most = weight / Scalar(2);
+  if ((felt - expected).norm() <= most) return CalibrationStatus::calibrated;
+  if ((felt * Scalar(gravity) - expected).norm() <= most) return CalibrationStatus::in_g;
+  if (felt.norm() <= weight / Scalar(4)) return CalibrationStatus::without_gravity;
+  if ((felt + expected).norm() <= most) return CalibrationStatus::reversed;
+  Eigen::Index axis = 0;
+  const Scalar along = felt.cwiseAbs().maxCoeff(&axis);
+  constexpr CalibrationStatus axes[] = {CalibrationStatus::along_x, CalibrationStatus::along_y,
+                                        CalibrationStatus::along_z};
+  const bool is_along = std::abs(along - expected.norm()) <= most &&
+                        (felt - felt(axis) * Vector3<Scalar>::Unit(axis)).norm() <= most;
+  return is_along ? axes[axis] : CalibrationStatus::implausible;
+}
+
+}  // namespace detail
 
 /// Observes the external wrench: force from specific force, torque from angular momentum. Each axis
 /// is a first-order filter of the true external wrench with bandwidth K, discretised exactly. If
@@ -247,7 +282,9 @@ class WrenchObserver {
   }
 
   /// Ends the calibration. If the status is calibrated, the offset becomes the average minus the
-  /// `known` external wrench (body frame, at the CoM). Otherwise the offset is unchanged.
+  /// `known` external wrench (body frame, at the CoM). Otherwise the offset is unchanged. An offset
+  /// above half the weight, or above the weight at 0.1 m, is no offset: the status says which unit
+  /// or axis of the accelerometer would explain it.
   CalibrationStatus end_calibration(const Wrench<Scalar>& known = {}) noexcept;
 
   /// Offset that is subtracted from the raw residual, body frame [N; N m].
@@ -276,7 +313,7 @@ class WrenchObserver {
   struct BlockAverage {
     using Vector6 = Eigen::Matrix<Scalar, 6, 1>;
 
-    void add(const Wrench<Scalar>& sample, double dt) noexcept;
+    void add(const Wrench<Scalar>& sample, const Wrench<Scalar>& applied, double dt) noexcept;
 
     [[nodiscard]] bool deviates_less(double force, double torque) const noexcept {
       return squares.template head<3>().maxCoeff() <= Scalar(force * force * time) &&
@@ -284,6 +321,7 @@ class WrenchObserver {
     }
 
     Vector6 mean = Vector6::Zero(), squares = Vector6::Zero(), block_sum = Vector6::Zero();
+    Vector3<Scalar> applied_sum = Vector3<Scalar>::Zero();  ///< integral of the applied force
     double time = 0.0, block_time = 0.0;  ///< time of all blocks, of the current block [s]
   };
 
@@ -384,7 +422,7 @@ const ObservedWrench<Scalar>& WrenchObserver<Scalar>::update(
   shape();
   observed_.add_to_sums(dt);
   judge();
-  if (calibrating_) average_.add(residual, dt);
+  if (calibrating_) average_.add(residual, applied, dt);
   return observed_;
 }
 
@@ -397,13 +435,23 @@ CalibrationStatus WrenchObserver<Scalar>::end_calibration(const Wrench<Scalar>& 
     return CalibrationStatus::moved;
   const Wrench<Scalar> offset{average_.mean.template head<3>() - known.force,
                               average_.mean.template tail<3>() - known.torque};
-  if (!within(offset, 1e6)) return CalibrationStatus::rejected;
+  if (!within(offset, 1e6) || !within(known, 1e6)) return CalibrationStatus::rejected;
+  const Scalar weight = mass_ * Scalar(gravity);
+  const Vector3<Scalar> expected =
+      known.force + average_.applied_sum / Scalar(average_.time + average_.block_time);
+  const CalibrationStatus status =
+      detail::compare_force(Vector3<Scalar>(offset.force + expected), expected, weight);
+  if (status != CalibrationStatus::calibrated) return status;
+  constexpr double arm = 0.1;  // no centre of mass is further from where it is believed [m]
+  if (!within(offset.torque, arm * double(weight))) return CalibrationStatus::implausible;
   set_offset(offset);
-  return CalibrationStatus::calibrated;
+  return status;
 }
 
 template <typename Scalar>
-void WrenchObserver<Scalar>::BlockAverage::add(const Wrench<Scalar>& sample, double dt) noexcept {
+void WrenchObserver<Scalar>::BlockAverage::add(const Wrench<Scalar>& sample,
+                                               const Wrench<Scalar>& applied, double dt) noexcept {
+  applied_sum += Scalar(dt) * applied.force;
   Vector6 packed;
   packed << sample.force, sample.torque;
   block_sum += Scalar(dt) * packed;

@@ -54,7 +54,9 @@ struct EkfCounts {
 enum class EstimateState {
   good,            ///< all predicted errors are within their limits, position is measured
   dead_reckoning,  ///< no recent position, but the predicted errors are within their limits
-  degraded,        ///< position or velocity error above its limit, attitude good
+  /// Position or velocity error above its limit, attitude good; or the estimate contradicts its
+  /// measurements, has just restarted, or has implausible biases: the reasons tell which.
+  degraded,
   position_lost,   ///< position error above lost_position_error, attitude good: land
   starting,        ///< not started, or the velocity is not known yet after a start
   lost             ///< IMU silent or stopped, or attitude error above its limit
@@ -90,6 +92,15 @@ struct EstimateTrust {
   /// since that they are those of the vehicle. Hold the position, then land: during the descent
   /// they are confirmed, or above the gate.
   bool unconfirmed = false;
+  /// The filter has restarted within the last second; within the last five if it was the second
+  /// restart in ten seconds.
+  bool restarted = false;
+  /// The measurements that were used deviate more than they should: their mean NIS is above three
+  /// times their number of rows. The predicted errors are then too small.
+  bool inconsistent = false;
+  /// A bias is more than five standard deviations from that of the settings, as with a wrong unit,
+  /// sign or axis of the IMU.
+  bool implausible_bias = false;
   bool position_error = false;     ///< predicted position error above its limit
   bool velocity_error = false;     ///< predicted velocity error above its limit
   bool orientation_error = false;  ///< predicted attitude error above its limit

@@ -52,6 +52,19 @@ void predict_errors(const Covariance& p, double dt, const InertialNoise& noise,
       std::hypot(lean, dt * largest_stddev(p, I::gyro_bias), noise.gyro_density * std::sqrt(dt));
 }
 
+/// True if a bias is more than five standard deviations from that of the settings.
+template <typename Scalar>
+[[nodiscard]] bool has_implausible_bias(const InertialState<Scalar>& x,
+                                        const EkfSettings& s) noexcept {
+  constexpr double most = 5.0;  // standard deviations
+  const auto is_far = [](const Vector3<Scalar>& bias, const Eigen::Vector3d& expected,
+                         double stddev) {
+    return !((bias.template cast<double>() - expected).cwiseAbs().maxCoeff() <= most * stddev);
+  };
+  return is_far(x.gyro_bias, s.gyro_bias, s.gyro_bias_stddev) ||
+         is_far(x.accelerometer_bias, s.accelerometer_bias, s.accelerometer_bias_stddev);
+}
+
 /// Compares ages and predicted errors with their limits, and sets the state. `just_started`: too
 /// few poses have confirmed the start.
 inline void judge(const EkfTrustLimits& limits, bool just_started, EstimateTrust& t) noexcept {
@@ -70,7 +83,8 @@ inline void judge(const EkfTrustLimits& limits, bool just_started, EstimateTrust
     t.state = EstimateState::starting;
   else if (above(t.position_stddev, limits.lost_position_error))
     t.state = EstimateState::position_lost;
-  else if (t.position_error || t.velocity_error)
+  else if (t.position_error || t.velocity_error || t.restarted || t.inconsistent ||
+           t.implausible_bias)
     t.state = EstimateState::degraded;
   else
     t.state = t.no_position ? EstimateState::dead_reckoning : EstimateState::good;

@@ -86,6 +86,8 @@ class MeasurementGuard {
     for (double& last : last_used_) last += late_since_ - newest;
     last_pose_ += late_since_ - newest;
     full_restart_ += late_since_ - newest;
+    restarted_ += late_since_ - newest;
+    doubtful_until_ += late_since_ - newest;
     compared_ = never;
     for (GateMonitor<Scalar>& gate : gates_) gate.clear();
     constexpr bool clock_changed = true;
@@ -232,6 +234,8 @@ class MeasurementGuard {
   [[nodiscard]] EstimateTrust report(double now, bool started) const noexcept {
     EstimateTrust t = started ? faults_ : EstimateTrust();
     for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = age(now, last_used_[i]);
+    t.restarted = now < doubtful_until_;
+    t.inconsistent = mean_nis_ > 3.0;
     for (const GateMonitor<Scalar>& gate : gates_) t.unconfirmed |= !gate.is_confirmed();
     t.orientation_unused = turn_.is_open();
     t.marker_turned = turn_.is_known();
@@ -266,6 +270,7 @@ class MeasurementGuard {
   template <int Rows>
   bool passes(const MeasurementInnovation<Scalar, Rows>& innovation) noexcept {
     nis_ = innovation.distance;
+    nis_per_row_ = static_cast<double>(nis_) / Rows;
     return innovation.is_definite && nis_ <= Scalar(gate_of(Rows));
   }
   [[nodiscard]] double gate_of(std::size_t rows) const noexcept {
@@ -302,18 +307,31 @@ class MeasurementGuard {
         !(c.measured.orientation.angularDistance(c.predicted.orientation) < Scalar(0.1)))
       return {Action::drop, EkfStatus::gated};
     gate.on_restart(c.predicted.position);
+    on_restart(time);
     use(time, kind);
     return {Action::restart, EkfStatus::restarted};
   }
 
   Verdict use(double time, MeasurementKind kind) noexcept {
     last_used_[static_cast<std::size_t>(kind)] = time;
+    constexpr double memory = 50.0;  // measurements
+    mean_nis_ += (std::min(nis_per_row_, 5.0) - mean_nis_) / memory;
     if (is_position(kind)) faults_.poses_gated = faults_.poses_mistimed = false;
     return {};
   }
+  void on_restart(double time) noexcept {
+    const bool again = time - restarted_ < 10.0;
+    doubtful_until_ = time + (again ? 5.0 : 1.0);
+    restarted_ = time;
+    nis_per_row_ = mean_nis_ = 1.0;
+  }
   /// Uses a pose.
   Verdict use(double time, const Verdict& verdict) noexcept {
-    if (verdict.status == EkfStatus::restarted) ++counts_.restarts;
+    if (verdict.status == EkfStatus::restarted) {
+      ++counts_.restarts;
+      on_restart(time);
+    }
+    if (verdict.position_only) nis_per_row_ = 1.0;
     ++counts_.used;
     last_pose_ = time;
     use(time, MeasurementKind::pose);
@@ -428,6 +446,8 @@ class MeasurementGuard {
   double full_restart_ = never;                ///< time of the last restart after full_restart_time
   double late_time_ = 0.0, late_since_ = 0.0;  ///< of the last and the first late IMU sample
   int late_samples_ = 0;                       ///< consecutive
+  double restarted_ = never, doubtful_until_ = never;  ///< last restart, see EstimateTrust
+  double nis_per_row_ = 1.0, mean_nis_ = 1.0;  ///< of the last one, of those that were used
   int used_since_start_ = 0;                   ///< poses
   int wrong_starts_ = 0;                       ///< consecutive
   Scalar nis_ = Scalar(0);

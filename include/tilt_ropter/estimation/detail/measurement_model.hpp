@@ -5,6 +5,7 @@
 #include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 /// What a measurement model gives to the error-state filter: residual, Jacobian and noise at the
@@ -60,8 +61,11 @@ struct Linearised {
   /// Returns g R.
   [[nodiscard]] Columns times_noise(const Columns& g) const noexcept { return g * noise; }
   void add_noise(Square& s) const noexcept { s += noise; }
-  [[nodiscard]] bool is_finite() const noexcept {
-    return all_finite(residual) && all_finite(jacobian) && all_finite(noise);
+  /// True if every number is finite and the noise is a covariance: positive definite, and no
+  /// standard deviation above 1e5.
+  [[nodiscard]] bool is_usable() const noexcept {
+    return all_finite(residual) && all_finite(jacobian) && all_finite(noise) &&
+           noise.diagonal().maxCoeff() <= Scalar(1e10) && noise.llt().info() == Eigen::Success;
   }
 };
 
