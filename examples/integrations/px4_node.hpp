@@ -101,15 +101,22 @@ class Px4Node {
     if (pilot_ == before) return;
     if (pilot_ != Pilot::this_node) sent_ = {};
     if (pilot_ == Pilot::this_node && before == Pilot::somebody_else && body_) take_over();
-    if (pilot_ == Pilot::nobody) observer_.begin_calibration();
+    if (pilot_ == Pilot::nobody) {
+      observer_.begin_calibration();
+      wrong_imu_ = false;
+    }
     if (before == Pilot::nobody && body_) {
       // The vehicle stands on the ground, which carries its weight.
       tilt_ropter::Wrenchd ground;
       ground.force.z() = vehicle_.body.mass * tilt_ropter::gravity;
       const auto status =
           observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
+      wrong_imu_ = contradicts_weight(status);
       if (status != tilt_ropter::CalibrationStatus::calibrated)
-        std::cerr << "px4_node: the observer is not calibrated: " << to_string(status) << '\n';
+        std::cerr << (wrong_imu_
+                          ? "px4_node: does not fly, the accelerometer contradicts the weight: "
+                          : "px4_node: the observer is not calibrated: ")
+                  << to_string(status) << '\n';
     }
   }
 
@@ -125,7 +132,7 @@ class Px4Node {
                 << " s old; if it still arrives, the clocks differ: see UXRCE_DDS_SYNCT\n";
       warned_ = true;
     }
-    if (!body_ || silent_) return out;
+    if (!body_ || silent_ || wrong_imu_) return out;
     // PX4 requires this message for some time before it accepts offboard control.
     out.mode = px4_msgs::msg::OffboardControlMode{};
     out.mode->timestamp = out.now;
@@ -155,10 +162,11 @@ class Px4Node {
     s.contact = contact_.estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
     s.planned = planned_ && pilot_ == Pilot::this_node;
-    s.mode = pilot_ == Pilot::this_node ? "offboard"
-             : pilot_ == Pilot::nobody  ? "disarmed"
-                                        : "flown by PX4";
-    s.level = silent_                                   ? Level::error
+    s.mode = wrong_imu_                   ? "refuses to fly"
+             : pilot_ == Pilot::this_node ? "offboard"
+             : pilot_ == Pilot::nobody    ? "disarmed"
+                                          : "flown by PX4";
+    s.level = silent_ || wrong_imu_                     ? Level::error
               : pilot_ == Pilot::this_node && !planned_ ? Level::warning
                                                         : Level::ok;
     return s;
@@ -205,7 +213,7 @@ class Px4Node {
   std::uint64_t sample_ = 0;                     // time of this state [us]
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
-  bool silent_ = false, planned_ = false, warned_ = false;
+  bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false;
 };
 
 }  // namespace loops

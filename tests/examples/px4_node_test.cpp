@@ -111,6 +111,48 @@ TEST(Px4Node, SendsNoCommandsUnlessArmedAndOffboard) {
   EXPECT_NEAR(flight.vehicle.commands, 20, 1);
 }
 
+// Passes the accelerometer's samples on, turned or in another unit.
+struct Liar {
+  Px4Node& node;
+  Eigen::Matrix3f lie;
+  void on_odometry(const px4_msgs::msg::VehicleOdometry& m) { node.on_odometry(m); }
+  void on_sensors(px4_msgs::msg::SensorCombined m) {
+    Eigen::Map<Eigen::Vector3f> force(m.accelerometer_m_s2);
+    force = (lie * force).eval();
+    node.on_sensors(m);
+  }
+};
+
+TEST(Px4Node, DoesNotFlyWithAnAccelerometerThatContradictsTheWeight) {
+  const Eigen::Matrix3f unit = Eigen::Matrix3f::Identity();
+  const Eigen::Matrix3f flu = Eigen::Vector3f(1.0F, -1.0F, -1.0F).asDiagonal();
+  Eigen::Matrix3f exchanged;
+  exchanged << 0, 0, 1, 1, 0, 0, 0, 1, 0;
+  for (const Eigen::Matrix3f& lie :
+       {Eigen::Matrix3f(unit / 9.81F), flu, exchanged, Eigen::Matrix3f(0.0F * unit)}) {
+    Flight flight;
+    Liar liar{flight.node, lie};
+    const auto wait = [&] {
+      for (int i = 0; i < 2000; ++i) {
+        flight.vehicle.sense(liar);
+        ASSERT_TRUE(flight.vehicle.step());
+      }
+    };
+    flight.say(false, false);
+    wait();
+    EXPECT_TRUE(flight.node.tick(flight.vehicle.now()).mode);
+    flight.say(true, true);
+    const Px4Node::Output out = flight.node.tick(flight.vehicle.now());
+    EXPECT_FALSE(out.mode || out.actuators);
+    EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+    // The IMU is mended on the ground: the next arming flies.
+    flight.say(false, false);
+    flight.fly(2.0);
+    flight.say(true, true);
+    EXPECT_TRUE(flight.node.tick(flight.vehicle.now()).actuators);
+  }
+}
+
 // A pilot flies, then switches to offboard mode. Nobody tells the node that the rotors turn.
 TEST(Px4Node, TakesOverInTheAir) {
   for (const bool started_in_flight : {false, true})

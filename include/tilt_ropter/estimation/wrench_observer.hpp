@@ -197,6 +197,12 @@ enum class CalibrationStatus {
       status);
 }
 
+/// True if the accelerometer, or the torque, contradicts the known wrench by more than an offset:
+/// do not fly with this IMU.
+[[nodiscard]] constexpr bool contradicts_weight(CalibrationStatus status) noexcept {
+  return status >= CalibrationStatus::in_g;
+}
+
 namespace detail {
 
 /// Compares the `felt` with the `expected` force (mass times specific force, body frame), both [N].
