@@ -87,7 +87,13 @@ class Ros2Node {
   [[nodiscard]] const actuator_msgs::msg::Actuators* tick(std::int64_t now) {
     const double time = 1e-9 * static_cast<double>(now);
     now_ = time;
-    if (!controller_.started()) return nullptr;
+    const tilt_ropter::CalibrationStatus imu = controller_.imu_check();
+    const bool was_wrong = wrong_imu_;
+    wrong_imu_ = !started() && contradicts_weight(imu);
+    if (wrong_imu_ && !was_wrong)
+      std::cerr << "ros2_node: does not fly, the accelerometer contradicts the weight: "
+                << to_string(imu) << '\n';
+    if (!started()) return nullptr;
     controller_.on_tick(time);
     const bool was_silent = silent_;
     silent_ = !(time - controller_.ekf().time() <= max_silence_);
@@ -117,8 +123,10 @@ class Ros2Node {
     s.contact = controller_.contact().estimate();
     s.estimate = tilt_ropter::to_string(controller_.trust().state);
     s.planned = has_plan(controller_.result().status);
-    s.mode = silent_ ? "silent" : examples::to_string(controller_.mode());
-    s.level = silent_ || controller_.mode() == FlightMode::landing ||
+    s.mode = silent_      ? "silent"
+             : wrong_imu_ ? "refuses to fly"
+                          : examples::to_string(controller_.mode());
+    s.level = silent_ || wrong_imu_ || controller_.mode() == FlightMode::landing ||
                       controller_.mode() == FlightMode::stopped
                   ? Level::error
               : controller_.mode() != FlightMode::mission || !s.planned ? Level::warning
@@ -145,7 +153,7 @@ class Ros2Node {
   examples::SolverTicks solver_;
   HoverPoint reference_;
   double max_silence_;
-  bool silent_ = false;
+  bool silent_ = false, wrong_imu_ = false;
   std::optional<double> now_;  // of the last tick [s]
   long foreign_stamps_ = 0;
   std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);

@@ -101,6 +101,14 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
                               : actuators_.update(time, sent_.command);
   ekf_.on_imu(time, sample);
   const InertialSampled corrected = ekf_.corrected(sample);
+  if (!started_) {
+    // With the bias, which explains a wrong unit away.
+    const Eigen::Vector3d force =
+        corrected.specific_force + ekf_.filter().state().accelerometer_bias;
+    constexpr int most = 50;  // samples
+    felt_samples_ = std::min(felt_samples_ + 1, most);
+    felt_ += (force - felt_) / felt_samples_;
+  }
   const bool as_modelled = external_ != ExternalWrench::commanded;
   observed_ = observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
   // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
@@ -347,6 +355,13 @@ ReferencePoint FlightController<Rotors>::stand_in(double time) const {
     point.velocity.z() -= slowly;
   }
   return point;
+}
+
+template <int Rotors>
+CalibrationStatus FlightController<Rotors>::imu_check() const {
+  if (airborne_ || felt_samples_ == 0) return CalibrationStatus::calibrated;
+  const Eigen::Vector3d up(0.0, 0.0, gravity);
+  return check_specific_force(felt_, Eigen::Vector3d(ekf_.state().orientation.conjugate() * up));
 }
 
 template <int Rotors>

@@ -130,9 +130,12 @@ class FlightController {
 
   /// True after the first state with a known velocity.
   [[nodiscard]] bool started() const {
-    return started_ || (ekf_.running() &&
+    return started_ || (ekf_.running() && !contradicts_weight(imu_check()) &&
                         ekf_.trust(ekf_.time()).state != tilt_ropter::EstimateState::starting);
   }
+  /// What the accelerometer said of the weight before the start, while the vehicle stood. The
+  /// controller does not start on the ground while it contradicts the weight.
+  [[nodiscard]] tilt_ropter::CalibrationStatus imu_check() const;
   [[nodiscard]] FlightMode mode() const { return mode_; }
   /// The failed actuator that was found in flight, if any. The controller then goes on at the
   /// actuator level with the vehicle that remains, and lands, except with slow servos.
@@ -207,6 +210,8 @@ class FlightController {
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   bool started_ = false, measures_speeds_ = false;
+  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< mean specific force before the start
+  int felt_samples_ = 0;
   tilt_ropter::Consistency consistency_;
   tilt_ropter::ObservedWrenchd observed_at_tick_;
   double voltage_ = 0.0;         ///< measured [V]

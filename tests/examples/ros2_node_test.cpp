@@ -85,6 +85,50 @@ TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
   EXPECT_GE(flight.vehicle.commands, before + 8);
 }
 
+/// Passes the samples of the IMU on, turned or in another unit.
+struct Liar {
+  Ros2Node& node;
+  Eigen::Matrix3d rate, force;
+  void on_imu(sensor_msgs::msg::Imu m) {
+    auto& w = m.angular_velocity;
+    auto& f = m.linear_acceleration;
+    const Vector3d turned = rate * Vector3d(w.x, w.y, w.z), felt = force * Vector3d(f.x, f.y, f.z);
+    w = {turned.x(), turned.y(), turned.z()};
+    f = {felt.x(), felt.y(), felt.z()};
+    node.on_imu(m);
+  }
+  void on_pose(const geometry_msgs::msg::PoseStamped& m) { node.on_pose(m); }
+  void on_rotor_speeds(const sensor_msgs::msg::JointState& m) { node.on_rotor_speeds(m); }
+};
+
+TEST(Ros2Node, DoesNotTakeOffWithAWrongImu) {
+  const Eigen::Matrix3d same = Eigen::Matrix3d::Identity(),
+                        frd = Vector3d(1.0, -1.0, -1.0).asDiagonal();
+  Eigen::Matrix3d exchanged;
+  exchanged << 0, 0, 1, 1, 0, 0, 0, 1, 0;
+  for (const auto& [rate, force] : {std::pair{same, Eigen::Matrix3d(same / 9.81)},
+                                    {same, Eigen::Matrix3d(-same)},
+                                    {frd, frd},
+                                    {same, frd},
+                                    {exchanged, exchanged},
+                                    {same, Eigen::Matrix3d(0.0 * same)}}) {
+    Flight flight({simulated, {"hover_z", "1.2"}});
+    Liar liar{flight.node, rate, force};
+    double highest = 0.0;
+    for (int i = 0; i < 10000; ++i) {
+      flight.vehicle.sense(liar);
+      ASSERT_TRUE(flight.vehicle.step());
+      if (i % 10 == 0)
+        if (const auto* command = flight.node.tick(flight.vehicle.now()))
+          flight.vehicle.on_command(*command);
+      highest = std::max(highest, flight.vehicle.plant.body().position.z());
+    }
+    EXPECT_LT(highest, 0.12) << force;
+    EXPECT_STREQ(flight.node.snapshot(0).mode, "refuses to fly");
+    EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
+  }
+}
+
 /// Disturbs a flight with `spoilt` messages among the good ones, and expects finite commands
 /// throughout and hover afterwards.
 template <typename Spoil>

@@ -203,29 +203,26 @@ enum class CalibrationStatus {
   return status >= CalibrationStatus::in_g;
 }
 
-namespace detail {
-
-/// Compares the `felt` with the `expected` force (mass times specific force, body frame), both [N].
-/// An error of up to half the `weight` may be an offset, or a wrong mass.
+/// Compares a `measured` mean specific force with the `expected` one, at rest or in hover, both in
+/// the body frame [m/s^2]. Returns `calibrated` up to an error of half of gravity, which an offset
+/// or a wrong mass may explain; otherwise a status that contradicts_weight().
 template <typename Scalar>
-[[nodiscard]] CalibrationStatus compare_force(const Vector3<Scalar>& felt,
-                                              const Vector3<Scalar>& expected,
-                                              Scalar weight) noexcept {
-  const Scalar most = weight / Scalar(2);
-  if ((felt - expected).norm() <= most) return CalibrationStatus::calibrated;
-  if ((felt * Scalar(gravity) - expected).norm() <= most) return CalibrationStatus::in_g;
-  if (felt.norm() <= weight / Scalar(4)) return CalibrationStatus::without_gravity;
-  if ((felt + expected).norm() <= most) return CalibrationStatus::reversed;
+[[nodiscard]] CalibrationStatus check_specific_force(const Vector3<Scalar>& measured,
+                                                     const Vector3<Scalar>& expected) noexcept {
+  const Scalar most = Scalar(gravity / 2.0);
+  if ((measured - expected).norm() <= most) return CalibrationStatus::calibrated;
+  if ((measured * Scalar(gravity) - expected).norm() <= most) return CalibrationStatus::in_g;
+  if (measured.norm() <= most / Scalar(2)) return CalibrationStatus::without_gravity;
+  if ((measured + expected).norm() <= most) return CalibrationStatus::reversed;
+  using std::abs;
   Eigen::Index axis = 0;
-  const Scalar along = felt.cwiseAbs().maxCoeff(&axis);
+  const Scalar along = measured.cwiseAbs().maxCoeff(&axis);
   constexpr CalibrationStatus axes[] = {CalibrationStatus::along_x, CalibrationStatus::along_y,
                                         CalibrationStatus::along_z};
-  const bool is_along = std::abs(along - expected.norm()) <= most &&
-                        (felt - felt(axis) * Vector3<Scalar>::Unit(axis)).norm() <= most;
+  const bool is_along = abs(along - expected.norm()) <= most &&
+                        (measured - measured(axis) * Vector3<Scalar>::Unit(axis)).norm() <= most;
   return is_along ? axes[axis] : CalibrationStatus::implausible;
 }
-
-}  // namespace detail
 
 /// Observes the external wrench: force from specific force, torque from angular momentum. Each axis
 /// is a first-order filter of the true external wrench with bandwidth K, discretised exactly. If
@@ -442,14 +439,13 @@ CalibrationStatus WrenchObserver<Scalar>::end_calibration(const Wrench<Scalar>& 
   const Wrench<Scalar> offset{average_.mean.template head<3>() - known.force,
                               average_.mean.template tail<3>() - known.torque};
   if (!within(offset, 1e6) || !within(known, 1e6)) return CalibrationStatus::rejected;
-  const Scalar weight = mass_ * Scalar(gravity);
   const Vector3<Scalar> expected =
       known.force + average_.applied_sum / Scalar(average_.time + average_.block_time);
-  const CalibrationStatus status =
-      detail::compare_force(Vector3<Scalar>(offset.force + expected), expected, weight);
+  const CalibrationStatus status = check_specific_force(
+      Vector3<Scalar>((offset.force + expected) / mass_), Vector3<Scalar>(expected / mass_));
   if (status != CalibrationStatus::calibrated) return status;
   constexpr double arm = 0.1;  // no centre of mass is further from where it is believed [m]
-  if (!within(offset.torque, arm * double(weight))) return CalibrationStatus::implausible;
+  if (!within(offset.torque, arm * gravity * double(mass_))) return CalibrationStatus::implausible;
   set_offset(offset);
   return status;
 }
