@@ -249,9 +249,11 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     go_on_without(detector_.failure(), time);
     vehicle_ = with_failure(vehicle_, failure_);
     detector_ = FailureDetector<Rotors>(vehicle_);
-  } else if (failed && !has_lost_actuator() && mode_ != FlightMode::stopped) {
+  } else if (failed && mode_ != FlightMode::stopped &&
+             (!has_lost_actuator() || detector_.failure().limp != failure_.limp)) {
+    const bool is_first = !has_lost_actuator();
     go_on_without(detector_.failure(), time);
-    begin(FlightMode::emergency, time);
+    if (is_first) begin(FlightMode::emergency, time);
   }
   if (!is_good) bad_until_ = time;
   const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;

@@ -286,7 +286,8 @@ class TrustFigures {
         << '\n';
     if (failure_.kind == tilt_ropter::FailureKind::servo)
       out << "stuck_at_deg: " << failure_.angle * degrees
-          << "\nstuck_at_stddev_deg: " << failure_.stddev * degrees << '\n';
+          << "\nstuck_at_stddev_deg: " << failure_.stddev * degrees
+          << "\nservo_is_limp: " << failure_.limp << '\n';
     else
       out << "thrust_left: " << failure_.effectiveness << '\n';
     out << "emergency_landing_speed_mps: " << speed_

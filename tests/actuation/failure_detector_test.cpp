@@ -83,6 +83,11 @@ class Body {
   Eigen::Vector4d angle_ = Eigen::Vector4d::Zero();  // of slow servos [rad]
 };
 
+struct Flight {
+  FailureDetector<4> detector{tilt_ropter_vehicle()};
+  Body body{tilt_ropter_vehicle(), 100.0};
+};
+
 TEST(FailureDetector, FindsEveryFailureAtAnyRate) {
   for (const double rate : {50.0, 100.0, 1000.0})
     for (std::size_t rotor = 0; rotor < 4; ++rotor)
@@ -161,8 +166,7 @@ TEST(FailureDetector, AWrongMassIsNoSlowServo) {
 }
 
 TEST(FailureDetector, LearnsConstantDisturbancesAndSurvivesGusts) {
-  FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 100.0);
+  auto [detector, body] = Flight();
   test_support::Random random(1);
   for (int i = 0; i < 200; ++i) {  // a gust hits the whole body
     body.disturbance.force = random.vector(1.5);
@@ -174,8 +178,7 @@ TEST(FailureDetector, LearnsConstantDisturbancesAndSurvivesGusts) {
 // Only its telemetry shows a rotor that a motor controller has stopped: the modelled wrench
 // follows the measured speed.
 TEST(FailureDetector, FindsAStoppedRotorByItsSpeed) {
-  FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 100.0);
+  auto [detector, body] = Flight();
   body.run(detector, 1.0);
   body.speed_factor(2) = 0.3;
   body.fail({});
@@ -288,8 +291,7 @@ TEST(FailureDetector, RotorsThatStopTogetherWereSwitchedOff) {
 TEST(FailureDetector, AFailureFromBeforeTheFlightIsNotNormal) {
   for (const double angle : {-37.0, 73.0})
     for (std::size_t rotor = 0; rotor < 4; ++rotor) {
-      FailureDetector<4> detector(tilt_ropter_vehicle());
-      Body body(tilt_ropter_vehicle(), 100.0);
+      auto [detector, body] = Flight();
       body.disturbance.force << 0.4, 0.2, -0.3;
       body.fail({FailureKind::servo, rotor, angle * degree, 1.0, 0.0});
       body.run(detector, 1.0, false);
@@ -305,8 +307,7 @@ TEST(FailureDetector, AFailureFromBeforeTheFlightIsNotNormal) {
 // An asymmetric load hides a stuck servo at the start. When it is found, its angle is uncertain.
 TEST(FailureDetector, AnAngleIsUncertainByWhatWasNormal) {
   const auto stddev_with = [](double sideways) {
-    FailureDetector<4> detector(tilt_ropter_vehicle());
-    Body body(tilt_ropter_vehicle(), 100.0);
+    auto [detector, body] = Flight();
     body.disturbance.force << 0.0, sideways, 0.0;
     body.run(detector, 2.0);
     body.fail({FailureKind::servo, 2, 60.0 * degree, 1.0, 0.0});
@@ -318,12 +319,27 @@ TEST(FailureDetector, AnAngleIsUncertainByWhatWasNormal) {
   EXPECT_GT(stddev_with(2.0), 8.0 * degree);
 }
 
+// A servo that is stuck stays where it is; one without torque does not, and its rotor has to stop.
+TEST(FailureDetector, AnArmThatMovesOnIsLimp) {
+  for (std::size_t rotor = 0; rotor < 4; ++rotor) {
+    auto [detector, body] = Flight();
+    body.disturbance.force << 0.4, 0.2, -0.3;
+    body.run(detector, 2.0);
+    body.fail({FailureKind::servo, rotor, 30.0 * degree, 1.0, 0.0});
+    body.run(detector, 2.0);
+    const ActuatorFailure& found = detector.failure();
+    EXPECT_TRUE(found.kind == FailureKind::servo && !found.limp && found.rotor == rotor);
+    body.fail({FailureKind::servo, rotor, 60.0 * degree, 1.0, 0.0});
+    body.run(detector, 0.2);
+    EXPECT_TRUE(found.kind == FailureKind::servo && found.limp && found.rotor == rotor);
+  }
+}
+
 // Neither a mass nor a centre of mass that is a little wrong is a rotor.
 TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
   test_support::Random random(3);
   for (int i = 0; i < 100; ++i) {
-    FailureDetector<4> detector(tilt_ropter_vehicle());
-    Body body(tilt_ropter_vehicle(), 100.0);
+    auto [detector, body] = Flight();
     body.disturbance.force = random.vector(2.0) - Eigen::Vector3d(0.0, 0.0, random.uniform(0, 3));
     body.disturbance.torque = random.vector(0.1);
     body.run(detector, 1.0);
@@ -334,8 +350,7 @@ TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
 
 // Near zero thrust the model of a rotor and its speed may differ by any factor.
 TEST(FailureDetector, ASlowRotorWithoutThrustIsNotStopped) {
-  FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 100.0);
+  auto [detector, body] = Flight();
   body.thrust_factor(1) = 0.1;
   body.speed_factor(1) = 0.3;
   body.run(detector, 2.0);
@@ -343,21 +358,17 @@ TEST(FailureDetector, ASlowRotorWithoutThrustIsNotStopped) {
 }
 
 TEST(FailureDetector, IsSilentOnTheGroundAndReportsUntilReset) {
-  FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 100.0);
+  auto [detector, body] = Flight();
   body.run(detector, 1.0);
   body.fail({FailureKind::rotor, 1, 0.0, 0.0, 0.0});
   body.run(detector, 5.0, false);
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
 
-  Body other(tilt_ropter_vehicle(), 100.0);
   detector.reset();
-  other.run(detector, 1.0);
-  other.fail({FailureKind::rotor, 1, 0.0, 0.0, 0.0});
-  other.run(detector, 0.3);
-  ASSERT_EQ(detector.failure().kind, FailureKind::rotor);
-  other.fail({});
-  other.run(detector, 1.0);
+  for (const double effectiveness : {1.0, 0.0, 1.0}) {
+    body.fail({FailureKind::rotor, 1, 0.0, effectiveness, 0.0});
+    body.run(detector, 1.0);
+  }
   EXPECT_EQ(detector.failure().kind, FailureKind::rotor);
   detector.reset();
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
@@ -365,19 +376,17 @@ TEST(FailureDetector, IsSilentOnTheGroundAndReportsUntilReset) {
 
 TEST(FailureDetector, IgnoresInvalidInput) {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-  FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 100.0);
+  auto [detector, body] = Flight();
   body.run(detector, 1.0);
   ActuatorState<4> actuators;
+  const auto& speed = actuators.rotor_speed;
   for (int i = 0; i < 100; ++i) {
-    detector.update(i % 2 == 0 ? nan : 11.0, {}, actuators, actuators.rotor_speed, true);
-    detector.update(11.0, {Eigen::Vector3d::Constant(nan), {}}, actuators, actuators.rotor_speed,
-                    true);
-    detector.update(11.0, {Eigen::Vector3d::Constant(1e300), {}}, actuators, actuators.rotor_speed,
-                    true);
+    detector.update(i % 2 == 0 ? nan : 11.0, {}, actuators, speed, true);
+    for (const double bad : {nan, 1e300})
+      detector.update(11.0, {Eigen::Vector3d::Constant(bad), {}}, actuators, speed, true);
     detector.update(11.0, {}, actuators, Eigen::Vector4d::Constant(nan), true);
     actuators.tilt_angle(1) = nan;
-    detector.update(11.0, {}, actuators, actuators.rotor_speed, true);
+    detector.update(11.0, {}, actuators, speed, true);
     actuators.tilt_angle(1) = 0.0;
   }
   body.run(detector, 1.0);

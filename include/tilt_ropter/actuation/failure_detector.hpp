@@ -43,10 +43,11 @@ struct ActuatorFailure {
   double time = 0.0;           ///< of the report [s]
   double stddev = 0.0;         ///< standard deviation of the angle [rad]
   double time_constant = 0.0;  ///< of slow servos [s]
+  bool limp = false;           ///< the servo does not hold this angle: its rotor has to stop
 };
 
 /// Returns the vehicle that remains after `failure`, see with_stuck_servo() and with_weak_rotor().
-/// With slow servos it has their time constant.
+/// With slow servos it has their time constant; the rotor of a limp servo is lost.
 template <int Rotors>
 [[nodiscard]] Vehicle<Rotors> with_failure(const Vehicle<Rotors>& vehicle,
                                            const ActuatorFailure& failure) {
@@ -54,7 +55,8 @@ template <int Rotors>
     case FailureKind::none:
       break;
     case FailureKind::servo:
-      return with_stuck_servo(vehicle, failure.rotor, failure.angle);
+      return failure.limp ? with_weak_rotor(vehicle, failure.rotor, 0.0)
+                          : with_stuck_servo(vehicle, failure.rotor, failure.angle);
     case FailureKind::rotor:
       return with_weak_rotor(vehicle, failure.rotor, failure.effectiveness);
     case FailureKind::slow_servos: {
@@ -89,6 +91,8 @@ template <int Rotors>
 /// a rotor that stands still for 0.4 s is lost, too, if the telemetry of other rotors changes.
 /// Rotors that stop together were switched off.
 ///
+/// A servo that is found at an angle is watched further. If its arm moves on, it is limp.
+///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
 /// it is commanded. On the ground the wrench shows slow servos only, and no failure in the first
 /// 0.1 s of a flight, and with less than 20 ticks per second.
@@ -104,8 +108,8 @@ class FailureDetector {
   /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
   /// [rad/s] is that of ActuatorModel. It replaces a measured speed that is more than 30 % off, as
   /// it is not finite or not measured. Set `airborne` to false if the vehicle touches the ground or
-  /// may touch it. Returns the first failure that was found; reset() forgets it. Ignores ticks with
-  /// other numbers that are not finite or above 1e6.
+  /// may touch it. Returns the first failure that was found; reset() forgets it. Only `limp` may
+  /// change later. Ignores ticks with other numbers that are not finite or above 1e6.
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
@@ -297,9 +301,11 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
   const bool valid = std::isfinite(time) && plausible(sample.specific_force) &&
                      plausible(sample.angular_velocity) && plausible(measured.tilt_angle) &&
                      plausible(modelled_speed);
-  if (!valid || failure_.kind != FailureKind::none) return failure_;
+  const bool is_found = failure_.kind != FailureKind::none;
+  if (!valid || (is_found && (failure_.kind != FailureKind::servo || failure_.limp)))
+    return failure_;
   const bool in_time = started_ && dt > 0.0 && dt <= longest_gap;
-  if (in_time)
+  if (in_time && !is_found)
     watch_speeds(time, dt, measured.rotor_speed, modelled_speed, airborne);
   else
     telemetry_.fill({});
@@ -315,6 +321,7 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
       if (std::abs(measured.rotor_speed(i) - modelled_speed(i)) <
           (1.0 - min_speed_fraction) * modelled_speed(i))
         actuators.rotor_speed(i) = measured.rotor_speed(i);
+    if (is_found) actuators.tilt_angle(static_cast<int>(failure_.rotor)) = failure_.angle;
     add(dt, sample, actuators);
     if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
   }
@@ -415,8 +422,9 @@ template <int Rotors>
 void FailureDetector<Rotors>::end_block(double time, const InertialSampled& sample) noexcept {
   const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
   block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
+  const bool is_found = failure_.kind != FailureKind::none;
   if (!airborne_) {
-    judge_servos(time, block_);
+    if (!is_found) judge_servos(time, block_);
     block_ = {};
     return;
   }
@@ -428,8 +436,8 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   block_ = {};
   next_ = (next_ + 1) % blocks;
   filled_ = std::min(filled_ + 1, blocks);
-  judge_servos(time, oldest);
-  if (filled_ == blocks && failure_.kind == FailureKind::none) judge(time, dt);
+  if (!is_found) judge_servos(time, oldest);
+  if (filled_ == blocks && (is_found || failure_.kind == FailureKind::none)) judge(time, dt);
 }
 
 template <int Rotors>
@@ -526,6 +534,10 @@ void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
   // By then nothing before the failure is left in the window.
   const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
   if (best < 0 || suspected_for_ < needed_time) return;
+  if (failure_.kind == FailureKind::servo) {
+    failure_.limp = index(best) == failure_.rotor;
+    return;
+  }
   report(time, best, force, per_second * sum.thrust(best),
          std::atan2(sum.lateral(best), sum.vertical(best)), least);
 }
@@ -560,6 +572,8 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
     // What is normal may be wrong by all of it.
     const double uncertain = learnt_for_ >= known_after ? fit(rotor, baseline_).norm() : 0.0;
     failure_.stddev = std::atan2(std::hypot(rest, uncertain), size);
+    filled_ = next_ = 0;  // from now on with this angle
+    suspect_ = -1;
   } else {
     failure_.kind = FailureKind::rotor;
     failure_.effectiveness = fraction;
