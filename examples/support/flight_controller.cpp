@@ -30,6 +30,8 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       after_failure_(actuator_nmpc_settings(vehicle)) {
   after_failure_.time_limit = settings.time_limit;
   after_failure_.ground = settings.ground;
+  allow_passes_after_failure();
+
   if (!has_wrench_level<Rotors>)
     throw std::invalid_argument("FlightController: the wrench level needs 4 rotors or more");
   if constexpr (has_wrench_level<Rotors>) {
@@ -55,7 +57,17 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       external_(external),
       vehicle_(vehicle),
       detector_(vehicle),
-      after_failure_(settings) {}
+      after_failure_(settings) {
+  allow_passes_after_failure();
+}
+
+// A vehicle that has begun to tumble is saved by plans that are solved: with 6 passes, 3 of 240
+// failures ended upside down, with 12 none.
+template <int Rotors>
+void FlightController<Rotors>::allow_passes_after_failure() {
+  int& passes = after_failure_.solver.program.max_passes;
+  passes = std::max(passes, 12);
+}
 
 template <int Rotors>
 void FlightController<Rotors>::start_with(const ActuatorState<Rotors>& command) {

@@ -228,6 +228,7 @@ class FlightController {
            failure_.kind == tilt_ropter::FailureKind::rotor;
   }
   void go_on_without(const tilt_ropter::ActuatorFailure& failure, double time);
+  void allow_passes_after_failure();
   void settle_at(double speed);
   void begin(FlightMode mode, double time);
   [[nodiscard]] double vertical_stddev(int of) const;  ///< of the estimate [m] or [m/s]
