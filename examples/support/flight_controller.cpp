@@ -291,7 +291,8 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     case FlightMode::landing: {
       if (mode_ == FlightMode::landing) sink(passed);
       constexpr double settled = 0.3;  // on the ground for this time [s]
-      const bool falls = mode_ == FlightMode::emergency && ekf_.state().velocity.norm() > 0.5;
+      const bool falls =
+          mode_ == FlightMode::emergency && std::abs(ekf_.state().velocity.z()) > 0.5;
       if (contact_.standing_for() > settled && !falls)
         mode_ = FlightMode::stopped;
       else if (mode_ == FlightMode::emergency && lost)

@@ -44,7 +44,8 @@ enum class FlightMode {
   returning,  ///< flies a smooth way back to the reference
   landing,    ///< position or attitude is lost, or it held for too long: sinks by IMU and wrench
   stopped,    ///< landed like this: rotors off, unless the vehicle falls
-  emergency   ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries
+  emergency   ///< an actuator has failed: brakes, hovers for 2 s, sinks until the ground carries;
+              ///< on the ground the rotors stop
 };
 
 [[nodiscard]] constexpr const char* to_string(FlightMode mode) noexcept {

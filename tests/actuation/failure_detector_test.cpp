@@ -1,6 +1,7 @@
 #include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/failure_detector.hpp>
 
+#include "support/failing_body.hpp"
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
@@ -18,75 +19,8 @@ namespace {
 
 constexpr double degree = pi / 180.0;
 
-/// A body whose actuators do what is asked, except the failed one. Nothing but this wrench, a
-/// constant disturbance and gravity acts on it.
-class Body {
- public:
-  Body(const Vehicle<4>& vehicle, double rate) : vehicle_(vehicle), rate_(rate), truth_(vehicle) {}
-
-  /// Hover with small motions of all speeds and angles, as a controller commands them.
-  void run(FailureDetector<4>& detector, double duration, bool airborne = true) {
-    for (const double end = time_ + duration; time_ < end; time_ += 1.0 / rate_) {
-      ActuatorState<4> believed;
-      for (int i = 0; i < 4; ++i) {
-        believed.rotor_speed(i) =
-            speed_from_thrust(thrust_factor(i) * (0.25 + 0.02 * std::sin(7.0 * time_ + i)) *
-                                  vehicle_.body.mass * gravity,
-                              vehicle_.rotor);
-        believed.tilt_angle(i) =
-            0.1 * std::sin(5.0 * time_ + 2.0 * i) + 0.05 * std::sin(13.0 * time_ + i);
-      }
-      ActuatorState<4> telemetry = believed;
-      for (int i = 0; i < 4; ++i) telemetry.rotor_speed(i) *= speed_factor(i);
-      ActuatorState<4> real = telemetry;
-      if (slowness > 1.0) {
-        const double lag = vehicle_.servo.time_constant;
-        for (int i = 0; i < 4; ++i) {
-          const double command =
-              believed.tilt_angle(i) +
-              lag * (0.5 * std::cos(5.0 * time_ + 2.0 * i) + 0.65 * std::cos(13.0 * time_ + i));
-          angle_(i) += (command - angle_(i)) / (slowness * lag * rate_);
-        }
-        real.tilt_angle = angle_;
-      }
-      Wrenchd wrench = truth_.wrench(real);
-      wrench.force *= gain;
-      wrench.force += disturbance.force;
-      wrench.torque += disturbance.torque;
-      for (int n = 0; n < 20; ++n) {
-        const Eigen::Vector3d& w = rate_of_turn_;
-        rate_of_turn_ += vehicle_.body.inertia.inverse() *
-                         (wrench.torque - w.cross(vehicle_.body.inertia * w)) / (20.0 * rate_);
-      }
-      detector.update(time_, {rate_of_turn_, wrench.force / vehicle_.body.mass}, telemetry,
-                      believed.rotor_speed, airborne);
-    }
-  }
-
-  void fail(const ActuatorFailure& failure) {
-    truth_ = ActuatedBody<4>(with_failure(vehicle_, failure));
-    failed_at_ = time_;
-  }
-  [[nodiscard]] double since_failure(double time) const { return time - failed_at_; }
-
-  Wrenchd disturbance;
-  double slowness = 1.0;  ///< true / believed time constant of the servos
-  double gain = 1.0;      ///< true / believed force
-  Eigen::Vector4d speed_factor = Eigen::Vector4d::Ones();   ///< measured / commanded speed
-  Eigen::Vector4d thrust_factor = Eigen::Vector4d::Ones();  ///< commanded / hover thrust
-
- private:
-  Vehicle<4> vehicle_;
-  double rate_, time_ = 10.0, failed_at_ = 0.0;
-  ActuatedBody<4> truth_;
-  Eigen::Vector3d rate_of_turn_ = Eigen::Vector3d::Zero();
-  Eigen::Vector4d angle_ = Eigen::Vector4d::Zero();  // of slow servos [rad]
-};
-
-struct Flight {
-  FailureDetector<4> detector{tilt_ropter_vehicle()};
-  Body body{tilt_ropter_vehicle(), 100.0};
-};
+using test_support::FailingBody;
+using test_support::FailingFlight;
 
 TEST(FailureDetector, FindsEveryFailureAtAnyRate) {
   for (const double rate : {50.0, 100.0, 1000.0})
@@ -100,7 +34,7 @@ TEST(FailureDetector, FindsEveryFailureAtAnyRate) {
         const std::string name = std::string(to_string(failure.kind)) + " " +
                                  std::to_string(rotor) + " at " + std::to_string(rate) + " Hz";
         FailureDetector<4> detector(tilt_ropter_vehicle());
-        Body body(tilt_ropter_vehicle(), rate);
+        FailingBody body(tilt_ropter_vehicle(), rate);
         body.disturbance.force << 1.0, -0.5, -1.5;
         body.disturbance.torque << 0.05, -0.08, 0.02;
         body.run(detector, 2.0);
@@ -121,7 +55,7 @@ TEST(FailureDetector, FindsSlowServosInTheAirAndOnTheGround) {
   for (const bool airborne : {true, false})
     for (const double slowness : {4.0, 8.0}) {
       FailureDetector<4> detector(tilt_ropter_vehicle());
-      Body body(tilt_ropter_vehicle(), 1000.0);
+      FailingBody body(tilt_ropter_vehicle(), 1000.0);
       body.slowness = slowness;
       body.gain = 0.8;
       body.run(detector, 6.0, airborne);
@@ -138,7 +72,7 @@ TEST(FailureDetector, NoLagAboveTenSecondsIsReported) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   vehicle.servo.time_constant = 4.0;
   FailureDetector<4> detector(vehicle);
-  Body body(vehicle, 1000.0);
+  FailingBody body(vehicle, 1000.0);
   body.slowness = 8.0;
   body.run(detector, 6.0);
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
@@ -147,7 +81,7 @@ TEST(FailureDetector, NoLagAboveTenSecondsIsReported) {
 // A healthy vehicle may differ by that.
 TEST(FailureDetector, ServosOfHalfTheSpeedAreNoFailureInTheAir) {
   FailureDetector<4> detector(tilt_ropter_vehicle());
-  Body body(tilt_ropter_vehicle(), 1000.0);
+  FailingBody body(tilt_ropter_vehicle(), 1000.0);
   body.slowness = 2.0;
   body.run(detector, 10.0);
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
@@ -158,7 +92,7 @@ TEST(FailureDetector, AWrongMassIsNoSlowServo) {
   for (const bool airborne : {true, false})
     for (const double gain : {0.5, 0.8, 1.25, 1.5}) {
       FailureDetector<4> detector(tilt_ropter_vehicle());
-      Body body(tilt_ropter_vehicle(), 1000.0);
+      FailingBody body(tilt_ropter_vehicle(), 1000.0);
       body.gain = gain;
       body.run(detector, 10.0, airborne);
       EXPECT_EQ(detector.failure().kind, FailureKind::none) << gain << airborne;
@@ -166,7 +100,7 @@ TEST(FailureDetector, AWrongMassIsNoSlowServo) {
 }
 
 TEST(FailureDetector, LearnsConstantDisturbancesAndSurvivesGusts) {
-  auto [detector, body] = Flight();
+  auto [detector, body] = FailingFlight();
   test_support::Random random(1);
   for (int i = 0; i < 200; ++i) {  // a gust hits the whole body
     body.disturbance.force = random.vector(1.5);
@@ -178,7 +112,7 @@ TEST(FailureDetector, LearnsConstantDisturbancesAndSurvivesGusts) {
 // Only its telemetry shows a rotor that a motor controller has stopped: the modelled wrench
 // follows the measured speed.
 TEST(FailureDetector, FindsAStoppedRotorByItsSpeed) {
-  auto [detector, body] = Flight();
+  auto [detector, body] = FailingFlight();
   body.run(detector, 1.0);
   body.speed_factor(2) = 0.3;
   body.fail({});
@@ -291,7 +225,7 @@ TEST(FailureDetector, RotorsThatStopTogetherWereSwitchedOff) {
 TEST(FailureDetector, AFailureFromBeforeTheFlightIsNotNormal) {
   for (const double angle : {-37.0, 73.0})
     for (std::size_t rotor = 0; rotor < 4; ++rotor) {
-      auto [detector, body] = Flight();
+      auto [detector, body] = FailingFlight();
       body.disturbance.force << 0.4, 0.2, -0.3;
       body.fail({FailureKind::servo, rotor, angle * degree, 1.0, 0.0});
       body.run(detector, 1.0, false);
@@ -307,7 +241,7 @@ TEST(FailureDetector, AFailureFromBeforeTheFlightIsNotNormal) {
 // An asymmetric load hides a stuck servo at the start. When it is found, its angle is uncertain.
 TEST(FailureDetector, AnAngleIsUncertainByWhatWasNormal) {
   const auto stddev_with = [](double sideways) {
-    auto [detector, body] = Flight();
+    auto [detector, body] = FailingFlight();
     body.disturbance.force << 0.0, sideways, 0.0;
     body.run(detector, 2.0);
     body.fail({FailureKind::servo, 2, 60.0 * degree, 1.0, 0.0});
@@ -322,7 +256,7 @@ TEST(FailureDetector, AnAngleIsUncertainByWhatWasNormal) {
 // A servo that is stuck stays where it is; one without torque does not, and its rotor has to stop.
 TEST(FailureDetector, AnArmThatMovesOnIsLimp) {
   for (std::size_t rotor = 0; rotor < 4; ++rotor) {
-    auto [detector, body] = Flight();
+    auto [detector, body] = FailingFlight();
     body.disturbance.force << 0.4, 0.2, -0.3;
     body.run(detector, 2.0);
     body.fail({FailureKind::servo, rotor, 30.0 * degree, 1.0, 0.0});
@@ -339,7 +273,7 @@ TEST(FailureDetector, AnArmThatMovesOnIsLimp) {
 TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
   test_support::Random random(3);
   for (int i = 0; i < 100; ++i) {
-    auto [detector, body] = Flight();
+    auto [detector, body] = FailingFlight();
     body.disturbance.force = random.vector(2.0) - Eigen::Vector3d(0.0, 0.0, random.uniform(0, 3));
     body.disturbance.torque = random.vector(0.1);
     body.run(detector, 1.0);
@@ -350,7 +284,7 @@ TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
 
 // Near zero thrust the model of a rotor and its speed may differ by any factor.
 TEST(FailureDetector, ASlowRotorWithoutThrustIsNotStopped) {
-  auto [detector, body] = Flight();
+  auto [detector, body] = FailingFlight();
   body.thrust_factor(1) = 0.1;
   body.speed_factor(1) = 0.3;
   body.run(detector, 2.0);
@@ -358,7 +292,7 @@ TEST(FailureDetector, ASlowRotorWithoutThrustIsNotStopped) {
 }
 
 TEST(FailureDetector, IsSilentOnTheGroundAndReportsUntilReset) {
-  auto [detector, body] = Flight();
+  auto [detector, body] = FailingFlight();
   body.run(detector, 1.0);
   body.fail({FailureKind::rotor, 1, 0.0, 0.0, 0.0});
   body.run(detector, 5.0, false);
@@ -376,7 +310,7 @@ TEST(FailureDetector, IsSilentOnTheGroundAndReportsUntilReset) {
 
 TEST(FailureDetector, IgnoresInvalidInput) {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-  auto [detector, body] = Flight();
+  auto [detector, body] = FailingFlight();
   body.run(detector, 1.0);
   ActuatorState<4> actuators;
   const auto& speed = actuators.rotor_speed;

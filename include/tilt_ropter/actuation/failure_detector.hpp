@@ -94,8 +94,10 @@ template <int Rotors>
 /// A servo that is found at an angle is watched further. If its arm moves on, it is limp.
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
-/// it is commanded. On the ground the wrench shows slow servos only, and no failure in the first
-/// 0.1 s of a flight, and with less than 20 ticks per second.
+/// it is commanded, or in the first 0.1 s of a flight, or with less than 20 ticks per second. On
+/// the ground a rotor is missed only where the vehicle is free: along x, and turning about y and z.
+/// That takes a fifth of its thrust in hover, 0.2 s, and half a second before, in which the rotors
+/// hardly pushed.
 ///
 /// Only the constructor throws. Nothing allocates.
 template <int Rotors>
@@ -144,6 +146,10 @@ class FailureDetector {
   static constexpr double min_fraction = 0.35;
   // Largest residual that the failure may leave unexplained, as a fraction of the residual.
   static constexpr double max_unexplained = 0.35;
+  // On the ground: the smallest change that is a failure, and the largest thrust at which none
+  // shows, as fractions of the thrust in hover. It has to last this long [s].
+  static constexpr double min_change_on_ground = 0.2, without_thrust = 0.1,
+                          confirmation_on_ground = 0.2;
   // A rotor whose force is smaller than this fraction of its model is lost.
   static constexpr double lost_fraction = 0.25;
   // The servo is all right if the force keeps its direction within this angle [rad].
@@ -229,6 +235,8 @@ class FailureDetector {
 
   // Compares the window with each failure.
   void judge(double time, double dt) noexcept;
+  void judge_on_ground(double time, double dt) noexcept;
+  [[nodiscard]] Block window_sum() const noexcept;
 
   // Force of rotor i (lateral, vertical) that explains most of `change`.
   [[nodiscard]] Eigen::Vector2d fit(int i, const Vector6& change) const noexcept;
@@ -423,21 +431,89 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
   block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
   const bool is_found = failure_.kind != FailureKind::none;
-  if (!airborne_) {
-    if (!is_found) judge_servos(time, block_);
-    block_ = {};
-    return;
-  }
   // What leaves the window is learnt, unless the window may contain a failure.
   Block& oldest = ring_[index(next_)];
-  if (filled_ == blocks && suspect_ < 0) learn(oldest);
+  if (airborne_ && filled_ == blocks && suspect_ < 0) learn(oldest);
   const double dt = block_.duration;
   oldest = block_;
   block_ = {};
   next_ = (next_ + 1) % blocks;
   filled_ = std::min(filled_ + 1, blocks);
   if (!is_found) judge_servos(time, oldest);
-  if (filled_ == blocks && (is_found || failure_.kind == FailureKind::none)) judge(time, dt);
+  if (filled_ < blocks || (!is_found && failure_.kind != FailureKind::none)) return;
+  if (airborne_)
+    judge(time, dt);
+  else if (!is_found)
+    judge_on_ground(time, dt);
+}
+
+template <int Rotors>
+auto FailureDetector<Rotors>::window_sum() const noexcept -> Block {
+  Block sum;
+  for (const Block& block : ring_) {
+    sum.duration += block.duration;
+    sum.residual += block.residual;
+    sum.thrust += block.thrust;
+    sum.lateral += block.lateral;
+    sum.vertical += block.vertical;
+    sum.left += block.left;
+  }
+  return sum;
+}
+
+// The ground leaves free to move along x and to turn about y and z: there a rotor that does not
+// push is missed, and one that pushes sideways shows. What else acts there, such as a CoM off the
+// axle, is in proportion to the load, and learnt while the rotors hardly push.
+template <int Rotors>
+void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
+  const Block sum = window_sum();
+  const double per_second = 1.0 / sum.duration, weight = Rotors * hover_thrust_,
+               load = per_second * sum.residual(2) / weight,
+               least = min_change_on_ground * hover_thrust_;
+  Vector6 free;
+  free << 1.0, 0.0, 0.0, 0.0, 1.0, 1.0;
+  Vector6 change = per_second * free.cwiseProduct(sum.residual);
+  if (per_second * sum.thrust.maxCoeff() < without_thrust * hover_thrust_ && load > 0.5) {
+    learnt_for_ += dt;
+    baseline_ += dt / std::min(learnt_for_, baseline_time) * (change / load - baseline_);
+  }
+  if (learnt_for_ < known_after) return;
+  change -= std::max(load, 0.0) * baseline_;
+  const double leaning = 0.2 * std::max(load, 0.0) * weight;
+  int best = -1;
+  double unexplained = std::numeric_limits<double>::infinity(), push = 0.0;
+  const auto compare = [&](int explanation, const Vector6& by_this) {
+    Vector6 left = change - by_this;
+    // A body that leans on its wheels feels a part of the load along x.
+    left(0) -= std::clamp(left(0), -leaning, leaning);
+    const double rest = left.norm();
+    if (!(by_this.norm() > least && rest < max_unexplained * by_this.norm() && rest < unexplained))
+      return false;
+    best = explanation;
+    unexplained = rest;
+    return true;
+  };
+  for (int i = 0; i < Rotors; ++i) {
+    if (lost_[index(i)]) continue;
+    compare(i, per_second * free.cwiseProduct(sum.left.col(i)));
+    const Vector6 sideways = free.cwiseProduct(columns_[index(2 * i)]);
+    const double force = sideways.dot(change) / sideways.squaredNorm();
+    if (tilts_[index(i)] && compare(Rotors + i, force * sideways)) push = force;
+  }
+  suspected_for_ = best >= 0 && best == suspect_ ? suspected_for_ + dt : 0.0;
+  suspect_ = best;
+  if (best < 0 || suspected_for_ < confirmation_on_ground) return;
+  failure_ = {best < Rotors ? FailureKind::rotor : FailureKind::servo, index(best % Rotors)};
+  failure_.time = time;
+  if (best < Rotors) {
+    failure_.effectiveness = 0.0;
+    return;
+  }
+  const int i = best % Rotors;
+  failure_.angle = std::atan2(per_second * sum.lateral(i) + push, per_second * sum.vertical(i));
+  failure_.stddev = std::atan2(unexplained, per_second * sum.thrust(i));
+  filled_ = next_ = 0;  // from now on with this angle
+  suspect_ = -1;
 }
 
 template <int Rotors>
@@ -502,14 +578,7 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
 
 template <int Rotors>
 void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
-  Block sum;
-  for (const Block& block : ring_) {
-    sum.duration += block.duration;
-    sum.residual += block.residual;
-    sum.thrust += block.thrust;
-    sum.lateral += block.lateral;
-    sum.vertical += block.vertical;
-  }
+  const Block sum = window_sum();
   const double per_second = 1.0 / sum.duration;
   Vector6 change = per_second * sum.residual;
   if (learnt_for_ >= known_after) change -= baseline_;

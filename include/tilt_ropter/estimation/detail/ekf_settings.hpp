@@ -57,9 +57,9 @@ enum class EstimateState {
   /// Position or velocity error above its limit, attitude good; or the estimate contradicts its
   /// measurements, has just restarted, or has implausible biases: the reasons tell which.
   degraded,
-  position_lost,   ///< position error above lost_position_error, attitude good: land
-  starting,        ///< not started, or the velocity is not known yet after a start
-  lost             ///< IMU silent or stopped, or attitude error above its limit
+  position_lost,  ///< position error above lost_position_error, attitude good: land
+  starting,       ///< not started, or the velocity is not known yet after a start
+  lost            ///< IMU silent or stopped, or attitude error above its limit
 };
 
 [[nodiscard]] constexpr const char* to_string(EstimateState state) noexcept {

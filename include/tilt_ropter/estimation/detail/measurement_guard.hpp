@@ -447,9 +447,9 @@ class MeasurementGuard {
   double late_time_ = 0.0, late_since_ = 0.0;  ///< of the last and the first late IMU sample
   int late_samples_ = 0;                       ///< consecutive
   double restarted_ = never, doubtful_until_ = never;  ///< last restart, see EstimateTrust
-  double nis_per_row_ = 1.0, mean_nis_ = 1.0;  ///< of the last one, of those that were used
-  int used_since_start_ = 0;                   ///< poses
-  int wrong_starts_ = 0;                       ///< consecutive
+  double nis_per_row_ = 1.0, mean_nis_ = 1.0;          ///< of the last one, of those that were used
+  int used_since_start_ = 0;                           ///< poses
+  int wrong_starts_ = 0;                               ///< consecutive
   Scalar nis_ = Scalar(0);
 };
 

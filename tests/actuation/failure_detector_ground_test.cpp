@@ -1,0 +1,73 @@
+// Failures on the ground, where only motion along x and turning about y and z are free.
+
+#include <tilt_ropter/actuation/failure_detector.hpp>
+
+#include "support/failing_body.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+namespace tilt_ropter {
+namespace {
+
+using test_support::FailingFlight;
+
+// Thrusts as a fraction of those in hover; the ground carries the rest of the weight.
+void drive(FailingFlight& flight, double thrust, double duration, const Wrenchd& other = {}) {
+  const double weight = tilt_ropter_vehicle().body.mass * gravity;
+  flight.body.thrust_factor.setConstant(thrust);
+  flight.body.disturbance = other;
+  flight.body.disturbance.force.z() += (1.0 - thrust) * weight;
+  flight.body.run(flight.detector, duration, false);
+}
+
+TEST(FailureDetectorOnGround, ARotorInFrontOrBehindIsFoundBeforeTheTakeOff) {
+  for (const std::size_t rotor : {2U, 3U})
+    for (const double thrust : {0.3, 0.6, 0.9}) {
+      FailingFlight flight;
+      drive(flight, 0.05, 1.5);
+      drive(flight, thrust, 1.0);
+      ASSERT_EQ(flight.detector.failure().kind, FailureKind::none);
+      flight.body.fail({FailureKind::rotor, rotor, 0.0, 0.0, 0.0});
+      drive(flight, thrust, 0.35);
+      EXPECT_EQ(flight.detector.failure().kind, FailureKind::rotor) << thrust;
+      EXPECT_EQ(flight.detector.failure().rotor, rotor);
+    }
+}
+
+TEST(FailureDetectorOnGround, AServoOnTheAxleShowsByItsPush) {
+  for (const std::size_t rotor : {0U, 1U})
+    for (const double angle : {-1.0, 1.0}) {
+      FailingFlight flight;
+      drive(flight, 0.05, 1.5);
+      flight.body.fail({FailureKind::servo, rotor, angle, 1.0, 0.0});
+      drive(flight, 0.5, 0.5);
+      const ActuatorFailure& found = flight.detector.failure();
+      EXPECT_EQ(found.kind, FailureKind::servo);
+      EXPECT_EQ(found.rotor, rotor);
+      EXPECT_NEAR(found.angle, angle, 0.35) << rotor;
+    }
+}
+
+// A slope, wind, a CoM beside the axle in proportion to the load, and a rotor of 80 % thrust.
+TEST(FailureDetectorOnGround, WhatOtherCausesExplainIsNoFailure) {
+  for (const double push : {-3.0, 0.0, 3.0})
+    for (const double torque : {-0.15, 0.0, 0.15}) {
+      FailingFlight flight;
+      Wrenchd other;
+      other.force.x() = push;
+      other.torque.y() = torque;
+      drive(flight, 0.05, 1.5, other);
+      flight.body.fail({FailureKind::rotor, 2, 0.0, 0.8, 0.0});
+      for (const double thrust : {0.05, 0.3, 0.6, 0.9}) {
+        Wrenchd now = other;
+        now.torque *= 1.0 - thrust;
+        drive(flight, thrust, 1.0, now);
+      }
+      EXPECT_EQ(flight.detector.failure().kind, FailureKind::none) << push << ' ' << torque;
+    }
+}
+
+}  // namespace
+}  // namespace tilt_ropter
