@@ -71,12 +71,14 @@ using ActuatorServos = px4_msgs_msg_dds__ActuatorServos_;
 using ActuatorServosV0 = px4_msgs_msg_older_ActuatorServosV0_;
 using OffboardControlMode = px4_msgs_msg_dds__OffboardControlMode_;
 using SensorCombined = px4_msgs_msg_dds__SensorCombined_;
+using VehicleControlMode = px4_msgs_msg_dds__VehicleControlMode_;
 using VehicleOdometry = px4_msgs_msg_dds__VehicleOdometry_;
 using VehicleStatus = px4_msgs_msg_dds__VehicleStatus_;
 using VehicleStatusV0 = px4_msgs_msg_older_VehicleStatusV0_;
 using VehicleStatusV1 = px4_msgs_msg_older_VehicleStatusV1_;
 using VehicleStatusV2 = px4_msgs_msg_older_VehicleStatusV2_;
 using VehicleStatusV3 = px4_msgs_msg_older_VehicleStatusV3_;
+using VehicleThrustSetpoint = px4_msgs_msg_dds__VehicleThrustSetpoint_;
 }  // namespace px4_msgs::msg
 
 namespace dds {
@@ -117,8 +119,10 @@ TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorMotors)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorServos)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__OffboardControlMode)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__SensorCombined)
+TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleControlMode)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleOdometry)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleStatus)
+TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleThrustSetpoint)
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_ActuatorServosV0, px4_msgs_msg_dds__ActuatorServos)
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_VehicleStatusV0, px4_msgs_msg_dds__VehicleStatus)
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_VehicleStatusV1, px4_msgs_msg_dds__VehicleStatus)

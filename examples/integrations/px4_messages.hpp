@@ -36,10 +36,13 @@ inline constexpr std::uint8_t nav_state_manual = 0, nav_state_offboard = 14;
 
 /// Returns the state of the body; `origin_height` [m] is the height of the PX4 origin above the
 /// ground. Returns nothing if the pose is not in NED, or if the velocity is neither in NED nor in
-/// the body frame. Returns nothing also if a number is NaN, which means that PX4 does not know it.
+/// the body frame. Returns nothing also if a number is NaN, which means that PX4 does not know it,
+/// or if a position has a standard deviation above 1 m.
 [[nodiscard]] inline std::optional<tilt_ropter::BodyStated> body_state(
     const px4_msgs::msg::VehicleOdometry& m, double origin_height) {
   if (m.pose_frame != pose_frame_ned) return std::nullopt;
+  for (const float variance : m.position_variance)
+    if (variance > 1.0F) return std::nullopt;
   tilt_ropter::NedBodyStated ned;
   ned.position = vector(m.position);
   ned.orientation = {double(m.q[0]), double(m.q[1]), double(m.q[2]), double(m.q[3])};
@@ -54,6 +57,22 @@ inline constexpr std::uint8_t nav_state_manual = 0, nav_state_offboard = 14;
   body.position.z() += origin_height;
   if (!is_finite(body)) return std::nullopt;
   return body;
+}
+
+/// Returns the thrust set point for a `force` of the rotors (body frame, forward-left-up) of at
+/// most `largest` [N]. PX4's land detector needs it: without a thrust it takes a hover for a
+/// landing.
+[[nodiscard]] inline px4_msgs::msg::VehicleThrustSetpoint px4_thrust(const Eigen::Vector3d& force,
+                                                                     double largest,
+                                                                     std::uint64_t now,
+                                                                     std::uint64_t sample) {
+  px4_msgs::msg::VehicleThrustSetpoint m{};
+  m.timestamp = now;
+  m.timestamp_sample = sample;
+  const Eigen::Vector3d frd = tilt_ropter::frd_from_flu(force) / largest;
+  for (std::size_t i = 0; i < 3; ++i)
+    m.xyz[i] = static_cast<float>(std::clamp(frd(static_cast<Eigen::Index>(i)), -1.0, 1.0));
+  return m;
 }
 
 /// Returns ActuatorMotors or a version of ActuatorServos whose first channels are `outputs`. All

@@ -54,15 +54,21 @@ void fly(loops::Node& node, const std::vector<std::string>& choices) {
   auto mode = node.publisher<OffboardControlMode>(versions.topic("OffboardControlMode"), {true, 1});
   auto motors = node.publisher<ActuatorMotors>(versions.topic("ActuatorMotors"), {true, 1});
   Servos servos = servos_publisher(node, versions);
+  auto thrust =
+      node.publisher<VehicleThrustSetpoint>(versions.topic("VehicleThrustSetpoint"), {true, 1});
   node.subscribe<VehicleOdometry>(versions.topic("VehicleOdometry"), dds::sensor_data,
                                   [&](const VehicleOdometry& m) { pilot.on_odometry(m); });
   node.subscribe<SensorCombined>(versions.topic("SensorCombined"), dds::sensor_data,
                                  [&](const SensorCombined& m) { pilot.on_sensors(m); });
   subscribe_to_status(node, pilot, versions);
+  node.subscribe<VehicleControlMode>(
+      versions.topic("VehicleControlMode"), dds::sensor_data,
+      [&](const VehicleControlMode& m) { pilot.on_control_mode(m); });
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
     const loops::Px4Node::Output out = pilot.tick(now);
     if (out.mode) mode.publish(*out.mode);
+    if (out.thrust) thrust.publish(*out.thrust);
     if (out.actuators) {
       motors.publish(
           loops::px4_controls<ActuatorMotors>(out.actuators->motor, out.now, out.sample));

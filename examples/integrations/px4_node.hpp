@@ -17,7 +17,9 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <iostream>
 #include <optional>
@@ -28,8 +30,10 @@ inline constexpr const char* px4_help =
     R"(PX4 offboard node: wrench observer, NMPC and allocation at 100 Hz, from PX4's own estimate to
 its motors and servos.
 
-Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status_v4
-Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos_v1
+Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status_v4,
+               /fmu/out/vehicle_control_mode
+Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos_v1,
+               /fmu/in/vehicle_thrust_setpoint
                /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
@@ -40,22 +44,24 @@ PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_ya
 TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
-and switch to offboard mode. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). Without
-odometry for max_silence the node follows its last plan; after ten times this time it publishes
-nothing, and PX4 leaves offboard mode.)";
+and switch to offboard mode. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the
+odometry is older than max_silence, by its stamp or its arrival, the node follows its last plan,
+for 0.3 s. Then it publishes nothing, and PX4 leaves offboard mode. Where PX4 resets its position or
+heading, the hover point moves along.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
 /// actuator model. Not thread-safe.
 class Px4Node {
  public:
-  static constexpr double max_clock_difference = 5.0;  ///< without a message on stderr [s]
+  static constexpr double longest_hold = 0.3;  ///< without a state; then nothing is sent [s]
 
   /// What a tick() asks to publish.
   struct Output {
     std::optional<px4_msgs::msg::OffboardControlMode> mode;
     /// For ActuatorMotors and ActuatorServos, as px4_controls() makes them.
     std::optional<tilt_ropter::ActuatorOutputs<4>> actuators;
+    std::optional<px4_msgs::msg::VehicleThrustSetpoint> thrust;
     std::uint64_t now = 0, sample = 0;  ///< [us]
   };
 
@@ -78,8 +84,20 @@ class Px4Node {
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
     const auto body = body_state(m, origin_height_);
     if (!body) return;
+    if (body_ && !silent_) {
+      const double dt = seconds(m.timestamp_sample) - seconds(sample_);
+      const Eigen::Vector3d jump =
+          body->position - body_->position - std::clamp(dt, 0.0, 0.5) * body_->velocity;
+      if (m.reset_counter != resets_)
+        follow_reset(
+            jump, tilt_ropter::yaw_of(body->orientation) - tilt_ropter::yaw_of(body_->orientation));
+      else if (!(jump.norm() < farthest_jump))
+        return;  // of another sender, or lost
+    }
+    resets_ = m.reset_counter;
     body_ = body;
     sample_ = m.timestamp_sample;
+    is_new_ = true;
   }
 
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
@@ -94,9 +112,16 @@ class Px4Node {
   /// For any version of VehicleStatus.
   template <typename Status>
   void on_status(const Status& m) {
+    decide(m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
+  }
+  /// Ten times as often as VehicleStatus.
+  void on_control_mode(const px4_msgs::msg::VehicleControlMode& m) {
+    decide(m.flag_armed, m.flag_control_offboard_enabled);
+  }
+
+  /// Decides who flies.
+  void decide(bool armed, bool offboard) {
     const Pilot before = pilot_;
-    const bool armed = m.arming_state == arming_state_armed;
-    const bool offboard = m.nav_state == nav_state_offboard;
     pilot_ = !armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else;
     if (pilot_ == before) return;
     if (pilot_ != Pilot::this_node) sent_ = {};
@@ -125,13 +150,20 @@ class Px4Node {
     Output out;
     out.now = static_cast<std::uint64_t>(now / 1000);
     out.sample = sample_;
-    const double time = seconds(out.now), silence = time - seconds(sample_);
-    silent_ = !(std::abs(silence) <= 10.0 * max_silence_);
-    if (body_ && !warned_ && std::abs(silence) > max_clock_difference) {
-      std::cerr << "px4_node: the odometry is " << silence
-                << " s old; if it still arrives, the clocks differ: see UXRCE_DDS_SYNCT\n";
+    const double time = seconds(out.now), age = time - seconds(sample_);
+    if (is_new_) arrived_ = time;
+    is_new_ = false;
+    const bool is_known = std::abs(age) <= max_silence_ && time - arrived_ <= max_silence_;
+    if (is_known) known_ = time;
+    const bool holds = flying_ && time >= known_ && time - known_ <= longest_hold;
+    silent_ = !is_known && !holds;
+    if (body_ && !is_known && !warned_ && time - arrived_ <= max_silence_) {
+      std::cerr << "px4_node: odometry arrives but is " << age
+                << " s old by its stamps, max_silence is " << max_silence_
+                << " s; if the clocks differ, see UXRCE_DDS_SYNCT\n";
       warned_ = true;
     }
+    flying_ = flying_ && !silent_ && pilot_ == Pilot::this_node;
     if (!body_ || silent_ || wrong_imu_) return out;
     // PX4 requires this message for some time before it accepts offboard control.
     out.mode = px4_msgs::msg::OffboardControlMode{};
@@ -139,15 +171,17 @@ class Px4Node {
     out.mode->direct_actuator = true;
     if (pilot_ != Pilot::this_node) return out;
 
-    if (silence <= max_silence_) contact_.update(time, *body_, observed_);
+    if (is_known) contact_.update(time, *body_, observed_);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
-        silence <= max_silence_ ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
+        is_known ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
     planned_ = has_plan(result.status);
     solver_.add(result.status, result.report);
+    flying_ = true;
     sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
     actuators_.update(time, sent_.command);  // takes effect now
     out.actuators = scaling_.outputs(sent_.command);
+    out.thrust = px4_thrust(result.wrench.force, largest_force(), out.now, out.sample);
     return out;
   }
 
@@ -178,6 +212,29 @@ class Px4Node {
 
  private:
   enum class Pilot { somebody_else, nobody, this_node };
+
+  // Without a reset of PX4's estimator, no vehicle is elsewhere by so much [m].
+  static constexpr double farthest_jump = 0.5;
+
+  [[nodiscard]] double largest_force() const {
+    double sum = 0.0;
+    for (std::size_t i = 0; i < 4; ++i) sum += rotor_parameters(vehicle_, i).max_thrust;
+    return sum;
+  }
+
+  // PX4's own controllers move their set points in the same way: the vehicle has not moved.
+  void follow_reset(const Eigen::Vector3d& step, double turn) {
+    using namespace tilt_ropter;
+    reference_.point.position += step;
+    reference_.point.orientation = quaternion_from_yaw(turn) * reference_.point.orientation;
+    const ContactEstimate& last = contact_.estimate();
+    GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
+    ground.height += step.z() - ground.rise(step);
+    contact_ = ContactEstimator(vehicle_, ground);
+    NmpcSettings settings = nmpc_.settings();
+    settings.ground.planned_height += step.z();
+    nmpc_.set_settings(settings);
+  }
 
   // Another controller has flown: what turns is not known, and what the observer knew is old. In
   // the air, about hover is the best guess.
@@ -211,9 +268,12 @@ class Px4Node {
   double origin_height_, max_silence_;
   std::optional<tilt_ropter::BodyStated> body_;  // last known state
   std::uint64_t sample_ = 0;                     // time of this state [us]
+  double arrived_ = -1e9, known_ = -1e9;         // last arrival, last time with a state [s]
+  std::uint8_t resets_ = 0;                      // of PX4's estimator
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
-  bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false;
+  bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
+       flying_ = false;
 };
 
 }  // namespace loops

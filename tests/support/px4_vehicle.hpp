@@ -77,7 +77,39 @@ class Px4Vehicle {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
   }
 
+  /// The odometry of now.
+  [[nodiscard]] px4_msgs::msg::VehicleOdometry odometry() const {
+    px4_msgs::msg::VehicleOdometry m{};
+    m.timestamp = m.timestamp_sample = now_us() - static_cast<std::uint64_t>(1e6 * stamps_late);
+    m.reset_counter = resets_;
+    tilt_ropter::BodyStated body = plant.body();
+    body.position += estimate_step_;
+    body.orientation = tilt_ropter::quaternion_from_yaw(estimate_turn_) * body.orientation;
+    const Eigen::Matrix3d to_ned = enu_to_ned_ * body.orientation.toRotationMatrix() * flu_to_frd_;
+    const Eigen::Quaterniond q(to_ned);
+    const Eigen::Vector3d velocity = enu_to_ned_ * body.velocity;
+    m.pose_frame = loops::pose_frame_ned;
+    set(m.position, enu_to_ned_ * (body.position - Eigen::Vector3d(0, 0, origin_height)));
+    m.q[0] = static_cast<float>(q.w());
+    m.q[1] = static_cast<float>(q.x());
+    m.q[2] = static_cast<float>(q.y());
+    m.q[3] = static_cast<float>(q.z());
+    m.velocity_frame =
+        velocity_in_body ? loops::velocity_frame_body_frd : loops::velocity_frame_ned;
+    set(m.velocity, velocity_in_body ? Eigen::Vector3d(to_ned.transpose() * velocity) : velocity);
+    set(m.angular_velocity, flu_to_frd_ * body.angular_velocity);
+    return m;
+  }
+
+  /// PX4's estimator resets: positions and headings differ by so much from now on.
+  void reset_estimate(const Eigen::Vector3d& step, double turn) {
+    estimate_step_ += step;
+    estimate_turn_ += turn;
+    ++resets_;
+  }
+
   std::int64_t start;
+  double stamps_late = 0.0;  ///< of the odometry [s]
   tilt_ropter::Plant<4> plant{heavy_vehicle()};
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
@@ -100,29 +132,12 @@ class Px4Vehicle {
     return m;
   }
 
-  [[nodiscard]] px4_msgs::msg::VehicleOdometry odometry() const {
-    px4_msgs::msg::VehicleOdometry m{};
-    m.timestamp = m.timestamp_sample = now_us();
-    const tilt_ropter::BodyStated& body = plant.body();
-    const Eigen::Matrix3d to_ned = enu_to_ned_ * body.orientation.toRotationMatrix() * flu_to_frd_;
-    const Eigen::Quaterniond q(to_ned);
-    const Eigen::Vector3d velocity = enu_to_ned_ * body.velocity;
-    m.pose_frame = loops::pose_frame_ned;
-    set(m.position, enu_to_ned_ * (body.position - Eigen::Vector3d(0, 0, origin_height)));
-    m.q[0] = static_cast<float>(q.w());
-    m.q[1] = static_cast<float>(q.x());
-    m.q[2] = static_cast<float>(q.y());
-    m.q[3] = static_cast<float>(q.z());
-    m.velocity_frame =
-        velocity_in_body ? loops::velocity_frame_body_frd : loops::velocity_frame_ned;
-    set(m.velocity, velocity_in_body ? Eigen::Vector3d(to_ned.transpose() * velocity) : velocity);
-    set(m.angular_velocity, flu_to_frd_ * body.angular_velocity);
-    return m;
-  }
-
   const Eigen::Matrix3d enu_to_ned_ = (Eigen::Matrix3d() << 0, 1, 0, 1, 0, 0, 0, 0, -1).finished();
   const Eigen::Matrix3d flu_to_frd_ = Eigen::Vector3d(1, -1, -1).asDiagonal();
   tilt_ropter::ActuatorState<4> command_;
+  Eigen::Vector3d estimate_step_ = Eigen::Vector3d::Zero();
+  double estimate_turn_ = 0.0;
+  std::uint8_t resets_ = 0;
   bool obeys_ = false;
 };
 
