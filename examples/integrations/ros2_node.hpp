@@ -15,11 +15,15 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <iostream>
 #include <optional>
+#include <sstream>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 namespace loops {
@@ -29,7 +33,8 @@ inline constexpr const char* ros2_help =
 
 Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                pose          geometry_msgs/PoseStamped, of the vehicle in the world (ENU)
-               rotor_speeds  sensor_msgs/JointState, velocity [rad/s] of rotors 1 to 4
+               rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
+                             rotor_joints names; without names, of rotors 1 to 4
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
                              rotors 1 to 4 and their servos
                /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
@@ -37,7 +42,7 @@ Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and posit
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
 max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
-(automatic, nlopt, structured). Topics:
+(automatic, nlopt, structured), rotor_joints (rotor_1,rotor_2,rotor_3,rotor_4). Topics:
 --ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
@@ -56,6 +61,8 @@ class Ros2Node {
         vehicle_(examples::quadrotor(file_)),
         controller_(vehicle_, controller_settings(file_, parameters), estimation(parameters)),
         reference_(parameters),
+        rotor_joints_(
+            separated(parameters.text("rotor_joints", "rotor_1,rotor_2,rotor_3,rotor_4"))),
         max_silence_(parameters.number("max_silence", 0.1)) {}
 
   /// Ignores a sample whose stamp is more than `max_clock_difference` from the last tick.
@@ -77,9 +84,19 @@ class Ros2Node {
     controller_.on_pose(seconds(m.header.stamp), {{p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}});
   }
 
+  /// Ignores speeds that are those of no rotor or of other joints, and says so once.
   void on_rotor_speeds(const sensor_msgs::msg::JointState& m) {
-    if (m.velocity._length == 4)
-      controller_.on_rotor_speeds(Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer));
+    const auto ignore = [this](const char* why) {
+      if (ignored_speeds_++ == 0)
+        std::cerr << "ros2_node: rotor_speeds are ignored: " << why << '\n';
+    };
+    const std::optional<Eigen::Vector4d> speeds = in_order(m);
+    if (!speeds) return ignore("not the joints of the parameter rotor_joints");
+    const double most = 1.3 * vehicle_top_speed();
+    if (!(speeds->cwiseAbs().maxCoeff() <= most)) return ignore("not in rad/s, or no numbers");
+    if (speeds->isZero() && controller_.command().rotor_speed.minCoeff() > 0.2 * most)
+      return ignore("zero while the rotors turn");
+    controller_.on_rotor_speeds(*speeds);
   }
 
   /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is
@@ -139,6 +156,41 @@ class Ros2Node {
   [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
 
  private:
+  static std::vector<std::string> separated(const std::string& names) {
+    std::vector<std::string> parts;
+    std::stringstream stream(names);
+    for (std::string part; std::getline(stream, part, ',');) parts.push_back(part);
+    if (parts.size() != 4)
+      throw std::invalid_argument("rotor_joints = " + names + ": must be 4 names, with commas");
+    return parts;
+  }
+
+  [[nodiscard]] double vehicle_top_speed() const {
+    double top = 0.0;
+    for (std::size_t i = 0; i < 4; ++i) {
+      const tilt_ropter::RotorParameters& rotor = rotor_parameters(vehicle_, i);
+      top = std::max(top, speed_from_thrust(rotor.max_thrust, rotor));
+    }
+    return top;
+  }
+
+  // The speeds of rotors 1 to 4; nothing if a joint is missing.
+  [[nodiscard]] std::optional<Eigen::Vector4d> in_order(
+      const sensor_msgs::msg::JointState& m) const {
+    if (m.name._length == 0 && m.velocity._length == 4)
+      return Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer);
+    if (m.name._length != m.velocity._length) return std::nullopt;
+    Eigen::Vector4d speeds = Eigen::Vector4d::Constant(std::nan(""));
+    int found = 0;
+    for (std::uint32_t k = 0; k < m.name._length; ++k)
+      for (std::size_t i = 0; i < 4; ++i)
+        if (rotor_joints_[i] == m.name._buffer[k]) {
+          speeds(static_cast<Eigen::Index>(i)) = m.velocity._buffer[k];
+          ++found;
+        }
+    return found == 4 ? std::optional(speeds) : std::nullopt;
+  }
+
   static tilt_ropter::EkfSettings estimation(Parameters& parameters) {
     tilt_ropter::EkfSettings s;
     s.pose_noise = {parameters.number("position_noise", 1e-3),
@@ -152,10 +204,11 @@ class Ros2Node {
   examples::FlightController<4> controller_;
   examples::SolverTicks solver_;
   HoverPoint reference_;
+  std::vector<std::string> rotor_joints_;
   double max_silence_;
   bool silent_ = false, wrong_imu_ = false;
   std::optional<double> now_;  // of the last tick [s]
-  long foreign_stamps_ = 0;
+  long foreign_stamps_ = 0, ignored_speeds_ = 0;
   std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);
   actuator_msgs::msg::Actuators message_{};
 };

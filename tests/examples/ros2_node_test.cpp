@@ -129,6 +129,55 @@ TEST(Ros2Node, DoesNotTakeOffWithAWrongImu) {
   }
 }
 
+/// Flies with the speeds of the rotors as `change` makes them.
+template <typename Change>
+double error_with_speeds(const Change& change) {
+  Flight flight({simulated, {"hover_z", "0.6"}});
+  struct Changed {
+    Ros2Node& node;
+    const Change& change;
+    void on_imu(const sensor_msgs::msg::Imu& m) { node.on_imu(m); }
+    void on_pose(const geometry_msgs::msg::PoseStamped& m) { node.on_pose(m); }
+    void on_rotor_speeds(const sensor_msgs::msg::JointState& m) {
+      std::vector<std::string> names;
+      std::vector<double> speeds(m.velocity._buffer, m.velocity._buffer + 4);
+      change(names, speeds);
+      std::vector<char*> pointers;
+      for (std::string& name : names) pointers.push_back(name.data());
+      sensor_msgs::msg::JointState other{};
+      refer_to(other.name, pointers);
+      refer_to(other.velocity, speeds);
+      node.on_rotor_speeds(other);
+    }
+  } changed{flight.node, change};
+  for (int i = 0; i < 8000; ++i) {
+    flight.vehicle.sense(changed);
+    EXPECT_TRUE(flight.vehicle.step());
+    if (i % 10 == 0)
+      if (const auto* command = flight.node.tick(flight.vehicle.now()))
+        flight.vehicle.on_command(*command);
+  }
+  return (flight.vehicle.plant.body().position - Vector3d(0.0, 0.0, 0.6)).norm();
+}
+
+TEST(Ros2Node, RotorSpeedsAreMatchedByNameAndIgnoredIfTheyAreNone) {
+  using Names = std::vector<std::string>;
+  using Speeds = std::vector<double>;
+  EXPECT_LT(error_with_speeds([](Names& names, Speeds& speeds) {
+              names = {"rotor_3", "wheel", "rotor_1", "rotor_4", "rotor_2"};
+              speeds = {speeds[2], 12.0, speeds[0], speeds[3], speeds[1]};
+            }),
+            0.02);
+  for (const double factor : {60.0 / (2.0 * 3.14159), 7.0, 0.0, std::nan("")})
+    EXPECT_LT(error_with_speeds([factor](Names&, Speeds& speeds) {
+                for (double& speed : speeds) speed *= factor;
+              }),
+              0.05)
+        << factor;
+  EXPECT_LT(error_with_speeds([](Names&, Speeds& speeds) { speeds.resize(8, 3.0); }), 0.05);
+  EXPECT_LT(error_with_speeds([](Names& names, Speeds&) { names = {"a", "b", "c", "d"}; }), 0.05);
+}
+
 /// Disturbs a flight with `spoilt` messages among the good ones, and expects finite commands
 /// throughout and hover afterwards.
 template <typename Spoil>
