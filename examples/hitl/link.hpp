@@ -124,8 +124,11 @@ class Inbox {
 
   template <typename Action>
   void deliver(const Arrival& a, Clock::time_point now, Action&& action) {
-    if (counts_.sessions > 0 && a.sender == sender_ ? a.sent <= newest_
-                                                    : counts_.sessions > 1 && a.sender == former_) {
+    // After a restart, messages of the former sender are late ones, unless the newer one is silent:
+    // then a second sender has come and gone.
+    const bool is_former =
+        counts_.sessions > 1 && a.sender == former_ && now - arrived_ <= deadline_;
+    if (counts_.sessions > 0 && a.sender == sender_ ? a.sent <= newest_ : is_former) {
       ++counts_.late;
       return;
     }

@@ -168,6 +168,31 @@ TEST_F(HitlInbox, SaysWhenTheSenderIsSilent) {
   EXPECT_FALSE(inbox.sender_lives());
 }
 
+// A second sender that comes and goes: the first one, which never stopped, is heard again.
+TEST_F(HitlInbox, HearsTheFormerSenderWhenTheNewerOneIsGone) {
+  WrenchInbox inbox(participant_, topic(), {0.0, 0.0, 0.0, 1.0});
+  Sender first(domain_), second(domain_);
+  ASSERT_TRUE(connected(first, inbox));
+  ASSERT_TRUE(wait_until([&] { return second.publisher.subscribers() > 0; }));
+  const auto take_at = [&](double time, long arrivals) {
+    return wait_until([&] {
+      inbox.take(hitl::time_point(time), [](const hitl::WrenchCommand&) {});
+      return inbox.counts().received + inbox.counts().late >= arrivals;
+    });
+  };
+  first.send(1);
+  EXPECT_TRUE(take_at(1.0, 1));
+  second.send(1);
+  EXPECT_TRUE(take_at(1.01, 2));
+  first.send(1);
+  EXPECT_TRUE(take_at(1.02, 3));
+  EXPECT_EQ(inbox.counts().late, 1);  // the newer one counts
+  first.send(1);
+  EXPECT_TRUE(take_at(1.07, 4));  // the deadline is 50 ms
+  EXPECT_EQ(inbox.counts().late, 1);
+  EXPECT_EQ(inbox.counts().sessions, 3);
+}
+
 TEST_F(HitlInbox, InLockStepSilenceIsATimeOfTheSimulation) {
   WrenchInbox inbox(participant_, topic(), {0.0, 0.0, 0.0, 1.0});
   Sender sender(domain_);
