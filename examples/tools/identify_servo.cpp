@@ -116,7 +116,9 @@ int identify(const Options& o) {
         << "identify_servo: the residual is correlated: a first-order lag does not fit well. If "
            "the steps reached the rate limit of the servo, make them smaller.\n";
   std::cout << "fly with it: hybrid_mission --servo-time-constant " << std::setprecision(4)
-            << found.model.time_constant << '\n';
+            << found.model.time_constant << '\n'
+            << "in a vehicle file: \"servo\": {\"time_constant_s\": " << found.model.time_constant
+            << ", \"dead_time_s\": " << found.model.dead_time << "}\n";
   return 0;
 }
 

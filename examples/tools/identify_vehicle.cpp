@@ -113,6 +113,8 @@ int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>
   std::cout << "status: " << to_string(found.status) << '\n'
             << "duration_s: " << std::fixed << std::setprecision(2) << found.duration << '\n'
             << std::defaultfloat;
+  const bool is_fitted = found.status > VehicleIdentificationStatus::no_convergence;
+  if (is_fitted) print(found, o);
   if (found.status != VehicleIdentificationStatus::identified)
     throw std::runtime_error(o.input + ": " + to_string(found.status));
   print(found, o);

@@ -79,13 +79,18 @@ TEST(ServoIdentification, AcceptsAnyLogTypeWithSameMembers) {
             servo_response(of_part.model, log.times, log.commands, log.times));
 }
 
-TEST(ServoIdentification, ReversedServosHaveANegativeGain) {
+TEST(ServoIdentification, ReversedServosAndOtherUnitsAreRefusedByName) {
   ServoModel reversed = usual;
   reversed.gain = -0.95;
   const ServoIdentification found = identify_servo(square_log(reversed));
-  EXPECT_EQ(found.status, Status::identified);
+  EXPECT_EQ(found.status, Status::reversed);
   EXPECT_NEAR(found.model.gain, -0.95, 1e-7);
   EXPECT_NEAR(found.model.dead_time, usual.dead_time, 1e-7);
+  for (const double degrees : {180.0 / pi, pi / 180.0}) {
+    ServoLog log = square_log(usual);
+    for (double& angle : log.angles) angle *= degrees;
+    EXPECT_EQ(identify_servo(log).status, Status::implausible_gain);
+  }
 }
 
 TEST(ServoIdentification, AcceptsStampsFromAnyEpoch) {

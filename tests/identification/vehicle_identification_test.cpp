@@ -16,6 +16,7 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 namespace tilt_ropter {
 namespace {
@@ -170,6 +171,47 @@ TEST(IdentifyVehicle, SaysWhatAHoverDoesNotExcite) {
   }
   EXPECT_EQ(found[P::servo_time_constant].value, given.servo.time_constant);
   EXPECT_EQ(found.vehicle.servo.time_constant, given.servo.time_constant);
+}
+
+// Units, axes, order of the rotors and times that are wrong do not give a vehicle.
+TEST(IdentifyVehicle, LogsThatLieAreNotIdentified) {
+  const VehicleLog<4> good = record(8.0, true, 6);
+  const auto with = [&good](const auto& lie) {
+    VehicleLog<4> log = good;
+    lie(log);
+    return identify_vehicle(log, tilt_ropter_vehicle()).status;
+  };
+  EXPECT_EQ(with([](VehicleLog<4>&) {}), Status::identified);
+  EXPECT_NE(with([](VehicleLog<4>& log) {
+              for (auto& s : log.imu) s.time *= 1e3;
+              for (auto& s : log.poses) s.time *= 1e3;
+              for (auto& s : log.commands) s.time *= 1e3;
+              for (auto& s : log.rotor_speeds) s.time *= 1e3;
+            }),
+            Status::identified);
+  const auto scale = [](double rate, double force) {
+    return [rate, force](VehicleLog<4>& log) {
+      for (auto& s : log.imu) {
+        s.value.angular_velocity *= rate;
+        s.value.specific_force *= force;
+      }
+    };
+  };
+  EXPECT_EQ(with(scale(1.0, 1.0 / gravity)), Status::implausible);
+  EXPECT_NE(with(scale(180.0 / pi, 1.0)), Status::identified);
+  EXPECT_EQ(with(scale(1.0, -1.0)), Status::does_not_fit);
+  const auto exchange = [](int a, int b) {
+    return [a, b](VehicleLog<4>& log) {
+      for (auto& s : log.commands) std::swap(s.value.rotor_speed(a), s.value.rotor_speed(b));
+      for (auto& s : log.rotor_speeds) std::swap(s.value(a), s.value(b));
+    };
+  };
+  EXPECT_EQ(with(exchange(0, 1)), Status::does_not_fit);
+  EXPECT_EQ(with(exchange(0, 2)), Status::does_not_fit);
+  EXPECT_EQ(with([](VehicleLog<4>& log) {
+              for (auto& s : log.commands) s.time += 0.05;
+            }),
+            Status::commands_late);
 }
 
 TEST(IdentifyVehicle, BadLogsHaveAStatus) {

@@ -31,7 +31,8 @@ TEST(Names, AreThoseOfTheEnumerators) {
   expect_names(EstimateState::degraded, "degraded", EstimateState::lost, "lost");
   expect_names(ObserverStatus::gap, "gap", ObserverStatus::rejected, "rejected");
   expect_names(WrenchTrust::settling, "settling", WrenchTrust::trusted, "trusted");
-  expect_names(CalibrationStatus::too_short, "too_short", CalibrationStatus::rejected, "rejected");
+  expect_names(CalibrationStatus::too_short, "too_short", CalibrationStatus::implausible,
+               "implausible");
   expect_names(NmpcStatus::bad_state, "bad_state", NmpcStatus::no_plan, "no_plan");
   expect_names(MissionPhase::hover, "hover", MissionPhase::ground, "ground");
   using optimal_control::PrepareStatus;

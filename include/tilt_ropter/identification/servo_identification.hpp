@@ -68,6 +68,8 @@ enum class ServoIdentificationStatus {
   time_constant_too_short,
   time_constant_too_long,
   dead_time_too_long,
+  reversed,         ///< the angle follows the negative command
+  implausible_gain  ///< below 0.1 or above 10: radians and degrees?
 };
 
 /// Result of identify_servo().
@@ -92,7 +94,9 @@ struct ServoIdentification {
                           "the fit does not converge", "the angle does not follow the command",
                           "the time constant is too short to be told from zero",
                           "the time constant is longer than looked for, or than the log",
-                          "the dead time is longer than looked for"},
+                          "the dead time is longer than looked for",
+                          "the angle follows the negative command: is its sign right?",
+                          "the gain is implausible: are command and angle in one unit?"},
                          status);
 }
 
@@ -380,6 +384,10 @@ template <typename Log = ServoLog>
     result.status = Status::time_constant_too_short;
   else if (dead_time_is_free && fit.dead_time >= settings.max_dead_time)
     result.status = Status::dead_time_too_long;
+  else if (result.model.gain < 0.0)
+    result.status = Status::reversed;
+  else if (result.model.gain < 0.1 || result.model.gain > 10.0)
+    result.status = Status::implausible_gain;
   return result;
 }
 

@@ -93,13 +93,20 @@ enum class VehicleIdentificationStatus {
   too_short,        ///< fewer seconds in flight than min_duration
   nothing_excited,  ///< the log determines no parameter
   no_convergence,
+  // Refused after a fit, which is reported but is not that of a vehicle like the given one:
+  does_not_fit,   ///< more than a fifth of the variance of a measurement is not explained
+  implausible,    ///< a parameter is far from that of the given vehicle
+  commands_late,  ///< the actuators move before their commands
 };
 
 [[nodiscard]] constexpr const char* to_string(VehicleIdentificationStatus status) noexcept {
   return detail::name_in(
       {"identified", "a number is not finite or time stamps do not increase",
        "too few IMU samples, poses or commands", "too short: too few seconds in flight",
-       "nothing excited: the log determines no parameter", "the fit does not converge"},
+       "nothing excited: the log determines no parameter", "the fit does not converge",
+       "the model does not fit: are axes, signs and the order of the rotors right?",
+       "a parameter is implausible: are the units of time, force, angle and speed right?",
+       "the actuators move before their commands: are the times those of one clock?"},
       status);
 }
 
@@ -177,6 +184,32 @@ template <int Rotors>
 template <int Rotors>
 [[nodiscard]] double model_error(const Vehicle<Rotors>& v, int i) {
   return v.wheels && i == FitIndex::inertia + 1 ? 1e-3 : 0.0;
+}
+
+/// True if no vehicle like the given one has unknown `i`: ratios from a fifth to five, a CoM within
+/// 0.1 m. A scale beyond 0.4 to 2.5 is another unit of force or speed.
+[[nodiscard]] inline bool is_implausible(const FitVector& x, int i, bool is_ratio) noexcept {
+  using I = FitIndex;
+  if (is_ratio) return !(std::abs(x(i)) <= std::log(i == I::scale ? 2.5 : 5.0));
+  return i >= I::com && i < I::inertia && !(std::abs(x(i)) <= 0.1);
+}
+
+/// Fraction of the variance of a measurement, over its three axes, that the fit or noise explains:
+/// noise differs from one window to the next.
+template <typename Sample, typename Vector>
+[[nodiscard]] double explained(const std::vector<Sample>& samples, Vector Sample::*measured,
+                               Vector Sample::*fitted) {
+  Vector mean = Vector::Zero();
+  for (const Sample& s : samples) mean += s.*measured / static_cast<double>(samples.size());
+  double all = 0.0, left = 0.0;
+  Vector last = Vector::Zero();
+  for (const Sample& s : samples) {
+    const Vector rest = s.*measured - s.*fitted;
+    all += (s.*measured - mean).squaredNorm();
+    left += rest.dot(last);
+    last = rest;
+  }
+  return 1.0 - left / all;
 }
 
 /// The given vehicle with the identified parameters `x`.
@@ -280,13 +313,16 @@ template <int Rotors>
   } while (drop_worst());
 
   const detail::FitVector& x = fit.unknowns();
-  bool any = false;
+  bool any = false, implausible = false, late = false;
   for (int i = 0; i < count; ++i) {
     const detail::GivenParameter of_given = detail::given_parameter(given, i);
     IdentifiedParameter& p = result.parameters[static_cast<std::size_t>(i)];
     p.excited = !dropped[static_cast<std::size_t>(i)];
     any = any || p.excited;
     const bool is_delay = i == I::servo_delay || i == I::rotor_delay;
+    implausible = implausible || (p.excited && detail::is_implausible(x, i, of_given.is_ratio));
+    constexpr double tolerance = 0.003;  // of stamps [s]
+    late = late || (p.excited && is_delay && x(i) < -tolerance - half_width(i));
     const double estimate = of_given.is_ratio ? of_given.value * std::exp(x(i)) : x(i);
     p.value = !p.excited ? of_given.value : is_delay ? std::max(0.0, estimate) : estimate;
     p.half_width = of_given.is_ratio ? p.value * half_width(i) : half_width(i);
@@ -313,9 +349,19 @@ template <int Rotors>
   // The moments must be those of a body: each at most the sum of the others.
   const Eigen::Vector3d moments = result.vehicle.body.inertia.diagonal();
   const bool is_body = 2.0 * moments.maxCoeff() <= moments.sum() * (1.0 + 1e-9);
-  result.status = !any                   ? Status::nothing_excited
-                  : converged && is_body ? Status::identified
-                                         : Status::no_convergence;
+  using Sample = IdentificationSample;
+  constexpr double enough = 0.8;
+  const bool unexplained = !(detail::explained(result.samples, &Sample::specific_force,
+                                               &Sample::fitted_specific_force) >= enough &&
+                             detail::explained(result.samples, &Sample::angular_acceleration,
+                                               &Sample::fitted_angular_acceleration) >= enough);
+  result.status = !any          ? Status::nothing_excited
+                  : !converged  ? Status::no_convergence
+                  : implausible ? Status::implausible
+                  : unexplained ? Status::does_not_fit
+                  : late        ? Status::commands_late
+                  : is_body     ? Status::identified
+                                : Status::no_convergence;
   return result;
 }
 
