@@ -63,6 +63,7 @@ std::vector<Wrong> wrong_files() {
       {"\"length_m\": 0.17", "\"length_m\": 170", {"rotors[0].length_m = 170", "10] m"}},
       {"\"dead_time_s\": 0.0", "\"dead_time_s\": -0.1", {"servo.dead_time_s = -0.1", "0.5] s"}},
       {"[0.06455,", "[0,", {"allowed_errors.position_m[0] = 0", "m"}},
+      {"18.26", "0", {"allowed_errors.tilt_rate_radps = 0", "in [1e-06, 1e+06] rad/s"}},
       // Values that contradict each other.
       {"\"min_thrust_n\": 0.0",
        "\"min_thrust_n\": 13",

@@ -195,12 +195,14 @@ TEST(VehicleFile, VehicleWithUnlikeRotorsFliesWithoutTuning) {
 TEST(VehicleFile, WeightsComeFromTheAllowedErrors) {
   std::string text = test_support::read_file(shipped("five_kilograms"));
   text.replace(text.find("\"wheels\""), 0,
-               "\"allowed_errors\": {\"position_m\": [0.1, 0.2, 0.5]}, ");
+               "\"allowed_errors\": {\"position_m\": [0.1, 0.2, 0.5], \"tilt_rate_radps\": 5}, ");
   std::istringstream in(text);
-  const auto weights = examples::read_vehicle(in, "").settings().problem.weights;
+  const VehicleFile file = examples::read_vehicle(in, "");
+  const auto weights = file.settings().problem.weights;
   EXPECT_TRUE(weights.position.isApprox(Eigen::Vector3d(100.0, 25.0, 4.0), 1e-12));
   // Allowed forces scale with the weight: the factor is 1.5 kg / 5 kg = 0.3, squared.
   EXPECT_NEAR(weights.force.x(), 0.02 * 0.3 * 0.3, 1e-6);
+  EXPECT_EQ(file.allowed_errors.tilt_rate, 5.0);  // of the actuator level
 }
 
 TEST(VehicleFile, ReadsWheelsLegsOrNoUndercarriage) {

@@ -213,21 +213,6 @@ BatteryParameters read_battery(Fields& fields) {
   return battery;
 }
 
-/// Calls action(key, range, field) for each field of AllowedErrors.
-template <typename Errors, typename Action>
-void for_allowed_errors(Errors& e, const Action& action) {
-  const auto range = [](const char* unit) { return Range{1e-6, 1e6, unit}; };
-  action("position_m", range("m"), e.position);
-  action("velocity_mps", range("m/s"), e.velocity);
-  action("orientation_rad", range("rad"), e.orientation);
-  action("angular_velocity_radps", range("rad/s"), e.angular_velocity);
-  action("force_per_weight", range("times the weight"), e.force);
-  action("torque_per_weight_and_size", range("times weight and size"), e.torque);
-  action("force_rate_per_weight_and_s", range("times the weight, in a second"), e.force_rate);
-  action("torque_rate_per_weight_size_and_s", range("times weight and size, in a second"),
-         e.torque_rate);
-}
-
 /// Calls action(key, range, field) for each field of NmpcBounds.
 template <typename Bounds, typename Action>
 void for_limits(Bounds& b, const Action& action) {
@@ -344,8 +329,12 @@ VehicleFile read(const Json& root) {
 
   if (const Json* errors = fields.find("allowed_errors")) {
     Fields inner(*errors, "allowed_errors");
-    for_allowed_errors(file.allowed_errors, [&](const char* key, const Range& range, auto& value) {
-      inner.vector_if_there(key, range, value);
+    for_allowed_errors(file.allowed_errors, [&](const char* key, const char* unit, auto& value) {
+      const Range range{1e-6, 1e6, unit};
+      if constexpr (std::is_same_v<decltype(value), double&>)
+        value = inner.number(key, range, value);
+      else
+        inner.vector_if_there(key, range, value);
     });
     inner.refuse_unknown();
   }
@@ -450,10 +439,12 @@ Json json_of(const VehicleFile& file, const Vehicle<Rotors>& v) {
     root["battery_empty_v"] = v.battery.empty_voltage;
     root["battery_resistance_ohm"] = v.battery.resistance;
   }
-  for_allowed_errors(file.allowed_errors,
-                     [&](const char* key, const Range&, const Eigen::Vector3d& value) {
-                       root["allowed_errors"][key] = list_of(value);
-                     });
+  for_allowed_errors(file.allowed_errors, [&](const char* key, const char*, const auto& value) {
+    if constexpr (std::is_same_v<decltype(value), const double&>)
+      root["allowed_errors"][key] = rounded(value);
+    else
+      root["allowed_errors"][key] = list_of(value);
+  });
   // Writes only limits that differ from the defaults. The defaults scale with mass and size, so
   // that changes of mass and size in the file need no new limits.
   std::vector<Eigen::Vector3d> defaults;

@@ -70,6 +70,26 @@ struct VehicleFileGround {
   }
 };
 
+/// Calls action(key, unit, field) for each field of AllowedErrors, with its name in a file. First
+/// four of both levels of control, then four of the wrench level, then four of the actuator level,
+/// which are single numbers.
+template <typename Errors, typename Action>
+void for_allowed_errors(Errors& e, const Action& action) {
+  action("position_m", "m", e.position);
+  action("velocity_mps", "m/s", e.velocity);
+  action("orientation_rad", "rad", e.orientation);
+  action("angular_velocity_radps", "rad/s", e.angular_velocity);
+  action("force_per_weight", "times the weight", e.force);
+  action("torque_per_weight_and_size", "times weight and size", e.torque);
+  action("force_rate_per_weight_and_s", "times the weight, in a second", e.force_rate);
+  action("torque_rate_per_weight_size_and_s", "times weight and size, in a second", e.torque_rate);
+  action("thrust_per_hover_thrust", "times the thrust in hover", e.thrust);
+  action("thrust_on_ground_per_hover_thrust", "times the thrust in hover", e.thrust_on_ground);
+  action("thrust_rate_per_hover_thrust_and_s", "times the thrust in hover, in a second",
+         e.thrust_rate);
+  action("tilt_rate_radps", "rad/s", e.tilt_rate);
+}
+
 /// What a vehicle file says. By default the Tilt-Ropter.
 struct VehicleFile {
   std::string name = "Tilt-Ropter";
