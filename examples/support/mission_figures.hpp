@@ -10,13 +10,26 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <iomanip>
+#include <limits>
 #include <ostream>
 #include <vector>
 
 /// The performance figures of a flown mission, next to the figures of the paper.
 namespace examples {
+
+/// Returns the function that prints a figure as a line "key: value".
+inline auto figure_printer(std::ostream& out) {
+  return [&out](const char* key, double value, int digits) {
+    out << key << ": " << std::fixed << std::setprecision(digits);
+    if (std::isinf(value))
+      out << "never\n";
+    else
+      out << value << '\n';
+  };
+}
 
 /// Errors of a position: their RMSE, the RMSE of each axis, and the largest error [m].
 class TrackingError {
@@ -36,6 +49,16 @@ class TrackingError {
   std::array<Rmse, 3> axes_;
   double max_ = 0.0;
 };
+
+/// Largest height at the end of a take-off or a hover [m].
+[[nodiscard]] inline double flight_height(const tilt_ropter::Mission& mission) {
+  double height = 0.0;
+  for (const tilt_ropter::MissionSegment& segment : mission.segments())
+    if (segment.phase == tilt_ropter::MissionPhase::hover ||
+        segment.phase == tilt_ropter::MissionPhase::take_off)
+      height = std::max(height, segment(segment.end_time()).position.z());
+  return height;
+}
 
 class MissionFigures {
  public:
@@ -109,11 +132,10 @@ class MissionFigures {
     if (demanded > servo.max_rate) ++exceeded_;
   }
 
-  /// Prints the figures from the plant, next to the figures of the paper.
-  void print_flight(std::ostream& out) const {
-    const auto line = [&out](const char* key, double value, int digits) {
-      print_line(out, key, value, digits);
-    };
+  /// Calls line(key, value, digits) for each figure from the plant, next to the figures of the
+  /// paper. The value is infinite for a flight that never caught up with its reference.
+  template <typename Line>
+  void for_flight(const Line& line) const {
     const auto paper = [&](const char* key, double value, int digits) {
       if (of_the_paper_) line(key, value, digits);
     };
@@ -125,12 +147,11 @@ class MissionFigures {
     line("mission_rmse_m", all_.value(), 4);
     paper("paper_mission_rmse_m", 0.125, 4);
     if (all_.count() > 0) line("start_error_m", start_error_, 4);
-    if (caught_up_ >= 0) {
-      line("caught_up_s", step_ * static_cast<double>(caught_up_), 2);
-      line("caught_up_rmse_m", after_.value(), 4);
-    } else {
-      out << "caught_up_s: never\n";
-    }
+    line("caught_up_s",
+         caught_up_ < 0 ? std::numeric_limits<double>::infinity()
+                        : step_ * static_cast<double>(caught_up_),
+         2);
+    if (caught_up_ >= 0) line("caught_up_rmse_m", after_.value(), 4);
     if (air_.count() > 0) line("flight_power_w", air_power_.value(), 2);
     paper("paper_flight_power_w", 653.64, 2);
     if (ground_.count() > 0) line("ground_power_w", ground_power_.value(), 2);
@@ -146,11 +167,10 @@ class MissionFigures {
     if (bearing_torque_ > 0.0) line("bearing_tilt_deg", bearing_tilt_ * 180.0 / tilt_ropter::pi, 3);
   }
 
-  void print(std::ostream& out, int contact_mode_changes) {
-    print_flight(out);
-    const auto line = [&out](const char* key, double value, int digits) {
-      print_line(out, key, value, digits);
-    };
+  /// The same, and the figures of the controller.
+  template <typename Line>
+  void for_all(int contact_mode_changes, const Line& line) const {
+    for_flight(line);
     line("contact_mode_changes", contact_mode_changes, 0);
     if (force_error_.count() > 0) line("external_force_error_n", force_error_.value(), 3);
     line("servo_speed_radps", servo_speed_, 2);
@@ -164,6 +184,12 @@ class MissionFigures {
     line("nmpc_max_us", percentile(total_us_, 1.0), 1);
     line("nmpc_feedback_median_us", percentile(feedback_us_, 0.5), 1);
     line("solver_failures", failures_, 0);
+  }
+
+  /// Prints what for_flight() and for_all() give.
+  void print_flight(std::ostream& out) const { for_flight(figure_printer(out)); }
+  void print(std::ostream& out, int contact_mode_changes) const {
+    for_all(contact_mode_changes, figure_printer(out));
   }
 
   /// Over the whole flight, in the figure eights, and wherever the reference moves.
@@ -197,10 +223,6 @@ class MissionFigures {
       if (small_since_ >= 0 && step - small_since_ >= stay) caught_up_ = small_since_;
     }
     if (small_since_ >= 0) after_.add(error);
-  }
-
-  static void print_line(std::ostream& out, const char* key, double value, int digits) {
-    out << key << ": " << std::fixed << std::setprecision(digits) << value << '\n';
   }
 
   double flight_height_;

@@ -416,11 +416,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   const ControllerSettings controls = controller_settings(options, file, vehicles.believed);
   const NmpcSettings& settings = controls.nmpc;
   FlownMission flown;
-  double flight_height = 0.0;  // largest height after a take-off [m]
-  for (const MissionSegment& segment : mission.segments())
-    if (segment.phase == MissionPhase::hover || segment.phase == MissionPhase::take_off)
-      flight_height = std::max(flight_height, segment(segment.end_time()).position.z());
-  flown.figures = MissionFigures(flight_height, options.vehicle_path.empty());
+  flown.figures = MissionFigures(flight_height(mission), options.vehicle_path.empty());
   flown.battery = BatteryFigures(vehicles.truth.battery, options.battery_charge);
   BatteryFigures& battery = flown.battery;
   flown.duration = mission.duration();

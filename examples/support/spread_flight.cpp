@@ -6,8 +6,8 @@
 #include "loss_watch.hpp"
 #include "mission_log.hpp"
 #include "mission_rows.hpp"
+#include "paper_switches.hpp"
 #include "solver_choice.hpp"
-#include "statistics.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
@@ -97,12 +97,13 @@ Eigen::Matrix<double, Rotors, 1> hover_speeds(const FlightController<Rotors>& co
 template <int Rotors>
 FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFile& file,
                  const tilt_ropter::Vehicle<Rotors>& believed, const std::string& level,
-                 const std::string& solver, const std::string& log_directory) {
+                 const std::string& solver, const std::string& log_directory,
+                 const SpreadChoice& choice) {
   using namespace tilt_ropter;
   constexpr double step = 1e-3;       // step of the plant [s]
   constexpr int steps_per_tick = 10;  // NMPC at 100 Hz
   const Vehicle<Rotors> truth = true_vehicle(draw, believed);
-  const Mission mission = hybrid_mission(believed);
+  const Mission mission = mission_of(choice.mission, believed);
   const Reference reference = [&mission](double time) { return mission(time); };
 
   PlantParameters parameters;
@@ -131,14 +132,17 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   RotorSpeedSensor<Rotors> rotor_speeds(speed_parameters, random.bits());
   PoseSensor poses(capture, random.bits());
   Wind wind(draw, random.bits());
-  NmpcSettings settings = in_simulated_time(file.settings());
+  ControllerSettings controls{in_simulated_time(file.settings()), {}};
+  set_as_in_paper(choice.as_in_paper, controls);
+  NmpcSettings& settings = controls.nmpc;
   set_solver(solver, settings.solver);
   ActuatorNmpcSettings actuator_settings = actuator_level_settings(file, believed);
   actuator_settings.time_limit = settings.time_limit;
   set_solver(solver, actuator_settings.solver);
   FlightController<Rotors> controller =
       level == "actuator" ? FlightController<Rotors>(believed, actuator_settings, estimation)
-                          : FlightController<Rotors>(believed, settings, estimation);
+                          : FlightController<Rotors>(believed, settings, estimation,
+                                                     observer_settings(20.0), controls.allocation);
   const PowerModel power(truth, hover_speeds(controller, believed, truth));
   BatteryFigures battery(truth.battery);
   double power_now = power.power(plant.actuators().rotor_speed);  // during the last step [W]
@@ -147,10 +151,17 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   if (!log_directory.empty()) logs.emplace(log_directory, battery.known());
   ActuatorState<Rotors> acting;
   PlantState<Rotors> start = plant.state();
-  if (!stands) {
+  const ReferencePoint first = mission(0.0);
+  const MissionPhase first_phase = mission.phase(0.0);
+  if (!stands || first_phase == MissionPhase::hover || first_phase == MissionPhase::air) {
     start.actuators = acting = controller.lift(truth.body.mass * gravity);
-    start.body.position = mission(0.0).position;
+    start.body.position = first.position;
+    start.body.position.y() += choice.start_off;
+    start.body.orientation = first.orientation;
     controller.start_with(acting);
+  } else {
+    start.body.position.template head<2>() = first.position.head<2>();
+    start.body.orientation = first.orientation;
   }
   start.body.position.template head<2>() += draw.com_offset.head<2>();
   plant.reset(start);
@@ -164,11 +175,11 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
     return body;
   };
   FlightRecord record;
+  record.duration = mission.duration();
+  record.figures = MissionFigures(flight_height(mission), false);
   std::deque<std::pair<double, ActuatorState<Rotors>>> under_way;
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
-  Rmse error, air_error, ground_error;
-  Mean air_power, ground_power;
-  bool was_touching = stands.has_value();
+  const MissionFigures& figures = record.figures;
   const long steps = std::lround(mission.duration() / step);
   for (long i = 0; i < steps && record.verdict == Verdict::ok; ++i) {
     const double time = plant.time();
@@ -188,8 +199,14 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
         if (battery.known()) controller.on_voltage(battery.load().voltage);
         controller.prepare(time, reference);
         under_way.emplace_back(time + draw.command_delay, controller.control(time));
-        if (!has_plan(controller.result().status)) ++record.solver_failures;
-        record.solver.add(controller.result().status, controller.result().report);
+        const NmpcResult& result = controller.result();
+        if (!has_plan(result.status)) ++record.solver_failures;
+        record.solver.add(result.status, result.report);
+        record.figures.on_control(has_plan(result.status), result.report.prepare_us,
+                                  result.report.feedback_us);
+        record.figures.on_servos(under_way.back().second.tilt_angle, plant.actuators().tilt_angle,
+                                 controller.planned_tilt_rate(), truth.servo,
+                                 steps_per_tick * step);
         if (logs) logs->add(mission, plant, controller, power_now, battery);
       }
     }
@@ -206,40 +223,32 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
       break;
     }
     const MissionPhase phase = mission.phase(plant.time());
-    const double square =
-        (body_at_centre().position - mission(plant.time()).position).squaredNorm();
+    const Eigen::Vector3d position = body_at_centre().position;
+    const Eigen::Vector3d wanted = mission(plant.time()).position;
+    const double distance = (position - wanted).norm();
     power_now = power.power(plant.actuators().rotor_speed,
                             ((plant.actuators().tilt_angle - tilt) / step).eval());
     battery.on_plant(phase, plant.time(), power_now, step);
-    error.add_square(square);
-    if (phase == MissionPhase::air) {
-      air_error.add_square(square);
-      air_power.add(power_now);
-    }
-    if (phase == MissionPhase::ground) {
-      ground_error.add_square(square);
-      ground_power.add(power_now);
-    }
-    record.max_error = std::max(record.max_error, std::sqrt(square));
     const bool touching = plant.normal_forces().sum() > 0.0;
-    if (touching && !was_touching)
-      record.touchdown_speed = std::max(record.touchdown_speed, -plant.body().velocity.z());
-    was_touching = touching;
+    record.figures.on_plant(phase, position, wanted, plant.body().velocity.z(), power_now,
+                            touching);
     const bool should_fly = phase == MissionPhase::air || phase == MissionPhase::hover;
-    if (square > lost_distance * lost_distance)
+    if (distance > lost_distance)
       record.verdict = Verdict::lost;
     else if (is_tipped(plant.body().orientation))
       record.verdict = Verdict::tipped;
     else if ((should_fly && touching) ||
-             (stands && i + 1 == steps && body_at_centre().position.z() > stands->height + 0.05))
+             (i + 1 == steps && stands && position.z() > wanted.z() + 0.05))
       record.verdict = Verdict::grounded;
   }
   record.time = plant.time();
-  record.mission_rmse = error.value();
-  record.air_rmse = air_error.value();
-  record.ground_rmse = ground_error.value();
-  record.flight_power = air_power.value();
-  record.ground_power = ground_power.value();
+  record.mission_rmse = figures.all().value();
+  record.air_rmse = figures.air().value();
+  record.ground_rmse = figures.ground().value();
+  record.max_error = figures.all().max();
+  record.flight_power = figures.air_power().value();
+  record.ground_power = figures.ground_power().value();
+  record.touchdown_speed = figures.touchdown_speed();
   record.mode_changes = controller.contact().mode_changes();
   const FailureKind found = controller.failure().kind;
   const bool slow = truth.servo.time_constant > 1.5 * believed.servo.time_constant;
@@ -251,13 +260,14 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
 
 SpreadFlight fly_spread(const VehicleFile& file, const std::string& level,
                         const std::string& solver, std::uint64_t seed, std::uint64_t index,
-                        const std::string& log_directory) {
+                        const std::string& log_directory, const SpreadChoice& choice) {
   RandomStream random(seed, index);
   return std::visit(
       [&](const auto& believed) {
         SpreadFlight flight;
-        flight.draw = draw_vehicle(random, believed.body.inertia);
-        flight.record = fly(flight.draw, random, file, believed, level, solver, log_directory);
+        flight.draw = narrowed(draw_vehicle(random, believed.body.inertia), choice.fraction);
+        flight.record =
+            fly(flight.draw, random, file, believed, level, solver, log_directory, choice);
         return flight;
       },
       file.vehicle);

@@ -1,11 +1,14 @@
 #pragma once
 
+#include "mission_choice.hpp"
+#include "mission_figures.hpp"
 #include "solver_choice.hpp"
 #include "vehicle_choice.hpp"
 #include "vehicle_spread.hpp"
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 /// The hybrid mission flown by one vehicle of a Monte Carlo run, and the result of the flight.
 namespace examples {
@@ -38,7 +41,7 @@ enum class Verdict {
 /// Errors refer to the point that the controller assumes to be the CoM.
 struct FlightRecord {
   Verdict verdict = Verdict::ok;
-  double time = 0.0;                                             ///< flight time [s]
+  double time = 0.0, duration = 0.0;  ///< flight time, and that of the whole mission [s]
   double air_rmse = 0.0, ground_rmse = 0.0, mission_rmse = 0.0;  ///< [m]
   double max_error = 0.0;                                        ///< [m]
   double flight_power = 0.0, ground_power = 0.0;                 ///< mean power [W]
@@ -47,6 +50,15 @@ struct FlightRecord {
   SolverTicks solver;
   /// 1 if the controller found a failed actuator; none fails, but servos may be slow.
   int false_alarms = 0;
+  MissionFigures figures{0.0};  ///< to the end of the flight
+};
+
+/// What flies, if it is not the hybrid mission with a vehicle from the whole spread.
+struct SpreadChoice {
+  MissionChoice mission;
+  double start_off = 0.0;                ///< see MissionOptions [m]
+  std::vector<std::string> as_in_paper;  ///< see paper_switches()
+  double fraction = 1.0;                 ///< of the ranges of VehicleDraw, see narrowed()
 };
 
 /// A vehicle and its flight.
@@ -55,15 +67,16 @@ struct SpreadFlight {
   FlightRecord record;
 };
 
-/// Draws vehicle `index` of `seed` and flies the hybrid mission with it, or the part of the mission
-/// that it can do, while the controller assumes the vehicle of `file`. `level`: "wrench" or
-/// "actuator", see level_for(). `solver`: see add_solver_in_real_time(). With a `log_directory`,
-/// writes the logs of hybrid_mission there. The same arguments give exactly the same result, with
-/// and without logs, in any thread. Compiled only once, in spread_flight.cpp, because with fused
-/// multiply-add (-march=native) two copies can differ by rounding errors. Throws std::runtime_error
-/// if a log cannot be written.
+/// Draws vehicle `index` of `seed` and flies the mission of `choice` with it, or the part of the
+/// hybrid mission that it can do, while the controller assumes the vehicle of `file`. `level`:
+/// "wrench" or "actuator", see level_for(). `solver`: see add_solver_in_real_time(). With a
+/// `log_directory`, writes the logs of hybrid_mission there. The same arguments give exactly the
+/// same result, with and without logs, in any thread. Compiled only once, in spread_flight.cpp,
+/// because with fused multiply-add (-march=native) two copies can differ by rounding errors. Throws
+/// std::runtime_error if a log cannot be written.
 [[nodiscard]] SpreadFlight fly_spread(const VehicleFile& file, const std::string& level,
                                       const std::string& solver, std::uint64_t seed,
-                                      std::uint64_t index, const std::string& log_directory = "");
+                                      std::uint64_t index, const std::string& log_directory = "",
+                                      const SpreadChoice& choice = {});
 
 }  // namespace examples

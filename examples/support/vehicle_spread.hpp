@@ -120,6 +120,22 @@ class RandomStream {
   return draw;
 }
 
+/// Returns the draw with each difference from the assumed vehicle times `fraction`, 0 to 1.
+[[nodiscard]] inline VehicleDraw narrowed(VehicleDraw draw, double fraction) {
+  if (fraction == 1.0) return draw;
+  const VehicleDraw middle;
+  for (double VehicleDraw::*value :
+       {&VehicleDraw::mass, &VehicleDraw::thrust, &VehicleDraw::servo_time_constant,
+        &VehicleDraw::rotor_time_constant, &VehicleDraw::command_delay, &VehicleDraw::capture_delay,
+        &VehicleDraw::noise, &VehicleDraw::wind, &VehicleDraw::friction})
+    draw.*value = middle.*value + fraction * (draw.*value - middle.*value);
+  for (Eigen::Vector3d VehicleDraw::*value :
+       {&VehicleDraw::inertia, &VehicleDraw::com_offset, &VehicleDraw::gyro_bias,
+        &VehicleDraw::accelerometer_bias})
+    draw.*value = middle.*value + fraction * (draw.*value - middle.*value);
+  return draw;
+}
+
 /// Returns the vehicle that really flies. Everything that the assumed vehicle has at its CoM (arms,
 /// axle, tracked point) is offset from the true CoM. A rotor with less thrust has the same range of
 /// speeds.
