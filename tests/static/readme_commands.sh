@@ -50,6 +50,7 @@ missing() {  # file
 shorter() {  # sets `command` to one that takes less time and needs the same of program and README
   case $command in
     *--no-pictures* | *--write-*) ;;
+    build/examples/tune_weights*) command+=" --evaluations 1 --no-mujoco --no-pictures" ;;
     build/examples/hybrid_mission*)
       command=${command/hybrid_mission/hybrid_mission --no-pictures} ;;
   esac

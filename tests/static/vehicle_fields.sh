@@ -16,4 +16,5 @@ check() {  # source README at_least
   [[ ! $missing ]] || { echo "not in $2:$missing" && exit 1; }
 }
 check cmake/vehicle_file/tilt_ropter/vehicle_file.cpp examples/vehicles/README.md 40
+check cmake/vehicle_file/tilt_ropter/vehicle_file.hpp examples/vehicles/README.md 40
 check examples/support/mission_file.cpp examples/missions/README.md 30
