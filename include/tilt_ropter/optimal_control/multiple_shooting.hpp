@@ -285,6 +285,7 @@ void MultipleShooting<Problem>::reset(const State& x0) {
 
 template <typename Problem>
 void MultipleShooting<Problem>::shift(double intervals) noexcept {
+  const detail::FlushSubnormals flush;
   if (!(intervals > 0.0)) return;
   here_.shift(problem_, intervals);
   shifted_ = std::min(shifted_ + intervals, 2.0 * horizon_);
@@ -299,6 +300,7 @@ void MultipleShooting<Problem>::shift(double intervals) noexcept {
 
 template <typename Problem>
 PrepareStatus MultipleShooting<Problem>::prepare() noexcept {
+  const detail::FlushSubnormals flush;
   const auto start = Clock::now();
   report_.linearise_us = report_.factorise_us = report_.gradients_us = 0.0;
   prepared_ = program_.interrupted() || (linearise(true) && factorise(true));
@@ -310,6 +312,7 @@ PrepareStatus MultipleShooting<Problem>::prepare() noexcept {
 template <typename Problem>
 const SolveReport& MultipleShooting<Problem>::feedback(
     const State& x0, std::optional<Clock::time_point> deadline) noexcept {
+  const detail::FlushSubnormals flush;
   const auto start = Clock::now();
   report_.iterations = 1;
   report_.step = 1.0;
@@ -362,6 +365,7 @@ const SolveReport& MultipleShooting<Problem>::solve(const State& x0) noexcept {
 template <typename Problem>
 template <typename Watch>
 const SolveReport& MultipleShooting<Problem>::solve(const State& x0, const Watch& watch) noexcept {
+  const detail::FlushSubnormals flush;
   const auto start = Clock::now();
   const auto end = start + std::chrono::duration_cast<Clock::duration>(
                                std::chrono::duration<double>(std::min(settings_.max_time, 1e6)));

@@ -45,18 +45,15 @@ class DualMethod {
   DualMethod(int horizon, int capacity, DualAlgorithm algorithm)
       : capacity_(capacity),
         dual_(capacity, algorithm),
-        gradients_(capacity, Inputs * horizon),
-        gram_(capacity, capacity),
-        offsets_(capacity),
-        bounds_(capacity),
-        multipliers_(capacity),
-        z_(Inputs * horizon),
+        gradients_(Eigen::MatrixXd::Zero(capacity, Inputs * horizon)),
+        gram_(Eigen::MatrixXd::Zero(capacity, capacity)),
+        offsets_(Eigen::VectorXd::Zero(capacity)),
+        bounds_(offsets_),
+        multipliers_(offsets_),
+        z_(Eigen::VectorXd::Zero(Inputs * horizon)),
         in_set_(detail::size(horizon) + 1) {
     active_.reserve(detail::size(capacity));
-    for (auto& batch : adjoints_) {
-      batch.resize(detail::padded(capacity), States + Inputs);
-      std::fill_n(batch.data(), batch.size(), 0.0);  // packets read beyond the last row
-    }
+    for (auto& batch : adjoints_) batch.setZero(detail::padded(capacity), States + Inputs);
   }
 
   [[nodiscard]] int capacity() const { return capacity_; }
@@ -174,6 +171,9 @@ class DualMethod {
       if (count > 0) Adjoint::step_back(program.riccati.stage(k), *after, *here, count);
       for (; first + count < last && row(first + count).k == k; ++count) {
         const Active& r = row(first + count);
+        if (count % detail::packet_width == 0)  // stale numbers in the rest of the packet decay
+          for (int j = 0; j < States + Inputs; ++j)
+            std::fill_n(&(*here)(count, j), detail::packet_width, 0.0);
         set_constraint_gradient(program, r, here->data() + count, here->rows());
         bounds_(first + count) = program.node(k).penalty(r.component);
       }

@@ -42,17 +42,17 @@ class DualSolver {
   explicit DualSolver(int capacity, DualAlgorithm algorithm = DualAlgorithm::truncated_newton)
       : algorithm_(algorithm),
         optimizers_(detail::size(capacity) + 1),
-        hessian_(capacity, capacity),
-        factor_(capacity, capacity),
-        linear_(capacity),
-        upper_(capacity),
-        scale_(capacity),
-        iterate_(capacity),
-        gradient_(capacity),
-        gradient_before_(capacity),
-        candidate_(capacity),
-        step_(capacity),
-        reduced_(capacity),
+        hessian_(Eigen::MatrixXd::Zero(capacity, capacity)),
+        factor_(hessian_),
+        linear_(Vector::Zero(capacity)),
+        upper_(linear_),
+        scale_(linear_),
+        iterate_(linear_),
+        gradient_(linear_),
+        gradient_before_(linear_),
+        candidate_(linear_),
+        step_(linear_),
+        reduced_(linear_),
         free_(detail::size(capacity)) {}
 
   /// Solves for the first `size` entries of `lambda` (in: warm start; out: solution) with the lower

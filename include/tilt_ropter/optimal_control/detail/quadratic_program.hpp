@@ -45,8 +45,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         active_set_(horizon),
         interior_point_(horizon),
         saved_steps_(detail::size(horizon) + 1, detail::Filled()),
-        saved_multipliers_(saved_steps_.size()),
-        saved_penalties_(saved_steps_.size()) {}
+        saved_multipliers_(saved_steps_.size(), detail::Filled()),
+        saved_penalties_(saved_steps_.size(), detail::Filled()) {}
 
   /// As Subproblem::change_units(), with what the last solves have learnt.
   void change_units(int k, double cost, const typename Program::Values& units) {
