@@ -8,9 +8,6 @@
 
 #include <benchmark/benchmark.h>
 
-#include <ctime>
-
-#include <cmath>
 #include <cstddef>
 #include <string>
 #include <vector>
@@ -19,8 +16,8 @@ namespace {
 
 using benchmarks::Scenario;
 using benchmarks::Solver;
+using benchmarks::thread_us;
 using tilt_ropter::Stated;
-using tilt_ropter::WheeledFlightProblem;
 using tilt_ropter::optimal_control::DualAlgorithm;
 using tilt_ropter::optimal_control::ProgramMethod;
 using tilt_ropter::optimal_control::ProgramSolver;
@@ -28,33 +25,12 @@ using tilt_ropter::optimal_control::SolveReport;
 using tilt_ropter::optimal_control::SolverSettings;
 using tilt_ropter::optimal_control::SolveStatus;
 
-double thread_us() {
-  std::timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return 1e6 * static_cast<double>(now.tv_sec) + 1e-3 * static_cast<double>(now.tv_nsec);
-}
-
-/// A reference that steps by 3 m every two seconds.
-void step_by_three_metres(WheeledFlightProblem<0>& problem, double time) {
-  for (int k = 0; k <= problem.horizon(); ++k) {
-    tilt_ropter::WheeledFlightNode& node = problem.node(k);
-    node.reference = {};
-    node.reference.position << (std::fmod(time, 4.0) < 2.0 ? 0.0 : 3.0), 0.0, 1.0;
-    node.wrench_reference.force << 0.0, 0.0, benchmarks::ground_data::weight;
-  }
-}
-
 Scenario flight(const std::string& name) {
   if (name == "AIR") return benchmarks::air(20, tilt_ropter::paper_bounds());
   if (name == "GROUND") return benchmarks::ground();
   // "steps": with wide bounds; "paper": with those of the paper
-  Scenario scenario = name == "paper" ? benchmarks::air(20, tilt_ropter::paper_bounds())
-                                      : benchmarks::air(20, tilt_ropter::NmpcBounds{});
-  scenario.set_reference = step_by_three_metres;
-  scenario.start = {};
-  scenario.start.body.position.z() = 1.0;
-  scenario.start.wrench.force << 0.0, 0.0, benchmarks::ground_data::weight;
-  return scenario;
+  return benchmarks::steps<3>(name == "paper" ? tilt_ropter::paper_bounds()
+                                              : tilt_ropter::NmpcBounds{});
 }
 
 struct Choice {

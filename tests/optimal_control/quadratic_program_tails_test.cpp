@@ -1,0 +1,45 @@
+// The worst tick of a flight takes a bounded number of passes.
+// CTest: optimised
+
+#include "benchmark/scenarios.hpp"
+
+#include <tilt_ropter/optimal_control/multiple_shooting.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+namespace {
+
+struct Passes {
+  double mean = 0.0;  ///< of a tick, without the pass of prepare()
+  int most = 0;
+};
+
+/// Flies `ticks` real-time iterations.
+Passes fly(const benchmarks::Scenario& scenario, int ticks) {
+  benchmarks::ClosedLoop loop(scenario);
+  Passes passes;
+  for (int tick = 0; tick < ticks; ++tick) {
+    loop.iterate();
+    passes.mean += static_cast<double>(loop.report().passes) / ticks;
+    passes.most = std::max(passes.most, loop.report().passes);
+  }
+  EXPECT_TRUE(loop.sound());  // no tick is unsolved
+  return passes;
+}
+
+// With the guess of the failed active-set method: 39 at most, 4.5 on average.
+TEST(QuadraticProgramTails, StepOf20mTakesFewPasses) {
+  const Passes passes = fly(benchmarks::steps<20>(tilt_ropter::paper_bounds()), 500);
+  EXPECT_LE(passes.most, 20);
+  EXPECT_LE(passes.mean, 3.8);
+}
+
+TEST(QuadraticProgramTails, StepOf3mTakesFewPasses) {
+  const Passes passes = fly(benchmarks::steps<3>(tilt_ropter::paper_bounds()), 500);
+  EXPECT_LE(passes.most, 16);
+  EXPECT_LE(passes.mean, 1.75);
+}
+
+}  // namespace
