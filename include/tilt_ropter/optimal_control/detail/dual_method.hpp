@@ -150,7 +150,8 @@ class DualMethod {
       const auto& n = program.node(k);
       for (int i = 0; i < Constraints; ++i) {
         const double over = n.predicted(i) - n.upper(i), under = n.lower(i) - n.predicted(i);
-        if (std::max(over, under) <= constraint_tolerance) continue;
+        const double bound = over > under ? n.upper(i) : n.lower(i);
+        if (std::max(over, under) <= constraint_tolerance * (1.0 + std::abs(bound))) continue;
         const Active r{k, i, over > under ? 1.0 : -1.0};
         if (in_set_[detail::size(k)][r.slot()]) continue;
         if (size() == most) return false;
@@ -230,7 +231,7 @@ class DualMethod {
   }
 
   static constexpr int max_rounds = 20;  // in which constraints join the working set
-  // Violation above which a constraint joins the working set.
+  // Violation, relative to the bound, above which a constraint joins the working set.
   static constexpr double constraint_tolerance = 1e-9;
   // Limit that keeps the dual regular if constraints are multiples of each other.
   static constexpr double most_stiffness = 1e12;

@@ -44,6 +44,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         dual_(horizon, dual_capacity(settings, horizon), settings.algorithm),
         active_set_(horizon),
         interior_point_(horizon),
+        few_(std::max(10, horizon / 2)),
         saved_steps_(detail::size(horizon) + 1, detail::Filled()),
         saved_multipliers_(saved_steps_.size(), detail::Filled()),
         saved_penalties_(saved_steps_.size(), detail::Filled()) {}
@@ -242,7 +243,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       const auto guessed = static_cast<int>(this->active().size());
       const int contradictions = active_set_.solve(*this, dx0);
       if ((contradictions == 0 && solved()) ||
-          (contradictions <= few && settle(dx0, contradictions))) {
+          (contradictions <= few_ && settle(dx0, contradictions))) {
         solved_by_ = this->active().empty() ? ProgramSolver::riccati : ProgramSolver::active_set;
         return;
       }
@@ -278,7 +279,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       const int next = active_set_.solve(*this, dx0);
       pass_time_ = SolverClock::now() - start;
       if (next == 0 && solved()) return true;
-      if (next > few || (tries > 1 && next > 0 && next >= contradictions)) return false;
+      if (next > few_ || (tries > 1 && next > 0 && next >= contradictions)) return false;
       contradictions = next;
     }
     return false;
@@ -290,7 +291,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
       active_set_.assume(*this);
       solved_by_ = ProgramSolver::active_set;
-      (void)settle(dx0, few);
+      (void)settle(dx0, few_);
       return;
     }
     iterate_interior_point(dx0, start, false);
@@ -339,11 +340,11 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       interior_time_ = end - start;
       start = end;
       const double mu = interior_point_.mu();
-      if (mu < next_try && interior_point_.decided(few)) {
+      if (mu < next_try && interior_point_.decided(few_)) {
         next_try = 1e-2 * mu;
         interior_point_.finish(*this, true);
         active_set_.assume(*this);
-        if (settle(dx0, few + 1)) return;
+        if (settle(dx0, few_ + 1)) return;
         start = SolverClock::now();
       }
       if (mu < 1e-10 * first) {
@@ -427,12 +428,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   static constexpr double infinity = std::numeric_limits<double>::infinity();
-  static constexpr int few = 10;  // contradictions from which the active set usually recovers
 
   QuadraticProgramSettings settings_;
   DualMethod<States, Inputs, Constraints, Pattern> dual_;
   ActiveSet<States, Inputs, Constraints, Pattern> active_set_;
   InteriorPoint<States, Inputs, Constraints, Pattern> interior_point_;
+  int few_;  // contradictions from which the active set usually recovers: one in two nodes
   std::vector<typename Program::Vector> saved_steps_;
   std::vector<typename Program::Values> saved_multipliers_, saved_penalties_;
   int most_dual_constraints_ = 0;  // set by the last prepare()
