@@ -95,9 +95,10 @@ struct Reached {
   [[nodiscard]] constexpr const int* end() const { return at.data() + count; }
 };
 
-/// Returns one list for each packet of `Width` entries of (dx, du), from the pattern of [A B].
+/// Returns one list for each packet of `Width` entries of (dx, du), from the pattern of [A B]. The
+/// entries are multiplied by `factor`: where a column starts, without a multiplication in the loop.
 template <int States, int Inputs, typename Pattern, int Width>
-constexpr auto reached_by() {
+constexpr auto reached_by(int factor = 1) {
   constexpr int width = States + Inputs;
   std::array<Reached<States>, detail::size(detail::padded(width) / Width)> lists{};
   for (int t = 0; t < detail::padded(width) / Width; ++t)
@@ -107,7 +108,7 @@ constexpr auto reached_by() {
         nonzero = nonzero || Pattern::nonzero(row, column);
       if (!nonzero) continue;
       auto& list = lists[detail::size(t)];
-      list.at[detail::size(list.count++)] = row;
+      list.at[detail::size(list.count++)] = factor * row;
     }
   return lists;
 }
@@ -277,7 +278,7 @@ class Riccati {
     for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
     terms(horizon(), hessian_.data(), gradient_.data());
     for (int j = 0; j < States; ++j)
-      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + state_rows * j);
+      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + rows * j);
     mirror<Width>();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
@@ -307,13 +308,14 @@ class Riccati {
   }
   template <int Width, int Columns>
   [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
-    static constexpr auto lists = reached_by<States, Inputs, Pattern, Width>();
+    static constexpr auto lists = reached_by<States, Inputs, Pattern, Width>(rows);
     const auto& list = lists[detail::size(t)];
+    const double *transition = s.transition.data() + Width * t, *rest = cost_to_go_.data() + first;
     Packet<Width> sum[detail::size(Columns)] = {};
-    for (const int k : list) {
+    for (const int column : list) {
       Packet<Width> m;
-      detail::load<Width>(s.transition.data() + rows * k + Width * t, m);
-      const double* p = cost_to_go_.data() + state_rows * k + first;
+      detail::load<Width>(transition + column, m);
+      const double* p = rest + column;
 #pragma GCC unroll 16
       for (int j = 0; j < Columns; ++j) sum[j] += m * p[j];
     }
@@ -353,17 +355,14 @@ class Riccati {
   }
   template <int Width, int First, int Last>
   [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
-    static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>();
+    static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>(rows);
     const auto& list = lists[detail::size(j)];
+    const double *transition = s.transition.data() + j, *product = product_.data() + Width * First;
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
     Packet<Width> sum[detail::size(Last - First)];
     detail::load<Width>(cost + Width * First, sum);
-    for (const int k : list) {
-      const double m = s.transition(j, k);
-      const double* product = product_.data() + rows * k;
-      detail::add_product<Width>(sum, product + Width * First, m);
-    }
+    for (const int k : list) detail::add_product<Width>(sum, product + k, transition[k]);
     detail::store<Width>(column + Width * First, sum);
   }
 
@@ -421,7 +420,7 @@ class Riccati {
         const double* column = hessian_.data() + rows * (States + i) + Width * First;
         detail::add_product<Width>(sum, column, factor);
       }
-      detail::store<Width>(cost_to_go_.data() + state_rows * j + Width * First, sum);
+      detail::store<Width>(cost_to_go_.data() + rows * j + Width * First, sum);
     }
   }
 
@@ -434,14 +433,14 @@ class Riccati {
 #pragma GCC unroll 4
         for (int c = 0; c < Width; ++c)
           if (j + c < States)
-            detail::load<Width>(cost_to_go_.data() + state_rows * (j + c) + i, square[c]);
+            detail::load<Width>(cost_to_go_.data() + rows * (j + c) + i, square[c]);
           else
             square[c] = Packet<Width>{};
         detail::transpose(square);
 #pragma GCC unroll 4
         for (int c = 0; c < Width; ++c) {
           if (i + c >= States) continue;
-          double* column = cost_to_go_.data() + state_rows * (i + c) + j;
+          double* column = cost_to_go_.data() + rows * (i + c) + j;
           if (i > j) {
             detail::store<Width>(column, square[c]);
           } else {
@@ -548,7 +547,7 @@ class Riccati {
 
   std::vector<Stage> stages_;
   // P of the node that the pass has reached; M' P and H of the current node; (p, remainder of g_u).
-  Eigen::Matrix<double, state_rows, States> cost_to_go_ = detail::Filled();
+  Eigen::Matrix<double, rows, States> cost_to_go_ = detail::Filled();
   Eigen::Matrix<double, rows, States> product_ = detail::Filled();
   Eigen::Matrix<double, rows, width> hessian_ = detail::Filled();
   Vector gradient_ = detail::Filled();
