@@ -8,6 +8,7 @@
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/detail/delay_queue.hpp>
+#include <tilt_ropter/simulation/detail/wall.hpp>
 #include <tilt_ropter/simulation/detail/wheel_contact.hpp>
 
 #include <Eigen/Core>
@@ -20,10 +21,10 @@
 #include <optional>
 #include <vector>
 
-/// Simulated vehicle for tests of a controller: rigid body, rotors, tilt servos, and wheels or legs
-/// on flat ground. It shares parameter and state types with the controller's model but no code, so
-/// each can be tested against the other. Its Vehicle is the true vehicle; the controller need not
-/// know the exact parameters.
+/// Simulated vehicle for tests of a controller: rigid body, rotors, tilt servos, wheels or legs on
+/// flat ground, and a wall. It shares parameter and state types with the controller's model but no
+/// code, so each can be tested against the other. Its Vehicle is the true vehicle; the controller
+/// need not know the exact parameters.
 namespace tilt_ropter {
 
 /// Parameters of Plant in addition to its Vehicle.
@@ -77,8 +78,9 @@ void validate(const PlantState<Rotors>& x) {
 struct PlantLoads {
   Wrenchd actuators;  ///< wrench of the rotors
   Wrenchd contact;    ///< wrench of the ground
-  Wrenchd external;   ///< all loads except rotors and gravity: contact, disturbance, drag, and the
-                      ///< bearing and gyroscopic torque of the spinning wheels
+  Wrenchd external;  ///< all loads except rotors and gravity: contact, wall, disturbance, drag, and
+                     ///< the bearing and gyroscopic torque of the spinning wheels
+  double wall_force = 0.0;                                         ///< normal force of the wall [N]
   Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();        ///< at the CoM [m/s^2]
   Eigen::Vector3d angular_acceleration = Eigen::Vector3d::Zero();  ///< [rad/s^2]
   /// Right and left wheel (-y, +y) of the front axle or of the single axle, then of the rear axle.
@@ -151,6 +153,14 @@ class Plant {
     min_rotor_speed_ = of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); });
   }
 
+  /// Puts a wall into the world, or removes it, from the next step on. Allocates. Throws
+  /// std::invalid_argument if the wall is out of range.
+  void set_wall(const std::optional<Wall>& wall) {
+    if (wall) validate(*wall);
+    hull_ = wall ? detail::hull_of(vehicle_, mounts_, *wall) : std::vector<detail::HullDisc>();
+    wall_ = wall.value_or(Wall());
+  }
+
   [[nodiscard]] const PlantState<Rotors>& state() const noexcept { return state_; }
   [[nodiscard]] double time() const noexcept { return state_.time; }
   [[nodiscard]] const BodyStated& body() const noexcept { return state_.body; }
@@ -161,6 +171,7 @@ class Plant {
   [[nodiscard]] const Wrenchd& actuator_wrench() const noexcept { return loads_.actuators; }
   [[nodiscard]] const Wrenchd& contact_wrench() const noexcept { return loads_.contact; }
   [[nodiscard]] const Wrenchd& external_wrench() const noexcept { return loads_.external; }
+  [[nodiscard]] double wall_force() const noexcept { return loads_.wall_force; }  ///< normal [N]
   /// Measurement of an ideal IMU at the CoM.
   [[nodiscard]] InertialSampled inertial_sample() const noexcept {
     return {state_.body.angular_velocity, loads_.specific_force};
@@ -275,6 +286,8 @@ class Plant {
   PlantParameters parameters_;
   Eigen::Matrix3d inertia_inverse_;
   std::vector<WheelMount> mounts_;  ///< 0, 2 or 4 wheels or feet
+  Wall wall_;
+  std::vector<detail::HullDisc> hull_;  ///< touches the wall; empty without a wall
   /// Arms that are the axles of the wheels, in the order of mounts_.
   std::array<std::optional<std::size_t>, 4> axle_arms_;
   RotorVector min_rotor_speed_, max_rotor_speed_;  ///< [rad/s]
@@ -455,8 +468,12 @@ PlantLoads Plant<Rotors>::loads(const PlantState<Rotors>& x) const noexcept {
     external.torque += forces.bearing_torque * axle - w.cross(momentum * axle);
     result.wheels[i] = forces;
   }
-  external.force += result.contact.force;
-  external.torque += result.contact.torque;
+  for (const detail::HullDisc& disc : hull_) {
+    const detail::WallForce forces = detail::wall_force(wall_, disc, x.body, rotation);
+    external = external + forces.wrench;
+    result.wall_force += forces.normal_force;
+  }
+  external = external + result.contact;
   result.specific_force = (result.actuators.force + external.force) / vehicle_.body.mass;
   result.angular_acceleration = inertia_inverse_ * (result.actuators.torque + external.torque -
                                                     w.cross(vehicle_.body.inertia * w));
