@@ -16,6 +16,7 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 namespace test_support {
 
@@ -56,6 +57,8 @@ class ActuatorLoop {
     actuators_.reset(command_, 0.0);
   }
 
+  void set_wall(const std::optional<tilt_ropter::Wall>& wall) { plant_.set_wall(wall); }
+
   /// Replaces the plant by `truth` in the current state.
   void fail(const tilt_ropter::Vehicle<Rotors>& truth) {
     const tilt_ropter::PlantState<Rotors> state = plant_.state();
@@ -86,7 +89,7 @@ class ActuatorLoop {
     const InertialSampled sample = plant_.inertial_sample();
     const ObservedWrenchd& observed = observer_.update(time, sample, wrench(applied));
     const BodyStated measured = state_sensor_.sample(time, plant_.body())->body;
-    const ContactEstimate& contact = contact_.update(time, measured, observed);
+    const ContactEstimate& contact = contact_.update(time, measured, observed, reference(time));
     const double clearance =
         measured.position.z() - standing_ - contact.ground.height_at(measured.position);
     detector_.update(time, sample, applied, modelled.rotor_speed,

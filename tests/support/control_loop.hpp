@@ -56,6 +56,8 @@ class ControlLoop {
     actuators_.reset(sent_.command, 0.0);
   }
 
+  void set_wall(const std::optional<tilt_ropter::Wall>& wall) { plant_.set_wall(wall); }
+
   /// Puts the plant into this state, with its actuators as they are. The controller is not
   /// informed.
   void put(const tilt_ropter::BodyStated& body) {
@@ -105,7 +107,8 @@ class ControlLoop {
                                    actuators_.update(time, sent_.command).tilt_angle};
     (void)observer_.update(time, plant_.inertial_sample(), allocation_.wrench(applied));
     std::optional<BodyStated> measured = state_sensor_.sample(time, plant_.body())->body;
-    ContactEstimate contact = contact_.update(time, *measured, observer_.observed());
+    ContactEstimate contact =
+        contact_.update(time, *measured, observer_.observed(), reference(time));
     tamper(contact.disturbance, measured);
     (void)nmpc_.prepare(time, reference, contact);
     const NmpcResult& result = measured ? nmpc_.feedback(time, *measured) : nmpc_.hold(time);

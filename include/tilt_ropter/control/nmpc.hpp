@@ -238,6 +238,9 @@ bool RecedingHorizonController<Level>::begin(double time, const ContactEstimate&
 template <typename Level>
 optimal_control::PrepareStatus RecedingHorizonController<Level>::finish(double time) {
   if (!continue_reference()) return optimal_control::PrepareStatus::failed;
+  if (inputs_.contact.blocked)
+    for (ReferencePoint& point : inputs_.points)
+      point = in_front_of(*inputs_.contact.blocked, point);
   level_.set_nodes(inputs_, solver_.problem());
   prepared_ = true;
   if (cold_)

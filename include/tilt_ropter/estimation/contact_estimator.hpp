@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/estimation/detail/obstacle_watch.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/detail/clock.hpp>
 #include <tilt_ropter/math/validation.hpp>
@@ -48,8 +49,9 @@ namespace tilt_ropter {
 /// pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the air, and its
 /// whole external wrench is a disturbance.
 ///
-/// The disturbance has limits, because the reaction of a wall is a disturbance to this estimator,
-/// too, and must not wind up: 0.3 weights sideways, one upward or downward, and 0.03 m times the
+/// In the air, with a reference, the reaction of an unknown obstacle is told from wind
+/// (ContactEstimate::blocked) and is not compensated: the vehicle then presses with 0.1 weights.
+/// The disturbance has limits: 0.3 weights sideways, one upward or downward, and 0.03 m times the
 /// weight as a torque. ContactEstimate::limited says when it was cut.
 ///
 /// The observer is a filter. After take-off its output still contains a decaying part of the
@@ -63,7 +65,7 @@ class ContactEstimator {
   ContactEstimator(const RigidBodyParameters& body,
                    const std::optional<Undercarriage>& undercarriage,
                    const GroundPlane& assumed_ground = {})
-      : weight_(body.mass * gravity), undercarriage_(undercarriage) {
+      : weight_(body.mass * gravity), undercarriage_(undercarriage), watch_(weight_) {
     validate(body);
     if (undercarriage) validate(*undercarriage);
     require(assumed_ground.height < std::numeric_limits<double>::infinity(),
@@ -79,11 +81,13 @@ class ContactEstimator {
 
   /// Processes the state of the body (of the CoM) at `time` [s] and what the observer knows then.
   /// Call it once per tick or more often: it uses the means since the last call. An external wrench
-  /// from another source is a value of unfiltered_wrench(). Ignores numbers that are not finite or
-  /// above 1e6. Ignores wrenches above ten times the weight (torque: ten times the weight at one
-  /// metre). Ignores a time that is not after the last time, unless clock_was_set_back().
-  const ContactEstimate& update(double time, const BodyStated& measured,
-                                const ObservedWrenchd& observed) noexcept {
+  /// from another source is a value of unfiltered_wrench(). `reference`: what the vehicle follows
+  /// at `time`; without it no obstacle is found. Ignores numbers that are not finite or above 1e6.
+  /// Ignores wrenches above ten times the weight (torque: ten times the weight at one metre).
+  /// Ignores a time that is not after the last time, unless clock_was_set_back().
+  const ContactEstimate& update(
+      double time, const BodyStated& measured, const ObservedWrenchd& observed,
+      const std::optional<ReferencePoint>& reference = std::nullopt) noexcept {
     auto means = means_between(observed_, observed);
     if (!started_)  // the output of a filter that has just started is meaningless
       means = {observed.external, observed.raw};
@@ -113,6 +117,13 @@ class ContactEstimator {
       estimate_.disturbance = external;
     if (settling_ == 0.0 && !estimate_.on_ground)
       estimate_.disturbance.force += body.orientation.conjugate() * unfelt();
+    const bool flies = !estimate_.on_ground && settling_ == 0.0;
+    estimate_.blocked =
+        watch_.update(body, body.orientation * external.force, body.orientation * means->raw.force,
+                      flies ? reference : std::nullopt, dt);
+    if (estimate_.blocked)
+      estimate_.disturbance.force = body.orientation.conjugate() *
+                                    watch_.held(body.orientation * estimate_.disturbance.force);
     limit(body);
     started_ = true;
     time_ = time;
@@ -405,6 +416,7 @@ class ContactEstimator {
 
   double weight_;
   std::optional<Undercarriage> undercarriage_;
+  detail::ObstacleWatch watch_;
   GroundPlane assumed_ground_;
   ContactEstimate estimate_;
   Wrenchd air_;               // average wrench in the air; kept on the ground

@@ -7,6 +7,7 @@
 
 #include <cmath>
 #include <limits>
+#include <optional>
 
 /// Estimate of the ground contact, an input of the controller. ContactEstimator computes it. A user
 /// with a bumper switch or a load cell can provide it instead.
@@ -42,6 +43,25 @@ struct GroundPlane {
   return {up.z() / length, 0.0, -up.x() / length};
 }
 
+/// Something that stops a vehicle in the air in front of its reference.
+struct Obstacle {
+  /// Towards the obstacle; horizontal unit vector, world frame.
+  Eigen::Vector3d direction = Eigen::Vector3d::UnitX();
+  double reach = 0.0;  ///< how far the CoM gets along `direction`, from the origin [m]
+};
+
+/// Returns the reference of a vehicle that does not get past `obstacle`.
+[[nodiscard]] inline ReferencePoint in_front_of(const Obstacle& obstacle,
+                                                ReferencePoint point) noexcept {
+  const Eigen::Vector3d& n = obstacle.direction;
+  const double beyond = n.dot(point.position) - obstacle.reach;
+  if (!(beyond > 0.0)) return point;
+  point.position -= beyond * n;
+  point.velocity -= n.dot(point.velocity) * n;
+  point.acceleration -= n.dot(point.acceleration) * n;
+  return point;
+}
+
 /// Wrenches act at the CoM, in the body frame, like the output of the wrench observer.
 struct ContactEstimate {
   bool on_ground = false;     ///< the ground carries part of the weight, or did so recently
@@ -51,8 +71,11 @@ struct ContactEstimate {
   /// [m]. A reference on this ground counts as on the ground.
   double planned_height = -std::numeric_limits<double>::infinity();
   bool limited = false;  ///< `disturbance` was cut to what a vehicle of this weight can carry
-  /// In the air: the external wrench. On the ground: the external wrench that would act if the
-  /// vehicle left the ground.
+  /// An unknown obstacle that the vehicle touches. The controller then plans to stay in front of
+  /// it.
+  std::optional<Obstacle> blocked;
+  /// In the air: the external wrench; along an obstacle, the one before the touch. On the ground:
+  /// the external wrench that would act if the vehicle left the ground.
   Wrenchd disturbance;
   /// On the ground: the external force along the ground (zero if the vehicle does not roll) and the
   /// external torque about the free axes of the Undercarriage. Examples are wind, rolling
@@ -77,8 +100,9 @@ struct ContactEstimate {
 /// Returns true if all numbers are finite. The ground's height may be -infinity.
 [[nodiscard]] inline bool is_finite(const ContactEstimate& e) noexcept {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
-         is_finite(e.external) && std::isfinite(e.ground.slope.x()) &&
-         std::isfinite(e.ground.slope.y()) &&
+         is_finite(e.external) &&
+         (!e.blocked || (all_finite(e.blocked->direction) && std::isfinite(e.blocked->reach))) &&
+         std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&
          e.ground.height < std::numeric_limits<double>::infinity() &&
          e.planned_height < std::numeric_limits<double>::infinity();
 }

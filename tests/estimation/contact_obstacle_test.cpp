@@ -1,0 +1,97 @@
+// The contact estimator tells an obstacle from wind, a payload and a slow vehicle.
+
+#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <cmath>
+#include <limits>
+#include <optional>
+
+namespace tilt_ropter {
+namespace {
+
+constexpr double tick = 0.01;
+
+class ContactObstacle : public testing::Test {
+ protected:
+  // A second of flight with the external force `force(t)` [N] and the position `place(t)` [m].
+  template <typename Force, typename Place>
+  bool ever_blocked(const Force& force, const Place& place, bool with_reference = true) {
+    bool blocked = false;
+    for (double t = 0.0; t < 1.0; t += tick, time += tick) {
+      BodyStated body;
+      body.position = Eigen::Vector3d(0.0, 0.0, 2.0) + place(t);
+      body.velocity = (place(t + 1e-4) - place(t)) / 1e-4;
+      ObservedWrenchd observed;
+      observed.external.force = observed.raw.force = force(t);
+      std::optional<ReferencePoint> reference;
+      if (with_reference) reference.emplace().position << behind, 0.0, 2.0;
+      const ContactEstimate& estimate = contact.update(time, body, observed, reference);
+      blocked = blocked || estimate.blocked;
+    }
+    return blocked;
+  }
+  static Eigen::Vector3d along_x(double x) { return {x, 0.0, 0.0}; }
+  static Eigen::Vector3d nothing(double) { return Eigen::Vector3d::Zero(); }
+  // The wall starts to push at 0.2 s.
+  static Eigen::Vector3d wall(double t) { return along_x(t < 0.2 ? 0.0 : -4.0); }
+
+  double time = 0.0, behind = 0.1;  // [s], the reference [m]
+  ContactEstimator contact{tilt_ropter_vehicle()};
+};
+
+TEST_F(ContactObstacle, IsSeenWithItsDirectionAndNotCompensated) {
+  EXPECT_TRUE(ever_blocked(wall, nothing));
+  const ContactEstimate& estimate = contact.estimate();
+  ASSERT_TRUE(estimate.blocked);
+  EXPECT_NEAR(estimate.blocked->direction.x(), 1.0, 1e-6);
+  EXPECT_NEAR(estimate.blocked->reach, 0.0, 1e-6);
+  const double weight = tilt_ropter_vehicle().body.mass * gravity;
+  EXPECT_NEAR(estimate.disturbance.force.x(), -0.1 * weight, 0.03 * weight);
+  EXPECT_FALSE(ever_blocked(nothing, nothing) && contact.estimate().blocked);
+}
+
+TEST_F(ContactObstacle, NeedsAReference) {
+  EXPECT_FALSE(ever_blocked(wall, nothing, false));
+}
+
+TEST_F(ContactObstacle, IsNotWindThatMovesTheVehicle) {
+  behind = 0.0;
+  const auto driven = [](double t) { return along_x(t < 0.2 ? 0.0 : -0.1 * (t - 0.2)); };
+  EXPECT_FALSE(ever_blocked(wall, driven));
+}
+
+TEST_F(ContactObstacle, IsNotASlowApproachAgainstTheWind) {
+  EXPECT_FALSE(ever_blocked(wall, [](double t) { return along_x(0.08 * t); }));
+}
+
+TEST_F(ContactObstacle, IsNotAPayload) {
+  EXPECT_FALSE(ever_blocked(
+      [](double t) { return Eigen::Vector3d(0.0, 0.0, t < 0.2 ? 0.0 : -4.0); }, nothing));
+}
+
+TEST(Obstacle, LimitsTheReferenceInFrontOfIt) {
+  const Obstacle obstacle{Eigen::Vector3d::UnitX(), 1.0};
+  ReferencePoint point;
+  point.position << 3.0, 2.0, 1.0;
+  point.velocity << 1.0, 0.5, 0.0;
+  const ReferencePoint front = in_front_of(obstacle, point);
+  EXPECT_EQ(front.position, Eigen::Vector3d(1.0, 2.0, 1.0));
+  EXPECT_EQ(front.velocity, Eigen::Vector3d(0.0, 0.5, 0.0));
+  point.position.x() = 0.5;
+  EXPECT_EQ(in_front_of(obstacle, point).velocity, point.velocity);
+}
+
+TEST(Obstacle, MustBeFinite) {
+  ContactEstimate estimate = in_the_air({});
+  estimate.blocked.emplace().reach = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(is_finite(estimate));
+}
+
+}  // namespace
+}  // namespace tilt_ropter
