@@ -9,6 +9,8 @@
 
 #include <CLI/CLI.hpp>
 
+#include <iostream>
+#include <sstream>
 #include <string>
 #include <variant>
 
@@ -31,10 +33,19 @@ int main(int argc, char** argv) {
     }
     const auto write = [&](const auto& vehicle) { return write_mission(options.mission, vehicle); };
     if (std::visit(write, file.vehicle)) return 0;
-    const examples::FlightReport report =
+    double lean = 0.0;
+    examples::FlightReport report =
         examples::report_flight(options, file, [&](const examples::FlightProgress& on_progress) {
-          return examples::fly_simulated(options, file, on_progress);
+          examples::FlownMission flown = examples::fly_simulated(options, file, on_progress);
+          lean = flown.lean;
+          return flown;
         });
+    if (options.wall.x) {
+      std::ostringstream printed;
+      printed << "lean_max_deg: " << lean * 180.0 / tilt_ropter::pi << '\n';
+      std::cout << printed.str();
+      report.figures += printed.str();
+    }
     if (!options.no_pictures) {
       examples::write_report(options.output, file, report.figures);
       examples::draw_pictures("missions/hybrid_mission.gp", options.output);

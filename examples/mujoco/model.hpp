@@ -244,9 +244,9 @@ template <int Rotors>
 
 /// Returns the MJCF text. Names: body `base`; joints `root`, `tilt1`.., `wheel1`.. with the
 /// index of wheel_in_body; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the
-/// CoM at zero tilt; geoms `ground` and `contact1`.., the tyres or the feet. Thrust and reaction
-/// torque act at the site of the rotor, which tilts with its arm. A servo is a speed loop. Geoms
-/// have no mass.
+/// CoM at zero tilt; geoms `ground`, `wall` and `contact1`.., the tyres or the feet. Thrust and
+/// reaction torque act at the site of the rotor, which tilts with its arm. A servo is a speed loop.
+/// Geoms have no mass.
 template <int Rotors>
 [[nodiscard]] std::string mujoco_model(const tilt_ropter::Vehicle<Rotors>& vehicle,
                                        const MujocoParameters& p = {}) {
@@ -314,7 +314,10 @@ template <int Rotors>
         << quoted(numbers(0.5 * p.step_width, 1.2, p.step_height))
         << " pos=" << quoted(numbers(p.step_position, 0.0, p.ground_height)) << "/>\n";
 
-  xml << R"(  <body name="base">
+  // The wall touches nothing until MujocoPlant::set_wall() places it.
+  xml << R"(  <geom name="wall" type="plane" size="30 30 0.5" pos="0 0 -1000" contype="4"
+    priority="1" condim="3"/>
+  <body name="base">
     <freejoint name="root"/>
     <inertial mass=)"
       << quoted(numbers(base.mass)) << " pos="
@@ -352,7 +355,7 @@ template <int Rotors>
       <geom type="cylinder" size="0.004 0.01" pos="0 0 0.026" material="metal"/>
       <geom type="cylinder" size=)"
         << quoted(numbers(disc, 0.0012)) << " pos=" << quoted(numbers(0.0, 0.0, height))
-        << R"( material="disc)" << spin << R"("/>
+        << R"( conaffinity="2" material="disc)" << spin << R"("/>
       <geom type="ellipsoid" size=)"
         << quoted(numbers(0.97 * disc, 0.006, 0.002))
         << " pos=" << quoted(numbers(0.0, 0.0, height)) << R"( euler="0 0 )"

@@ -61,6 +61,7 @@ class MujocoPlant {
       wheel_dof_.push_back(dof(joint("wheel" + std::to_string(i + 1))));
     for (int i = 1; id(mjOBJ_GEOM, "contact" + std::to_string(i)) >= 0; ++i)
       contact_.push_back(id(mjOBJ_GEOM, "contact" + std::to_string(i)));
+    wall_ = id(mjOBJ_GEOM, "wall");
     accelerometer_ = model_->sensor_adr[id(mjOBJ_SENSOR, "imu")];
 
     const Eigen::Quaterniond ground = ground_orientation(parameters);
@@ -98,6 +99,27 @@ class MujocoPlant {
 
   /// Same as tilt_ropter::Plant::set_rotors(), but the arms stay where the model has them.
   void set_rotors(const tilt_ropter::Vehicle<Rotors>& vehicle) { vehicle_.rotors = vehicle.rotors; }
+
+  /// Same as tilt_ropter::Plant::set_wall(), but with contacts of MuJoCo, also of hull and motors;
+  /// hull_radius has no effect. The deformation at rest is that of the stiffness.
+  void set_wall(const std::optional<tilt_ropter::Wall>& wall) {
+    model_->geom_contype[wall_] = wall ? 3 : 4;  // touches vehicle and propellers, or nothing
+    if (!wall) return;
+    tilt_ropter::validate(*wall);
+    using Vector = Eigen::Matrix<mjtNum, 3, 1>;
+    Eigen::Map<Vector>(model_->geom_pos + 3 * wall_) = wall->point;
+    const auto turned = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), wall->normal);
+    Eigen::Map<Eigen::Matrix<mjtNum, 4, 1>>(model_->geom_quat + 4 * wall_) << turned.w(),
+        turned.x(), turned.y(), turned.z();
+    model_->geom_sameframe[wall_] = 0;
+    model_->geom_friction[3 * wall_] = wall->friction;
+    // See solref and solimp of MuJoCo. At this impedance half of the forces are the wall's.
+    constexpr double impedance = 0.5, damping_ratio = 0.3;
+    const double rate = wall->stiffness / vehicle_.body.mass;
+    for (int i = 0; i < 2; ++i) model_->geom_solimp[mjNIMP * wall_ + i] = impedance;
+    model_->geom_solref[mjNREF * wall_] = -rate;
+    model_->geom_solref[mjNREF * wall_ + 1] = -2.0 * damping_ratio * std::sqrt(rate / impedance);
+  }
 
   /// Takes the torque from a servo: its arm swings freely from now on. `arm` counts from 0.
   void release_servo(std::size_t arm) {
@@ -174,6 +196,7 @@ class MujocoPlant {
   [[nodiscard]] const Eigen::Vector3d& specific_force() const { return specific_force_; }
   /// Normal force of the ground on each wheel or foot, in the order of Plant [N].
   [[nodiscard]] const Eigen::Vector4d& normal_forces() const { return normal_forces_; }
+  [[nodiscard]] double wall_force() const { return wall_force_; }  ///< normal force [N]
   /// Same as tilt_ropter::Plant::bearing_torque().
   [[nodiscard]] double bearing_torque() const {
     double largest = 0.0;
@@ -279,9 +302,14 @@ class MujocoPlant {
     external_.torque = disturbance_.torque + constraint.tail<3>();
     for (const int wheel : wheel_dof_) external_.torque.y() -= data_->qfrc_constraint[wheel];
     normal_forces_.setZero();
+    wall_force_ = 0.0;
     for (int i = 0; i < data_->ncon; ++i) {
       std::array<mjtNum, 6> force{};
       mj_contactForce(model_.get(), data_.get(), i, force.data());
+      if (data_->contact[i].geom1 == wall_ || data_->contact[i].geom2 == wall_) {
+        wall_force_ += force[0];
+        continue;
+      }
       for (std::size_t w = 0; w < contact_.size(); ++w)
         if (data_->contact[i].geom1 == contact_[w] || data_->contact[i].geom2 == contact_[w])
           normal_forces_(static_cast<Eigen::Index>(w)) += force[0];
@@ -293,7 +321,8 @@ class MujocoPlant {
   std::array<tilt_ropter::ServoParameters, rotors> servos_;
   Model model_;
   std::unique_ptr<mjData, Delete> data_;
-  int base_ = 0, root_ = 0, accelerometer_ = 0;
+  int base_ = 0, root_ = 0, accelerometer_ = 0, wall_ = 0;
+  double wall_force_ = 0.0;                                    ///< [N]
   std::array<int, rotors> tilt_angle_{}, thrust_{}, servo_{};  ///< indices in the arrays of MuJoCo
   std::vector<int> wheel_dof_, contact_;
   double longest_step_ = model_->opt.timestep;

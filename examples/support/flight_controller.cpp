@@ -131,7 +131,7 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   detector_.update(
       time, corrected,
       measures_speeds_ ? ActuatorState<Rotors>{rotor_speeds_, modelled.tilt_angle} : modelled,
-      modelled.rotor_speed, airborne_ || pulled);
+      modelled.rotor_speed, (airborne_ && time > touched_until_) || pulled);
 }
 
 template <int Rotors>
@@ -382,7 +382,13 @@ CalibrationStatus FlightController<Rotors>::imu_check() const {
 template <int Rotors>
 void FlightController<Rotors>::prepare(double time, const Reference& reference) {
   on_tick(time);
-  if (ekf_.running()) contact_.update(time, ekf_.state(), observed_);
+  if (ekf_.running()) {
+    const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
+    ReferencePoint now = follows ? reference(time) : stand_in(time);
+    if (mode_ == FlightMode::returning) now = on_way_back(now, time);
+    contact_.update(time, ekf_.state(), observed_, now);
+    if (contact_.estimate().blocked) touched_until_ = time + 1.0;
+  }
   airborne_ = ekf_.running() && is_off_the_ground();
   if (!started_ && airborne_ && sent_.command.rotor_speed.isZero()) start_in_the_air(time);
   choose_mode(time, reference);

@@ -252,6 +252,7 @@ class FlightController {
   tilt_ropter::ActuatorFailure failure_;
   tilt_ropter::ActuatorNmpcSettings after_failure_;  ///< of the controller after a failure
   bool airborne_ = false, starts_in_air_ = false;
+  double touched_until_ = 0.0;  ///< an obstacle, whose force is no actuator's [s]
 };
 
 }  // namespace examples

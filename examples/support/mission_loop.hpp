@@ -16,6 +16,7 @@
 #include "sensor_suite.hpp"
 #include "solver_choice.hpp"
 #include "vehicle_choice.hpp"
+#include "wall_option.hpp"
 
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
@@ -71,6 +72,7 @@ struct MissionOptions {
   std::vector<std::string> rotor_speeds;  // see parse_rotor_speed()
   bool no_telemetry = false;
   std::string failure;  // see parse_failure(); empty: none
+  WallOptions wall;
   // Defaults mean: the values of the vehicle.
   double servo_speed = 0.0, servo_time_constant = 0.0, ground_thrust = -1.0;
   double battery_charge = 1.0;  // state of charge at the start
@@ -174,6 +176,7 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   app.add_flag("--no-telemetry", options.no_telemetry,
                "no measured rotor speeds; the controller uses the modelled ones");
   app.add_option("--failure", options.failure, failure_help);
+  add_wall(app, options.wall);
   app.add_option("--observer-bandwidth", options.observer_bandwidth,
                  "bandwidth of the wrench observer in all axes [1/s]")
       ->check(CLI::Range(0.1, 1000.0))
@@ -364,6 +367,7 @@ struct FlownMission {
   TrustFigures trust;
   RotorSpeedFigures rotor_speeds;
   ResidualFigures residuals;
+  WallFigures wall;
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
@@ -511,6 +515,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   FailingActuator<Rotors> failing(options.failure, vehicles.truth);
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
+  std::optional<Wall> wall = options.wall.at(0.0);
+  if (wall) plant.set_wall(wall);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
     const double height_error = height_error_at(time);
@@ -540,6 +546,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       }
     }
     tap.end_step(time, command);
+    if (wall && !options.wall.at(time)) plant.set_wall(wall = std::nullopt);
     if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
@@ -548,6 +555,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       for (int k = 0; k < Rotors; ++k) turned.rotor_speed(k) *= speed.factor(k, time, charge());
     if (!plant.step(failing.command(plant, turned), disturbance(), step))
       throw std::runtime_error("the plant rejected a step");
+    if (options.wall.x)
+      flown.wall.on_step(plant.time(), wall, plant.wall_force(), plant.body(),
+                         mission(plant.time()).position.z(),
+                         controller.contact().estimate().blocked.has_value());
     flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());
     const Eigen::Vector3d wanted = mission(plant.time()).position;
@@ -629,6 +640,7 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
   if (options.start_in_air > 0.0)
     printed << "take_over_drop_m: " << flown.take_over_drop
             << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
+  if (options.wall.x) flown.wall.print(printed, options.wall.until);
   flown.rotor_speeds.print(printed);
   flown.residuals.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'

@@ -63,6 +63,8 @@ inline std::vector<std::string> mission_columns(int rotor_count, bool battery = 
         "solved_by", "nlopt_evaluations", "polishing_steps"})
     names.emplace_back(name);
   for (const auto& residual : named_residuals({})) names.emplace_back(residual.first);
+  for (const char* name : {"blocked", "blocked_x", "blocked_y", "wall_force_n"})
+    names.emplace_back(name);
   if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
 }
@@ -97,6 +99,10 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.add(static_cast<int>(result.report.solved_by)).add(result.report.evaluations);
   log.add(result.report.polishing_steps);
   for (const auto& residual : named_residuals(controller.consistency())) log.add(residual.second);
+  const tilt_ropter::Obstacle obstacle =
+      contact.blocked.value_or(tilt_ropter::Obstacle{Eigen::Vector3d::Zero(), 0.0});
+  log.add(contact.blocked.has_value()).add_all(obstacle.direction.head<2>().eval());
+  log.add(plant.wall_force());
   if (battery != nullptr && battery->known())
     log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();
