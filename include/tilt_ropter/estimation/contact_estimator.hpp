@@ -118,12 +118,13 @@ class ContactEstimator {
     if (settling_ == 0.0 && !estimate_.on_ground)
       estimate_.disturbance.force += body.orientation.conjugate() * unfelt();
     const bool flies = !estimate_.on_ground && settling_ == 0.0;
+    std::optional<Eigen::Vector3d> applied;
+    if (observed.applied) applied = body.orientation * observed.applied->force;
     estimate_.blocked =
         watch_.update(body, body.orientation * external.force, body.orientation * means->raw.force,
-                      flies ? reference : std::nullopt, dt);
-    if (estimate_.blocked)
-      estimate_.disturbance.force = body.orientation.conjugate() *
-                                    watch_.held(body.orientation * estimate_.disturbance.force);
+                      applied, flies ? reference : std::nullopt, dt);
+    estimate_.disturbance.force =
+        body.orientation.conjugate() * watch_.held(body.orientation * estimate_.disturbance.force);
     limit(body);
     started_ = true;
     time_ = time;

@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
 
@@ -12,19 +13,21 @@
 
 namespace tilt_ropter::detail {
 
-/// Tells the reaction of an unknown obstacle in the air from wind. Wind pushes the vehicle away
-/// from where it was when the force began; an obstacle pushes only a vehicle that is beyond this
-/// place. An obstacle stops the vehicle in front of its reference: the error does not close. A
-/// vehicle that follows its reference slowly closes it. Only horizontal forces count, so that
-/// neither a payload nor the ground is an obstacle. Does not allocate.
+/// Tells the reaction of an unknown obstacle in the air from wind. An obstacle stops the vehicle in
+/// front of its reference. A gust can do the same for a moment; therefore a second witness is
+/// asked. An impact gives a force that no gust has. After a soft touch the vehicle pushes more for
+/// a moment: wind that stays the same lets it move, an obstacle does not. Only horizontal forces
+/// count, so that neither a payload nor the ground is an obstacle. Does not allocate.
 class ObstacleWatch {
  public:
   explicit ObstacleWatch(double weight) : weight_(weight) {}
 
-  /// Returns the obstacle, if there is one. `force` is the external force, `raw` the same without
-  /// the lag of a filter, world frame [N]. Forgets the obstacle without a reference.
+  /// Returns the obstacle, if there is one. World frame [N]: `force` is the external force, `raw`
+  /// the same without the lag of a filter, `applied` the force of the actuators, if known. Forgets
+  /// the obstacle without a reference.
   const std::optional<Obstacle>& update(const BodyStated& body, const Eigen::Vector3d& force,
                                         const Eigen::Vector3d& raw,
+                                        const std::optional<Eigen::Vector3d>& applied,
                                         const std::optional<ReferencePoint>& reference,
                                         double dt) noexcept {
     if (!reference || !(reference->position.norm() < 1e6)) {
@@ -32,33 +35,39 @@ class ObstacleWatch {
       return obstacle_;
     }
     const Eigen::Vector3d error = horizontal(reference->position - body.position),
-                          reaction = calm_ - horizontal(force);
-    if (is_wind(body, calm_ - horizontal(raw), dt)) {
-      if (obstacle_)
-        began_at_ = body.position;
-      else
-        windy_for_ = wind_time;
-      forget();
+                          reaction = calm_ - horizontal(force),
+                          raw_reaction = calm_ - horizontal(raw);
+    moving_ += part(dt, short_time) * (body.velocity - moving_);
+    felt_ += part(dt, felt_time) * (raw - felt_);
+    jolt_ += part(dt, short_time) * (raw_reaction - jolt_);
+    jolted_for_ = jolt_.norm() > impact * weight_ ? jolt_time : std::max(0.0, jolted_for_ - dt);
+    if (is_wind(body, raw_reaction, dt) && (obstacle_ || jolted_for_ == 0.0)) {
+      if (obstacle_) began_at_ = body.position;
+      take_for_wind();
     }
-    windy_for_ = std::max(0.0, windy_for_ - dt);
-    if (windy_for_ > 0.0) {
-      calm_ -= reaction;
-    } else if (obstacle_) {
+    if (obstacle_) {
       follow(body, error, reaction, dt);
-    } else if (!stops(body, error, reaction, dt) && rests_for_ == 0.0) {
-      const double most = least_reaction * weight_;  // so that an impact changes little
-      calm_ -=
-          part(dt, calm_time) * std::min(1.0, most / std::max(reaction.norm(), 1e-9)) * reaction;
+    } else if (probed_for_ > 0.0) {
+      probe(body, applied, dt);
+    } else {
+      windy_for_ = std::max(0.0, windy_for_ - dt);
+      if (!stops(body, error, reaction, dt) && (rests_for_ == 0.0 || windy_for_ > 0.0)) {
+        const double most = least_reaction * weight_;  // so that an impact changes little
+        calm_ -=
+            part(dt, calm_time) * std::min(1.0, most / std::max(reaction.norm(), 1e-9)) * reaction;
+      }
     }
     return obstacle_;
   }
 
   /// Returns the disturbance to compensate, world frame [N]: along the obstacle the one before the
   /// touch, less a small force with which the vehicle then leans on the obstacle. Without this
-  /// force it would not notice that the obstacle has gone.
+  /// force it would not notice that the obstacle has gone. In a probe, the one at its start, less
+  /// the additional push.
   [[nodiscard]] Eigen::Vector3d held(const Eigen::Vector3d& disturbance) const noexcept {
-    const Eigen::Vector3d& n = obstacle_->direction;
-    return disturbance + (n.dot(calm_ - disturbance) - press * weight_) * n;
+    if (!obstacle_ && probed_for_ == 0.0) return disturbance;
+    const double lean = press * weight_ + (obstacle_ ? 0.0 : probed_);
+    return disturbance + (direction_.dot(calm_ - disturbance) - lean) * direction_;
   }
 
  private:
@@ -67,17 +76,32 @@ class ObstacleWatch {
   // Motion towards the reference that ends a rest: the noise of the estimate, and the part of the
   // error that even a slow controller closes in enough_rest. Motion off it: more than a bounce [m].
   static constexpr double still = 0.004, still_part = 0.05, bounce = 0.03;
-  // Time that is enough, at rest, and longer by the speed along the obstacle [s], [s^2/m].
-  static constexpr double enough_rest = 0.1, enough_sliding = 0.3;
+  // Time that is enough, at rest, before a probe and after an impact, and longer by the speed along
+  // the obstacle [s], [s^2/m].
+  static constexpr double enough_rest = 0.05, impact_rest = 0.1, enough_sliding = 0.3;
   // Time after which a force that was taken for wind is an obstacle's [s].
   static constexpr double long_rest = 0.5;
+  // Force of an impact, mean over short_time, as a fraction of the weight: more than a gust's
+  // change; and for how long a rest counts as its consequence [s].
+  static constexpr double impact = 0.25, jolt_time = 1.0;
+  // Time constants of the means of motion and force: the noise of the estimate, and the vibration
+  // of a vehicle that bounces on an obstacle [s].
+  static constexpr double short_time = 0.02, felt_time = 0.05;
+  // A probe starts below the first speed along the force, and ends when wind would have given the
+  // second, or after its time. It is valid from the third speed on [m/s], [s]. An obstacle lets the
+  // vehicle reach at most a fraction of this speed.
+  static constexpr double probe_rest = 0.04, probe_speed = 0.09, least_speed = 0.06;
+  static constexpr double probe_time = 0.2, yielding = 0.25;
+  // Time after which actuators follow, if their force is unknown [s].
+  static constexpr double actuator_lag = 0.05;
   // Motion with a force that tells wind, without and with an obstacle, on which the vehicle may
   // turn [m]. The place of an obstacle follows the vehicle with this time constant [s].
   static constexpr double pushed_off = 0.004, pushed_off_obstacle = 0.05, place_time = 2.0;
-  static constexpr double wind_time = 0.5;  // for which no force is an obstacle's after wind [s]
+  static constexpr double wind_time = 0.2;  // without a soft touch after wind [s]
   // Force of an obstacle, as a fraction of the weight: to be noticed, to be pressed, to be kept.
   static constexpr double least_reaction = 0.05, press = 0.1, weak = 0.03;
-  static constexpr double longest_weak = 0.05;  // time below `weak` until the obstacle has gone [s]
+  // Time below `weak` until the obstacle has gone, and longer just after it was found [s].
+  static constexpr double longest_weak = 0.05, first_weak = 0.2;
   // Time constants of the mean force without an obstacle, and of the obstacle's direction [s].
   static constexpr double calm_time = 0.3, turn_time = 0.2;
 
@@ -90,7 +114,12 @@ class ObstacleWatch {
 
   void forget() noexcept {
     obstacle_.reset();
-    rests_for_ = weak_for_ = 0.0;
+    rests_for_ = weak_for_ = probed_for_ = 0.0;
+  }
+
+  void take_for_wind() noexcept {
+    windy_for_ = wind_time;
+    forget();
   }
 
   // Friction turns the force of an obstacle along which the vehicle slides.
@@ -116,6 +145,7 @@ class ObstacleWatch {
   }
 
   // Whether the vehicle has not come closer to a reference that it does not reach, for a while.
+  // Starts a probe, or finds the obstacle after an impact.
   bool stops(const BodyStated& body, const Eigen::Vector3d& error, const Eigen::Vector3d& reaction,
              double dt) noexcept {
     const double far = error.norm(), closer = (body.position - place_).dot(error) / far;
@@ -128,34 +158,73 @@ class ObstacleWatch {
       calm_ -= part(dt, calm_time) * calm_;
     const Eigen::Vector3d against = without_slide(reaction, body.velocity);
     const double size = against.norm();
-    if (rests_for_ < enough_rest + enough_sliding * horizontal(body.velocity).norm() ||
+    const double approach = moving_.dot(against);
+    const bool jolted = jolted_for_ > 0.0;
+    if ((windy_for_ > 0.0 && !jolted) ||
+        rests_for_ < (jolted ? impact_rest : enough_rest) +
+                         enough_sliding * horizontal(body.velocity).norm() ||
         size < least_reaction * weight_ ||
-        against.dot(error) < std::max(least_error, 0.5 * far) * size)
+        against.dot(error) < std::max(least_error, 0.5 * far) * size ||
+        (jolted ? -approach : std::abs(approach)) > probe_rest * size)
       return false;
-    obstacle_ = Obstacle{against / size, against.dot(body.position) / size};
-    began_at_ = body.position;
+    direction_ = against / size;
+    if (jolted) {
+      find(body);
+    } else {
+      probed_ = size;
+      probed_for_ = dt;
+      moving_before_ = direction_.dot(moving_);
+      felt_before_ = direction_.dot(felt_);
+      expected_ = 0.0;
+    }
     return true;
+  }
+
+  void find(const BodyStated& body) noexcept {
+    obstacle_ = Obstacle{direction_, direction_.dot(body.position)};
+    began_at_ = body.position;
+    weak_for_ = longest_weak - first_weak;
+    probed_for_ = 0.0;
+  }
+
+  // Compares the motion with the one that the external force at the start of the probe allows.
+  void probe(const BodyStated& body, const std::optional<Eigen::Vector3d>& applied,
+             double dt) noexcept {
+    probed_for_ += dt;
+    const double assumed = probed_for_ > actuator_lag ? press * weight_ : 0.0;
+    expected_ +=
+        dt * gravity / weight_ * (applied ? direction_.dot(*applied) + felt_before_ : assumed);
+    if (std::abs(expected_) < probe_speed && probed_for_ < probe_time) return;
+    if (std::abs(expected_) > least_speed &&
+        std::abs(direction_.dot(moving_) - moving_before_) < yielding * std::abs(expected_))
+      find(body);
+    else
+      take_for_wind();
   }
 
   void follow(const BodyStated& body, const Eigen::Vector3d& error, const Eigen::Vector3d& reaction,
               double dt) noexcept {
-    Eigen::Vector3d& n = obstacle_->direction;
+    Eigen::Vector3d& n = direction_;
     const bool holds = n.dot(reaction) > weak * weight_;
-    weak_for_ = holds ? 0.0 : weak_for_ + dt;
+    weak_for_ = holds ? std::min(0.0, weak_for_ + dt) : weak_for_ + dt;
     if (holds) {
       const Eigen::Vector3d against = without_slide(reaction, body.velocity).normalized();
       n = (n + part(dt, turn_time) * (against - n)).normalized();
     }
-    obstacle_->reach = n.dot(body.position);
+    obstacle_ = Obstacle{n, n.dot(body.position)};
     if (weak_for_ > longest_weak || n.dot(error) < 0.5 * least_error) forget();
   }
 
   double weight_;
   std::optional<Obstacle> obstacle_;
-  Eigen::Vector3d calm_ = Eigen::Vector3d::Zero();      // mean force without an obstacle, world [N]
-  Eigen::Vector3d place_ = Eigen::Vector3d::Zero();     // of the rest, world [m]
-  Eigen::Vector3d began_at_ = Eigen::Vector3d::Zero();  // place where the force began, world [m]
-  double rests_for_ = 0.0, weak_for_ = 0.0, windy_for_ = 0.0;  // [s]
+  // World frame: mean force without an obstacle [N], place of the rest, place where the force
+  // began [m], direction of the obstacle or the probe, mean velocity [m/s], mean external force,
+  // and mean reaction [N].
+  Eigen::Vector3d calm_ = Eigen::Vector3d::Zero(), place_ = calm_, began_at_ = calm_;
+  Eigen::Vector3d direction_ = calm_, moving_ = calm_, felt_ = calm_, jolt_ = calm_;
+  double rests_for_ = 0.0, weak_for_ = 0.0, windy_for_ = 0.0, jolted_for_ = 0.0;  // [s]
+  double probed_for_ = 0.0, probed_ = 0.0;  // time [s] and reaction [N] of a probe
+  double moving_before_ = 0.0, felt_before_ = 0.0, expected_ = 0.0;  // along it [m/s], [N], [m/s]
 };
 
 }  // namespace tilt_ropter::detail
