@@ -251,9 +251,10 @@ template <int Rotors>
 /// Figures about the trust in the estimate and what the controller made of it.
 class TrustFigures {
  public:
-  void on_control(tilt_ropter::EstimateState state, FlightMode mode,
+  void on_control(const tilt_ropter::EstimateTrust& trust, FlightMode mode,
                   const tilt_ropter::ActuatorFailure& failure, double period) {
-    if (state != tilt_ropter::EstimateState::good) not_good_ += period;
+    if (trust.state != tilt_ropter::EstimateState::good) not_good_ += period;
+    latency_ = trust.latency;
     mode_ = mode;
     failure_ = failure;
   }
@@ -273,6 +274,7 @@ class TrustFigures {
         << "\nposes_frozen: " << counts.frozen << "\nfilter_restarts: " << counts.restarts
         << "\npose_clock_steps: " << counts.clock_steps
         << "\nflight_mode_at_end: " << to_string(mode_) << '\n';
+    if (std::abs(latency_) > 0.003) out << "pose_latency_s: " << latency_ << '\n';
     out << "actuator_failure: " << to_string(failure_.kind) << '\n';
     const double degrees = 180.0 / tilt_ropter::pi;
     if (failure_.kind == tilt_ropter::FailureKind::slow_servos)
@@ -304,7 +306,7 @@ class TrustFigures {
            mode_ == FlightMode::stopped;
   }
 
-  double not_good_ = 0.0;
+  double not_good_ = 0.0, latency_ = 0.0;
   double speed_ = 0.0;                           // at the first touch [m/s]
   double largest_lean_ = 0.0, last_lean_ = 0.0;  // before it [rad]
   tilt_ropter::ActuatorFailure failure_;
@@ -536,7 +538,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
       flown.solver.add(result.status, result.report);
-      flown.trust.on_control(controller.trust().state, controller.mode(), controller.failure(),
+      flown.trust.on_control(controller.trust(), controller.mode(), controller.failure(),
                              steps_per_tick * step);
       flown.rotor_speeds.add(controller.speed_ratio());
       flown.residuals.add(controller.consistency());

@@ -56,12 +56,14 @@ struct Outcome {
   double longest = 0.0;                      // longest time without a used pose [s]
   EstimateState state = EstimateState::lost;
   EkfCounts counts;
+  double latency = 0.0;  // found [s]
 };
 
 struct Given {
   double size = 1.0;      // of the motion
   double imu_rate = 1e3;  // [Hz]
   double duration = 16.0;
+  double drift = 0.0;  // of the clock of the poses
 };
 
 Outcome fly(const SensorFault& fault, const Given& given = {}) {
@@ -87,7 +89,7 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
     const BodyStated truth = motion.body(t);
     if (const auto m = imu.sample(t, truth.angular_velocity, motion.specific_force(t)))
       ekf.on_imu(m->time, *m);
-    if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time, *m);
+    if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time * (1.0 + given.drift), *m);
     EXPECT_TRUE(is_finite(ekf.state()));
     if (t < 5.0 || given.imu_rate * (t - ekf.time()) > 0.5) continue;
     const BodyStated body = ekf.state();
@@ -98,6 +100,7 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
   }
   o.state = ekf.trust(ekf.time()).state;
   o.counts = ekf.counts();
+  o.latency = ekf.trust(ekf.time()).latency;
   return o;
 }
 
@@ -110,8 +113,7 @@ SensorFault fault_of(Kind kind, double size, double frequency = 97.0) {
   return f;
 }
 
-// `longest` [s] without a pose that is used: on its path, a vehicle with a wrong accelerometer errs
-// as one whose poses are late, which takes 0.6 s to tell.
+// `longest`: time without a pose that is used [s].
 void expect_followed(const Outcome& o, double at_end = 0.02, double longest = 0.3) {
   EXPECT_LT(o.position, 0.15);
   EXPECT_LT(o.at_end, at_end);
@@ -219,6 +221,75 @@ TEST(EkfContradiction, AWrongImuIsNeverGood) {
       SCOPED_TRACE(lie.name);
       EXPECT_EQ(good(lie, size, 3.0), 0) << "motion " << size;
     }
+  }
+}
+
+// Poses that are late from the start, or from a moment on.
+TEST(EkfContradiction, LatencyOfThePosesIsFoundInMotion) {
+  for (const double start : {0.0, 8.0})
+    for (const double size : {0.01, 0.03, 0.05, 0.1, 0.12}) {
+      SCOPED_TRACE(start);
+      SCOPED_TRACE(size);
+      SensorFault fault = fault_of(Kind::pose_late, size);
+      fault.start = start;
+      const Outcome o = fly(fault);
+      expect_followed(o, 0.02, 0.4);
+      EXPECT_NEAR(o.latency, size, 0.008);
+      EXPECT_EQ(o.state, EstimateState::good);
+    }
+}
+
+// A slow drift of the poses' clock is a latency that grows.
+TEST(EkfContradiction, DriftOfTheClockIsFollowed) {
+  for (const double drift : {5e-5, 2e-4, -2e-4}) {
+    SCOPED_TRACE(drift);
+    Given given;
+    given.duration = 120.0;
+    given.drift = drift;
+    const Outcome o = fly(fault_of(Kind::pose_late, 1e-9), given);
+    EXPECT_LT(o.position, 0.03);
+    EXPECT_NEAR(o.latency, 120.0 * drift, 0.012);
+    EXPECT_EQ(o.state, EstimateState::good);
+  }
+}
+
+// On a straight path, poses that jump ahead look early. The next turn shows that they are not.
+TEST(EkfContradiction, ALatencyThatDoesNotServeIsTakenBack) {
+  const auto position = [](double t) {
+    const double turned = std::max(0.0, t - 8.4);
+    return Vector3d(20.0 * std::sin(0.1 * t), 1.0 - std::cos(1.5 * turned), 1.5);
+  };
+  ImuSensorParameters imu_parameters;
+  imu_parameters.rate = 500.0;
+  ImuSensor imu(imu_parameters, 1);
+  PoseSensor poses(PoseSensorParameters{}, 2);
+  SensorFault jump = fault_of(Kind::pose_jump, 0.05);
+  poses.add_fault(jump);
+  Ekfd ekf;
+  double largest = 0.0, error = 0.0;
+  for (int i = 0; i <= 7000; ++i) {
+    constexpr double h = 1e-3;
+    const double t = 2.0 * h * i;
+    const Vector3d before = position(t - h), now = position(t), after = position(t + h);
+    BodyStated truth;
+    truth.position = now;
+    truth.velocity = (after - before) / (2.0 * h);
+    const Vector3d force = (after - 2.0 * now + before) / (h * h) + Vector3d(0.0, 0.0, gravity);
+    if (const auto m = imu.sample(t, Vector3d::Zero(), force)) ekf.on_imu(m->time, *m);
+    if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time, *m);
+    largest = std::max(largest, std::abs(ekf.trust(t).latency));
+    error = (ekf.state().position - now).norm();
+  }
+  EXPECT_GT(largest, 0.03);
+  EXPECT_LT(std::abs(ekf.trust(ekf.time()).latency), 0.01);
+  EXPECT_LT(error, 0.06);  // the origin has moved by 0.05 m
+  EXPECT_EQ(ekf.trust(ekf.time()).state, EstimateState::good);
+}
+
+TEST(EkfContradiction, AWrongAccelerometerIsNoLatency) {
+  for (const double size : {0.2, 0.3, 0.5, 1.0, 3.0}) {
+    SCOPED_TRACE(size);
+    EXPECT_NEAR(fly(fault_of(Kind::accelerometer_step, size)).latency, 0.0, 0.005);
   }
 }
 

@@ -41,6 +41,9 @@ namespace tilt_ropter {
 /// - If the orientation of the poses steps while their positions go on, motion capture has defined
 ///   the rigid body again. Their positions alone are used until the step is known, 0.25 s or
 ///   longer, and later orientations are corrected by it.
+/// - If the stamps of the poses are late or early by a constant time, motion shows it, and the
+///   stamps are corrected by it (EstimateTrust::latency). A correction after which poses are gated,
+///   or that leaves the NIS large, is taken back within a second.
 /// - Jitter of the stamps is measured and is part of the poses' noise.
 /// - If the clock of the poses steps, their stamps are corrected by the step.
 ///
@@ -231,7 +234,7 @@ EkfStatus Ekf<Scalar>::on_imu(double time, const InertialSample<Scalar>& value) 
 
 template <typename Scalar>
 EkfStatus Ekf<Scalar>::on_pose(double time, const MarkerPose<Scalar>& pose) noexcept {
-  const double stamp = time + settings_.clock_offset + clock_step();
+  const double stamp = time + settings_.clock_offset + clock_step() - guard_.stamps().latency();
   return receive(stamp,
                  ArrivedPose{{pose.position, pose.orientation.normalized()}, this->time() - stamp},
                  guard_.on_pose(stamp, pose, queue_.has_room(), filter_));
@@ -267,7 +270,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   constexpr double most = 0.1;  // effect of the jitter [m]
   const double jitter =
       std::min(stamp_stddev(), most / std::max(static_cast<double>(velocity.norm()), 1.0));
-  if (jitter > 0.0) at.add_stamp_noise(velocity, filter_.rate(), Scalar(jitter));
+  at.set_motion(velocity, filter_.mean_rate(), Scalar(jitter));
   const auto innovation = filter().innovation_of(at);
   const detail::Verdict verdict = guard_.judge(time, {pose, arrived.lag}, innovation, filter_);
   if (verdict.clock_changed) queue_.clear();
@@ -279,6 +282,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
     if (verdict.position_only) at.ignore_orientation();
     const bool is_same = verdict.action == Action::use && !verdict.position_only;
     f.update(is_same ? innovation : f.innovation_of(at), at);
+    if (verdict.latency != 0.0) f.correct_latency(Scalar(verdict.latency));
   });
   filter_.set_running();
   guard_.on_used(verdict, filter().state().position);

@@ -5,6 +5,7 @@
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -54,6 +55,10 @@ class DelayedFilter {
   [[nodiscard]] Vector3<Scalar> rate() const noexcept {
     return from_.value.angular_velocity - filter_.state().gyro_bias;
   }
+  /// Mean of the angular velocity over some 20 ms up to time(), without most of its noise.
+  [[nodiscard]] Vector3<Scalar> mean_rate() const noexcept {
+    return mean_rate_ - filter_.state().gyro_bias;
+  }
 
   /// Adds a sample later than newest(). If the buffer is full, the filter advances by one sample.
   void push(const Sample& sample) noexcept {
@@ -66,7 +71,10 @@ class DelayedFilter {
   /// Advances the filter to `time`, if `time` is later. Interpolates the last sample.
   void catch_up(double time) noexcept {
     const auto move_to = [this](const Sample& to) {
-      if (running()) filter_.predict(mean(from_, to), Scalar(to.time - from_.time));
+      constexpr double span = 0.02;  // [s]
+      const double dt = to.time - from_.time;
+      if (running()) filter_.predict(mean(from_, to), Scalar(dt));
+      mean_rate_ += Scalar(std::min(1.0, dt / span)) * (to.value.angular_velocity - mean_rate_);
       from_ = to;
     };
     while (count_ > 0 && at(0).time <= time) {
@@ -130,6 +138,7 @@ class DelayedFilter {
   void begin(const Sample& sample) noexcept {
     count_ = 0;
     from_ = newest_ = sample;
+    mean_rate_ = sample.value.angular_velocity;
   }
 
   /// Propagates the filter's state to the newest sample.
@@ -164,6 +173,7 @@ class DelayedFilter {
 
   ErrorStateFilter<Scalar> filter_;
   InertialState<Scalar> ahead_;
+  Vector3<Scalar> mean_rate_ = Vector3<Scalar>::Zero();
   Sample from_ = {}, newest_ = {};
   std::vector<Sample> samples_;  ///< those later than from_
   std::size_t first_ = 0, count_ = 0;

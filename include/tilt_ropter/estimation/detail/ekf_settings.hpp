@@ -77,6 +77,8 @@ struct EstimateTrust {
   double position_stddev = 0.0;     ///< [m]
   double velocity_stddev = 0.0;     ///< [m/s]
   double orientation_stddev = 0.0;  ///< [rad]
+  /// Error of the poses' stamps against the IMU, found in motion and subtracted from them [s].
+  double latency = 0.0;
   // Reasons. Several may apply.
   bool imu_silent = false;      ///< no IMU sample within imu_age
   bool imu_stopped = false;     ///< gap of the IMU, nothing used since

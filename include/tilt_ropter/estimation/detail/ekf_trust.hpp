@@ -72,8 +72,9 @@ inline void judge(const EkfTrustLimits& limits, bool just_started, EstimateTrust
     return !(limits.confidence * stddev <= limit);
   };
   t.imu_silent = !(t.imu_age <= limits.imu_age);
-  t.no_position = !(std::min(t.age_of(MeasurementKind::pose),
-                             t.age_of(MeasurementKind::position)) <= limits.position_age);
+  t.no_position =
+      !(std::min(t.age_of(MeasurementKind::pose), t.age_of(MeasurementKind::position)) <=
+        limits.position_age + std::max(0.0, t.latency));
   t.position_error = above(t.position_stddev, limits.position_error);
   t.velocity_error = above(t.velocity_stddev, limits.velocity_error);
   t.orientation_error = above(t.orientation_stddev, limits.orientation_error);

@@ -72,20 +72,20 @@ struct LinearisedPose {
         (x.orientation * x.marker_orientation).conjugate() * pose.orientation));
   }
 
-  /// Adds the noise of a stamp that is wrong by `stddev` [s], at this rate of the body [rad/s] and
-  /// velocity of the IMU [m/s].
-  void add_stamp_noise(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
-                       const Scalar& stddev) noexcept {
-    has_stamp_noise = true;
-    stamp_noise.template head<3>() = velocity;
-    stamp_noise.template head<3>() += by_turn * angular_velocity;
-    stamp_noise.template tail<3>() = to_marker * angular_velocity;
-    stamp_noise *= stddev;
+  /// Adds the effect of a stamp, at this rate of the body [rad/s] and velocity of the IMU [m/s],
+  /// with noise of `stddev` [s].
+  void set_motion(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
+                  const Scalar& stddev) noexcept {
+    constexpr double slow = 0.2;  // [m/s], [rad/s]: noise of the estimate must not look like motion
+    if (!(velocity.norm() + angular_velocity.norm() > Scalar(slow))) return;
+    by_time << velocity + by_turn * angular_velocity, to_marker * angular_velocity;
+    stamp_variance = stddev * stddev;
   }
 
   /// Leaves the position alone.
   void ignore_orientation() noexcept {
     residual.template tail<3>().setZero();
+    by_time.template tail<3>().setZero();
     noise.template tail<3>().setConstant(Scalar(1e6));
   }
 
@@ -101,10 +101,12 @@ struct LinearisedPose {
     product.template rightCols<3>().noalias() += columns(I::orientation) * to_marker.transpose();
     return product;
   }
-  [[nodiscard]] Square times(const Columns& c) const noexcept {
+  template <int N>
+  [[nodiscard]] Eigen::Matrix<Scalar, 6, N> times(
+      const Eigen::Matrix<Scalar, InertialIndex::size, N>& c) const noexcept {
     using I = InertialIndex;
     const auto part = [&c](int start) { return c.template middleRows<3>(start); };
-    Square s;
+    Eigen::Matrix<Scalar, 6, N> s;
     s.template topRows<3>() = part(I::position);
     s.template topRows<3>().noalias() += by_turn * part(I::orientation);
     s.template topRows<3>().noalias() += rotation * part(I::marker_position);
@@ -114,19 +116,20 @@ struct LinearisedPose {
   }
   [[nodiscard]] Columns times_noise(const Columns& g) const noexcept {
     Columns product = g * noise.asDiagonal();
-    if (has_stamp_noise) product.noalias() += (g * stamp_noise) * stamp_noise.transpose();
+    if (stamp_variance > Scalar(0))
+      product.noalias() += (stamp_variance * (g * by_time)) * by_time.transpose();
     return product;
   }
   void add_noise(Square& s) const noexcept {
     s.diagonal() += noise;
-    if (has_stamp_noise) s.noalias() += stamp_noise * stamp_noise.transpose();
+    if (stamp_variance > Scalar(0)) s.noalias() += (stamp_variance * by_time) * by_time.transpose();
   }
 
   Matrix3<Scalar> rotation, to_marker, by_turn;
   Eigen::Matrix<Scalar, 6, 1> residual;  ///< position, world [m]; rotation vector, M [rad]
   Eigen::Matrix<Scalar, 6, 1> noise;     ///< variances
-  Eigen::Matrix<Scalar, 6, 1> stamp_noise = Eigen::Matrix<Scalar, 6, 1>::Zero();
-  bool has_stamp_noise = false;
+  Eigen::Matrix<Scalar, 6, 1> by_time = Eigen::Matrix<Scalar, 6, 1>::Zero();  ///< d pose / d time
+  Scalar stamp_variance = Scalar(0);                                          ///< [s^2]
 };
 
 /// Difference between a measurement and the state.
@@ -137,7 +140,8 @@ struct MeasurementInnovation {
   /// NIS, r' S^-1 r: chi-square of `Rows` degrees of freedom. The largest number if it overflows,
   /// or if rounding has made S indefinite.
   Scalar distance;
-  bool is_definite;  ///< S is positive definite
+  bool is_definite;                        ///< S is positive definite
+  Eigen::Matrix<Scalar, Rows, 1> by_time;  ///< derivative of the measurement by time
   /// P H', cross-covariance of the state's error and the residual.
   Eigen::Matrix<Scalar, InertialIndex::size, Rows> correlation;
 };
@@ -156,6 +160,24 @@ class ErrorStateFilter {
   void reset(const InertialState<Scalar>& state, const Covariance& covariance) noexcept {
     state_ = state;
     covariance_ = covariance;
+    by_latency_.setZero();
+    updates_ = 0;
+    score_ = excess_ = Scalar(0);
+    information_ = Scalar(least_information);
+  }
+
+  /// Time by which the poses' stamps are late [s], by recursive least squares over the innovations,
+  /// as in a filter with this state (B. Friedland, "Treatment of bias in recursive filtering",
+  /// 1969). Zero if it is not significant, or if something else explains more of the innovations.
+  [[nodiscard]] Scalar latency() const noexcept {
+    const Scalar explained = score_ * score_ / information_;
+    return explained > std::max(Scalar(36), excess_ / Scalar(3)) ? score_ / information_
+                                                                 : Scalar(0);
+  }
+  /// Corrects the state after poses that were late by `latency` [s]. The next ones are not.
+  void correct_latency(const Scalar& latency) noexcept {
+    state_ = retract(state_, InertialTangent<Scalar>(by_latency_ * latency));
+    score_ = excess_ = Scalar(0);
   }
 
   /// Widens the covariance, and the noise of one sensor of the IMU, after measurements have shown
@@ -208,6 +230,13 @@ class ErrorStateFilter {
   Eigen::Matrix<Scalar, 12, 1> process_noise_;
   Eigen::Matrix<Scalar, 6, 1> pose_noise_;
   static constexpr double widest = 100.0;
+  static constexpr double latency_memory = 20.0;      // [s]
+  static constexpr double least_information = 400.0;  // a standard deviation of 50 ms [1/s^2]
+  InertialTangent<Scalar> by_latency_ = InertialTangent<Scalar>::Zero();  ///< d error / d latency
+  Scalar score_ = Scalar(0), information_ = Scalar(least_information);    ///< of the least squares
+  Scalar excess_ = Scalar(0);                                             ///< sum of NIS minus rows
+  static constexpr int first_updates = 50;  // they say little of a latency
+  int updates_ = 0;                         ///< since reset() or widen()
   /// Factors of the noise of accelerometer and gyroscope, from 1 to `widest`.
   Eigen::Matrix<Scalar, 2, 1> wider_ = Eigen::Matrix<Scalar, 2, 1>::Ones();
 };
@@ -237,6 +266,11 @@ void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
   const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
   const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
   const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
+  by_latency_.template head<9>() = (f * by_latency_.template head<15>()).eval();
+  const Scalar forgotten = std::min(Scalar(1), dt / Scalar(latency_memory));
+  score_ -= forgotten * score_;
+  excess_ -= forgotten * excess_;
+  information_ -= forgotten * (information_ - Scalar(least_information));
   // Rounding leaves an asymmetric part, which would grow from step to step.
   covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
   covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
@@ -249,7 +283,10 @@ void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
   }
   constexpr double time_constant = 20.0;  // long beside the contradictions of a vibration [s]
   wider_.array() -= (wider_.array() - Scalar(1)) * std::min(Scalar(1), dt / Scalar(time_constant));
+  const InertialState<Scalar> before = state_;
   state_ = propagate(state_, sample, dt);
+  // Late poses have started a filter that is late.
+  if (updates_ < first_updates) by_latency_ = difference(state_, before) / dt;
 }
 
 template <typename Scalar>
@@ -264,6 +301,7 @@ void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
   add(gyro ? I::gyro_bias : I::accelerometer_bias, gyro ? rate : force);
   add(gyro ? I::orientation : I::velocity, gyro ? turn : velocity);
   wider_(gyro) = std::min(Scalar(growth) * wider_(gyro), Scalar(widest));
+  updates_ = 0;
 }
 
 template <typename Scalar>
@@ -277,6 +315,7 @@ MeasurementInnovation<Scalar, Measurement::rows> ErrorStateFilter<Scalar>::innov
   in.covariance = (s + s.transpose()) / Scalar(2);
   at.add_noise(in.covariance);
   const auto factor = in.covariance.llt();
+  in.by_time = at.by_time;
   in.distance = std::numeric_limits<Scalar>::max();
   in.is_definite = factor.info() == Eigen::Success;
   if (!in.is_definite) return in;
@@ -299,6 +338,13 @@ bool ErrorStateFilter<Scalar>::update(const MeasurementInnovation<Scalar, Measur
   left.noalias() += rest * gain.transpose();
   covariance_ = (left + left.transpose()) / Scalar(2);
   state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+  if (updates_ < first_updates) return ++updates_, true;
+  const Eigen::Matrix<Scalar, Measurement::rows, 1> by_latency = at.times(by_latency_) - at.by_time,
+                                                    weighted = factor.solve(by_latency);
+  by_latency_ -= gain * by_latency;
+  score_ += weighted.dot(in.residual);
+  information_ += weighted.dot(by_latency);
+  excess_ += in.distance - Scalar(Measurement::rows);
   return true;
 }
 

@@ -112,6 +112,7 @@ class StampMonitor {
   void on_stamp(double stamp) noexcept {
     const double step = stamp - last_;
     const bool known = has_last_;
+    gated_variance_ *= 0.9998;                                  // some 50 s at 100 Hz
     if (known && step < -0.5 * period_ && step > -1.0) return;  // sent again, or out of order
     has_last_ = true;
     last_ = stamp;
@@ -129,23 +130,38 @@ class StampMonitor {
     variance_ += 0.02 * (0.5 * bounded * bounded - variance_);
   }
 
-  /// Standard deviation of a stamp [s]; zero for regular stamps whose clock agrees with the IMU's.
+  /// Standard deviation of a stamp [s]; zero for regular stamps.
   [[nodiscard]] double stddev() const noexcept {
-    const double jitter = std::sqrt(variance_);
-    return std::max(jitter > negligible ? jitter : 0.0, offset_);
+    const double jitter = std::sqrt(std::max(variance_, gated_variance_));
+    return jitter > negligible ? jitter : 0.0;
   }
 
-  /// Processes a gated position that lies `offset` [s] along the path of the estimate, or beside it
-  /// (not finite). If enough of them lie at the same place, the clock has an offset that the
-  /// settings do not know. It then counts as an error of the stamps.
-  void on_displaced(double offset) noexcept {
+  /// Error of the stamps of an agreeing clock that is subtracted from them [s].
+  [[nodiscard]] double latency() const noexcept { return latency_; }
+
+  /// Processes a gated pose whose stamp is late by `latency` [s], or that errs in another way (not
+  /// finite). Returns the mean of enough of them that are alike, otherwise zero.
+  [[nodiscard]] double on_displaced(double latency) noexcept {
     constexpr int enough = 8;
-    constexpr double same = 0.005;  // [s]
-    if (std::abs(offset) <= 1.5 * max_stddev)
-      displaced_.add(offset, same);
-    else
-      displaced_ = {};
-    if (displaced_.count >= enough) offset_ = std::max(offset_, std::abs(displaced_.mean));
+    constexpr double same = 0.003;  // [s]
+    if (!std::isfinite(latency)) return displaced_ = {}, 0.0;
+    // Stamps alone do not show all of a jitter beyond their period.
+    if (variance_ > negligible * negligible && displaced_.count > 0 &&
+        std::abs(latency - displaced_.mean) > same) {
+      const double jitter = std::clamp(latency, -max_stddev, max_stddev);
+      gated_variance_ += 0.3 * (jitter * jitter - gated_variance_);
+    }
+    displaced_.add(latency, same);
+    return displaced_.count >= enough && std::abs(displaced_.mean) > same ? displaced_.mean : 0.0;
+  }
+  /// Changes latency() by `change`, within `most` [s]. Returns the change.
+  double on_latency(double change, double most) noexcept {
+    change = std::clamp(latency_ + change, -most, most) - latency_;
+    latency_ += change;
+    lag_ += change;
+    displaced_ = {};
+    has_last_ = false;
+    return change;
   }
 
   /// Processes the time between stamp and arrival of a measurement that was used [s].
@@ -188,8 +204,9 @@ class StampMonitor {
  private:
   static constexpr double max_stddev = 0.02, negligible = 3e-4;  // [s]
 
-  double last_ = 0.0, period_ = 0.0, variance_ = 0.0, lag_ = 0.0, offset_ = 0.0;
-  AlikeNumbers strange_, displaced_;                  ///< lags, offsets
+  double last_ = 0.0, period_ = 0.0, variance_ = 0.0, gated_variance_ = 0.0, lag_ = 0.0,
+         latency_ = 0.0;
+  AlikeNumbers strange_, displaced_;                  ///< lags, latencies
   double clock_step_ = 0.0, other_clock_step_ = 0.0;  ///< in force, and before the last step
   long steps_ = 0, used_ = 0;
   bool has_last_ = false;

@@ -33,6 +33,7 @@ struct Verdict {
   KnownAtStart known = {};                ///< for a start or restart at a pose
   bool needs_motion = false;              ///< a motion has to confirm the restart
   bool position_only = false;             ///< the orientation of the pose is not used
+  double latency = 0.0;                   ///< of the stamps, found by this pose [s]
 };
 
 /// A pose and the time between its stamp and its arrival [s].
@@ -88,6 +89,8 @@ class MeasurementGuard {
     full_restart_ += late_since_ - newest;
     restarted_ += late_since_ - newest;
     doubtful_until_ += late_since_ - newest;
+    trial_end_ += late_since_ - newest;
+    refused_until_ += late_since_ - newest;
     compared_ = never;
     for (GateMonitor<Scalar>& gate : gates_) gate.clear();
     constexpr bool clock_changed = true;
@@ -147,7 +150,13 @@ class MeasurementGuard {
       stamps_.on_used(arrived.lag);
       turn_.end();
       if (++used_since_start_ >= enough) wrong_starts_ = 0;
-      return use(time, Verdict{});
+      Verdict verdict;
+      const auto found = static_cast<double>(filter.filter().latency());
+      if (time > trial_end_)
+        verdict.latency = end_trial(time, mean_nis_ > std::max(1.5, nis_before_));
+      else if (std::abs(found) > std::max(least_latency, stamps_.stddev()))
+        verdict.latency = try_latency(time, found, 1.2 * mean_nis_);
+      return use(time, verdict);
     }
     if (filter.is_bridged()) return start(time, filter.stopped_at(), arrived.lag, filter);
     if (has_turned(innovation)) {
@@ -158,8 +167,15 @@ class MeasurementGuard {
       return use(time, verdict);
     }
     gate.on_gated(time, c);
-    const double offset = offset_along_path(c, filter);
-    stamps_.on_displaced(offset);
+    const double offset = latency_of(innovation);
+    if (const double found = stamps_.on_displaced(offset); found != 0.0) {
+      (void)try_latency(time, found, inconsistent);
+      return drop(EkfStatus::gated);
+    }
+    if (gate.gated() >= (std::isfinite(offset) ? many : some) && trial_end_ < infinity) {
+      (void)end_trial(time, true);
+      return drop(EkfStatus::gated);
+    }
     const Action contradiction = which_is_wrong(time, c, offset, filter);
     if (contradiction != Action::drop) {
       stamps_.on_used(arrived.lag);
@@ -184,6 +200,7 @@ class MeasurementGuard {
     verdict.needs_motion = !start_was_wrong;
     if (is_displaced) return use(time, verdict);
     turn_ = {};
+    forget_latency();
     used_since_start_ = 0;
     wrong_starts_ += start_was_wrong;
     // If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
@@ -235,8 +252,9 @@ class MeasurementGuard {
     EstimateTrust t = started ? faults_ : EstimateTrust();
     for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = age(now, last_used_[i]);
     t.restarted = now < doubtful_until_;
-    t.inconsistent = mean_nis_ > 3.0;
+    t.inconsistent = mean_nis_ > inconsistent;
     for (const GateMonitor<Scalar>& gate : gates_) t.unconfirmed |= !gate.is_confirmed();
+    t.latency = stamps_.latency();
     t.orientation_unused = turn_.is_open();
     t.marker_turned = turn_.is_known();
     return t;
@@ -246,7 +264,11 @@ class MeasurementGuard {
   static constexpr double infinity = std::numeric_limits<double>::infinity(), never = -infinity;
   /// After so many restarts at once the start is right, and the IMU is wrong.
   static constexpr int most_starts = 2;
-  static constexpr int enough = 100;    ///< poses that make a start right
+  static constexpr int enough = 100;              ///< poses that make a start right
+  static constexpr double least_latency = 0.003;  ///< that is corrected [s]
+  static constexpr double inconsistent = 3.0;     ///< mean NIS of a row
+  /// Gated poses that show more than an outlier, and those that show a latency.
+  static constexpr int some = 3, many = 12;
   static constexpr double close = 0.5;  ///< to an estimate that a wrong IMU has moved [m]
 
   static constexpr bool is_position(MeasurementKind kind) noexcept {
@@ -337,12 +359,35 @@ class MeasurementGuard {
     use(time, MeasurementKind::pose);
     return verdict;
   }
+  /// Changes the latency of the stamps by `found` [s], on trial: what is used in the next second
+  /// must have a mean NIS below `nis`. Returns the change [s].
+  double try_latency(double time, double found, double nis) noexcept {
+    if (time < refused_until_) return 0.0;
+    if (trial_end_ == infinity) {
+      nis_before_ = nis;
+      latency_before_ = stamps_.latency();
+    }
+    trial_end_ = time + 1.0;
+    return stamps_.on_latency(found, settings_.max_delay);
+  }
+  /// Ends the trial. If it `failed`, takes the latency back. Returns the change [s].
+  double end_trial(double time, bool failed) noexcept {
+    trial_end_ = infinity;
+    if (!failed) return 0.0;
+    refused_until_ = time + 10.0;
+    return stamps_.on_latency(latency_before_ - stamps_.latency(), settings_.max_delay);
+  }
+  void forget_latency() noexcept {
+    trial_end_ = infinity;
+    stamps_.on_latency(-stamps_.latency(), settings_.max_delay);
+  }
   /// Starts or restarts at a pose. The estimate is that of the time `since`.
   Verdict start(double time, double since, double lag, const Filter& filter) noexcept {
     Verdict verdict{Action::restart, EkfStatus::started};
     if (filter.started()) verdict.status = EkfStatus::restarted;
     // After a long series of gated poses on a smooth path, the velocity or the biases are wrong.
     const bool is_wrong = gates_[0].smooth() >= settings_.max_rejections;
+    if (is_wrong) forget_latency();
     verdict.known = {counts_.used > 0, filter.started() && !is_wrong, time - since};
     stamps_.on_used(lag);
     used_since_start_ = wrong_starts_ = 0;
@@ -353,21 +398,17 @@ class MeasurementGuard {
   /// other. `drop`: the poses, or not known yet.
   [[nodiscard]] Action which_is_wrong(double time, const PoseComparison<Scalar>& c, double offset,
                                       const Filter& filter) const noexcept {
-    constexpr double shortest = 0.045;   // a jump of the poses shows within this time [s]
-    constexpr double late = 0.03;        // an unknown delay of poses, see StampMonitor [s]
-    constexpr double long_enough = 0.6;  // for StampMonitor to find this delay [s]
+    constexpr double shortest = 0.045;  // a jump of the poses shows within this time [s]
     const double distance = distance_of(c);
-    const double since = time - last_pose_;
     const double noise = settings_.pose_noise.orientation;
     const double turn =
         static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
     // Poses that are late err along the path, as those beside a wrong accelerometer do.
-    const bool may_be_late = std::abs(offset) <= late && !filter.filter().is_wider() &&
-                             turn <= 6.0 * noise + late * static_cast<double>(filter.rate().norm());
+    const bool may_be_late = std::isfinite(offset) && !filter.filter().is_wider();
     if ((used_since_start_ < enough && wrong_starts_ < most_starts) ||
         filter.filter().is_widest() || !gates_[0].is_confirmed() ||
-        !continuity_.positions_continue() || gates_[0].gated() < 3 ||
-        !(since >= (may_be_late ? long_enough : shortest)) || !(distance <= close))
+        !continuity_.positions_continue() || gates_[0].gated() < (may_be_late ? many : some) ||
+        !(time - last_pose_ >= shortest) || !(distance <= close))
       return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
   }
@@ -417,18 +458,17 @@ class MeasurementGuard {
             is_place ? velocity_stddev(filter) : acceleration};
   }
 
-  /// Time [s] by which a pose is ahead of the estimate, along the estimate's path. Infinite if it
-  /// is not on the path, within the noise, or if the marker hardly moves.
-  static double offset_along_path(const PoseComparison<Scalar>& c, const Filter& filter) noexcept {
-    const InertialState<Scalar>& x = filter.filter().state();
-    const Vector3<Scalar> velocity =
-                              x.velocity + x.orientation * filter.rate().cross(x.marker_position),
-                          off = c.measured.position - c.predicted.position;
-    const Scalar square = velocity.squaredNorm();
-    if (!(square > Scalar(0.25))) return infinity;
-    const Scalar ahead = off.dot(velocity) / square;
-    const bool on_path = (off - ahead * velocity).norm() <= Scalar(6.0 * c.noise + 0.01);
-    return on_path ? static_cast<double>(ahead) : infinity;
+  /// Latency of a pose above the gate [s], if one that is new explains the innovation and the
+  /// motion shows it. Otherwise infinite.
+  [[nodiscard]] double latency_of(const MeasurementInnovation<Scalar, 6>& in) const noexcept {
+    constexpr double stddev = 0.003;  // [s]
+    const Eigen::Matrix<Scalar, 6, 1> weighted = in.covariance.llt().solve(in.by_time);
+    const auto score = static_cast<double>(weighted.dot(in.residual)),
+               information = static_cast<double>(weighted.dot(in.by_time));
+    const bool is_explained =
+        information > 1.0 / (stddev * stddev) &&
+        static_cast<double>(in.distance) - score * score / information <= settings_.gate;
+    return is_explained ? -score / information : infinity;
   }
 
   EkfSettings settings_;
@@ -448,8 +488,11 @@ class MeasurementGuard {
   int late_samples_ = 0;                       ///< consecutive
   double restarted_ = never, doubtful_until_ = never;  ///< last restart, see EstimateTrust
   double nis_per_row_ = 1.0, mean_nis_ = 1.0;          ///< of the last one, of those that were used
-  int used_since_start_ = 0;                           ///< poses
-  int wrong_starts_ = 0;                               ///< consecutive
+  /// Of the latency: end of its trial, time before which none is tried, what is taken back, and
+  /// the mean NIS that ends the trial.
+  double trial_end_ = infinity, refused_until_ = never, latency_before_ = 0.0, nis_before_ = 0.0;
+  int used_since_start_ = 0;  ///< poses
+  int wrong_starts_ = 0;      ///< consecutive
   Scalar nis_ = Scalar(0);
 };
 

@@ -40,7 +40,9 @@ struct Linearised {
   Eigen::Matrix<Scalar, Rows, InertialIndex::size> jacobian =
       Eigen::Matrix<Scalar, Rows, InertialIndex::size>::Zero();
   Square noise = Square::Identity();  ///< R, covariance of the noise
-  bool valid = true;                  ///< false: the model has no prediction here
+  /// Derivative of the measurement by time [1/s], if its stamp may be wrong.
+  Eigen::Matrix<Scalar, Rows, 1> by_time = Eigen::Matrix<Scalar, Rows, 1>::Zero();
+  bool valid = true;  ///< false: the model has no prediction here
 
   /// Three columns of H from `start` (see InertialIndex).
   [[nodiscard]] auto by(int start) noexcept { return jacobian.template middleCols<3>(start); }
@@ -57,7 +59,11 @@ struct Linearised {
     return product;
   }
   /// Returns H c.
-  [[nodiscard]] Square times(const Columns& c) const noexcept { return jacobian * c; }
+  template <int N>
+  [[nodiscard]] Eigen::Matrix<Scalar, Rows, N> times(
+      const Eigen::Matrix<Scalar, InertialIndex::size, N>& c) const noexcept {
+    return jacobian * c;
+  }
   /// Returns g R.
   [[nodiscard]] Columns times_noise(const Columns& g) const noexcept { return g * noise; }
   void add_noise(Square& s) const noexcept { s += noise; }
