@@ -95,7 +95,7 @@ template <int Rotors>
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
 /// it is commanded, or in the first 0.1 s of a flight, or with less than 20 ticks per second. On
-/// the ground a rotor is missed only where the vehicle is free: along x, and turning about y and z.
+/// wheels a rotor is missed only where the vehicle is free: along x, and turning about y and z.
 /// That takes a fifth of its thrust in hover, 0.2 s, and half a second before, in which the rotors
 /// hardly pushed.
 ///
@@ -251,7 +251,7 @@ class FailureDetector {
   std::array<bool, static_cast<std::size_t>(Rotors)> tilts_{}, lost_{};
   std::array<Vector6, 2 * static_cast<std::size_t>(Rotors)> columns_;
   ActuatorFailure failure_;
-  bool started_ = false, airborne_ = false;
+  bool started_ = false, airborne_ = false, rolls_ = false;
   double time_ = 0.0, learnt_for_ = 0.0, suspected_for_ = 0.0;
   Eigen::Vector3d start_rate_ = Eigen::Vector3d::Zero(),  // at the start of the block [rad/s]
       gyroscopic_ = Eigen::Vector3d::Zero();              // at the last sample [N m]
@@ -281,6 +281,7 @@ FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
   validate(vehicle);
   hover_thrust_ = vehicle.body.mass * gravity / Rotors;
   time_constant_ = vehicle.servo.time_constant;
+  rolls_ = vehicle.wheels.has_value();
   forget();
   double arm = 0.0;
   for (const RotorGeometry& rotor : vehicle.rotors) arm = std::max(arm, rotor.position.norm());
@@ -443,7 +444,7 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   if (filled_ < blocks || (!is_found && failure_.kind != FailureKind::none)) return;
   if (airborne_)
     judge(time, dt);
-  else if (!is_found)
+  else if (!is_found && rolls_)
     judge_on_ground(time, dt);
 }
 
@@ -461,9 +462,10 @@ auto FailureDetector<Rotors>::window_sum() const noexcept -> Block {
   return sum;
 }
 
-// The ground leaves free to move along x and to turn about y and z: there a rotor that does not
-// push is missed, and one that pushes sideways shows. What else acts there, such as a CoM off the
-// axle, is in proportion to the load, and learnt while the rotors hardly push.
+// On wheels the vehicle is free to move along x and to turn about y and z, on legs it is not: there
+// a rotor that does not push is missed, and one that pushes sideways shows. What else acts there,
+// such as a CoM off the axle, is in proportion to the load, and learnt while the rotors hardly
+// push.
 template <int Rotors>
 void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   const Block sum = window_sum();
