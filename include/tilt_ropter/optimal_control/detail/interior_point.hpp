@@ -176,11 +176,10 @@ class InteriorPoint {
   /// from the plan, starts from inputs that follow the deviation from the plan by the gains of the
   /// last pass. The step of that pass is in `program`. curvature(k, row) returns the cost of moving
   /// a constraint. The penalty of a hard constraint becomes `far_above` times the estimated slope
-  /// of the cost along this constraint. With `warm`, the nodes have multipliers of a similar
-  /// program, and the solution is expected to be near. Returns false, and does not start, if no
-  /// step changes any bounded constraint.
+  /// of the cost along this constraint. Returns false, and does not start, if no step changes any
+  /// bounded constraint.
   template <typename Curvature>
-  [[nodiscard]] bool start(Program& program, double damping, double far_above, bool warm,
+  [[nodiscard]] bool start(Program& program, double damping, double far_above,
                            const Curvature& curvature) {
     damping_ = damping;
     read_bounds(program);
@@ -203,7 +202,7 @@ class InteriorPoint {
       if (!program.node(side.k).hard[detail::size(side.row)])
         gain += 0.1 * penalty_(i) * std::max(value_(i), 0.0);
     }
-    begin(program, gain + to_gain(program), far_above, warm);
+    begin(program, gain + to_gain(program), far_above);
     return true;
   }
 
@@ -238,8 +237,8 @@ class InteriorPoint {
     aim_at_solution();
     find_direction(program);
     const double next = predict() / (2.0 * static_cast<double>(count()));
-    ratio_ = std::min(1.0, next / mu);
-    aim_at_center(ratio_ * ratio_ * ratio_ * mu, 1.0);
+    const double ratio = std::min(1.0, next / mu);
+    aim_at_center(ratio * ratio * ratio * mu, 1.0);
     find_direction(program);
     Lengths lengths = complete_direction();
     if (std::min(lengths.primal, lengths.dual) < short_step) {
@@ -261,14 +260,14 @@ class InteriorPoint {
   [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
   /// Mean complementarity product after start().
   [[nodiscard]] double first_mu() const { return first_mu_; }
-  /// True if the last iteration nearly reached the solution, and shows for all but `few` bounds
-  /// clearly whether they are active and whether they are at their penalty.
-  [[nodiscard]] bool decided(int few) const {
+  /// Number of bounds for which the last iteration does not show clearly whether they are active or
+  /// at their penalty.
+  [[nodiscard]] int undecided() const {
     const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
     int undecided = 0;
     for (Eigen::Index i = 0; i < count(); ++i)
       undecided += unclear(of_multiplier_(i)) || unclear(of_rest_(i));
-    return undecided <= few && ratio_ < 0.2;
+    return undecided;
   }
 
   /// Writes the step into `program` and the multipliers into its nodes. With `decided`, the
@@ -359,7 +358,7 @@ class InteriorPoint {
     return std::abs(sum);
   }
 
-  void begin(Program& program, double gain, double far_above, bool warm) {
+  void begin(Program& program, double gain, double far_above) {
     std::array<double, detail::size(Constraints)>
         unit{};  // estimated largest change of the value of each constraint
     for (Eigen::Index i = 0; i < count(); ++i) {
@@ -387,27 +386,16 @@ class InteriorPoint {
     }
     unit_ = unit;
     first_mu_ = restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
-    if (!warm) return center(restart_mu_);
-    double sum = 0.0;  // complementarity products of the warm start
-    for (Eigen::Index i = 0; i < count(); ++i)
-      sum += std::max(guess(program, i), 0.0) * std::abs(value_(i));
-    const double mu = 100.0 * sum / static_cast<double>(count());
-    center(std::min(std::max(mu, 1e-8 * first_mu_), first_mu_), &program);
-  }
-  // Multiplier in the node of the bound i; negative: of the opposite bound.
-  [[nodiscard]] double guess(const Program& program, Eigen::Index i) const {
-    return sides_[i].sign * program.node(sides_[i].k).multiplier(sides_[i].row);
+    center(restart_mu_);
   }
 
   // Sets slacks and multipliers to approximate values at here_ for complementarity products of
-  // `mu`. With `warm`, bounds keep the multipliers in its nodes where their slack allows this.
-  void center(double mu, const Program* warm = nullptr) {
+  // `mu`.
+  void center(double mu) {
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       const double u = unit_[detail::size(side.row)];
-      const double guessed = warm ? guess(*warm, i) : 0.0,
-                   least = guessed > 0.0 ? mu / guessed : (warm ? 1e-3 : 0.1) * u;
-      slack_(i) = std::max({std::abs(value_(i)), least, 1e-10});
+      slack_(i) = std::max({-value_(i), value_(i), 0.1 * u, 1e-10});
       multiplier_(i) = std::min(mu / slack_(i), 0.1 * penalty_(i));
       excess_(i) = mu / (penalty_(i) - multiplier_(i));
       of_multiplier_(i) = 1.0;  // no bound counts as active
@@ -679,7 +667,6 @@ class InteriorPoint {
       per_multiplier_, per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_,
       excess_change_, value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
-  double ratio_ = 1.0;  // by which a step of the last iteration to the solution would decrease mu
   int stuck_ = 0;
   std::array<double, detail::size(Constraints)> unit_{};
 };

@@ -105,7 +105,6 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     polishing_before_ = dual_.polishing_steps();
     if (!interrupted_) {
       passes_ = 0;
-      save();
       solve_by_method(dx0);
     } else if (!go_on(dx0)) {
       return ProgramStatus::failed;
@@ -236,27 +235,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   void solve_by_structure(const Tangent& dx0) {
-    // The interior point starts from what was known before another method failed: the step and the
-    // multipliers that this method leaves are a worse start than none.
-    bool warm = false;
-    if (assumes_) {
-      const auto guessed = static_cast<int>(this->active().size());
+    if (!by_dual_ && assumes_) {
       const int contradictions = active_set_.solve(*this, dx0);
       if ((contradictions == 0 && solved()) ||
           (contradictions <= few_ && settle(dx0, contradictions))) {
         solved_by_ = this->active().empty() ? ProgramSolver::riccati : ProgramSolver::active_set;
         return;
       }
-      warm = 4 * contradictions <= guessed;
-      restore_multipliers();
-      if (!out_of_time(pass_time_)) {
-        ++passes_;
-        if (!plain_pass(dx0)) warm = false;
-      }
-    } else if (by_dual_) {
-      restore_multipliers();
-      sweep(dx0);
-    } else {
+    } else if (!by_dual_) {
       sweep(dx0);
       if (this->excess() <= 0.0) {
         for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
@@ -265,7 +251,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       }
     }
     solved_by_ = ProgramSolver::interior_point;
-    solve_by_interior_point(dx0, warm);
+    solve_by_interior_point(dx0);
   }
 
   // Up to eight passes of the active set. From the third pass on, the number of contradictions must
@@ -285,9 +271,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     return false;
   }
 
-  void solve_by_interior_point(const Tangent& dx0, bool warm) {
+  void solve_by_interior_point(const Tangent& dx0) {
     auto start = SolverClock::now();
-    if (!begin_interior_point(1e4, warm)) {
+    if (!begin_interior_point(1e4)) {
       for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
       active_set_.assume(*this);
       solved_by_ = ProgramSolver::active_set;
@@ -302,7 +288,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     save();
     if (out_of_time(interior_time_) || !plain_pass(dx0)) return restore();
     start = SolverClock::now();
-    if (!begin_interior_point(1e8, false)) return restore();
+    if (!begin_interior_point(1e8)) return restore();
     iterate_interior_point(dx0, start, false);
     if (residual_ > settings_.tolerance) restore();
   }
@@ -322,8 +308,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     return late_ && residual_ > settings_.tolerance && 2 * passes_ < settings_.max_passes;
   }
 
-  [[nodiscard]] bool begin_interior_point(double far_above, bool warm) {
-    return interior_point_.start(*this, damping_, far_above, warm, [this](int k, const auto& row) {
+  [[nodiscard]] bool begin_interior_point(double far_above) {
+    return interior_point_.start(*this, damping_, far_above, [this](int k, const auto& row) {
       return active_set_.curvature(k, row);
     });
   }
@@ -340,7 +326,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       interior_time_ = end - start;
       start = end;
       const double mu = interior_point_.mu();
-      if (mu < next_try && interior_point_.decided(few_)) {
+      if (mu < next_try && interior_point_.undecided() <= few_) {
         next_try = 1e-2 * mu;
         interior_point_.finish(*this, true);
         active_set_.assume(*this);
@@ -398,14 +384,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       saved_penalties_[detail::size(k)] = this->node(k).penalty;
     }
   }
-  void restore_multipliers() {
-    for (int k = 0; k <= this->horizon(); ++k)
-      this->node(k).multiplier = saved_multipliers_[detail::size(k)];
-  }
   void restore() {
-    restore_multipliers();
     for (int k = 0; k <= this->horizon(); ++k) {
       this->step(k) = saved_steps_[detail::size(k)];
+      this->node(k).multiplier = saved_multipliers_[detail::size(k)];
       auto& n = this->node(k);
       n.penalty = saved_penalties_[detail::size(k)];
       for (int i = 0; i < Constraints; ++i)
