@@ -255,6 +255,10 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool lost = trust_.state == EstimateState::position_lost ||
                     (trust_.state == EstimateState::lost && imu_works);
   const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;
+  // One restart alone, as after a step of a clock, is no reason to leave the mission.
+  const bool is_doubtful =
+      trust_.state == EstimateState::degraded && (trust_.position_error || trust_.velocity_error ||
+                                                  trust_.inconsistent || trust_.implausible_bias);
   const FailureKind found = detector_.failure().kind;
   const bool failed = found != FailureKind::none;
   if (found == FailureKind::slow_servos) {
@@ -276,7 +280,7 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
       // Who holds for long does not know where.
       if (lost || (mode_ == FlightMode::hold && time - mode_since_ > longest_hold))
         begin(FlightMode::landing, time);
-      else if ((trust_.state == EstimateState::degraded && follows) ||
+      else if ((is_doubtful && follows) ||
                (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground))
         begin(FlightMode::hold, time);
       else if (mode_ == FlightMode::hold && starts_in_air_ &&
