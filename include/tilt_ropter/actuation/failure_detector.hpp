@@ -486,11 +486,10 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   double unexplained = std::numeric_limits<double>::infinity(), push = 0.0;
   const auto compare = [&](int explanation, const Vector6& by_this) {
     Vector6 left = change - by_this;
-    // A body that leans on its wheels feels a part of the load along x.
+    // A body that leans on its wheels feels a part of the load along x: only torques convict.
     left(0) -= std::clamp(left(0), -leaning, leaning);
-    const double rest = left.norm();
-    if (!(by_this.norm() > least && rest < max_unexplained * by_this.norm() && rest < unexplained))
-      return false;
+    const double rest = left.norm(), size = by_this.template tail<3>().norm();
+    if (!(size > least && rest < max_unexplained * size && rest < unexplained)) return false;
     best = explanation;
     unexplained = rest;
     return true;

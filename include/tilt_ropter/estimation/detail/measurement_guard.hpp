@@ -82,6 +82,10 @@ class MeasurementGuard {
     late_samples_ = 0;
     repetitions_.on_imu(sample);
     if (!has_imu) return {Action::restart};
+    // Over a pause, or a step of the clock, the estimate goes on along its path: late poses look
+    // alike.
+    constexpr double longest_pause = 0.02, doubt = 1.0;  // [s]
+    if (!is_late && pause > longest_pause) refused_until_ = std::max(refused_until_, time + doubt);
     if (!is_late && pause <= settings_.max_imu_gap) return {};
     if (!is_late) return {Action::restart, EkfStatus::stopped};
     for (double& last : last_used_) last += late_since_ - newest;
