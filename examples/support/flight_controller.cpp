@@ -255,10 +255,11 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool lost = trust_.state == EstimateState::position_lost ||
                     (trust_.state == EstimateState::lost && imu_works);
   const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;
-  // One restart alone, as after a step of a clock, is no reason to leave the mission.
+  // One restart alone, as after a step of a clock, and poses noisier than believed are no reason to
+  // leave the mission.
   const bool is_doubtful =
-      trust_.state == EstimateState::degraded && (trust_.position_error || trust_.velocity_error ||
-                                                  trust_.inconsistent || trust_.implausible_bias);
+      trust_.state == EstimateState::degraded &&
+      (trust_.position_error || trust_.velocity_error || trust_.implausible_bias);
   const FailureKind found = detector_.failure().kind;
   const bool failed = found != FailureKind::none;
   if (found == FailureKind::slow_servos) {
