@@ -246,6 +246,7 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   if (clock_was_set_back(time, time_)) {
     mode_since_ += time - time_;
     bad_until_ += time - time_;
+    sure_until_ += time - time_;
   }
   const double passed = time - time_;
   time_ = time;
@@ -260,6 +261,8 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool is_doubtful =
       trust_.state == EstimateState::degraded &&
       (trust_.position_error || trust_.velocity_error || trust_.implausible_bias);
+  if (!is_doubtful || sure_until_ < -1e8) sure_until_ = time;
+  constexpr double in_doubt = 0.15;  // a tick of doubt is none [s]
   const FailureKind found = detector_.failure().kind;
   const bool failed = found != FailureKind::none;
   if (found == FailureKind::slow_servos) {
@@ -281,7 +284,7 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
       // Who holds for long does not know where.
       if (lost || (mode_ == FlightMode::hold && time - mode_since_ > longest_hold))
         begin(FlightMode::landing, time);
-      else if ((is_doubtful && follows) ||
+      else if ((time - sure_until_ > in_doubt && follows) ||
                (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground))
         begin(FlightMode::hold, time);
       else if (mode_ == FlightMode::hold && starts_in_air_ &&
