@@ -243,7 +243,7 @@ class FlightController {
   tilt_ropter::EstimateTrust trust_;
   tilt_ropter::ReferencePoint held_;                        ///< of the modes hold and landing
   double sunk_ = 0.0, sink_ = 0.0, sink_to_ = 0.0;          ///< of a landing [m], [m/s], ground [m]
-  double sure_until_ = -1e9;                                ///< set at the first prepare() [s]
+  double doubtful_for_ = 0.0;                               ///< [s]
   double mode_since_ = 0.0, bad_until_ = 0.0, time_ = 0.0;  ///< time_: of the last prepare()
   Eigen::Vector3d way_ = Eigen::Vector3d::Zero();           ///< from the reference to its start [m]
   double turn_ = 0.0, way_time_ = 1.0;                      ///< of the way back [rad], [s]

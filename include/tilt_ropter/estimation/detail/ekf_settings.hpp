@@ -97,7 +97,7 @@ struct EstimateTrust {
   /// The filter has restarted within the last second; within the last five if it was the second
   /// restart in ten seconds.
   bool restarted = false;
-  /// The measurements that were used deviate more than they should: their mean NIS is above four
+  /// The measurements that were used deviate more than they should: their mean NIS is above three
   /// times their number of rows. The predicted errors are then too small.
   bool inconsistent = false;
   /// A bias is more than five standard deviations from that of the settings, as with a wrong unit,
