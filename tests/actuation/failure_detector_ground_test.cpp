@@ -36,6 +36,40 @@ TEST(FailureDetectorOnGround, ARotorInFrontOrBehindIsFoundBeforeTheTakeOff) {
     }
 }
 
+// The body leans then, and feels a part of the load along x.
+TEST(FailureDetectorOnGround, ARotorIsMissedByABodyThatLeans) {
+  const double load = 0.4 * tilt_ropter_vehicle().body.mass * gravity;
+  for (const double lean : {-0.17, 0.17}) {
+    FailingFlight flight;
+    drive(flight, 0.05, 1.5);
+    flight.body.fail({FailureKind::rotor, 2, 0.0, 0.0, 0.0});
+    Wrenchd along;
+    along.force.x() = lean * load;
+    drive(flight, 0.6, 0.35, along);
+    EXPECT_EQ(flight.detector.failure().kind, FailureKind::rotor) << lean;
+  }
+}
+
+// The ground holds what the rotors push: legs everything, the friction of wheels a pusher.
+TEST(FailureDetectorOnGround, WhatTheGroundHoldsIsNoFailure) {
+  Vehicle<4> legs = tilt_ropter_vehicle(), pusher = legs;
+  legs.wheels.reset();
+  legs.legs = LegParameters{};
+  pusher.rotors[2].tilts = false;
+  pusher.rotors[2].orientation << 0, 0, 1, 0, 1, 0, -1, 0, 0;  // pushes along x
+  for (const Vehicle<4>& vehicle : {legs, pusher}) {
+    FailureDetector<4> detector(vehicle);
+    ActuatorState<4> actuators;
+    for (int i = 0; i < 300; ++i) {
+      actuators.rotor_speed.setConstant(speed_from_thrust(0.05, vehicle.rotor));
+      if (i > 150) actuators.rotor_speed(2) = speed_from_thrust(2.0, vehicle.rotor);
+      detector.update(0.01 * i, {Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0, gravity)},
+                      actuators, actuators.rotor_speed, false);
+    }
+    EXPECT_EQ(detector.failure().kind, FailureKind::none);
+  }
+}
+
 TEST(FailureDetectorOnGround, AServoOnTheAxleShowsByItsPush) {
   for (const std::size_t rotor : {0U, 1U})
     for (const double angle : {-1.0, 1.0}) {
@@ -53,7 +87,7 @@ TEST(FailureDetectorOnGround, AServoOnTheAxleShowsByItsPush) {
 // A slope, wind, a CoM beside the axle in proportion to the load, and a rotor of 80 % thrust.
 TEST(FailureDetectorOnGround, WhatOtherCausesExplainIsNoFailure) {
   for (const double push : {-3.0, 0.0, 3.0})
-    for (const double torque : {-0.15, 0.0, 0.15}) {
+    for (const double torque : {-0.6, -0.15, 0.0, 0.15, 0.6}) {
       FailingFlight flight;
       Wrenchd other;
       other.force.x() = push;

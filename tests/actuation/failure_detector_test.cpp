@@ -263,6 +263,10 @@ TEST(FailureDetector, AnArmThatMovesOnIsLimp) {
     body.run(detector, 2.0);
     const ActuatorFailure& found = detector.failure();
     EXPECT_TRUE(found.kind == FailureKind::servo && !found.limp && found.rotor == rotor);
+    const ActuatorFailure other{FailureKind::rotor, (rotor + 1) % 4, 0.0, 0.0, 0.0};
+    body.fail({FailureKind::servo, rotor, 30.0 * degree, 1.0, 0.0}, other);
+    body.run(detector, 0.3);
+    EXPECT_FALSE(found.limp);  // another rotor fails as well
     body.fail({FailureKind::servo, rotor, 60.0 * degree, 1.0, 0.0});
     body.run(detector, 0.2);
     EXPECT_TRUE(found.kind == FailureKind::servo && found.limp && found.rotor == rotor);

@@ -66,8 +66,8 @@ class FailingBody {
     }
   }
 
-  void fail(const ActuatorFailure& failure) {
-    truth_ = ActuatedBody<4>(with_failure(vehicle_, failure));
+  void fail(const ActuatorFailure& failure, const ActuatorFailure& also = {}) {
+    truth_ = ActuatedBody<4>(with_failure(with_failure(vehicle_, failure), also));
     failed_at_ = time_;
   }
   [[nodiscard]] double since_failure(double time) const { return time - failed_at_; }
