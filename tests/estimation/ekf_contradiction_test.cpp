@@ -114,11 +114,12 @@ SensorFault fault_of(Kind kind, double size, double frequency = 97.0) {
 }
 
 // `longest`: time without a pose that is used [s].
-void expect_followed(const Outcome& o, double at_end = 0.02, double longest = 0.3) {
+void expect_followed(const Outcome& o, double at_end = 0.02, double longest = 0.3,
+                     int restarts = 0) {
   EXPECT_LT(o.position, 0.15);
   EXPECT_LT(o.at_end, at_end);
   EXPECT_LT(o.longest, longest);
-  EXPECT_EQ(o.counts.restarts, 0);
+  EXPECT_LE(o.counts.restarts, restarts);
 }
 
 TEST(EkfContradiction, BiasStepsOfTheAccelerometerAreLearned) {
@@ -148,15 +149,18 @@ TEST(EkfContradiction, BurstsOfPosesAreUsed) {
 
 // An alias of 3 Hz moves the estimate by 0.3 to 0.4 m.
 TEST(EkfContradiction, VibrationThatIsAliasedIsNoise) {
-  for (const double rate : {100.0, 250.0, 500.0, 1000.0})
-    for (const double alias : {8.0, 20.0})
-      for (const double size : {0.05, 0.3, 1.0}) {
-        SCOPED_TRACE(rate);
-        SCOPED_TRACE(alias);
-        SCOPED_TRACE(size);
-        expect_followed(fly(fault_of(Kind::imu_vibration, size, rate + alias), {1.0, rate}), 0.15,
-                        0.65);
-      }
+  for (const double rate : {100.0, 500.0})
+    for (const double alias : {3.4, 8.0, 20.0})
+      for (const double size : {0.08, 0.3, 1.0})
+        for (const double start : {0.0, 8.0}) {
+          SCOPED_TRACE(rate);
+          SCOPED_TRACE(alias);
+          SCOPED_TRACE(size);
+          SCOPED_TRACE(start);
+          SensorFault fault = fault_of(Kind::imu_vibration, size, rate + alias);
+          fault.start = start;
+          expect_followed(fly(fault, {1.0, rate}), 0.15, 0.4, start > 0.0 ? 0 : 2);
+        }
 }
 
 TEST(EkfContradiction, AnAccelerometerThatIsCutIsNotBelieved) {
