@@ -56,7 +56,8 @@ struct Outcome {
   double longest = 0.0;                      // longest time without a used pose [s]
   EstimateState state = EstimateState::lost;
   EkfCounts counts;
-  double latency = 0.0;  // found [s]
+  double latency = 0.0;       // found [s]
+  double contradicted = 1e9;  // first time of EstimateTrust::imu_contradicted [s]
 };
 
 struct Given {
@@ -64,6 +65,7 @@ struct Given {
   double imu_rate = 1e3;  // [Hz]
   double duration = 16.0;
   double drift = 0.0;  // of the clock of the poses
+  double noise = 1.0;  // of the poses, over that which is believed
 };
 
 Outcome fly(const SensorFault& fault, const Given& given = {}) {
@@ -75,8 +77,8 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
   ImuSensor imu(imu_parameters, 1);
   PoseSensorParameters pose_parameters;
   pose_parameters.delay = 0.02;
-  pose_parameters.position_noise = 1e-3;
-  pose_parameters.orientation_noise = 3e-3;
+  pose_parameters.position_noise = 1e-3 * given.noise;
+  pose_parameters.orientation_noise = 3e-3 * given.noise;
   PoseSensor poses(pose_parameters, 2);
   imu.add_fault(fault);
   poses.add_fault(fault);
@@ -91,6 +93,7 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
       ekf.on_imu(m->time, *m);
     if (const auto m = poses.sample(t, truth)) ekf.on_pose(m->time * (1.0 + given.drift), *m);
     EXPECT_TRUE(is_finite(ekf.state()));
+    if (ekf.trust(t).imu_contradicted) o.contradicted = std::min(o.contradicted, t);
     if (t < 5.0 || given.imu_rate * (t - ekf.time()) > 0.5) continue;
     const BodyStated body = ekf.state();
     o.at_end = (body.position - truth.position).norm();
@@ -137,7 +140,21 @@ TEST(EkfContradiction, BiasStepsOfTheGyroscopeAreLearned) {
       const Outcome o = fly(fault_of(Kind::gyro_step, size), {motion});
       expect_followed(o);
       EXPECT_LT(o.orientation, 0.1);
+      EXPECT_GT(o.contradicted, 8.0);
+      EXPECT_LT(o.contradicted, size < 0.2 ? 1e10 : 8.3);
     }
+}
+
+TEST(EkfContradiction, PosesNoisierThanBelievedDoNotConvictTheImu) {
+  for (const double motion : {0.0, 1.0}) {
+    Given given{motion, 1e3, 60.0};
+    given.noise = 2.0;
+    SensorFault none;
+    none.start = 1e9;
+    const Outcome o = fly(none, given);
+    EXPECT_GT(o.counts.gated, 100);
+    EXPECT_EQ(o.contradicted, 1e9);
+  }
 }
 
 TEST(EkfContradiction, BurstsOfPosesAreUsed) {

@@ -103,6 +103,8 @@ struct EstimateTrust {
   /// A bias is more than five standard deviations from that of the settings, as with a wrong unit,
   /// sign or axis of the IMU.
   bool implausible_bias = false;
+  /// Poses have shown that the IMU is wrong: its noise counts more, for up to a minute.
+  bool imu_contradicted = false;
   bool position_error = false;     ///< predicted position error above its limit
   bool velocity_error = false;     ///< predicted velocity error above its limit
   bool orientation_error = false;  ///< predicted attitude error above its limit

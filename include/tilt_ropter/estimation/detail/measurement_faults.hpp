@@ -243,9 +243,17 @@ class PoseContinuity {
       if (steps_++ > 0 && !(static_cast<double>((velocity - velocity_).norm()) <= most))
         jumped_ = true;
       constexpr double rate = 1.0;  // of a wrong gyroscope [rad/s]
-      if (!(static_cast<double>(turn.angularDistance(turn_)) <=
-            8.0 * orientation_noise + rate * dt))
-        turned_ = true;
+      const auto turned = static_cast<double>(turn.angularDistance(turn_));
+      if (!(turned <= 8.0 * orientation_noise + rate * dt)) turned_ = true;
+      // Of second differences in three axes, and of first ones.
+      constexpr double part = 0.05, most_noise = 10.0;
+      const auto change = static_cast<double>((velocity - velocity_).norm()) * dt;
+      const auto add = [](double& variance, double sample, double believed) {
+        variance += part * (std::min(sample, std::pow(most_noise * believed, 2)) - variance);
+      };
+      if (steps_ > 1 && std::abs(dt - last_step_) < 0.2 * dt)
+        add(position_variance_, change * change / 18.0, c.noise);
+      add(orientation_variance_, turned * turned / 6.0, orientation_noise);
     }
     last_time_ = time;
     last_step_ = dt;
@@ -261,6 +269,12 @@ class PoseContinuity {
 
   /// True if all positions since the last pose that was used continue each other.
   [[nodiscard]] bool positions_continue() const noexcept { return !jumped_ && steps_ > 1; }
+  /// True if the noise that the poses show among each other explains these distances [m], [rad].
+  [[nodiscard]] bool is_noise(double distance, double turn) const noexcept {
+    constexpr double most = 4.0;  // standard deviations
+    return distance <= most * std::sqrt(position_variance_) &&
+           turn <= most * std::sqrt(orientation_variance_);
+  }
   /// True if the orientation has stepped since then.
   [[nodiscard]] bool turned() const noexcept { return turned_; }
 
@@ -270,6 +284,7 @@ class PoseContinuity {
   Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero();
   Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();
   double last_time_ = -std::numeric_limits<double>::infinity(), last_step_ = 1.0;
+  double position_variance_ = 0.0, orientation_variance_ = 0.0;  ///< per axis [m^2], [rad^2]
   int steps_ = 0;
   bool jumped_ = false, turned_ = false;
 };

@@ -409,11 +409,14 @@ class MeasurementGuard {
         static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
     // Poses that are late err along the path, as those beside a wrong accelerometer do.
     const bool may_be_late = std::isfinite(offset) && !filter.filter().is_wider();
-    if ((has_just_started() && wrong_starts_ < most_starts) || filter.filter().is_widest() ||
-        !gates_[0].is_confirmed() || !continuity_.positions_continue() || !(distance <= close))
+    const int gated = gates_[0].gated();
+    if ((has_just_started() && wrong_starts_ < most_starts && gated < settings_.max_rejections) ||
+        filter.filter().is_widest() || !gates_[0].is_confirmed() ||
+        !continuity_.positions_continue() || continuity_.is_noise(distance, turn) ||
+        !(distance <= close))
       return Action::drop;
     if (!filter.filter().is_wider() &&
-        (gates_[0].gated() < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
+        (gated < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
       return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
   }
