@@ -23,6 +23,8 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),
+      by_poses_(vehicle.body),
+      clock_offset_(estimation.clock_offset),
       contact_(vehicle),
       external_(external),
       vehicle_(vehicle),
@@ -52,6 +54,8 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),
+      by_poses_(vehicle.body),
+      clock_offset_(estimation.clock_offset),
       contact_(vehicle),
       external_(external),
       vehicle_(vehicle),
@@ -121,21 +125,45 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
     felt_ += (force - felt_) / felt_samples_;
   }
   const bool as_modelled = external_ != ExternalWrench::commanded;
-  observed_ = observer_.update(time, corrected, wrench_of(as_modelled ? applied_ : sent_.command));
+  const Wrenchd applied = wrench_of(as_modelled ? applied_ : sent_.command);
+  by_poses_.predict(time, applied);
+  observe(time, corrected, applied);
   // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
-  const bool pulled =
-      ekf_.running() && (ekf_.state().orientation * observer_.external().force).z() <
-                            -0.35 * vehicle_.body.mass * gravity / Rotors;
+  const bool pulled = ekf_.running() && (state().orientation * observer_.external().force).z() <
+                                            -0.35 * vehicle_.body.mass * gravity / Rotors;
   const ActuatorState<Rotors>& modelled = actuators_.state();
   detector_.update(
       time, corrected,
       measures_speeds_ ? ActuatorState<Rotors>{rotor_speeds_, modelled.tilt_angle} : modelled,
-      modelled.rotor_speed, (airborne_ && time > touched_until_) || pulled);
+      modelled.rotor_speed, (airborne_ && time > touched_until_ && !flies_by_poses()) || pulled);
+}
+
+// The wrench by the observer, or by the poses alone. The sums go on when one follows the other.
+template <int Rotors>
+void FlightController<Rotors>::observe(double time, const InertialSampled& sample,
+                                       const Wrenchd& applied) {
+  const ObservedWrenchd before = observer_.observed(), last = observed_;
+  observed_ = observer_.update(time, sample, applied);
+  if (flies_by_poses()) {
+    observed_ = unfiltered_wrench(last, time, by_poses_.external());
+    return;
+  }
+  observed_.external_sum.force += last.external_sum.force - before.external_sum.force;
+  observed_.external_sum.torque += last.external_sum.torque - before.external_sum.torque;
+  observed_.raw_sum.force += last.raw_sum.force - before.raw_sum.force;
+  observed_.raw_sum.torque += last.raw_sum.torque - before.raw_sum.torque;
+  observed_.duration += last.duration - before.duration;
 }
 
 template <int Rotors>
 void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
-  ekf_.on_pose(time, pose);
+  const EkfStatus status = ekf_.on_pose(time, pose);
+  if (status > EkfStatus::waiting && status != EkfStatus::gated) return;
+  const InertialState<double>& x = ekf_.filter().state();
+  const Eigen::Quaterniond orientation = pose.orientation * x.marker_orientation.conjugate();
+  const Eigen::Vector3d from_body = x.marker_position + ekf_.imu_position();
+  by_poses_.correct(time + clock_offset_ + ekf_.clock_step() - trust_.latency,
+                    pose.position - orientation * from_body, orientation.normalized());
 }
 
 // Constructs the controller for the vehicle that remains. This allocates, once, and takes less than
@@ -187,7 +215,7 @@ void FlightController<Rotors>::begin(FlightMode mode, double time) {
     settle_at(after_failure_.ground.settling_speed);
   mode_ = mode;
   mode_since_ = bad_until_ = time;
-  const BodyStated body = ekf_.state();
+  const BodyStated body = state();
   held_ = {};
   held_.position = body.position;
   held_.velocity = body.velocity;
@@ -205,7 +233,7 @@ void FlightController<Rotors>::start_in_the_air(double time) {
   observer_.reset();
   observed_ = observer_.observed();
   contact_ = ContactEstimator(vehicle_);
-  contact_.update(time, ekf_.state(), observed_);
+  contact_.update(time, state(), observed_);
   starts_in_air_ = true;
   begin(FlightMode::hold, time);
 }
@@ -251,13 +279,15 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool was_unconfirmed = trust_.unconfirmed;
   trust_ = ekf_.trust(time);
   const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
-  const bool lost = trust_.state == EstimateState::position_lost ||
-                    (trust_.state == EstimateState::lost && imu_works);
+  // The poses alone are good enough.
+  const bool by_poses = flies_by_poses();
+  const bool lost = !by_poses && (trust_.state == EstimateState::position_lost ||
+                                  (trust_.state == EstimateState::lost && imu_works));
   const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;
   // One restart alone, as after a step of a clock, and poses noisier than believed are no reason to
   // leave the mission.
   const bool is_doubtful =
-      trust_.state == EstimateState::degraded &&
+      !by_poses && trust_.state == EstimateState::degraded &&
       (trust_.position_error || trust_.velocity_error || trust_.implausible_bias);
   doubtful_for_ = is_doubtful ? doubtful_for_ + std::clamp(passed, 0.0, 0.1) : 0.0;
   constexpr double in_doubt = 0.15;  // a tick of doubt is none [s]
@@ -297,8 +327,7 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     case FlightMode::landing: {
       if (mode_ == FlightMode::landing) sink(passed);
       constexpr double settled = 0.3;  // on the ground for this time [s]
-      const bool falls =
-          mode_ == FlightMode::emergency && std::abs(ekf_.state().velocity.z()) > 0.5;
+      const bool falls = mode_ == FlightMode::emergency && std::abs(state().velocity.z()) > 0.5;
       if (contact_.standing_for() > settled && !falls)
         mode_ = FlightMode::stopped;
       else if (mode_ == FlightMode::emergency && lost)
@@ -310,7 +339,7 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     case FlightMode::stopped:
       // What was ground is not: a vehicle that stands, or is carried by hand, has its weight.
       if (contact_.load_by_motion() < 0.5 * vehicle_.body.mass * gravity &&
-          ekf_.state().velocity.z() < -0.3)
+          state().velocity.z() < -0.3)
         begin(failed ? FlightMode::emergency : FlightMode::landing, time);
       break;
   }
@@ -326,7 +355,7 @@ bool FlightController<Rotors>::is_off_the_ground() const {
   const double enough =
       0.05 + 3.0 * vertical_stddev(InertialIndex::position);  // under the wheels [m]
   const std::optional<Undercarriage> stands = undercarriage(vehicle_);
-  const Eigen::Vector3d position = ekf_.state().position;
+  const Eigen::Vector3d position = state().position;
   const ContactEstimate& contact = contact_.estimate();
   return !contact.on_ground &&
          (!stands || position.z() - stands->height - contact.ground.height_at(position) > enough);
@@ -341,7 +370,7 @@ template <int Rotors>
 void FlightController<Rotors>::sink(double duration) {
   constexpr double margin = 0.5, reach = 1.0;  // [m]
   const std::optional<Undercarriage> stands = undercarriage(vehicle_);
-  const double height = ekf_.state().position.z() - (stands ? stands->height : 0.0) - sink_to_;
+  const double height = state().position.z() - (stands ? stands->height : 0.0) - sink_to_;
   const double off =
       std::isfinite(height)
           ? std::max(height - margin - vertical_stddev(InertialIndex::position), -height - margin)
@@ -355,7 +384,8 @@ void FlightController<Rotors>::sink(double duration) {
   // The estimated position may step by metres, for example when a range finder shows that the
   // vehicle leans. The vehicle does not follow it.
   const double braked = braking * (1.0 - std::exp(-std::max(0.0, time_ - mode_since_) / braking));
-  held_.position.head<2>() = ekf_.state().position.head<2>() - braked * held_.velocity.head<2>();
+  held_.position.head<2>() =
+      state().position.template head<2>() - braked * held_.velocity.head<2>();
 }
 
 template <int Rotors>
@@ -382,7 +412,7 @@ template <int Rotors>
 CalibrationStatus FlightController<Rotors>::imu_check() const {
   if (airborne_ || felt_samples_ == 0) return CalibrationStatus::calibrated;
   const Eigen::Vector3d up(0.0, 0.0, gravity);
-  return check_specific_force(felt_, Eigen::Vector3d(ekf_.state().orientation.conjugate() * up));
+  return check_specific_force(felt_, Eigen::Vector3d(state().orientation.conjugate() * up));
 }
 
 template <int Rotors>
@@ -392,7 +422,7 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
     const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
     ReferencePoint now = follows ? reference(time) : stand_in(time);
     if (mode_ == FlightMode::returning) now = on_way_back(now, time);
-    contact_.update(time, ekf_.state(), observed_, now);
+    contact_.update(time, state(), observed_, now);
     if (contact_.estimate().blocked) touched_until_ = time + 1.0;
   }
   airborne_ = ekf_.running() && is_off_the_ground();
@@ -419,7 +449,7 @@ const ActuatorState<Rotors>& FlightController<Rotors>::control(double time) {
   if (actuator_nmpc_) control_actuators(time, measured);
   if constexpr (has_wrench_level<Rotors>)
     at_wrench_level([&](auto& nmpc) {
-      result_ = measured ? nmpc.feedback(time, ekf_.take_state()) : nmpc.hold(time);
+      result_ = measured ? nmpc.feedback(time, take_state()) : nmpc.hold(time);
       sent_ = allocation_->allocate(time, result_.wrench, result_.rate, sent_);
     });
   if (mode_ == FlightMode::stopped) sent_.command.rotor_speed.setZero();
@@ -457,7 +487,7 @@ void FlightController<Rotors>::compare_sources() {
   if (means) consistency_.wrench = wrench_residual(means->raw.force, weight, !airborne_);
   consistency_.pose = pose_residual(ekf_.nis());
   consistency_.load =
-      load_residual(contact_.estimate(), ekf_.state(), weight, stands ? stands->height : 0.0);
+      load_residual(contact_.estimate(), state(), weight, stands ? stands->height : 0.0);
   consistency_.battery = battery_residual<Rotors>(measured, top);
 }
 
@@ -465,9 +495,9 @@ template <int Rotors>
 void FlightController<Rotors>::control_actuators(double time, bool measured) {
   // The speeds are modelled, too: the inverse of a lag would amplify the noise of the sensors.
   const ActuatorNmpcResult<Rotors>& result =
-      measured ? actuator_nmpc_->feedback(time, ekf_.take_state(),
-                                          actuators_.update(time, sent_.command))
-               : actuator_nmpc_->hold(time);
+      measured
+          ? actuator_nmpc_->feedback(time, take_state(), actuators_.update(time, sent_.command))
+          : actuator_nmpc_->hold(time);
   sent_.command = result.command;
   result_.status = result.status;
   result_.wrench = result.wrench;

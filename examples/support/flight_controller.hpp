@@ -1,6 +1,7 @@
 #pragma once
 
 #include "actuator_instances.hpp"
+#include "body_by_poses.hpp"
 #include "imu_clock.hpp"
 #include "nmpc_by_nlopt.hpp"
 
@@ -204,6 +205,8 @@ class FlightController {
   tilt_ropter::Ekfd ekf_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ObservedWrenchd observed_;
+  BodyByPoses by_poses_;
+  double clock_offset_;  ///< of the poses [s]
   tilt_ropter::ContactEstimator contact_;
   ExternalWrench external_;
   tilt_ropter::NmpcResult result_;
@@ -220,6 +223,19 @@ class FlightController {
 
   void set_voltage(double voltage);
   void limit_speeds();
+  void observe(double time, const tilt_ropter::InertialSampled& sample,
+               const tilt_ropter::Wrenchd& applied);
+  /// True if by_poses_ replaces the IMU.
+  [[nodiscard]] bool flies_by_poses() const {
+    return ekf_.filter().is_wider() && by_poses_.is_valid();
+  }
+  [[nodiscard]] tilt_ropter::BodyStated state() const {
+    return flies_by_poses() ? by_poses_.body() : ekf_.state();
+  }
+  [[nodiscard]] tilt_ropter::BodyStated take_state() {
+    const tilt_ropter::BodyStated taken = ekf_.take_state();
+    return flies_by_poses() ? by_poses_.body() : taken;
+  }
   void compare_sources();
   void choose_mode(double time, const Reference& reference);
   void start_in_the_air(double time);

@@ -254,6 +254,7 @@ class TrustFigures {
   void on_control(const tilt_ropter::EstimateTrust& trust, FlightMode mode,
                   const tilt_ropter::ActuatorFailure& failure, double period) {
     if (trust.state != tilt_ropter::EstimateState::good) not_good_ += period;
+    if (trust.imu_contradicted) contradicted_ += period;
     latency_ = trust.latency;
     mode_ = mode;
     failure_ = failure;
@@ -269,7 +270,8 @@ class TrustFigures {
   }
 
   void print(std::ostream& out, const tilt_ropter::EkfCounts& counts) const {
-    out << std::setprecision(3) << "estimate_not_good_s: " << not_good_ << '\n'
+    out << std::setprecision(3) << "estimate_not_good_s: " << not_good_
+        << "\nimu_contradicted_s: " << contradicted_ << '\n'
         << "poses_used: " << counts.used << "\nposes_refused: " << counts.gated
         << "\nposes_frozen: " << counts.frozen << "\nfilter_restarts: " << counts.restarts
         << "\npose_clock_steps: " << counts.clock_steps
@@ -306,7 +308,7 @@ class TrustFigures {
            mode_ == FlightMode::stopped;
   }
 
-  double not_good_ = 0.0, latency_ = 0.0;
+  double not_good_ = 0.0, contradicted_ = 0.0, latency_ = 0.0;
   double speed_ = 0.0;                           // at the first touch [m/s]
   double largest_lean_ = 0.0, last_lean_ = 0.0;  // before it [rad]
   tilt_ropter::ActuatorFailure failure_;
