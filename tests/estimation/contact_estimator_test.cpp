@@ -94,6 +94,30 @@ TEST(ContactEstimator, TakesAnUnfilteredWrenchFromTheFirstUpdateOn) {
   EXPECT_TRUE(contact.estimate().on_ground);
 }
 
+// A take-off with the CoM aside: one wheel leaves first. What leans but is loaded, or does not
+// rise, stands.
+TEST(ContactEstimator, OneWheelThatHardlyCarriesIsNoGround) {
+  struct Case {
+    double lean, load, rising;  // [rad], of the weight, [m/s]
+    bool stands;
+  };
+  for (const Case& c :
+       {Case{0.01, 0.1, 0.02, false}, Case{-0.01, 0.1, 0.02, false}, Case{0.002, 0.1, 0.02, true},
+        Case{0.01, 0.3, 0.02, true}, Case{0.01, 0.1, 0.0, true}}) {
+    SCOPED_TRACE(c.lean);
+    SCOPED_TRACE(c.load);
+    SCOPED_TRACE(c.rising);
+    Feed feed = flying(0.3);
+    feed(0.11, with_lift(0.9 * weight), 2.0);
+    feed(0.11, with_lift(c.load * weight), 1.5);  // the filter follows
+    EXPECT_TRUE(feed.contact.estimate().on_ground);
+    feed.state.orientation =
+        Eigen::Quaterniond(Eigen::AngleAxisd(c.lean, Eigen::Vector3d::UnitX()));
+    feed.state.velocity.z() = c.rising;
+    EXPECT_EQ(feed.stay(with_lift(c.load * weight), 0.05).on_ground, c.stands);
+  }
+}
+
 // A sample above ten times the weight is ignored, and is not part of the next mean.
 TEST(ContactEstimator, AnOutlierIsIgnoredForOneUpdateOnly) {
   Feed feed = flying(3.0);

@@ -317,13 +317,23 @@ class ContactEstimator {
     }
     unloaded_for_ += dt;
     const double lead = unloaded_for_ > unloaded_time ? leave_lead : 0.0;
-    if (std::abs(clearance) > leave_height || clearance + lead * rising_of(body) > leave_height) {
+    if (std::abs(clearance) > leave_height || one_wheel_stands(body, lift - missing) ||
+        clearance + lead * rising_of(body) > leave_height) {
       // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
       air_lift_ = possible(lift_);
       set_air_lift(air_lift_, body);
       left_over_ = {estimate_.external.force - air_.force, estimate_.external.torque - air_.torque};
     }
+  }
+
+  // True if the axle has turned out of the ground: one of its wheels hardly carries, the other one
+  // has left. From now on the body has to be held level.
+  [[nodiscard]] bool one_wheel_stands(const BodyStated& body, double load) const noexcept {
+    constexpr double most = 0.004, hardly = 0.15, rises = 0.01;  // [rad], of the weight, [m/s]
+    const Eigen::Vector3d axle = body.orientation * Eigen::Vector3d::UnitY();
+    return undercarriage_->pitches && load < hardly * weight_ && rising_of(body) > rises &&
+           std::abs(axle.dot(estimate_.ground.normal())) > most;
   }
 
   static double fraction(double dt, double time_constant) noexcept {
