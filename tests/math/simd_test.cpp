@@ -117,6 +117,9 @@ TEST(Lanes, EigenMultipliesFourMatricesAtOnce) {
     for (int lane = 0; lane < 4; ++lane) {
       const int last = std::min(lane, count - 1);
       for (int i = 0; i < 9; ++i) EXPECT_NEAR(product(i)[lane], (a[last] * b[last])(i), 1e-14);
+      Eigen::Matrix3d back;
+      scatter(x, lane, back);
+      EXPECT_EQ(back, a[last]);
     }
   }
 }

@@ -6,7 +6,6 @@
 #include <tilt_ropter/control/detail/flight_node.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
-#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
@@ -17,8 +16,6 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
-#include <optional>
-#include <vector>
 
 /// The optimal-control problem with the thrust and the tilt angle of each rotor as states and their
 /// rates as inputs. It goes beyond the paper, whose problem has the wrench as a state and needs the
@@ -77,31 +74,24 @@ struct ActuatorLimits {
 /// A rotor that does not tilt keeps an angle that has no effect; its tilt rate is zero in every
 /// solution, because it costs something and gives nothing.
 template <int Rotors>
-class ActuatorLevelProblem {
+class ActuatorLevelProblem
+    : public FlightProblem<ActuatedState<Rotors>, ActuatorLevelNode<Rotors>, ActuatorLevelSettings,
+                           2 * Rotors + 12, 2 * Rotors, 4 * Rotors + 3> {
+  using Base = FlightProblem<ActuatedState<Rotors>, ActuatorLevelNode<Rotors>,
+                             ActuatorLevelSettings, 2 * Rotors + 12, 2 * Rotors, 4 * Rotors + 3>;
+
  public:
+  using Base::constraints, Base::horizon, Base::inputs, Base::node, Base::states;
+  using typename Base::Constraints, typename Base::ConstraintsX, typename Base::ConstraintsU,
+      typename Base::Input, typename Base::InputJacobian, typename Base::LaneInputJacobian,
+      typename Base::LaneStateJacobian, typename Base::Model, typename Base::Node,
+      typename Base::State, typename Base::StateJacobian, typename Base::Tangent;
   using I = ActuatedIndex<Rotors>;
   /// Index of the first constraint of each part.
   struct Part {
     static constexpr int angular_velocity = 0, thrust = 3, tilt_angle = thrust + Rotors,
                          rate = tilt_angle + Rotors;
   };
-  static constexpr int states = 2 * Rotors + 12, inputs = 2 * Rotors,
-                       constraints = Part::rate + inputs, equalities = 3;
-  using State = ActuatedState<Rotors>;
-  using Node = ActuatorLevelNode<Rotors>;
-  using D = optimal_control::ProblemDimensions<ActuatorLevelProblem>;
-  using Model = optimal_control::QuadraticModel<states, inputs>;
-  using Tangent = Eigen::Matrix<double, states, 1>;
-  using Input = Eigen::Matrix<double, inputs, 1>;
-  using StateJacobian = Eigen::Matrix<double, states, states>;
-  using InputJacobian = Eigen::Matrix<double, states, inputs>;
-  using LaneStateJacobian = Eigen::Matrix<Lanes, states, states>;
-  using LaneInputJacobian = Eigen::Matrix<Lanes, states, inputs>;
-  using Constraints = typename D::Constraints;
-  using ConstraintsX = typename D::ConstraintsX;
-  using ConstraintsU = typename D::ConstraintsU;
-  using Equalities = Eigen::Vector3d;
-  using EqualitiesX = Eigen::Matrix<double, 3, states>;
 
   /// Thrusts and tilt angles are integrals of the inputs. All of them act on the body.
   struct TransitionPattern {
@@ -120,9 +110,7 @@ class ActuatorLevelProblem {
   /// Throws std::invalid_argument if the vehicle or the settings are out of range.
   explicit ActuatorLevelProblem(const Vehicle<Rotors>& vehicle,
                                 const ActuatorLevelSettings& settings = {})
-      : body_(vehicle), lanes_(vehicle), limits_(vehicle), nominal_(limits_), settings_(settings) {
-    validate(settings);
-    nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+      : Base(settings), body_(vehicle), lanes_(vehicle), limits_(vehicle), nominal_(limits_) {
     set_bounds();
   }
 
@@ -145,19 +133,8 @@ class ActuatorLevelProblem {
     set_bounds();
   }
 
-  [[nodiscard]] const ActuatorLevelSettings& settings() const { return settings_; }
   [[nodiscard]] const ActuatorLimits<Rotors>& limits() const { return limits_; }
   [[nodiscard]] const ActuatedBody<Rotors>& body() const { return body_; }
-  [[nodiscard]] Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
-  [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
-
-  [[nodiscard]] int horizon() const { return settings_.intervals; }
-  [[nodiscard]] State retract(const State& x, const Tangent& dx) const {
-    return tilt_ropter::retract(x, dx);
-  }
-  [[nodiscard]] Tangent difference(const State& y, const State& x) const {
-    return tilt_ropter::difference(y, x);
-  }
 
   [[nodiscard]] State step(int k, const State& x, const Input& u) const {
     return step_for(settings_.interval, k, x, u);
@@ -178,37 +155,17 @@ class ActuatorLevelProblem {
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {
     ActuatedState<Rotors, Lanes> start, end;
-    const auto take = [&](auto& lanes, const auto& part) __attribute__((always_inline)) {
-      gather_into(
-          lanes, count, [&](int i) -> const auto& { return part(x[i]); });
-    };
-    take(
-        start.thrust, [](const State& s) -> const auto& { return s.thrust; });
-    take(
-        start.tilt_angle, [](const State& s) -> const auto& { return s.tilt_angle; });
-    take(
-        start.body.position, [](const State& s) -> const auto& { return s.body.position; });
-    take(
-        start.body.velocity, [](const State& s) -> const auto& { return s.body.velocity; });
-    take(
-        start.body.orientation.coeffs(),
-        [](const State& s) -> const auto& { return s.body.orientation.coeffs(); });
-    take(
-        start.body.angular_velocity,
-        [](const State& s) -> const auto& { return s.body.angular_velocity; });
+    gather_into(
+        start.thrust, count, [&](int i) -> const auto& { return x[i].thrust; });
+    gather_into(
+        start.tilt_angle, count, [&](int i) -> const auto& { return x[i].tilt_angle; });
+    Base::gather_bodies(x, count, start.body);
     Eigen::Matrix<Lanes, inputs, 1> rate;
     gather_into(
         rate, count, [&](int i) -> const auto& { return u[i]; });
     Wrench<Lanes> external;
-    gather_into(
-        external.force, count, [&](int i) -> const auto& { return node(k + i).external.force; });
-    gather_into(
-        external.torque, count, [&](int i) -> const auto& { return node(k + i).external.torque; });
     Freedom<Lanes> freedom;
-    gather_into(
-        freedom.linear, count, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
-    gather_into(
-        freedom.angular, count, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    Base::gather_nodes(k, count, external, freedom);
     Steering<Lanes> steering;
     gather_into(
         steering.speed, count, [&](int i) -> const auto& { return node(k + i).steering.speed; });
@@ -218,15 +175,9 @@ class ActuatorLevelProblem {
     lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, steering, end, A,
                        B);
     for (int i = 0; i < count; ++i) {
-      const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {
-        for (Eigen::Index j = 0; j < number.size(); ++j) number.coeffRef(j) = from.coeff(j)[i];
-      };
-      put(ends[i].thrust, end.thrust);
-      put(ends[i].tilt_angle, end.tilt_angle);
-      put(ends[i].body.position, end.body.position);
-      put(ends[i].body.velocity, end.body.velocity);
-      put(ends[i].body.orientation.coeffs(), end.body.orientation.coeffs());
-      put(ends[i].body.angular_velocity, end.body.angular_velocity);
+      scatter(end.thrust, i, ends[i].thrust);
+      scatter(end.tilt_angle, i, ends[i].tilt_angle);
+      Base::scatter_body(end.body, i, ends[i].body);
     }
   }
 
@@ -336,30 +287,11 @@ class ActuatorLevelProblem {
     for (int i = 0; i < inputs; ++i)
       C(Part::thrust + i, I::thrust + i) = E(Part::rate + i, i) = 1.0;
   }
-  [[nodiscard]] const Constraints& lower(int k) const {
-    return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
-  }
-  [[nodiscard]] const Constraints& upper(int k) const {
-    return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
-  }
-  [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
-
-  /// The conditions of ground contact, as in WheeledFlightProblem.
-  [[nodiscard]] Equalities equality_values(int k, const State& x) const {
-    return detail::ground_conditions(node(k), x.body);
-  }
-  void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
-    detail::put_ground_derivatives(node(k), x.body, H, I::position);
-  }
-  [[nodiscard]] Equalities equality_weights(int k) const {
-    if (!node(k).on_ground) return Equalities::Zero();
-    const Eigen::Vector3d& w = settings_.weights.ground;
-    return {2.0 * w.x(), 2.0 * w.y(), 2.0 * w.z()};
-  }
 
  private:
   using BodyVector = Eigen::Matrix<double, 12, 1>;
   static constexpr int orientation_error = 6;
+  using Base::lower_, Base::settings_, Base::upper_;
 
   [[nodiscard]] double thrust_weight(const Node& n) const {
     return n.stays_on_ground ? settings_.weights.thrust_on_ground : settings_.weights.thrust;
@@ -376,7 +308,6 @@ class ActuatorLevelProblem {
   }
 
   void set_bounds() noexcept {
-    constexpr double infinity = std::numeric_limits<double>::infinity();
     for (int i = 0; i < 3; ++i) {
       upper_(i) = settings_.bounds.angular_velocity(i);
       lower_(i) = -upper_(i);
@@ -390,24 +321,12 @@ class ActuatorLevelProblem {
       upper_(Part::rate + Rotors + i) = settings_.bounds.tilt_rate_fraction * limits_.tilt_rate(i);
     }
     for (int i = Part::rate; i < constraints; ++i) lower_(i) = -upper_(i);
-    // No plan can change the measured state, so node 0 has no bounds on it. The last node has no
-    // input.
-    first_upper_ = last_upper_ = upper_;
-    first_lower_ = last_lower_ = lower_;
-    std::fill_n(first_upper_.data(), Part::rate, infinity);
-    std::fill_n(first_lower_.data(), Part::rate, -infinity);
-    std::fill_n(last_upper_.data() + Part::rate, inputs, infinity);
-    std::fill_n(last_lower_.data() + Part::rate, inputs, -infinity);
-    penalty_.setConstant(detail::state_penalty);
-    std::fill_n(penalty_.data() + Part::rate, inputs, infinity);
+    this->finish_bounds(Part::rate, inputs);
   }
 
   ActuatedBody<Rotors> body_;
   ActuatedBody<Rotors, Lanes> lanes_;
   ActuatorLimits<Rotors> limits_, nominal_;
-  ActuatorLevelSettings settings_;
-  std::vector<Node> nodes_;
-  Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
 }  // namespace tilt_ropter

@@ -2,18 +2,24 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
+#include <tilt_ropter/math/detail/simd.hpp>
+#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
 #include <algorithm>
+#include <cstddef>
+#include <limits>
+#include <vector>
 
-/// What the wrench level and the actuator level have in common at one node of the horizon:
-/// reference, external wrench, ground contact, and the terms of cost and constraints that depend on
-/// the body alone.
+/// What the wrench level and the actuator level have in common at the nodes of the horizon:
+/// reference, external wrench, ground contact, bounds, and the terms of cost and constraints that
+/// depend on the body alone.
 namespace tilt_ropter {
 
 /// Reference of a node, and the external wrench and ground contact that act on it.
@@ -92,23 +98,143 @@ template <typename Costate>
           body.position.z() - node.com_plane.height_at(body.position)};
 }
 
-/// Derivatives of ground_conditions(). The parts (dp, dv, dtheta, dw) begin in column `first`.
-template <typename Derivative>
-void put_ground_derivatives(const FlightNode& node, const BodyStated& body, Derivative& H,
-                            int first) {
-  const Square<double> to_world = square(body.orientation.toRotationMatrix());
-  const Triple<double> velocity = body_velocity(body);
-  std::fill_n(H.data(), H.size(), 0.0);
-  H(0, first + 3) = to_world.y.x;
-  H(0, first + 4) = to_world.y.y;
-  H(0, first + 5) = to_world.y.z;
-  H(0, first + 6) = velocity.z;
-  H(0, first + 8) = -velocity.x;
-  for (int i = 0; i < 3; ++i) H(1, first + 9 + i) = node.roll_axis(i);
-  H(2, first) = -node.com_plane.slope.x();
-  H(2, first + 1) = -node.com_plane.slope.y();
-  H(2, first + 2) = 1.0;
-}
-
 }  // namespace detail
+
+/// The common part of the problems of both levels: nodes, bounds, and the conditions of ground
+/// contact as equalities. The last twelve tangent coordinates are (dp, dv, dtheta, dw).
+template <typename StateType, typename NodeType, typename Settings, int States, int Inputs,
+          int ConstraintCount>
+class FlightProblem {
+ public:
+  static constexpr int states = States, inputs = Inputs, constraints = ConstraintCount,
+                       equalities = 3;
+  using State = StateType;
+  using Node = NodeType;
+  using D = optimal_control::ProblemDimensions<FlightProblem>;
+  using Model = optimal_control::QuadraticModel<states, inputs>;
+  using Tangent = typename D::Tangent;
+  using Input = typename D::Input;
+  using StateJacobian = typename D::A;
+  using InputJacobian = typename D::B;
+  using LaneStateJacobian = Eigen::Matrix<Lanes, states, states>;
+  using LaneInputJacobian = Eigen::Matrix<Lanes, states, inputs>;
+  using Constraints = typename D::Constraints;
+  using ConstraintsX = typename D::ConstraintsX;
+  using ConstraintsU = typename D::ConstraintsU;
+  using Equalities = typename D::Equalities;
+  using EqualitiesX = typename D::EqualitiesX;
+
+  [[nodiscard]] const Settings& settings() const { return settings_; }
+  [[nodiscard]] Node& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
+  [[nodiscard]] const Node& node(int k) const { return nodes_[static_cast<std::size_t>(k)]; }
+
+  [[nodiscard]] int horizon() const { return settings_.intervals; }
+  [[nodiscard]] State retract(const State& x, const Tangent& dx) const {
+    using tilt_ropter::retract;  // of the state's header, found by its type
+    return retract(x, dx);
+  }
+  [[nodiscard]] Tangent difference(const State& y, const State& x) const {
+    using tilt_ropter::difference;
+    return difference(y, x);
+  }
+
+  [[nodiscard]] const Constraints& lower(int k) const {
+    return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
+  }
+  [[nodiscard]] const Constraints& upper(int k) const {
+    return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
+  }
+  [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
+
+  /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
+  /// node is on the ground.
+  [[nodiscard]] Equalities equality_values(int k, const State& x) const {
+    return detail::ground_conditions(node(k), x.body);
+  }
+  void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
+    constexpr int first = states - 12;
+    const FlightNode& n = node(k);
+    const detail::Triple<double> axle = detail::square(x.body.orientation.toRotationMatrix()).y,
+                                 velocity = detail::body_velocity(x.body);
+    std::fill_n(H.data(), H.size(), 0.0);
+    H(0, first + 3) = axle.x;
+    H(0, first + 4) = axle.y;
+    H(0, first + 5) = axle.z;
+    H(0, first + 6) = velocity.z;
+    H(0, first + 8) = -velocity.x;
+    for (int i = 0; i < 3; ++i) H(1, first + 9 + i) = n.roll_axis(i);
+    for (int i = 0; i < 2; ++i) H(2, first + i) = -n.com_plane.slope(i);
+    H(2, first + 2) = 1.0;
+  }
+  [[nodiscard]] Equalities equality_weights(int k) const {
+    if (!node(k).on_ground) return Equalities::Zero();
+    const Eigen::Vector3d& w = settings_.weights.ground;
+    return {2.0 * w.x(), 2.0 * w.y(), 2.0 * w.z()};
+  }
+
+ protected:
+  explicit FlightProblem(const Settings& settings) : settings_(validated(settings)) {
+    nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+  }
+
+  // Sets the bounds of the first and of the last node from lower_ and upper_, and the penalties.
+  // From constraint `rate` on, `of_input` constraints depend on the input; the first of them are
+  // the inputs themselves.
+  void finish_bounds(int rate, int of_input) {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    // No plan can change the measured state, so node 0 has no bounds on it. The last node has no
+    // input.
+    first_upper_ = last_upper_ = upper_;
+    first_lower_ = last_lower_ = lower_;
+    std::fill_n(first_upper_.data(), rate, infinity);
+    std::fill_n(first_lower_.data(), rate, -infinity);
+    std::fill_n(last_upper_.data() + rate, of_input, infinity);
+    std::fill_n(last_lower_.data() + rate, of_input, -infinity);
+    // The rate is hard, so the command meets its bounds even if the plan violates others.
+    penalty_.setConstant(detail::state_penalty);
+    std::fill_n(penalty_.data() + rate, inputs, infinity);
+  }
+
+  // For step_lanes(): body states, and what acts during the intervals from k on, side by side.
+  [[gnu::always_inline]] static inline void gather_bodies(const State* x, int count,
+                                                          BodyState<Lanes>& lanes) {
+    const auto take = [&](auto& to, auto BodyStated::*part) __attribute__((always_inline)) {
+      gather_into(
+          to, count, [&](int i) -> const auto& { return (x[i].body.*part); });
+    };
+    take(lanes.position, &BodyStated::position);
+    take(lanes.velocity, &BodyStated::velocity);
+    take(lanes.angular_velocity, &BodyStated::angular_velocity);
+    gather_into(
+        lanes.orientation.coeffs(),
+        count, [&](int i) -> const auto& { return x[i].body.orientation.coeffs(); });
+  }
+  [[gnu::always_inline]] inline void gather_nodes(int k, int count, Wrench<Lanes>& external,
+                                                  Freedom<Lanes>& freedom) const {
+    const auto take = [&](auto& to, const auto& of) __attribute__((always_inline)) {
+      gather_into(
+          to, count, [&](int i) -> const auto& { return of(node(k + i)); });
+    };
+    take(
+        external.force, [](const Node& n) -> const auto& { return n.external.force; });
+    take(
+        external.torque, [](const Node& n) -> const auto& { return n.external.torque; });
+    take(
+        freedom.linear, [](const Node& n) -> const auto& { return n.freedom.linear; });
+    take(
+        freedom.angular, [](const Node& n) -> const auto& { return n.freedom.angular; });
+  }
+  [[gnu::always_inline]] static inline void scatter_body(const BodyState<Lanes>& from, int lane,
+                                                         BodyStated& to) {
+    scatter(from.position, lane, to.position);
+    scatter(from.velocity, lane, to.velocity);
+    scatter(from.orientation.coeffs(), lane, to.orientation.coeffs());
+    scatter(from.angular_velocity, lane, to.angular_velocity);
+  }
+
+  Settings settings_;
+  std::vector<Node> nodes_;
+  Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
+};
+
 }  // namespace tilt_ropter

@@ -18,7 +18,6 @@
 #include <Eigen/Core>
 
 #include <algorithm>
-#include <cstddef>
 #include <limits>
 #include <optional>
 #include <vector>
@@ -38,29 +37,21 @@ struct WheeledFlightNode : FlightNode {
 /// conditions. The caller sets the nodes' references and external wrenches before each solve. With
 /// `Rotors` > 0, the constraints of ActuatorConstraints follow the paper's 15.
 template <int Rotors>
-class WheeledFlightProblem {
+class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, WheeledFlightSettings,
+                                                  18, 6, 15 + ActuatorConstraints<Rotors>::count> {
+  using Base = FlightProblem<Stated, WheeledFlightNode, WheeledFlightSettings, 18, 6,
+                             15 + ActuatorConstraints<Rotors>::count>;
+
  public:
+  using Base::constraints, Base::horizon, Base::inputs, Base::node, Base::states;
+  using typename Base::Constraints, typename Base::ConstraintsX, typename Base::ConstraintsU,
+      typename Base::Input, typename Base::InputJacobian, typename Base::LaneInputJacobian,
+      typename Base::LaneStateJacobian, typename Base::Model, typename Base::State,
+      typename Base::StateJacobian, typename Base::Tangent;
   /// Index of the first constraint of each part.
   struct Part {
     static constexpr int force = 0, torque = 3, angular_velocity = 6, rate = 9, actuators = 15;
   };
-  static constexpr int states = 18, inputs = 6,
-                       constraints = Part::actuators + ActuatorConstraints<Rotors>::count,
-                       equalities = 3;
-  using State = tilt_ropter::Stated;
-  using D = optimal_control::ProblemDimensions<WheeledFlightProblem>;
-  using Model = optimal_control::QuadraticModel<states, inputs>;
-  using Tangent = StateTangentd;
-  using Input = Eigen::Matrix<double, 6, 1>;
-  using StateJacobian = Eigen::Matrix<double, 18, 18>;
-  using InputJacobian = Eigen::Matrix<double, 18, 6>;
-  using LaneStateJacobian = Eigen::Matrix<Lanes, 18, 18>;
-  using LaneInputJacobian = Eigen::Matrix<Lanes, 18, 6>;
-  using Constraints = typename D::Constraints;
-  using ConstraintsX = typename D::ConstraintsX;
-  using ConstraintsU = typename D::ConstraintsU;
-  using Equalities = Eigen::Vector3d;
-  using EqualitiesX = Eigen::Matrix<double, 3, 18>;
 
   /// The wrench is the integral of the input. The position acts on no other state, and the velocity
   /// only on the position. Forces do not turn the body. Within one interval the torque rate does
@@ -88,9 +79,7 @@ class WheeledFlightProblem {
   explicit WheeledFlightProblem(const RigidBodyParameters& body,
                                 const WheeledFlightSettings& settings = {},
                                 const ActuatorConstraints<Rotors>& actuators = {})
-      : body_(body), lanes_(body), actuators_(actuators), settings_(settings) {
-    validate(settings);
-    nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+      : Base(settings), body_(body), lanes_(body), actuators_(actuators) {
     set_weights();
     set_bounds();
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
@@ -116,30 +105,17 @@ class WheeledFlightProblem {
     if constexpr (Rotors > 0) {
       if (!actuators_.set_voltage(voltage)) return false;
       const auto thrusts = actuators_.upper().template tail<Rotors>();
-      upper_.template tail<Rotors>() = last_upper_.template tail<Rotors>() = thrusts;
+      upper_.template tail<Rotors>() = this->last_upper_.template tail<Rotors>() = thrusts;
       return true;
     }
     return false;
   }
 
-  [[nodiscard]] const WheeledFlightSettings& settings() const { return settings_; }
-  [[nodiscard]] WheeledFlightNode& node(int k) { return nodes_[static_cast<std::size_t>(k)]; }
-  [[nodiscard]] const WheeledFlightNode& node(int k) const {
-    return nodes_[static_cast<std::size_t>(k)];
-  }
-
-  [[nodiscard]] int horizon() const { return settings_.intervals; }
-  [[nodiscard]] State retract(const State& x, const Tangent& dx) const {
-    return tilt_ropter::retract(x, dx);
-  }
-  [[nodiscard]] Tangent difference(const State& y, const State& x) const {
-    return tilt_ropter::difference(y, x);
-  }
   /// d difference(retract(x, dx + e), retract(x, dx)) / de, for SingleShooting.
   [[nodiscard]] StateJacobian retract_derivative(const State&, const Tangent& dx) const {
     StateJacobian derivative = StateJacobian::Identity();
-    derivative.block<3, 3>(I::orientation, I::orientation) =
-        right_jacobian(dx.segment<3>(I::orientation));
+    derivative.template block<3, 3>(I::orientation, I::orientation) =
+        right_jacobian(dx.template segment<3>(I::orientation));
     return derivative;
   }
 
@@ -176,40 +152,18 @@ class WheeledFlightProblem {
         start.wrench.force, count, [&](int i) -> const auto& { return x[i].wrench.force; });
     gather_into(
         start.wrench.torque, count, [&](int i) -> const auto& { return x[i].wrench.torque; });
-    gather_into(
-        start.body.velocity, count, [&](int i) -> const auto& { return x[i].body.velocity; });
-    gather_into(
-        start.body.position, count, [&](int i) -> const auto& { return x[i].body.position; });
-    gather_into(
-        start.body.orientation.coeffs(),
-        count, [&](int i) -> const auto& { return x[i].body.orientation.coeffs(); });
-    gather_into(
-        start.body.angular_velocity,
-        count, [&](int i) -> const auto& { return x[i].body.angular_velocity; });
+    Base::gather_bodies(x, count, start.body);
     Eigen::Matrix<Lanes, 6, 1> rate;
     gather_into(
         rate, count, [&](int i) -> const auto& { return u[i]; });
     Wrench<Lanes> external;
-    gather_into(
-        external.force, count, [&](int i) -> const auto& { return node(k + i).external.force; });
-    gather_into(
-        external.torque, count, [&](int i) -> const auto& { return node(k + i).external.torque; });
     Freedom<Lanes> freedom;
-    gather_into(
-        freedom.linear, count, [&](int i) -> const auto& { return node(k + i).freedom.linear; });
-    gather_into(
-        freedom.angular, count, [&](int i) -> const auto& { return node(k + i).freedom.angular; });
+    Base::gather_nodes(k, count, external, freedom);
     lanes_.step_inline(start, rate, external, Lanes(settings_.interval), freedom, end, A, B);
     for (int i = 0; i < count; ++i) {
-      const auto put = [&](auto& number, const auto& from) __attribute__((always_inline)) {
-        for (Eigen::Index j = 0; j < number.size(); ++j) number.coeffRef(j) = from.coeff(j)[i];
-      };
-      put(ends[i].wrench.force, end.wrench.force);
-      put(ends[i].wrench.torque, end.wrench.torque);
-      put(ends[i].body.position, end.body.position);
-      put(ends[i].body.velocity, end.body.velocity);
-      put(ends[i].body.orientation.coeffs(), end.body.orientation.coeffs());
-      put(ends[i].body.angular_velocity, end.body.angular_velocity);
+      scatter(end.wrench.force, i, ends[i].wrench.force);
+      scatter(end.wrench.torque, i, ends[i].wrench.torque);
+      Base::scatter_body(end.body, i, ends[i].body);
     }
   }
 
@@ -303,32 +257,13 @@ class WheeledFlightProblem {
       actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
                              E.template bottomRows<3 * Rotors>());
   }
-  [[nodiscard]] const Constraints& lower(int k) const {
-    return k == 0 ? first_lower_ : k == horizon() ? last_lower_ : lower_;
-  }
-  [[nodiscard]] const Constraints& upper(int k) const {
-    return k == 0 ? first_upper_ : k == horizon() ? last_upper_ : upper_;
-  }
-  [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
-
-  /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
-  /// node is on the ground.
-  [[nodiscard]] Equalities equality_values(int k, const State& x) const {
-    return detail::ground_conditions(node(k), x.body);
-  }
-  void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
-    detail::put_ground_derivatives(node(k), x.body, H, I::position);
-  }
-  [[nodiscard]] Equalities equality_weights(int k) const {
-    if (!node(k).on_ground) return Equalities::Zero();
-    const Eigen::Vector3d& w = settings_.weights.ground;
-    return {2.0 * w.x(), 2.0 * w.y(), 2.0 * w.z()};
-  }
 
  private:
   using Triple = detail::Triple<double>;
   using Square = detail::Square<double>;
   using I = TangentIndex;
+  using Base::lower_, Base::nodes_, Base::settings_, Base::upper_;
+
   static Tangent state_weights_of(const NmpcWeights& w) {
     const Eigen::Vector3d* blocks[] = {&w.force,    &w.torque,      &w.position,
                                        &w.velocity, &w.orientation, &w.angular_velocity};
@@ -382,18 +317,8 @@ class WheeledFlightProblem {
       std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
       std::fill_n(lower_.data() + Part::actuators, 3 * Rotors, -infinity);
     }
-    // No plan can change the measured state, so node 0 has no bounds on it. The last node has no
-    // input.
-    first_upper_ = last_upper_ = upper_;
-    first_lower_ = last_lower_ = lower_;
-    std::fill_n(first_upper_.data(), Part::rate, infinity);
-    std::fill_n(first_lower_.data(), Part::rate, -infinity);
-    std::fill_n(first_upper_.data() + constraints - Rotors, Rotors, infinity);
-    std::fill_n(last_upper_.data() + Part::rate, 6 + 2 * Rotors, infinity);
-    std::fill_n(last_lower_.data() + Part::rate, 6 + 2 * Rotors, -infinity);
-    // The rate is hard, so the command meets its bounds even if the plan violates others.
-    penalty_.setConstant(detail::state_penalty);
-    std::fill_n(penalty_.data() + Part::rate, 6, infinity);
+    this->finish_bounds(Part::rate, 6 + 2 * Rotors);
+    std::fill_n(this->first_upper_.data() + constraints - Rotors, Rotors, infinity);
   }
 
   [[nodiscard]] Tangent error(int k, const State& x) const {
@@ -452,12 +377,9 @@ class WheeledFlightProblem {
   RigidBodyd body_;
   RigidBody<Lanes> lanes_;
   ActuatorConstraints<Rotors> actuators_;
-  WheeledFlightSettings settings_;
-  std::vector<WheeledFlightNode> nodes_;
   Tangent state_weights_, last_state_weights_;
   Input input_weights_;
   std::vector<detail::CostAfterHorizon> after_horizon_;  // of TerminalCost::riccati, else empty
-  Constraints lower_, upper_, first_lower_, first_upper_, last_lower_, last_upper_, penalty_;
 };
 
 }  // namespace tilt_ropter

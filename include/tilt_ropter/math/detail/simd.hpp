@@ -322,6 +322,11 @@ template <typename Result, typename Function>
       return function(std::min(lane, count - 1)).coeff(i);
     });
 }
+/// The inverse for one lane: copies it from a vector or matrix of Lanes.
+template <typename From, typename To>
+[[gnu::always_inline]] inline void scatter(const From& from, int lane, To& to) {
+  for (Eigen::Index i = 0; i < to.size(); ++i) to.coeffRef(i) = from.coeff(i)[lane];
+}
 
 }  // namespace tilt_ropter
 
