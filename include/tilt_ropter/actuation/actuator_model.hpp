@@ -38,13 +38,31 @@ class ActuatorModel {
   using Speeds = Eigen::Matrix<Scalar, Rotors, 1>;  ///< one number for each rotor
 
   /// Throws std::invalid_argument if the rotor, servo or battery parameters fail validate().
-  explicit ActuatorModel(const Vehicle<Rotors>& vehicle);
+  explicit ActuatorModel(const Vehicle<Rotors>& vehicle) {
+    validate(vehicle.battery);
+    battery_ = vehicle.battery;
+    servos_.fill(Servo<Scalar>(vehicle.servo));
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
+      tilts_[i] = vehicle.rotors[i].tilts;
+      top_speed_(static_cast<Eigen::Index>(i)) = rotors_[i].max_speed();
+    }
+    read();
+  }
 
   /// Advances every actuator to `time` [s] under the earlier commands, then accepts `command`
   /// (speeds [rad/s], angles [rad]). Rotor::update() and Servo::update() define which inputs are
   /// ignored. Returns the state at `time`.
   const ActuatorState<Rotors, Scalar>& update(
-      double time, const ActuatorState<Rotors, Scalar>& command) noexcept;
+      double time, const ActuatorState<Rotors, Scalar>& command) noexcept {
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      const auto row = static_cast<Eigen::Index>(i);
+      rotors_[i].update(time, command.rotor_speed(row));
+      servos_[i].update(time, command.tilt_angle(row));
+    }
+    read();
+    return state_;
+  }
 
   /// The same with the `measured` speeds [rad/s]. Returns the actuators as applied at `time`:
   /// modelled angles, and speeds with the measured changes whose steady difference from the
@@ -52,11 +70,32 @@ class ActuatorModel {
   /// times the expected speed (it has failed, or its sensor), or has been the same for 0.2 s.
   const ActuatorState<Rotors, Scalar>& update(double time,
                                               const ActuatorState<Rotors, Scalar>& command,
-                                              const Speeds& measured) noexcept;
+                                              const Speeds& measured) noexcept {
+    applied_ = update(time, command);
+    if (!std::isfinite(time)) return applied_;
+    for (Eigen::Index i = 0; i < Rotors; ++i) {
+      const Scalar &speed = measured(i), &modelled = state_.rotor_speed(i);
+      const Scalar part = speed * divisor_(i) / (modelled * ratio_(i));
+      if (!(part > Scalar(least_part) && part < Scalar(most_part))) continue;  // also NaN
+      if (speed != reading_(i) || !(time >= changed_(i))) {
+        const double dt = std::clamp(time - changed_(i), 0.0, longest_step);
+        learn(i, dt, command.rotor_speed(i), part);
+        reading_(i) = speed;
+        changed_(i) = time;
+      }
+      if (time - changed_(i) < most_frozen) applied_.rotor_speed(i) = speed / difference_(i);
+    }
+    return applied_;
+  }
 
   /// Returns `command` with the speeds divided by speed_ratio(), at most the nominal top speeds.
   [[nodiscard]] const ActuatorState<Rotors, Scalar>& to_send(
-      const ActuatorState<Rotors, Scalar>& command) noexcept;
+      const ActuatorState<Rotors, Scalar>& command) noexcept {
+    divisor_ = ratio_;
+    sent_ = command;
+    sent_.rotor_speed = command.rotor_speed.cwiseQuotient(divisor_).cwiseMin(top_speed_);
+    return sent_;
+  }
 
   /// Learnt speed / sent speed of each rotor, in [0.7, 1.2].
   [[nodiscard]] const Speeds& speed_ratio() const noexcept { return ratio_; }
@@ -77,12 +116,26 @@ class ActuatorModel {
   /// Sets the measured battery `voltage` [V]. The top speeds of the rotors fall with the voltage.
   /// Returns true if voltage_ratio() accepts the voltage. Otherwise the last accepted voltage
   /// remains in effect.
-  bool set_voltage(double voltage) noexcept;
+  bool set_voltage(double voltage) noexcept {
+    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+    if (!ratio) return false;
+    voltage_ratio_ = *ratio;
+    for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
+    read();
+    return true;
+  }
 
   /// Sets speeds [rad/s] and angles [rad], clamped to their limits, at `time` [s]. Without a time,
   /// at that of the next update. Keeps the ratios.
   void reset(const ActuatorState<Rotors, Scalar>& state,
-             double time = std::numeric_limits<double>::quiet_NaN()) noexcept;
+             double time = std::numeric_limits<double>::quiet_NaN()) noexcept {
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      const auto row = static_cast<Eigen::Index>(i);
+      rotors_[i].reset(state.rotor_speed(row), time);
+      servos_[i].reset(state.tilt_angle(row), time);
+    }
+    read();
+  }
 
   /// Speeds [rad/s] and angles [rad] at the last update. The angle of a rotor that does not tilt is
   /// zero.
@@ -108,7 +161,21 @@ class ActuatorModel {
   static constexpr double largest_error = 0.2;
 
   // `part`: measured speed / speed expected by the ratio.
-  void learn(Eigen::Index i, double dt, const Scalar& command, const Scalar& part) noexcept;
+  void learn(Eigen::Index i, double dt, const Scalar& command, const Scalar& part) noexcept {
+    using std::abs;
+    const Scalar modelled = state_.rotor_speed(i);
+    if (!(modelled > Scalar(min_fraction) * top_speed_(i)) ||
+        !(abs(command - modelled) < Scalar(steady) * modelled))
+      return;
+    difference_(i) +=
+        Scalar(dt / difference_time) * (part * ratio_(i) / divisor_(i) - difference_(i));
+    // If the sent speed is at its limit, the rotor cannot follow.
+    if (command > divisor_(i) * top_speed_(i) && part < Scalar(1)) return;
+    const Scalar error =
+        std::clamp(part - Scalar(1), Scalar(-largest_error), Scalar(largest_error));
+    ratio_(i) *= Scalar(1) + Scalar(dt / ratio_time) * error;
+    ratio_(i) = std::clamp(ratio_(i), Scalar(0.7), Scalar(1.2));
+  }
 
   void read() noexcept {
     for (std::size_t i = 0; i < Rotors; ++i) {
@@ -129,97 +196,5 @@ class ActuatorModel {
   Speeds reading_ = Speeds::Zero(), top_speed_;  // last reading, nominal top speed [rad/s]
   Eigen::Matrix<double, Rotors, 1> changed_ = Eigen::Matrix<double, Rotors, 1>::Zero();  // then [s]
 };
-
-template <int Rotors, typename Scalar>
-ActuatorModel<Rotors, Scalar>::ActuatorModel(const Vehicle<Rotors>& vehicle) {
-  validate(vehicle.battery);
-  battery_ = vehicle.battery;
-  servos_.fill(Servo<Scalar>(vehicle.servo));
-  for (std::size_t i = 0; i < Rotors; ++i) {
-    rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
-    tilts_[i] = vehicle.rotors[i].tilts;
-    top_speed_(static_cast<Eigen::Index>(i)) = rotors_[i].max_speed();
-  }
-  read();
-}
-
-template <int Rotors, typename Scalar>
-const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::update(
-    double time, const ActuatorState<Rotors, Scalar>& command) noexcept {
-  for (std::size_t i = 0; i < Rotors; ++i) {
-    const auto row = static_cast<Eigen::Index>(i);
-    rotors_[i].update(time, command.rotor_speed(row));
-    servos_[i].update(time, command.tilt_angle(row));
-  }
-  read();
-  return state_;
-}
-
-template <int Rotors, typename Scalar>
-const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::update(
-    double time, const ActuatorState<Rotors, Scalar>& command, const Speeds& measured) noexcept {
-  applied_ = update(time, command);
-  if (!std::isfinite(time)) return applied_;
-  for (Eigen::Index i = 0; i < Rotors; ++i) {
-    const Scalar &speed = measured(i), &modelled = state_.rotor_speed(i);
-    const Scalar part = speed * divisor_(i) / (modelled * ratio_(i));
-    if (!(part > Scalar(least_part) && part < Scalar(most_part))) continue;  // also NaN
-    if (speed != reading_(i) || !(time >= changed_(i))) {
-      const double dt = std::clamp(time - changed_(i), 0.0, longest_step);
-      learn(i, dt, command.rotor_speed(i), part);
-      reading_(i) = speed;
-      changed_(i) = time;
-    }
-    if (time - changed_(i) < most_frozen) applied_.rotor_speed(i) = speed / difference_(i);
-  }
-  return applied_;
-}
-
-template <int Rotors, typename Scalar>
-void ActuatorModel<Rotors, Scalar>::learn(Eigen::Index i, double dt, const Scalar& command,
-                                          const Scalar& part) noexcept {
-  using std::abs;
-  const Scalar modelled = state_.rotor_speed(i);
-  if (!(modelled > Scalar(min_fraction) * top_speed_(i)) ||
-      !(abs(command - modelled) < Scalar(steady) * modelled))
-    return;
-  difference_(i) +=
-      Scalar(dt / difference_time) * (part * ratio_(i) / divisor_(i) - difference_(i));
-  // If the sent speed is at its limit, the rotor cannot follow.
-  if (command > divisor_(i) * top_speed_(i) && part < Scalar(1)) return;
-  const Scalar error = std::clamp(part - Scalar(1), Scalar(-largest_error), Scalar(largest_error));
-  ratio_(i) *= Scalar(1) + Scalar(dt / ratio_time) * error;
-  ratio_(i) = std::clamp(ratio_(i), Scalar(0.7), Scalar(1.2));
-}
-
-template <int Rotors, typename Scalar>
-const ActuatorState<Rotors, Scalar>& ActuatorModel<Rotors, Scalar>::to_send(
-    const ActuatorState<Rotors, Scalar>& command) noexcept {
-  divisor_ = ratio_;
-  sent_ = command;
-  sent_.rotor_speed = command.rotor_speed.cwiseQuotient(divisor_).cwiseMin(top_speed_);
-  return sent_;
-}
-
-template <int Rotors, typename Scalar>
-bool ActuatorModel<Rotors, Scalar>::set_voltage(double voltage) noexcept {
-  const std::optional<double> ratio = voltage_ratio(battery_, voltage);
-  if (!ratio) return false;
-  voltage_ratio_ = *ratio;
-  for (Rotor<Scalar>& rotor : rotors_) rotor.set_voltage_ratio(*ratio);
-  read();
-  return true;
-}
-
-template <int Rotors, typename Scalar>
-void ActuatorModel<Rotors, Scalar>::reset(const ActuatorState<Rotors, Scalar>& state,
-                                          double time) noexcept {
-  for (std::size_t i = 0; i < Rotors; ++i) {
-    const auto row = static_cast<Eigen::Index>(i);
-    rotors_[i].reset(state.rotor_speed(row), time);
-    servos_[i].reset(state.tilt_angle(row), time);
-  }
-  read();
-}
 
 }  // namespace tilt_ropter

@@ -14,7 +14,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <vector>
 
 /// Checks, before a flight, whether a reference needs more than the bounds allow.

@@ -114,12 +114,38 @@ class Plant {
   /// Starts at time zero, standing with stopped rotors. A vehicle without wheels or legs starts at
   /// height zero and has no ground contact. Allocates. Throws std::invalid_argument if the vehicle
   /// or the parameters are invalid, or if their fastest rate exceeds 1e7 1/s.
-  explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {});
+  explicit Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters = {})
+      : vehicle_(validated(vehicle)),
+        parameters_(validated(parameters)),
+        inertia_inverse_(detail::inverse(vehicle.body.inertia)),
+        mounts_(mounts()),
+        axle_arms_(axle_arms()),
+        min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),
+        max_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.max_thrust, p); })),
+        rotor_time_constant_(of_rotors([](const auto& p) { return p.time_constant; })),
+        substep_(stable_substep()),
+        tilt_commands_(static_cast<std::size_t>(
+                           std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
+                       2) {
+    PlantState<Rotors> standing;
+    standing.body.position.z() = standing_height();
+    reset(standing);
+  }
 
   /// Sets the whole state. Drops the commands that wait for the servos' dead time; the servos hold
   /// their angles. Normalises the quaternion and sets the tilt angle of fixed rotors to zero.
   /// Throws std::invalid_argument if the state is invalid.
-  void reset(const PlantState<Rotors>& state);
+  void reset(const PlantState<Rotors>& state) {
+    validate(state);
+    state_ = state;
+    state_.body.orientation.normalize();
+    for (int i = 0; i < Rotors; ++i)
+      if (!rotor(i).tilts) state_.actuators.tilt_angle(i) = 0.0;
+    while (tilt_commands_.pop(std::numeric_limits<double>::infinity())) continue;
+    command_ = state_.actuators;
+    disturbance_ = {};
+    loads_ = loads(state_);
+  }
 
   /// The same, at time zero and with wheels that do not turn.
   void reset(const BodyStated& body, const ActuatorState<Rotors>& actuators) {
@@ -133,7 +159,35 @@ class Plant {
   /// wrench at the CoM in the body frame. Returns false and keeps the state if an argument is not
   /// finite or `dt` is out of range. Does the same if the body or a wheel would exceed max_speed.
   /// Does not throw or allocate.
-  bool step(const ActuatorState<Rotors>& command, const Wrenchd& disturbance, double dt) noexcept;
+  bool step(const ActuatorState<Rotors>& command, const Wrenchd& disturbance, double dt) noexcept {
+    if (!(dt > 0.0 && dt <= max_step) || !all_finite(command.rotor_speed) ||
+        !all_finite(command.tilt_angle) || !is_finite(disturbance))
+      return false;
+    const PlantState<Rotors> before = state_;
+    disturbance_ = disturbance;
+    command_.rotor_speed = command.rotor_speed.cwiseMax(min_rotor_speed_)
+                               .cwiseMin(top_speed_fraction_ * max_rotor_speed_);
+    tilt_commands_.push(
+        before.time + vehicle_.servo.dead_time,
+        command.tilt_angle.cwiseMax(vehicle_.servo.min_angle).cwiseMin(vehicle_.servo.max_angle));
+
+    const int substeps = std::max(1, static_cast<int>(std::ceil(dt / substep_ - 1e-6)));
+    for (int i = 0; i < substeps; ++i) {
+      while (const auto tilt = tilt_commands_.pop(state_.time)) command_.tilt_angle = *tilt;
+      integrate(dt / substeps);
+      state_.time = before.time + dt * (i + 1) / substeps;
+    }
+
+    const bool sound = is_sound(state_);
+    if (!sound) {
+      state_ = before;
+      disturbance_ = {};
+    }
+    loads_ = loads(state_);
+    for (std::size_t i = 0; i < mounts_.size(); ++i)
+      state_.wheels[i].bristle = loads_.wheels[i].bristle;
+    return sound;
+  }
 
   /// Sets the battery voltage `voltage` [V] from the next step on. A reset keeps it. Below the
   /// nominal voltage, the top rotor speeds fall in proportion to the voltage; above it, they stay
@@ -239,7 +293,30 @@ class Plant {
     return middle < 0.0 ? square / (root - middle) : middle + root;  // avoids cancellation
   }
 
-  [[nodiscard]] std::vector<WheelMount> mounts() const;
+  [[nodiscard]] std::vector<WheelMount> mounts() const {
+    constexpr double foot_radius = 0.01;
+    double along = 0.0, aside = 0.0, below = 0.0;
+    WheelMount mount;
+    if (vehicle_.wheels) {
+      along = 0.5 * vehicle_.wheels->wheel_base;
+      aside = vehicle_.wheels->half_track;
+      mount.radius = vehicle_.wheels->radius;
+      mount.inertia = vehicle_.wheels->inertia;
+    } else if (vehicle_.legs) {
+      along = vehicle_.legs->half_length;
+      aside = vehicle_.legs->half_width;
+      mount.radius = std::min(foot_radius, vehicle_.legs->height);
+      mount.locked = true;
+      below = vehicle_.legs->height - mount.radius;
+    } else {
+      return {};
+    }
+    std::vector<WheelMount> all(along > 0.0 ? 4 : 2, mount);
+    for (std::size_t i = 0; i < all.size(); ++i)
+      all[i].centre = parameters_.contact.axle_position +
+                      Eigen::Vector3d(i < 2 ? along : -along, i % 2 == 0 ? -aside : aside, -below);
+    return all;
+  }
 
   [[nodiscard]] std::array<std::optional<std::size_t>, 4> axle_arms() const {
     std::array<std::optional<std::size_t>, 4> arms;
@@ -265,22 +342,146 @@ class Plant {
   /// Returns the rate of the axle of `wheel` relative to the body about body y [rad/s], if the axle
   /// is an arm. The torque of the bearing depends on this rate, and the rate on this torque; both
   /// are linear.
-  [[nodiscard]] double axle_rate_of(const PlantState<Rotors>& x, std::size_t wheel) const noexcept;
+  [[nodiscard]] double axle_rate_of(const PlantState<Rotors>& x, std::size_t wheel) const noexcept {
+    const int arm = static_cast<int>(*axle_arms_[wheel]);
+    const double gain = parameters_.contact.bearing_friction /
+                        (parameters_.servo_stiffness * vehicle_.servo.time_constant);
+    const double drag = tilt_sign(wheel) * (x.wheels[wheel].spin - x.body.angular_velocity.y());
+    const double free =
+        (command_.tilt_angle(arm) - x.actuators.tilt_angle(arm)) / vehicle_.servo.time_constant;
+    const double limit = rotor(arm).tilts ? vehicle_.servo.max_rate : 0.0;
+    return tilt_sign(wheel) * std::clamp((free + gain * drag) / (1.0 + gain), -limit, limit);
+  }
 
   /// Returns the longest stable substep [s], at most max_substep. Throws std::invalid_argument if
   /// the substeps would be too short for a reasonable computation time.
-  [[nodiscard]] double stable_substep() const;
+  [[nodiscard]] double stable_substep() const {
+    double fastest = 1.0 / vehicle_.servo.time_constant;
+    for (int i = 0; i < Rotors; ++i)
+      fastest = std::max(fastest, 1.0 / parameters_of(i).time_constant);
+    for (const WheelMount& mount : mounts_)
+      fastest = std::max(fastest, fastest_contact_rate(parameters_.contact, mount, vehicle_.body));
+    require(fastest <= 1e7, "Plant: fastest rate of rotors, servos and contact [1/s]", fastest,
+            "at most 1e7");
+    return std::min(parameters_.max_substep, 1.0 / fastest);
+  }
 
-  [[nodiscard]] static bool is_sound(const PlantState<Rotors>& x) noexcept;
-  [[nodiscard]] Wrenchd rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept;
-  [[nodiscard]] PlantLoads loads(const PlantState<Rotors>& x) const noexcept;
-  [[nodiscard]] Rate rate(const PlantState<Rotors>& x, const PlantLoads& on_x) const noexcept;
+  [[nodiscard]] static bool is_sound(const PlantState<Rotors>& x) noexcept {
+    const auto slow = [](const auto& rate) { return rate.squaredNorm() <= max_speed * max_speed; };
+    bool sound = std::isfinite(x.time) && is_finite(x.body) && slow(x.body.velocity) &&
+                 slow(x.body.angular_velocity) && all_finite(x.actuators.rotor_speed) &&
+                 all_finite(x.actuators.tilt_angle);
+    for (const WheelState& wheel : x.wheels)
+      sound = sound && std::isfinite(wheel.angle) && std::abs(wheel.spin) <= max_speed &&
+              all_finite(wheel.bristle);
+    return sound;
+  }
+  [[nodiscard]] Wrenchd rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept {
+    Wrenchd sum;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorGeometry& geometry = rotor(i);
+      const RotorParameters& p = parameters_of(i);
+      const double speed = actuators.rotor_speed(i), tilt = actuators.tilt_angle(i);
+      const double per_speed = geometry.effectiveness * p.thrust_coefficient * speed +
+                               geometry.effectiveness * p.linear_thrust_coefficient;
+      const double thrust = std::max(per_speed, 0.0) * speed;
+      const double reaction = -static_cast<int>(geometry.spin) * p.torque_ratio;
+      const Eigen::Vector3d force = thrust * (std::cos(tilt) * geometry.orientation.col(2) -
+                                              std::sin(tilt) * geometry.orientation.col(1));
+      sum.force += force;
+      sum.torque += geometry.position.cross(force) + reaction * force;
+    }
+    return sum;
+  }
+  [[nodiscard]] PlantLoads loads(const PlantState<Rotors>& x) const noexcept {
+    const Eigen::Matrix3d rotation = x.body.orientation.toRotationMatrix();
+    const Eigen::Vector3d& w = x.body.angular_velocity;
+    const Eigen::Vector3d axle = Eigen::Vector3d::UnitY();
+    PlantLoads result;
+    result.actuators = rotor_wrench(x.actuators);
+    Wrenchd& external = result.external;
+    external = disturbance_;
+    external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
+    for (std::size_t i = 0; i < mounts_.size(); ++i) {
+      double axle_rate = 0.0;
+      if (axle_arms_[i]) axle_rate = axle_rate_of(x, i);
+      const WheelForces forces =
+          wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i], axle_rate);
+      const double momentum = mounts_[i].inertia * x.wheels[i].spin;
+      if (axle_arms_[i]) result.servo_torque[i] = tilt_sign(i) * forces.bearing_torque;
+      result.contact.force += forces.ground.force;
+      result.contact.torque += forces.ground.torque;
+      external.torque += forces.bearing_torque * axle - w.cross(momentum * axle);
+      result.wheels[i] = forces;
+    }
+    for (const detail::HullDisc& disc : hull_) {
+      const detail::WallForce forces = detail::wall_force(wall_, disc, x.body, rotation);
+      external = external + forces.wrench;
+      result.wall_force += forces.normal_force;
+    }
+    external = external + result.contact;
+    result.specific_force = (result.actuators.force + external.force) / vehicle_.body.mass;
+    result.angular_acceleration = inertia_inverse_ * (result.actuators.torque + external.torque -
+                                                      w.cross(vehicle_.body.inertia * w));
+    return result;
+  }
+  [[nodiscard]] Rate rate(const PlantState<Rotors>& x, const PlantLoads& on_x) const noexcept {
+    Rate r;
+    const Eigen::Quaterniond& q = x.body.orientation;
+    r.body.position = x.body.velocity;
+    r.body.velocity = q.toRotationMatrix() * on_x.specific_force;
+    r.body.velocity.z() -= gravity;
+    const Eigen::Vector3d half = 0.5 * x.body.angular_velocity;
+    r.body.orientation = q * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z());
+    r.body.angular_velocity = on_x.angular_acceleration;
+    r.actuators.rotor_speed =
+        (command_.rotor_speed - x.actuators.rotor_speed).cwiseQuotient(rotor_time_constant_);
+    for (int i = 0; i < Rotors; ++i) r.actuators.tilt_angle(i) = tilt_rate(x, i, 0.0);
+    for (std::size_t i = 0; i < mounts_.size(); ++i) {
+      if (axle_arms_[i]) {
+        const auto arm = static_cast<int>(*axle_arms_[i]);
+        r.actuators.tilt_angle(arm) =
+            tilt_rate(x, arm, on_x.servo_torque[i] / parameters_.servo_stiffness);
+      }
+      r.wheels[i].angle = x.wheels[i].spin;
+      r.wheels[i].spin = on_x.wheels[i].axle_torque / mounts_[i].inertia;
+      r.wheels[i].bristle = on_x.wheels[i].slip;
+    }
+    return r;
+  }
 
   /// x += h * r, without normalising the quaternion.
-  static void advance(PlantState<Rotors>& x, const Rate& r, double h) noexcept;
+  static void advance(PlantState<Rotors>& x, const Rate& r, double h) noexcept {
+    x.body.position += h * r.body.position;
+    x.body.velocity += h * r.body.velocity;
+    x.body.orientation.coeffs() += h * r.body.orientation.coeffs();
+    x.body.angular_velocity += h * r.body.angular_velocity;
+    x.actuators.rotor_speed += h * r.actuators.rotor_speed;
+    x.actuators.tilt_angle += h * r.actuators.tilt_angle;
+    for (std::size_t i = 0; i < x.wheels.size(); ++i) {
+      x.wheels[i].angle += h * r.wheels[i].angle;
+      x.wheels[i].spin += h * r.wheels[i].spin;
+      x.wheels[i].bristle += h * r.wheels[i].bristle;
+    }
+  }
 
   /// One substep of `h` [s] by the classical Runge-Kutta method.
-  void integrate(double h) noexcept;
+  void integrate(double h) noexcept {
+    const PlantLoads now = loads(state_);
+    for (std::size_t i = 0; i < mounts_.size(); ++i)
+      state_.wheels[i].bristle = now.wheels[i].bristle;
+    PlantState<Rotors> next = state_, stage;
+    Rate r = rate(state_, now);
+    advance(next, r, h / 6.0);
+    for (const double part : {0.5, 0.5, 1.0}) {
+      stage = state_;
+      advance(stage, r, part * h);
+      r = rate(stage, loads(stage));
+      advance(next, r, h / (part < 1.0 ? 3.0 : 6.0));
+    }
+    next.body.orientation.normalize();
+    state_ = next;
+  }
 
   Vehicle<Rotors> vehicle_;
   PlantParameters parameters_;
@@ -300,243 +501,5 @@ class Plant {
   PlantState<Rotors> state_;
   PlantLoads loads_;
 };
-
-template <int Rotors>
-Plant<Rotors>::Plant(const Vehicle<Rotors>& vehicle, const PlantParameters& parameters)
-    : vehicle_(validated(vehicle)),
-      parameters_(validated(parameters)),
-      inertia_inverse_(detail::inverse(vehicle.body.inertia)),
-      mounts_(mounts()),
-      axle_arms_(axle_arms()),
-      min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),
-      max_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.max_thrust, p); })),
-      rotor_time_constant_(of_rotors([](const auto& p) { return p.time_constant; })),
-      substep_(stable_substep()),
-      tilt_commands_(static_cast<std::size_t>(
-                         std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
-                     2) {
-  PlantState<Rotors> standing;
-  standing.body.position.z() = standing_height();
-  reset(standing);
-}
-
-template <int Rotors>
-void Plant<Rotors>::reset(const PlantState<Rotors>& state) {
-  validate(state);
-  state_ = state;
-  state_.body.orientation.normalize();
-  for (int i = 0; i < Rotors; ++i)
-    if (!rotor(i).tilts) state_.actuators.tilt_angle(i) = 0.0;
-  while (tilt_commands_.pop(std::numeric_limits<double>::infinity())) continue;
-  command_ = state_.actuators;
-  disturbance_ = {};
-  loads_ = loads(state_);
-}
-
-template <int Rotors>
-bool Plant<Rotors>::step(const ActuatorState<Rotors>& command, const Wrenchd& disturbance,
-                         double dt) noexcept {
-  if (!(dt > 0.0 && dt <= max_step) || !all_finite(command.rotor_speed) ||
-      !all_finite(command.tilt_angle) || !is_finite(disturbance))
-    return false;
-  const PlantState<Rotors> before = state_;
-  disturbance_ = disturbance;
-  command_.rotor_speed = command.rotor_speed.cwiseMax(min_rotor_speed_)
-                             .cwiseMin(top_speed_fraction_ * max_rotor_speed_);
-  tilt_commands_.push(
-      before.time + vehicle_.servo.dead_time,
-      command.tilt_angle.cwiseMax(vehicle_.servo.min_angle).cwiseMin(vehicle_.servo.max_angle));
-
-  const int substeps = std::max(1, static_cast<int>(std::ceil(dt / substep_ - 1e-6)));
-  for (int i = 0; i < substeps; ++i) {
-    while (const auto tilt = tilt_commands_.pop(state_.time)) command_.tilt_angle = *tilt;
-    integrate(dt / substeps);
-    state_.time = before.time + dt * (i + 1) / substeps;
-  }
-
-  const bool sound = is_sound(state_);
-  if (!sound) {
-    state_ = before;
-    disturbance_ = {};
-  }
-  loads_ = loads(state_);
-  for (std::size_t i = 0; i < mounts_.size(); ++i)
-    state_.wheels[i].bristle = loads_.wheels[i].bristle;
-  return sound;
-}
-
-template <int Rotors>
-std::vector<WheelMount> Plant<Rotors>::mounts() const {
-  constexpr double foot_radius = 0.01;
-  double along = 0.0, aside = 0.0, below = 0.0;
-  WheelMount mount;
-  if (vehicle_.wheels) {
-    along = 0.5 * vehicle_.wheels->wheel_base;
-    aside = vehicle_.wheels->half_track;
-    mount.radius = vehicle_.wheels->radius;
-    mount.inertia = vehicle_.wheels->inertia;
-  } else if (vehicle_.legs) {
-    along = vehicle_.legs->half_length;
-    aside = vehicle_.legs->half_width;
-    mount.radius = std::min(foot_radius, vehicle_.legs->height);
-    mount.locked = true;
-    below = vehicle_.legs->height - mount.radius;
-  } else {
-    return {};
-  }
-  std::vector<WheelMount> all(along > 0.0 ? 4 : 2, mount);
-  for (std::size_t i = 0; i < all.size(); ++i)
-    all[i].centre = parameters_.contact.axle_position +
-                    Eigen::Vector3d(i < 2 ? along : -along, i % 2 == 0 ? -aside : aside, -below);
-  return all;
-}
-
-template <int Rotors>
-double Plant<Rotors>::axle_rate_of(const PlantState<Rotors>& x, std::size_t wheel) const noexcept {
-  const int arm = static_cast<int>(*axle_arms_[wheel]);
-  const double gain = parameters_.contact.bearing_friction /
-                      (parameters_.servo_stiffness * vehicle_.servo.time_constant);
-  const double drag = tilt_sign(wheel) * (x.wheels[wheel].spin - x.body.angular_velocity.y());
-  const double free =
-      (command_.tilt_angle(arm) - x.actuators.tilt_angle(arm)) / vehicle_.servo.time_constant;
-  const double limit = rotor(arm).tilts ? vehicle_.servo.max_rate : 0.0;
-  return tilt_sign(wheel) * std::clamp((free + gain * drag) / (1.0 + gain), -limit, limit);
-}
-
-template <int Rotors>
-double Plant<Rotors>::stable_substep() const {
-  double fastest = 1.0 / vehicle_.servo.time_constant;
-  for (int i = 0; i < Rotors; ++i)
-    fastest = std::max(fastest, 1.0 / parameters_of(i).time_constant);
-  for (const WheelMount& mount : mounts_)
-    fastest = std::max(fastest, fastest_contact_rate(parameters_.contact, mount, vehicle_.body));
-  require(fastest <= 1e7, "Plant: fastest rate of rotors, servos and contact [1/s]", fastest,
-          "at most 1e7");
-  return std::min(parameters_.max_substep, 1.0 / fastest);
-}
-
-template <int Rotors>
-bool Plant<Rotors>::is_sound(const PlantState<Rotors>& x) noexcept {
-  const auto slow = [](const auto& rate) { return rate.squaredNorm() <= max_speed * max_speed; };
-  bool sound = std::isfinite(x.time) && is_finite(x.body) && slow(x.body.velocity) &&
-               slow(x.body.angular_velocity) && all_finite(x.actuators.rotor_speed) &&
-               all_finite(x.actuators.tilt_angle);
-  for (const WheelState& wheel : x.wheels)
-    sound = sound && std::isfinite(wheel.angle) && std::abs(wheel.spin) <= max_speed &&
-            all_finite(wheel.bristle);
-  return sound;
-}
-
-template <int Rotors>
-Wrenchd Plant<Rotors>::rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept {
-  Wrenchd sum;
-  for (int i = 0; i < Rotors; ++i) {
-    const RotorGeometry& geometry = rotor(i);
-    const RotorParameters& p = parameters_of(i);
-    const double speed = actuators.rotor_speed(i), tilt = actuators.tilt_angle(i);
-    const double per_speed = geometry.effectiveness * p.thrust_coefficient * speed +
-                             geometry.effectiveness * p.linear_thrust_coefficient;
-    const double thrust = std::max(per_speed, 0.0) * speed;
-    const double reaction = -static_cast<int>(geometry.spin) * p.torque_ratio;
-    const Eigen::Vector3d force = thrust * (std::cos(tilt) * geometry.orientation.col(2) -
-                                            std::sin(tilt) * geometry.orientation.col(1));
-    sum.force += force;
-    sum.torque += geometry.position.cross(force) + reaction * force;
-  }
-  return sum;
-}
-
-template <int Rotors>
-PlantLoads Plant<Rotors>::loads(const PlantState<Rotors>& x) const noexcept {
-  const Eigen::Matrix3d rotation = x.body.orientation.toRotationMatrix();
-  const Eigen::Vector3d& w = x.body.angular_velocity;
-  const Eigen::Vector3d axle = Eigen::Vector3d::UnitY();
-  PlantLoads result;
-  result.actuators = rotor_wrench(x.actuators);
-  Wrenchd& external = result.external;
-  external = disturbance_;
-  external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
-  for (std::size_t i = 0; i < mounts_.size(); ++i) {
-    double axle_rate = 0.0;
-    if (axle_arms_[i]) axle_rate = axle_rate_of(x, i);
-    const WheelForces forces =
-        wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i], axle_rate);
-    const double momentum = mounts_[i].inertia * x.wheels[i].spin;
-    if (axle_arms_[i]) result.servo_torque[i] = tilt_sign(i) * forces.bearing_torque;
-    result.contact.force += forces.ground.force;
-    result.contact.torque += forces.ground.torque;
-    external.torque += forces.bearing_torque * axle - w.cross(momentum * axle);
-    result.wheels[i] = forces;
-  }
-  for (const detail::HullDisc& disc : hull_) {
-    const detail::WallForce forces = detail::wall_force(wall_, disc, x.body, rotation);
-    external = external + forces.wrench;
-    result.wall_force += forces.normal_force;
-  }
-  external = external + result.contact;
-  result.specific_force = (result.actuators.force + external.force) / vehicle_.body.mass;
-  result.angular_acceleration = inertia_inverse_ * (result.actuators.torque + external.torque -
-                                                    w.cross(vehicle_.body.inertia * w));
-  return result;
-}
-
-template <int Rotors>
-PlantState<Rotors> Plant<Rotors>::rate(const PlantState<Rotors>& x,
-                                       const PlantLoads& on_x) const noexcept {
-  Rate r;
-  const Eigen::Quaterniond& q = x.body.orientation;
-  r.body.position = x.body.velocity;
-  r.body.velocity = q.toRotationMatrix() * on_x.specific_force;
-  r.body.velocity.z() -= gravity;
-  const Eigen::Vector3d half = 0.5 * x.body.angular_velocity;
-  r.body.orientation = q * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z());
-  r.body.angular_velocity = on_x.angular_acceleration;
-  r.actuators.rotor_speed =
-      (command_.rotor_speed - x.actuators.rotor_speed).cwiseQuotient(rotor_time_constant_);
-  for (int i = 0; i < Rotors; ++i) r.actuators.tilt_angle(i) = tilt_rate(x, i, 0.0);
-  for (std::size_t i = 0; i < mounts_.size(); ++i) {
-    if (axle_arms_[i]) {
-      const auto arm = static_cast<int>(*axle_arms_[i]);
-      r.actuators.tilt_angle(arm) =
-          tilt_rate(x, arm, on_x.servo_torque[i] / parameters_.servo_stiffness);
-    }
-    r.wheels[i].angle = x.wheels[i].spin;
-    r.wheels[i].spin = on_x.wheels[i].axle_torque / mounts_[i].inertia;
-    r.wheels[i].bristle = on_x.wheels[i].slip;
-  }
-  return r;
-}
-
-template <int Rotors>
-void Plant<Rotors>::advance(PlantState<Rotors>& x, const Rate& r, double h) noexcept {
-  x.body.position += h * r.body.position;
-  x.body.velocity += h * r.body.velocity;
-  x.body.orientation.coeffs() += h * r.body.orientation.coeffs();
-  x.body.angular_velocity += h * r.body.angular_velocity;
-  x.actuators.rotor_speed += h * r.actuators.rotor_speed;
-  x.actuators.tilt_angle += h * r.actuators.tilt_angle;
-  for (std::size_t i = 0; i < x.wheels.size(); ++i) {
-    x.wheels[i].angle += h * r.wheels[i].angle;
-    x.wheels[i].spin += h * r.wheels[i].spin;
-    x.wheels[i].bristle += h * r.wheels[i].bristle;
-  }
-}
-
-template <int Rotors>
-void Plant<Rotors>::integrate(double h) noexcept {
-  const PlantLoads now = loads(state_);
-  for (std::size_t i = 0; i < mounts_.size(); ++i) state_.wheels[i].bristle = now.wheels[i].bristle;
-  PlantState<Rotors> next = state_, stage;
-  Rate r = rate(state_, now);
-  advance(next, r, h / 6.0);
-  for (const double part : {0.5, 0.5, 1.0}) {
-    stage = state_;
-    advance(stage, r, part * h);
-    r = rate(stage, loads(stage));
-    advance(next, r, h / (part < 1.0 ? 3.0 : 6.0));
-  }
-  next.body.orientation.normalize();
-  state_ = next;
-}
 
 }  // namespace tilt_ropter

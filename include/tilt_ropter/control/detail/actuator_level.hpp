@@ -79,24 +79,128 @@ class ActuatorLevel {
     reference_wrench_.set_settings(settings.ground);
   }
 
-  bool set_voltage(double voltage, Problem& problem) noexcept;
-  void set_nodes(const PlanInputs& inputs, Problem& problem) const;
-  [[nodiscard]] State initial_state(const Solver& solver, const Plan& plan, double time,
-                                    const PlanInputs& inputs, const Actuators& actuators) const;
+  bool set_voltage(double voltage, Problem& problem) noexcept {
+    const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
+    if (!ratio) return false;
+    Eigen::Matrix<double, Rotors, 1> most;
+    for (int i = 0; i < Rotors; ++i) {
+      RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
+      const double thrust = max_thrust_at(rotor.parameters, *ratio);
+      rotor.max_speed = speed_from_thrust(thrust, rotor.parameters);
+      most(i) = rotor.effectiveness * thrust;
+    }
+    problem.set_max_thrust(most);
+    return true;
+  }
+  void set_nodes(const PlanInputs& inputs, Problem& problem) const {
+    const bool leans = inverse_.leans();
+    const double interval = settings_.problem.interval;
+    for (std::size_t k = 0; k < inputs.points.size(); ++k) {
+      Node& node = problem.node(static_cast<int>(k));
+      ReferencePoint followed =
+          ground().apply(inputs.contact, inputs.body, interval * static_cast<double>(k),
+                         inputs.points[0], inputs.points[k], node);
+      if (leans && !node.on_ground) {
+        lean(followed, node.external);
+        node.reference.orientation = followed.orientation;
+      }
+      steer(node);
+      Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
+      if (leans && node.on_ground) {
+        lean_on_wheels(node, wrench);
+        ground().hold_rotation(node.reference.orientation, node);
+      }
+      const auto thrusts =
+          inverse_.within(wrench, problem.limits().min_thrust, problem.limits().max_thrust);
+      for (int i = 0; i < Rotors; ++i) {
+        node.lateral_reference(i) = thrusts(2 * i);
+        node.vertical_reference(i) = thrusts(2 * i + 1);
+      }
+    }
+    // A vehicle that drives by leaning needs its thrust there.
+    constexpr double landing = 0.5;  // from the first wheel until all stand, on a slope [s]
+    const bool stays = inputs.on_ground_for > landing && pushes() && problem.node(0).on_ground &&
+                       problem.node(problem.horizon()).on_ground;
+    for (int k = 0; k <= problem.horizon(); ++k) problem.node(k).stays_on_ground = stays;
+    // The condition on the angular velocity at a node is that of the interval before it. The pitch
+    // may change from one node to the next, and the model cannot follow within no time.
+    for (int k = problem.horizon(); leans && k > 0; --k)
+      if (problem.node(k).on_ground && problem.node(k - 1).on_ground)
+        problem.node(k).roll_axis = problem.node(k - 1).roll_axis;
+    // The angular velocity that the leaning adds.
+    for (int k = 0; leans && k < problem.horizon(); ++k) {
+      BodyStated &here = problem.node(k).reference, &next = problem.node(k + 1).reference;
+      if (problem.node(k).on_ground != problem.node(k + 1).on_ground) continue;
+      here.angular_velocity =
+          quaternion_log(Eigen::Quaterniond(here.orientation.conjugate() * next.orientation)) /
+          interval;
+      next.angular_velocity = here.angular_velocity;
+    }
+  }
+  [[nodiscard]] State initial_state(const Solver& solver, const Plan&, double,
+                                    const PlanInputs& inputs, const Actuators& actuators) const {
+    const ActuatorLimits<Rotors>& limits = solver.problem().limits();
+    State x;
+    x.body = ground().stopped(solver.problem().node(0), inputs.body);
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
+      const double thrust =
+          rotor.effectiveness * thrust_from_speed(actuators.rotor_speed(i), rotor.parameters);
+      x.thrust(i) = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
+      if (!rotor.tilts) continue;
+      x.tilt_angle(i) =
+          std::clamp(actuators.tilt_angle(i), limits.min_angle(i), limits.max_angle(i));
+    }
+    return x;
+  }
   [[nodiscard]] State guess(const Solver& solver, const Plan& plan, double time) const {
     State first = planned(solver, plan, plan.age(time));
     first.body = solver.state(0).body;
     return first;
   }
-  [[nodiscard]] bool is_credible(const Problem& problem, const State& x) const;
-  [[nodiscard]] Command command(const Solver& solver, const Plan& plan, double time) const;
+  [[nodiscard]] bool is_credible(const Problem& problem, const State& x) const {
+    const ActuatorLimits<Rotors>& limits = problem.limits();
+    bool credible = x.body.angular_velocity.norm() <=
+                    10.0 * settings_.problem.bounds.angular_velocity.maxCoeff();
+    for (int i = 0; i < Rotors; ++i)
+      credible = credible && std::abs(x.thrust(i)) <= 10.0 * limits.max_thrust(i) + 1.0 &&
+                 std::abs(x.tilt_angle(i)) <= 100.0;
+    return credible;
+  }
+  [[nodiscard]] Command command(const Solver& solver, const Plan& plan, double time) const {
+    const double age = plan.age(time), dead_time = vehicle_.servo.dead_time;
+    const auto rates = [&](double at) -> const Input& {
+      return solver.input(plan.at(solver, at).k);
+    };
+    Command given = command_at(solver.problem(), planned(solver, plan, age), rates(age));
+    if (!(dead_time > 0.0)) return given;
+    // A command to a servo acts after its dead time.
+    const double ahead = age + dead_time;
+    given.command.tilt_angle =
+        with_lead(solver.problem(), planned(solver, plan, ahead), rates(ahead)).tilt_angle;
+    return given;
+  }
   [[nodiscard]] Command safe_command(const Problem& problem, const ContactEstimate& contact) const {
     return command_for(problem, reference_wrench_.without_plan(contact));
   }
 
   /// What commands the smallest thrusts for `wrench` (body frame), as far as the rotors can give
   /// it.
-  [[nodiscard]] Command command_for(const Problem& problem, const Wrenchd& wrench) const noexcept;
+  [[nodiscard]] Command command_for(const Problem& problem, const Wrenchd& wrench) const noexcept {
+    const ActuatorLimits<Rotors>& limits = problem.limits();
+    const auto thrusts = inverse_.within(wrench, limits.min_thrust, limits.max_thrust);
+    State x;
+    for (int i = 0; i < Rotors; ++i) {
+      const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
+      if (rotors_[static_cast<std::size_t>(i)].tilts) {
+        x.thrust(i) = std::sqrt(lateral * lateral + vertical * vertical);
+        x.tilt_angle(i) = std::atan2(lateral, vertical);
+      } else {
+        x.thrust(i) = vertical;
+      }
+    }
+    return command_at(problem, x, Input::Zero());
+  }
 
  private:
   using Node = ActuatorLevelNode<Rotors>;
@@ -106,23 +210,108 @@ class ActuatorLevel {
 
   // Thrusts and angles of the plan `age` [s] after its measurement, linear in each interval. The
   // body state is that of the start of the interval.
-  [[nodiscard]] State planned(const Solver& solver, const Plan& plan, double age) const;
+  [[nodiscard]] State planned(const Solver& solver, const Plan& plan, double age) const {
+    const auto place = plan.within_horizon(solver, age);
+    State x = place.start;
+    for (int i = 0; i < Rotors; ++i) {
+      x.thrust(i) += place.passed * solver.input(place.k)(i);
+      x.tilt_angle(i) += place.passed * solver.input(place.k)(Rotors + i);
+    }
+    return x;
+  }
   // Turns the attitude so that the force that `point` needs can be given without a torque.
-  void lean(ReferencePoint& point, const Wrenchd& external) const;
+  void lean(ReferencePoint& point, const Wrenchd& external) const {
+    const Eigen::Matrix3d& possible = inverse_.steady_forces();
+    Eigen::Vector3d needed = vehicle_.body.mass * point.acceleration;
+    needed.z() += vehicle_.body.mass * gravity;
+    // The external force is constant in the body frame, so the attitude is found by iteration.
+    for (int n = 0; n < 4; ++n) {
+      const Eigen::Vector3d force = point.orientation.conjugate() * needed - external.force;
+      Eigen::Vector3d given;
+      for (int i = 0; i < 3; ++i)
+        given(i) =
+            possible(i, 0) * force.x() + possible(i, 1) * force.y() + possible(i, 2) * force.z();
+      const double length = force.norm() * given.norm();
+      if (!(length > 1e-6)) return;
+      const Eigen::Vector3d axis = given.cross(force) / length;
+      Eigen::Quaterniond turn(1.0 + given.dot(force) / length, axis.x(), axis.y(), axis.z());
+      turn.normalize();
+      point.orientation = (point.orientation * turn).normalized();
+    }
+  }
   // True if the vehicle can push forward without leaning.
   [[nodiscard]] bool pushes() const { return inverse_.steady_forces()(0, 0) > 0.5; }
   // Pitches a vehicle on one axle that cannot push forward: the thrust is more than eight times the
   // forward force, so the pitch stays below 7.2 degrees.
-  void lean_on_wheels(Node& node, Wrenchd& wrench) const;
+  void lean_on_wheels(Node& node, Wrenchd& wrench) const {
+    // The thrust grows smoothly with the force, otherwise the nose would have to jump up or down
+    // where the force changes its sign.
+    constexpr double least = 0.1;      // thrust / weight
+    constexpr double per_force = 8.0;  // thrust / forward force, for large forces
+    if (!ground().undercarriage() || !ground().undercarriage()->pitches || pushes()) return;
+    const double forward = wrench.force.x(),
+                 total =
+                     std::hypot(std::max(wrench.force.z(), least * vehicle_.body.mass * gravity),
+                                per_force * forward),
+                 half = 0.5 * std::asin(forward / total);
+    node.reference.orientation =
+        node.reference.orientation * Eigen::Quaterniond(std::cos(half), 0.0, std::sin(half), 0.0);
+    wrench.force.x() = 0.0;
+    wrench.force.z() = total;
+  }
   // Sets the side force of the wheels of a vehicle that cannot push along its axle: it follows the
   // heading, and it can only steer. The model of a vehicle that can push has the force of the
   // reference's turn alone, see GroundContact; with this force it would steer instead of pushing.
-  void steer(Node& node) const;
+  void steer(Node& node) const {
+    node.steering = {};
+    if (!node.on_ground || !ground().holds() || !ground().undercarriage()->rolls ||
+        inverse_.steady_forces()(1, 1) > 0.5)
+      return;
+    const BodyStated& reference = node.reference;
+    const Eigen::Vector3d up = reference.orientation.conjugate() * node.com_plane.normal();
+    const double speed = (reference.orientation.conjugate() * reference.velocity).x();
+    for (int i = 0; i < 3; ++i) node.steering.speed(i) = speed * up(i);
+    node.steering.side = 0.0;
+    // GroundContact has added the side force of the reference's turn.
+    node.external.force.y() -=
+        vehicle_.body.mass * node.steering.speed.dot(reference.angular_velocity);
+  }
   // The command that gives `x` now and moves it with `rates`.
   [[nodiscard]] Command command_at(const Problem& problem, const State& x,
-                                   const Input& rates) const noexcept;
+                                   const Input& rates) const noexcept {
+    return {with_lead(problem, x, rates),
+            x.thrust,
+            x.tilt_angle,
+            rates.template head<Rotors>(),
+            rates.template tail<Rotors>(),
+            problem.body().wrench(x)};
+  }
   [[nodiscard]] ActuatorState<Rotors> with_lead(const Problem& problem, const State& x,
-                                                const Input& rates) const noexcept;
+                                                const Input& rates) const noexcept {
+    const ActuatorLimits<Rotors>& limits = problem.limits();
+    const double period = settings_.period,
+                 reached_by_servo = -std::expm1(-period / vehicle_.servo.time_constant);
+    ActuatorState<Rotors> command;
+    for (int i = 0; i < Rotors; ++i) {
+      const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
+      const RotorParameters& parameters = rotor.parameters;
+      // A lost rotor gets the slowest speed.
+      const double per_effectiveness = rotor.effectiveness > 0.0 ? 1.0 / rotor.effectiveness : 0.0;
+      const auto speed_at = [&](double thrust) {
+        const double clamped = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
+        return speed_from_thrust(per_effectiveness * clamped, parameters);
+      };
+      const double speed = speed_at(x.thrust(i)),
+                   reached = -std::expm1(-period / parameters.time_constant),
+                   target = speed + (speed_at(x.thrust(i) + period * rates(i)) - speed) / reached;
+      command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
+      if (rotor.tilts)
+        command.tilt_angle(i) =
+            std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
+                       limits.min_angle(i), limits.max_angle(i));
+    }
+    return command;
+  }
 
   struct RotorLimits {
     RotorParameters parameters;
@@ -136,233 +325,5 @@ class ActuatorLevel {
   ReferenceWrench<Rotors> reference_wrench_;
   std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
 };
-
-template <int Rotors>
-bool ActuatorLevel<Rotors>::set_voltage(double voltage, Problem& problem) noexcept {
-  const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
-  if (!ratio) return false;
-  Eigen::Matrix<double, Rotors, 1> most;
-  for (int i = 0; i < Rotors; ++i) {
-    RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-    const double thrust = max_thrust_at(rotor.parameters, *ratio);
-    rotor.max_speed = speed_from_thrust(thrust, rotor.parameters);
-    most(i) = rotor.effectiveness * thrust;
-  }
-  problem.set_max_thrust(most);
-  return true;
-}
-
-template <int Rotors>
-ActuatedState<Rotors> ActuatorLevel<Rotors>::initial_state(const Solver& solver, const Plan&,
-                                                           double, const PlanInputs& inputs,
-                                                           const Actuators& actuators) const {
-  const ActuatorLimits<Rotors>& limits = solver.problem().limits();
-  State x;
-  x.body = ground().stopped(solver.problem().node(0), inputs.body);
-  for (int i = 0; i < Rotors; ++i) {
-    const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-    const double thrust =
-        rotor.effectiveness * thrust_from_speed(actuators.rotor_speed(i), rotor.parameters);
-    x.thrust(i) = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
-    if (!rotor.tilts) continue;
-    x.tilt_angle(i) = std::clamp(actuators.tilt_angle(i), limits.min_angle(i), limits.max_angle(i));
-  }
-  return x;
-}
-
-template <int Rotors>
-bool ActuatorLevel<Rotors>::is_credible(const Problem& problem, const State& x) const {
-  const ActuatorLimits<Rotors>& limits = problem.limits();
-  bool credible =
-      x.body.angular_velocity.norm() <= 10.0 * settings_.problem.bounds.angular_velocity.maxCoeff();
-  for (int i = 0; i < Rotors; ++i)
-    credible = credible && std::abs(x.thrust(i)) <= 10.0 * limits.max_thrust(i) + 1.0 &&
-               std::abs(x.tilt_angle(i)) <= 100.0;
-  return credible;
-}
-
-template <int Rotors>
-ActuatedState<Rotors> ActuatorLevel<Rotors>::planned(const Solver& solver, const Plan& plan,
-                                                     double age) const {
-  const auto place = plan.within_horizon(solver, age);
-  State x = place.start;
-  for (int i = 0; i < Rotors; ++i) {
-    x.thrust(i) += place.passed * solver.input(place.k)(i);
-    x.tilt_angle(i) += place.passed * solver.input(place.k)(Rotors + i);
-  }
-  return x;
-}
-
-template <int Rotors>
-void ActuatorLevel<Rotors>::lean(ReferencePoint& point, const Wrenchd& external) const {
-  const Eigen::Matrix3d& possible = inverse_.steady_forces();
-  Eigen::Vector3d needed = vehicle_.body.mass * point.acceleration;
-  needed.z() += vehicle_.body.mass * gravity;
-  // The external force is constant in the body frame, so the attitude is found by iteration.
-  for (int n = 0; n < 4; ++n) {
-    const Eigen::Vector3d force = point.orientation.conjugate() * needed - external.force;
-    Eigen::Vector3d given;
-    for (int i = 0; i < 3; ++i)
-      given(i) =
-          possible(i, 0) * force.x() + possible(i, 1) * force.y() + possible(i, 2) * force.z();
-    const double length = force.norm() * given.norm();
-    if (!(length > 1e-6)) return;
-    const Eigen::Vector3d axis = given.cross(force) / length;
-    Eigen::Quaterniond turn(1.0 + given.dot(force) / length, axis.x(), axis.y(), axis.z());
-    turn.normalize();
-    point.orientation = (point.orientation * turn).normalized();
-  }
-}
-
-template <int Rotors>
-void ActuatorLevel<Rotors>::lean_on_wheels(Node& node, Wrenchd& wrench) const {
-  // The thrust grows smoothly with the force, otherwise the nose would have to jump up or down
-  // where the force changes its sign.
-  constexpr double least = 0.1;      // thrust / weight
-  constexpr double per_force = 8.0;  // thrust / forward force, for large forces
-  if (!ground().undercarriage() || !ground().undercarriage()->pitches || pushes()) return;
-  const double forward = wrench.force.x(),
-               total = std::hypot(std::max(wrench.force.z(), least * vehicle_.body.mass * gravity),
-                                  per_force * forward),
-               half = 0.5 * std::asin(forward / total);
-  node.reference.orientation =
-      node.reference.orientation * Eigen::Quaterniond(std::cos(half), 0.0, std::sin(half), 0.0);
-  wrench.force.x() = 0.0;
-  wrench.force.z() = total;
-}
-
-template <int Rotors>
-void ActuatorLevel<Rotors>::steer(Node& node) const {
-  node.steering = {};
-  if (!node.on_ground || !ground().holds() || !ground().undercarriage()->rolls ||
-      inverse_.steady_forces()(1, 1) > 0.5)
-    return;
-  const BodyStated& reference = node.reference;
-  const Eigen::Vector3d up = reference.orientation.conjugate() * node.com_plane.normal();
-  const double speed = (reference.orientation.conjugate() * reference.velocity).x();
-  for (int i = 0; i < 3; ++i) node.steering.speed(i) = speed * up(i);
-  node.steering.side = 0.0;
-  // GroundContact has added the side force of the reference's turn.
-  node.external.force.y() -=
-      vehicle_.body.mass * node.steering.speed.dot(reference.angular_velocity);
-}
-
-template <int Rotors>
-void ActuatorLevel<Rotors>::set_nodes(const PlanInputs& inputs, Problem& problem) const {
-  const bool leans = inverse_.leans();
-  const double interval = settings_.problem.interval;
-  for (std::size_t k = 0; k < inputs.points.size(); ++k) {
-    Node& node = problem.node(static_cast<int>(k));
-    ReferencePoint followed =
-        ground().apply(inputs.contact, inputs.body, interval * static_cast<double>(k),
-                       inputs.points[0], inputs.points[k], node);
-    if (leans && !node.on_ground) {
-      lean(followed, node.external);
-      node.reference.orientation = followed.orientation;
-    }
-    steer(node);
-    Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
-    if (leans && node.on_ground) {
-      lean_on_wheels(node, wrench);
-      ground().hold_rotation(node.reference.orientation, node);
-    }
-    const auto thrusts =
-        inverse_.within(wrench, problem.limits().min_thrust, problem.limits().max_thrust);
-    for (int i = 0; i < Rotors; ++i) {
-      node.lateral_reference(i) = thrusts(2 * i);
-      node.vertical_reference(i) = thrusts(2 * i + 1);
-    }
-  }
-  // A vehicle that drives by leaning needs its thrust there.
-  constexpr double landing = 0.5;  // from the first wheel until all stand, on a slope [s]
-  const bool stays = inputs.on_ground_for > landing && pushes() && problem.node(0).on_ground &&
-                     problem.node(problem.horizon()).on_ground;
-  for (int k = 0; k <= problem.horizon(); ++k) problem.node(k).stays_on_ground = stays;
-  // The condition on the angular velocity at a node is that of the interval before it. The pitch
-  // may change from one node to the next, and the model cannot follow within no time.
-  for (int k = problem.horizon(); leans && k > 0; --k)
-    if (problem.node(k).on_ground && problem.node(k - 1).on_ground)
-      problem.node(k).roll_axis = problem.node(k - 1).roll_axis;
-  // The angular velocity that the leaning adds.
-  for (int k = 0; leans && k < problem.horizon(); ++k) {
-    BodyStated &here = problem.node(k).reference, &next = problem.node(k + 1).reference;
-    if (problem.node(k).on_ground != problem.node(k + 1).on_ground) continue;
-    here.angular_velocity =
-        quaternion_log(Eigen::Quaterniond(here.orientation.conjugate() * next.orientation)) /
-        interval;
-    next.angular_velocity = here.angular_velocity;
-  }
-}
-
-template <int Rotors>
-auto ActuatorLevel<Rotors>::command(const Solver& solver, const Plan& plan, double time) const
-    -> Command {
-  const double age = plan.age(time), dead_time = vehicle_.servo.dead_time;
-  const auto rates = [&](double at) -> const Input& { return solver.input(plan.at(solver, at).k); };
-  Command given = command_at(solver.problem(), planned(solver, plan, age), rates(age));
-  if (!(dead_time > 0.0)) return given;
-  // A command to a servo acts after its dead time.
-  const double ahead = age + dead_time;
-  given.command.tilt_angle =
-      with_lead(solver.problem(), planned(solver, plan, ahead), rates(ahead)).tilt_angle;
-  return given;
-}
-
-template <int Rotors>
-auto ActuatorLevel<Rotors>::command_for(const Problem& problem,
-                                        const Wrenchd& wrench) const noexcept -> Command {
-  const ActuatorLimits<Rotors>& limits = problem.limits();
-  const auto thrusts = inverse_.within(wrench, limits.min_thrust, limits.max_thrust);
-  State x;
-  for (int i = 0; i < Rotors; ++i) {
-    const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
-    if (rotors_[static_cast<std::size_t>(i)].tilts) {
-      x.thrust(i) = std::sqrt(lateral * lateral + vertical * vertical);
-      x.tilt_angle(i) = std::atan2(lateral, vertical);
-    } else {
-      x.thrust(i) = vertical;
-    }
-  }
-  return command_at(problem, x, Input::Zero());
-}
-
-template <int Rotors>
-auto ActuatorLevel<Rotors>::command_at(const Problem& problem, const State& x,
-                                       const Input& rates) const noexcept -> Command {
-  return {with_lead(problem, x, rates),
-          x.thrust,
-          x.tilt_angle,
-          rates.template head<Rotors>(),
-          rates.template tail<Rotors>(),
-          problem.body().wrench(x)};
-}
-
-template <int Rotors>
-ActuatorState<Rotors> ActuatorLevel<Rotors>::with_lead(const Problem& problem, const State& x,
-                                                       const Input& rates) const noexcept {
-  const ActuatorLimits<Rotors>& limits = problem.limits();
-  const double period = settings_.period,
-               reached_by_servo = -std::expm1(-period / vehicle_.servo.time_constant);
-  ActuatorState<Rotors> command;
-  for (int i = 0; i < Rotors; ++i) {
-    const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-    const RotorParameters& parameters = rotor.parameters;
-    // A lost rotor gets the slowest speed.
-    const double per_effectiveness = rotor.effectiveness > 0.0 ? 1.0 / rotor.effectiveness : 0.0;
-    const auto speed_at = [&](double thrust) {
-      const double clamped = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
-      return speed_from_thrust(per_effectiveness * clamped, parameters);
-    };
-    const double speed = speed_at(x.thrust(i)),
-                 reached = -std::expm1(-period / parameters.time_constant),
-                 target = speed + (speed_at(x.thrust(i) + period * rates(i)) - speed) / reached;
-    command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
-    if (rotor.tilts)
-      command.tilt_angle(i) =
-          std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
-                     limits.min_angle(i), limits.max_angle(i));
-  }
-  return command;
-}
 
 }  // namespace tilt_ropter::detail

@@ -12,8 +12,6 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
-#include <Eigen/Core>
-
 #include <cstddef>
 #include <type_traits>
 #include <utility>
@@ -80,7 +78,29 @@ class WrenchLevel {
   }
 
   /// Sets references, external wrenches and ground contact of the nodes of `problem`.
-  void set_nodes(const PlanInputs& inputs, Problem& problem) const;
+  void set_nodes(const PlanInputs& inputs, Problem& problem) const {
+    for (std::size_t k = 0; k < inputs.points.size(); ++k) {
+      WheeledFlightNode& node = problem.node(static_cast<int>(k));
+      const double ahead = settings_.problem.interval * static_cast<double>(k);
+      const ReferencePoint followed = ground().apply(inputs.contact, inputs.body, ahead,
+                                                     inputs.points[0], inputs.points[k], node);
+      node.wrench_reference = {};
+      switch (settings_.wrench_reference) {
+        case WrenchReference::zero:
+          break;
+        case WrenchReference::hover:
+          node.wrench_reference.force.z() =
+              node.on_ground ? settings_.ground.down_force : mass() * gravity;
+          break;
+        case WrenchReference::inverse_dynamics:
+          if constexpr (has_term)
+            node.wrench_reference = reference_wrench_(
+                followed, node.external + term_(node.reference).wrench, node.on_ground);
+          else
+            node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
+      }
+    }
+  }
 
   /// The state at `time` [s], from which the plan starts.
   [[nodiscard]] Stated initial_state(const Solver& solver, const Plan& plan, double time,
@@ -98,7 +118,15 @@ class WrenchLevel {
 
   /// Returns false above ten times the bounds on body rate, force or torque: only bad input leads
   /// to such a state.
-  [[nodiscard]] bool is_credible(const Problem& problem, const Stated& x) const;
+  [[nodiscard]] bool is_credible(const Problem& problem, const Stated& x) const {
+    const NmpcBounds& b = problem.settings().bounds;
+    const double turn = 10.0 * b.angular_velocity.maxCoeff(),
+                 force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
+                 torque =
+                     10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
+    return x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
+           x.wrench.torque.norm() <= torque;
+  }
 
   /// What the plan commands at `time` [s].
   [[nodiscard]] Command command(const Solver& solver, const Plan& plan, double time) const {
@@ -112,7 +140,10 @@ class WrenchLevel {
 
   /// See RecedingHorizonController::between_ticks(). `measured` has a unit quaternion.
   [[nodiscard]] Command correct(const Solver& solver, Plan& plan, double time,
-                                const BodyStated& measured) const;
+                                const BodyStated& measured) const {
+    const Stated x{plan.wrench(solver, time), ground().stopped(solver.problem().node(0), measured)};
+    return {x.wrench, unpacked(plan.correct(solver, time, x))};
+  }
 
  private:
   using Rate = typename Plan::Rate;
@@ -135,49 +166,5 @@ class WrenchLevel {
   ActuatorConstraints<Rotors> actuators_;  // with the measured voltage
   ReferenceWrench<Rotors> reference_wrench_;
 };
-
-template <int Rotors, template <typename> class SolverOf, typename Term>
-void WrenchLevel<Rotors, SolverOf, Term>::set_nodes(const PlanInputs& inputs,
-                                                    Problem& problem) const {
-  for (std::size_t k = 0; k < inputs.points.size(); ++k) {
-    WheeledFlightNode& node = problem.node(static_cast<int>(k));
-    const double ahead = settings_.problem.interval * static_cast<double>(k);
-    const ReferencePoint followed = ground().apply(inputs.contact, inputs.body, ahead,
-                                                   inputs.points[0], inputs.points[k], node);
-    node.wrench_reference = {};
-    switch (settings_.wrench_reference) {
-      case WrenchReference::zero:
-        break;
-      case WrenchReference::hover:
-        node.wrench_reference.force.z() =
-            node.on_ground ? settings_.ground.down_force : mass() * gravity;
-        break;
-      case WrenchReference::inverse_dynamics:
-        if constexpr (has_term)
-          node.wrench_reference = reference_wrench_(
-              followed, node.external + term_(node.reference).wrench, node.on_ground);
-        else
-          node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
-    }
-  }
-}
-
-template <int Rotors, template <typename> class SolverOf, typename Term>
-bool WrenchLevel<Rotors, SolverOf, Term>::is_credible(const Problem& problem,
-                                                      const Stated& x) const {
-  const NmpcBounds& b = problem.settings().bounds;
-  const double turn = 10.0 * b.angular_velocity.maxCoeff(),
-               force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
-               torque = 10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
-  return x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
-         x.wrench.torque.norm() <= torque;
-}
-
-template <int Rotors, template <typename> class SolverOf, typename Term>
-auto WrenchLevel<Rotors, SolverOf, Term>::correct(const Solver& solver, Plan& plan, double time,
-                                                  const BodyStated& measured) const -> Command {
-  const Stated x{plan.wrench(solver, time), ground().stopped(solver.problem().node(0), measured)};
-  return {x.wrench, unpacked(plan.correct(solver, time, x))};
-}
 
 }  // namespace tilt_ropter::detail
