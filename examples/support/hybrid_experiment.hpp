@@ -2,15 +2,69 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <Eigen/Core>
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
-/// The hybrid trajectory of the paper's experiments.
+/// The trajectories of the paper's experiments, and that of a flight for the identification.
 namespace examples {
+
+inline void require_drives(const tilt_ropter::Undercarriage& undercarriage) {
+  validate(undercarriage);
+  tilt_ropter::require(undercarriage.rolls && undercarriage.turns, "Undercarriage",
+                       undercarriage.rolls ? "one that does not turn" : "one that does not roll",
+                       "one that rolls and turns");
+}
+
+/// The aerial figure eight: hover, the eight, hover (paper, Sec. Aerial Flight). Uses the settings
+/// of the eight in the air. Throws std::invalid_argument if the settings are invalid.
+[[nodiscard]] inline tilt_ropter::Mission aerial_experiment(
+    const tilt_ropter::HybridMissionSettings& p = {}) {
+  return tilt_ropter::hybrid_mission(std::nullopt, p);
+}
+
+/// A flight that excites all axes, for the identification of the vehicle: hover, an Excitation of
+/// the position, another of the attitude, hover. One after the other, so that the rates of the
+/// force stay within the limits of the Tilt-Ropter. Takes origin, yaw, flight_height, hover_time
+/// and start_time of `p`. Throws std::invalid_argument if the settings are invalid.
+[[nodiscard]] inline tilt_ropter::Mission excitation_experiment(
+    const tilt_ropter::HybridMissionSettings& p = {}) {
+  using namespace tilt_ropter;
+  validate(p);
+  ExcitationSettings moves;
+  moves.center.position << p.origin, p.flight_height;
+  moves.center.yaw = p.yaw;
+  const Hold hover(moves.center, p.hover_time);
+  ExcitationSettings turns = moves;
+  moves.angular_acceleration = turns.acceleration = 0.0;
+  return Mission({{MissionPhase::hover, hover},
+                  {MissionPhase::air, Excitation(moves)},
+                  {MissionPhase::air, Excitation(turns)},
+                  {MissionPhase::hover, hover}},
+                 p.start_time);
+}
+
+/// The figure eight on the ground: rest, the eight, rest (paper, Sec. Ground Locomotion). The
+/// heading follows the path. Throws std::invalid_argument if the settings are invalid or if the
+/// undercarriage cannot drive the eight.
+[[nodiscard]] inline tilt_ropter::Mission ground_experiment(
+    const tilt_ropter::Undercarriage& undercarriage,
+    const tilt_ropter::HybridMissionSettings& p = {}) {
+  using namespace tilt_ropter;
+  validate(p);
+  require_drives(undercarriage);
+  const FigureEight eight(tilt_ropter::detail::ground_eight(p, undercarriage.height));
+  const ReferencePoint start = eight(eight.start_time());
+  const Hold rest({start.position, yaw_of(start.orientation)}, p.rest_time);
+  return Mission(
+      {{MissionPhase::rest, rest}, {MissionPhase::ground, eight}, {MissionPhase::rest, rest}},
+      p.start_time);
+}
 
 /// Lengths of hybrid_experiment() between the two eights and after them.
 struct HybridExperimentSettings {
@@ -31,7 +85,7 @@ struct HybridExperimentSettings {
     const HybridExperimentSettings& lengths = {}) {
   using namespace tilt_ropter;
   validate(p);
-  tilt_ropter::detail::require_drives(undercarriage);
+  require_drives(undercarriage);
   require_positive("HybridExperimentSettings.descent_length [m]", lengths.descent_length);
   require_positive("HybridExperimentSettings.climb_length [m]", lengths.climb_length);
   require_positive("HybridExperimentSettings.roll_length [m]", lengths.roll_length);

@@ -16,6 +16,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -129,7 +130,7 @@ bool run_loop(const Scenario& scenario, double (Loop::*control)(), int ticks, co
 
 bool run_actuator_level() {
   const tilt_ropter::Vehicle<4> vehicle = tilt_ropter::tilt_ropter_vehicle();
-  const tilt_ropter::Mission mission = tilt_ropter::aerial_experiment();
+  const tilt_ropter::Mission mission = tilt_ropter::hybrid_mission(std::nullopt);
   test_support::ActuatorLoop<4> loop(vehicle, vehicle);
   loop.start(mission(0.0).position);
   Row row;

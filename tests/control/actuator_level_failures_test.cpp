@@ -84,7 +84,7 @@ Landing fly(const Flight& flight) {
   HybridMissionSettings settings;
   settings.flight_height = 4.0;
   settings.hover_time = 1.0;
-  const Mission eight = aerial_experiment(settings);
+  const Mission eight = hybrid_mission(std::nullopt, settings);
   const auto planned = [&](double time) { return eight(flight.in_the_eight ? time : 0.0); };
   loop.start({0.0, 0.0, 4.0});
   // At different places of the eight.

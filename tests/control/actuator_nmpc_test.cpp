@@ -2,6 +2,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
+#include "../../examples/support/hybrid_experiment.hpp"
 #include "support/actuator_loop.hpp"
 #include "support/hovering.hpp"
 #include "support/random.hpp"
@@ -95,7 +96,7 @@ TEST(ActuatorNmpc, FollowsAStepWithinTheLimitsOfTheActuators) {
 // if it holds the rotation about body x also of the pitched body.
 TEST(ActuatorNmpc, DrivesAFigureEightByLeaning) {
   const Vehicle<4> vehicle = test_support::flat_quadrotor();
-  const Mission mission = ground_experiment(*undercarriage(vehicle));
+  const Mission mission = examples::ground_experiment(*undercarriage(vehicle));
   ActuatorLoop<4> loop(heavier(vehicle), vehicle);
   loop.run(mission.duration(), mission);
   EXPECT_LT(loop.rmse(), 0.03);

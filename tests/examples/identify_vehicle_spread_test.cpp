@@ -2,6 +2,7 @@
 // ranges of monte_carlo, each from one flight. A few of them; 200 in tests/run.sh --full.
 // CTest: flight long
 
+#include "../../examples/support/hybrid_experiment.hpp"
 #include "support/full_run.hpp"
 #include "support/identification_flights.hpp"
 
@@ -14,6 +15,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <optional>
 
 namespace {
 
@@ -32,8 +34,8 @@ TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
     draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
     const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
     const Eigen::Vector3d drag = random.uniform_vector(0.0, 0.3);
-    const auto flight = test_support::fly_for_identification(truth, nominal, draw.com_offset, draw,
-                                                             random, excitation_experiment(), drag);
+    const auto flight = test_support::fly_for_identification(
+        truth, nominal, draw.com_offset, draw, random, examples::excitation_experiment(), drag);
     ASSERT_TRUE(flight.flew) << index;
     Vehicle<4> given = nominal;
     given.body.mass = truth.body.mass;
@@ -106,8 +108,8 @@ TEST(IdentifyVehicleSpread, FliesAsWellAsWithTheTruth) {
     examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
     draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
     const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
-    const auto flight = test_support::fly_for_identification(truth, nominal, draw.com_offset, draw,
-                                                             random, excitation_experiment());
+    const auto flight = test_support::fly_for_identification(
+        truth, nominal, draw.com_offset, draw, random, examples::excitation_experiment());
     ASSERT_TRUE(flight.flew) << index;
     Vehicle<4> given = nominal;
     given.body.mass = truth.body.mass;
@@ -118,7 +120,7 @@ TEST(IdentifyVehicleSpread, FliesAsWellAsWithTheTruth) {
     const auto error_with = [&](const Vehicle<4>& believed, const Eigen::Vector3d& com) {
       examples::RandomStream noise(3, static_cast<std::uint64_t>(index));
       const auto mission = test_support::fly_for_identification(truth, believed, com, draw, noise,
-                                                                aerial_experiment());
+                                                                hybrid_mission(std::nullopt));
       EXPECT_TRUE(mission.flew) << index;
       return mission.rmse;
     };

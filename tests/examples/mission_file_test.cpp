@@ -83,7 +83,7 @@ TEST(MissionFile, WrittenMissionIsTheSameMission) {
       {hybrid_mission(legs, turned), legs},
       {hybrid_mission(two_axles, turned), two_axles},
       {hybrid_mission(std::nullopt), std::nullopt},
-      {ground_experiment(*wheels, turned), wheels},
+      {examples::ground_experiment(*wheels, turned), wheels},
       {examples::hybrid_experiment(*wheels, turned), wheels}};
   for (const auto& [mission, undercarriage] : missions) {
     examples::write_mission(mission, undercarriage, path);

@@ -2,7 +2,6 @@
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/planning/excitation.hpp>
-#include <tilt_ropter/planning/mission.hpp>
 
 #include <gtest/gtest.h>
 #include <Eigen/Core>
@@ -70,14 +69,6 @@ TEST(Excitation, ZeroAccelerationsKeepTheirAxesStill) {
   EXPECT_EQ(moved.angular_velocity.norm(), 0.0);
   EXPECT_GT(turned.angular_velocity.norm(), 0.01);
   EXPECT_EQ(turned.velocity.norm(), 0.0);
-}
-
-TEST(Excitation, ExperimentHoversBeforeAndAfter) {
-  const Mission mission = excitation_experiment();
-  EXPECT_EQ(mission.phase(0.0), MissionPhase::hover);
-  EXPECT_EQ(mission.phase(0.5 * mission.duration()), MissionPhase::air);
-  EXPECT_EQ(mission.phase(mission.end_time()), MissionPhase::hover);
-  EXPECT_LT(mission.duration(), 45.0);
 }
 
 }  // namespace

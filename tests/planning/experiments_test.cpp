@@ -13,6 +13,9 @@
 namespace tilt_ropter {
 namespace {
 
+using examples::aerial_experiment;
+using examples::excitation_experiment;
+using examples::ground_experiment;
 using examples::hybrid_experiment;
 using examples::HybridExperimentSettings;
 using Phase = MissionPhase;
@@ -67,6 +70,14 @@ TEST(Experiments, HybridMovesAllTheTimeWithinItsLimits) {
       before = point.position.z();
     }
   }
+}
+
+TEST(Experiments, ExcitationHoversBeforeAndAfter) {
+  const Mission mission = excitation_experiment();
+  EXPECT_EQ(mission.phase(0.0), Phase::hover);
+  EXPECT_EQ(mission.phase(0.5 * mission.duration()), Phase::air);
+  EXPECT_EQ(mission.phase(mission.end_time()), Phase::hover);
+  EXPECT_LT(mission.duration(), 45.0);
 }
 
 TEST(Experiments, CheckMissionUndercarriageAndLengths) {

@@ -6,7 +6,6 @@
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
-#include <tilt_ropter/planning/excitation.hpp>
 #include <tilt_ropter/planning/figure_eight.hpp>
 #include <tilt_ropter/planning/minimum_snap.hpp>
 #include <tilt_ropter/planning/sampled_path.hpp>
@@ -23,8 +22,7 @@
 #include <utility>
 #include <vector>
 
-/// Mission: a sequence of motions, each with its mission phase; the missions and the experiments of
-/// the paper.
+/// Mission: a sequence of motions, each with its mission phase; the mission of the paper.
 namespace tilt_ropter {
 
 /// Phase of a mission. In `rest` and `ground` the vehicle is on its wheels or legs. In all other
@@ -313,58 +311,6 @@ template <int Rotors>
 [[nodiscard]] Mission hybrid_mission(const Vehicle<Rotors>& vehicle,
                                      const HybridMissionSettings& p = {}) {
   return hybrid_mission(undercarriage(vehicle), p);
-}
-
-namespace detail {
-
-inline void require_drives(const Undercarriage& undercarriage) {
-  validate(undercarriage);
-  require(undercarriage.rolls && undercarriage.turns, "Undercarriage",
-          undercarriage.rolls ? "one that does not turn" : "one that does not roll",
-          "one that rolls and turns");
-}
-
-}  // namespace detail
-
-/// The aerial figure eight: hover, the eight, hover (paper, Sec. Aerial Flight). Uses the settings
-/// of the eight in the air. Throws std::invalid_argument if the settings are invalid.
-[[nodiscard]] inline Mission aerial_experiment(const HybridMissionSettings& p = {}) {
-  return hybrid_mission(std::nullopt, p);
-}
-
-/// A flight that excites all axes, for the identification of the vehicle: hover, an Excitation of
-/// the position, another of the attitude, hover. One after the other, so that the rates of the
-/// force stay within the limits of the Tilt-Ropter. Takes origin, yaw, flight_height, hover_time
-/// and start_time of `p`; the center of `excitation` is not used. Throws std::invalid_argument if
-/// the settings are invalid.
-[[nodiscard]] inline Mission excitation_experiment(const HybridMissionSettings& p = {},
-                                                   ExcitationSettings excitation = {}) {
-  validate(p);
-  excitation.center.position << p.origin, p.flight_height;
-  excitation.center.yaw = p.yaw;
-  const Hold hover(excitation.center, p.hover_time);
-  ExcitationSettings moves = excitation, turns = excitation;
-  moves.angular_acceleration = turns.acceleration = 0.0;
-  return Mission({{MissionPhase::hover, hover},
-                  {MissionPhase::air, Excitation(moves)},
-                  {MissionPhase::air, Excitation(turns)},
-                  {MissionPhase::hover, hover}},
-                 p.start_time);
-}
-
-/// The figure eight on the ground: rest, the eight, rest (paper, Sec. Ground Locomotion). The
-/// heading follows the path. Throws std::invalid_argument if the settings are invalid or if the
-/// undercarriage cannot drive the eight.
-[[nodiscard]] inline Mission ground_experiment(const Undercarriage& undercarriage,
-                                               const HybridMissionSettings& p = {}) {
-  validate(p);
-  detail::require_drives(undercarriage);
-  const FigureEight eight(detail::ground_eight(p, undercarriage.height));
-  const ReferencePoint start = eight(eight.start_time());
-  const Hold rest({start.position, yaw_of(start.orientation)}, p.rest_time);
-  return Mission(
-      {{MissionPhase::rest, rest}, {MissionPhase::ground, eight}, {MissionPhase::rest, rest}},
-      p.start_time);
 }
 
 }  // namespace tilt_ropter
