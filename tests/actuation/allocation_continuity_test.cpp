@@ -175,8 +175,7 @@ double largest_jump(const Vehicle<4>& vehicle, int steps, int& limited) {
           {(1.0 - s) * from.force + s * to.force, (1.0 - s) * from.torque + s * to.torque}, last);
       for (int k = 0; k < 4; ++k) {
         const double angle = result.command.tilt_angle(k);
-        const double thrust =
-            thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor.thrust_coefficient);
+        const double thrust = thrust_from_speed(result.command.rotor_speed(k), vehicle.rotor);
         thrusts.segment<2>(2 * k) << thrust * std::sin(angle), thrust * std::cos(angle);
       }
       if (i > 0) jump = std::max(jump, (thrusts - before).norm());

@@ -86,8 +86,8 @@ TEST(AllocationFailures, GivesWrenchOrReportsLossWithinLimits) {
     const Allocation<4> allocation(v);
     Plant<4> plant(v);
     Random random(2);
-    const double slowest = speed_from_thrust(v.rotor.min_thrust, v.rotor.thrust_coefficient),
-                 fastest = speed_from_thrust(v.rotor.max_thrust, v.rotor.thrust_coefficient);
+    const double slowest = speed_from_thrust(v.rotor.min_thrust, v.rotor),
+                 fastest = speed_from_thrust(v.rotor.max_thrust, v.rotor);
     ActuatorState<4> last;
     Eigen::Vector4d least = Eigen::Vector4d::Constant(fastest);
     std::vector<int> count(7, 0);

@@ -87,7 +87,7 @@ TEST(Allocation, RatesMatchDerivativesOfInverseMap) {
           sqrt(Dual(thrusts(2 * i) * thrusts(2 * i) + thrusts(2 * i + 1) * thrusts(2 * i + 1)));
       if (size.value() < 0.02) continue;
       const Dual angle = atan2(thrusts(2 * i), thrusts(2 * i + 1));
-      const Dual speed = speed_from_thrust(size, vehicle.rotor.thrust_coefficient);
+      const Dual speed = speed_from_thrust(size, vehicle.rotor);
       EXPECT_NEAR(rates.tilt_rate(i), angle.derivatives()(0),
                   1e-11 * (1.0 + std::abs(rates.tilt_rate(i))));
       EXPECT_NEAR(rates.rotor_acceleration(i), speed.derivatives()(0),

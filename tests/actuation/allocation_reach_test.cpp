@@ -41,7 +41,7 @@ ActuatorState<Rotors> within_limits(const Vehicle<Rotors>& vehicle, Random& rand
   for (int i = 0; i < Rotors; ++i) {
     const double thrust = between(vehicle.rotor.min_thrust, vehicle.rotor.max_thrust);
     const double angle = between(vehicle.servo.min_angle, vehicle.servo.max_angle);
-    state.rotor_speed(i) = speed_from_thrust(thrust, vehicle.rotor.thrust_coefficient);
+    state.rotor_speed(i) = speed_from_thrust(thrust, vehicle.rotor);
     if (vehicle.rotors[static_cast<std::size_t>(i)].tilts) state.tilt_angle(i) = angle;
   }
   return state;

@@ -31,28 +31,28 @@ TEST(Rotor, ThrustAndSpeedInvertEachOther) {
   test_support::Random random(1);
   for (int i = 0; i < 1000; ++i) {
     const double thrust = std::pow(10.0, random.uniform(-300.0, 3.0));
-    const double speed = speed_from_thrust(thrust, coefficient);
-    EXPECT_NEAR(thrust_from_speed(speed, coefficient), thrust, 1e-14 * thrust);
+    const double speed = speed_from_thrust(thrust, parameters());
+    EXPECT_NEAR(thrust_from_speed(speed, parameters()), thrust, 1e-14 * thrust);
   }
-  EXPECT_NEAR(speed_from_thrust(1.4F, coefficient), 1000.0F, 1e-3F);
+  EXPECT_NEAR(speed_from_thrust(1.4F, parameters()), 1000.0F, 1e-3F);
 }
 
 TEST(Rotor, ThrustAndSpeedOfInvalidInputAreZero) {
   for (const double bad : {-1.0, 0.0, -0.0, nan, infinity, -infinity, 1e300 * 1e300}) {
-    EXPECT_EQ(thrust_from_speed(bad, coefficient), 0.0);
-    EXPECT_EQ(speed_from_thrust(bad, coefficient), 0.0);
+    EXPECT_EQ(thrust_from_speed(bad, parameters()), 0.0);
+    EXPECT_EQ(speed_from_thrust(bad, parameters()), 0.0);
   }
-  EXPECT_EQ(thrust_from_speed(1e300, coefficient), 0.0);
-  EXPECT_TRUE(std::isfinite(speed_from_thrust(1e308, coefficient)));
+  EXPECT_EQ(thrust_from_speed(1e300, parameters()), 0.0);
+  EXPECT_TRUE(std::isfinite(speed_from_thrust(1e308, parameters())));
 }
 
 TEST(Rotor, DerivativesAreCorrectAndFiniteAtZero) {
   using Dual = test_support::Dual<1>;
-  const Dual speed = thrust_from_speed(Dual(500.0, 1, 0), coefficient);
+  const Dual speed = thrust_from_speed(Dual(500.0, 1, 0), parameters());
   EXPECT_NEAR(speed.derivatives()(0), 2.0 * coefficient * 500.0, 1e-15);
-  const Dual thrust = speed_from_thrust(Dual(2.0, 1, 0), coefficient);
+  const Dual thrust = speed_from_thrust(Dual(2.0, 1, 0), parameters());
   EXPECT_NEAR(thrust.derivatives()(0), 0.5 / std::sqrt(coefficient * 2.0), 1e-10);
-  const Dual zero = speed_from_thrust(Dual(0.0, 1, 0), coefficient);
+  const Dual zero = speed_from_thrust(Dual(0.0, 1, 0), parameters());
   for (Eigen::Index i = 0; i < zero.derivatives().size(); ++i)
     EXPECT_EQ(zero.derivatives()(i), 0.0);
 }

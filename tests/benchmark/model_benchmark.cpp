@@ -53,7 +53,7 @@ void rigid_body_step_with_sensitivity(benchmark::State& state) {
 ActuatorState<4> hovering() {
   ActuatorState<4> state;
   state.rotor_speed.setConstant(
-      speed_from_thrust(vehicle.body.mass * gravity / 4.0, vehicle.rotor.thrust_coefficient));
+      speed_from_thrust(vehicle.body.mass * gravity / 4.0, vehicle.rotor));
   return state;
 }
 

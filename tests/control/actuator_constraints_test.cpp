@@ -222,9 +222,8 @@ TEST(ActuatorConstraints, ThrustConstraintsAgreeWithStatusOfAllocation) {
     ++(ok ? within : beyond);
     if (!ok) continue;
     for (int r = 0; r < 4; ++r)
-      EXPECT_NEAR(
-          thrusts(r),
-          thrust_from_speed(result.command.rotor_speed(r), vehicle.rotor.thrust_coefficient), 1e-9);
+      EXPECT_NEAR(thrusts(r), thrust_from_speed(result.command.rotor_speed(r), vehicle.rotor),
+                  1e-9);
   }
   EXPECT_GT(within, 300);
   EXPECT_GT(beyond, 300);

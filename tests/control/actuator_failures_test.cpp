@@ -44,8 +44,7 @@ double lean_of(const BodyStated& body) {
 
 void expect_within_limits(const NmpcResult& result, const NmpcBounds& bounds,
                           const ActuatorState<4>& command, const Vehicle<4>& vehicle) {
-  const double fastest =
-      speed_from_thrust(vehicle.rotor.max_thrust, vehicle.rotor.thrust_coefficient);
+  const double fastest = speed_from_thrust(vehicle.rotor.max_thrust, vehicle.rotor);
   const Wrenchd& w = result.wrench;
   ASSERT_TRUE(is_finite(w) && is_finite(result.rate));
   ASSERT_TRUE((w.force.array() >= bounds.force_min.array()).all() &&

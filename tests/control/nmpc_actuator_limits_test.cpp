@@ -98,8 +98,7 @@ SlowServos fly_with_slow_servos(bool actuator_constraints) {
   Plant<4> plant(slow);
   PlantState<4> start;
   start.body = hovering();  // in the centre of the circle: must catch up
-  start.actuators.rotor_speed.setConstant(
-      speed_from_thrust(body.mass * gravity / 4.0, slow.rotor.thrust_coefficient));
+  start.actuators.rotor_speed.setConstant(speed_from_thrust(body.mass * gravity / 4.0, slow.rotor));
   plant.reset(start);
   const Allocation<4> allocation(slow);
   Nmpc<4> nmpc(slow, in_simulated_time(settings));

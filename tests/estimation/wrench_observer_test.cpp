@@ -177,7 +177,7 @@ StepResponse step_response(double dt, const WrenchObserverSettings& settings, co
   PlantState<4> start;
   start.body.position.z() = 2.0;
   start.actuators.rotor_speed.setConstant(
-      speed_from_thrust(vehicle.body.mass * gravity / 4.0, vehicle.rotor.thrust_coefficient));
+      speed_from_thrust(vehicle.body.mass * gravity / 4.0, vehicle.rotor));
   plant.reset(start);
   actuators.reset(start.actuators, 0.0);
   ImuSensorParameters imu_parameters;

@@ -33,7 +33,7 @@ template <int Rotors>
 tilt_ropter::ActuatorState<Rotors> hovering(const tilt_ropter::Vehicle<Rotors>& vehicle) {
   tilt_ropter::ActuatorState<Rotors> state;
   state.rotor_speed.setConstant(tilt_ropter::speed_from_thrust(
-      vehicle.body.mass * tilt_ropter::gravity / Rotors, vehicle.rotor.thrust_coefficient));
+      vehicle.body.mass * tilt_ropter::gravity / Rotors, vehicle.rotor));
   return state;
 }
 
@@ -41,10 +41,9 @@ tilt_ropter::ActuatorState<Rotors> hovering(const tilt_ropter::Vehicle<Rotors>& 
 template <int Rotors>
 void expect_within_limits(const tilt_ropter::Vehicle<Rotors>& v,
                           const tilt_ropter::ActuatorState<Rotors>& command) {
-  const double c = v.rotor.thrust_coefficient;
   for (int i = 0; i < Rotors; ++i) {
-    ASSERT_GE(command.rotor_speed(i), tilt_ropter::speed_from_thrust(v.rotor.min_thrust, c));
-    ASSERT_LE(command.rotor_speed(i), tilt_ropter::speed_from_thrust(v.rotor.max_thrust, c));
+    ASSERT_GE(command.rotor_speed(i), tilt_ropter::speed_from_thrust(v.rotor.min_thrust, v.rotor));
+    ASSERT_LE(command.rotor_speed(i), tilt_ropter::speed_from_thrust(v.rotor.max_thrust, v.rotor));
     if (v.rotors[static_cast<std::size_t>(i)].tilts) {
       ASSERT_GE(command.tilt_angle(i), v.servo.min_angle);
       ASSERT_LE(command.tilt_angle(i), v.servo.max_angle);

@@ -23,8 +23,7 @@ Eigen::Matrix<double, 2 * Rotors, 1> thrusts_of(const tilt_ropter::Vehicle<Rotor
   for (int k = 0; k < Rotors; ++k) {
     const double angle = command.tilt_angle(k),
                  thrust = vehicle.rotors[static_cast<std::size_t>(k)].effectiveness *
-                          tilt_ropter::thrust_from_speed(command.rotor_speed(k),
-                                                         vehicle.rotor.thrust_coefficient);
+                          tilt_ropter::thrust_from_speed(command.rotor_speed(k), vehicle.rotor);
     thrusts.template segment<2>(2 * k) << thrust * std::sin(angle), thrust * std::cos(angle);
   }
   return thrusts;

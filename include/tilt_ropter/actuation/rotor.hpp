@@ -17,10 +17,10 @@ namespace tilt_ropter {
 /// returns zero for a speed that is negative, not finite or above 1e9 rad/s, which no valid sensor
 /// reports.
 template <typename Scalar>
-[[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, double thrust_coefficient,
-                                       double linear_thrust_coefficient = 0.0) noexcept {
+[[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, const RotorParameters& rotor) noexcept {
   if (!(speed > Scalar(0) && speed < Scalar(1e9))) return Scalar(0);
-  const Scalar per_speed = Scalar(thrust_coefficient) * speed + Scalar(linear_thrust_coefficient);
+  const Scalar per_speed =
+      Scalar(rotor.thrust_coefficient) * speed + Scalar(rotor.linear_thrust_coefficient);
   return per_speed > Scalar(0) ? Scalar(per_speed * speed) : Scalar(0);
 }
 
@@ -28,16 +28,17 @@ template <typename Scalar>
 /// b = 0. For a thrust that is negative, zero or not finite, returns the speed at which the thrust
 /// begins: -b / c if b is negative, otherwise zero. The derivative at zero thrust is zero.
 template <typename Scalar>
-[[nodiscard]] Scalar speed_from_thrust(const Scalar& thrust, double thrust_coefficient,
-                                       double linear_thrust_coefficient = 0.0) noexcept {
+[[nodiscard]] Scalar speed_from_thrust(const Scalar& thrust,
+                                       const RotorParameters& rotor) noexcept {
   using std::sqrt;
+  const double c = rotor.thrust_coefficient, b = rotor.linear_thrust_coefficient;
   if (!(thrust > Scalar(0) && thrust < Scalar(std::numeric_limits<double>::infinity())))
-    return Scalar(std::max(0.0, -linear_thrust_coefficient / thrust_coefficient));
-  const double root = std::sqrt(thrust_coefficient);
-  if (!(std::abs(linear_thrust_coefficient) > 0.0)) return sqrt(thrust) / Scalar(root);
+    return Scalar(std::max(0.0, -b / c));
+  const double root = std::sqrt(c);
+  if (!(std::abs(b) > 0.0)) return sqrt(thrust) / Scalar(root);
   // Divided by sqrt(c), so that no product overflows. Each sign of b has a form without
   // cancellation.
-  const double half = 0.5 * linear_thrust_coefficient / root;
+  const double half = 0.5 * b / root;
   const Scalar shifted = sqrt(Scalar(thrust + Scalar(half * half)));
   if (half < 0.0) return (shifted + Scalar(-half)) / Scalar(root);
   return thrust / ((shifted + Scalar(half)) * Scalar(root));
@@ -45,26 +46,10 @@ template <typename Scalar>
 
 /// Slope dT / dOmega [N s] of the curve at `thrust` >= 0 [N]: sqrt(b^2 + 4 c T).
 template <typename Scalar>
-[[nodiscard]] Scalar thrust_slope(const Scalar& thrust, double thrust_coefficient,
-                                  double linear_thrust_coefficient = 0.0) noexcept {
-  using std::sqrt;
-  const double square = linear_thrust_coefficient * linear_thrust_coefficient;
-  return sqrt(Scalar(Scalar(square) + Scalar(4) * (Scalar(thrust_coefficient) * thrust)));
-}
-
-/// The same three functions for the curve of `rotor`.
-template <typename Scalar>
-[[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, const RotorParameters& rotor) noexcept {
-  return thrust_from_speed(speed, rotor.thrust_coefficient, rotor.linear_thrust_coefficient);
-}
-template <typename Scalar>
-[[nodiscard]] Scalar speed_from_thrust(const Scalar& thrust,
-                                       const RotorParameters& rotor) noexcept {
-  return speed_from_thrust(thrust, rotor.thrust_coefficient, rotor.linear_thrust_coefficient);
-}
-template <typename Scalar>
 [[nodiscard]] Scalar thrust_slope(const Scalar& thrust, const RotorParameters& rotor) noexcept {
-  return thrust_slope(thrust, rotor.thrust_coefficient, rotor.linear_thrust_coefficient);
+  using std::sqrt;
+  const double square = rotor.linear_thrust_coefficient * rotor.linear_thrust_coefficient;
+  return sqrt(Scalar(Scalar(square) + Scalar(4) * (Scalar(rotor.thrust_coefficient) * thrust)));
 }
 
 /// Largest thrust [N] of `rotor` at `ratio` times the nominal voltage, see voltage_ratio(). The top
