@@ -29,6 +29,22 @@ void put_wrench(const RotorGeometry& rotor, const RotorParameters& parameters, d
   put(cross(triple(rotor.position), force) - drag * force, matrix, 3, column);
 }
 
+/// Writes the allocation matrix to `matrix`, 6 x 2n zeros. Returns the size of the vehicle [m]: its
+/// longest arm plus torque_ratio.
+template <int Rotors, typename Matrix>
+double put_allocation(const Vehicle<Rotors>& vehicle, Matrix& matrix) {
+  double size = 1e-9;
+  for (int i = 0; i < Rotors; ++i) {
+    const RotorGeometry& rotor = vehicle.rotors[detail::size(i)];
+    const RotorParameters& parameters = rotor_parameters(vehicle, detail::size(i));
+    size = std::max(size, rotor.position.norm() + parameters.torque_ratio);
+    if (!(rotor.effectiveness > 0.0)) continue;
+    if (rotor.tilts) put_wrench(rotor, parameters, -1.0, 1, 2 * i, matrix);
+    put_wrench(rotor, parameters, 1.0, 2, 2 * i + 1, matrix);
+  }
+  return size;
+}
+
 }  // namespace detail
 
 /// Allocation matrix A with W = A T. W = (F, M) is the wrench at the CoM in the body frame. T =
@@ -51,7 +67,7 @@ struct AllocationMatrix {
   /// names the rank of A and the unreachable directions.
   explicit AllocationMatrix(const Vehicle<Rotors>& vehicle) {
     static_assert(Rotors >= 3, "six components of a wrench need at least three tilting rotors");
-    invert(fill(vehicle));
+    invert(detail::put_allocation(vehicle, matrix));
   }
 
   /// Singular values of A in descending order. Torques are in units of the vehicle's size, which is
@@ -59,76 +75,55 @@ struct AllocationMatrix {
   /// are finite, otherwise throws std::invalid_argument. Allocates.
   [[nodiscard]] static Eigen::Matrix<double, 6, 1> singular_values(const Vehicle<Rotors>& vehicle) {
     AllocationMatrix allocation;
-    const Columns columns = allocation.fill(vehicle);
-    return allocation.decompose(columns).values;
+    const double size = detail::put_allocation(vehicle, allocation.matrix);
+    return allocation.decompose(size).values;
   }
 
  private:
-  /// Indices of the columns of A that belong to an actuator, and the vehicle's size [m].
-  struct Columns {
-    std::vector<int> of;
-    double size = 1e-9;
-  };
-
   AllocationMatrix() = default;
-
-  /// Writes A and returns its columns.
-  Columns fill(const Vehicle<Rotors>& vehicle) {
-    Columns columns;
-    for (int i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[detail::size(i)];
-      const RotorParameters& parameters = rotor_parameters(vehicle, detail::size(i));
-      columns.size = std::max(columns.size, rotor.position.norm() + parameters.torque_ratio);
-      if (!(rotor.effectiveness > 0.0)) continue;
-      if (rotor.tilts) {
-        detail::put_wrench(rotor, parameters, -1.0, 1, 2 * i, matrix);
-        columns.of.push_back(2 * i);
-      }
-      detail::put_wrench(rotor, parameters, 1.0, 2, 2 * i + 1, matrix);
-      columns.of.push_back(2 * i + 1);
-    }
-    return columns;
-  }
 
   // For two rotors, two columns of zeros.
   using Decomposition = detail::SingularValues<6, std::max(6, components)>;
 
   /// Decomposes A with torques in units of the vehicle's size, so that the rank depends only on the
   /// shape. At full rank the pseudo-inverse does not depend on the size.
-  [[nodiscard]] Decomposition decompose(const Columns& columns) const {
+  [[nodiscard]] Decomposition decompose(double size) const {
     Eigen::Matrix<double, 6, std::max(6, components)> scaled = detail::Filled();
     for (int j = 0; j < components; ++j)
-      for (int i = 0; i < 6; ++i) scaled(i, j) = matrix(i, j) / (i < 3 ? 1.0 : columns.size);
+      for (int i = 0; i < 6; ++i) scaled(i, j) = matrix(i, j) / (i < 3 ? 1.0 : size);
     // Products of finite numbers may overflow. The rank of the decomposition is then meaningless.
     double squares = 0.0;
     for (Eigen::Index i = 0; i < scaled.size(); ++i) squares += scaled(i) * scaled(i);
-    require(std::isfinite(squares), "size of the vehicle [m]", columns.size,
+    require(std::isfinite(squares), "size of the vehicle [m]", size,
             "one whose products are finite");
     return Decomposition(scaled);
   }
 
-  void invert(const Columns& columns) {
-    const Decomposition svd = decompose(columns);
+  void invert(double size) {
+    const Decomposition svd = decompose(size);
     require_rank(svd);
     for (int i = 0; i < components; ++i)
       for (int j = 0; j < 6; ++j) {
         double sum = 0.0;
         for (int s = 0; s < 6; ++s) sum += svd.right(s, i) / svd.values(s) * svd.left(j, s);
-        pseudoinverse(i, j) = j < 3 ? sum : sum / columns.size;
+        pseudoinverse(i, j) = j < 3 ? sum : sum / size;
       }
-    set_null_space(columns, svd);
+    set_null_space(svd);
   }
 
   /// Completes the rows of `svd` to an orthonormal basis. Each iteration takes the unit vector
   /// farthest from the current span. It makes the vector orthogonal to the span, twice because of
   /// rounding.
-  void set_null_space(const Columns& columns, const Decomposition& svd) {
-    const auto count = static_cast<Eigen::Index>(columns.of.size()) - 6;
+  void set_null_space(const Decomposition& svd) {
+    std::vector<int> columns;  // of A that belong to an actuator
+    for (int j = 0; j < components; ++j)
+      if (!matrix.col(j).isZero(0.0)) columns.push_back(j);
+    const auto count = static_cast<Eigen::Index>(columns.size()) - 6;
     null_space = Eigen::MatrixXd(components, count);
     for (Eigen::Index n = 0; n < count; ++n) {
-      int farthest = columns.of.front();
+      int farthest = columns.front();
       double most = -1.0;
-      for (const int j : columns.of) {
+      for (const int j : columns) {
         double square = 1.0;
         for (int s = 0; s < 6; ++s) square -= svd.right(s, j) * svd.right(s, j);
         for (Eigen::Index m = 0; m < n; ++m) square -= null_space(j, m) * null_space(j, m);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/actuation/allocation_matrix.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
@@ -88,14 +89,11 @@ class ActuatedBody {
       effectiveness_[i] = geometry.effectiveness;
       tilts_[i] = geometry.tilts;
       if (!(geometry.effectiveness > 0.0)) continue;
-      const double drag =
-          static_cast<int>(geometry.spin) * rotor_parameters(vehicle, i).torque_ratio;
       const auto push_along = [&](int axis) {
-        const detail::Triple<double> force = detail::triple(geometry.orientation, 0, axis),
-                                     torque = cross(detail::triple(geometry.position), force) -
-                                              drag * force;
-        return Push{{Scalar(force.x), Scalar(force.y), Scalar(force.z)},
-                    {Scalar(torque.x), Scalar(torque.y), Scalar(torque.z)}};
+        Eigen::Matrix<double, 6, 1> w;
+        detail::put_wrench(geometry, parameters_[i], 1.0, axis, 0, w);
+        return Push{{Scalar(w(0)), Scalar(w(1)), Scalar(w(2))},
+                    {Scalar(w(3)), Scalar(w(4)), Scalar(w(5))}};
       };
       rotors_[i].along_z = push_along(2);
       if (geometry.tilts) rotors_[i].along_y = push_along(1);
@@ -148,10 +146,8 @@ class ActuatedBody {
   [[nodiscard]] Wrench<Scalar> wrench(const ActuatorState<Rotors, Scalar>& actuators) const {
     State x;
     for (int i = 0; i < Rotors; ++i) {
-      const auto k = detail::size(i);
-      x.thrust(i) =
-          Scalar(effectiveness_[k]) * thrust_from_speed(actuators.rotor_speed(i), parameters_[k]);
-      x.tilt_angle(i) = tilts_[k] ? actuators.tilt_angle(i) : Scalar(0);
+      x.thrust(i) = thrust(i, actuators.rotor_speed(i));
+      x.tilt_angle(i) = tilts_[detail::size(i)] ? actuators.tilt_angle(i) : Scalar(0);
     }
     return wrench(x);
   }

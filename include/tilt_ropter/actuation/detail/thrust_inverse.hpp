@@ -31,17 +31,8 @@ class ThrustInverse {
 
   /// The vehicle must be valid. Does not allocate or throw.
   explicit ThrustInverse(const Vehicle<Rotors>& vehicle) noexcept {
-    double size = 1e-9;
-    for (std::size_t i = 0; i < Rotors; ++i) {
-      const RotorGeometry& rotor = vehicle.rotors[i];
-      const RotorParameters& parameters = rotor_parameters(vehicle, i);
-      size = std::max(size, rotor.position.norm() + parameters.torque_ratio);
-      tilts_[i] = rotor.tilts;
-      if (!(rotor.effectiveness > 0.0)) continue;
-      const int column = 2 * static_cast<int>(i);
-      if (rotor.tilts) detail::put_wrench(rotor, parameters, -1.0, 1, column, matrix_);
-      detail::put_wrench(rotor, parameters, 1.0, 2, column + 1, matrix_);
-    }
+    const double size = detail::put_allocation(vehicle, matrix_);
+    for (std::size_t i = 0; i < Rotors; ++i) tilts_[i] = vehicle.rotors[i].tilts;
     Matrix matrix = matrix_;
     for (int j = 0; j < components; ++j)
       for (int r = 3; r < 6; ++r) matrix(r, j) /= size;
