@@ -116,8 +116,6 @@ struct ActuatorOutputSettings {
   std::array<ServoOutputParameters, static_cast<std::size_t>(Rotors)> servos{};
 };
 
-/// Throws std::invalid_argument if a field is out of range. The message names the field, its value
-/// and the allowed values.
 template <int Rotors>
 void validate(const ActuatorOutputSettings<Rotors>& s) {
   require_in("ActuatorOutputSettings.thrust_model_factor", s.thrust_model_factor, 0.0, 1.0);

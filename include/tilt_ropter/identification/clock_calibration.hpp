@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/identification/vehicle_log.hpp>
 #include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
@@ -83,9 +84,7 @@ class GyroIntegral {
   }
 
   [[nodiscard]] Eigen::Quaterniond operator()(double time) const {
-    const auto after = std::upper_bound(imu_.begin(), imu_.end(), time,
-                                        [](double t, const auto& s) { return t < s.time; });
-    const auto i = static_cast<std::size_t>(after - imu_.begin()) - 1;
+    const std::size_t i = index_before(imu_, time);
     return turned_[i] * part(i, time);
   }
 
@@ -207,17 +206,12 @@ template <typename Scalar = double>
   const auto orientation = [](const auto& pose) {
     return Eigen::Quaterniond(pose.value.orientation.template cast<double>());
   };
-  const auto increasing = [](const auto& log) {
-    for (std::size_t i = 0; i < log.size(); ++i)
-      if (!std::isfinite(log[i].time) || (i > 0 && !(log[i].time > log[i - 1].time))) return false;
-    return true;
+  const auto is_unit = [](const auto& pose) {
+    return std::abs(pose.orientation.template cast<double>().norm() - 1.0) < 0.1;
   };
-  const bool numbers =
-      std::all_of(imu.begin(), imu.end(),
-                  [](const auto& s) { return all_finite(s.value.angular_velocity); }) &&
-      std::all_of(poses.begin(), poses.end(),
-                  [&](const auto& p) { return std::abs(orientation(p).norm() - 1.0) < 0.1; });
-  if (!increasing(imu) || !increasing(poses) || !numbers) return result;
+  if (!detail::is_good_list(imu, [](const auto& s) { return all_finite(s.angular_velocity); }) ||
+      !detail::is_good_list(poses, is_unit))
+    return result;
   result.status = ClockCalibrationStatus::too_short;
   if (imu.size() < 2) return result;
 

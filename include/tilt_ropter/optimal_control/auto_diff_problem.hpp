@@ -290,8 +290,12 @@ class AutoDiffProblem {
   void add_convex_part(int k, Hessian hessian, Model& model) const {
     const int size = k < horizon() ? states + inputs : states;
     for (int j = 0; j < states + inputs; ++j)
-      for (int i = 0; i < states + inputs; ++i)
-        hessian(i, j) = i < size && j < size ? hessian(i, j) + entry(model, i, j) : 0.0;
+      for (int i = 0; i < states + inputs; ++i) {
+        // The model has lux only in the columns of the inputs.
+        const bool mirrored = i >= states && j < states;
+        const double entry = mirrored ? model.hessian(j, i) : model.hessian(i, j);
+        hessian(i, j) = i < size && j < size ? hessian(i, j) + entry : 0.0;
+      }
     if (!all_finite(hessian)) {
       model.gradient(0) = std::numeric_limits<double>::quiet_NaN();
       return;
@@ -304,12 +308,6 @@ class AutoDiffProblem {
     model.lux() = hessian.template bottomLeftCorner<inputs, states>();
     model.luu() = hessian.template bottomRightCorner<inputs, inputs>();
   }
-  static double entry(const Model& model, int i, int j) {
-    return i < states
-               ? (j < states ? model.lxx()(i, j) : model.lux()(j - states, i))
-               : (j < states ? model.lux()(i - states, j) : model.luu()(i - states, j - states));
-  }
-
   // Independent variables: entries of (x, u), starting at index `first`.
   template <int Count>
   static Duals<Count> variables(const Eigen::Matrix<double, Count, 1>& numbers, int first = 0) {

@@ -38,7 +38,6 @@ struct PlantParameters {
   double max_substep = 2.5e-4;  ///< longest substep of the integration [s]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const PlantParameters& p) {
   validate(p.contact);
   require_non_negative("PlantParameters.linear_drag [N s/m]", p.linear_drag);
@@ -56,7 +55,6 @@ struct PlantState {
   std::array<WheelState, 4> wheels;  ///< or feet, in the order of PlantLoads::wheels
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 template <int Rotors>
 void validate(const PlantState<Rotors>& x) {
   const BodyStated& body = x.body;

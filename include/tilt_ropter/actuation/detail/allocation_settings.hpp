@@ -83,8 +83,6 @@ struct AllocationSettings {
   double calm_fraction = 0.1;
 };
 
-/// Throws std::invalid_argument if a field is out of range. The message names the field, its value
-/// and the allowed values.
 inline void validate(const AllocationSettings& p) {
   std::array<int, wrench_group_count> named{};
   std::string order;

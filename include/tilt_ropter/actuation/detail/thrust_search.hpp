@@ -95,13 +95,8 @@ class ThrustSearch {
       if (!reach_convex(request, now, at_edge, answer)) continue;
       const int worst = farthest_out(now, answer.thrusts);
       if (worst < 0) return true;
-      // The part near the rotor's angle is searched first, so it goes on top of the stack.
-      AnglePart& part = now[size(worst)];
-      const AnglePart first = limits_.nearest_part(request.near[size(worst)]);
-      part = first == AnglePart::upper ? AnglePart::lower : AnglePart::upper;
-      waiting[count++] = now;
-      part = first;
-      waiting[count++] = now;
+      split(now, worst, request.near[size(worst)], &waiting[count]);
+      count += 2;
     }
     return false;
   }
@@ -126,16 +121,10 @@ class ThrustSearch {
         found = true;
         continue;
       }
-      // The nearest half turn is searched first, so it goes on top of the stack.
-      AnglePart& part = now[size(worst)];
       const double angle =
           std::atan2(candidate.thrusts(2 * worst), candidate.thrusts(2 * worst + 1));
-      const double near = request.near[size(worst)];
-      const AnglePart first = limits_.nearest_part(limits_.nearest_angle(angle, near));
-      part = first == AnglePart::upper ? AnglePart::lower : AnglePart::upper;
-      waiting[count++] = now;
-      part = first;
-      waiting[count++] = now;
+      split(now, worst, limits_.nearest_angle(angle, request.near[size(worst)]), &waiting[count]);
+      count += 2;
     }
   }
 
@@ -153,6 +142,15 @@ class ThrustSearch {
   using Program = ThrustProgram<Rotors, variables, wrench_groups + 1>;
   using Vector = typename Program::Vector;
   static constexpr double tolerance = 1e-10, back_off = 1e-6;
+
+  /// Replaces the whole range of a rotor by its two parts. The one nearest to `angle` is searched
+  /// first, so it goes on top of the stack.
+  void split(const Parts& parts, int rotor, double angle, Parts* stack) const noexcept {
+    const AnglePart first = limits_.nearest_part(angle);
+    stack[0] = stack[1] = parts;
+    stack[0][size(rotor)] = first == AnglePart::upper ? AnglePart::lower : AnglePart::upper;
+    stack[1][size(rotor)] = first;
+  }
 
   /// Rotor whose thrust is farthest out of its range, among the rotors whose hull was searched.
   /// Returns -1 if there is none.

@@ -180,12 +180,9 @@ class Subproblem {
   }
 
   /// True if constraint i of node k depends on one input and nothing else.
-  [[nodiscard]] bool single_input(int k, int i) const {
-    int entries = 0;
-    for (int j = 0; j < States; ++j) entries += 2 * (node(k).C(i, j) != 0.0);
-    for (int j = 0; k < horizon() && j < Inputs; ++j) entries += node(k).E(i, j) != 0.0;
-    return entries == 1;
-  }
+  [[nodiscard]] bool single_input(int k, int i) const { return entries(k, i) == 1; }
+  /// Returns false if no step changes the value of constraint i of node k.
+  [[nodiscard]] bool can_move(int k, int i) const { return entries(k, i) > 0; }
   /// Gradient of constraint i of node k by (dx, du).
   [[nodiscard]] Vector constraint_gradient(int k, int i) const {
     Vector gradient = detail::Filled();
@@ -293,14 +290,6 @@ class Subproblem {
       }
       return check.passed();
     });
-  }
-
-  /// Returns false if no step changes the value of constraint i of node k.
-  [[nodiscard]] bool can_move(int k, int i) const {
-    bool moves = false;
-    for (int j = 0; j < States; ++j) moves |= node(k).C(i, j) != 0.0;
-    for (int j = 0; k < horizon() && j < Inputs; ++j) moves |= node(k).E(i, j) != 0.0;
-    return moves;
   }
 
   /// Adds C dx + E du of node k to `values`, for w = (dx, du).
@@ -451,6 +440,14 @@ class Subproblem {
   template <int Width>
   static constexpr int row_packet(int t) {
     return Width * t < Constraints - Width ? Width * t : Constraints - Width;
+  }
+
+  // Number of inputs on which constraint i of node k depends, plus twice that of states.
+  [[nodiscard]] int entries(int k, int i) const {
+    int count = 0;
+    for (int j = 0; j < States; ++j) count += 2 * (node(k).C(i, j) != 0.0);
+    for (int j = 0; k < horizon() && j < Inputs; ++j) count += node(k).E(i, j) != 0.0;
+    return count;
   }
 
   [[nodiscard]] bool repair(Node& n) {

@@ -30,7 +30,6 @@ struct Wall {
   static constexpr double creep = 200.0;  ///< friction / speed along the surface, if small [N s/m]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const Wall& wall) {
   require_finite("Wall.point [m]", wall.point);
   require(std::abs(wall.normal.norm() - 1.0) < 1e-6, "Wall.normal", wall.normal.transpose(),

@@ -50,7 +50,6 @@ struct WheelContactParameters {
                                                             ///< legs, from the CoM, body frame [m]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values.
 inline void validate(const WheelContactParameters& p) {
   require_positive("WheelContactParameters.stiffness [N/m]", p.stiffness);
   require_non_negative("WheelContactParameters.dissipation [s/m]", p.dissipation);
