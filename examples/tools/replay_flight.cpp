@@ -2,10 +2,10 @@
 // files, calibrates clocks and marker frame on request, and compares the estimate with the ground
 // truth if it is given.
 
-#include "../support/csv.hpp"
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
+#include "../support/replay.hpp"
 #include "../support/statistics.hpp"
 
 #include <tilt_ropter/estimation/ekf.hpp>
@@ -21,6 +21,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdio>
 #include <exception>
 #include <filesystem>
 #include <iomanip>
@@ -35,9 +36,9 @@ using namespace tilt_ropter;
 
 namespace {
 
-using Imu = std::vector<Timed<InertialSampled>>;
-using Poses = std::vector<Timed<MarkerPosed>>;
-using States = std::vector<Timed<BodyStated>>;
+using examples::Reception;
+using examples::RecordedFlight;
+using States = examples::StateLog;
 
 struct Options {
   std::string imu, poses, truth, output = "results";
@@ -48,66 +49,6 @@ struct Options {
   double judge_from = 3.0, gravity_deviation = 0.0;
   EkfSettings filter;
 };
-
-// ---- Files
-
-/// Reads a log whose first column is the time stamp. Warns if the time stamps do not increase.
-examples::CsvTable read_log(const std::string& path, std::size_t columns, const std::string& form) {
-  examples::CsvTable table = examples::read_csv(path);
-  if (table.columns.size() < columns)
-    throw std::runtime_error(path + ":1: " + std::to_string(table.columns.size()) +
-                             " columns, expected are " + form);
-  if (table.rows() < 2) throw std::runtime_error(path + ": fewer than two samples");
-  const std::vector<double>& times = table.columns[0];
-  const auto back = std::adjacent_find(times.begin(), times.end(), std::greater_equal<>());
-  if (back != times.end())
-    std::cerr << path << ':' << table.lines[static_cast<std::size_t>(back - times.begin()) + 1]
-              << ": column " << table.names[0] << " (1) does not increase\n";
-  return table;
-}
-
-Eigen::Vector3d vector(const examples::CsvTable& table, std::size_t row, std::size_t column) {
-  return {table.columns[column][row], table.columns[column + 1][row],
-          table.columns[column + 2][row]};
-}
-
-/// Reads w, x, y, z from `column` on. Throws std::runtime_error if the length is not 1 within 10 %.
-Eigen::Quaterniond rotation(const examples::CsvTable& table, std::size_t row, std::size_t column) {
-  const Eigen::Vector3d v = vector(table, row, column + 1);
-  const Eigen::Quaterniond q(table.columns[column][row], v.x(), v.y(), v.z());
-  if (std::abs(q.norm() - 1.0) > 0.1)
-    throw std::runtime_error(table.file + ':' + std::to_string(table.lines[row]) + ": columns " +
-                             table.names[column] + " (" + std::to_string(column + 1) + ") to " +
-                             table.names[column + 3] + ": a quaternion of length " +
-                             std::to_string(q.norm()));
-  return q.normalized();
-}
-
-Imu read_imu(const std::string& path) {
-  const examples::CsvTable table = read_log(path, 7, "t, wx, wy, wz, ax, ay, az");
-  Imu imu;
-  for (std::size_t i = 0; i < table.rows(); ++i)
-    imu.push_back({table.columns[0][i], {vector(table, i, 1), vector(table, i, 4)}});
-  return imu;
-}
-
-Poses read_poses(const std::string& path) {
-  const examples::CsvTable table = read_log(path, 8, "t, px, py, pz, qw, qx, qy, qz");
-  Poses poses;
-  for (std::size_t i = 0; i < table.rows(); ++i)
-    poses.push_back({table.columns[0][i], {vector(table, i, 1), rotation(table, i, 4)}});
-  return poses;
-}
-
-States read_truth(const std::string& path) {
-  const examples::CsvTable table = read_log(path, 11, "t, px, py, pz, qw, qx, qy, qz, vx, vy, vz");
-  States truth;
-  for (std::size_t i = 0; i < table.rows(); ++i)
-    truth.push_back({table.columns[0][i],
-                     {vector(table, i, 1), vector(table, i, 8), rotation(table, i, 4),
-                      Eigen::Vector3d::Zero()}});
-  return truth;
-}
 
 // ---- Flight
 
@@ -238,23 +179,18 @@ void log_row(examples::MissionLog& log, const Ekfd& filter, Truth& truth) {
   log.end_row();
 }
 
-/// Runs the filter through the logs in the order of the time stamps. Writes the estimate to `log`
-/// and `estimate` if they are not null.
-Ekfd fly(const Imu& imu, const Poses& poses, const EkfSettings& settings, const std::string& doing,
-         Truth& truth, examples::MissionLog* log, States* estimate) {
-  Ekfd filter(settings);
+/// Runs the filter through the logs. Writes the estimate to `log` and `estimate` if they are not
+/// null.
+Ekfd fly(const RecordedFlight& flight, const EkfSettings& settings, const std::string& doing,
+         Truth& truth, examples::MissionLog* log, States* estimate, Reception& reception) {
   examples::Progress progress;
-  std::size_t next = 0;
-  for (std::size_t i = 0; i < imu.size(); ++i) {
-    if (i % 500 == 0)
-      progress.show(static_cast<double>(i) / static_cast<double>(imu.size()), doing);
-    filter.on_imu(imu[i].time, imu[i].value);
-    for (; next < poses.size() && poses[next].time + settings.clock_offset <= imu[i].time; ++next)
-      filter.on_pose(poses[next].time, poses[next].value);
-    if (!filter.running()) continue;
-    if (estimate != nullptr) estimate->push_back({filter.time(), filter.state()});
-    if (log != nullptr) log_row(*log, filter, truth);
-  }
+  Ekfd filter =
+      examples::run_filter(flight, settings, reception, [&](const Ekfd& at, std::size_t i) {
+        if (i % 500 == 0)
+          progress.show(static_cast<double>(i) / static_cast<double>(flight.imu.size()), doing);
+        if (estimate != nullptr) estimate->push_back({at.time(), at.state()});
+        if (log != nullptr) log_row(*log, at, truth);
+      });
   progress.finish();
   return filter;
 }
@@ -287,21 +223,70 @@ std::string numbers(const Vector& values) {
   return text.str();
 }
 
+const char* meaning(ClockCalibrationStatus status) {
+  switch (status) {
+    case ClockCalibrationStatus::bad_data:
+      return "a number is not finite, a quaternion is not unit, or stamps do not increase";
+    case ClockCalibrationStatus::too_short:
+      return "fewer than 100 rotations to compare";
+    case ClockCalibrationStatus::out_of_range:
+      return "no offset within half a second fits";
+    case ClockCalibrationStatus::uncertain:
+      return "too little rotation, or rotation about one axis only, or rotations of IMU and poses "
+             "that do not agree";
+    case ClockCalibrationStatus::ambiguous:
+      return "the motion repeats itself, so several fit";
+    default:
+      return to_string(status);
+  }
+}
+
+const char* meaning(LogCalibrationStatus status) {
+  switch (status) {
+    case LogCalibrationStatus::bad_data:
+      return meaning(ClockCalibrationStatus::bad_data);
+    case LogCalibrationStatus::imu_gap:
+      return "the IMU pauses for more than 50 ms";
+    case LogCalibrationStatus::not_converged:
+      return "the least squares do not converge";
+    default:
+      return to_string(status);
+  }
+}
+
+/// Throws std::runtime_error that says what failed and the likely reason.
+[[noreturn]] void fail(const RecordedFlight& flight, const EkfSettings& settings,
+                       const std::string& what) {
+  const std::string reason = examples::likely_reason(flight, settings);
+  throw std::runtime_error(what + (reason.empty() ? "; no unit, order, axes or clock was found "
+                                                    "with which the logs agree"
+                                                  : "; likely reason: " + reason));
+}
+
 /// Calibrates from the whole log, prints the result, and sets it in `settings`.
-void calibrate(const Options& options, const Imu& imu, const Poses& poses, EkfSettings& settings) {
+void calibrate(const Options& options, const RecordedFlight& flight, EkfSettings& settings) {
   LogCalibrationSettings how;
   how.imu_noise = settings.imu_noise;
   how.pose_noise = settings.pose_noise;
   how.gravity_stddev = options.gravity_deviation;
-  const LogCalibration found = calibrate_log(imu, poses, how);
+  LogCalibration found = calibrate_log(flight.imu, flight.marker.poses, how);
+  if (found.status == LogCalibrationStatus::no_clock) {  // the clocks may be further apart
+    const ClockCalibration clock = examples::find_clock(flight.imu, flight.marker.poses, true);
+    examples::PoseLog shifted = flight.marker.poses;
+    for (auto& pose : shifted) pose.time += clock.offset;
+    if (clock.status == ClockCalibrationStatus::calibrated) {
+      found = calibrate_log(flight.imu, shifted, how);
+      found.clock_offset += clock.offset;
+    }
+  }
   if (found.status != LogCalibrationStatus::calibrated) {
-    std::string why = to_string(found.status);
+    std::string why = meaning(found.status);
     if (found.status == LogCalibrationStatus::no_clock)
-      why = std::string("the clock offset is not found: ") + to_string(found.clock);
+      why = std::string("the clock offset is not found: ") + meaning(found.clock);
     if (found.status == LogCalibrationStatus::uncertain)
       why = "the motion does not show " + found.uncertain +
             ": the log needs more rotation about all axes";
-    throw std::runtime_error("the log cannot be calibrated: " + why);
+    fail(flight, settings, "the log cannot be calibrated: " + why);
   }
   settings.clock_offset = found.clock_offset;
   settings.marker_orientation = found.marker_orientation;
@@ -334,70 +319,8 @@ void calibrate(const Options& options, const Imu& imu, const Poses& poses, EkfSe
             << " --accelerometer-bias " << numbers(found.accelerometer_bias) << '\n';
 }
 
-void replay(const Options& options) {
-  const Imu imu = read_imu(options.imu);
-  const Poses poses = read_poses(options.poses);
-  Truth truth(options.truth.empty() ? States() : read_truth(options.truth));
-
-  EkfSettings settings = options.filter;
-  const Eigen::Quaterniond given = marker_rotation(options.marker_rotation);
-  settings.marker_orientation = given;
-  settings.marker_position << options.marker_lever[0], options.marker_lever[1],
-      options.marker_lever[2];
-  const Eigen::Vector3d given_lever = settings.marker_position;
-  settings.gyro_bias = Eigen::Map<const Eigen::Vector3d>(options.gyro_bias.data());
-  settings.accelerometer_bias =
-      Eigen::Map<const Eigen::Vector3d>(options.accelerometer_bias.data());
-
-  if (options.calibrate) calibrate(options, imu, poses, settings);
-  if (options.calibrate_clock || options.estimate_marker_pose) {
-    const ClockCalibration found = calibrate_clock(imu, poses);
-    const bool ok = found.status == ClockCalibrationStatus::calibrated;
-    if (options.calibrate_clock) {
-      if (!ok)
-        throw std::runtime_error(std::string("the clocks cannot be calibrated: ") +
-                                 to_string(found.status));
-      settings.clock_offset = found.offset;
-      print("clock_offset_deviation_s", found.stddev, 5);
-    }
-    // The clock calibration also gives the rotation and needs no initial guess for it.
-    if (options.estimate_marker_pose && ok) settings.marker_orientation = found.marker_orientation;
-  }
-  if (options.estimate_marker_pose) {
-    // A first pass estimates the marker frame; the second pass uses it.
-    settings.marker_orientation_stddev = 0.1;
-    settings.marker_position_stddev = 0.3;
-    const Ekfd first =
-        fly(imu, poses, settings, "looking for the marker frame", truth, nullptr, nullptr);
-    settings.marker_orientation = first.filter().state().marker_orientation;
-    settings.marker_position = first.filter().state().marker_position;
-    settings.marker_orientation_stddev = settings.marker_position_stddev = 0.0;
-  }
-
-  std::filesystem::create_directories(options.output);
-  examples::MissionLog log(options.output + "/replay_flight.csv", columns(!truth.empty()));
-  States estimate;
-  const Ekfd filter = fly(imu, poses, settings, "replaying the flight", truth, &log, &estimate);
-  if (filter.counts().used == 0)
-    throw std::runtime_error("no pose of " + options.poses + " was used during " + options.imu +
-                             ": see --calibrate, --calibrate-clock and --clock-offset");
-  const InertialStated& x = filter.filter().state();
-
-  std::cout << "samples: " << imu.size() << "\nposes: " << poses.size()
-            << "\nused: " << filter.counts().used << "\nrejected: " << filter.counts().gated
-            << "\nunused: " << filter.counts().unused << "\nrestarts: " << filter.counts().restarts
-            << '\n';
-  print("clock_offset_s", settings.clock_offset, 5);
-  print("marker_rotation_deg", given.angularDistance(x.marker_orientation) * 180.0 / pi, 3);
-  print("marker_lever_m", (x.marker_position - given_lever).norm(), 5);
-  std::cout << "marker_orientation_wxyz: " << std::setprecision(5) << x.marker_orientation.w()
-            << ' ' << x.marker_orientation.x() << ' ' << x.marker_orientation.y() << ' '
-            << x.marker_orientation.z() << "\nmarker_position_m: " << x.marker_position.transpose()
-            << '\n';
-  if (5 * (filter.counts().gated + filter.counts().restarts) > filter.counts().used)
-    std::cerr << "replay_flight: the gate rejected many poses: are clock and marker frame right "
-                 "(--calibrate)?\n";
-  if (truth.empty()) return;
+void print_errors(const Options& options, const examples::InertialLog& imu, const States& estimate,
+                  Truth& truth) {
   const double from = imu.front().time + options.judge_from;
   const Errors plain = judge(estimate, truth, from, 0.0);
   if (plain.position.count() == 0) {
@@ -415,13 +338,103 @@ void replay(const Options& options) {
   print("shifted_velocity_rmse_mps", shifted.velocity.value(), 5);
 }
 
+void replay(const Options& options) {
+  examples::FlightLogs logs;
+  RecordedFlight flight;
+  flight.imu = logs.imu(options.imu);
+  flight.marker = logs.poses(options.poses);
+  Truth truth(options.truth.empty() ? States() : logs.truth(options.truth));
+  for (const std::string& note : logs.notes()) std::cerr << note << '\n';
+  const examples::InertialLog& imu = flight.imu;
+  const examples::PoseLog& poses = flight.marker.poses;
+
+  EkfSettings settings = options.filter;
+  const Eigen::Quaterniond given = marker_rotation(options.marker_rotation);
+  settings.marker_orientation = given;
+  settings.marker_position << options.marker_lever[0], options.marker_lever[1],
+      options.marker_lever[2];
+  const Eigen::Vector3d given_lever = settings.marker_position;
+  settings.gyro_bias = Eigen::Map<const Eigen::Vector3d>(options.gyro_bias.data());
+  settings.accelerometer_bias =
+      Eigen::Map<const Eigen::Vector3d>(options.accelerometer_bias.data());
+
+  if (options.calibrate) calibrate(options, flight, settings);
+  if (options.calibrate_clock || options.estimate_marker_pose) {
+    const ClockCalibration found = examples::find_clock(imu, poses, true);
+    const bool ok = found.status == ClockCalibrationStatus::calibrated;
+    if (options.calibrate_clock) {
+      if (!ok)
+        fail(flight, settings,
+             std::string("the clocks cannot be calibrated: ") + meaning(found.status));
+      settings.clock_offset = found.offset;
+      print("clock_offset_deviation_s", found.stddev, 5);
+    }
+    // The clock calibration also gives the rotation and needs no initial guess for it.
+    if (options.estimate_marker_pose && ok) settings.marker_orientation = found.marker_orientation;
+  }
+  if (options.estimate_marker_pose) {
+    // A first pass estimates the marker frame; the second pass uses it.
+    settings.marker_orientation_stddev = 0.1;
+    settings.marker_position_stddev = 0.3;
+    Reception ignored;
+    const Ekfd first =
+        fly(flight, settings, "looking for the marker frame", truth, nullptr, nullptr, ignored);
+    settings.marker_orientation = first.filter().state().marker_orientation;
+    settings.marker_position = first.filter().state().marker_position;
+    settings.marker_orientation_stddev = settings.marker_position_stddev = 0.0;
+  }
+
+  std::filesystem::create_directories(options.output);
+  examples::MissionLog log(options.output + "/replay_flight.csv", columns(!truth.empty()));
+  States estimate;
+  Reception reception;
+  const Ekfd filter =
+      fly(flight, settings, "replaying the flight", truth, &log, &estimate, reception);
+  if (filter.counts().used == 0)
+    fail(flight, settings,
+         "no pose of " + options.poses + " was used during " + options.imu +
+             ": see --calibrate, --calibrate-clock and --clock-offset");
+  const InertialStated& x = filter.filter().state();
+
+  if (logs.origin() > 0.0) print("time_origin_s", logs.origin(), 0);
+  if (!flight.marker.positions.empty() || flight.marker.lost > 0)
+    std::cout << "positions_only: " << flight.marker.positions.size()
+              << "\nlost_tracking: " << flight.marker.lost << '\n';
+  std::cout << "samples: " << imu.size() << "\nposes: " << poses.size()
+            << "\nused: " << filter.counts().used << "\nrejected: " << filter.counts().gated
+            << "\nunused: " << filter.counts().unused << "\nrestarts: " << filter.counts().restarts
+            << '\n';
+  print("clock_offset_s", settings.clock_offset, 5);
+  print("marker_rotation_deg", given.angularDistance(x.marker_orientation) * 180.0 / pi, 3);
+  print("marker_lever_m", (x.marker_position - given_lever).norm(), 5);
+  std::cout << "marker_orientation_wxyz: " << std::setprecision(5) << x.marker_orientation.w()
+            << ' ' << x.marker_orientation.x() << ' ' << x.marker_orientation.y() << ' '
+            << x.marker_orientation.z() << "\nmarker_position_m: " << x.marker_position.transpose()
+            << '\n';
+  if (5 * (filter.counts().gated + filter.counts().restarts) > filter.counts().used)
+    std::cerr << "replay_flight: the gate rejected many poses: are clock and marker frame right "
+                 "(--calibrate)?\n";
+  if (!truth.empty()) print_errors(options, imu, estimate, truth);
+  if (!reception.is_poor()) return;
+  char text[120];
+  (void)std::snprintf(text, sizeof text,
+                      "the filter used %.0f %% of the poses and contradicted them for %.0f %% of "
+                      "the time",
+                      100.0 * reception.used, 100.0 * reception.contradicted);
+  fail(flight, settings, text);
+}
+
 constexpr const char* footer = R"(
-Each file has a header line, then one sample per line. Times are in seconds, quantities in SI units.
-Quaternions w, x, y, z rotate from the frame to the world. The order of the columns matters, their
-names do not:
-  IMU.csv    t, angular velocity (3), specific force (3), in the body frame (the frame of the IMU)
-  POSE.csv   t, position (3), orientation (4) of the marker frame, with motion capture's clock
-  TRUTH.csv  t, position (3), orientation (4), velocity (3) of the body frame, with the IMU's clock
+EuRoC and TUM files are read as they were downloaded, and tables of rostopic and spreadsheets: fields
+between commas, semicolons, tabs or blanks, a header line with or without #, remarks, decimal commas.
+The columns are found by their names, such as these; others are ignored:
+  IMU.csv    t, wx, wy, wz (angular velocity), ax, ay, az (specific force), in the frame of the IMU
+  POSE.csv   t, px, py, pz, qw, qx, qy, qz of the marker frame, with motion capture's clock
+  TRUTH.csv  t, px, py, pz, qw, qx, qy, qz, vx, vy, vz of the body frame, with the IMU's clock
+If no name is known, they are read in this order. Quaternions rotate from the frame to the world; z of
+the world points up. Units are SI, or as the header says: [ns], [mm], [g], [deg/s]. Without a unit,
+stamps are in s, ms, us or ns by their steps. The program says what it assumed. A row of POSE.csv
+without an orientation is a position; one without a position says that tracking was lost.
 
 Files in the output directory: replay_flight.csv, the estimate at every IMU sample with standard
 deviations and errors, and replay_flight.png.
@@ -434,10 +447,16 @@ Printed, among others:
   marker_rotation_deg, marker_lever_m  difference of the marker frame from the given marker frame
   rejected                             poses that the gate rejected
   unused                               poses that were late, repeated or invalid
+  positions_only, lost_tracking        rows without orientation, and without position, if any
+  time_origin_s                        start of the times, if the stamps count from 1970
 With TRUTH.csv, also the RMS errors, and the same errors with the truth read truth_shift_s later. At
 this shift the positions fit best; it shows whether the truth has a different clock.
 
-Exit code: 0 success, 1 invalid file or failed calibration, above 100 wrong options.)";
+If the filter refuses most poses, or its biases are absurd for a quarter of the time, the program tries
+units, order, axes and clocks, and ends with the likely reason.
+
+Exit code: 0 success, 1 failed calibration or most poses refused, 2 invalid file, above 100 wrong
+options.)";
 
 }  // namespace
 
@@ -535,6 +554,9 @@ int main(int argc, char** argv) {
     replay(o);
     if (!o.no_pictures) examples::draw_pictures("tools/replay_flight.gp", o.output);
     return 0;
+  } catch (const InputFileError& error) {
+    std::cerr << "replay_flight: " << error.what() << '\n';
+    return 2;
   } catch (const std::exception& error) {
     std::cerr << "replay_flight: " << error.what() << '\n';
     return 1;

@@ -7,6 +7,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -226,15 +227,15 @@ TEST_F(ReplayFlight, ErrorsNameFileLineAndColumn) {
   const std::string imu = " '" + directory_.file("imu.csv") + "'";
   const auto refusal = [&](const std::string& head, const std::string& text) {
     const Outcome refused = replay(imu + " '" + directory_.write("bad.csv", head + text) + "'");
-    EXPECT_EQ(refused.exit_code, 1) << refused.output;
+    EXPECT_EQ(refused.exit_code, 2) << refused.output;
     return refused.output.substr(refused.output.find("bad.csv"));
   };
   const std::string head = "t,px,py,pz,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n";
   EXPECT_EQ(refusal(head, "0.1,0,0,x,1,0,0,0\n"),
-            "bad.csv:3: column pz (4): 'x' is not a number\n");
+            "bad.csv:3: column pz (4): 'x' is not a number, expected is a number\n");
   EXPECT_EQ(refusal(head, "0.1,0,0,0,1,0,0\n"), "bad.csv:3: 7 fields, the header line has 8\n");
   EXPECT_EQ(refusal(head, "0.1,0,0,0,2,0,0,0\n"),
-            "bad.csv:3: columns qw (5) to qz: a quaternion of length 2.000000\n");
+            "bad.csv:3: columns qw (5) to qz: a quaternion of length 2.000000, must be 1\n");
   EXPECT_EQ(refusal("t,px\n", "0,1\n"),
             "bad.csv:1: 2 columns, expected are t, px, py, pz, qw, qx, qy, qz\n");
   EXPECT_EQ(refusal(head, ""), "bad.csv: fewer than two samples\n");
@@ -261,6 +262,69 @@ TEST_F(ReplayFlight, RejectsMismatchedLogsWithAHint) {
   EXPECT_EQ(still_calm.exit_code, 1);
   EXPECT_TRUE(still_calm.says("cannot be calibrated: the clock offset is not found"))
       << still_calm.output;
+}
+
+// Lies that replay_flight finds by trying, each from the same good logs.
+TEST_F(ReplayFlight, EndsWithTheLikelyReasonWherePosesAreRefused) {
+  fly();
+  const Outcome turned = replay(logs() + " --clock-offset=-0.137");
+  EXPECT_EQ(turned.exit_code, 1);
+  EXPECT_TRUE(turned.says("marker frame is turned by 143 degrees")) << turned.output;
+  std::string imu = "t,c1,c2,c3,c4,c5,c6\n", line;
+  std::ifstream good(directory_.file("imu.csv"));
+  std::getline(good, line);
+  while (std::getline(good, line)) {  // gyroscope and accelerometer exchanged, in ms
+    std::istringstream fields(line);
+    std::vector<std::string> f;
+    for (std::string field; std::getline(fields, field, ',');) f.push_back(field);
+    imu += std::to_string(1e3 * std::stod(f[0]));
+    for (const std::size_t i : {4u, 5u, 6u, 1u, 2u, 3u}) imu += ',' + f[i];
+    imu += '\n';
+  }
+  const Outcome swapped = replay(" '" + directory_.write("swapped.csv", imu) + "' '" +
+                                 directory_.file("pose.csv") + "' --calibrate");
+  EXPECT_EQ(swapped.exit_code, 1);
+  EXPECT_TRUE(swapped.says("gyroscope and accelerometer are exchanged")) << swapped.output;
+  EXPECT_TRUE(swapped.says("unknown names")) << swapped.output;
+  EXPECT_TRUE(swapped.says("read as ms")) << swapped.output;
+}
+
+// EuRoC and TUM files as they are downloaded: the same replay as that of the plain files.
+TEST_F(ReplayFlight, ReadsEurocAndTumAsDownloaded) {
+  fly();
+  const Outcome plain = replay(logs(false) + " --calibrate");
+  const auto converted = [this](const char* from, const std::string& header, bool tum) {
+    std::ifstream in(directory_.file(from));
+    std::string line, text = header;
+    std::getline(in, line);
+    while (std::getline(in, line)) {
+      std::istringstream fields(line);
+      std::vector<std::string> f;
+      for (std::string field; std::getline(fields, field, ',');) f.push_back(field);
+      std::ostringstream time;
+      time << std::fixed << std::setprecision(tum ? 6 : 0)
+           << (tum ? 1.0 : 1e9) * (1403715000.0 + std::stod(f[0]));
+      f[0] = time.str();
+      if (tum) std::rotate(f.begin() + 4, f.begin() + 5, f.end());  // x y z w
+      for (std::size_t i = 0; i < f.size(); ++i) text += (i == 0 ? "" : tum ? " " : ",") + f[i];
+      text += "\r\n";
+    }
+    return " '" + directory_.write(std::string("as_downloaded_") + from, text) + "'";
+  };
+  const std::string imu =
+      converted("imu.csv",
+                "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+                "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\r\n",
+                false);
+  const std::string tum =
+      converted("pose.csv",
+                "# ground truth trajectory\n# file: 'x'\n# timestamp tx ty tz qx qy qz qw\n", true);
+  const Outcome found = replay(imu + tum + " --calibrate");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_EQ(found["time_origin_s"], 1403715000);
+  EXPECT_NEAR(found["used"], plain["used"], 5);
+  EXPECT_NEAR(found["clock_offset_s"], plain["clock_offset_s"], 1e-5);
+  EXPECT_NEAR(found["marker_lever_m"], plain["marker_lever_m"], 1e-4);
 }
 
 TEST_F(ReplayFlight, HelpAndBadArguments) {
