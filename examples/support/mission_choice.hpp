@@ -47,7 +47,8 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
       app.add_option(
              "--trajectory", choice.trajectory,
              "follow this trajectory instead: a CSV file with the columns time_s, x_m, y_m, "
-             "z_m (CoM, ground at 0) and, if wanted, yaw_rad; it starts and ends at rest")
+             "z_m (CoM, z up, ground at 0) and, if wanted, yaw_rad or yaw_deg; it starts and ends "
+             "at rest, and is not below the ground")
           ->excludes(mission)
           ->excludes(excite)
           ->excludes(speed);

@@ -4,6 +4,7 @@
 
 #include "../../examples/support/flight_log.hpp"
 #include "../../examples/support/replay.hpp"
+#include "../../examples/support/trajectory_file.hpp"
 #include "support/flights.hpp"
 #include "support/program.hpp"
 
@@ -318,6 +319,29 @@ TEST(Doors, AnAccelerometerThatContradictsTheWeightIsNamed) {
       }
     }
   EXPECT_EQ(count, 63);
+}
+
+TEST(Doors, ATrajectoryBelowTheGroundOrInDegreesIsRefused) {
+  const Undercarriage wheels = *undercarriage(tilt_ropter_vehicle());
+  const auto read = [&](const std::string& text) {
+    return refusal(
+        [&] { (void)examples::read_trajectory(directory.write("path.csv", text), wheels); });
+  };
+  const std::string head = "time_s,x_m,y_m,z_m,yaw_rad\n";
+  EXPECT_EQ(read(head + "0,0,0,1,0\n2,1,0,1,1.5\n"), "not refused");
+  EXPECT_EQ(read(head + "0,0,0,1,3.1\n2,1,0,1,-3.1\n"), "not refused");
+  EXPECT_NE(read(head + "0,0,0,1,0\n2,1,0,1,90\n").find("path.csv:3: column yaw_rad: 90 looks"),
+            std::string::npos);
+  EXPECT_NE(read(head + "0,0,0,1,90\n2,1,0,1,90\n").find("path.csv:2: column yaw_rad: 90 looks"),
+            std::string::npos);
+  for (const char* z : {"-1", "0.01"})
+    EXPECT_NE(read(head + "0,0,0,1,0\n2,1,0," + z + ",0\n").find("path.csv:3: column z_m: "),
+              std::string::npos);
+  EXPECT_NE(read("time_s,x_m,y_m,z_m,yaw_rad,yaw_deg\n0,0,0,1,0,0\n1,0,0,1,0,0\n").find("not both"),
+            std::string::npos);
+  const Mission turn = examples::read_trajectory(
+      directory.write("path.csv", "time_s,x_m,y_m,z_m,yaw_deg\n0,0,0,1,0\n2,1,0,1,90\n"), wheels);
+  EXPECT_NEAR(yaw_of(turn(2.0).orientation), pi / 2.0, 1e-9);
 }
 
 }  // namespace
