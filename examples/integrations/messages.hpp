@@ -51,8 +51,9 @@ namespace tilt_ropter_msgs::msg {
 using WrenchCommand = tilt_ropter_msgs_msg_dds__WrenchCommand_;
 }
 namespace nav_msgs::msg {
+using Odometry = nav_msgs_msg_dds__Odometry_;
 using Path = nav_msgs_msg_dds__Path_;
-}
+}  // namespace nav_msgs::msg
 namespace tf2_msgs::msg {
 using TFMessage = tf2_msgs_msg_dds__TFMessage_;
 }
@@ -111,6 +112,7 @@ TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__Imu)
 TILT_ROPTER_TOPIC(sensor_msgs_msg_dds__JointState)
 TILT_ROPTER_TOPIC(actuator_msgs_msg_dds__Actuators)
 TILT_ROPTER_TOPIC(tilt_ropter_msgs_msg_dds__WrenchCommand)
+TILT_ROPTER_TOPIC(nav_msgs_msg_dds__Odometry)
 TILT_ROPTER_TOPIC(nav_msgs_msg_dds__Path)
 TILT_ROPTER_TOPIC(tf2_msgs_msg_dds__TFMessage)
 TILT_ROPTER_TOPIC(visualization_msgs_msg_dds__MarkerArray)

@@ -4,16 +4,14 @@
 #include "messages.hpp"
 #include "parameters.hpp"
 #include "real_time.hpp"
+#include "tick_timer.hpp"
 
-#include <algorithm>
 #include <csignal>
 #include <cstdint>
 #include <cstdlib>
 #include <ctime>
 #include <functional>
-#include <iomanip>
 #include <memory>
-#include <ostream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -28,28 +26,16 @@ namespace loops {
 }
 
 /// Returns the DDS domain of ROS 2: the environment variable ROS_DOMAIN_ID, or 0. Throws
-/// std::runtime_error if it is not between 0 and 232.
+/// std::runtime_error if it is not between 0 and 230: the ports of 231 and 232 do not exist.
 [[nodiscard]] inline std::uint32_t ros_domain() {
   const char* text = std::getenv("ROS_DOMAIN_ID");
   if (text == nullptr || *text == '\0') return 0;
   char* end = nullptr;
   const long domain = std::strtol(text, &end, 10);
-  if (*end != '\0' || domain < 0 || domain > 232)
-    throw std::runtime_error("ROS_DOMAIN_ID = " + std::string(text) + ": must be 0 to 232");
+  if (*end != '\0' || domain < 0 || domain > 230)
+    throw std::runtime_error("ROS_DOMAIN_ID = " + std::string(text) + ": must be 0 to 230");
   return static_cast<std::uint32_t>(domain);
 }
-
-/// How punctual the ticks of a node were.
-struct TickCounts {
-  long ticks = 0;      ///< that were run
-  long late = 0;       ///< ended after the next one was due, or were left out
-  double worst = 0.0;  ///< longest time from when a tick was due until its end [s]
-
-  void print(std::ostream& out) const {
-    out << "ticks: " << ticks << "\nlate_ticks: " << late << "\nworst_tick_ms: " << std::fixed
-        << std::setprecision(2) << 1e3 * worst << '\n';
-  }
-};
 
 /// One thread that hands messages to callbacks and calls a tick at a fixed rate, until SIGINT or
 /// SIGTERM. Messages that have arrived come before the tick that is due. With the parameter
@@ -82,28 +68,22 @@ class Node {
     return {participant_, parameters_.topic(topic), quality};
   }
 
-  /// Calls tick(time) every `period` [ns], with the time [ns] of the clock of ROS 2. A tick that
-  /// could not begin before the next one was due is left out.
+  /// Calls tick(time) every `period` [ns], with the time [ns] of the clock of ROS 2, as TickTimer
+  /// says.
   template <typename Tick>
   void spin(std::int64_t period, const Tick& tick) {
-    for (std::int64_t due = steady_time() + period; stopped_ == 0;) {
-      waiting_.wait(use_clock_ ? period : due - now_ns());
+    timer_ = TickTimer(period, use_clock_);
+    while (stopped_ == 0) {
+      waiting_.wait(use_clock_ ? period : timer_.due() - now_ns());
       for (const auto& receive : receivers_) receive();
-      // The simulation has begun, or begun again.
-      if (use_clock_ && (!clock_known_ || simulated_ < due - 2 * period)) due = simulated_;
-      clock_known_ = simulated_ > 0;
-      if (steady_time() < due || (use_clock_ && !clock_known_)) continue;
+      if (use_clock_ && simulated_ <= 0) continue;  // the simulation has not begun
+      if (!timer_.begins(steady_time())) continue;
       tick(use_clock_ ? simulated_ : system_time_ns());
-      const std::int64_t passed = steady_time() - due;
-      ++counts_.ticks;
-      counts_.late += static_cast<long>(passed / period);
-      counts_.worst = std::max(counts_.worst, 1e-9 * static_cast<double>(passed));
-      due += period * std::max<std::int64_t>(1, passed / period);
-      if (use_clock_ && due <= simulated_) due += period;  // the same time twice is no tick
+      timer_.ended(steady_time());
     }
   }
 
-  [[nodiscard]] const TickCounts& counts() const { return counts_; }
+  [[nodiscard]] const TickCounts& counts() const { return timer_.counts(); }
   [[nodiscard]] Parameters& parameters() { return parameters_; }
 
  private:
@@ -115,8 +95,8 @@ class Node {
   dds::Participant participant_;
   dds::WaitSet waiting_;
   std::vector<std::function<void()>> receivers_;
-  TickCounts counts_;
-  bool use_clock_ = false, clock_known_ = false;
+  TickTimer timer_{1, false};
+  bool use_clock_ = false;
   std::int64_t simulated_ = 0;  // last message on /clock [ns]
 };
 

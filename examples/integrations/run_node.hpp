@@ -21,7 +21,7 @@ template <typename Fly>
 int run_node(CLI::App& app, int argc, const char* const* argv, const Fly& fly) {
   std::vector<std::string> arguments(argv + 1, argv + argc);
   try {
-    Parameters parameters = Parameters::from(arguments);
+    Parameters parameters = Parameters::from(arguments, app.get_name());
     // CLI11 needs the arguments in reverse order.
     app.parse(std::vector<std::string>(arguments.rbegin(), arguments.rend()));
     Node node(parameters);

@@ -2,6 +2,7 @@
 
 #include "messages.hpp"
 #include "node.hpp"
+#include "tick_timer.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
@@ -13,8 +14,8 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
 #include <condition_variable>
 #include <cstddef>
@@ -27,7 +28,8 @@
 #include <utility>
 #include <vector>
 
-/// What a node shows of its flight: transform, path, markers and diagnostics for rviz2 or Foxglove.
+/// What a node shows of its flight: transform, odometry, path, markers and diagnostics for rviz2 or
+/// Foxglove.
 namespace loops {
 
 enum class Level : std::uint8_t { ok = 0, warning = 1, error = 2 };  // of diagnostic_msgs
@@ -50,7 +52,11 @@ struct Snapshot {
 /// stay valid until the next call of the same function.
 class FlightMessages {
  public:
-  explicit FlightMessages(const tilt_ropter::Vehicle<4>& vehicle) : vehicle_(vehicle) {}
+  /// `prefix` is in front of the names of the vehicle's frame and of its diagnostics.
+  explicit FlightMessages(const tilt_ropter::Vehicle<4>& vehicle, const std::string& prefix = "")
+      : vehicle_(vehicle),
+        base_link_(prefix + "base_link"),
+        name_(prefix + "tilt_ropter: flight") {}
 
   /// The pose of base_link in map.
   [[nodiscard]] const tf2_msgs::msg::TFMessage& transform(const Snapshot& s) {
@@ -62,6 +68,17 @@ class FlightMessages {
     t.transform.rotation = pose(s).orientation;
     refer_to(transform_.transforms, transforms_);
     return transform_;
+  }
+
+  /// The pose of base_link in map, and its velocities in base_link.
+  [[nodiscard]] const nav_msgs::msg::Odometry& odometry(const Snapshot& s) {
+    const Eigen::Vector3d v = s.body.orientation.conjugate() * s.body.velocity;
+    const Eigen::Vector3d& w = s.body.angular_velocity;
+    odometry_.header = header(s, map_);
+    odometry_.child_frame_id = in_message(base_link_);
+    odometry_.pose.pose = pose(s);
+    odometry_.twist.twist = {{v.x(), v.y(), v.z()}, {w.x(), w.y(), w.z()}};
+    return odometry_;
   }
 
   /// The flown path: at most `most_poses` poses, at least `spacing` apart.
@@ -190,11 +207,12 @@ class FlightMessages {
   }
 
   tilt_ropter::Vehicle<4> vehicle_;
-  const std::string map_ = "map", base_link_ = "base_link", name_ = "tilt_ropter: flight",
-                    thrust_ = "thrust", wrench_ = "external_wrench", reference_ = "reference",
-                    contact_ = "contact";
+  const std::string base_link_, name_;
+  const std::string map_ = "map", thrust_ = "thrust", wrench_ = "external_wrench",
+                    reference_ = "reference", contact_ = "contact";
   std::vector<geometry_msgs::msg::TransformStamped> transforms_{1};
   tf2_msgs::msg::TFMessage transform_{};
+  nav_msgs::msg::Odometry odometry_{};
   std::vector<geometry_msgs::msg::PoseStamped> poses_;
   Eigen::Vector3d last_ = Eigen::Vector3d::Zero();
   nav_msgs::msg::Path path_{};
@@ -210,15 +228,17 @@ class FlightMessages {
 };
 
 /// Publishes the messages of a flight from its own thread, so that the thread of the controller
-/// only copies a snapshot. Transform and markers at the rate of the parameter `telemetry_rate` [Hz]
-/// (0: nothing at all), path and diagnostics once a second.
+/// only copies a snapshot. Transform, odometry and markers at the rate of the parameter
+/// `telemetry_rate` [Hz] (0: nothing at all), path and diagnostics once a second. The clock is that
+/// of the snapshots.
 class Telemetry {
  public:
   /// Throws dds::Error, and std::invalid_argument for a rate outside 0 to 100 Hz.
   Telemetry(Node& node, const tilt_ropter::Vehicle<4>& vehicle)
-      : messages_(vehicle),
+      : messages_(vehicle, node.parameters().prefix()),
         rate_(node.parameters().number("telemetry_rate", 20.0)),
         transform_(node.publisher<tf2_msgs::msg::TFMessage>("/tf", {true, 100})),
+        odometry_(node.publisher<nav_msgs::msg::Odometry>("odometry", dds::default_quality)),
         path_(node.publisher<nav_msgs::msg::Path>("path", dds::default_quality)),
         markers_(
             node.publisher<visualization_msgs::msg::MarkerArray>("markers", dds::default_quality)),
@@ -226,7 +246,9 @@ class Telemetry {
                                                                            dds::default_quality)) {
     if (!(rate_ >= 0.0 && rate_ <= 100.0))
       throw std::invalid_argument("telemetry_rate: must be 0 to 100 Hz");
-    if (rate_ > 0.0) thread_ = std::thread([this] { run(); });
+    if (!(rate_ > 0.0)) return;
+    due_ = TickTimer(std::llround(std::min(1e9 / rate_, 1e15)), true);
+    thread_ = std::thread([this] { run(); });
   }
   ~Telemetry() {
     {
@@ -242,31 +264,29 @@ class Telemetry {
   /// For the thread of the controller: never waits and never allocates. If the other thread is
   /// copying at this moment, it keeps the last snapshot.
   void offer(const Snapshot& snapshot) {
-    const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
+    if (!thread_.joinable() || !due_.begins(snapshot.time)) return;
+    std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
     if (!lock.owns_lock()) return;
     latest_ = snapshot;
     fresh_ = true;
+    lock.unlock();
+    wake_.notify_one();
   }
 
  private:
   void run() {
-    const std::chrono::duration<double> period(1.0 / rate_);
-    const auto step = std::chrono::duration_cast<std::chrono::steady_clock::duration>(period);
-    auto due = std::chrono::steady_clock::now();
-    double since_slow = 1.0;  // [s]
-    for (std::unique_lock<std::mutex> lock(mutex_); !ends_;) {
-      due += step;
-      wake_.wait_until(lock, due, [this] { return ends_; });
-      if (ends_ || !fresh_) continue;
+    TickTimer second(1000000000, true);
+    for (std::unique_lock<std::mutex> lock(mutex_);;) {
+      wake_.wait(lock, [this] { return ends_ || fresh_; });
+      if (ends_) return;
       const Snapshot s = latest_;
       fresh_ = false;
       lock.unlock();
       transform_.publish(messages_.transform(s));
+      odometry_.publish(messages_.odometry(s));
       markers_.publish(messages_.markers(s));
       const auto& path = messages_.path(s);
-      since_slow += period.count();
-      if (since_slow >= 1.0) {
-        since_slow = 0.0;
+      if (second.begins(s.time)) {
         path_.publish(path);
         diagnostics_.publish(messages_.diagnostics(s));
       }
@@ -276,7 +296,9 @@ class Telemetry {
 
   FlightMessages messages_;
   double rate_;
+  TickTimer due_{1, true};
   dds::Publisher<tf2_msgs::msg::TFMessage> transform_;
+  dds::Publisher<nav_msgs::msg::Odometry> odometry_;
   dds::Publisher<nav_msgs::msg::Path> path_;
   dds::Publisher<visualization_msgs::msg::MarkerArray> markers_;
   dds::Publisher<diagnostic_msgs::msg::DiagnosticArray> diagnostics_;
