@@ -64,6 +64,9 @@ void fly(loops::Node& node, const std::vector<std::string>& choices) {
   node.subscribe<VehicleControlMode>(
       versions.topic("VehicleControlMode"), dds::sensor_data,
       [&](const VehicleControlMode& m) { pilot.on_control_mode(m); });
+  node.subscribe<geometry_msgs::msg::PoseStamped>(
+      "hover_point", dds::default_quality,
+      [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_hover_point(m); });
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
     const loops::Px4Node::Output out = pilot.tick(now);

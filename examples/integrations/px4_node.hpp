@@ -23,6 +23,7 @@
 #include <cstdint>
 #include <iostream>
 #include <optional>
+#include <utility>
 
 namespace loops {
 
@@ -30,24 +31,28 @@ inline constexpr const char* px4_help =
     R"(PX4 offboard node: wrench observer, NMPC and allocation at 100 Hz, from PX4's own estimate to
 its motors and servos.
 
-Subscribes to  /fmu/out/vehicle_odometry, /fmu/out/sensor_combined, /fmu/out/vehicle_status_v4,
-               /fmu/out/vehicle_control_mode
-Publishes      /fmu/in/offboard_control_mode, /fmu/in/actuator_motors, /fmu/in/actuator_servos_v1,
-               /fmu/in/vehicle_thrust_setpoint
-               /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
+Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
+               fmu/out/vehicle_control_mode
+               hover_point   geometry_msgs/PoseStamped, where to hover (ENU)
+Publishes      fmu/in/offboard_control_mode, fmu/in/actuator_motors, fmu/in/actuator_servos_v1,
+               fmu/in/vehicle_thrust_setpoint
+               /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
 PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
 PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
 [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
-(automatic, nlopt, structured). Topics: --ros-args -r
-TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
+(automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args
+-r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the
+environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
-and switch to offboard mode. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the
-odometry is older than max_silence, by its stamp or its arrival, the node follows its last plan,
-for 0.3 s. Then it publishes nothing, and PX4 leaves offboard mode. Where PX4 resets its position or
-heading, the hover point moves along.)";
+and switch to offboard mode, on the ground or in the air. The vehicle flies to the hover point with
+at most 1 m/s. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the odometry is
+older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
+PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it publishes nothing. Nor does
+it 1.2 s after PX4 last said who flies. Where PX4 resets its position or heading, the hover point
+moves along.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
@@ -55,6 +60,8 @@ heading, the hover point moves along.)";
 class Px4Node {
  public:
   static constexpr double longest_hold = 0.3;  ///< without a state; then nothing is sent [s]
+  /// Since PX4 last said who flies, which it does at 2 Hz and when it changes [s].
+  static constexpr double longest_untold = 1.2;
 
   /// What a tick() asks to publish.
   struct Output {
@@ -102,47 +109,37 @@ class Px4Node {
 
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
     if (pilot_ == Pilot::somebody_else) return;  // the state of the actuators is unknown
+    if (m.accelerometer_clipping != 0) return;   // no measurement
     const double time = seconds(m.timestamp);
-    observed_ = observer_.update(time,
-                                 {tilt_ropter::flu_from_frd(vector(m.gyro_rad)),
-                                  tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2))},
-                                 allocation_.wrench(actuators_.update(time, sent_.command)));
+    const Eigen::Vector3d specific_force = tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2));
+    const tilt_ropter::Wrenchd applied = allocation_.wrench(actuators_.update(time, sent_.command));
+    const double weight = vehicle_.body.mass * tilt_ropter::gravity;
+    if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
+        (is_killed_ || applied.force.norm() > 0.5 * weight)) {
+      // The rotors do not turn as commanded: a kill switch, of which PX4 tells nothing.
+      actuators_.reset({Eigen::Vector4d::Zero(), sent_.command.tilt_angle});
+      is_killed_ = true;
+      killed_ = time;
+    }
+    is_killed_ = is_killed_ && time - killed_ < run_up;
+    if (is_killed_) return;
+    observed_ = observer_.update(
+        time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force}, applied);
   }
 
   /// For any version of VehicleStatus.
   template <typename Status>
   void on_status(const Status& m) {
-    decide(m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
+    on_pilot(m.timestamp, m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
   }
-  /// Ten times as often as VehicleStatus.
+  /// When who flies changes, this comes up to 0.2 s before VehicleStatus.
   void on_control_mode(const px4_msgs::msg::VehicleControlMode& m) {
-    decide(m.flag_armed, m.flag_control_offboard_enabled);
+    on_pilot(m.timestamp, m.flag_armed, m.flag_control_offboard_enabled);
   }
-
-  /// Decides who flies.
-  void decide(bool armed, bool offboard) {
-    const Pilot before = pilot_;
-    pilot_ = !armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else;
-    if (pilot_ == before) return;
-    if (pilot_ != Pilot::this_node) sent_ = {};
-    if (pilot_ == Pilot::this_node && before == Pilot::somebody_else && body_) take_over();
-    if (pilot_ == Pilot::nobody) {
-      observer_.begin_calibration();
-      wrong_imu_ = false;
-    }
-    if (before == Pilot::nobody && body_) {
-      // The vehicle stands on the ground, which carries its weight.
-      tilt_ropter::Wrenchd ground;
-      ground.force.z() = vehicle_.body.mass * tilt_ropter::gravity;
-      const auto status =
-          observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
-      wrong_imu_ = contradicts_weight(status);
-      if (status != tilt_ropter::CalibrationStatus::calibrated)
-        std::cerr << (wrong_imu_
-                          ? "px4_node: does not fly, the accelerometer contradicts the weight: "
-                          : "px4_node: the observer is not calibrated: ")
-                  << to_string(status) << '\n';
-    }
+  /// Where to hover from now on.
+  void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
+    if (!reference_.fly_to(m.pose, time_))
+      std::cerr << "px4_node: hover_point is ignored: no pose, or too far away\n";
   }
 
   /// One period of the controller at the time `now` [ns].
@@ -150,13 +147,14 @@ class Px4Node {
     Output out;
     out.now = static_cast<std::uint64_t>(now / 1000);
     out.sample = sample_;
-    const double time = seconds(out.now), age = time - seconds(sample_);
-    if (is_new_) arrived_ = time;
-    is_new_ = false;
+    const double time = time_ = seconds(out.now), age = time - seconds(sample_);
+    if (std::exchange(is_new_, false)) arrived_ = time;
+    if (std::exchange(is_told_, false)) told_ = time;
+    if (untold()) decide(Pilot::somebody_else);
     const bool is_known = std::abs(age) <= max_silence_ && time - arrived_ <= max_silence_;
     if (is_known) known_ = time;
     const bool holds = flying_ && time >= known_ && time - known_ <= longest_hold;
-    silent_ = !is_known && !holds;
+    silent_ = untold() || (!is_known && !holds);
     if (body_ && !is_known && !warned_ && time - arrived_ <= max_silence_) {
       std::cerr << "px4_node: odometry arrives but is " << age
                 << " s old by its stamps, max_silence is " << max_silence_
@@ -165,13 +163,18 @@ class Px4Node {
     }
     flying_ = flying_ && !silent_ && pilot_ == Pilot::this_node;
     if (!body_ || silent_ || wrong_imu_) return out;
-    // PX4 requires this message for some time before it accepts offboard control.
-    out.mode = px4_msgs::msg::OffboardControlMode{};
-    out.mode->timestamp = out.now;
-    out.mode->direct_actuator = true;
+    if (is_known) {
+      // PX4 requires this message for some time before it accepts offboard control, and leaves it
+      // some time after the last one.
+      out.mode = px4_msgs::msg::OffboardControlMode{};
+      out.mode->timestamp = out.now;
+      out.mode->direct_actuator = true;
+    }
     if (pilot_ != Pilot::this_node) return out;
+    if (takes_over_) take_over();
+    if (!flying_) reference_.start(*body_, time);
 
-    if (is_known) contact_.update(time, *body_, observed_);
+    if (is_known && !is_killed_) contact_.update(time, *body_, observed_);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         is_known ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
@@ -191,12 +194,13 @@ class Px4Node {
     Snapshot s;
     s.time = now;
     s.body = *body_;
-    s.reference = reference_.point;
+    s.reference = reference_(time_);
     s.actuators = sent_.command;
     s.contact = contact_.estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
     s.planned = planned_ && pilot_ == Pilot::this_node;
-    s.mode = wrong_imu_                   ? "refuses to fly"
+    s.mode = untold()                     ? "not told who flies"
+             : wrong_imu_                 ? "refuses to fly"
              : pilot_ == Pilot::this_node ? "offboard"
              : pilot_ == Pilot::nobody    ? "disarmed"
                                           : "flown by PX4";
@@ -213,6 +217,45 @@ class Px4Node {
  private:
   enum class Pilot { somebody_else, nobody, this_node };
 
+  [[nodiscard]] bool untold() const { return !(std::abs(time_ - told_) <= longest_untold); }
+
+  // `stamp` [us]: the two topics that say it are not of one speed. What PX4 said before does not
+  // count, unless its clock has gone back.
+  void on_pilot(std::uint64_t stamp, bool armed, bool offboard) {
+    constexpr std::uint64_t most = 1000000;
+    if (stamp < told_stamp_ && told_stamp_ - stamp < most) return;
+    told_stamp_ = stamp;
+    is_told_ = true;
+    decide(!armed ? Pilot::nobody : offboard ? Pilot::this_node : Pilot::somebody_else);
+  }
+
+  void decide(Pilot pilot) {
+    const Pilot before = std::exchange(pilot_, pilot);
+    if (pilot_ == before) return;
+    if (pilot_ != Pilot::this_node) sent_ = {};
+    takes_over_ = pilot_ == Pilot::this_node && before == Pilot::somebody_else;
+    if (pilot_ == Pilot::nobody) {
+      observer_.begin_calibration();
+      wrong_imu_ = false;
+    }
+    if (before == Pilot::nobody && body_) {
+      // The vehicle stands on the ground, which carries its weight.
+      tilt_ropter::Wrenchd ground;
+      ground.force.z() = vehicle_.body.mass * tilt_ropter::gravity;
+      const auto status =
+          observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
+      wrong_imu_ = contradicts_weight(status);
+      if (status != tilt_ropter::CalibrationStatus::calibrated)
+        std::cerr << (wrong_imu_
+                          ? "px4_node: does not fly, the accelerometer contradicts the weight: "
+                          : "px4_node: the observer is not calibrated: ")
+                  << to_string(status) << '\n';
+    }
+  }
+
+  static constexpr double free_fall = 3.0;  // largest specific force [m/s^2]
+  static constexpr double run_up =
+      0.2;  // of rotors that stood, when they do not match the model [s]
   // Without a reset of PX4's estimator, no vehicle is elsewhere by so much [m].
   static constexpr double farthest_jump = 0.5;
 
@@ -225,12 +268,12 @@ class Px4Node {
   // PX4's own controllers move their set points in the same way: the vehicle has not moved.
   void follow_reset(const Eigen::Vector3d& step, double turn) {
     using namespace tilt_ropter;
-    reference_.point.position += step;
-    reference_.point.orientation = quaternion_from_yaw(turn) * reference_.point.orientation;
+    reference_.move(step, turn);
     const ContactEstimate& last = contact_.estimate();
     GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
     ground.height += step.z() - ground.rise(step);
     contact_ = ContactEstimator(vehicle_, ground);
+    home_ += step.z();
     NmpcSettings settings = nmpc_.settings();
     settings.ground.planned_height += step.z();
     nmpc_.set_settings(settings);
@@ -240,8 +283,13 @@ class Px4Node {
   // the air, about hover is the best guess.
   void take_over() {
     using namespace tilt_ropter;
+    // The ground may have been left long ago. To hold a flight for standing means a fall, the
+    // opposite a take-off: the lower ground counts.
     const ContactEstimate& last = contact_.estimate();
-    const GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
+    GroundPlane ground;
+    ground.height = home_;
+    if (last.ground_known && last.ground.height_at(body_->position) < home_) ground = last.ground;
+    takes_over_ = false;
     observer_.reset();
     observed_ = observer_.observed();
     contact_ = ContactEstimator(vehicle_, ground);
@@ -268,12 +316,17 @@ class Px4Node {
   double origin_height_, max_silence_;
   std::optional<tilt_ropter::BodyStated> body_;  // last known state
   std::uint64_t sample_ = 0;                     // time of this state [us]
+  double time_ = 0.0;                            // of the last tick [s]
   double arrived_ = -1e9, known_ = -1e9;         // last arrival, last time with a state [s]
+  double killed_ = -1e9;                         // when the rotors last stood in flight [s]
+  double home_ = 0.0;                            // height of the ground at the start [m]
+  double told_ = -1e9;                           // when PX4 last said who flies [s]
+  std::uint64_t told_stamp_ = 0;                 // the same, by its stamp [us]
   std::uint8_t resets_ = 0;                      // of PX4's estimator
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
-       flying_ = false;
+       is_told_ = false, flying_ = false, is_killed_ = false, takes_over_ = false;
 };
 
 }  // namespace loops

@@ -12,7 +12,7 @@ namespace loops {
 /// for version 0.
 struct Px4Topic {
   const char* message;  ///< of px4_msgs
-  const char* topic;    ///< without version
+  const char* topic;    ///< without version, relative to the namespace
   int version;          ///< of PX4 1.18
   int oldest;           ///< version that px4_node also knows; all between are known, too
 };
@@ -21,14 +21,14 @@ struct Px4Topic {
 /// VehicleStatus: PX4 1.15 has version 0, PX4 1.16 and 1.17 have version 1. ActuatorServos: all of
 /// them have version 0, with 8 instead of 15 controls.
 inline constexpr std::array<Px4Topic, 8> px4_topics = {{
-    {"VehicleOdometry", "/fmu/out/vehicle_odometry", 0, 0},
-    {"SensorCombined", "/fmu/out/sensor_combined", 0, 0},
-    {"VehicleStatus", "/fmu/out/vehicle_status", 4, 0},
-    {"VehicleControlMode", "/fmu/out/vehicle_control_mode", 0, 0},
-    {"OffboardControlMode", "/fmu/in/offboard_control_mode", 0, 0},
-    {"ActuatorMotors", "/fmu/in/actuator_motors", 0, 0},
-    {"ActuatorServos", "/fmu/in/actuator_servos", 1, 0},
-    {"VehicleThrustSetpoint", "/fmu/in/vehicle_thrust_setpoint", 0, 0},
+    {"VehicleOdometry", "fmu/out/vehicle_odometry", 0, 0},
+    {"SensorCombined", "fmu/out/sensor_combined", 0, 0},
+    {"VehicleStatus", "fmu/out/vehicle_status", 4, 0},
+    {"VehicleControlMode", "fmu/out/vehicle_control_mode", 0, 0},
+    {"OffboardControlMode", "fmu/in/offboard_control_mode", 0, 0},
+    {"ActuatorMotors", "fmu/in/actuator_motors", 0, 0},
+    {"ActuatorServos", "fmu/in/actuator_servos", 1, 0},
+    {"VehicleThrustSetpoint", "fmu/in/vehicle_thrust_setpoint", 0, 0},
 }};
 
 /// The version of each message that the firmware has.

@@ -23,6 +23,9 @@ void fly(loops::Node& node) {
   node.subscribe<sensor_msgs::msg::JointState>(
       "rotor_speeds", dds::sensor_data,
       [&](const sensor_msgs::msg::JointState& m) { pilot.on_rotor_speeds(m); });
+  node.subscribe<geometry_msgs::msg::PoseStamped>(
+      "hover_point", dds::default_quality,
+      [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_hover_point(m); });
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
     if (const auto* command = pilot.tick(now)) actuators.publish(*command);

@@ -35,15 +35,17 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                pose          geometry_msgs/PoseStamped, of the vehicle in the world (ENU)
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
                              rotor_joints names; without names, of rotors 1 to 4
+               hover_point   geometry_msgs/PoseStamped, where to hover (ENU)
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
                              rotors 1 to 4 and their servos
-               /tf, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
+               /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
 Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
 max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
-(automatic, nlopt, structured), rotor_joints (rotor_1,rotor_2,rotor_3,rotor_4). Topics:
---ros-args -r TOPIC:=OTHER_TOPIC. DDS domain: the environment variable ROS_DOMAIN_ID.
+(automatic, nlopt, structured), rotor_joints (rotor_1,rotor_2,rotor_3,rotor_4). From a file:
+--ros-args --params-file FILE.yaml. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name:
+-r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
 If the IMU is silent for max_silence, the node publishes nothing, and the time-out of the motors ends
@@ -99,6 +101,12 @@ class Ros2Node {
     controller_.on_rotor_speeds(*speeds);
   }
 
+  /// Where to hover from now on.
+  void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
+    if (!reference_.fly_to(m.pose, now_.value_or(0.0)))
+      std::cerr << "ros2_node: hover_point is ignored: no pose, or too far away\n";
+  }
+
   /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is
   /// valid until the next call, or nothing.
   [[nodiscard]] const actuator_msgs::msg::Actuators* tick(std::int64_t now) {
@@ -135,7 +143,7 @@ class Ros2Node {
     Snapshot s;
     s.time = now;
     s.body = controller_.ekf().state();
-    s.reference = reference_.point;
+    s.reference = reference_(now_.value_or(0.0));
     s.actuators = controller_.applied();
     s.contact = controller_.contact().estimate();
     s.estimate = tilt_ropter::to_string(controller_.trust().state);

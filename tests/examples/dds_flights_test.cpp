@@ -25,6 +25,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <fstream>
 #include <functional>
 #include <string>
 
@@ -272,13 +273,14 @@ TEST_F(DdsFlight, Ros2NodeHoversInRealTime) {
 template <typename Status, typename Servos>
 class Px4Line {
  public:
-  Px4Line(const dds::Participant& participant, const loops::Px4Versions& versions)
-      : sensors_(participant, versions.topic("SensorCombined"), dds::sensor_data),
-        odometry_(participant, versions.topic("VehicleOdometry"), dds::sensor_data),
-        status_(participant, versions.topic("VehicleStatus"), dds::sensor_data),
-        mode_(participant, versions.topic("OffboardControlMode"), dds::sensor_data),
-        motors_(participant, versions.topic("ActuatorMotors"), dds::sensor_data),
-        servos_(participant, versions.topic("ActuatorServos"), dds::sensor_data) {}
+  Px4Line(const dds::Participant& participant, const loops::Px4Versions& versions,
+          const std::string& space = "")
+      : sensors_(participant, space + versions.topic("SensorCombined"), dds::sensor_data),
+        odometry_(participant, space + versions.topic("VehicleOdometry"), dds::sensor_data),
+        status_(participant, space + versions.topic("VehicleStatus"), dds::sensor_data),
+        mode_(participant, space + versions.topic("OffboardControlMode"), dds::sensor_data),
+        motors_(participant, space + versions.topic("ActuatorMotors"), dds::sensor_data),
+        servos_(participant, space + versions.topic("ActuatorServos"), dds::sensor_data) {}
 
   [[nodiscard]] bool connected() const {
     return sensors_.subscribers() == 1 && odometry_.subscribers() == 1 &&
@@ -379,10 +381,15 @@ TEST_F(DdsFlight, Px4NodeHoversInRealTime) {
 TEST_F(DdsFlight, Px4NodeSpeaksToOlderFirmwareOnTheSystemClock) {
   const loops::Px4Versions versions({"VehicleStatus=1", "ActuatorServos=0"});
   Px4Line<px4_msgs::msg::VehicleStatusV1, px4_msgs::msg::ActuatorServosV0> line(participant_,
-                                                                                versions);
+                                                                                versions, "px4_1/");
+  // As a launch file starts it.
+  const std::string file = directory_.file("parameters.yaml");
+  std::ofstream(file) << "/px4_1/pilot:\n  ros__parameters:\n    hover_z: 0.5\n";
   const std::string options =
-      "--px4-message-version VehicleStatus=1 --px4-message-version ActuatorServos=0 ";
-  Background node(PX4_NODE_PROGRAM, options + px4_parameters, directory_.file("node"));
+      "--px4-message-version VehicleStatus=1 --px4-message-version ActuatorServos=0 --ros-args "
+      "--log-level info -r __node:=pilot -r __ns:=/px4_1 -p use_sim_time:=False --params-file '" +
+      file + "'";
+  Background node(PX4_NODE_PROGRAM, options, directory_.file("node"));
   ASSERT_TRUE(wait_until([&] { return line.connected(); }));
   const auto& vehicle = line.vehicle;
   EXPECT_TRUE(on_the_system_clock(

@@ -35,12 +35,13 @@ class Px4Vehicle {
     return m;
   }
 
-  /// Gives the messages of this millisecond to on_sensors and on_odometry of `node`.
+  /// Gives the messages of this millisecond to on_sensors and on_odometry of `node`: each at
+  /// 100 Hz, as PX4 sends them.
   template <typename Node>
   void sense(Node& node) {
     const long tick = std::lround(1000.0 * plant.time());
-    if (tick % 4 == 0) node.on_sensors(sensors());
-    if (tick % 5 == 0 && estimating) node.on_odometry(odometry());
+    if (tick % 10 == 5) node.on_sensors(sensors());
+    if (tick % 10 == 8 && estimating) node.on_odometry(odometry());
   }
 
   void on_mode(const px4_msgs::msg::OffboardControlMode& m) {
@@ -66,6 +67,9 @@ class Px4Vehicle {
     for (std::size_t i = 0; i < 4; ++i)
       command_.tilt_angle(static_cast<int>(i)) = tilt_ropter::pi * double(m.control[i]);
   }
+
+  /// Whether the vehicle obeys the commands of the node; otherwise it follows `by_another`.
+  void obey(bool yes) { obeys_ = yes; }
 
   /// One millisecond.
   [[nodiscard]] bool step() {
@@ -111,6 +115,7 @@ class Px4Vehicle {
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
   tilt_ropter::Plant<4> plant{heavy_vehicle()};
+  double clipping = 0.0;  ///< the accelerometer clips and reads so much along z [m/s^2]
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
   px4_msgs::msg::ActuatorMotors last_motors{};
@@ -129,6 +134,10 @@ class Px4Vehicle {
     const Eigen::Vector3d bias(0.05, -0.08, 0.1);
     set(m.gyro_rad, flu_to_frd_ * plant.body().angular_velocity);
     set(m.accelerometer_m_s2, flu_to_frd_ * (plant.specific_force() + bias));
+    if (clipping > 0.0) {
+      m.accelerometer_clipping = 4;  // z
+      m.accelerometer_m_s2[2] = static_cast<float>(clipping);
+    }
     return m;
   }
 

@@ -1,0 +1,305 @@
+// The PX4 node with a pilot and with faults, in simulated time, against a
+// stand-in that is as strict as PX4. A full run flies 200 random sequences.
+// CTest: dds flight optimised
+
+#include "../../examples/integrations/px4_node.hpp"
+#include "support/full_run.hpp"
+#include "support/px4_autopilot.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdio>
+#include <functional>
+#include <iterator>
+#include <optional>
+#include <random>
+#include <string>
+
+namespace loops {
+namespace {
+
+using Eigen::Vector3d;
+using tilt_ropter::pi;
+
+/// A vehicle with PX4, a node, a line between them and a pilot.
+struct Flight {
+  Flight() { start_node(); }
+
+  void start_node() {
+    parameters = Parameters{
+        {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
+        {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"}};
+    node.emplace(parameters);
+  }
+
+  void fly(double seconds) {
+    for (int i = 0; i < std::lround(1000.0 * seconds); ++i) {
+      px4.sense(*node, heard);
+      ASSERT_TRUE(px4.step());
+      judge();
+      if (std::lround(1000.0 * px4.time()) % 10 != 0) continue;
+      const Px4Node::Output out = node->tick(px4.vehicle.now());
+      px4.take(out, hears);
+      if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 2.0)
+        sag = std::max(sag, shown->reference.position.z() - shown->body.position.z());
+    }
+  }
+
+  /// Take-off to the hover point, with the pilot's hands.
+  void take_off() {
+    fly(1.5);
+    px4.wants_offboard = true;
+    ASSERT_TRUE(px4.arm());
+    fly(4.5);
+    ASSERT_LT((body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
+  }
+
+  /// What the pilot did not cause: from 2 s after the kill switch on.
+  void judge() {
+    if (px4.kills || !px4.armed()) killed_ = px4.time();
+    if (px4.time() - killed_ < 2.0) return;
+    const Vector3d up = body().orientation * Vector3d::UnitZ();
+    tilt = std::max(tilt, std::acos(std::clamp(up.z(), -1.0, 1.0)) * 180.0 / pi);
+    fastest_fall = std::max(fastest_fall, -body().velocity.z());
+  }
+
+  [[nodiscard]] const tilt_ropter::BodyStated& body() const { return px4.vehicle.plant.body(); }
+
+  test_support::Px4Autopilot px4{5000000000LL};
+  Parameters parameters;
+  std::optional<Px4Node> node;
+  bool heard = true, hears = true;  ///< the two directions of the line
+  double heading_error = 0.0;       ///< of PX4's estimate [rad]
+  double tilt = 0.0;                ///< largest [deg]
+  double sag = 0.0;                 ///< below the node's own reference [m]
+  double fastest_fall = 0.0;        ///< [m/s]
+
+ private:
+  double killed_ = 0.0;
+};
+
+TEST(Px4Pilot, TakesOverAndGivesBack) {
+  Flight flight;
+  flight.take_off();
+  for (const double seconds : {0.1, 0.6, 3.0}) {
+    flight.px4.wants_offboard = false;
+    flight.px4.stick = flight.body().position + Vector3d(2.0, -1.0, 0.5);
+    flight.fly(seconds);
+    flight.px4.wants_offboard = true;
+    flight.fly(5.5);
+    EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05) << seconds;
+  }
+  EXPECT_EQ(flight.px4.unasked, 0);
+  EXPECT_LT(flight.tilt, 15.0);
+  EXPECT_LT(flight.sag, 0.15);
+}
+
+// PX4 says at 2 Hz who flies. A node that no longer hears it sends nothing.
+TEST(Px4Pilot, IsNotBelievedForEverWhenTheStatusStops) {
+  Flight flight;
+  flight.take_off();
+  flight.px4.tells = false;
+  flight.fly(0.6);
+  EXPECT_TRUE(flight.px4.is_offboard());
+  flight.fly(0.8);
+  const int commands = flight.px4.vehicle.commands, heartbeats = flight.px4.vehicle.heartbeats;
+  flight.fly(0.6);
+  EXPECT_EQ(flight.px4.vehicle.commands, commands);
+  EXPECT_EQ(flight.px4.vehicle.heartbeats, heartbeats);
+  EXPECT_STREQ(flight.node->snapshot(0)->mode, "not told who flies");
+  EXPECT_FALSE(flight.px4.is_offboard());
+  flight.px4.tells = true;
+  flight.fly(6.0);
+  EXPECT_TRUE(flight.px4.is_offboard());
+  EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
+}
+
+// The node stops its OffboardControlMode at once, and flies on for a moment, so
+// that PX4 is about to take over when the node ends.
+TEST(Px4Pilot, Px4TakesOverSoonAfterOdometryIsLost) {
+  Flight flight;
+  flight.take_off();
+  flight.heard = false;
+  flight.fly(0.35);
+  EXPECT_TRUE(flight.px4.is_offboard());
+  const int commands = flight.px4.vehicle.commands;
+  flight.fly(0.02);
+  EXPECT_GT(flight.px4.vehicle.commands, commands);
+  flight.fly(0.27);
+  EXPECT_FALSE(flight.px4.is_offboard());
+  flight.fly(1.0);
+  EXPECT_EQ(flight.px4.blind, 0);
+  EXPECT_LT(flight.tilt, 15.0);
+}
+
+TEST(Px4Pilot, FliesSlowlyToAHoverPointOfATopic) {
+  Flight flight;
+  flight.take_off();
+  geometry_msgs::msg::PoseStamped m{};
+  m.pose = {{4.3, 0.6, 2.5}, {0.0, 0.0, std::sin(0.5), std::cos(0.5)}};
+  flight.node->on_hover_point(m);
+  flight.fly(3.0);
+  m.pose.position.x = std::nan("");  // ignored
+  flight.node->on_hover_point(m);
+  flight.fly(7.0);
+  EXPECT_LT((flight.body().position - Vector3d(4.3, 0.6, 2.5)).norm(), 0.05);
+  EXPECT_NEAR(tilt_ropter::yaw_of(flight.body().orientation), 1.0, 0.02);
+  EXPECT_LT(flight.tilt, 5.0);
+  EXPECT_LT(flight.sag, 0.05);
+}
+
+// An accelerometer that says that it clips is not used.
+TEST(Px4Pilot, ClippedAccelerometerDoesNotMoveTheVehicle) {
+  Flight flight;
+  flight.take_off();
+  for (int i = 0; i < 10; ++i) {
+    flight.px4.vehicle.clipping = i % 2 == 0 ? 157.0 : 0.0;
+    flight.fly(0.2);
+    EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
+  }
+}
+
+/// What can happen, for a random time.
+struct Event {
+  const char* name;
+  double longest;  ///< [s]
+  std::function<void(Flight&, double seconds, std::mt19937&)> happen;
+};
+
+double between(double low, double high, std::mt19937& random) {
+  return std::uniform_real_distribution<double>(low, high)(random);
+}
+Vector3d somewhere(double far, double high, std::mt19937& random) {
+  const double x = between(-far, far, random), y = between(-far, far, random);
+  return {x, y, between(-high, high, random)};
+}
+
+const Event events[] = {
+    {"the pilot flies", 3.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.wants_offboard = false;
+       f.px4.stick = f.body().position + somewhere(2.0, 0.5, random);
+       f.fly(seconds);
+       f.px4.wants_offboard = true;
+     }},
+    {"kill switch", 0.15,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.px4.kills = true;
+       f.fly(seconds);
+       f.px4.kills = false;
+       f.fly(2.0);
+     }},
+    {"PX4 does not estimate", 1.0,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.px4.vehicle.estimating = false;
+       f.fly(seconds);
+       f.px4.vehicle.estimating = true;
+     }},
+    {"silence to the node", 1.5,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.heard = false;
+       f.fly(seconds);
+       f.heard = true;
+     }},
+    {"silence from the node", 1.5,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.hears = false;
+       f.fly(seconds);
+       f.hears = true;
+     }},
+    {"nobody says who flies", 2.0,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.px4.tells = false;
+       f.fly(seconds);
+       f.px4.tells = true;
+     }},
+    {"reset of the estimate", 0.5,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       // A heading that is wrong for good turns every vehicle over: PX4 mends
+       // it by its reset.
+       const double heading = between(-0.4, 0.4, random);
+       f.px4.vehicle.reset_estimate(somewhere(5.0, 0.0, random), heading - f.heading_error);
+       f.heading_error = heading;
+       f.fly(seconds);
+     }},
+    {"old stamps", 2.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.stamps_late = between(-0.2, 1.0, random);
+       f.fly(seconds);
+       f.px4.vehicle.stamps_late = 0.0;
+     }},
+    {"clipping", 1.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.clipping = between(-160.0, 160.0, random);
+       f.fly(seconds);
+       f.px4.vehicle.clipping = 0.0;
+     }},
+    {"a second sender", 1.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       const Vector3d where = somewhere(3.0, 3.0, random) + Vector3d(1.0, 0.0, 0.0);
+       for (int i = 0; i < std::lround(100.0 * seconds); ++i) {
+         px4_msgs::msg::VehicleOdometry other = f.px4.vehicle.odometry();
+         for (int k = 0; k < 3; ++k) other.position[k] += static_cast<float>(where(k));
+         f.node->on_odometry(other);
+         f.fly(0.01);
+       }
+     }},
+    {"the node starts again", 1.0,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.start_node();
+       f.fly(seconds);
+     }},
+};
+
+void fly_sequence(unsigned seed, std::array<double, 3>& worst) {
+  std::mt19937 random(seed);
+  Flight flight;
+  std::string story;
+  ASSERT_NO_FATAL_FAILURE(flight.take_off());
+  for (const double end = flight.px4.time() + 10.0; flight.px4.time() < end;) {
+    flight.fly(between(0.0, 1.5, random));
+    const Event& event = events[random() % std::size(events)];
+    const double seconds = between(0.02, event.longest, random);
+    char line[100];
+    std::snprintf(line, sizeof line, "\n%.2f s: %s for %.2f s", flight.px4.time(), event.name,
+                  seconds);
+    story += line;
+    SCOPED_TRACE(story);
+    ASSERT_NO_FATAL_FAILURE(event.happen(flight, seconds, random));
+  }
+  flight.fly(5.0);
+  while (flight.body().velocity.norm() > 0.1 && flight.px4.time() < 60.0) flight.fly(1.0);
+  SCOPED_TRACE("seed " + std::to_string(seed) + ":" + story);
+  EXPECT_TRUE(flight.px4.is_offboard());
+  EXPECT_FALSE(flight.px4.disarmed_by_land_detector());
+  const auto shown = flight.node->snapshot(0);
+  EXPECT_LT((shown->body.position - shown->reference.position).norm(), 0.1);
+  EXPECT_EQ(flight.px4.blind, 0);
+  EXPECT_EQ(flight.px4.unasked, 0);
+  EXPECT_EQ(flight.px4.vehicle.wrong_modes + flight.px4.vehicle.wrong_outputs, 0);
+  EXPECT_LT(flight.tilt, 15.0);
+  EXPECT_LT(flight.sag, 0.15);
+  EXPECT_LT(flight.fastest_fall, 1.7);  // of a free fall by 0.15 m
+  worst = {std::max(worst[0], flight.tilt), std::max(worst[1], flight.sag),
+           std::max(worst[2], flight.fastest_fall)};
+}
+
+TEST(Px4Pilot, RandomSequencesOfHandsAndFaults) {
+  std::array<double, 3> worst{};
+  const int count = test_support::quick_or_full(5, 200);
+  for (int seed = 0; seed < count; ++seed)
+    ASSERT_NO_FATAL_FAILURE(fly_sequence(static_cast<unsigned>(seed), worst));
+  std::printf("%d sequences: tilt %.1f deg, sag %.3f m, fall %.2f m/s\n", count, worst[0], worst[1],
+              worst[2]);
+}
+
+}  // namespace
+}  // namespace loops
