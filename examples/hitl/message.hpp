@@ -28,6 +28,7 @@ struct Topic {
   const char* name;
   std::int64_t deadline;  ///< after this time without a message its sender is silent [ns]
   int depth;              ///< number of messages that a receiver keeps until it takes them
+  double period = 0.0;    ///< between the stamps of all messages; 0 if they have none [s]
 
   [[nodiscard]] dds::Quality offered() const { return quality(true); }
   /// In lock step DDS watches no time.
@@ -44,9 +45,9 @@ struct Topic {
 
 inline constexpr std::int64_t millisecond = 1000000;  // [ns]
 // From hitl_simulator, at 1 kHz; the pose at 100 Hz.
-inline constexpr Topic imu_topic{"hitl/imu", 100 * millisecond, 200};
-inline constexpr Topic rotor_speeds_topic{"hitl/rotor_speeds", 100 * millisecond, 200};
-inline constexpr Topic pose_topic{"hitl/pose", 1000 * millisecond, 50};
+inline constexpr Topic imu_topic{"hitl/imu", 100 * millisecond, 200, 1e-3};
+inline constexpr Topic rotor_speeds_topic{"hitl/rotor_speeds", 100 * millisecond, 200, 1e-3};
+inline constexpr Topic pose_topic{"hitl/pose", 1000 * millisecond, 50, 1e-2};
 // From hitl_onboard, at 100 Hz.
 inline constexpr Topic wrench_command_topic{"hitl/wrench_command", 50 * millisecond, 10};
 // From hitl_flight_controller, at 500 Hz.

@@ -119,6 +119,36 @@ TEST_F(HitlInbox, CountsSessionsReceivedAndLostMessages) {
   EXPECT_EQ(lossy.counts().late, 0);
 }
 
+// Best-effort readers are not told of messages that never arrive.
+TEST_F(HitlInbox, CountsLossesByTheStamps) {
+  hitl::Topic regular = topic();
+  regular.period = 0.01;
+  WrenchInbox inbox(participant_, regular, {}), irregular(participant_, topic(), {});
+  const auto arrive = [&](Sender& sender, int count) {
+    const long before = inbox.counts().received;
+    sender.send(count);
+    take_until(inbox, [&] { return inbox.counts().received == before + count; });
+  };
+  {
+    Sender sender(domain_);
+    ASSERT_TRUE(connected(sender, inbox) && connected(sender, irregular));
+    arrive(sender, 10);
+    sender.command.time += 0.03;  // three are lost
+    arrive(sender, 10);
+    EXPECT_EQ(inbox.counts().lost, 3);
+    sender.command.time -= 0.1;  // the simulation has begun again
+    arrive(sender, 10);
+    EXPECT_EQ(inbox.counts().lost, 3);
+  }
+  Sender second(domain_);
+  second.command.time = 77.0;
+  ASSERT_TRUE(connected(second, inbox));
+  arrive(second, 10);
+  EXPECT_EQ(inbox.counts().lost, 3);
+  take(irregular, 40);
+  EXPECT_EQ(irregular.counts().lost, 0);
+}
+
 TEST_F(HitlInbox, DropsDelayedMessagesThatNewerOnesOvertook) {
   WrenchInbox some(participant_, topic(), {0.0, 0.5, 0.05}),
       all(participant_, topic(), {0.0, 1.0, 0.05});
