@@ -49,7 +49,7 @@ if [[ $paper || ($hitl && $* == *mujoco*) ]]; then
   packages+=(libmujoco-dev)
 fi
 if [[ $hitl || $paper ]]; then
-  packages+=(cyclonedds-dev cyclonedds-tools)
+  packages+=(cyclonedds-dev cyclonedds-tools libyaml-cpp-dev)
 fi
 bash cmake/install_missing.sh "${packages[@]}"
 

@@ -64,5 +64,6 @@ done
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 bash cmake/install_missing.sh git python3 clang cmake ninja-build libeigen3-dev libnlopt-dev \
   libgtest-dev libcli11-dev nlohmann-json3-dev gnuplot-nox fonts-dejavu-core libjs-three node-d3 \
-  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri cyclonedds-dev cyclonedds-tools openssl
+  libmujoco-dev libegl-dev libgl1 libgl1-mesa-dri cyclonedds-dev cyclonedds-tools \
+  libyaml-cpp-dev openssl
 exec python3 -B tests/mutation/run.py "${options[@]}" "${numbers[@]}"

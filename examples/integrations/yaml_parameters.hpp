@@ -1,8 +1,9 @@
 #pragma once
 
+#include <yaml-cpp/yaml.h>
+
 #include <algorithm>
 #include <cstddef>
-#include <fstream>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -11,86 +12,6 @@
 namespace loops {
 
 namespace detail {
-
-/// One line of a file of parameters: "KEY:", "KEY: VALUE" or "- VALUE".
-struct YamlLine {
-  std::size_t indent = 0;
-  bool is_element = false, has_value = false;
-  std::string key, value;
-};
-
-/// Returns `text` without blanks at its ends.
-inline std::string trimmed(const std::string& text) {
-  const std::size_t begin = text.find_first_not_of(" \t\r"), end = text.find_last_not_of(" \t\r");
-  return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
-}
-
-/// Returns `text` without the comment at its end.
-inline std::string without_comment(const std::string& text) {
-  char quote = '\0';
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    if (quote != '\0') {
-      if (text[i] == quote) quote = '\0';
-    } else if (text[i] == '"' || text[i] == '\'') {
-      quote = text[i];
-    } else if (text[i] == '#' && (i == 0 || text[i - 1] == ' ' || text[i - 1] == '\t')) {
-      return text.substr(0, i);
-    }
-  }
-  return text;
-}
-
-/// Returns a scalar without its quotes. Throws std::invalid_argument for what is none.
-inline std::string yaml_scalar(const std::string& text) {
-  const char first = text.empty() ? ' ' : text.front();
-  if (first == '"' || first == '\'') {
-    const std::string inner = text.size() > 1 ? text.substr(1, text.size() - 2) : "";
-    if (text.size() < 2 || text.back() != first || inner.find(first) != std::string::npos ||
-        inner.find('\\') != std::string::npos)
-      throw std::invalid_argument("text in quotes without quotes or \\ inside is allowed");
-    return inner;
-  }
-  if (std::string("&*!|>%@`{}[]?,").find(first) != std::string::npos ||
-      text.find(": ") != std::string::npos || (!text.empty() && text.back() == ':'))
-    throw std::invalid_argument("a value must be a number, a text or a list of these");
-  return text;
-}
-
-/// Returns the elements of "[A, B]" with commas between, or a scalar.
-inline std::string yaml_value(const std::string& text) {
-  if (text.empty() || text.front() != '[') return yaml_scalar(text);
-  if (text.back() != ']') throw std::invalid_argument("a list must end in its line");
-  std::string result;
-  for (std::size_t begin = 1; begin < text.size();) {
-    const std::size_t end = text.find_first_of(",]", begin);
-    result += (begin == 1 ? "" : ",") + yaml_scalar(trimmed(text.substr(begin, end - begin)));
-    begin = end + 1;
-  }
-  return result;
-}
-
-/// Throws std::invalid_argument.
-inline YamlLine yaml_line(const std::string& text) {
-  YamlLine line;
-  line.indent = text.find_first_not_of(' ');
-  std::string rest = trimmed(text);
-  if (text[line.indent] == '\t') throw std::invalid_argument("tabs must not indent");
-  if (rest == "-" || rest.rfind("- ", 0) == 0) {
-    line.is_element = line.has_value = true;
-    line.value = yaml_scalar(trimmed(rest.substr(1)));
-    return line;
-  }
-  const std::size_t colon =
-      rest.find(':', rest[0] == '"' || rest[0] == '\'' ? rest.find(rest[0], 1) : 0);
-  if (colon == std::string::npos || colon == 0 ||
-      (colon + 1 < rest.size() && rest[colon + 1] != ' '))
-    throw std::invalid_argument("must be KEY: VALUE, KEY: or - VALUE");
-  line.key = yaml_scalar(trimmed(rest.substr(0, colon)));
-  const std::string value = trimmed(rest.substr(colon + 1));
-  line.has_value = !value.empty();
-  if (line.has_value) line.value = yaml_value(value);
-  return line;
-}
 
 /// Whether the parameters under `pattern` are for the node "/NAMESPACE/NAME": its full name, its
 /// name if it is in no namespace, with * for one and ** for any part.
@@ -120,61 +41,63 @@ inline bool is_for(const std::string& pattern, const std::string& node) {
   return reached.back() != 0;
 }
 
+/// Adds the parameters of `values` to `to`, with `name` and a dot before their names. Throws
+/// YAML::Exception with the place of what is no parameter.
+inline void add_parameters(const YAML::Node& values, const std::string& name,
+                           std::map<std::string, std::string>& to) {
+  std::string list;
+  switch (values.Type()) {
+    case YAML::NodeType::Map:
+      for (const auto& entry : values)
+        add_parameters(entry.second,
+                       (name.empty() ? "" : name + ".") + entry.first.as<std::string>(), to);
+      return;
+    case YAML::NodeType::Sequence:
+      for (std::size_t i = 0; i < values.size(); ++i)
+        list += (i == 0 ? "" : ",") + values[i].as<std::string>();
+      to[name] = list;
+      return;
+    case YAML::NodeType::Scalar:
+      to[name] = values.Scalar();
+      return;
+    default:
+      throw YAML::Exception(values.Mark(), "must be a number, a text or a list of these");
+  }
+}
+
+/// Looks for ros__parameters under `where`, and adds those for `node`.
+inline void find_parameters(const YAML::Node& tree, const std::string& where,
+                            const std::string& node, std::map<std::string, std::string>& to) {
+  if (!tree.IsMap())
+    throw YAML::Exception(tree.Mark(), "a value must be below NODE: and ros__parameters:");
+  for (const auto& entry : tree) {
+    const auto name = entry.first.as<std::string>();
+    if (name != "ros__parameters")
+      find_parameters(entry.second,
+                      where + (where.empty() || name.rfind('/', 0) == 0 ? "" : "/") + name, node,
+                      to);
+    else if (is_for(where, node))
+      add_parameters(entry.second, "", to);
+  }
+}
+
 }  // namespace detail
 
 /// Returns the parameters for `node` ("/NAMESPACE/NAME") from the YAML file of ROS 2 at `path`:
 /// what is under NODE: ros__parameters:, where NODE may have wildcards and nested namespaces.
-/// Nested parameters have dots in their names; a list has commas between its elements. A small part
-/// of YAML: one key or element a line, no anchors, no texts over several lines. Throws
-/// std::invalid_argument with path and line for everything else.
+/// Nested parameters have dots in their names; a list has commas between its elements. Throws
+/// std::invalid_argument with path and line.
 inline std::map<std::string, std::string> yaml_parameters(const std::string& path,
                                                           const std::string& node) {
-  std::ifstream file(path);
-  if (!file) throw std::invalid_argument("--params-file " + path + ": cannot be read");
-  struct Level {
-    std::size_t indent;
-    std::string key;
-  };
   std::map<std::string, std::string> result;
-  std::vector<Level> open;  // the keys around the line
-  std::string text, list;   // list: the parameter whose elements follow
-  for (int number = 1; std::getline(file, text); ++number) try {
-      text = detail::without_comment(text);
-      if (detail::trimmed(text).empty() || text.rfind("---", 0) == 0) continue;
-      const detail::YamlLine line = detail::yaml_line(text);
-      // The elements of a list may stand below their key or deeper.
-      while (!open.empty() && (line.is_element ? open.back().indent > line.indent
-                                               : open.back().indent >= line.indent))
-        open.pop_back();
-      std::string where, name;
-      bool inside = false;
-      const auto enter = [&](const std::string& key) {
-        if (!inside && key == "ros__parameters")
-          inside = true;
-        else if (inside)
-          name += (name.empty() ? "" : ".") + key;
-        else
-          where += (where.empty() || key.rfind('/', 0) == 0 ? "" : "/") + key;
-      };
-      for (const Level& level : open) enter(level.key);
-      if (!line.is_element) {
-        enter(line.key);
-        open.push_back({line.indent, line.key});
-        if (!line.has_value) continue;
-      }
-      if (!inside || name.empty())
-        throw std::invalid_argument("a value must be below NODE: and ros__parameters:");
-      if (!detail::is_for(where, node)) continue;
-      if (!line.is_element)
-        result[name] = line.value;
-      else if (list == name)
-        result[name] += "," + line.value;
-      else
-        result[name] = line.value;
-      list = line.is_element ? name : "";
-    } catch (const std::invalid_argument& error) {
-      throw std::invalid_argument(path + ", line " + std::to_string(number) + ": " + error.what());
-    }
+  try {
+    detail::find_parameters(YAML::LoadFile(path), "", node, result);
+  } catch (const YAML::BadFile&) {
+    throw std::invalid_argument("--params-file " + path + ": cannot be read");
+  } catch (const YAML::Exception& error) {
+    throw std::invalid_argument(path + ", line " + std::to_string(error.mark.line + 1) + ": " +
+                                error.msg);
+  }
   return result;
 }
 

