@@ -312,6 +312,21 @@ TEST(FailureDetector, IsSilentOnTheGroundAndReportsUntilReset) {
   EXPECT_EQ(detector.failure().kind, FailureKind::none);
 }
 
+// What an obstacle does to the body looks like a failure; a speed does not.
+TEST(FailureDetector, ConvictsByMotionNobodyThatTouchesAnObstacle) {
+  for (const bool touches : {true, false}) {
+    auto [detector, body] = FailingFlight();
+    body.run(detector, 1.0);
+    body.touches = touches;
+    body.fail({FailureKind::rotor, 1, 0.0, 0.0, 0.0});
+    body.run(detector, 2.0);
+    EXPECT_EQ(detector.failure().kind == FailureKind::none, touches);
+    body.speed_factor(1) = 0.2;
+    body.run(detector, 1.0);
+    EXPECT_EQ(detector.failure().kind, FailureKind::rotor);
+  }
+}
+
 TEST(FailureDetector, IgnoresInvalidInput) {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   auto [detector, body] = FailingFlight();

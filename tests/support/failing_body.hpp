@@ -62,7 +62,7 @@ class FailingBody {
                          (wrench.torque - w.cross(vehicle_.body.inertia * w)) / (20.0 * rate_);
       }
       detector.update(time_, {rate_of_turn_, wrench.force / vehicle_.body.mass}, telemetry,
-                      believed.rotor_speed, airborne);
+                      believed.rotor_speed, airborne, touches);
     }
   }
 
@@ -74,6 +74,7 @@ class FailingBody {
 
   Wrenchd disturbance;
   double slowness = 1.0;  ///< true / believed time constant of the servos
+  bool touches = false;   ///< what the detector is told of an obstacle
   double gain = 1.0;      ///< true / believed force
   Eigen::Vector4d speed_factor = Eigen::Vector4d::Ones();   ///< measured / commanded speed
   Eigen::Vector4d thrust_factor = Eigen::Vector4d::Ones();  ///< commanded / hover thrust

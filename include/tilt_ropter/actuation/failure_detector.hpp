@@ -110,12 +110,13 @@ class FailureDetector {
   /// the measured rotor speeds and the modelled tilt angles since the last tick; `modelled_speed`
   /// [rad/s] is that of ActuatorModel. It replaces a measured speed that is more than 30 % off, as
   /// it is not finite or not measured. Set `airborne` to false if the vehicle touches the ground or
-  /// may touch it. Returns the first failure that was found; reset() forgets it. Only `limp` may
+  /// may touch it, and `touches` to true if it touches an obstacle: then only the measured speeds
+  /// show a failure. Returns the first failure that was found; reset() forgets it. Only `limp` may
   /// change later. Ignores ticks with other numbers that are not finite or above 1e6.
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
-                                bool airborne) noexcept;
+                                bool airborne, bool touches = false) noexcept;
 
   [[nodiscard]] const ActuatorFailure& failure() const noexcept { return failure_; }
 
@@ -302,7 +303,7 @@ FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
 template <int Rotors>
 const ActuatorFailure& FailureDetector<Rotors>::update(
     double time, const InertialSampled& sample, const ActuatorState<Rotors>& measured,
-    const Eigen::Matrix<double, Rotors, 1>& modelled_speed, bool airborne) noexcept {
+    const Eigen::Matrix<double, Rotors, 1>& modelled_speed, bool airborne, bool touches) noexcept {
   const double dt = time - time_;
   const auto plausible = [](const auto& values) {
     return (values.array().abs() <= 1e6).all();  // false for NaN
@@ -318,7 +319,7 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
     watch_speeds(time, dt, measured.rotor_speed, modelled_speed, airborne);
   else
     telemetry_.fill({});
-  if (!in_time || airborne != airborne_) {
+  if (!in_time || airborne != airborne_ || touches) {
     forget();
     started_ = true;
     airborne_ = airborne;
