@@ -56,6 +56,49 @@ TEST_F(ContactObstacle, IsSeenWithItsDirectionAndNotCompensated) {
   EXPECT_FALSE(ever_blocked(nothing, nothing) && contact.estimate().blocked);
 }
 
+// A vehicle at 0.8 m/s is stopped at 0.2 s and bounces off at 0.3 m/s.
+TEST_F(ContactObstacle, IsSeenInTheImpactAndKeptUntilTheVehicleIsBack) {
+  behind = 1.0;
+  const auto hit = [](double t) { return along_x(t < 0.2 || t > 0.22 ? 0.0 : -60.0); };
+  const auto bounce = [](double t) { return along_x(t < 0.21 ? 0.8 * t : 0.231 - 0.3 * t); };
+  EXPECT_FALSE(ever_blocked([](double) { return along_x(-60.0); },
+                            [](double t) { return along_x(0.8 * t); }));
+  contact = ContactEstimator(tilt_ropter_vehicle());
+  EXPECT_TRUE(ever_blocked(hit, bounce));
+  EXPECT_TRUE(contact.estimate().blocked);
+}
+
+TEST_F(ContactObstacle, IsFreeOnceTheVehicleIsBeyondItsPlace) {
+  ASSERT_TRUE(ever_blocked(wall, nothing));
+  behind = 2.0;
+  ever_blocked(nothing, [](double t) { return along_x(0.05 * t); });
+  EXPECT_FALSE(contact.estimate().blocked);
+}
+
+// Only the part along the wheels counts, and neither the ground's force nor a side force.
+TEST_F(ContactObstacle, StopsWheelsAndIsNotCompensated) {
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const double weight = vehicle.body.mass * gravity;
+  for (const bool in_front : {true, false}) {
+    contact = ContactEstimator(vehicle);
+    for (time = 0.0; time < 1.0; time += tick) {
+      BodyStated body;
+      body.position.z() = undercarriage(vehicle)->height;
+      ObservedWrenchd observed;
+      const double push = time < 0.2 ? 0.0 : -4.0;
+      observed.external.force << (in_front ? push : 0.0), (in_front ? 0.0 : push), weight;
+      observed.raw = observed.external;
+      ReferencePoint reference;
+      reference.position << (in_front ? 0.5 : 0.0), (in_front ? 0.0 : 0.5), body.position.z();
+      contact.update(time, body, observed, reference);
+    }
+    const ContactEstimate& estimate = contact.estimate();
+    EXPECT_TRUE(estimate.on_ground);
+    EXPECT_EQ(estimate.blocked.has_value(), in_front);
+    if (in_front) EXPECT_NEAR(estimate.rolling.force.x(), -0.1 * weight, 0.03 * weight);
+  }
+}
+
 TEST_F(ContactObstacle, NeedsAReference) {
   EXPECT_FALSE(ever_blocked(wall, nothing, false));
 }
@@ -85,6 +128,19 @@ TEST(Obstacle, LimitsTheReferenceInFrontOfIt) {
   EXPECT_EQ(front.velocity, Eigen::Vector3d(0.0, 0.5, 0.0));
   point.position.x() = 0.5;
   EXPECT_EQ(in_front_of(obstacle, point).velocity, point.velocity);
+}
+
+TEST(Obstacle, LetsWheelsStandWhereTheyAre) {
+  BodyStated body;
+  body.position << 1.0, 2.0, 0.1;
+  body.orientation = quaternion_from_yaw(0.5);
+  ReferencePoint point;
+  point.position << 3.0, 0.0, 0.11;
+  point.velocity << 1.0, 0.5, 0.1;
+  const ReferencePoint stop = standing_at(body, point);
+  EXPECT_EQ(stop.position, Eigen::Vector3d(1.0, 2.0, 0.11));
+  EXPECT_EQ(stop.velocity, Eigen::Vector3d(0.0, 0.0, 0.1));
+  EXPECT_NEAR(stop.orientation.angularDistance(body.orientation), 0.0, 1e-9);
 }
 
 TEST(Obstacle, MustBeFinite) {

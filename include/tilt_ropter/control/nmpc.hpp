@@ -240,7 +240,8 @@ optimal_control::PrepareStatus RecedingHorizonController<Level>::finish(double t
   if (!continue_reference()) return optimal_control::PrepareStatus::failed;
   if (inputs_.contact.blocked)
     for (ReferencePoint& point : inputs_.points)
-      point = in_front_of(*inputs_.contact.blocked, point);
+      point = inputs_.contact.on_ground ? standing_at(inputs_.body, point)
+                                        : in_front_of(*inputs_.contact.blocked, point);
   level_.set_nodes(inputs_, solver_.problem());
   prepared_ = true;
   if (cold_)

@@ -49,8 +49,9 @@ namespace tilt_ropter {
 /// pitch torque (a shifted CoM). A vehicle without an undercarriage is always in the air, and its
 /// whole external wrench is a disturbance.
 ///
-/// In the air, with a reference, the reaction of an unknown obstacle is told from wind
-/// (ContactEstimate::blocked) and is not compensated: the vehicle then presses with 0.1 weights.
+/// With a reference, the reaction of an unknown obstacle is told from wind
+/// (ContactEstimate::blocked) and is not compensated: the vehicle then presses with 0.1 weights. On
+/// wheels only the direction in which they roll counts.
 /// The disturbance has limits: 0.3 weights sideways, one upward or downward, and 0.03 m times the
 /// weight as a torque. ContactEstimate::limited says when it was cut.
 ///
@@ -117,14 +118,17 @@ class ContactEstimator {
       estimate_.disturbance = external;
     if (settling_ == 0.0 && !estimate_.on_ground)
       estimate_.disturbance.force += body.orientation.conjugate() * unfelt();
-    const bool flies = !estimate_.on_ground && settling_ == 0.0;
-    std::optional<Eigen::Vector3d> applied;
+    const bool moves = settling_ == 0.0 && (!estimate_.on_ground || undercarriage_->rolls);
+    std::optional<Eigen::Vector3d> applied, track;
     if (observed.applied) applied = body.orientation * observed.applied->force;
+    if (moves && estimate_.on_ground)
+      track =
+          body.orientation * roll_axis(body.orientation.conjugate() * estimate_.ground.normal());
     estimate_.blocked =
         watch_.update(body, body.orientation * external.force, body.orientation * means->raw.force,
-                      applied, flies ? reference : std::nullopt, dt);
-    estimate_.disturbance.force =
-        body.orientation.conjugate() * watch_.held(body.orientation * estimate_.disturbance.force);
+                      applied, moves ? reference : std::nullopt, track, dt);
+    Eigen::Vector3d& free = (estimate_.on_ground ? estimate_.rolling : estimate_.disturbance).force;
+    free = body.orientation.conjugate() * watch_.held(body.orientation * free);
     limit(body);
     started_ = true;
     time_ = time;
@@ -228,6 +232,8 @@ class ContactEstimator {
     Eigen::Vector3d force = body.orientation * d.force;
     const double side = force.head<2>().norm(), turn = d.torque.norm();
     const double side_limit = most_sideways * weight_, turn_limit = most_arm * weight_;
+    // An obstacle that is not found must not wind up on the ground, either.
+    estimate_.rolling.force *= side_limit / std::max(side_limit, estimate_.rolling.force.norm());
     estimate_.limited =
         side > side_limit || turn > turn_limit || std::abs(force.z()) > most_vertical * weight_;
     if (!estimate_.limited) return;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>
@@ -43,7 +44,7 @@ struct GroundPlane {
   return {up.z() / length, 0.0, -up.x() / length};
 }
 
-/// Something that stops a vehicle in the air in front of its reference.
+/// Something that stops a vehicle in front of its reference, in the air or on wheels.
 struct Obstacle {
   /// Towards the obstacle; horizontal unit vector, world frame.
   Eigen::Vector3d direction = Eigen::Vector3d::UnitX();
@@ -62,6 +63,19 @@ struct Obstacle {
   return point;
 }
 
+/// The same for a vehicle on wheels, which cannot move along an obstacle: it stays where `body` is,
+/// in its heading. A turn towards a reference on the other side would take it along the obstacle.
+[[nodiscard]] inline ReferencePoint standing_at(const BodyStated& body,
+                                                ReferencePoint point) noexcept {
+  point.position.head<2>() = body.position.head<2>();
+  point.velocity.head<2>().setZero();
+  point.acceleration.head<2>().setZero();
+  point.orientation = quaternion_from_yaw(yaw_of(body.orientation));
+  point.angular_velocity.setZero();
+  point.angular_acceleration.setZero();
+  return point;
+}
+
 /// Wrenches act at the CoM, in the body frame, like the output of the wrench observer.
 struct ContactEstimate {
   bool on_ground = false;     ///< the ground carries part of the weight, or did so recently
@@ -71,15 +85,16 @@ struct ContactEstimate {
   /// [m]. A reference on this ground counts as on the ground.
   double planned_height = -std::numeric_limits<double>::infinity();
   bool limited = false;  ///< `disturbance` was cut to what a vehicle of this weight can carry
-  /// An unknown obstacle that the vehicle touches. The controller then plans to stay in front of
-  /// it.
+  /// An unknown obstacle that the vehicle touches, or has bounced off. The controller then plans to
+  /// stay in front of it, and on the ground to stand.
   std::optional<Obstacle> blocked;
   /// In the air: the external wrench; along an obstacle, the one before the touch. On the ground:
   /// the external wrench that would act if the vehicle left the ground.
   Wrenchd disturbance;
   /// On the ground: the external force along the ground (zero if the vehicle does not roll) and the
   /// external torque about the free axes of the Undercarriage. Examples are wind, rolling
-  /// resistance and turning resistance.
+  /// resistance and turning resistance. The force is at most 0.3 weights, and along an obstacle the
+  /// one before the touch.
   Wrenchd rolling;
   /// On the ground: the ground's normal force, its roll torque, and its torque about every other
   /// axis that is not free. If the vehicle does not roll: the whole force. In the air: zero.

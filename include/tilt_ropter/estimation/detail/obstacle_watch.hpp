@@ -13,40 +13,59 @@
 
 namespace tilt_ropter::detail {
 
-/// Tells the reaction of an unknown obstacle in the air from wind. An obstacle stops the vehicle in
-/// front of its reference. A gust can do the same for a moment; therefore a second witness is
-/// asked. An impact gives a force that no gust has. After a soft touch the vehicle pushes more for
-/// a moment: wind that stays the same lets it move, an obstacle does not. Only horizontal forces
-/// count, so that neither a payload nor the ground is an obstacle. Does not allocate.
+/// Tells the reaction of an unknown obstacle, in the air or on wheels, from wind. An obstacle stops
+/// the vehicle in front of its reference. A gust can do the same for a moment; therefore a second
+/// witness is asked. An impact that stops the vehicle gives a force that no gust has. After a soft
+/// touch the vehicle pushes more for a moment: wind that stays the same lets it move, an obstacle
+/// does not. Only horizontal forces count, so that neither a payload nor the ground is an obstacle.
+/// Does not allocate.
 class ObstacleWatch {
  public:
   explicit ObstacleWatch(double weight) : weight_(weight) {}
 
   /// Returns the obstacle, if there is one. World frame [N]: `force` is the external force, `raw`
-  /// the same without the lag of a filter, `applied` the force of the actuators, if known. Forgets
-  /// the obstacle without a reference.
+  /// the same without the lag of a filter, `applied` the force of the actuators, if known. `track`
+  /// is the direction in which a vehicle on wheels can move. Forgets the obstacle without a
+  /// reference.
   const std::optional<Obstacle>& update(const BodyStated& body, const Eigen::Vector3d& force,
                                         const Eigen::Vector3d& raw,
                                         const std::optional<Eigen::Vector3d>& applied,
                                         const std::optional<ReferencePoint>& reference,
+                                        const std::optional<Eigen::Vector3d>& track,
                                         double dt) noexcept {
     if (!reference || !(reference->position.norm() < 1e6)) {
       forget();
       return obstacle_;
     }
-    const Eigen::Vector3d error = horizontal(reference->position - body.position),
-                          reaction = calm_ - horizontal(force),
-                          raw_reaction = calm_ - horizontal(raw);
+    const auto free = [&track](const Eigen::Vector3d& v) {
+      return horizontal(track ? Eigen::Vector3d(track->dot(v) * *track) : v);
+    };
+    const Eigen::Vector3d error = free(reference->position - body.position),
+                          reaction = free(calm_ - free(force)),
+                          raw_reaction = free(calm_ - free(raw));
     moving_ += part(dt, short_time) * (body.velocity - moving_);
-    felt_ += part(dt, felt_time) * (raw - felt_);
+    felt_ += part(dt, felt_time) * (free(raw) - felt_);
     jolt_ += part(dt, short_time) * (raw_reaction - jolt_);
-    jolted_for_ = jolt_.norm() > impact * weight_ ? jolt_time : std::max(0.0, jolted_for_ - dt);
+    if (jolt_.norm() > impact * weight_) {
+      jolted_for_ = jolt_time;
+    } else {
+      jolted_for_ = std::max(0.0, jolted_for_ - dt);
+      before_ = body.velocity;
+    }
+    if (!obstacle_ && strikes(body, error + lead * free(reference->velocity))) {
+      direction_ = jolt_.normalized();
+      find(body);
+    }
+    if (obstacle_ && free(direction_).norm() > 0.5)
+      direction_ = free(direction_).normalized();
+    else if (obstacle_)
+      forget();  // what is beside the wheels does not stop them
     if (is_wind(body, raw_reaction, dt) && (obstacle_ || jolted_for_ == 0.0)) {
       if (obstacle_) began_at_ = body.position;
       take_for_wind();
     }
     if (obstacle_) {
-      follow(body, error, reaction, dt);
+      follow(body, error, reaction, raw_reaction, dt);
     } else if (probed_for_ > 0.0) {
       probe(body, applied, dt);
     } else {
@@ -66,7 +85,8 @@ class ObstacleWatch {
   /// the additional push.
   [[nodiscard]] Eigen::Vector3d held(const Eigen::Vector3d& disturbance) const noexcept {
     if (!obstacle_ && probed_for_ == 0.0) return disturbance;
-    const double lean = press * weight_ + (obstacle_ ? 0.0 : probed_);
+    const double push = weak_for_ > 0.0 ? 0.5 * press : press,  // softly back, after a bounce
+        lean = push * weight_ + (obstacle_ ? 0.0 : probed_);
     return disturbance + (direction_.dot(calm_ - disturbance) - lean) * direction_;
   }
 
@@ -84,6 +104,10 @@ class ObstacleWatch {
   // Force of an impact, mean over short_time, as a fraction of the weight: more than a gust's
   // change; and for how long a rest counts as its consequence [s].
   static constexpr double impact = 0.25, jolt_time = 1.0;
+  // An impact that takes this fraction of the speed towards the reference is an obstacle's. Least
+  // speed [m/s], least force as a fraction of the weight, and how far ahead the reference is looked
+  // at, because a vehicle that tracks it well has no error yet [s].
+  static constexpr double stopped_part = 0.7, least_approach = 0.15, hard = 0.5, lead = 0.1;
   // Time constants of the means of motion and force: the noise of the estimate, and the vibration
   // of a vehicle that bounces on an obstacle [s].
   static constexpr double short_time = 0.02, felt_time = 0.05;
@@ -100,8 +124,10 @@ class ObstacleWatch {
   static constexpr double wind_time = 0.2;  // without a soft touch after wind [s]
   // Force of an obstacle, as a fraction of the weight: to be noticed, to be pressed, to be kept.
   static constexpr double least_reaction = 0.05, press = 0.1, weak = 0.03;
-  // Time below `weak` until the obstacle has gone, and longer just after it was found [s].
-  static constexpr double longest_weak = 0.05, first_weak = 0.2;
+  // Time below `weak` until the obstacle has gone, if the vehicle is as far beyond its place [m];
+  // and wherever the vehicle is, because it may have bounced off [s].
+  static constexpr double longest_weak = 0.05, beyond_place = 0.02, uncertain = 0.3,
+                          longest_gap = 1.0;
   // Time constants of the mean force without an obstacle, and of the obstacle's direction [s].
   static constexpr double calm_time = 0.3, turn_time = 0.2;
 
@@ -136,12 +162,23 @@ class ObstacleWatch {
   bool is_wind(const BodyStated& body, const Eigen::Vector3d& against, double dt) noexcept {
     const double size = against.norm();
     if (size > least_reaction * weight_) {
-      const double beyond = (body.position - began_at_).dot(against) / size;
+      const double beyond =
+          (body.position - began_at_).dot(obstacle_ ? direction_ : Eigen::Vector3d(against / size));
       if (obstacle_) began_at_ += part(dt, place_time) * (body.position - began_at_);
       return beyond < -(obstacle_ ? pushed_off_obstacle : pushed_off);
     }
     began_at_ = body.position;
     return false;
+  }
+
+  // Whether an impact stops the vehicle that moved towards `ahead`, where its reference will be.
+  [[nodiscard]] bool strikes(const BodyStated& body, const Eigen::Vector3d& ahead) const noexcept {
+    const double size = jolt_.norm();
+    if (size < hard * weight_) return false;
+    const double approach = before_.dot(jolt_) / size;
+    return approach > least_approach &&
+           body.velocity.dot(jolt_) / size < (1.0 - stopped_part) * approach &&
+           ahead.dot(jolt_) > 0.0;
   }
 
   // Whether the vehicle has not come closer to a reference that it does not reach, for a while.
@@ -182,9 +219,8 @@ class ObstacleWatch {
 
   void find(const BodyStated& body) noexcept {
     obstacle_ = Obstacle{direction_, direction_.dot(body.position)};
-    began_at_ = body.position;
-    weak_for_ = longest_weak - first_weak;
-    probed_for_ = 0.0;
+    began_at_ = touched_at_ = body.position;
+    weak_for_ = probed_for_ = 0.0;
   }
 
   // Compares the motion with the one that the external force at the start of the probe allows.
@@ -203,24 +239,33 @@ class ObstacleWatch {
   }
 
   void follow(const BodyStated& body, const Eigen::Vector3d& error, const Eigen::Vector3d& reaction,
-              double dt) noexcept {
+              const Eigen::Vector3d& raw_reaction, double dt) noexcept {
     Eigen::Vector3d& n = direction_;
-    const bool holds = n.dot(reaction) > weak * weight_;
-    weak_for_ = holds ? std::min(0.0, weak_for_ + dt) : weak_for_ + dt;
-    if (holds) {
+    const bool touches = n.dot(raw_reaction) > weak * weight_,
+               holds = touches || n.dot(reaction) > weak * weight_;
+    weak_for_ = holds ? 0.0 : weak_for_ + dt;
+    if (touches && n.dot(reaction) > weak * weight_) {
+      touched_at_ = body.position;
       const Eigen::Vector3d against = without_slide(reaction, body.velocity).normalized();
       n = (n + part(dt, turn_time) * (against - n)).normalized();
     }
     obstacle_ = Obstacle{n, n.dot(body.position)};
-    if (weak_for_ > longest_weak || n.dot(error) < 0.5 * least_error) forget();
+    // The direction is uncertain while the vehicle slides.
+    const Eigen::Vector3d moved = horizontal(body.position - touched_at_);
+    const double ahead = n.dot(moved);
+    const bool beyond = ahead > beyond_place + uncertain * (moved - ahead * n).norm();
+    if ((beyond && weak_for_ > longest_weak) || weak_for_ > longest_gap ||
+        n.dot(error) < 0.5 * least_error)
+      forget();
   }
 
   double weight_;
   std::optional<Obstacle> obstacle_;
   // World frame: mean force without an obstacle [N], place of the rest, place where the force
-  // began [m], direction of the obstacle or the probe, mean velocity [m/s], mean external force,
-  // and mean reaction [N].
+  // began, and of the last touch [m], velocity before an impact [m/s], direction of the obstacle or
+  // the probe, mean velocity [m/s], mean external force, and mean reaction [N].
   Eigen::Vector3d calm_ = Eigen::Vector3d::Zero(), place_ = calm_, began_at_ = calm_;
+  Eigen::Vector3d touched_at_ = calm_, before_ = calm_;
   Eigen::Vector3d direction_ = calm_, moving_ = calm_, felt_ = calm_, jolt_ = calm_;
   double rests_for_ = 0.0, weak_for_ = 0.0, windy_for_ = 0.0, jolted_for_ = 0.0;  // [s]
   double probed_for_ = 0.0, probed_ = 0.0;  // time [s] and reaction [N] of a probe
