@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 
@@ -135,7 +136,7 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   detector_.update(
       time, corrected,
       measures_speeds_ ? ActuatorState<Rotors>{rotor_speeds_, modelled.tilt_angle} : modelled,
-      modelled.rotor_speed, (airborne_ && time > touched_until_ && !flies_by_poses()) || pulled);
+      modelled.rotor_speed, (airborne_ && !flies_by_poses()) || pulled, time < touched_until_);
 }
 
 // The wrench by the observer, or by the poses alone. The sums go on when one follows the other.
@@ -253,6 +254,43 @@ void FlightController<Rotors>::return_to(const ReferencePoint& point, double tim
   mode_since_ = time;
 }
 
+// In the air the vehicle returns to its reference. On wheels it may not reach it, and a body that
+// has to turn round may turn over: it backs off, to take off freely, and waits for the reference.
+template <int Rotors>
+void FlightController<Rotors>::rejoin(const Obstacle& obstacle, const ReferencePoint& point,
+                                      double time) {
+  if (meets(point)) return;
+  waits_ = contact_.estimate().on_ground;
+  begin(FlightMode::hold, time);
+  constexpr double back = 0.15;  // [m]
+  if (waits_)
+    held_.position -= back * obstacle.direction;
+  else
+    return_to(point, time);
+}
+
+template <int Rotors>
+bool FlightController<Rotors>::meets(const ReferencePoint& point) const {
+  constexpr double near = 0.2, about = 0.5;  // [m], [rad]
+  const BodyStated body = state();
+  return (body.position - point.position).norm() < near &&
+         body.orientation.angularDistance(point.orientation) < about;
+}
+
+// Waits on the ground until the reference comes past or takes off.
+template <int Rotors>
+void FlightController<Rotors>::wait_for(const ReferencePoint& point, double time) {
+  constexpr double flies = 0.05;  // [m]
+  if (meets(point)) {
+    mode_ = FlightMode::mission;
+    waits_ = false;
+  } else if (point.position.z() > held_.position.z() + flies) {
+    return_to(point, time);
+    waits_ = false;
+  }
+  if (waits_) mode_since_ = bad_until_ = time;
+}
+
 // The reference plus an offset that fades with a polynomial of fifth order.
 template <int Rotors>
 ReferencePoint FlightController<Rotors>::on_way_back(ReferencePoint point, double time) const {
@@ -304,6 +342,8 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     if (is_first) begin(FlightMode::emergency, time);
   }
   if (!is_good) bad_until_ = time;
+  if (mode_ != FlightMode::hold) waits_ = false;
+  if (waits_ && is_good) wait_for(reference(time), time);
   const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
   switch (mode_) {
     case FlightMode::mission:
@@ -422,8 +462,11 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
     const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
     ReferencePoint now = follows ? reference(time) : stand_in(time);
     if (mode_ == FlightMode::returning) now = on_way_back(now, time);
+    const std::optional<Obstacle> last = contact_.estimate().blocked;
     contact_.update(time, state(), observed_, now);
-    if (contact_.estimate().blocked) touched_until_ = time + 1.0;
+    const bool is_blocked = contact_.estimate().blocked.has_value();
+    if (is_blocked) touched_until_ = time + 1.0;
+    if (follows && last && !is_blocked) rejoin(*last, reference(time), time);
   }
   airborne_ = ekf_.running() && is_off_the_ground();
   if (!started_ && airborne_ && sent_.command.rotor_speed.isZero()) start_in_the_air(time);

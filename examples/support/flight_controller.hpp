@@ -240,6 +240,10 @@ class FlightController {
   void choose_mode(double time, const Reference& reference);
   void start_in_the_air(double time);
   void return_to(const tilt_ropter::ReferencePoint& point, double time);
+  void rejoin(const tilt_ropter::Obstacle& obstacle, const tilt_ropter::ReferencePoint& point,
+              double time);
+  [[nodiscard]] bool meets(const tilt_ropter::ReferencePoint& point) const;
+  void wait_for(const tilt_ropter::ReferencePoint& point, double time);
   [[nodiscard]] bool has_lost_actuator() const {
     return failure_.kind == tilt_ropter::FailureKind::servo ||
            failure_.kind == tilt_ropter::FailureKind::rotor;
@@ -269,6 +273,7 @@ class FlightController {
   tilt_ropter::ActuatorFailure failure_;
   tilt_ropter::ActuatorNmpcSettings after_failure_;  ///< of the controller after a failure
   bool airborne_ = false, starts_in_air_ = false;
+  bool waits_ = false;          ///< on wheels, for a reference that it cannot reach
   double touched_until_ = 0.0;  ///< an obstacle, whose force is no actuator's [s]
 };
 
