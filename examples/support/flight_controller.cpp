@@ -465,7 +465,11 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
     const std::optional<Obstacle> last = contact_.estimate().blocked;
     contact_.update(time, state(), observed_, now);
     const bool is_blocked = contact_.estimate().blocked.has_value();
-    if (is_blocked) touched_until_ = time + 1.0;
+    // On the ground no wind is as strong. Along a wall, wheels may slide without being stopped.
+    const bool is_pushed =
+        contact_.estimate().on_ground &&
+        contact_.estimate().rolling.force.norm() > 0.25 * vehicle_.body.mass * gravity;
+    if (is_blocked || is_pushed) touched_until_ = time + 1.0;
     if (follows && last && !is_blocked) rejoin(*last, reference(time), time);
   }
   airborne_ = ekf_.running() && is_off_the_ground();
