@@ -51,7 +51,8 @@ and switch to offboard mode, on the ground or in the air. The vehicle flies to t
 at most 1 m/s. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the odometry is
 older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
 PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it publishes nothing. Nor does
-it 1.2 s after PX4 last said who flies. Where PX4 resets its position or heading, the hover point
+it 1.2 s after PX4 last said who flies. An accelerometer that clips, or differs from the odometry by
+3 m/s^2, is replaced by the odometry. Where PX4 resets its position or heading, the hover point
 moves along.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
@@ -100,6 +101,12 @@ class Px4Node {
             jump, tilt_ropter::yaw_of(body->orientation) - tilt_ropter::yaw_of(body_->orientation));
       else if (!(jump.norm() < farthest_jump))
         return;  // of another sender, or lost
+      else if (dt > 2e-3 && dt < 0.05) {
+        const Eigen::Vector3d acceleration = (body->velocity - body_->velocity) / dt;
+        felt_ = body->orientation.conjugate() *
+                (acceleration + Eigen::Vector3d(0.0, 0.0, tilt_ropter::gravity));
+        felt_at_ = seconds(m.timestamp_sample);
+      }
     }
     resets_ = m.reset_counter;
     body_ = body;
@@ -109,9 +116,15 @@ class Px4Node {
 
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
     if (pilot_ == Pilot::somebody_else) return;  // the state of the actuators is unknown
-    if (m.accelerometer_clipping != 0) return;   // no measurement
     const double time = seconds(m.timestamp);
-    const Eigen::Vector3d specific_force = tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2));
+    Eigen::Vector3d specific_force = tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2));
+    const bool clips = m.accelerometer_clipping != 0;
+    if (pilot_ == Pilot::this_node && std::abs(time - felt_at_) < 0.05) {
+      // Vibration, and what clips, is not in the motion.
+      if (clips || !((specific_force - felt_).norm() < contradiction)) specific_force = felt_;
+    } else if (clips) {
+      return;
+    }
     const tilt_ropter::Wrenchd applied = allocation_.wrench(actuators_.update(time, sent_.command));
     const double weight = vehicle_.body.mass * tilt_ropter::gravity;
     if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
@@ -253,6 +266,8 @@ class Px4Node {
     }
   }
 
+  // Largest difference between accelerometer and odometry [m/s^2]; then the odometry counts.
+  static constexpr double contradiction = 3.0;
   static constexpr double free_fall = 3.0;  // largest specific force [m/s^2]
   static constexpr double run_up =
       0.2;  // of rotors that stood, when they do not match the model [s]
@@ -314,15 +329,17 @@ class Px4Node {
   examples::SolverTicks solver_;
   HoverPoint reference_;
   double origin_height_, max_silence_;
-  std::optional<tilt_ropter::BodyStated> body_;  // last known state
-  std::uint64_t sample_ = 0;                     // time of this state [us]
-  double time_ = 0.0;                            // of the last tick [s]
-  double arrived_ = -1e9, known_ = -1e9;         // last arrival, last time with a state [s]
-  double killed_ = -1e9;                         // when the rotors last stood in flight [s]
-  double home_ = 0.0;                            // height of the ground at the start [m]
-  double told_ = -1e9;                           // when PX4 last said who flies [s]
-  std::uint64_t told_stamp_ = 0;                 // the same, by its stamp [us]
-  std::uint8_t resets_ = 0;                      // of PX4's estimator
+  std::optional<tilt_ropter::BodyStated> body_;     // last known state
+  std::uint64_t sample_ = 0;                        // time of this state [us]
+  double time_ = 0.0;                               // of the last tick [s]
+  double arrived_ = -1e9, known_ = -1e9;            // last arrival, last time with a state [s]
+  double killed_ = -1e9;                            // when the rotors last stood in flight [s]
+  double home_ = 0.0;                               // height of the ground at the start [m]
+  double told_ = -1e9;                              // when PX4 last said who flies [s]
+  std::uint64_t told_stamp_ = 0;                    // the same, by its stamp [us]
+  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  // specific force by the odometry [m/s^2]
+  double felt_at_ = -1e9;                           // its time [s]
+  std::uint8_t resets_ = 0;                         // of PX4's estimator
   tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,

@@ -48,7 +48,7 @@ struct Flight {
       if (std::lround(1000.0 * px4.time()) % 10 != 0) continue;
       const Px4Node::Output out = node->tick(px4.vehicle.now());
       px4.take(out, hears);
-      if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 2.0)
+      if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 3.0)
         sag = std::max(sag, shown->reference.position.z() - shown->body.position.z());
     }
   }
@@ -62,10 +62,10 @@ struct Flight {
     ASSERT_LT((body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
   }
 
-  /// What the pilot did not cause: from 2 s after the kill switch on.
+  /// What the pilot did not cause: from 3 s after the kill switch, or after arming, on.
   void judge() {
     if (px4.kills || !px4.armed()) killed_ = px4.time();
-    if (px4.time() - killed_ < 2.0) return;
+    if (px4.time() - killed_ < 3.0) return;
     const Vector3d up = body().orientation * Vector3d::UnitZ();
     tilt = std::max(tilt, std::acos(std::clamp(up.z(), -1.0, 1.0)) * 180.0 / pi);
     fastest_fall = std::max(fastest_fall, -body().velocity.z());
@@ -190,7 +190,23 @@ const Event events[] = {
        f.fly(seconds);
        f.px4.wants_offboard = true;
      }},
-    {"kill switch", 0.15,
+    {"the pilot lands, disarms and arms again", 1.0,
+     [](Flight& f, double seconds, std::mt19937&) {
+       f.px4.wants_offboard = false;
+       f.px4.stick = f.body().position;
+       while (f.px4.stick.z() > 0.0) {
+         f.px4.stick.z() -= 0.05;
+         f.fly(0.1);
+       }
+       f.fly(1.0);
+       f.px4.disarm();
+       f.fly(0.5 + seconds);
+       f.px4.wants_offboard = true;
+       f.fly(0.5);
+       ASSERT_TRUE(f.px4.arm());
+       f.fly(2.0);
+     }},
+    {"kill switch", 0.25,
      [](Flight& f, double seconds, std::mt19937&) {
        f.px4.kills = true;
        f.fly(seconds);
@@ -241,6 +257,12 @@ const Event events[] = {
        f.px4.vehicle.clipping = between(-160.0, 160.0, random);
        f.fly(seconds);
        f.px4.vehicle.clipping = 0.0;
+     }},
+    {"vibration", 1.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.vibration = between(0.0, 70.0, random);
+       f.fly(seconds);
+       f.px4.vehicle.vibration = 0.0;
      }},
     {"a second sender", 1.0,
      [](Flight& f, double seconds, std::mt19937& random) {

@@ -39,6 +39,8 @@ class Px4Autopilot {
     return armed_;
   }
 
+  void disarm() { armed_ = false; }
+
   [[nodiscard]] bool armed() const { return armed_; }
   [[nodiscard]] bool is_offboard() const { return armed_ && offboard_; }
   [[nodiscard]] double time() const { return vehicle.plant.time(); }

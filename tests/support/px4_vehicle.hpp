@@ -115,7 +115,8 @@ class Px4Vehicle {
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
   tilt_ropter::Plant<4> plant{heavy_vehicle()};
-  double clipping = 0.0;  ///< the accelerometer clips and reads so much along z [m/s^2]
+  double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
+  double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
   px4_msgs::msg::ActuatorMotors last_motors{};
@@ -134,7 +135,9 @@ class Px4Vehicle {
     const Eigen::Vector3d bias(0.05, -0.08, 0.1);
     set(m.gyro_rad, flu_to_frd_ * plant.body().angular_velocity);
     set(m.accelerometer_m_s2, flu_to_frd_ * (plant.specific_force() + bias));
-    if (clipping > 0.0) {
+    m.accelerometer_m_s2[2] +=
+        static_cast<float>(vibration * std::sin(2.0 * tilt_ropter::pi * 97.3 * plant.time()));
+    if (clipping != 0.0) {
       m.accelerometer_clipping = 4;  // z
       m.accelerometer_m_s2[2] = static_cast<float>(clipping);
     }
