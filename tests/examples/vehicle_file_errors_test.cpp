@@ -202,6 +202,7 @@ TEST(VehicleFile, ReportsEveryMissingRequiredField) {
         const std::set<std::string> optional_fields = {"wheels",
                                                        "on_arms",
                                                        "half_width_m",
+                                                       "hover_w",
                                                        "propeller_radius_m",
                                                        "servo_hold_w",
                                                        "propeller_height_m",

@@ -134,6 +134,15 @@ TEST(VehicleFile, ReadAndWriteRoundTripKeepsAllFields) {
 }
 
 /// A rotor that is given by its axes equals the same rotor given by its arm.
+// Nobody knows it before the first flight. The true one is 653.64 W.
+TEST(VehicleFile, PowerOfHoverIsEstimatedWhereTheFileHasNone) {
+  std::istringstream in(
+      with(test_support::read_file(shipped("tilt_ropter")), "\"hover_w\": 653.64,", ""));
+  const auto vehicle = std::get<tilt_ropter::Vehicle<4>>(examples::read_vehicle(in, "").vehicle);
+  EXPECT_NEAR(vehicle.power.hover, 653.64, 0.15 * 653.64);
+  EXPECT_NE(vehicle.power.hover, 653.64);
+}
+
 TEST(VehicleFile, RotorByAxesEqualsRotorOnArm) {
   std::string text = test_support::read_file(shipped("tilt_ropter"));
   const std::string arm = "\"azimuth_deg\": 90.0,\n      \"length_m\": 0.17";

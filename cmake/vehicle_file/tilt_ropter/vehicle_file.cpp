@@ -176,17 +176,34 @@ LegParameters read_legs(const Json& object) {
   return legs;
 }
 
+constexpr double unknown_power = 0.0;  // of hover, until the rotors are known
+
+/// Power of hover by the torques of the rotors, each with the same part of the weight [W].
+template <int Rotors>
+double estimated_hover_power(const Vehicle<Rotors>& vehicle) {
+  constexpr double efficiency = 0.65;  // of motors and their controllers; the Tilt-Ropter has 0.6
+  const double thrust = vehicle.body.mass * gravity / Rotors;
+  double power = 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorParameters& rotor = rotor_parameters(vehicle, i);
+    power += rotor.torque_ratio * thrust * std::sqrt(thrust / rotor.thrust_coefficient);
+  }
+  return vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold +
+         power / efficiency;
+}
+
 PowerParameters read_power(const Json& object) {
   Fields fields(object, "power");
   PowerParameters power;
   power.electronics = fields.number("electronics_w", {0.0, 1e5, "W"});
-  power.hover = fields.number("hover_w", {1e-3, 1e6, "W"});
+  const bool is_known = fields.find("hover_w") != nullptr;
+  power.hover = is_known ? fields.number("hover_w", {1e-3, 1e6, "W"}) : unknown_power;
   if (fields.find("servo_hold_w") != nullptr)
     power.servo_hold = fields.number("servo_hold_w", {0.0, 1e3, "W"});
   if (fields.find("servo_move_j_per_rad") != nullptr)
     power.servo_move = fields.number("servo_move_j_per_rad", {0.0, 1e3, "J/rad"});
   fields.refuse_unknown();
-  if (power.hover <= power.electronics)
+  if (is_known && power.hover <= power.electronics)
     refuse("power.hover_w", shown(power.hover),
            "more than electronics_w, " + shown(power.electronics) + " W");
   return power;
@@ -272,6 +289,7 @@ Vehicle<Rotors> with_rotors(const Json& list, Vehicle<Rotors> vehicle) {
   if (!alike && lift <= weight)
     refuse("sum of max_thrust_n of all rotors", shown(lift),
            "more than the weight, " + shown(weight) + " N");
+  if (vehicle.power.hover == unknown_power) vehicle.power.hover = estimated_hover_power(vehicle);
   const double at_rest =
       vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold;
   if (vehicle.power.hover <= at_rest)

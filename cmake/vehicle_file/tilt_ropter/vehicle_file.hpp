@@ -43,6 +43,9 @@
 ///       "limits": { "force_max_n": [6, 6, 30] },                 fields of NmpcBounds
 ///       "ground": { "down_force_n": 0.75 } }                     fields of GroundContactSettings
 ///
+/// Without `hover_w` the power of hover is estimated by the torques of the rotors, with motors of
+/// 65 % efficiency.
+///
 /// All values are in the body frame (x forward, y left, z up) with the CoM as its origin.
 /// `thrust_axis` and `arm_axis` need not be unit vectors. A rotor that does not tilt needs no
 /// `arm_axis`.
