@@ -4,6 +4,7 @@
 
 #include "../support/mission_sensors.hpp"
 #include "../support/solver_choice.hpp"
+#include "../support/vehicle_check.hpp"
 #include "link.hpp"
 #include "options.hpp"
 
@@ -111,7 +112,7 @@ class Silences {
 };
 
 void run(const hitl::Line& line, const std::string& vehicle, const std::string& solver) {
-  const examples::VehicleFile file = examples::vehicle_or_default(vehicle);
+  const examples::VehicleFile file = examples::vehicle_to_fly(vehicle);
   NmpcSettings settings =
       line.lock_step > 0.0 ? examples::in_simulated_time(file.settings()) : file.settings();
   examples::set_solver(solver, settings.solver);

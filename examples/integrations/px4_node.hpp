@@ -1,7 +1,7 @@
 #pragma once
 
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_choice.hpp"
+#include "../support/vehicle_check.hpp"
 #include "hover_point.hpp"
 #include "parameters.hpp"
 #include "px4_messages.hpp"
@@ -75,7 +75,7 @@ class Px4Node {
 
   /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
   explicit Px4Node(Parameters& parameters)
-      : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
+      : file_(examples::vehicle_to_fly(parameters.text("vehicle"))),
         vehicle_(examples::quadrotor(file_)),
         scaling_(vehicle_, {parameters.number("thrust_model_factor", 0.0), {}}),
         allocation_(vehicle_),

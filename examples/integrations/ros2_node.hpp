@@ -2,7 +2,7 @@
 
 #include "../support/flight_controller.hpp"
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_choice.hpp"
+#include "../support/vehicle_check.hpp"
 #include "hover_point.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"
@@ -59,7 +59,7 @@ class Ros2Node {
 
   /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
   explicit Ros2Node(Parameters& parameters)
-      : file_(examples::vehicle_or_default(parameters.text("vehicle"))),
+      : file_(examples::vehicle_to_fly(parameters.text("vehicle"))),
         vehicle_(examples::quadrotor(file_)),
         controller_(vehicle_, controller_settings(file_, parameters), estimation(parameters)),
         reference_(parameters),

@@ -2,7 +2,7 @@
 
 #include "../support/run_program.hpp"
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_choice.hpp"
+#include "../support/vehicle_check.hpp"
 #include "latencies.hpp"
 #include "real_time.hpp"
 
@@ -51,7 +51,7 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
 }
 
 void run(const Options& options) {
-  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
+  const examples::VehicleFile file = examples::vehicle_to_fly(options.vehicle);
   const Vehicle<4> vehicle = examples::quadrotor(file);
   const Allocation<4> allocation(vehicle);
   ActuatorModel<4> actuators(vehicle);

@@ -7,6 +7,7 @@
 #include "../support/run_program.hpp"
 #include "../support/simulated_mission.hpp"
 #include "../support/solver_choice.hpp"
+#include "../support/vehicle_check.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
 
@@ -110,7 +111,7 @@ void write(const std::vector<Row>& rows, const std::string& path) {
 /// Returns the exit code.
 int run(const Options& options) {
   std::vector<examples::VehicleFile> files;
-  files.push_back(examples::vehicle_or_default(options.vehicle));
+  files.push_back(examples::vehicle_to_fly(options.vehicle));
   files.push_back(locked(files.front()));
   for (const std::string& path : options.others) files.push_back(examples::read_vehicle(path));
   std::vector<Row> rows;
@@ -121,13 +122,15 @@ int run(const Options& options) {
     flight.mission.name = options.mission;
     flight.seed = options.seed;
     flight.solver = options.solver;
+    flight.stop_at_loss = true;
     flight.output = options.output + "/vehicle_" + std::to_string(rows.size() + 1);
     const double before = static_cast<double>(rows.size()), all = static_cast<double>(files.size());
     const examples::FlownMission flown =
         examples::fly_simulated(flight, file, [&](double fraction, tilt_ropter::MissionPhase) {
           progress.show((before + fraction) / all, file.name);
         });
-    if (!flown.loss.empty()) losses.push_back(file.name + ": " + flown.loss);
+    if (!flown.loss.empty())
+      losses.push_back(file.name + ": " + flown.loss + "; likely reason: " + flown.loss_reason);
     Row row;
     row.name = file.name;
     row.level = examples::level_for("", file);

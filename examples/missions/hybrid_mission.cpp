@@ -33,6 +33,7 @@ int main(int argc, char** argv) {
     }
     const auto write = [&](const auto& vehicle) { return write_mission(options.mission, vehicle); };
     if (std::visit(write, file.vehicle)) return 0;
+    options.stop_at_loss = true;
     double lean = 0.0;
     examples::FlightReport report =
         examples::report_flight(options, file, [&](const examples::FlightProgress& on_progress) {

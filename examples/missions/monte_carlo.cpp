@@ -10,6 +10,7 @@
 #include "../support/run_program.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/spread_flight.hpp"
+#include "../support/vehicle_check.hpp"
 
 #include <CLI/CLI.hpp>
 
@@ -64,7 +65,7 @@ SpreadFlight fly(const VehicleFile& file, const Options& options, std::uint64_t 
 
 /// Flies the vehicles of the request that are not yet in the table at `path`, and adds them.
 void fly_all(const Options& options, const std::string& path) {
-  const VehicleFile file = vehicle_or_default(options.vehicle);
+  const VehicleFile file = vehicle_to_fly(options.vehicle);
   const std::string choice = level_choice(options.level, file);
   if (!choice.empty()) std::cerr << choice << '\n';
   const FlightRequest request = request_of(options);
@@ -110,7 +111,7 @@ void fly_all(const Options& options, const std::string& path) {
 
 /// Flies one vehicle again and writes the same logs as hybrid_mission.
 void replay(const Options& options, std::uint64_t index) {
-  const VehicleFile file = vehicle_or_default(options.vehicle);
+  const VehicleFile file = vehicle_to_fly(options.vehicle);
   const SpreadFlight flight = fly(file, options, index, options.output);
   std::cout << "verdict: " << to_string(flight.record.verdict) << '\n'
             << std::setprecision(std::numeric_limits<double>::max_digits10);

@@ -8,7 +8,7 @@
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_choice.hpp"
+#include "../support/vehicle_check.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -149,7 +149,7 @@ StepFigures figures(const std::vector<double>& values, double start, double end,
 }
 
 void run(const Options& options) {
-  const VehicleFile file = examples::vehicle_or_default(options.vehicle);
+  const VehicleFile file = examples::vehicle_to_fly(options.vehicle);
   const auto fly_changed = [&](const Knob* knob, double factor) {
     VehicleFile changed = file;
     if (knob != nullptr) knob->scale(changed, factor);

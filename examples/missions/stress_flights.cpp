@@ -9,7 +9,7 @@
 #include "../support/solver_choice.hpp"
 #include "../support/statistics.hpp"
 #include "../support/stress_flight.hpp"
-#include "../support/vehicle_choice.hpp"
+#include "../support/vehicle_check.hpp"
 
 #include <CLI/CLI.hpp>
 
@@ -240,7 +240,7 @@ int main(int argc, char** argv) {
     const Scenario scenario = scenarios().at(options.scenario);
     if (options.size == 0.0) options.size = usual_size(scenario);
     if (options.height == 0.0) options.height = usual_height(scenario);
-    const VehicleFile file = vehicle_or_default(options.vehicle);
+    const VehicleFile file = vehicle_to_fly(options.vehicle);
     const std::string choice = level_choice(options.level, file);
     if (!choice.empty()) std::cout << choice << '\n';
     options.level = level_for(options.level, file);

@@ -218,6 +218,7 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--film,!--no-film", options.film,
                "also record mission.mp4, mission.gif, air.png, ground.png (needs EGL, ffmpeg)");
+  options.mission.stop_at_loss = true;
   return examples::run_program(app, "mission_mujoco", argc, argv,
                                [&options] { return fly(options); });
 }

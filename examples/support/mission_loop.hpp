@@ -5,6 +5,7 @@
 #include "fault_option.hpp"
 #include "flight_controller.hpp"
 #include "identification_log.hpp"
+#include "loss_reason.hpp"
 #include "loss_watch.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
@@ -15,6 +16,7 @@
 #include "progress.hpp"
 #include "sensor_suite.hpp"
 #include "solver_choice.hpp"
+#include "vehicle_check.hpp"
 #include "vehicle_choice.hpp"
 #include "wall_option.hpp"
 
@@ -80,7 +82,9 @@ struct MissionOptions {
   std::string observer = "model";        // see observer_inputs()
   std::vector<std::string> as_in_paper;  // see paper_switches()
   bool no_pictures = false;
-  bool no_log = false;  // for many flights of which only the figures count; not an option
+  // No options:
+  bool no_log = false;        // for many flights of which only the figures count
+  bool stop_at_loss = false;  // ends the flight after a loss, see LossWatch::is_over()
 };
 
 /// Adds the options to `app`; parsing fills `options`.
@@ -376,10 +380,13 @@ struct FlownMission {
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
   double duration = 0.0;                              ///< of the mission [s]
+  double flown_time = 0.0;                            ///< shorter after a loss [s]
   double elapsed = 0.0;                               ///< [s], on the clock
   double lean = 0.0;                                  ///< largest angle of body z to world z [rad]
   double take_over_drop = 0.0, take_over_lean = 0.0;  ///< within 3 s of a take-over [m], [rad]
-  std::string loss;  ///< how the vehicle was lost; empty if it was not
+  std::string loss;      ///< how the vehicle was lost; empty if it was not
+  double lost_at = 0.0;  ///< [s]
+  std::string loss_reason;
   std::vector<tilt_ropter::BoundViolation> violations;  ///< bounds that the reference passes
 };
 
@@ -513,6 +520,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
   IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
   LossWatch loss;
+  LossReason loss_reason;
   // Until then the vehicle was not on its mission, and may take some time to return.
   double away_until = options.start_in_air > 0.0 ? 5.0 : 0.0;
   const double start_height = plant.body().position.z();
@@ -540,6 +548,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                         controller.planned_tilt_rate(), vehicles.truth.servo,
                         steps_per_tick * step);
       flown.solver.add(result.status, result.report);
+      if (loss.sentence().empty())
+        loss_reason.on_control(vehicles.believed, command, has_plan(result.status),
+                               controller.trust(), controller.failure(),
+                               controller.external().force, steps_per_tick * step);
       flown.trust.on_control(controller.trust(), controller.mode(), controller.failure(),
                              steps_per_tick * step);
       flown.rotor_speeds.add(controller.speed_ratio());
@@ -590,14 +602,19 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     // An actuator that fails may turn the vehicle far before it recovers.
     const bool tipped = is_tipped(plant.body().orientation) && (options.failure.empty() || touches);
     if (controller.mode() != FlightMode::stopped)
-      loss.on_step(plant.time(), follows ? (seen - wanted).norm() - options.start_off : 0.0,
-                   tipped);
+      loss.on_step(plant.time(), follows ? (seen - wanted).norm() - options.start_off : 0.0, tipped,
+                   (seen - wanted).norm());
     on_step(mission);
+    const bool ends = loss.is_over() || controller.mode() == FlightMode::stopped;
+    if (options.stop_at_loss && options.failure.empty() && !loss.sentence().empty() && ends) break;
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   flown.elapsed = elapsed.count();
   flown.lean = std::acos(std::max(-1.0, upright));
   flown.loss = loss.sentence();
+  flown.lost_at = loss.time();
+  if (!flown.loss.empty()) flown.loss_reason = loss_reason.sentence();
+  flown.flown_time = plant.time();
   flown.contact_mode_changes = controller.contact().mode_changes();
   flown.counts = controller.ekf().counts();
   return flown;
@@ -611,23 +628,30 @@ inline constexpr const char* mission_exit_codes =
     "wrong options.";
 
 struct FlightReport {
-  std::string figures;  ///< as they were printed
-  std::string loss;     ///< as in FlownMission
+  std::string figures;            ///< as they were printed
+  std::string loss, loss_reason;  ///< as in FlownMission
 
   /// The exit code of `program`: 1 if the vehicle was lost, which this says on stderr.
   [[nodiscard]] int exit_code(const char* program) const {
-    if (!loss.empty()) std::cerr << program << ": " << loss << '\n';
+    if (!loss.empty())
+      std::cerr << program << ": " << loss << "; likely reason: " << loss_reason << '\n';
     return loss.empty() ? 0 : 1;
   }
 };
 
-/// For a program that flies one mission: calls flight(on_progress), which returns a FlownMission,
+/// For a program that flies one mission: prints what is wrong with the vehicle, calls
+/// flight(on_progress), which returns a FlownMission,
 /// and shows its progress. Prints and returns the figures.
 template <typename Flight>
 FlightReport report_flight(const MissionOptions& options, const VehicleFile& file,
                            const Flight& flight) {
   const std::string choice = level_choice(options.level, file);
   if (!choice.empty()) std::cout << choice << '\n';
+  std::string found;  // before the flight
+  for (const VehicleFinding& finding : static_findings(file)) {
+    std::cout << finding.line() << '\n';
+    found += finding.text + "; ";
+  }
   Progress progress;
   FlownMission flown = flight([&progress](double fraction, tilt_ropter::MissionPhase phase) {
     progress.show(fraction, to_string(phase));
@@ -649,10 +673,13 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
   flown.rotor_speeds.print(printed);
   flown.residuals.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'
-          << "real_time_factor: " << flown.duration / flown.elapsed << '\n';
+          << "real_time_factor: " << flown.flown_time / flown.elapsed << '\n';
+  if (!flown.loss.empty())
+    printed << std::setprecision(2) << "lost_at_s: " << flown.lost_at
+            << "\nlikely_reason: " << found << flown.loss_reason << '\n';
   std::cout << printed.str();
   flown.rotor_speeds.print_health(std::cout);
-  return {printed.str(), flown.loss};
+  return {printed.str(), flown.loss, found + flown.loss_reason};
 }
 
 /// The same for any plant, with the arguments of fly().

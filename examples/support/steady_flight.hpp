@@ -28,6 +28,15 @@ struct SteadyFlight {
   tilt_ropter::ActuatorState<Rotors> hover;  ///< speeds and tilt angles
 };
 
+/// A torque that is none: 1e-4 of the weight at the farthest rotor [N m].
+template <int Rotors>
+[[nodiscard]] double least_torque(const tilt_ropter::Vehicle<Rotors>& vehicle) {
+  double size = 0.0;
+  for (const tilt_ropter::RotorGeometry& rotor : vehicle.rotors)
+    size = std::max(size, rotor.position.norm());
+  return 1e-4 * size * vehicle.body.mass * tilt_ropter::gravity;
+}
+
 /// Computes SteadyFlight by the smallest thrusts for hover. The vehicle must be valid.
 template <int Rotors>
 [[nodiscard]] SteadyFlight<Rotors> steady_flight(const tilt_ropter::Vehicle<Rotors>& vehicle) {

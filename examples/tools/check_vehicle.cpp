@@ -10,6 +10,7 @@
 #include "../support/simulated_mission.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/steady_flight.hpp"
+#include "../support/vehicle_check.hpp"
 #include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/actuation/allocation.hpp>
@@ -47,6 +48,8 @@ struct Options {
 };
 
 constexpr std::array<const char*, 6> axes = {"F_x", "F_y", "F_z", "M_x", "M_y", "M_z"};
+
+constexpr std::array<const char*, 3> turn = {"roll", "pitch", "yaw"};
 
 /// Collects errors and warnings.
 class Findings {
@@ -199,9 +202,13 @@ void print_losses(const Vehicle<Rotors>& vehicle) {
                "[N]  torque left in hover, least of +- [N m]\n";
   for (std::size_t i = 0; i < Rotors; ++i) {
     const ControlAuthority left = control_authority(with_weak_rotor(vehicle, i, 0.0));
+    const auto turns = [&](Eigen::Index axis) {
+      return std::min(left.forward(axis), left.backward(axis)) > examples::least_torque(vehicle);
+    };
+    const bool hovers = left.hovers && turns(3) && turns(4);  // it cannot stay upright otherwise
     std::cout << std::setw(5) << i + 1 << std::setw(6) << left.rank << std::setw(11)
-              << digits(left.condition) << std::setw(8) << (left.hovers ? "yes" : "no")
-              << std::setw(7) << (is_level(vehicle, left) ? "yes" : "no") << std::setw(18)
+              << digits(left.condition) << std::setw(8) << (hovers ? "yes" : "no") << std::setw(7)
+              << (is_level(vehicle, left) ? "yes" : "no") << std::setw(18)
               << digits(left.least_thrust) << ' ';
     for (Eigen::Index axis = 3; axis < 6; ++axis)
       std::cout << ' ' << axes[static_cast<std::size_t>(axis)] << ' '
@@ -310,7 +317,7 @@ void fly(const Options& options, const examples::VehicleFile& file, Findings& fi
   constexpr double soft = 0.6, hard = 1.5;  // touchdown [m/s]
   examples::MissionOptions mission;
   mission.vehicle_path = options.input;
-  mission.no_log = true;
+  mission.no_log = mission.stop_at_loss = true;
   mission.solver = options.solver;
   const examples::FlownMission flown =
       examples::fly_simulated(mission, file, [](double, MissionPhase) {});
@@ -335,7 +342,9 @@ void fly(const Options& options, const examples::VehicleFile& file, Findings& fi
     findings.error("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
   else if (figures.touchdown_speed() > soft)
     findings.warning("it touches down with " + digits(figures.touchdown_speed()) + " m/s");
-  if (!flown.loss.empty()) findings.error("in the simulated mission " + flown.loss);
+  if (!flown.loss.empty())
+    findings.error("in the simulated mission " + flown.loss +
+                   "; likely reason: " + flown.loss_reason);
   if (figures.failures() > 0)
     findings.warning(std::to_string(figures.failures()) + " ticks had no plan in the mission");
 }
@@ -346,7 +355,6 @@ bool check_actuators(const Options& options, const examples::VehicleFile& file,
                      const Vehicle<Rotors>& vehicle, Findings& findings) {
   const examples::SteadyFlight<Rotors> steady = examples::steady_flight(vehicle);
   std::cout << "hovers: " << (steady.hovers ? "yes" : "no") << '\n';
-  constexpr std::array<const char*, 3> turn = {"roll", "pitch", "yaw"};
   for (std::size_t i = 0; i < 3; ++i)
     if (!steady.turns[i]) findings.error(std::string("it cannot ") + turn[i] + " while it hovers");
   check_propellers(vehicle, findings);
@@ -393,6 +401,11 @@ bool check_wrench(const Options& options, const examples::VehicleFile& file,
   if (!authority.hovers) {
     findings.error("the rotors do not carry the weight in level attitude without torque");
   } else {
+    for (Eigen::Index i = 3; i < 6; ++i)
+      if (!(std::min(authority.forward(i), authority.backward(i)) >
+            examples::least_torque(vehicle)))
+        findings.error(std::string("it cannot ") + turn[static_cast<std::size_t>(i) - 3] +
+                       " while it hovers");
     if (authority.forward(2) < 0.1 * weight)
       findings.error("the lift beyond hover is less than a tenth of the weight");
     else if (authority.forward(2) < 0.5 * weight)
@@ -439,6 +452,8 @@ Verdict check(const Options& options, const examples::VehicleFile& file,
   if (rank == 6) line("condition", singular(0) / singular(5));
   const std::string reason = examples::reason_against_wrench_level(file);
   std::cout << "level: " << examples::level_for("", file) << '\n';
+  for (const examples::VehicleFinding& found : examples::file_findings(file))
+    found.is_error ? findings.error(found.text) : findings.warning(found.text);
   if (!reason.empty()) findings.limitation("no control at the wrench level: " + reason);
   bool hovers = false, has_envelope = false;
   if constexpr (examples::has_wrench_level<Rotors>) {

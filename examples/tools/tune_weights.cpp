@@ -9,6 +9,7 @@
 #include "../support/progress.hpp"
 #include "../support/run_program.hpp"
 #include "../support/spread_flight.hpp"
+#include "../support/vehicle_check.hpp"
 
 #include <CLI/CLI.hpp>
 
@@ -426,7 +427,7 @@ void fly_in_mujoco(const Options& options, const Search& search, const std::stri
 }
 
 int run(const Options& options) {
-  const VehicleFile file = vehicle_or_default(options.vehicle);
+  const VehicleFile file = vehicle_to_fly(options.vehicle);
   if (std::visit([&](const auto& v) { return write_mission(options.choice.mission, v); },
                  file.vehicle))
     return 0;

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstddef>
 #include <cstdlib>
 #include <string>
 
@@ -120,6 +121,27 @@ TEST(CheckVehicle, RejectsVehiclesThatCannotHover) {
   told = check_changed("octocopter", "\"max_thrust_n\": 12", "\"max_thrust_n\": 1.5");
   EXPECT_EQ(told.exit_code, 1);
   EXPECT_TRUE(told.says("do not carry the weight")) << told.output;
+}
+
+TEST(CheckVehicle, NamesWhatContradictsItselfInTheFile) {
+  auto told = check_changed("tilt_ropter", "\"azimuth_deg\": 180.0", "\"azimuth_deg\": 0.0");
+  EXPECT_EQ(told.exit_code, 1);
+  EXPECT_TRUE(told.says("error: the rotors 3 and 4 are in one place")) << told.output;
+  const test_support::Directory directory("check_vehicle_changed");
+  std::string text = test_support::read_file(shipped("tilt_ropter"));
+  const auto change = [&text](const std::string& from, const std::string& to) {
+    for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size())
+      text.replace(at, from.size(), to);
+  };
+  change("\"counter_clockwise", "\"clockwise");
+  change("angle_deg\": -180.0", "angle_deg\": -3.14159");
+  change("angle_deg\": 180.0", "angle_deg\": 3.14159");
+  told = check(directory.write("changed.json", text));
+  EXPECT_TRUE(told.says("warning: all rotors turn the same way")) << told.output;
+  EXPECT_TRUE(told.says("max_angle_deg = 3.14 look like radians: -180 to 180")) << told.output;
+  // Without a rotor no torque about x or y is left: it does not stay upright.
+  EXPECT_TRUE(told.says("    1     6       2.65      no     no")) << told.output;
+  EXPECT_FALSE(check("").says("radians"));
 }
 
 TEST(CheckVehicle, DrawsThePicture) {

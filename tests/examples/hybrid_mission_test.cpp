@@ -3,6 +3,7 @@
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"
+#include "support/vehicle_files.hpp"
 
 #include "../../examples/support/csv.hpp"
 #include "../../examples/support/hybrid_experiment.hpp"
@@ -284,6 +285,24 @@ TEST(HybridMission, SaysThatTheVehicleWasLost) {
   EXPECT_EQ(heavy.exit_code, 1);
   EXPECT_NE(heavy.output.find("hybrid_mission: the vehicle "), std::string::npos) << heavy.output;
   EXPECT_GT(heavy["air_rmse_m"], 0.5);  // the figures are there
+  EXPECT_TRUE(heavy.says("likely_reason: ")) << heavy.output;
+  EXPECT_TRUE(heavy.says(" N that the model does not explain")) << heavy.output;
+}
+
+// What check_vehicle says without flying is said before the flight, and again as the reason.
+TEST(HybridMission, SaysWhatIsWrongWithTheVehicleFirst) {
+  const test_support::Directory directory("hybrid_mission_vehicle");
+  const std::string both =
+      test_support::with(test_support::read_file(test_support::shipped("tilt_ropter")),
+                         "\"azimuth_deg\": 0.0", "\"azimuth_deg\": 180.0");
+  const Flight lost = run("--no-pictures --vehicle '" + directory.write("two.json", both) + "'");
+  EXPECT_EQ(lost.exit_code, 1);
+  EXPECT_EQ(lost.output.find("error: the rotors 3 and 4 are in one place\n"), 0u) << lost.output;
+  EXPECT_TRUE(lost.says("likely reason: the rotors 3 and 4 are in one place")) << lost.output;
+  EXPECT_LT(lost["lost_at_s"], 15.0);
+  std::istringstream text(lost.csv);
+  const examples::CsvTable log = examples::read_csv(text, "log", {"time_s"});
+  EXPECT_LT(log["time_s"].back(), lost["lost_at_s"] + 10.0);  // of 85 s: it does not come back
 }
 
 TEST(HybridMission, HelpAndBadArguments) {
