@@ -75,7 +75,7 @@ tilt_ropter::Ekfd run_filter(const RecordedFlight& flight, const tilt_ropter::Ek
     }
     const EstimateTrust trust = filter.trust(imu[i].time);
     const bool starts = imu[i].time < imu.front().time + 1.0;
-    if (!starts && (trust.restarted || trust.implausible_bias ||
+    if (!starts && (trust.restarted || trust.implausible_bias || trust.imu_contradicted ||
                     trust.state == EstimateState::lost || !filter.running()))
       ++contradicted;
     reception.mean_nis += (filter.running() ? std::min(filter.nis(), 100.0) : 100.0) /

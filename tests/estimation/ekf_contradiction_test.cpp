@@ -57,6 +57,7 @@ struct Outcome {
   EstimateState state = EstimateState::lost;
   EkfCounts counts;
   double latency = 0.0;       // found [s]
+  int good = 0;               // samples after 5 s
   double contradicted = 1e9;  // first time of EstimateTrust::imu_contradicted [s]
 };
 
@@ -64,8 +65,9 @@ struct Given {
   double size = 1.0;      // of the motion
   double imu_rate = 1e3;  // [Hz]
   double duration = 16.0;
-  double drift = 0.0;  // of the clock of the poses
-  double noise = 1.0;  // of the poses, over that which is believed
+  double drift = 0.0;    // of the clock of the poses
+  double heading = 0.0;  // error of the marker frame [rad]
+  double noise = 1.0;    // of the poses, over that which is believed
 };
 
 Outcome fly(const SensorFault& fault, const Given& given = {}) {
@@ -84,6 +86,7 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
   poses.add_fault(fault);
   EkfSettings settings;
   settings.pose_noise = {1e-3, 3e-3};
+  settings.marker_orientation = quaternion_from_yaw(given.heading);
   Ekfd ekf(settings);
   Outcome o;
   for (int i = 0; i <= static_cast<int>(given.duration * 1e3); ++i) {
@@ -95,6 +98,7 @@ Outcome fly(const SensorFault& fault, const Given& given = {}) {
     EXPECT_TRUE(is_finite(ekf.state()));
     if (ekf.trust(t).imu_contradicted) o.contradicted = std::min(o.contradicted, t);
     if (t < 5.0 || given.imu_rate * (t - ekf.time()) > 0.5) continue;
+    o.good += ekf.trust(t).state == EstimateState::good;
     const BodyStated body = ekf.state();
     o.at_end = (body.position - truth.position).norm();
     o.position = std::max(o.position, o.at_end);
@@ -143,6 +147,17 @@ TEST(EkfContradiction, BiasStepsOfTheGyroscopeAreLearned) {
       EXPECT_GT(o.contradicted, 8.0);
       EXPECT_LT(o.contradicted, size < 0.2 ? 1e10 : 8.3);
     }
+}
+
+// The accelerations are measured along other axes than those of the body.
+TEST(EkfContradiction, AWrongHeadingOfTheMarkerFrameIsNotGoodInMotion) {
+  SensorFault none;
+  none.start = 1e9;
+  for (const double heading : {0.8, 1.5, -2.5}) {
+    Given given;
+    given.heading = heading;
+    EXPECT_LT(fly(none, given).good, 100) << heading;
+  }
 }
 
 TEST(EkfContradiction, PosesNoisierThanBelievedDoNotConvictTheImu) {

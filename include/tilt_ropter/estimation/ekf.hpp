@@ -354,6 +354,7 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   if (!filter_.started()) return t;
   t.imu_stopped = !running();
   t.imu_contradicted = filter().is_wider();
+  t.inconsistent |= filter().is_much_wider();
   typename ErrorStateFilter<Scalar>::Covariance p = filter().covariance();
   if (finds_imu())
     detail::move_to_body(p, filter().state().orientation, filter_.rate(), imu_position());

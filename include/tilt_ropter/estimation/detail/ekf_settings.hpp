@@ -98,7 +98,8 @@ struct EstimateTrust {
   /// restart in ten seconds.
   bool restarted = false;
   /// The measurements that were used deviate more than they should: their mean NIS is above three
-  /// times their number of rows. The predicted errors are then too small.
+  /// times their number of rows, or poses contradict the IMU again and again, as with a wrong
+  /// heading of the marker frame. The predicted errors are then too small.
   bool inconsistent = false;
   /// A bias is more than five standard deviations from that of the settings, as with a wrong unit,
   /// sign or axis of the IMU.

@@ -186,6 +186,8 @@ class ErrorStateFilter {
   void forget_wider_noise() noexcept { wider_.setOnes(); }
   /// True for some time after widen().
   [[nodiscard]] bool is_wider() const noexcept { return wider_.maxCoeff() > Scalar(1.2); }
+  /// True if widen() was called again and again: poses and IMU go on contradicting each other.
+  [[nodiscard]] bool is_much_wider() const noexcept { return wider_.maxCoeff() > Scalar(5); }
   /// True if more noise explains nothing: something else is wrong, such as the marker frame.
   [[nodiscard]] bool is_widest() const noexcept { return wider_.maxCoeff() > Scalar(0.9 * widest); }
 
