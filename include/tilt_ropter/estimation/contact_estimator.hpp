@@ -258,6 +258,8 @@ class ContactEstimator {
       fly(body, starts_carried, clearance, dt);
     }
     if (!estimate_.on_ground) standing_for_ = 0.0;
+    constexpr double a_while = 0.3;  // no bounce of a landing lasts as long [s]
+    stood_ = estimate_.on_ground && (stood_ || standing_for_ > a_while);
     if (started_ && estimate_.on_ground != was_on_ground) ++mode_changes_;
     if (was_on_ground || estimate_.on_ground) estimate_.disturbance = air_;
     split(external, body.orientation);
@@ -338,8 +340,8 @@ class ContactEstimator {
   [[nodiscard]] bool one_wheel_stands(const BodyStated& body, double load) const noexcept {
     constexpr double most = 0.004, hardly = 0.15, rises = 0.01;  // [rad], of the weight, [m/s]
     const Eigen::Vector3d axle = body.orientation * Eigen::Vector3d::UnitY();
-    return undercarriage_->pitches && load < hardly * weight_ && rising_of(body) > rises &&
-           std::abs(axle.dot(estimate_.ground.normal())) > most;
+    return stood_ && undercarriage_->pitches && load < hardly * weight_ &&
+           rising_of(body) > rises && std::abs(axle.dot(estimate_.ground.normal())) > most;
   }
 
   static double fraction(double dt, double time_constant) noexcept {
@@ -446,7 +448,7 @@ class ContactEstimator {
   double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
   double settling_ = 0.0, standing_for_ = 0.0;  // [s]
   int mode_changes_ = 0;
-  bool started_ = false;
+  bool started_ = false, stood_ = false;
 };
 
 }  // namespace tilt_ropter
