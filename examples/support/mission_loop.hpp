@@ -596,7 +596,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     }
     upright = std::min(upright, plant.body().orientation.toRotationMatrix()(2, 2));
     const bool blocked = controller.contact().estimate().blocked.has_value();
-    if (controller.mode() != FlightMode::mission || blocked) away_until = plant.time() + 5.0;
+    if (controller.mode() != FlightMode::mission || (wall && blocked))
+      away_until = plant.time() + 5.0;
     const bool follows = plant.time() >= away_until;
     const bool touches = plant.normal_forces().sum() > 0.0;
     // An actuator that fails may turn the vehicle far before it recovers.

@@ -33,7 +33,10 @@ class ObstacleWatch {
                                         const std::optional<ReferencePoint>& reference,
                                         const std::optional<Eigen::Vector3d>& track,
                                         double dt) noexcept {
-    if (!reference || !(reference->position.norm() < 1e6)) {
+    // Wheels that stand under a reference that flies are too weak to take off.
+    constexpr double flies = 0.3;  // [m]
+    if (!reference || !(reference->position.norm() < 1e6) ||
+        (track && reference->position.z() > body.position.z() + flies)) {
       forget();
       return obstacle_;
     }
