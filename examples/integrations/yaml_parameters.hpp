@@ -95,8 +95,8 @@ inline std::map<std::string, std::string> yaml_parameters(const std::string& pat
   } catch (const YAML::BadFile&) {
     throw std::invalid_argument("--params-file " + path + ": cannot be read");
   } catch (const YAML::Exception& error) {
-    throw std::invalid_argument(path + ", line " + std::to_string(error.mark.line + 1) + ": " +
-                                error.msg);
+    throw std::invalid_argument(
+        path + ", line " + std::to_string(std::max(error.mark.line, 0) + 1) + ": " + error.msg);
   }
   return result;
 }

@@ -389,7 +389,7 @@ TEST_F(HitlFlight, HelpAndBadArguments) {
     setenv("ROS_DOMAIN_ID", "nowhere", 1);
     const auto bad = test_support::run(program, "");
     EXPECT_EQ(bad.exit_code, 1);
-    EXPECT_TRUE(bad.says("ROS_DOMAIN_ID = nowhere: must be 0 to 232")) << bad.output;
+    EXPECT_TRUE(bad.says("ROS_DOMAIN_ID = nowhere: must be 0 to 230")) << bad.output;
     test_support::dds_on_loopback();
   }
 }
