@@ -227,7 +227,7 @@ class FlightController {
                const tilt_ropter::Wrenchd& applied);
   /// True if by_poses_ replaces the IMU.
   [[nodiscard]] bool flies_by_poses() const {
-    return ekf_.filter().is_much_wider() && by_poses_.is_valid();
+    return ekf_.filter().is_widest() && by_poses_.is_valid();
   }
   [[nodiscard]] tilt_ropter::BodyStated state() const {
     return flies_by_poses() ? by_poses_.body() : ekf_.state();
