@@ -117,6 +117,25 @@ TEST(ActuatorModel, DoesNotLearnInTransients) {
   EXPECT_NEAR(motors.model.speed_ratio()(0), 1.0, 0.02);
 }
 
+// The lag of rotors that are slower than believed must not turn the oscillation of a loop into a
+// ratio: dividing it out would feed the oscillation.
+TEST(ActuatorModel, DoesNotLearnTheLagInAnOscillation) {
+  Vehicle<4> slow = tilt_ropter_vehicle();
+  slow.rotor.time_constant *= 2.0;
+  SlowMotors motors;
+  motors.motor = Rotord(slow.rotor);
+  motors.motor.reset(1500.0, 0.0);
+  double largest = 0.0;
+  motors.fly(
+      5.0,
+      [&](double time) {
+        motors.command.rotor_speed.setConstant(1500.0 * (1.0 + 0.06 * std::sin(7.2 * time)));
+        largest = std::max(largest, std::abs(motors.model.speed_ratio()(0) - 1.0));
+      },
+      [](double&) {});
+  EXPECT_LT(largest, 4e-3);  // 7e-3 if it were learnt
+}
+
 TEST(ActuatorModel, BoundsTheRatioAndCommandsNoMoreThanTheTopSpeed) {
   SlowMotors motors;
   motors.ratio = 0.65;

@@ -46,6 +46,7 @@ class ActuatorModel {
       rotors_[i] = Rotor<Scalar>(rotor_parameters(vehicle, i));
       tilts_[i] = vehicle.rotors[i].tilts;
       top_speed_(static_cast<Eigen::Index>(i)) = rotors_[i].max_speed();
+      lag_(static_cast<Eigen::Index>(i)) = rotor_parameters(vehicle, i).time_constant;
     }
     read();
   }
@@ -152,6 +153,9 @@ class ActuatorModel {
   // Largest difference of command and modelled speed in steady flight, as a fraction. Beyond it an
   // error of the motor's time constant would be learnt.
   static constexpr double steady = 0.05;
+  // Lag of a rotor beyond the believed one [s]. In an oscillation it looks like a ratio, which
+  // would follow the oscillation and feed it, if it were not learnt more slowly by this factor.
+  static constexpr double most_lag = 0.05, slow = 0.1;
   // Slower than this fraction of the top speed a rotor is not learnt: its noise is a large
   // fraction.
   static constexpr double min_fraction = 0.1;
@@ -167,13 +171,18 @@ class ActuatorModel {
     if (!(modelled > Scalar(min_fraction) * top_speed_(i)) ||
         !(abs(command - modelled) < Scalar(steady) * modelled))
       return;
-    difference_(i) +=
-        Scalar(dt / difference_time) * (part * ratio_(i) / divisor_(i) - difference_(i));
+    // What a rotor that is slower than believed explains is learnt slowly.
+    const Scalar explained = Scalar(most_lag / lag_(i)) * abs(command - modelled) / modelled;
+    const auto pace = [&explained](const Scalar& error) {
+      return abs(error) > explained ? Scalar(1) : Scalar(slow);
+    };
+    const Scalar change = part * ratio_(i) / divisor_(i) - difference_(i);
+    difference_(i) += pace(change) * Scalar(dt / difference_time) * change;
     // If the sent speed is at its limit, the rotor cannot follow.
     if (command > divisor_(i) * top_speed_(i) && part < Scalar(1)) return;
     const Scalar error =
         std::clamp(part - Scalar(1), Scalar(-largest_error), Scalar(largest_error));
-    ratio_(i) *= Scalar(1) + Scalar(dt / ratio_time) * error;
+    ratio_(i) *= Scalar(1) + pace(error) * Scalar(dt / ratio_time) * error;
     ratio_(i) = std::clamp(ratio_(i), Scalar(0.7), Scalar(1.2));
   }
 
@@ -194,6 +203,7 @@ class ActuatorModel {
   // The ratio, its value in the last sent command, and measured / modelled speed.
   Speeds ratio_ = Speeds::Ones(), divisor_ = Speeds::Ones(), difference_ = Speeds::Ones();
   Speeds reading_ = Speeds::Zero(), top_speed_;  // last reading, nominal top speed [rad/s]
+  Eigen::Matrix<double, Rotors, 1> lag_;         // believed time constant [s]
   Eigen::Matrix<double, Rotors, 1> changed_ = Eigen::Matrix<double, Rotors, 1>::Zero();  // then [s]
 };
 
