@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -83,6 +84,31 @@ class BodyByPoses {
     torque_ += a * a * a * dt * (inertia_ * turn);
   }
 
+  /// Compares the `imu` with the prediction to the same time by this `applied` wrench. The force
+  /// counts `in_the_air` only, when that of the ground is forgotten.
+  void compare(const tilt_ropter::InertialSampled& imu, const tilt_ropter::Wrenchd& applied,
+               bool in_the_air) {
+    constexpr double forgotten = 0.7;  // [s]
+    if (!in_the_air) on_ground_ = time_;
+    const double part = std::clamp((time_ - compared_) / memory, 0.0, longest_step / memory);
+    compared_ = time_;
+    // An impact is short, and counts for little.
+    const Eigen::Vector3d predicted = (applied.force + external().force) / mass_;
+    const double turning =
+                     std::min((imu.angular_velocity - body_.angular_velocity).squaredNorm(), 1.0),
+                 felt = std::min((imu.specific_force - predicted).squaredNorm(), 4.0);
+    turning_off_ += part * (turning - turning_off_);
+    force_off_ += part * (felt - force_off_);
+    if (!(time_ - on_ground_ > forgotten)) force_off_ = 0.0;
+    if (!std::isfinite(turning_off_ + force_off_)) turning_off_ = force_off_ = 0.0;
+  }
+  /// True if the IMU differs from the prediction by more than noise and errors of the model explain
+  /// (root mean squares over 0.5 s).
+  [[nodiscard]] bool contradicts_imu() const {
+    constexpr double turning = 0.3, force = 0.5;  // [rad/s], [m/s^2]
+    return turning_off_ > turning * turning || force_off_ > force * force;
+  }
+
   /// Starts at rest at this pose, without an external wrench.
   void start(double time, const Eigen::Vector3d& position, const Eigen::Quaterniond& orientation) {
     body_ = {};
@@ -110,6 +136,7 @@ class BodyByPoses {
   static constexpr double bandwidth = 8.0;      // [rad/s]
   static constexpr double longest_step = 0.05;  // [s]
   static constexpr double latest = 0.2;         // of a pose [s]
+  static constexpr double memory = 0.5;         // of compare() [s]
 
   struct Past {
     double time = -1e9;  // before every other
@@ -133,6 +160,7 @@ class BodyByPoses {
   std::size_t newest_ = 0;
   double started_ = std::numeric_limits<double>::infinity();
   int outliers_ = 0;
+  double on_ground_ = 0.0, compared_ = 0.0, turning_off_ = 0.0, force_off_ = 0.0;  ///< mean squares
 };
 
 }  // namespace examples

@@ -128,6 +128,9 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   const bool as_modelled = external_ != ExternalWrench::commanded;
   const Wrenchd applied = wrench_of(as_modelled ? applied_ : sent_.command);
   by_poses_.predict(time, applied);
+  by_poses_.compare(corrected, applied, airborne_);
+  by_poses_flies_ = ekf_.filter().is_much_wider() && by_poses_.is_valid() &&
+                    (by_poses_flies_ || by_poses_.contradicts_imu());
   observe(time, corrected, applied);
   // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
   const bool pulled = ekf_.running() && (state().orientation * observer_.external().force).z() <

@@ -225,10 +225,8 @@ class FlightController {
   void limit_speeds();
   void observe(double time, const tilt_ropter::InertialSampled& sample,
                const tilt_ropter::Wrenchd& applied);
-  /// True if by_poses_ replaces the IMU.
-  [[nodiscard]] bool flies_by_poses() const {
-    return ekf_.filter().is_widest() && by_poses_.is_valid();
-  }
+  /// True if by_poses_ replaces the IMU: two witnesses, filter and actuators, have convicted it.
+  [[nodiscard]] bool flies_by_poses() const { return by_poses_flies_; }
   [[nodiscard]] tilt_ropter::BodyStated state() const {
     return flies_by_poses() ? by_poses_.body() : ekf_.state();
   }
@@ -272,7 +270,7 @@ class FlightController {
   tilt_ropter::FailureDetector<Rotors> detector_;
   tilt_ropter::ActuatorFailure failure_;
   tilt_ropter::ActuatorNmpcSettings after_failure_;  ///< of the controller after a failure
-  bool airborne_ = false, starts_in_air_ = false;
+  bool airborne_ = false, by_poses_flies_ = false, starts_in_air_ = false;
   bool waits_ = false;          ///< on wheels, for a reference that it cannot reach
   double touched_until_ = 0.0;  ///< an obstacle, whose force is no actuator's [s]
 };

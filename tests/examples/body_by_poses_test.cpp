@@ -3,6 +3,7 @@
 #include "../../examples/support/body_by_poses.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <gtest/gtest.h>
@@ -23,10 +24,13 @@ struct Errors {
 };
 
 struct Given {
-  double delay = 0.03;      // of the poses [s]
-  double poses_end = 10.0;  // [s]
-  int outlier_every = 0;    // poses; 0: none
-  double jump = 0.0;        // of all poses from 4 s on [m]
+  double delay = 0.03;                                         // of the poses [s]
+  double poses_end = 10.0;                                     // [s]
+  int outlier_every = 0;                                       // poses; 0: none
+  double jump = 0.0;                                           // of all poses from 4 s on [m]
+  Vector3d imu_force{0.0, 0.0, 0.0}, imu_rate{0.0, 0.0, 0.0};  // errors [m/s^2], [rad/s]
+  double imu_start = 4.0, imu_end = 10.0;                      // of these [s]
+  bool in_the_air = true;
 };
 
 // Flies for 6 s with actuators that hold the body and shake it. Returns the largest errors of the
@@ -56,6 +60,12 @@ Errors fly(examples::BodyByPoses& by_poses, const Given& given = {}) {
     const Vector3d turning =
         body.inertia.inverse() *
         (applied.torque + torque - x.angular_velocity.cross(body.inertia * x.angular_velocity));
+    const double lies = t > given.imu_start && t < given.imu_end ? 1.0 : 0.0;
+    InertialSampled imu;
+    imu.angular_velocity = x.angular_velocity + lies * given.imu_rate;
+    imu.specific_force = applied.force / body.mass + x.orientation.conjugate() * force / body.mass +
+                         lies * given.imu_force;
+    by_poses.compare(imu, applied, given.in_the_air);
     if (t > 5.0 && t <= given.poses_end) {
       const BodyStated& b = by_poses.body();
       const Wrenchd external = by_poses.external();
@@ -115,6 +125,33 @@ TEST(BodyByPoses, IgnoresOutliersAndFollowsAJump) {
   const Errors e = fly(displaced, given);
   EXPECT_NEAR(e.position, 0.4, 0.05);
   EXPECT_LT(e.orientation, 0.02);
+}
+
+bool contradicts(const Given& given) {
+  examples::BodyByPoses by_poses(tilt_ropter_vehicle().body);
+  fly(by_poses, given);
+  return by_poses.contradicts_imu();
+}
+
+// The ground pushes as well, and an impact passes.
+TEST(BodyByPoses, ContradictsAWrongImuOnly) {
+  EXPECT_FALSE(contradicts({}));
+  Given force, rate, impact;
+  force.imu_force = {0.0, 1.2, 0.0};
+  EXPECT_TRUE(contradicts(force));
+  force.in_the_air = false;
+  EXPECT_FALSE(contradicts(force));
+  rate.imu_rate = {0.4, 0.0, 0.0};
+  rate.in_the_air = false;
+  EXPECT_TRUE(contradicts(rate));
+  impact.imu_force = {0.0, 0.0, 40.0};
+  impact.imu_rate = {0.0, 5.0, 0.0};
+  impact.imu_start = 5.96;
+  impact.imu_end = 5.98;
+  EXPECT_FALSE(contradicts(impact));
+  impact.imu_end = 10.0;
+  impact.imu_start = 5.5;
+  EXPECT_TRUE(contradicts(impact));
 }
 
 TEST(BodyByPoses, IsInvalidWithoutPoses) {

@@ -167,6 +167,15 @@ TEST(SensorFaults, VibrationIsAveraged) {
     expect_near_reference(std::string("imu_vibration:start=0,size=0.2,frequency=") + frequency);
 }
 
+// An IMU that the poses contradict is replaced by the poses and the actuators (BodyByPoses).
+TEST(SensorFaults, AWrongImuIsReplacedByThePoses) {
+  for (const char* frequency : {"1002", "1006", "1013"})
+    for (const char* size : {"0.15", "0.5"})
+      expect_near_reference(
+          std::string("imu_vibration:start=4,size=") + size + ",frequency=" + frequency, 0.4);
+  expect_near_reference("accelerometer_clip:start=4,size=9.3", 0.4);
+}
+
 // The clock of the IMU alone is set, also by less than the time that the models need to notice.
 TEST(SensorFaults, ClockStepsOfTheImuAreSurvived) {
   for (const char* size : {"1", "-1", "0.2", "-0.2", "0.08", "-0.08", "0.04", "-0.04", "-0.02"})

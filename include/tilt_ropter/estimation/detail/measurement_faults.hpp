@@ -269,9 +269,9 @@ class PoseContinuity {
 
   /// True if all positions since the last pose that was used continue each other.
   [[nodiscard]] bool positions_continue() const noexcept { return !jumped_ && steps_ > 1; }
-  /// True if the noise that the poses show among each other explains these distances [m], [rad].
-  [[nodiscard]] bool is_noise(double distance, double turn) const noexcept {
-    constexpr double most = 4.0;  // standard deviations
+  /// True if the noise that the poses show among each other explains these distances [m], [rad], up
+  /// to `most` standard deviations.
+  [[nodiscard]] bool is_noise(double distance, double turn, double most) const noexcept {
     return distance <= most * std::sqrt(position_variance_) &&
            turn <= most * std::sqrt(orientation_variance_);
   }

@@ -409,14 +409,15 @@ class MeasurementGuard {
         static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
     // Poses that are late err along the path, as those beside a wrong accelerometer do.
     const bool may_be_late = std::isfinite(offset) && !filter.filter().is_wider();
+    // A pose alone convicts again, and must be no outlier.
+    const bool again = filter.filter().is_wider() && used_since_start_ >= enough;
     const int gated = gates_[0].gated();
     if ((has_just_started() && wrong_starts_ < most_starts && gated < settings_.max_rejections) ||
         filter.filter().is_widest() || !gates_[0].is_confirmed() ||
-        !continuity_.positions_continue() || continuity_.is_noise(distance, turn) ||
-        !(distance <= close))
+        !continuity_.positions_continue() ||
+        continuity_.is_noise(distance, turn, again ? 6.0 : 4.0) || !(distance <= close))
       return Action::drop;
-    if (!filter.filter().is_wider() &&
-        (gated < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
+    if (!again && (gated < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
       return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
   }
