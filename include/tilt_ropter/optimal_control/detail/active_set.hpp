@@ -43,7 +43,7 @@ class ActiveSet {
 
   /// Sets the assumption for each constraint from its multiplier in the node.
   void assume(const Program& program) {
-    stiffening_ = least_stiffening;
+    stiffening_ = std::min(stiffening_, usual_stiffening);
     for (int k = 0; k <= program.horizon(); ++k)
       for (int i = 0; i < Constraints; ++i) {
         const auto& n = program.node(k);
@@ -72,6 +72,7 @@ class ActiveSet {
   /// reference for the weights. `damping` is added to the diagonals of the Hessians. Returns false
   /// if the cost has no minimum.
   [[nodiscard]] bool factorise_free(Program& program, double damping) {
+    stiffening_ = usual_stiffening;
     double most = 0.0;
     const auto note = [&](int k, double* hessian, double*) {
       auto& c = curvatures_[detail::size(k)];
@@ -102,6 +103,10 @@ class ActiveSet {
   /// constraints are active: the curvature of the cost alone is then too small as a reference for
   /// the weights.
   void stiffen() { stiffening_ = std::min(10.0 * stiffening_, most_stiffening); }
+
+  /// Divides the weights by 10, down to a limit: the stiffer they are, the larger is the rounding
+  /// error of the inputs. Lasts until the next factorise_free(), which has new curvatures.
+  void soften() { stiffening_ = std::max(0.1 * stiffening_, least_stiffening); }
 
   /// Computes the step of the last pass for the initial step dx0, and its multipliers. Stores the
   /// step in `program` and the multipliers in its nodes. Returns the number of constraints that
@@ -209,10 +214,10 @@ class ActiveSet {
   }
 
   static constexpr double tolerance = 1e-8;  // relative violation that still counts as satisfied
-  static constexpr double least_stiffening = 1e6, most_stiffening = 1e10;
+  static constexpr double least_stiffening = 1e3, usual_stiffening = 1e6, most_stiffening = 1e10;
   static constexpr double least_curvature = 1e-6;  // relative to the largest curvature
 
-  double stiffening_ = least_stiffening;  // ratio of the weights to the curvature of the cost
+  double stiffening_ = usual_stiffening;  // ratio of the weights to the curvature of the cost
   std::vector<States8> states_;
   std::vector<typename Program::Vector> curvatures_;  // diagonals of H in a pass without weights
   std::vector<std::array<double, detail::size(Constraints)>> weights_, offsets_;

@@ -199,7 +199,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     return late_ || passes_ >= settings_.max_passes;
   }
   [[nodiscard]] bool solved() {
-    residual_ = Program::residual(damping_).largest();
+    const ProgramResidual residual = Program::residual(damping_);
+    residual_ = residual.largest();
+    rounded_ = residual.stationarity >= residual_;
     return residual_ <= settings_.tolerance;
   }
 
@@ -260,7 +262,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     for (int tries = 0; tries < 8 && !out_of_time(pass_time_); ++tries) {
       const auto start = SolverClock::now();
       ++passes_;
-      if (contradictions == 0) active_set_.stiffen();
+      if (contradictions == 0 && rounded_)
+        active_set_.soften();
+      else if (contradictions == 0)
+        active_set_.stiffen();
       if (!active_set_.factorise(*this, damping_)) return false;
       const int next = active_set_.solve(*this, dx0);
       pass_time_ = SolverClock::now() - start;
@@ -431,6 +436,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
   bool unsolved_ = false;  // the last program was interrupted: its multipliers are a bad guess
   bool interrupted_ = false;
+  bool rounded_ = false;  // the last residual is of the inputs' stationarity: of rounding errors
 };
 
 }  // namespace tilt_ropter::optimal_control
