@@ -237,8 +237,8 @@ class InteriorPoint {
     aim_at_solution();
     find_direction(program);
     const double next = predict() / (2.0 * static_cast<double>(count()));
-    const double ratio = std::min(1.0, next / mu);
-    aim_at_center(ratio * ratio * ratio * mu, 1.0);
+    ratio_ = std::min(1.0, next / mu);
+    aim_at_center(ratio_ * ratio_ * ratio_ * mu, 1.0);
     find_direction(program);
     Lengths lengths = complete_direction();
     if (std::min(lengths.primal, lengths.dual) < short_step) {
@@ -260,14 +260,14 @@ class InteriorPoint {
   [[nodiscard]] double mu() const { return mu_; }  ///< mean complementarity product
   /// Mean complementarity product after start().
   [[nodiscard]] double first_mu() const { return first_mu_; }
-  /// Number of bounds for which the last iteration does not show clearly whether they are active or
-  /// at their penalty.
-  [[nodiscard]] int undecided() const {
+  /// True if the last iteration nearly reached the solution, and shows for all but `few` bounds
+  /// clearly whether they are active and whether they are at their penalty.
+  [[nodiscard]] bool decided(int few) const {
     const auto unclear = [](double change) { return change > 0.3 && change < 0.7; };
     int undecided = 0;
     for (Eigen::Index i = 0; i < count(); ++i)
       undecided += unclear(of_multiplier_(i)) || unclear(of_rest_(i));
-    return undecided;
+    return undecided <= few && ratio_ < 0.2;
   }
 
   /// Writes the step into `program` and the multipliers into its nodes. With `decided`, the
@@ -667,6 +667,7 @@ class InteriorPoint {
       per_multiplier_, per_rest_, push_, slack_aim_, excess_aim_, multiplier_change_, slack_change_,
       excess_change_, value_change_, of_multiplier_, of_rest_;
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
+  double ratio_ = 1.0;  // by which a step of the last iteration to the solution would decrease mu
   int stuck_ = 0;
   std::array<double, detail::size(Constraints)> unit_{};
 };

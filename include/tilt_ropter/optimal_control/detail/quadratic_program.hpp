@@ -244,6 +244,12 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         solved_by_ = this->active().empty() ? ProgramSolver::riccati : ProgramSolver::active_set;
         return;
       }
+      // The interior point starts from the optimum without constraints: the step that the active
+      // set leaves is far from any optimum.
+      if (!out_of_time(pass_time_)) {
+        ++passes_;
+        (void)plain_pass(dx0);
+      }
     } else if (!by_dual_) {
       sweep(dx0);
       if (this->excess() <= 0.0) {
@@ -331,7 +337,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       interior_time_ = end - start;
       start = end;
       const double mu = interior_point_.mu();
-      if (mu < next_try && interior_point_.undecided() <= few_) {
+      if (mu < next_try && interior_point_.decided(few_)) {
         next_try = 1e-2 * mu;
         interior_point_.finish(*this, true);
         active_set_.assume(*this);
