@@ -37,6 +37,20 @@ TEST(Packet, FiniteCheckFindsOneBadNumberAtAnyIndex) {
   }
 }
 
+#if defined(__x86_64__)
+TEST(Packet, IsWideWhereTheProcessorHasAvx512) {
+  const int width =
+      detail::vectorised_wide([](auto packet) __attribute__((always_inline)) { return packet(); });
+#if defined(__AVX512F__)
+  EXPECT_EQ(width, 8);
+#elif (defined(__AVX2__) && defined(__FMA__)) || defined(TILT_ROPTER_NO_DISPATCH)
+  EXPECT_EQ(width, 4);  // compiled for a processor without AVX-512
+#else
+  EXPECT_EQ(width, __builtin_cpu_supports("avx512f") ? 8 : 4);
+#endif
+}
+#endif
+
 template <int Rows, int Columns>
 void expect_transposed() {
   constexpr int stride = detail::padded(Columns);

@@ -188,9 +188,13 @@ class Riccati {
   /// if the remaining Hessian of the inputs of a node is not positive definite or NaN (the problem
   /// then has no unique minimum). Does not allocate.
   [[nodiscard]] bool factorise(double damping = 0.0, const NodeTerms& terms = {}) {
-    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+    const auto run = [&](auto packet) __attribute__((always_inline)) {
       return pass<packet()>(damping, terms);
-    });
+    };
+    if constexpr (rows % detail::wide_packet_width == 0)
+      return detail::vectorised_wide(run);
+    else
+      return detail::vectorised(run);
   }
 
   /// Backward pass for other gradients, one for each node, without defects. Uses the last
@@ -268,6 +272,8 @@ class Riccati {
   template <int Width>
   using Packet = detail::Packet<Width>;
   static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
+  template <int Width>
+  static constexpr int state_packets = (States + Width - 1) / Width;
 
   template <int Width>
   [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
@@ -279,7 +285,7 @@ class Riccati {
     terms(horizon(), hessian_.data(), gradient_.data());
     for (int j = 0; j < States; ++j)
       detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + rows * j);
-    mirror<Width>();
+    mirror<detail::packet_width>();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
       multiply<Width>(s);
@@ -290,7 +296,7 @@ class Riccati {
       terms(k, hessian_.data(), gradient_.data());
       if (!eliminate<Width>(s)) return false;
       add_remainder<Width>(s);
-      mirror<Width>();
+      mirror<detail::packet_width>();
     }
     return true;
   }
@@ -340,30 +346,32 @@ class Riccati {
   // Sets hessian_ to H: columns of dx from the diagonal down, complete columns of du.
   template <int Width>
   [[gnu::always_inline]] inline void add_hessian(const Stage& s) {
-    add_state_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
-    for (int j = States; j < width; ++j) add_column<Width, 0, rows / Width>(s, j);
+    add_columns<Width>(s, std::make_integer_sequence<int, width>{});
   }
-  template <int Width, int... t>
-  [[gnu::always_inline]] inline void add_state_columns(const Stage& s,
-                                                       std::integer_sequence<int, t...>) {
-    (add_state_columns_from<Width, t>(s), ...);
+  template <int Width, int... j>
+  [[gnu::always_inline]] inline void add_columns(const Stage& s, std::integer_sequence<int, j...>) {
+    (add_column<Width, j>(s), ...);
   }
-  template <int Width, int First>
-  [[gnu::always_inline]] inline void add_state_columns_from(const Stage& s) {
-    for (int j = Width * First; j < Width * (First + 1) && j < States; ++j)
-      add_column<Width, First, state_rows / Width>(s, j);
-  }
-  template <int Width, int First, int Last>
-  [[gnu::always_inline]] inline void add_column(const Stage& s, int j) {
+  template <int Width, int j>
+  [[gnu::always_inline]] inline void add_column(const Stage& s) {
+    constexpr int first = j < States ? j / Width : 0,
+                  last = j < States ? state_packets<Width> : rows / Width;
     static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>(rows);
-    const auto& list = lists[detail::size(j)];
-    const double *transition = s.transition.data() + j, *product = product_.data() + Width * First;
+    constexpr const auto& list = lists[detail::size(j)];
+    const double *transition = s.transition.data() + j, *product = product_.data() + Width * first;
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
-    Packet<Width> sum[detail::size(Last - First)];
-    detail::load<Width>(cost + Width * First, sum);
-    for (const int k : list) detail::add_product<Width>(sum, product + k, transition[k]);
-    detail::store<Width>(column + Width * First, sum);
+    Packet<Width> sum[detail::size(last - first)];
+    detail::load<Width>(cost + Width * first, sum);
+    if constexpr (Width > detail::packet_width) {  // without a loop: narrow packets gain nothing
+#pragma GCC unroll 32
+      for (int i = 0; i < list.count; ++i)
+        detail::add_product<Width>(sum, product + list.at[detail::size(i)],
+                                   transition[list.at[detail::size(i)]]);
+    } else {
+      for (const int k : list) detail::add_product<Width>(sum, product + k, transition[k]);
+    }
+    detail::store<Width>(column + Width * first, sum);
   }
 
   // Cholesky factorisation of the last rows and columns, which also eliminates du from the
@@ -402,7 +410,7 @@ class Riccati {
   // Sets cost_to_go_ from the diagonal down: the rest of hessian_ after the elimination.
   template <int Width>
   [[gnu::always_inline]] inline void add_remainder(const Stage& s) {
-    add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_rows / Width>{});
+    add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_packets<Width>>{});
   }
   template <int Width, int... t>
   [[gnu::always_inline]] inline void add_remainder_columns(const Stage& s,
@@ -411,7 +419,7 @@ class Riccati {
   }
   template <int Width, int First>
   [[gnu::always_inline]] inline void add_remainder_columns_from(const Stage& s) {
-    constexpr int count = state_rows / Width - First;
+    constexpr int count = state_packets<Width> - First;
     for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
       Packet<Width> sum[detail::size(count)];
       detail::load<Width>(hessian_.data() + rows * j + Width * First, sum);
