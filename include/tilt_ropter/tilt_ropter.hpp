@@ -27,7 +27,7 @@
 #include <tilt_ropter/simulation/sensors.hpp>
 #include <tilt_ropter/version.hpp>
 
-#if __has_include(<nlopt.h>)
+#if defined(TILT_ROPTER_WITHOUT_NLOPT) || __has_include(<nlopt.h>)
 #include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 #endif

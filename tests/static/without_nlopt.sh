@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
 # without_nlopt.sh INCLUDE_DIR COMPILER EIGEN_DIR
-# Checks that only the headers of the solver include NLopt, and that the umbrella header compiles
-# if the preprocessor does not find nlopt.h.
+# Checks that only the headers of the solver include NLopt, that the umbrella header compiles if the
+# preprocessor does not find nlopt.h, and that the controller of without_nlopt.cpp works with
+# TILT_ROPTER_WITHOUT_NLOPT and the flags of a microcontroller.
 set -euo pipefail
 
-leads_to=$(realpath "$(dirname "${BASH_SOURCE[0]}")/leads_to.sh")
+here=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
+leads_to=$here/leads_to.sh
 needing=$(bash "$leads_to" "$1" nlopt.h | grep -v '^tilt_ropter/[^/]*$')
 diff - <(echo "$needing") << 'HEADERS'
 tilt_ropter/control/detail/actuator_level.hpp
@@ -25,3 +27,11 @@ HEADERS
 #endif
 int main() { return tilt_ropter::tilt_ropter_vehicle().body.mass > 0.0 ? 0 : 1; }
 PROGRAM
+
+away=$(mktemp -d)
+trap 'rm -rf "$away"' EXIT
+"$2" -std=c++17 -fno-exceptions -fno-rtti -DTILT_ROPTER_WITHOUT_NLOPT -DTILT_ROPTER_NOT_OPTIMISED \
+  -Wall -Wextra -Wconversion -Werror -I "$1" -isystem "$3" "$here/without_nlopt.cpp" \
+  -o "$away/controller"
+{ "$away/controller" || true; } 2> "$away/refusal"  # ends by abort()
+grep 'QuadraticProgramSettings.method = nlopt' "$away/refusal"

@@ -102,12 +102,26 @@ struct SolveReport {
 /// in time and memory.
 enum class DualAlgorithm { truncated_newton, lbfgs, variable_metric, ccsa, slsqp };
 
-/// Clock of all time limits.
+/// Clock of all time limits. Where the standard library has no clock, as on a microcontroller, the
+/// program defines TILT_ROPTER_CLOCK as the name of its own, in all its files: a class with
+/// time_point, duration (64 bits, nanoseconds) and now(). One that stands still ends no solve.
+#ifdef TILT_ROPTER_CLOCK
+using SolverClock = TILT_ROPTER_CLOCK;
+#else
 using SolverClock = std::chrono::steady_clock;
+#endif
+
+/// False if the program defines TILT_ROPTER_WITHOUT_NLOPT, in all its files.
+#ifdef TILT_ROPTER_WITHOUT_NLOPT
+inline constexpr bool with_nlopt = false;
+#else
+inline constexpr bool with_nlopt = true;
+#endif
 
 /// Method that solves a quadratic program.
 enum class ProgramMethod {
-  automatic,   ///< NLopt if few constraints are active, else methods that use the structure
+  automatic,   ///< NLopt if few constraints are active, else methods that use the structure.
+               ///< Without NLopt the same as structured
   nlopt,       ///< NLopt, however many constraints are active: DualMethod
   structured,  ///< without NLopt: ActiveSet and InteriorPoint
 };
@@ -134,6 +148,8 @@ struct QuadraticProgramSettings {
 }
 
 inline void validate(const QuadraticProgramSettings& s) {
+  require(with_nlopt || s.method != ProgramMethod::nlopt, "QuadraticProgramSettings.method",
+          "nlopt", "another: TILT_ROPTER_WITHOUT_NLOPT is defined");
   require_positive("QuadraticProgramSettings.tolerance", s.tolerance);
   require(s.max_dual_constraints >= 0 && s.max_dual_constraints <= 1000,
           "QuadraticProgramSettings.max_dual_constraints", s.max_dual_constraints, "in [0, 1000]");

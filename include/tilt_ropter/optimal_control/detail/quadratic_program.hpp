@@ -4,10 +4,12 @@
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/detail/active_set.hpp>
-#include <tilt_ropter/optimal_control/detail/dual_method.hpp>
 #include <tilt_ropter/optimal_control/detail/interior_point.hpp>
 #include <tilt_ropter/optimal_control/detail/subproblem.hpp>
 #include <tilt_ropter/optimal_control/solver_settings.hpp>
+#ifndef TILT_ROPTER_WITHOUT_NLOPT
+#include <tilt_ropter/optimal_control/detail/dual_method.hpp>
+#endif
 
 #include <algorithm>
 #include <cmath>
@@ -29,6 +31,30 @@ enum class ProgramStatus {
   failed,       ///< the factorisation failed or a number is not finite: there is no step
 };
 
+#ifdef TILT_ROPTER_WITHOUT_NLOPT
+/// In the place of DualMethod: there is no NLopt, so nothing here runs.
+template <int States, int Inputs, int Constraints, typename Pattern>
+struct DualMethod {
+  enum class Outcome { solved, full, failed };
+  DualMethod(int /*horizon*/, int /*capacity*/, DualAlgorithm /*algorithm*/) {}
+  [[nodiscard]] static constexpr int capacity() { return 0; }
+  [[nodiscard]] static constexpr bool late() { return false; }
+  [[nodiscard]] static constexpr int rounds() { return 0; }
+  [[nodiscard]] static constexpr long evaluations() { return 0; }
+  [[nodiscard]] static constexpr long polishing_steps() { return 0; }
+  template <typename Program>
+  [[nodiscard]] static constexpr bool prepare(const Program& /*program*/) {
+    return false;
+  }
+  template <typename Program, typename Deadline>
+  [[nodiscard]] static constexpr Outcome solve(Program& /*program*/,
+                                               const typename Program::Tangent& /*dx0*/,
+                                               const Deadline& /*deadline*/, int /*most*/) {
+    return Outcome::failed;
+  }
+};
+#endif
+
 /// prepare() does the work that needs no measurement, solve() does the rest. Allocates in the
 /// constructor; later only NLopt allocates.
 template <int States, int Inputs, int Constraints, typename Pattern = FullTransition>
@@ -40,7 +66,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   /// For `horizon` intervals. The settings must be valid.
   QuadraticProgram(int horizon, const QuadraticProgramSettings& settings)
       : Program(horizon),
-        settings_(settings),
+        settings_(without_dual(settings)),
         dual_(horizon, dual_capacity(settings, horizon), settings.algorithm),
         active_set_(horizon),
         interior_point_(horizon),
@@ -182,6 +208,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
  private:
+  static QuadraticProgramSettings without_dual(QuadraticProgramSettings settings) {
+    if (!with_nlopt) settings.method = ProgramMethod::structured;
+    return settings;
+  }
   static int dual_capacity(const QuadraticProgramSettings& settings, int horizon) {
     const int all = 2 * Constraints * (horizon + 1);
     const int wanted =
