@@ -77,6 +77,7 @@ for step in steps/[0-9][0-9][0-9]; do
   case $command in
     ./tests/mutation.sh*) echo "== not here, it takes an hour: $command" && continue ;;
     ./tests/run.sh*) echo "== not here, it runs this test: $command" && continue ;;
+    ./examples/microcontroller/run.sh*) echo "== in run.sh --cortex-m7: $command" && continue ;;
     *compile_cost*) echo "== in the long form, the test compile_cost: $command" && continue ;;
     *monte_carlo*) echo "== in the long form of monte_carlo_test: $command" && continue ;;
     *missions/cluster/*) echo "== in the long form of monte_carlo_parts_test: $command" && continue ;;
