@@ -4,7 +4,7 @@ set -euo pipefail
 usage() {
   cat << 'HELP'
 usage: tests/run.sh [--full | --benchmark | --fuzz SECONDS | --sanitize | --coverage | --tidy |
-                    --variants | --aarch64 | --docs]
+                    --variants | --aarch64 | --cortex-m7 | --docs]
 
 Installs missing Debian packages with apt-get, builds tests and examples into build-tests/ with
 warnings as errors, and runs every test. The last lines are the summary. No test judges a measured
@@ -38,6 +38,10 @@ cmake/presets.cmake.
   --aarch64    run the tests of the library, compiled by GCC for aarch64 into build-aarch64/, with
                qemu-user. Also fails if a figure of the hybrid mission differs from that on this
                processor by more than 1e-9 (relative)
+  --cortex-m7  instead of the tests, build examples/microcontroller/ for a Cortex-M7 into
+               build-microcontroller/, fly with qemu-system-arm, and print instructions, code, heap
+               and stack; fails if a figure is more than 10 % above what was reached, or if a flight
+               differs from that on the desk by more than 1 %
   --docs       instead of the tests, build the reference as HTML in build-docs/html/ with Doxygen;
                fails if a comment names something that does not exist
   --help       print this text
@@ -54,7 +58,8 @@ mode=plain
 fuzz_seconds=
 while [[ $# -gt 0 ]]; do
   case $1 in
-    --full | --benchmark | --sanitize | --coverage | --tidy | --variants | --aarch64 | --docs)
+    --full | --benchmark | --sanitize | --coverage | --tidy | --variants | --aarch64 | --cortex-m7 | \
+      --docs)
       mode=${1#--}
       ;;
     --fuzz)
@@ -192,6 +197,10 @@ case $mode in
     build aarch64 build-aarch64
     run_tests build-aarch64 2 "${built[@]}" || failed+=" the tests"
     [[ ! $failed ]] || { echo "failed for aarch64:$failed" && exit 1; }
+    ;;
+  cortex-m7)
+    install gcc-arm-none-eabi libstdc++-arm-none-eabi-newlib qemu-system-arm
+    bash tests/cortex_m7.sh
     ;;
   docs)
     install doxygen
