@@ -30,7 +30,7 @@ struct Options {
   std::vector<std::string> others;
   std::string mission = "hybrid";
   std::int64_t seed = 1;
-  bool no_pictures = false;
+  bool mcap = false, no_pictures = false;
 };
 
 /// Returns the vehicle with its servos locked at zero. Its axles no longer turn with the arms.
@@ -124,6 +124,7 @@ int run(const Options& options) {
     flight.solver = options.solver;
     flight.stop_at_loss = true;
     flight.output = options.output + "/vehicle_" + std::to_string(rows.size() + 1);
+    if (options.mcap) flight.mcap = flight.output + "/flight.mcap";
     const double before = static_cast<double>(rows.size()), all = static_cast<double>(files.size());
     const examples::FlownMission flown =
         examples::fly_simulated(flight, file, [&](double fraction, tilt_ropter::MissionPhase) {
@@ -182,6 +183,8 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("-o,--output", options.output, "directory for table, logs and picture")
       ->capture_default_str();
+  app.add_flag("--mcap", options.mcap,
+               "also write flight.mcap of each vehicle, as --mcap of hybrid_mission");
   app.add_flag("--no-pictures", options.no_pictures, "write only the table and the logs");
   app.footer(footer);
   return examples::run_program(app, "compare_vehicles", argc, argv, [&options] {

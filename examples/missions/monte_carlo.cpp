@@ -35,7 +35,7 @@ namespace {
 
 struct Options {
   std::string output = "results";
-  std::string vehicle, level, solver = "automatic";
+  std::string vehicle, level, solver = "automatic", mcap;
   std::uint64_t seed = 1, first = 0, count = 1000;
   std::int64_t replay = -1;
   unsigned threads = std::max(1U, std::thread::hardware_concurrency());
@@ -55,9 +55,11 @@ FlightRequest request_of(const Options& options) {
 /// Flies one vehicle. Adds its index to errors.
 SpreadFlight fly(const VehicleFile& file, const Options& options, std::uint64_t index,
                  const std::string& log_directory = "") {
+  SpreadChoice choice;
+  choice.mcap = options.mcap;
   try {
     return fly_spread(file, level_for(options.level, file), options.solver, options.seed, index,
-                      log_directory);
+                      log_directory, choice);
   } catch (const std::exception& error) {
     throw std::runtime_error("vehicle " + std::to_string(index) + ": " + error.what());
   }
@@ -303,13 +305,18 @@ int main(int argc, char** argv) {
              "level are then what the files "
              "must hold")
           ->excludes(resume);
-  app.add_option("--replay", options.replay,
-                 "fly only the vehicle with this index; write log and pictures like hybrid_mission")
-      ->check(CLI::NonNegativeNumber)
-      ->excludes(first)
-      ->excludes(count)
-      ->excludes(resume)
-      ->excludes(merge);
+  CLI::Option* replayed =
+      app.add_option(
+             "--replay", options.replay,
+             "fly only the vehicle with this index; write log and pictures like hybrid_mission")
+          ->check(CLI::NonNegativeNumber)
+          ->excludes(first)
+          ->excludes(count)
+          ->excludes(resume)
+          ->excludes(merge);
+  app.add_option("--mcap", options.mcap,
+                 "also write this flight to an MCAP file, as --mcap of hybrid_mission")
+      ->needs(replayed);
   app.add_flag("--no-pictures", options.no_pictures, "write only the table or the log");
   app.footer(footer);
   return run_program(app, "monte_carlo", argc, argv, [&] {

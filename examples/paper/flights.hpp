@@ -45,6 +45,7 @@ struct FlightCase {
   std::string name;
   MissionOptions options;
   PlantKind plant = PlantKind::own;
+  bool mcap = false;  ///< also write flight.mcap
 };
 
 struct FlightResult {
@@ -82,6 +83,7 @@ template <typename OnProgress>
   try {
     MissionOptions options = flight.options;
     options.output = output + '/' + flight.name;
+    if (flight.mcap) options.mcap = options.output + "/flight.mcap";
     const VehicleFile file = vehicle_or_default(options.vehicle_path);
     const auto both = vehicles(options, quadrotor(file));
     with_plant(flight.plant, both.truth, [&](auto& plant) {

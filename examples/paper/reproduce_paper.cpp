@@ -36,7 +36,7 @@ struct Options {
   std::string solver = "automatic";
   std::int64_t seed = 1;
   int threads = 2;
-  bool ablations = false, hitl = false, no_pictures = false;
+  bool ablations = false, hitl = false, mcap = false, no_pictures = false;
   double hitl_until = 0.0;
   std::string programs;  // directory of the other programs
 };
@@ -89,6 +89,11 @@ void draw(const std::string& script, const Options& o) {
   fs::current_path(here);
 }
 
+std::vector<FlightCase> with_mcap(std::vector<FlightCase> flights, bool mcap) {
+  for (FlightCase& flight : flights) flight.mcap = mcap;
+  return flights;
+}
+
 int fly_experiments(const Options& o) {
   const std::vector<std::string> flown = chosen(experiments, o.only);
   const std::vector<PlantKind> plants = plants_of(o);
@@ -98,7 +103,7 @@ int fly_experiments(const Options& o) {
   std::vector<Figures> ours;
   int errors = 0;
   const std::vector<FlightCase> cases =
-      experiment_flights(flown, settings, plants, o.seed, o.solver);
+      with_mcap(experiment_flights(flown, settings, plants, o.seed, o.solver), o.mcap);
   if (!cases.empty()) {
     const std::vector<FlightResult> results = fly_all(cases, o.output, o.threads);
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -128,7 +133,7 @@ int fly_experiments(const Options& o) {
 int fly_ablations(const Options& o) {
   const std::vector<PlantKind> plants = plants_of(o);
   const std::vector<FlightResult> results =
-      fly_all(ablation_flights(plants, o.seed, o.solver), o.output, o.threads);
+      fly_all(with_mcap(ablation_flights(plants, o.seed, o.solver), o.mcap), o.output, o.threads);
   const std::vector<AblationFigures> rows = figures_of(plants, results);
   const std::string table = ablation_table(rows).markdown() + '\n' + about_unstable_flights;
   print(std::cout, rows);
@@ -218,6 +223,8 @@ int main(int argc, char** argv) {
          "also replace the pictures in pictures/ of this folder, the project's examples/, and "
          "after complete runs the tables in its paper/README.md")
       ->check(CLI::ExistingDirectory);
+  app.add_flag("--mcap", o.mcap,
+               "also write flight.mcap beside the log of each flight, as --mcap of hybrid_mission");
   app.add_flag("--no-pictures", o.no_pictures, "write tables, logs and drawings, no plots");
   app.footer(footer);
   return examples::run_program(app, "reproduce_paper", argc, argv, [&] { return reproduce(o); });

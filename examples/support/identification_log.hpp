@@ -1,6 +1,7 @@
 #pragma once
 
 #include "csv.hpp"
+#include "flight_mcap.hpp"
 #include "mission_log.hpp"
 
 #include <tilt_ropter/identification/vehicle_log.hpp>
@@ -50,12 +51,14 @@ struct IdentificationColumns {
   std::vector<std::string> required, measured;
 };
 
-/// Passes measurements on to a controller and writes them to a log, if there is one.
+/// Passes measurements on to a controller and writes them to the logs that there are.
 template <int Rotors, typename Controller>
 class IdentificationTap {
  public:
   /// `path`: the file, or empty for no log. Throws std::runtime_error if it cannot be written.
-  IdentificationTap(Controller& controller, const std::string& path) : controller_(controller) {
+  /// `mcap`: gets IMU and poses, or nullptr.
+  IdentificationTap(Controller& controller, const std::string& path, FlightMcap* mcap = nullptr)
+      : controller_(controller), mcap_(mcap) {
     if (!path.empty()) log_.emplace(path, IdentificationColumns(Rotors).all());
   }
 
@@ -67,11 +70,13 @@ class IdentificationTap {
   void on_imu(double time, const tilt_ropter::InertialSampled& sample) {
     imu_ = {time, sample};
     imu_is_new_ = true;
+    if (mcap_ != nullptr) mcap_->on_imu(time, sample);
     controller_.on_imu(time, sample);
   }
   void on_pose(double time, const tilt_ropter::MarkerPosed& pose) {
     pose_ = {time, pose};
     has_pose_ = true;
+    if (mcap_ != nullptr) mcap_->on_pose(time, pose);
     controller_.on_pose(time, pose);
   }
 
@@ -101,6 +106,7 @@ class IdentificationTap {
 
  private:
   Controller& controller_;
+  FlightMcap* mcap_;
   std::optional<MissionLog> log_;
   tilt_ropter::Timed<tilt_ropter::InertialSampled> imu_;
   tilt_ropter::Timed<tilt_ropter::MarkerPosed> pose_;

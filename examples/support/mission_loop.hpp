@@ -9,7 +9,6 @@
 #include "loss_watch.hpp"
 #include "mission_choice.hpp"
 #include "mission_figures.hpp"
-#include "mission_log.hpp"
 #include "mission_rows.hpp"
 #include "mission_sensors.hpp"
 #include "paper_switches.hpp"
@@ -32,7 +31,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <filesystem>
 #include <iomanip>
 #include <iostream>
 #include <map>
@@ -71,6 +69,7 @@ struct MissionOptions {
   std::string level;                      // "wrench" or "actuator"; empty: see level_for()
   std::string solver = "automatic";       // see add_solver()
   std::string imu_log;                    // file for identify_vehicle, or empty
+  std::string mcap;                       // MCAP file beside the logs, or empty
   std::vector<std::string> rotor_speeds;  // see parse_rotor_speed()
   bool no_telemetry = false;
   std::string failure;  // see parse_failure(); empty: none
@@ -213,6 +212,9 @@ inline void add_options(CLI::App& app, MissionOptions& options) {
   add_paper_switches(app, options.as_in_paper);
   app.add_option("--log-imu", options.imu_log,
                  "also write a log for identify_vehicle to this file: one row per IMU sample");
+  app.add_option("--mcap", options.mcap,
+                 "also write the flight to this MCAP file, as messages of ROS 2, for Foxglove, "
+                 "PlotJuggler and ros2 bag");
   app.add_flag("--no-pictures", options.no_pictures,
                "write the log only: no pictures and no page report.html");
 }
@@ -496,16 +498,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     plant.reset(start, command);
   }
 
-  // A separate file for the times, because the same seed gives exactly the same log, but not the
-  // same wall-clock times.
-  std::optional<MissionLog> log, times;
-  if (!options.no_log) {
-    std::filesystem::create_directories(options.output);
-    log.emplace(options.output + "/hybrid_mission.csv",
-                detail::mission_columns(Rotors, battery.known()));
-    times.emplace(options.output + "/solve_times.csv",
-                  std::vector<std::string>{"time_s", "prepare_us", "feedback_us"});
-  }
+  std::optional<MissionLogs<Rotors>> logs;
+  if (!options.no_log) logs.emplace(options.output, battery.known(), options.mcap);
   MissionFigures& figures = flown.figures;
   const auto height_error_at = [&](double time) {
     return options.height_offset + options.height_drift * time / mission.duration();
@@ -518,7 +512,8 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     return battery.known() ? battery.load().voltage / vehicles.truth.battery.full_voltage : 1.0;
   };
   double upright = 1.0;  // smallest cosine of the angle between body z and world z
-  IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log);
+  IdentificationTap<Rotors, FlightController<Rotors>> tap(controller, options.imu_log,
+                                                          logs ? logs->mcap() : nullptr);
   LossWatch loss;
   LossReason loss_reason;
   // Until then the vehicle was not on its mission, and may take some time to return.
@@ -556,10 +551,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                              steps_per_tick * step);
       flown.rotor_speeds.add(controller.speed_ratio());
       flown.residuals.add(controller.consistency());
-      if (log) {
-        times->add(time).add(result.report.prepare_us).add(result.report.feedback_us).end_row();
-        detail::log_row(*log, mission, plant, controller, power, &battery);
-      }
+      if (logs) logs->add(mission, plant, controller, power, battery);
     }
     tap.end_step(time, command);
     if (wall && !options.wall.at(time)) plant.set_wall(wall = std::nullopt);
@@ -610,6 +602,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
     if (options.stop_at_loss && options.failure.empty() && !loss.sentence().empty() && ends) break;
   }
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
+  if (logs) logs->close();
   flown.elapsed = elapsed.count();
   flown.lean = std::acos(std::max(-1.0, upright));
   flown.loss = loss.sentence();

@@ -2,6 +2,7 @@
 
 #include "battery_figures.hpp"
 #include "flight_controller.hpp"
+#include "flight_mcap.hpp"
 #include "mission_log.hpp"
 
 #include <tilt_ropter/control/nmpc.hpp>
@@ -13,11 +14,13 @@
 #include <Eigen/Geometry>
 
 #include <array>
+#include <filesystem>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
-/// The columns of the log of a mission.
+/// The logs of a mission.
 namespace examples {
 
 /// The residuals of `consistency`, value over spread, by the names of the log's columns.
@@ -108,6 +111,71 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   log.end_row();
 }
 
+template <typename Plant, int Rotors>
+FlightSample flight_sample(const tilt_ropter::Mission& mission, const Plant& plant,
+                           const FlightController<Rotors>& controller, double power) {
+  const double time = plant.time();
+  const tilt_ropter::ReferencePoint point = mission(time);
+  const tilt_ropter::NmpcResult& result = controller.result();
+  FlightSample s;
+  s.time = time;
+  s.estimate = controller.ekf().state();
+  s.truth = plant.body();
+  s.reference.position = point.position;
+  s.reference.orientation = point.orientation;
+  s.command = result.wrench;
+  s.external = controller.external();
+  s.true_external = plant.external_wrench();
+  s.tilt_command = controller.command().tilt_angle;
+  s.tilt = plant.actuators().tilt_angle;
+  s.speed_command = controller.command().rotor_speed;
+  s.speed = plant.actuators().rotor_speed;
+  s.power = power;
+  s.phase = to_string(mission.phase(time));
+  s.mode = to_string(controller.mode());
+  return s;
+}
+
 }  // namespace detail
+
+/// The logs of a flight in `directory`, which it creates: hybrid_mission.csv, and solve_times.csv
+/// beside it, because the same seed gives exactly the same log, but not the same times on the
+/// clock. `mcap`: the path of an MCAP file, or empty. All throw std::runtime_error if a file cannot
+/// be written.
+template <int Rotors>
+class MissionLogs {
+ public:
+  MissionLogs(const std::string& directory, bool battery, const std::string& mcap)
+      : log_(in(directory, "hybrid_mission.csv"), detail::mission_columns(Rotors, battery)),
+        times_(in(directory, "solve_times.csv"), {"time_s", "prepare_us", "feedback_us"}) {
+    if (!mcap.empty()) mcap_.emplace(mcap, Rotors);
+  }
+
+  /// Call this after each tick of the controller.
+  template <typename Plant>
+  void add(const tilt_ropter::Mission& mission, const Plant& plant,
+           const FlightController<Rotors>& controller, double power,
+           const BatteryFigures& battery) {
+    detail::log_row(log_, mission, plant, controller, power, &battery);
+    const tilt_ropter::optimal_control::SolveReport& report = controller.result().report;
+    times_.add(plant.time()).add(report.prepare_us).add(report.feedback_us).end_row();
+    if (mcap_) mcap_->on_tick(detail::flight_sample(mission, plant, controller, power));
+  }
+  /// The MCAP file, or nullptr.
+  [[nodiscard]] FlightMcap* mcap() { return mcap_ ? &*mcap_ : nullptr; }
+  /// Call this at the end of the flight.
+  void close() {
+    if (mcap_) mcap_->close();
+  }
+
+ private:
+  static std::string in(const std::string& directory, const std::string& name) {
+    std::filesystem::create_directories(directory);
+    return directory + '/' + name;
+  }
+
+  MissionLog log_, times_;
+  std::optional<FlightMcap> mcap_;
+};
 
 }  // namespace examples

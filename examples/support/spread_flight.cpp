@@ -4,7 +4,6 @@
 #include "control_level.hpp"
 #include "flight_controller.hpp"
 #include "loss_watch.hpp"
-#include "mission_log.hpp"
 #include "mission_rows.hpp"
 #include "paper_switches.hpp"
 #include "solver_choice.hpp"
@@ -21,7 +20,6 @@
 #include <cmath>
 #include <cstddef>
 #include <deque>
-#include <filesystem>
 #include <optional>
 #include <utility>
 #include <variant>
@@ -50,32 +48,6 @@ class Wind {
  private:
   Eigen::Vector3d mean_, gust_ = Eigen::Vector3d::Zero();
   tilt_ropter::GaussianNoise noise_;
-};
-
-/// The logs that hybrid_mission writes.
-template <int Rotors>
-class FlightLogs {
- public:
-  FlightLogs(const std::string& directory, bool battery)
-      : log_(in(directory, "hybrid_mission.csv"), detail::mission_columns(Rotors, battery)),
-        times_(in(directory, "solve_times.csv"), {"time_s", "prepare_us", "feedback_us"}) {}
-
-  /// Call this after each tick of the controller.
-  void add(const tilt_ropter::Mission& mission, const tilt_ropter::Plant<Rotors>& plant,
-           const FlightController<Rotors>& controller, double power,
-           const BatteryFigures& battery) {
-    detail::log_row(log_, mission, plant, controller, power, &battery);
-    const tilt_ropter::optimal_control::SolveReport& report = controller.result().report;
-    times_.add(plant.time()).add(report.prepare_us).add(report.feedback_us).end_row();
-  }
-
- private:
-  static std::string in(const std::string& directory, const std::string& name) {
-    std::filesystem::create_directories(directory);
-    return directory + '/' + name;
-  }
-
-  MissionLog log_, times_;
 };
 
 /// Returns the speeds of the true rotors that give the thrusts of the controller's allocation for
@@ -147,8 +119,9 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   BatteryFigures battery(truth.battery);
   double power_now = power.power(plant.actuators().rotor_speed);  // during the last step [W]
   battery.on_plant(mission.phase(0.0), plant.time(), power_now, 0.0);
-  std::optional<FlightLogs<Rotors>> logs;
-  if (!log_directory.empty()) logs.emplace(log_directory, battery.known());
+  std::optional<MissionLogs<Rotors>> logs;
+  if (!log_directory.empty()) logs.emplace(log_directory, battery.known(), choice.mcap);
+  FlightMcap* const mcap = logs ? logs->mcap() : nullptr;
   ActuatorState<Rotors> acting;
   PlantState<Rotors> start = plant.state();
   const ReferencePoint first = mission(0.0);
@@ -189,10 +162,14 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
     const Eigen::Vector3d specific_force = plant.specific_force() +
                                            plant.loads().angular_acceleration.cross(centre) +
                                            w.cross(w.cross(centre));
-    if (const auto m = imu.sample(time, w, specific_force))
+    if (const auto m = imu.sample(time, w, specific_force)) {
       controller.on_imu(m->time, {m->angular_velocity, m->specific_force});
-    if (const auto m = poses.sample(time, body_at_centre()))
+      if (mcap != nullptr) mcap->on_imu(m->time, {m->angular_velocity, m->specific_force});
+    }
+    if (const auto m = poses.sample(time, body_at_centre())) {
       controller.on_pose(m->time, {m->position, m->orientation});
+      if (mcap != nullptr) mcap->on_pose(m->time, {m->position, m->orientation});
+    }
     if (i % steps_per_tick == 0) {
       force = wind.next(steps_per_tick * step);
       if (controller.started()) {
@@ -241,6 +218,7 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
              (i + 1 == steps && stands && position.z() > wanted.z() + 0.05))
       record.verdict = Verdict::grounded;
   }
+  if (logs) logs->close();
   record.time = plant.time();
   record.mission_rmse = figures.all().value();
   record.air_rmse = figures.air().value();

@@ -59,6 +59,7 @@ struct SpreadChoice {
   double start_off = 0.0;                ///< see MissionOptions [m]
   std::vector<std::string> as_in_paper;  ///< see paper_switches()
   double fraction = 1.0;                 ///< of the ranges of VehicleDraw, see narrowed()
+  std::string mcap;                      ///< MCAP file beside the logs, or empty
 };
 
 /// A vehicle and its flight.
