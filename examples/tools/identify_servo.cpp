@@ -6,12 +6,14 @@
 #include "../support/fit_program.hpp"
 #include "../support/mission_log.hpp"
 #include "../support/simulated_servo.hpp"
+#include "../support/ulog.hpp"
 
 #include <tilt_ropter/identification/servo_identification.hpp>
 
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <exception>
@@ -31,6 +33,7 @@ namespace {
 struct Options {
   std::string input, output = "results";
   std::string time = "time_s", command = "command_rad", angle = "angle_rad";
+  std::string topic, command_topic;  // of a ULog; command_topic: empty: `topic`
   double max_dead_time = ServoIdentificationSettings{}.max_dead_time;
   bool no_pictures = false;
 
@@ -55,7 +58,38 @@ void generate(const Options& o) {
   if (!file.flush()) throw std::runtime_error("cannot write " + o.generate);
 }
 
+/// The samples of a topic; each command is the last one before, of its own topic.
+ServoLog read_ulog(const Options& o) {
+  const examples::Ulog file(o.input);
+  for (const std::string& note : file.notes()) std::cerr << note << '\n';
+  const std::string time = o.time == Options().time ? "timestamp" : o.time;
+  const std::string& commands = o.command_topic.empty() ? o.topic : o.command_topic;
+  const examples::CsvTable angles = file.table(o.topic, {time, o.angle});
+  const examples::CsvTable given = file.table(commands, {time, o.command});
+  ServoLog log;
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < angles.rows(); ++i) {
+    const double now = angles.columns[0][i];
+    while (next < given.rows() && given.columns[0][next] <= now) ++next;
+    const double values[] = {angles.columns[1][i], next > 0 ? given.columns[1][next - 1] : 0.0};
+    if (next == 0 || !std::isfinite(values[0]) || !std::isfinite(values[1])) continue;
+    if (!log.times.empty() && !(1e-6 * now > log.times.back()))
+      throw InputFileError(o.input + ": byte " + std::to_string(angles.lines[i]) + ": " + time +
+                           " of " + o.topic + " does not increase");
+    log.times.push_back(1e-6 * now);
+    log.angles.push_back(values[0]);
+    log.commands.push_back(values[1]);
+  }
+  return log;
+}
+
 ServoLog read_log(const Options& o) {
+  if (examples::is_ulog(o.input)) {
+    if (o.topic.empty()) throw std::runtime_error(o.input + ": a ULog needs --topic");
+    return read_ulog(o);
+  }
+  if (!o.topic.empty() || !o.command_topic.empty())
+    throw std::runtime_error(o.input + ": --topic and --command-topic need a ULog");
   const examples::CsvTable table = examples::read_csv(o.input, {o.time, o.command, o.angle});
   const std::vector<double>& times = table.columns[0];
   const auto step_back = std::adjacent_find(times.begin(), times.end(), std::greater_equal<>());
@@ -128,6 +162,11 @@ differ. Each command holds until the next one. Use several steps, each held for 
 constants. Steps must be small: below rate limit times time constant (0.6 rad for 8 rad/s and
 0.08 s).
 
+A log of PX4 (ULog, .ulg) needs --topic, the topic with the angles, and the fields in it, such as
+    identify_servo log.ulg --topic debug_array --angle 'data[0]' \
+        --command-topic actuator_servos --command 'control[0]'
+Times are in us as in PX4. The gain is that of the two fields, whatever their units.
+
 Files in the output directory: identify_servo.csv, the log with the fitted angle, and
 identify_servo.png.
 
@@ -140,12 +179,18 @@ int main(int argc, char** argv) {
   CLI::App app{"Identifies a servo from a log of commands and measured angles."};
   Options o;
   o.servo.parameters.dead_time = 0.015;
-  CLI::Option* input = app.add_option("LOG.csv", o.input, "log of commands and measured angles");
+  CLI::Option* input =
+      app.add_option("LOG.csv", o.input, "log of commands and measured angles, or LOG.ulg of PX4");
   app.add_option("-o,--output", o.output, "directory for the fit and its picture")
       ->capture_default_str();
   app.add_option("--time", o.time, "name of the time stamp column [s]")->capture_default_str();
   app.add_option("--command", o.command, "name of the command column [rad]")->capture_default_str();
   app.add_option("--angle", o.angle, "name of the angle column [rad]")->capture_default_str();
+  app.add_option("--topic", o.topic,
+                 "topic of LOG.ulg with the angles, NAME or NAME:INSTANCE; --time (default "
+                 "timestamp [us]), --command and --angle are its fields");
+  app.add_option("--command-topic", o.command_topic,
+                 "topic of LOG.ulg with the commands, if it is another one");
   app.add_option("--max-dead-time", o.max_dead_time,
                  "largest dead time to search for; 0: assume no dead time [s]")
       ->check(CLI::Range(0.0, 10.0))

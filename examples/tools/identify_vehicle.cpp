@@ -5,7 +5,9 @@
 #include "../support/identification_log.hpp"
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
+#include "../support/px4_log.hpp"
 #include "../support/run_program.hpp"
+#include "../support/ulog.hpp"
 #include "../support/vehicle_choice.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
@@ -38,6 +40,8 @@ struct Options {
   double from = -std::numeric_limits<double>::infinity();
   double until = std::numeric_limits<double>::infinity();
   double min_height = std::numeric_limits<double>::quiet_NaN();  // NaN: by the undercarriage
+  std::string pose_topic;                                        // of a ULog; empty: what is there
+  double thrust_model_factor = 0.0;                              // of a ULog
   bool no_pictures = false;
 };
 
@@ -98,6 +102,18 @@ void write_fit(const std::vector<IdentificationSample>& samples, const std::stri
 }
 
 template <int Rotors>
+VehicleLog<Rotors> read_log(const Options& o, const Vehicle<Rotors>& vehicle) {
+  if (!examples::is_ulog(o.input))
+    return examples::read_identification_log<Rotors>(o.input, o.from, o.until);
+  const examples::Ulog log(o.input);
+  const std::string poses = o.pose_topic.empty() ? examples::px4_pose_topic(log) : o.pose_topic;
+  for (const std::string& note : log.notes()) std::cerr << note << '\n';
+  std::cerr << o.input << ": poses are those of " << poses << '\n';
+  return examples::px4_vehicle_log<Rotors>(log, vehicle, poses, o.thrust_model_factor, o.from,
+                                           o.until);
+}
+
+template <int Rotors>
 int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>& given) {
   VehicleIdentificationSettings settings;
   settings.trusted = o.trust == "mass" ? TrustedScale::mass : TrustedScale::thrust_coefficient;
@@ -107,8 +123,7 @@ int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>
     settings.min_height = o.min_height;
   else if (stands)
     settings.min_height = stands->height + 0.1;
-  const VehicleLog<Rotors> log =
-      examples::read_identification_log<Rotors>(o.input, o.from, o.until);
+  const VehicleLog<Rotors> log = read_log(o, given);
   const VehicleIdentification<Rotors> found = identify_vehicle(log, given, settings);
   std::cout << "status: " << to_string(found.status) << '\n'
             << "duration_s: " << std::fixed << std::setprecision(2) << found.duration << '\n'
@@ -151,6 +166,10 @@ FILE writes such a log and shows the columns:
   rotor_speed_time_s,                     last measured speeds and their time; optional, all or none
   rotor_speed_radps_1, ...
 
+A log of PX4 (ULog, .ulg) of a flight with px4_node is read, too: sensor_combined, actuator_motors and
+actuator_servos (channel i is rotor i), esc_status if it is there, and the poses of --pose-topic or as
+replay_flight chooses them. The vehicle file must have the limits that scaled the outputs.
+
 Files in the output directory: identified_vehicle.json, identify_vehicle.csv (measured and fitted
 specific force and angular acceleration) and identify_vehicle.png.
 
@@ -166,7 +185,8 @@ written, above 100 wrong options.)";
 int main(int argc, char** argv) {
   CLI::App app{"Identifies a vehicle from the log of one flight."};
   Options o;
-  app.add_option("LOG.csv", o.input, "log of a flight that excites all axes")->required();
+  app.add_option("LOG.csv", o.input, "log of a flight that excites all axes, or LOG.ulg of PX4")
+      ->required();
   app.add_option("--vehicle", o.vehicle_path,
                  "JSON file of the vehicle as far as it is known: geometry, mass, first guesses; "
                  "default: the Tilt-Ropter");
@@ -178,6 +198,12 @@ int main(int argc, char** argv) {
   app.add_option("--imu-position", o.imu_position,
                  "position of the IMU in the body frame of the vehicle file [m]")
       ->check(CLI::Range(-10.0, 10.0));
+  app.add_option("--pose-topic", o.pose_topic,
+                 "topic of LOG.ulg with the poses, NAME or NAME:INSTANCE");
+  app.add_option("--thrust-model-factor", o.thrust_model_factor,
+                 "of the motor outputs in LOG.ulg, as the parameter of px4_node")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_option("--from", o.from, "begin of the part of the log to use [s]");
   app.add_option("--until", o.until, "end of the part of the log to use [s]");
   app.add_option("--min-height", o.min_height,

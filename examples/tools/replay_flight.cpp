@@ -1,12 +1,14 @@
 // Replays a recorded flight through the state estimator. Reads IMU and motion capture from CSV
-// files, calibrates clocks and marker frame on request, and compares the estimate with the ground
-// truth if it is given.
+// files or a ULog of PX4, calibrates clocks and marker frame on request, and compares the estimate
+// with the ground truth if it is given.
 
 #include "../support/mission_log.hpp"
 #include "../support/pictures.hpp"
 #include "../support/progress.hpp"
+#include "../support/px4_log.hpp"
 #include "../support/replay.hpp"
 #include "../support/statistics.hpp"
+#include "../support/ulog.hpp"
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/identification/clock_calibration.hpp>
@@ -42,6 +44,7 @@ using States = examples::StateLog;
 
 struct Options {
   std::string imu, poses, truth, output = "results";
+  std::string pose_topic, truth_topic;  // of a ULog; empty: what is there
   std::vector<double> marker_rotation = {1.0, 0.0, 0.0, 0.0}, marker_lever = {0.0, 0.0, 0.0};
   std::vector<double> gyro_bias = {0.0, 0.0, 0.0}, accelerometer_bias = {0.0, 0.0, 0.0};
   bool calibrate = false, calibrate_clock = false, estimate_marker_pose = false;
@@ -92,7 +95,7 @@ Eigen::Matrix<double, 9, 1> error(const BodyStated& truth, const BodyStated& est
 }
 
 /// The ground truth, interpolated between samples. at() returns nullptr outside the samples and
-/// between samples that are more than 50 ms apart.
+/// between samples that are more than 0.11 s apart (PX4 logs the truth of its simulation at 10 Hz).
 class Truth {
  public:
   explicit Truth(States states) : states_(std::move(states)) {}
@@ -105,7 +108,7 @@ class Truth {
                          [](double t, const Timed<BodyStated>& s) { return t < s.time; });
     if (after == states_.begin() || after == states_.end()) return nullptr;
     const Timed<BodyStated>&a = *(after - 1), &b = *after;
-    if (b.time - a.time > 0.05) return nullptr;
+    if (b.time - a.time > 0.11) return nullptr;
     const double fraction = (time - a.time) / (b.time - a.time);
     const auto blend = [fraction](const Eigen::Vector3d& from, const Eigen::Vector3d& to) {
       return Eigen::Vector3d(from + fraction * (to - from));
@@ -338,13 +341,54 @@ void print_errors(const Options& options, const examples::InertialLog& imu, cons
   print("shifted_velocity_rmse_mps", shifted.velocity.value(), 5);
 }
 
-void replay(const Options& options) {
-  examples::FlightLogs logs;
+/// A flight from CSV files, a ULog, or IMU and truth from a ULog and poses from a CSV file.
+struct Logs {
   RecordedFlight flight;
-  flight.imu = logs.imu(options.imu);
-  flight.marker = logs.poses(options.poses);
-  Truth truth(options.truth.empty() ? States() : logs.truth(options.truth));
-  for (const std::string& note : logs.notes()) std::cerr << note << '\n';
+  States truth;
+  double origin = 0.0;  // see FlightLogs
+};
+
+/// Prints what was assumed.
+Logs read_logs(const Options& options) {
+  Logs read;
+  examples::FlightLogs tables;
+  std::vector<std::string> notes;
+  if (examples::is_ulog(options.imu)) {
+    const examples::Ulog log(options.imu);
+    const std::string poses =
+        options.pose_topic.empty() ? examples::px4_pose_topic(log) : options.pose_topic;
+    notes = log.notes();
+    read.flight.imu = examples::px4_imu(log);
+    if (options.poses.empty()) {
+      read.flight.marker = examples::px4_poses(log, poses);
+      if (read.flight.marker.poses.size() < 2)
+        throw InputFileError(options.imu + ": fewer than two poses of " + poses);
+      const bool estimated = poses == "vehicle_odometry" || poses == "vehicle_local_position";
+      notes.push_back(options.imu + ": poses are those of " + poses +
+                      (estimated ? ", PX4's own estimate" : ""));
+    }
+    std::string truth = options.truth_topic;
+    if (truth.empty() && log.has("vehicle_local_position_groundtruth"))
+      truth = "vehicle_local_position_groundtruth";
+    if (!truth.empty()) read.truth = examples::px4_states(log, truth);
+    if (!options.truth_topic.empty() && read.truth.size() < 2)
+      throw InputFileError(options.imu + ": fewer than two states of " + truth);
+    if (!read.truth.empty()) notes.push_back(options.imu + ": the truth is " + truth);
+  } else {
+    read.flight.imu = tables.imu(options.imu);
+  }
+  if (!options.poses.empty()) read.flight.marker = tables.poses(options.poses);
+  if (!options.truth.empty()) read.truth = tables.truth(options.truth);
+  read.origin = tables.origin();
+  for (const std::vector<std::string>& list : {tables.notes(), notes})
+    for (const std::string& note : list) std::cerr << note << '\n';
+  return read;
+}
+
+void replay(const Options& options) {
+  const Logs read = read_logs(options);
+  const RecordedFlight& flight = read.flight;
+  Truth truth(read.truth);
   const examples::InertialLog& imu = flight.imu;
   const examples::PoseLog& poses = flight.marker.poses;
 
@@ -392,11 +436,12 @@ void replay(const Options& options) {
       fly(flight, settings, "replaying the flight", truth, &log, &estimate, reception);
   if (filter.counts().used == 0)
     fail(flight, settings,
-         "no pose of " + options.poses + " was used during " + options.imu +
+         "no pose of " + (options.poses.empty() ? options.imu : options.poses) +
+             " was used during " + options.imu +
              ": see --calibrate, --calibrate-clock and --clock-offset");
   const InertialStated& x = filter.filter().state();
 
-  if (logs.origin() > 0.0) print("time_origin_s", logs.origin(), 0);
+  if (read.origin > 0.0) print("time_origin_s", read.origin, 0);
   if (!flight.marker.positions.empty() || flight.marker.lost > 0)
     std::cout << "positions_only: " << flight.marker.positions.size()
               << "\nlost_tracking: " << flight.marker.lost << '\n';
@@ -436,6 +481,12 @@ the world points up. Units are SI, or as the header says: [ns], [mm], [g], [deg/
 stamps are in s, ms, us or ns by their steps. The program says what it assumed. A row of POSE.csv
 without an orientation is a position; one without a position says that tracking was lost.
 
+A log of PX4 (ULog, .ulg) is read instead of IMU.csv, alone or with POSE.csv: the IMU is
+sensor_combined; the poses are vehicle_mocap_odometry, vehicle_visual_odometry, vehicle_odometry, or
+vehicle_local_position with vehicle_attitude, the first of them that is there, or those of
+--pose-topic; the truth is that of PX4's simulation, if it is there, or of --truth-topic. A log that
+ends within a message is read until there; any other fault is refused with its byte.
+
 Files in the output directory: replay_flight.csv, the estimate at every IMU sample with standard
 deviations and errors, and replay_flight.png.
 
@@ -463,12 +514,18 @@ options.)";
 int main(int argc, char** argv) {
   CLI::App app{"Replays a recorded flight through the state estimator."};
   Options o;
-  app.add_option("IMU.csv", o.imu, "angular velocity and specific force")->required();
-  app.add_option("POSE.csv", o.poses, "poses of the marker frame")->required();
+  app.add_option("IMU.csv", o.imu, "angular velocity and specific force, or LOG.ulg of PX4")
+      ->required();
+  app.add_option("POSE.csv", o.poses, "poses of the marker frame; not needed with LOG.ulg");
   app.add_option("TRUTH.csv", o.truth, "ground truth, for the errors of the estimate");
   app.add_option("-o,--output", o.output, "directory for the estimate and its picture")
       ->take_last()
       ->capture_default_str();
+  app.add_option("--pose-topic", o.pose_topic,
+                 "topic of LOG.ulg with the poses, NAME or NAME:INSTANCE")
+      ->excludes("POSE.csv");
+  app.add_option("--truth-topic", o.truth_topic, "topic of LOG.ulg with the ground truth")
+      ->excludes("TRUTH.csv");
   app.add_flag("--calibrate", o.calibrate,
                "estimate clock offset, marker frame and biases from the whole "
                "log by least squares, with 95 % intervals");
@@ -546,6 +603,15 @@ int main(int argc, char** argv) {
   app.footer(footer);
   CLI11_PARSE(app, argc, argv);
   if (rejections->count() > 0 && restart_time->count() == 0) f.restart_time = 0.0;
+  const bool topics = !o.pose_topic.empty() || !o.truth_topic.empty();
+  if (topics && !examples::is_ulog(o.imu)) {
+    std::cerr << "--pose-topic, --truth-topic: need LOG.ulg\n";
+    return 105;
+  }
+  if (o.poses.empty() && !examples::is_ulog(o.imu)) {
+    std::cerr << "POSE.csv is required\nRun with --help for more information.\n";
+    return 106;
+  }
   if (o.marker_rotation.size() != 4 && o.marker_rotation.size() != 9) {
     std::cerr << "--marker-rotation: needs 4 or 9 numbers\n";
     return 105;

@@ -3,11 +3,23 @@
 
 #include "support/full_run.hpp"
 #include "support/program.hpp"
+#include "support/ulog_writer.hpp"
+
+#include "../../examples/support/csv.hpp"
+
+#include <tilt_ropter/actuation/actuator_outputs.hpp>
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -188,6 +200,83 @@ TEST_F(IdentifyVehicle, BadLogsAreNamedErrors) {
   EXPECT_EQ(identify(log(), "--vehicle /proc/nowhere").exit_code, 2);
   EXPECT_EQ(
       run(IDENTIFY_VEHICLE_PROGRAM, "'" + log() + "' --no-pictures -o /proc/nowhere").exit_code, 2);
+}
+
+/// The log as PX4 would write it: normalised outputs, speeds in rpm, floats.
+std::string as_ulog(const std::string& csv) {
+  using namespace tilt_ropter;
+  using test_support::microseconds;
+  using test_support::Packed;
+  const examples::CsvTable t = examples::read_csv(csv);
+  const OutputScaling<4> scaling(tilt_ropter_vehicle(), {0.3, {}});
+  test_support::UlogWriter log;
+  for (const char* format : test_support::px4_formats) log.format(format);
+  const std::uint16_t imu = log.subscribe("sensor_combined"),
+                      odometry = log.subscribe("vehicle_odometry"),
+                      motors = log.subscribe("actuator_motors"),
+                      servos = log.subscribe("actuator_servos"), escs = log.subscribe("esc_status");
+  const auto vector = [&t](const std::string& name, std::size_t row) {
+    return Eigen::Vector3d(t[name + "_x"][row], t[name + "_y"][row], t[name + "_z"][row]);
+  };
+  const auto rotors = [&t](const std::string& name, std::size_t row) {
+    return Eigen::Vector4d(t[name + "_1"][row], t[name + "_2"][row], t[name + "_3"][row],
+                           t[name + "_4"][row]);
+  };
+  for (std::size_t i = 0; i < t.rows(); ++i) {
+    const double time = t["time_s"][i];
+    log.data(imu, test_support::sensor_combined(time, vector("angular_velocity_radps", i),
+                                                vector("specific_force_mps2", i)));
+    if (i == 0 || t["pose_time_s"][i] > t["pose_time_s"][i - 1]) {
+      const Eigen::Vector3d v = vector("orientation", i);
+      log.data(odometry, test_support::vehicle_odometry(
+                             t["pose_time_s"][i], vector("position_m", i),
+                             Eigen::Quaterniond(t["orientation_w"][i], v.x(), v.y(), v.z()),
+                             Eigen::Vector3d(0.0, 0.0, 0.0)));
+    }
+    const Eigen::Vector4d speeds = rotors("rotor_command_radps", i);
+    if (i == 0 || speeds != rotors("rotor_command_radps", i - 1)) {
+      const auto outputs = *scaling.outputs<double>({speeds, rotors("tilt_command_rad", i)});
+      const std::uint64_t now = microseconds(time);
+      log.data(
+          motors,
+          Packed().add(now).add(now).add_floats(outputs.motor).add(std::string(8 * 4 + 2, '\0')));
+      log.data(servos,
+               Packed().add(now).add(now).add_floats(outputs.servo).add(std::string(4 * 4, '\0')));
+    }
+    if (i > 0 && t["rotor_speed_time_s"][i] == t["rotor_speed_time_s"][i - 1]) continue;
+    const std::uint64_t now = microseconds(t["rotor_speed_time_s"][i]);
+    Packed m;
+    m.add(now).add(std::string(8, '\0'));
+    const Eigen::Vector4d measured = rotors("rotor_speed_radps", i);
+    for (int k = 0; k < 8; ++k) {  // ESC 3 is motor 1 and the other way round
+      const int motor = k == 0 ? 2 : k == 2 ? 0 : k;
+      const double rpm = motor < 4 ? measured(motor) * 30.0 / pi : 0.0;
+      m.add(now).add(std::uint32_t{0}).add(static_cast<std::int32_t>(std::lround(rpm)));
+      m.add(std::string(12 + 2 + 3, '\0'));
+      m.add(static_cast<std::uint8_t>(motor < 4 ? 101 + motor : 0));
+      m.add(std::string(k < 7 ? 6 : 1, '\0'));
+    }
+    log.data(escs, m);
+  }
+  return log.bytes();
+}
+
+TEST_F(IdentifyVehicle, ReadsALogOfPx4) {
+  std::ofstream(path("log.ulg"), std::ios::binary) << as_ulog(log());
+  const Outcome csv = identify(log()),
+                found = identify(path("log.ulg"), "--thrust-model-factor 0.3");
+  ASSERT_EQ(found.exit_code, 0) << found.output;
+  EXPECT_TRUE(found.says("poses are those of vehicle_odometry"));
+  EXPECT_EQ(found.figures.at("not_excited"), "none");
+  for (const char* name : {"thrust_coefficient_n_s2_per_rad2", "inertia_x_kg_m2", "inertia_z_kg_m2",
+                           "torque_ratio_m", "servo_time_constant_s", "rotor_time_constant_s"})
+    EXPECT_NEAR(found[name], csv[name], 2e-3 * csv[name]) << name;
+  EXPECT_NEAR(found["com_x_m"], csv["com_x_m"], 1e-4);
+  const Outcome other = identify(path("log.ulg"));  // another thrust model
+  EXPECT_NE(other.figures, found.figures);
+  const Outcome missing = identify(path("log.ulg"), "--pose-topic vehicle_mocap_odometry");
+  EXPECT_EQ(missing.exit_code, 2);
+  EXPECT_TRUE(missing.says("no data of vehicle_mocap_odometry")) << missing.output;
 }
 
 TEST_F(IdentifyVehicle, StandingStillExcitesNothing) {
