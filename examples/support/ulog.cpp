@@ -25,6 +25,13 @@ std::size_t size_of(const std::string& type) {
   return found == sizes.end() ? 0 : found->second;
 }
 
+std::string bytes_of(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  std::string bytes(std::istreambuf_iterator<char>(in), {});
+  if (!in) throw tilt_ropter::InputFileError("cannot read " + path);
+  return bytes;
+}
+
 }  // namespace
 
 bool is_ulog(const std::string& path) {
@@ -35,10 +42,9 @@ bool is_ulog(const std::string& path) {
   return in && start == magic;
 }
 
-Ulog::Ulog(const std::string& path) : path_(path) {
-  std::ifstream in(path, std::ios::binary);
-  bytes_.assign(std::istreambuf_iterator<char>(in), {});
-  if (!in) throw tilt_ropter::InputFileError("cannot read " + path);
+Ulog::Ulog(const std::string& path) : Ulog(path, bytes_of(path)) {}
+
+Ulog::Ulog(const std::string& path, std::string bytes) : path_(path), bytes_(std::move(bytes)) {
   if (bytes_.compare(0, magic.size(), magic) != 0)
     refuse(0, "not the start of a ULog file, expected is 'ULog' 01 12 35");
   if (bytes_.size() < header_size) refuse(bytes_.size(), "the file ends within its header");
@@ -192,7 +198,10 @@ void Ulog::add_fields(Topic& topic, const std::string& format, const std::string
       const std::string path =
           prefix + name + (bracket == std::string::npos ? "" : '[' + std::to_string(i) + ']');
       if (size_of(type) == 0) {
+        const std::size_t before = topic.fields.size();
         add_fields(topic, type, path + '.', at, depth + 1);
+        if (topic.fields.size() == before)
+          refuse(at, "the format of " + detail::csv_quoted(type) + " has no fields");
         continue;
       }
       const std::size_t offset =

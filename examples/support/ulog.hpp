@@ -21,6 +21,8 @@ class Ulog {
  public:
   /// Reads the file. A last message that is cut off, as without power, is noted and ignored.
   explicit Ulog(const std::string& path);
+  /// The same for the bytes of a file; `path` is its name in messages.
+  Ulog(const std::string& path, std::string bytes);
 
   /// What was done that the file does not say, one sentence each.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }

@@ -151,6 +151,12 @@ TEST_F(UlogFile, ErrorsNameByteAndWhatIsExpected) {
   within_itself.format("t:uint64_t timestamp;t x;");
   (void)within_itself.subscribe("t");
   EXPECT_NE(refusal(within_itself.bytes()).find("is within itself"), std::string::npos);
+  UlogWriter empty;  // as many times as its messages are said to be there
+  empty.format("e:");
+  for (const char* text : {"f:e[9999] a;", "g:f[9999] a;", "t:uint64_t timestamp;g[9999] a;"})
+    empty.format(text);
+  (void)empty.subscribe("t");
+  EXPECT_NE(refusal(empty.bytes()).find("the format of 'e' has no fields"), std::string::npos);
   UlogWriter short_data;
   short_data.format("t:uint64_t timestamp;float x;");
   short_data.data(short_data.subscribe("t"), Packed().add(std::uint64_t{1}));
