@@ -472,7 +472,8 @@ void FlightController<Rotors>::prepare(double time, const Reference& reference) 
     const bool is_pushed =
         contact_.estimate().on_ground &&
         contact_.estimate().rolling.force.norm() > 0.25 * vehicle_.body.mass * gravity;
-    if (is_blocked || is_pushed) touched_until_ = time + 1.0;
+    const bool pushes = contact_.estimate().touches_for > 0.0;
+    if (is_blocked || is_pushed || pushes) touched_until_ = time + 1.0;
     if (follows && last && !is_blocked) rejoin(*last, reference(time), time);
   }
   airborne_ = ekf_.running() && is_off_the_ground();

@@ -336,7 +336,7 @@ bool RecedingHorizonController<Level>::is_plausible(const ContactEstimate& conta
     return w.force.norm() <= most && w.torque.norm() <= most;
   };
   return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
-         is_small(contact.external);
+         is_small(contact.external) && is_small(contact.surface_reaction);
 }
 
 template <typename Level>

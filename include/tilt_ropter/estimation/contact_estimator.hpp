@@ -2,6 +2,7 @@
 #pragma once
 
 #include <tilt_ropter/estimation/detail/obstacle_watch.hpp>
+#include <tilt_ropter/estimation/detail/surface_touch.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/math/detail/clock.hpp>
 #include <tilt_ropter/math/validation.hpp>
@@ -51,8 +52,9 @@ namespace tilt_ropter {
 ///
 /// With a reference, the reaction of an unknown obstacle is told from wind
 /// (ContactEstimate::blocked) and is not compensated: the vehicle then presses with 0.1 weights. On
-/// wheels only the direction in which they roll counts.
-/// The disturbance has limits: 0.3 weights sideways, one upward or downward, and 0.03 m times the
+/// wheels only the direction in which they roll counts. Where the reference pushes on a surface,
+/// the surface's reaction is no part of the disturbance (ContactEstimate::surface_reaction). The
+/// disturbance has limits: 0.3 weights sideways, one upward or downward, and 0.03 m times the
 /// weight as a torque. ContactEstimate::limited says when it was cut.
 ///
 /// The observer is a filter. After take-off its output still contains a decaying part of the
@@ -66,7 +68,10 @@ class ContactEstimator {
   ContactEstimator(const RigidBodyParameters& body,
                    const std::optional<Undercarriage>& undercarriage,
                    const GroundPlane& assumed_ground = {})
-      : weight_(body.mass * gravity), undercarriage_(undercarriage), watch_(weight_) {
+      : weight_(body.mass * gravity),
+        undercarriage_(undercarriage),
+        watch_(weight_),
+        touch_(weight_) {
     validate(body);
     if (undercarriage) validate(*undercarriage);
     require(assumed_ground.height < std::numeric_limits<double>::infinity(),
@@ -118,7 +123,9 @@ class ContactEstimator {
       estimate_.disturbance = external;
     if (settling_ == 0.0 && !estimate_.on_ground)
       estimate_.disturbance.force += body.orientation.conjugate() * unfelt();
-    const bool moves = settling_ == 0.0 && (!estimate_.on_ground || undercarriage_->rolls);
+    touch(body, external, means->raw, reference, dt);
+    const bool moves = settling_ == 0.0 && estimate_.touches_for == 0.0 &&
+                       (!estimate_.on_ground || undercarriage_->rolls);
     std::optional<Eigen::Vector3d> applied, track;
     if (observed.applied) applied = body.orientation * observed.applied->force;
     if (moves && estimate_.on_ground)
@@ -225,6 +232,25 @@ class ContactEstimator {
     const Eigen::Vector3d difference = moved_ - felt_;
     const double size = difference.norm(), noise = agreement * weight_;
     return size > noise ? (difference * (1.0 - noise / size)).eval() : Eigen::Vector3d::Zero();
+  }
+
+  // Takes what the surface gives that the reference pushes on out of the disturbance.
+  void touch(const BodyStated& body, const Wrenchd& external, const Wrenchd& raw,
+             const std::optional<ReferencePoint>& reference, double dt) noexcept {
+    const bool may_push = reference && settling_ == 0.0 && !estimate_.on_ground;
+    const Eigen::Vector3d force =
+        touch_.update(body, body.orientation * external.force, body.orientation * raw.force,
+                      may_push ? &*reference : nullptr, dt);
+    estimate_.touches_for = touch_.touches_for();
+    estimate_.friction = touch_.friction();
+    estimate_.push_correction = touch_.correction();
+    estimate_.surface_reaction = {};
+    if (estimate_.touches_for == 0.0) return;
+    Wrenchd& given = estimate_.surface_reaction;
+    given.force = body.orientation.conjugate() * force;
+    given = transport(given, reference->push->surface.tool);
+    estimate_.disturbance.force -= given.force;
+    estimate_.disturbance.torque -= given.torque;
   }
 
   void limit(const BodyStated& body) noexcept {
@@ -436,6 +462,7 @@ class ContactEstimator {
   double weight_;
   std::optional<Undercarriage> undercarriage_;
   detail::ObstacleWatch watch_;
+  detail::SurfaceTouch touch_;
   GroundPlane assumed_ground_;
   ContactEstimate estimate_;
   Wrenchd air_;               // average wrench in the air; kept on the ground

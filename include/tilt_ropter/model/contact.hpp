@@ -99,6 +99,13 @@ struct ContactEstimate {
   /// On the ground: the ground's normal force, its roll torque, and its torque about every other
   /// axis that is not free. If the vehicle does not roll: the whole force. In the air: zero.
   Wrenchd ground_reaction;
+  /// Time for which the tool has touched the surface that the reference pushes on; 0: it does not
+  /// [s].
+  double touches_for = 0.0;
+  /// Of that surface: its normal force, and its friction. Not in `disturbance`.
+  Wrenchd surface_reaction;
+  double friction = 0.0;         ///< coefficient of that surface: its own, or learnt in a slide
+  double push_correction = 0.0;  ///< to add to the force of the reference on it [N]
   /// The whole external wrench, with everything that the ground gives. Only
   /// GroundModel::external_wrench uses it.
   Wrenchd external;
@@ -115,7 +122,8 @@ struct ContactEstimate {
 /// Returns true if all numbers are finite. The ground's height may be -infinity.
 [[nodiscard]] inline bool is_finite(const ContactEstimate& e) noexcept {
   return is_finite(e.disturbance) && is_finite(e.rolling) && is_finite(e.ground_reaction) &&
-         is_finite(e.external) &&
+         is_finite(e.external) && is_finite(e.surface_reaction) && std::isfinite(e.friction) &&
+         std::isfinite(e.touches_for) && std::isfinite(e.push_correction) &&
          (!e.blocked || (all_finite(e.blocked->direction) && std::isfinite(e.blocked->reach))) &&
          std::isfinite(e.ground.slope.x()) && std::isfinite(e.ground.slope.y()) &&
          e.ground.height < std::numeric_limits<double>::infinity() &&

@@ -7,8 +7,13 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
 /// Wrench, actuator state, body state and the NMPC's state; a wrench about other points and in
-/// other frames. No function in this header throws or allocates.
+/// other frames; points of a reference, and surfaces that it pushes on. No function in this header
+/// throws or allocates.
 namespace tilt_ropter {
 
 /// Force [N] and torque [N m] at the CoM, both in the body frame. transport() and rotate() convert
@@ -174,6 +179,46 @@ template <typename Scalar>
   return rotate(in_world, orientation.conjugate());
 }
 
+/// A plane in the world that a tool of the vehicle may touch. It need not be vertical.
+struct Surface {
+  Eigen::Vector3d point = Eigen::Vector3d::Zero();     ///< on the surface, world frame [m]
+  Eigen::Vector3d normal = -Eigen::Vector3d::UnitX();  ///< outward unit vector, world frame
+  /// Point of the vehicle that touches, body frame [m]. The further the line of the push passes
+  /// from the CoM, the larger is the torque that it needs.
+  Eigen::Vector3d tool = Eigen::Vector3d::Zero();
+  double friction = 0.5;  ///< Coulomb coefficient
+};
+
+/// A force on a surface.
+struct SurfacePush {
+  Surface surface;
+  double force = 0.0;  ///< along the inward normal, > 0 [N]
+};
+
+/// Returns true if all numbers are finite, the force is positive and the normal has length one.
+[[nodiscard]] inline bool is_usable(const SurfacePush& push) noexcept {
+  const Surface& s = push.surface;
+  return all_finite(s.point) && all_finite(s.normal) && all_finite(s.tool) &&
+         std::abs(s.normal.squaredNorm() - 1.0) < 1e-6 && s.friction >= 0.0 &&
+         std::isfinite(s.friction) && push.force > 0.0 && std::isfinite(push.force);
+}
+
+/// Returns the part of `velocity` along the surface, or zero if it is too slow to slide (world
+/// frame) [m/s].
+[[nodiscard]] inline Eigen::Vector3d slide_along(const Surface& surface,
+                                                 const Eigen::Vector3d& velocity) noexcept {
+  constexpr double least = 1e-3;  // [m/s]
+  const Eigen::Vector3d along = velocity - surface.normal.dot(velocity) * surface.normal;
+  return along.norm() > least ? along : Eigen::Vector3d(Eigen::Vector3d::Zero());
+}
+
+/// Returns the friction on a tool that slides with `slide` (world frame), over the coefficient and
+/// the normal force. Its length grows to one within 2 cm/s.
+[[nodiscard]] inline Eigen::Vector3d friction_of(const Eigen::Vector3d& slide) noexcept {
+  constexpr double full = 0.02;  // [m/s]
+  return -slide / std::max(full, slide.norm());
+}
+
 /// One point of a time-parametrised reference. A reference is any callable that returns a point:
 /// `ReferencePoint reference(double time)`. It must be defined for every time: it holds the first
 /// point before its start and the last point after its end. It must be smooth enough that velocity
@@ -186,6 +231,11 @@ struct ReferencePoint {
   Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();       ///< body frame [rad/s]
   Eigen::Vector3d angular_acceleration =
       Eigen::Vector3d::Zero();  ///< derivative of angular_velocity, body frame [rad/s^2]
+  /// The vehicle pushes on a surface here. Position and velocity along its normal are then not
+  /// followed: the vehicle comes closer at 0.1 m/s until its tool touches, and holds the force. The
+  /// rest of the point is followed as ever, for example to slide along the surface.
+  /// ContactEstimator has to know the reference. In the air only.
+  std::optional<SurfacePush> push;
 };
 
 }  // namespace tilt_ropter

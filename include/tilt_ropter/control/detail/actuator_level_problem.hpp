@@ -185,7 +185,7 @@ class ActuatorLevelProblem
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Node& n = node(k);
     const double factor = k == horizon() ? settings_.weights.terminal : 1.0;
-    const BodyVector q = body_weights();
+    const BodyVector q = body_weights(n);
     BodyVector e;
     detail::put_body_error(n, x.body, detail::attitude_error(n, x.body), e, 0);
     double states_sum = 0.0, inputs_sum = 0.0;
@@ -207,7 +207,7 @@ class ActuatorLevelProblem
             model.hessian(I::tilt_angle + j, I::orientation + i) = 0.0;
     const Node& n = node(k);
     const double factor = k == horizon() ? settings_.weights.terminal : 1.0;
-    const BodyVector q = body_weights();
+    const BodyVector q = body_weights(n);
     const Eigen::Quaterniond turn = detail::attitude_error(n, x.body);
     const detail::Square<double> by_angle = detail::attitude_error_derivative(turn, x.body);
     BodyVector e;
@@ -297,13 +297,14 @@ class ActuatorLevelProblem
     return n.stays_on_ground ? settings_.weights.thrust_on_ground : settings_.weights.thrust;
   }
 
-  [[nodiscard]] BodyVector body_weights() const {
+  [[nodiscard]] BodyVector body_weights(const Node& n) const {
     const ActuatorLevelWeights& w = settings_.weights;
     BodyVector all;
     detail::put(detail::triple(w.position), all);
     detail::put(detail::triple(w.velocity), all, 3);
     detail::put(detail::triple(w.orientation), all, orientation_error);
     detail::put(detail::triple(w.angular_velocity), all, 9);
+    for (int i = 0; n.touches && i < 12; ++i) all(i) *= detail::touch_weights[i / 3];
     return all;
   }
 

@@ -28,7 +28,9 @@ struct FlightNode {
   Wrenchd external;        ///< F_e, M_e during the interval that starts here (body frame)
   Freedomd freedom;        ///< motion that the ground leaves free during that interval
   bool on_ground = false;  ///< the paper's delta: non-holonomic conditions apply here
-  GroundPlane com_plane;   ///< plane on which the CoM stays on the ground
+  bool touches = false;    ///< a surface that the vehicle pushes on holds the motion along `normal`
+  Eigen::Vector3d normal = Eigen::Vector3d::Zero();  ///< of this surface, body frame, unit or zero
+  GroundPlane com_plane;                             ///< plane on which the CoM stays on the ground
   /// Axis about which the axle does not turn, unit vector in the body frame: body x, if the body is
   /// not pitched. The condition on the angular velocity at this node uses it.
   Eigen::Vector3d roll_axis = Eigen::Vector3d::UnitX();
@@ -40,6 +42,11 @@ namespace detail {
 /// velocity, by one unit. A constraint whose multiplier would exceed it is relaxed: a measured
 /// state may violate the bounds. In the benchmark STEP no multiplier reaches it.
 inline constexpr double state_penalty = 1e4;
+
+/// Factors on the weights of (p, v, q, w) at a node that pushes on a surface. There, a push that
+/// does not pass through the CoM and friction turn the vehicle, and the errors have to be a quarter
+/// of those in the air to keep the turn small.
+inline constexpr double touch_weights[] = {16.0, 4.0, 16.0, 4.0};
 
 /// Rotation q (x) q_r^-1 from reference to body, with w >= 0: the shorter of the two equivalent
 /// rotations.

@@ -66,11 +66,16 @@ class GroundContact {
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     const bool stands = is_on_ground(contact, measured.position);
     node.on_ground = stands && meant;
+    node.touches = false;
     node.freedom = {};
     node.roll_axis = Eigen::Vector3d::UnitX();
     node.external = holds() ? contact.disturbance : contact.external;
     if (meant && !stands && settings_.settling_speed > 0.0) settle(contact, measured, ahead, node);
-    if (!node.on_ground) return point;
+    if (!node.on_ground) {
+      if (point.push && holds() && is_usable(*point.push))
+        push(*point.push, contact, measured, ahead, now.push.has_value(), node);
+      return point;
+    }
     ReferencePoint laid = on_ground(contact.ground, point);
     node.reference = {laid.position, laid.velocity, laid.orientation, laid.angular_velocity};
     node.com_plane = contact.ground;
@@ -134,11 +139,12 @@ class GroundContact {
     return laid;
   }
 
-  /// Returns `body` without the velocities that the ground holds at `node`. With both wheels down
-  /// this is the angular velocity about the roll axis of the node. A vehicle that is pitched more
-  /// or less than the node has an angular velocity about this axis while it turns. If the model let
-  /// this rotation continue, the plan would tend to keep the nose there.
+  /// Returns `body` without the velocities that the ground or a surface holds at `node`. With both
+  /// wheels down this is the angular velocity about the roll axis of the node. A vehicle that is
+  /// pitched more or less than the node has an angular velocity about this axis while it turns. If
+  /// the model let this rotation continue, the plan would tend to keep the nose there.
   [[nodiscard]] BodyStated stopped(const FlightNode& node, BodyStated body) const noexcept {
+    if (node.touches) body.velocity = node.freedom.linear * body.velocity;
     if (!undercarriage_ || !node.on_ground || !holds()) return body;
     Eigen::Vector3d& w = body.angular_velocity;
     const double along = node.roll_axis.dot(w);
@@ -205,6 +211,52 @@ class GroundContact {
                                 const Eigen::Vector3d& position) const noexcept {
     return std::max(
         {settings_.planned_height, contact.planned_height, contact.ground.height_at(position)});
+  }
+
+  // A node that pushes on a surface. Without a touch the vehicle approaches it. With a touch the
+  // surface holds the motion along the normal, as the ground does, and gives the force of the
+  // reference. The wrench of the reference balances it, and nothing else in the model depends on
+  // the force. Friction is balanced where the reference slides, or is some millimetres away. At
+  // rest it holds the vehicle, and balancing it would make the tool slip.
+  void push(const SurfacePush& push, const ContactEstimate& contact, const BodyStated& measured,
+            double ahead, bool pushes_now, FlightNode& node) const noexcept {
+    constexpr double approach = 0.1, beyond = 0.05;  // [m/s], behind the surface [m]
+    constexpr double ramp = 0.5;                     // from the touch to the whole force [s]
+    constexpr double still = 0.005;                  // [m]
+    const Surface& surface = push.surface;
+    const Eigen::Vector3d& n = surface.normal;
+    const double here = n.dot(measured.position);
+    double along = here, closing = 0.0;  // position and velocity along the normal
+    if (contact.touches_for > 0.0) {
+      node.touches = true;
+      node.freedom.linear -= n * n.transpose();
+      const Eigen::Quaterniond to_body = measured.orientation.conjugate();
+      const Eigen::Vector3d slide = slide_along(surface, node.reference.velocity),
+                            &felt = contact.surface_reaction.force;
+      node.normal = to_body * n;
+      const double given = node.normal.dot(felt);
+      const bool rests = slide.isZero(0.0);
+      const Eigen::Vector3d rubbing =
+          rests ? Eigen::Vector3d(felt - given * node.normal)
+                : given * contact.friction * (to_body * friction_of(slide));
+      // The torque of the force that there is, but the force of the reference.
+      Wrenchd reaction{given * node.normal + rubbing, Eigen::Vector3d::Zero()};
+      reaction = transport(reaction, surface.tool);
+      reaction.force = std::min(1.0, (contact.touches_for + ahead) / ramp) *
+                       (push.force + contact.push_correction) * node.normal;
+      const Eigen::Vector3d off =
+          node.freedom.linear * (measured.position - node.reference.position);
+      if (!rests || off.norm() > still) reaction.force += rubbing;
+      node.external = node.external + reaction;
+    } else if (!pushes_now) {
+      return;
+    } else {
+      const double end = n.dot(surface.point - measured.orientation * surface.tool) - beyond;
+      along = std::max(here - approach * ahead, std::min(here, end));
+      if (here - approach * ahead > end) closing = -approach;
+    }
+    node.reference.position += (along - n.dot(node.reference.position)) * n;
+    node.reference.velocity += (closing - n.dot(node.reference.velocity)) * n;
   }
 
   // The reference descends to the expected ground with decreasing speed, then continues with

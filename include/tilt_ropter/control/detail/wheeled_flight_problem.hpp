@@ -172,9 +172,13 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
     if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e);
-    const Tangent& q = state_weights(k);
+    const Tangent q = state_weights(k);
     double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
     for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
+    if (node(k).touches) {
+      const double along = dot(detail::triple(node(k).normal), detail::triple(e, I::force));
+      sum += push_weight() * along * along;
+    }
     for (int i = 0; k < horizon() && i < inputs; ++i) sum += u(i) * input_weights_(i) * u(i);
     return sum;
   }
@@ -186,7 +190,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
     if (ends_with_riccati(k))
       return after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
-    const Tangent& q = state_weights(k);
+    const Tangent q = state_weights(k);
     for (int i = 0; i < states; ++i) {
       model.gradient(i) = 2.0 * q(i) * e(i);
       model.hessian(i, i) = 2.0 * q(i);
@@ -194,6 +198,14 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     constexpr int thrust = I::force + 2;
     model.gradient(thrust) += 2.0 * ground_thrust_weight(k) * e(thrust);
     model.hessian(thrust, thrust) += 2.0 * ground_thrust_weight(k);
+    if (node(k).touches) {
+      const Triple n = detail::triple(node(k).normal);
+      const Triple by_force = 2.0 * push_weight() * dot(n, detail::triple(e, I::force)) * n;
+      detail::put(detail::triple(model.gradient, I::force) + by_force, model.gradient, I::force);
+      detail::put(detail::square(model.hessian, I::force, I::force) +
+                      outer(0.0, 2.0 * push_weight() * n, n, Triple{0.0, 0.0, 0.0}),
+                  model.hessian, I::force, I::force);
+    }
     const Square weighted = transposed(scaled(by_angle, 2.0 * detail::triple(q, I::orientation)));
     detail::put(weighted * detail::triple(e, I::orientation), model.gradient, I::orientation);
     detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
@@ -363,8 +375,16 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     if (!node(k).on_ground) return 0.0;
     return (k == horizon() ? settings_.weights.terminal : 1.0) * settings_.weights.ground_thrust;
   }
-  [[nodiscard]] const Tangent& state_weights(int k) const {
-    return k == horizon() ? last_state_weights_ : state_weights_;
+  // Weight of the force along the normal of a surface that the vehicle pushes on [1/N^2].
+  [[nodiscard]] double push_weight() const {
+    constexpr double time_constant = 0.15;  // of the force [s]
+    return settings_.weights.force_rate.maxCoeff() / (time_constant * time_constant);
+  }
+  [[nodiscard]] Tangent state_weights(int k) const {
+    Tangent q = k == horizon() ? last_state_weights_ : state_weights_;
+    for (int i = 0; node(k).touches && i < 12; ++i)
+      q(I::position + i) *= detail::touch_weights[i / 3];
+    return q;
   }
 
   [[nodiscard]] static Input packed(const Wrenchd& wrench) {

@@ -24,7 +24,9 @@ struct Wall {
   Eigen::Vector3d normal = -Eigen::Vector3d::UnitX();  ///< outward unit vector, world frame
   double friction = 0.5;                               ///< Coulomb coefficient
   double stiffness = 1.0e4;                            ///< at each point that touches [N/m]
-  double hull_radius = 0.0;  ///< a sphere about the CoM touches, too; 0: wheels and propellers [m]
+  /// A sphere touches, too: a hull about the CoM, or with radius 0 the tip of a tool. [m]
+  double hull_radius = 0.0;
+  Eigen::Vector3d hull_centre = Eigen::Vector3d::Zero();  ///< of the sphere, body frame [m]
 
   static constexpr double dissipation = 2.0;  ///< damping force / (spring force x speed) [s/m]
   static constexpr double creep = 200.0;  ///< friction / speed along the surface, if small [N s/m]
@@ -37,6 +39,7 @@ inline void validate(const Wall& wall) {
   require_non_negative("Wall.friction", wall.friction);
   require_in("Wall.stiffness [N/m]", wall.stiffness, 1.0, 1e5);
   require_non_negative("Wall.hull_radius [m]", wall.hull_radius);
+  require_finite("Wall.hull_centre [m]", wall.hull_centre);
 }
 
 namespace detail {
@@ -53,7 +56,7 @@ template <int Rotors>
 [[nodiscard]] std::vector<HullDisc> hull_of(const Vehicle<Rotors>& vehicle,
                                             const std::vector<WheelMount>& wheels,
                                             const Wall& wall) {
-  std::vector<HullDisc> hull{{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), wall.hull_radius}};
+  std::vector<HullDisc> hull{{wall.hull_centre, Eigen::Vector3d::Zero(), wall.hull_radius}};
   for (const WheelMount& wheel : wheels)
     hull.push_back({wheel.centre, Eigen::Vector3d::UnitY(), wheel.radius, !wheel.locked});
   for (std::size_t i = 0; i < vehicle.rotors.size(); ++i) {
