@@ -244,9 +244,9 @@ template <int Rotors>
 
 /// Returns the MJCF text. Names: body `base`; joints `root`, `tilt1`.., `wheel1`.. with the
 /// index of wheel_in_body; actuators `thrust1`.. [N] and `servo1`.. [rad/s]; sensor `imu` at the
-/// CoM at zero tilt; geoms `ground`, `wall` and `contact1`.., the tyres or the feet. Thrust and
-/// reaction torque act at the site of the rotor, which tilts with its arm. A servo is a speed loop.
-/// Geoms have no mass.
+/// CoM at zero tilt; geoms `ground`, `wall`, `tool` and `contact1`.., the tyres or the feet. Thrust
+/// and reaction torque act at the site of the rotor, which tilts with its arm. A servo is a speed
+/// loop. Geoms have no mass.
 template <int Rotors>
 [[nodiscard]] std::string mujoco_model(const tilt_ropter::Vehicle<Rotors>& vehicle,
                                        const MujocoParameters& p = {}) {
@@ -326,6 +326,7 @@ template <int Rotors>
       << " fullinertia=" << quoted(numbers(j(0, 0), j(1, 1), j(2, 2), j(0, 1), j(0, 2), j(1, 2)))
       << R"(/>
     <site name="imu"/>
+    <geom name="tool" type="sphere" size="0.001" conaffinity="8" material="metal"/>
     <geom class="touches" type="ellipsoid" size="0.075 0.05 0.032" material="shell"/>
     <geom type="box" size="0.05 0.033 0.008" pos="0 0 -0.03" material="carbon"/>
     <geom type="cylinder" size="0.006 0.012" pos="0 0 0.036" material="metal"/>

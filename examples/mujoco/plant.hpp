@@ -62,6 +62,7 @@ class MujocoPlant {
     for (int i = 1; id(mjOBJ_GEOM, "contact" + std::to_string(i)) >= 0; ++i)
       contact_.push_back(id(mjOBJ_GEOM, "contact" + std::to_string(i)));
     wall_ = id(mjOBJ_GEOM, "wall");
+    tool_ = id(mjOBJ_GEOM, "tool");
     accelerometer_ = model_->sensor_adr[id(mjOBJ_SENSOR, "imu")];
 
     const Eigen::Quaterniond ground = ground_orientation(parameters);
@@ -101,12 +102,16 @@ class MujocoPlant {
   void set_rotors(const tilt_ropter::Vehicle<Rotors>& vehicle) { vehicle_.rotors = vehicle.rotors; }
 
   /// Same as tilt_ropter::Plant::set_wall(), but with contacts of MuJoCo, also of hull and motors;
-  /// hull_radius has no effect. The deformation at rest is that of the stiffness.
+  /// hull_radius has no effect, and hull_centre is a tool. The deformation at rest is that of the
+  /// stiffness.
   void set_wall(const std::optional<tilt_ropter::Wall>& wall) {
-    model_->geom_contype[wall_] = wall ? 3 : 4;  // touches vehicle and propellers, or nothing
+    // Touches vehicle, propellers and a tool, or nothing.
+    model_->geom_contype[wall_] = !wall ? 4 : wall->hull_centre.isZero(0.0) ? 3 : 11;
     if (!wall) return;
     tilt_ropter::validate(*wall);
     using Vector = Eigen::Matrix<mjtNum, 3, 1>;
+    Eigen::Map<Vector>(model_->geom_pos + 3 * tool_) = wall->hull_centre;
+    model_->geom_sameframe[tool_] = 0;
     Eigen::Map<Vector>(model_->geom_pos + 3 * wall_) = wall->point;
     const auto turned = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), wall->normal);
     Eigen::Map<Eigen::Matrix<mjtNum, 4, 1>>(model_->geom_quat + 4 * wall_) << turned.w(),
@@ -321,7 +326,7 @@ class MujocoPlant {
   std::array<tilt_ropter::ServoParameters, rotors> servos_;
   Model model_;
   std::unique_ptr<mjData, Delete> data_;
-  int base_ = 0, root_ = 0, accelerometer_ = 0, wall_ = 0;
+  int base_ = 0, root_ = 0, accelerometer_ = 0, wall_ = 0, tool_ = 0;
   double wall_force_ = 0.0;                                    ///< [N]
   std::array<int, rotors> tilt_angle_{}, thrust_{}, servo_{};  ///< indices in the arrays of MuJoCo
   std::vector<int> wheel_dof_, contact_;

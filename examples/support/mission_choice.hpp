@@ -2,6 +2,7 @@
 
 #include "hybrid_experiment.hpp"
 #include "mission_file.hpp"
+#include "push_motion.hpp"
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
@@ -9,7 +10,10 @@
 
 #include <CLI/CLI.hpp>
 
+#include <Eigen/Core>
+
 #include <algorithm>
+#include <cstddef>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -19,20 +23,23 @@ namespace examples {
 
 struct MissionChoice {
   std::string name = "hybrid";
-  double speed = 1.5;      // largest speed of the eights [m/s]
-  std::string trajectory;  // CSV file, instead of a mission
-  std::string file;        // JSON file, instead of a mission
-  std::string write_path;  // write the mission to this file
+  double speed = 1.5;           // largest speed of the eights [m/s]
+  std::optional<double> force;  // of the inspection; no value: 5 [N]
+  std::string trajectory;       // CSV file, instead of a mission
+  std::string file;             // JSON file, instead of a mission
+  std::string write_path;       // write the mission to this file
 };
 
 inline void add_options(CLI::App& app, MissionChoice& choice) {
   auto* mission =
-      app.add_option("--mission", choice.name,
-                     "hybrid: take off, figure eight, land, drive, take off, land, each from rest; "
-                     "air: the figure eight in flight; ground: the figure eight on the ground; "
-                     "rolling: from the eight in flight to the eight on the ground and back "
-                     "without a stop; excite: hover and shake all axes, for identify_vehicle")
-          ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling", "excite"}))
+      app.add_option(
+             "--mission", choice.name,
+             "hybrid: take off, figure eight, land, drive, take off, land, each from rest; "
+             "air: the figure eight in flight; ground: the figure eight on the ground; "
+             "rolling: from the eight in flight to the eight on the ground and back "
+             "without a stop; excite: hover and shake all axes, for identify_vehicle; inspect: "
+             "push with a tool on a wall, slide along it by 1 m, fly back")
+          ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling", "excite", "inspect"}))
           ->capture_default_str();
   auto* excite = app.add_flag_callback(
       "--excite", [&choice] { choice.name = "excite"; }, "the same as --mission excite");
@@ -43,6 +50,9 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
                      "square, so that accelerations stay [m/s]")
           ->check(CLI::Range(0.1, 10.0))
           ->capture_default_str();
+  auto* force = app.add_option("--force", choice.force,
+                               "force of --mission inspect on the wall; 5 without this option [N]")
+                    ->check(CLI::Range(0.5, 100.0));
   auto* trajectory =
       app.add_option(
              "--trajectory", choice.trajectory,
@@ -51,15 +61,42 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
              "at rest, and is not below the ground")
           ->excludes(mission)
           ->excludes(excite)
+          ->excludes(force)
           ->excludes(speed);
   app.add_option("--mission-file", choice.file,
                  "fly the mission in this JSON file instead, a list of segments")
       ->excludes(mission)
       ->excludes(speed)
       ->excludes(excite)
+      ->excludes(force)
       ->excludes(trajectory);
   app.add_option("--write-mission", choice.write_path,
                  "write the chosen mission to this JSON file as a template, without flying");
+}
+
+/// The inspection of a wall: hover, push on it with `force` [N] for 10 s, slide to the left by 1 m
+/// at 0.2 m/s, fly back, hover. The tool is a rod ahead, 5 cm longer than the propellers reach.
+template <int Rotors>
+[[nodiscard]] tilt_ropter::Mission inspection(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                              double force,
+                                              const tilt_ropter::HybridMissionSettings& p) {
+  using namespace tilt_ropter;
+  double ahead = vehicle.wheels ? vehicle.wheels->radius : 0.0;
+  for (std::size_t i = 0; i < Rotors; ++i)
+    ahead = std::max(
+        ahead, vehicle.rotors[i].position.x() + rotor_parameters(vehicle, i).propeller_radius);
+  PushSettings push;
+  push.from = {{p.origin.x(), p.origin.y(), p.flight_height}, 0.0};
+  push.push.surface.tool.x() = ahead + 0.05;
+  push.push.surface.point = push.from.position + Eigen::Vector3d(ahead + 0.55, 0.0, 0.0);
+  push.push.force = force;
+  push.slide.y() = 1.0;
+  Waypoint end = push.from;
+  end.position += push.slide;
+  return Mission({{MissionPhase::hover, Hold(push.from, p.hover_time)},
+                  {MissionPhase::air, PushMotion(push)},
+                  {MissionPhase::hover, Hold(end, p.hover_time)}},
+                 p.start_time);
 }
 
 /// Returns the mission of `choice`. Throws std::invalid_argument if the vehicle cannot do it, and
@@ -69,6 +106,8 @@ template <int Rotors>
                                               const tilt_ropter::Vehicle<Rotors>& vehicle) {
   using namespace tilt_ropter;
   const std::optional<Undercarriage> wheels = undercarriage(vehicle);
+  if (choice.force && choice.name != "inspect")
+    throw std::invalid_argument("--force: only with --mission inspect");
   if (!choice.file.empty()) return read_mission(choice.file, wheels);
   if (!choice.trajectory.empty()) return read_trajectory(choice.trajectory, wheels);
   HybridMissionSettings settings;
@@ -82,6 +121,7 @@ template <int Rotors>
   lengths.roll_length *= faster;
   if (choice.name == "hybrid") return hybrid_mission(vehicle, settings);
   if (choice.name == "excite") return excitation_experiment(settings);
+  if (choice.name == "inspect") return inspection(vehicle, choice.force.value_or(5.0), settings);
   if (choice.name == "air") return aerial_experiment(settings);
   if (!wheels)
     throw std::invalid_argument("--mission " + choice.name + ": the vehicle has no wheels");

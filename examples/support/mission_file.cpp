@@ -1,6 +1,7 @@
 #include "mission_file.hpp"
 
 #include "../../cmake/vehicle_file/tilt_ropter/json_fields.hpp"
+#include "push_motion.hpp"
 #include "trajectory_file.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -40,9 +41,9 @@ const Range metres{-1e3, 1e3, "m"}, seconds{1e-2, 1e4, "s"}, speeds{1e-2, 50.0, 
     accelerations{1e-2, 100.0, "m/s^2"}, yaw_rates{1e-2, 20.0, "rad/s"},
     yaw_accelerations{1e-2, 200.0, "rad/s^2"}, degrees{-720.0, 720.0, "deg"};
 
-const std::vector<std::string> types = {"rest",       "hover",       "take_off", "land",
-                                        "turn",       "go_to",       "stop",     "way_points",
-                                        "trajectory", "figure_eight"};
+const std::vector<std::string> types = {"rest",       "hover",        "take_off", "land",
+                                        "turn",       "go_to",        "stop",     "way_points",
+                                        "trajectory", "figure_eight", "push"};
 const std::vector<std::string> phases = {"take_off", "hover", "air", "landing", "ground"};
 
 MissionPhase phase_of(const std::string& name) {
@@ -164,6 +165,7 @@ class Reader {
       return {{place->on_ground ? MissionPhase::ground : MissionPhase::air, stop(from, limit)}};
     }
     if (type == "way_points") return {way_points(i, fields, *place)};
+    if (type == "push") return {push(i, fields, *place)};
     return {figure_eight(i, fields, *place)};
   }
 
@@ -305,6 +307,24 @@ class Reader {
     return {place.on_ground ? MissionPhase::ground : MissionPhase::air, FigureEight(s)};
   }
 
+  static MissionSegment push(std::size_t i, Fields& fields, const Place& place) {
+    if (place.on_ground) refuse(path(i) + ".type", "\"push\"", "where the vehicle is in the air");
+    PushSettings s;
+    s.from = place.waypoint();
+    Surface& surface = s.push.surface;
+    surface.point = fields.vector("surface_point_m", metres);
+    const Eigen::Vector3d normal = fields.vector("normal", {-1e3, 1e3, ""});
+    if (!(normal.norm() > 1e-3)) refuse(fields.name("normal"), shown(0.0), "a direction");
+    surface.normal = normal.normalized();
+    surface.tool = fields.vector("tool_m", metres);
+    surface.friction = fields.number("friction", {0.0, 2.0, ""}, surface.friction);
+    s.push.force = fields.number("force_n", {0.1, 1e4, "N"});
+    s.hold = fields.number("hold_s", seconds, s.hold);
+    fields.vector_if_there("slide_m", metres, s.slide);
+    s.speed = fields.number("speed_mps", speeds, s.speed);
+    return {MissionPhase::air, PushMotion(s)};
+  }
+
   /// Returns the start of the segment after segment i, if segment i ends at `place`.
   ReferencePoint start_of_next(std::size_t i, const Place& place) const {
     const std::vector<MissionSegment> next = build(i + 1, place);
@@ -420,7 +440,8 @@ class Writer {
                to = on_ground(s(s.end_time()).position);
     Json object;
     MissionPhase usual = phase_between(from, to);
-    if (!writes<Hold, Transition, FigureEight, MinimumSnap, SampledPath>(object, s, usual))
+    if (!writes<Hold, Transition, FigureEight, MinimumSnap, SampledPath, PushMotion>(object, s,
+                                                                                     usual))
       throw MissionFileError(
           "--write-mission: a mission file has no type for the motion in phase " +
           std::string(to_string(s.phase)));
@@ -511,6 +532,19 @@ class Writer {
 
   static void write(Json& object, MissionPhase, const SampledPath&, MissionPhase&) {
     object["type"] = "trajectory";
+  }
+
+  static void write(Json& object, MissionPhase, const PushMotion& motion, MissionPhase&) {
+    const PushSettings& s = motion.settings();
+    object["type"] = "push";
+    object["surface_point_m"] = list_of(s.push.surface.point);
+    object["normal"] = list_of(s.push.surface.normal);
+    object["tool_m"] = list_of(s.push.surface.tool);
+    object["friction"] = s.push.surface.friction;
+    object["force_n"] = s.push.force;
+    object["hold_s"] = s.hold;
+    object["slide_m"] = list_of(s.slide);
+    object["speed_mps"] = s.speed;
   }
 
   static void write_heading(Json& object, HeadingMode heading, double max_yaw_rate) {

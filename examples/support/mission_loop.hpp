@@ -13,6 +13,7 @@
 #include "mission_sensors.hpp"
 #include "paper_switches.hpp"
 #include "progress.hpp"
+#include "push_motion.hpp"
 #include "sensor_suite.hpp"
 #include "solver_choice.hpp"
 #include "vehicle_check.hpp"
@@ -378,6 +379,7 @@ struct FlownMission {
   RotorSpeedFigures rotor_speeds;
   ResidualFigures residuals;
   WallFigures wall;
+  std::optional<PushFigures> push;
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
@@ -407,6 +409,23 @@ template <int Rotors>
   if (options.ground_thrust >= 0.0) settings.ground.down_force = options.ground_thrust;
   set_solver(options.solver, settings.solver);
   return controls;
+}
+
+/// Returns the surface on which `mission` pushes, if it does. Throws std::invalid_argument if there
+/// is more than one, or a wall beside it.
+[[nodiscard]] inline std::optional<tilt_ropter::Surface> pushed_surface(
+    const tilt_ropter::Mission& mission, const WallOptions& wall) {
+  std::optional<tilt_ropter::Surface> pushed;
+  for (const tilt_ropter::MissionSegment& segment : mission.segments()) {
+    const auto* motion = segment.motion<PushMotion>();
+    if (motion == nullptr) continue;
+    const tilt_ropter::Surface& surface = motion->settings().push.surface;
+    if (wall.x || (pushed && (pushed->point != surface.point || pushed->normal != surface.normal ||
+                              pushed->tool != surface.tool)))
+      throw std::invalid_argument("the mission pushes on a surface: no other wall is possible");
+    pushed = surface;
+  }
+  return pushed;
 }
 
 /// Flies the mission on `plant`, returns its figures, and writes hybrid_mission.csv and
@@ -522,7 +541,10 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   FailingActuator<Rotors> failing(options.failure, vehicles.truth);
   const auto start = std::chrono::steady_clock::now();
   const long steps = std::lround(mission.duration() / step);
-  std::optional<Wall> wall = options.wall.at(0.0);
+  WallOptions walls = options.wall;
+  walls.pushed = pushed_surface(mission, walls);
+  if (walls.pushed) flown.push.emplace();
+  std::optional<Wall> wall = walls.at(0.0);
   if (wall) plant.set_wall(wall);
   for (long i = 0; i < steps; ++i) {
     const double time = plant.time();
@@ -554,7 +576,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       if (logs) logs->add(mission, plant, controller, power, battery);
     }
     tap.end_step(time, command);
-    if (wall && !options.wall.at(time)) plant.set_wall(wall = std::nullopt);
+    if (wall && !walls.at(time)) plant.set_wall(wall = std::nullopt);
     if (i % 1000 == 0) on_progress(time / mission.duration(), mission.phase(time));
     if (battery.known()) (void)plant.set_voltage(battery.load().voltage);
     const Eigen::Matrix<double, Rotors, 1> tilt = plant.actuators().tilt_angle;
@@ -567,6 +589,9 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
       flown.wall.on_step(plant.time(), wall, plant.wall_force(), plant.body(),
                          mission(plant.time()).position.z(),
                          controller.contact().estimate().blocked.has_value());
+    if (flown.push)
+      flown.push->on_step(plant.time(), mission(plant.time()), plant.wall_force(),
+                          plant.body().position);
     flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());
     const Eigen::Vector3d wanted = mission(plant.time()).position;
@@ -664,6 +689,7 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
     printed << "take_over_drop_m: " << flown.take_over_drop
             << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
   if (options.wall.x) flown.wall.print(printed, options.wall.until);
+  if (flown.push) flown.push->print(printed);
   flown.rotor_speeds.print(printed);
   flown.residuals.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'

@@ -66,7 +66,7 @@ inline std::vector<std::string> mission_columns(int rotor_count, bool battery = 
         "solved_by", "nlopt_evaluations", "polishing_steps"})
     names.emplace_back(name);
   for (const auto& residual : named_residuals({})) names.emplace_back(residual.first);
-  for (const char* name : {"blocked", "blocked_x", "blocked_y", "wall_force_n"})
+  for (const char* name : {"blocked", "blocked_x", "blocked_y", "wall_force_n", "push_force_n"})
     names.emplace_back(name);
   if (battery) names.insert(names.end(), {"voltage_v", "current_a"});
   return names;
@@ -105,7 +105,8 @@ void log_row(MissionLog& log, const tilt_ropter::Mission& mission, const Plant& 
   const tilt_ropter::Obstacle obstacle =
       contact.blocked.value_or(tilt_ropter::Obstacle{Eigen::Vector3d::Zero(), 0.0});
   log.add(contact.blocked.has_value()).add_all(obstacle.direction.head<2>().eval());
-  log.add(plant.wall_force());
+  const std::optional<tilt_ropter::SurfacePush> push = mission(time).push;
+  log.add(plant.wall_force()).add(push ? push->force : 0.0);
   if (battery != nullptr && battery->known())
     log.add(battery->load().voltage).add(battery->load().current);
   log.end_row();

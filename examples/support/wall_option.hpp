@@ -25,8 +25,14 @@ struct WallOptions {
   double angle = 0.0, friction = 0.5, stiffness = 1e4;     // [deg], -, [N/m]
   double until = std::numeric_limits<double>::infinity();  // [s]
 
+  /// The surface on which the mission pushes, which the controller knows.
+  std::optional<tilt_ropter::Surface> pushed;
+
   /// The wall at `time` [s].
   [[nodiscard]] std::optional<tilt_ropter::Wall> at(double time) const {
+    if (pushed)
+      return tilt_ropter::Wall{pushed->point, pushed->normal, friction, stiffness,
+                               0.0,           pushed->tool};
     if (!x || time >= until) return std::nullopt;
     const double azimuth = angle * tilt_ropter::pi / 180.0;
     tilt_ropter::Wall wall;
@@ -47,13 +53,12 @@ inline void add_wall(CLI::App& app, WallOptions& wall) {
       ->check(CLI::Range(-180.0, 180.0))
       ->needs(x)
       ->capture_default_str();
-  app.add_option("--wall-friction", wall.friction, "friction coefficient of the wall")
+  app.add_option("--wall-friction", wall.friction,
+                 "friction coefficient of this wall, or of the surface on which the mission pushes")
       ->check(CLI::Range(0.0, 2.0))
-      ->needs(x)
       ->capture_default_str();
-  app.add_option("--wall-stiffness", wall.stiffness, "stiffness of the wall [N/m]")
+  app.add_option("--wall-stiffness", wall.stiffness, "stiffness of the same [N/m]")
       ->check(CLI::Range(100.0, 1e5))
-      ->needs(x)
       ->capture_default_str();
   app.add_option("--wall-until", wall.until, "time at which the wall goes away [s]")->needs(x);
 }

@@ -242,6 +242,27 @@ TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
   }
 }
 
+TEST(HybridMission, InspectsAWall) {
+  for (const char* level : {"wrench", "actuator"}) {
+    const Flight flight =
+        run(std::string("--mission inspect --force 4 --no-pictures --level ") + level);
+    ASSERT_EQ(flight.exit_code, 0) << flight.output;
+    EXPECT_NEAR(flight["force_mean_n"], 4.0, 0.1) << level;
+    EXPECT_LT(flight["force_stddev_n"], 0.15) << level;
+    EXPECT_LT(flight["force_max_n"], 5.2) << level;
+    EXPECT_GT(flight["force_impact_n"], flight["force_max_n"]) << level;
+    EXPECT_LT(flight["slide_error_m"], 0.02) << level;
+    EXPECT_LT(flight["slide_force_error_n"], 1.0) << level;
+    EXPECT_EQ(flight["solver_failures"], 0) << level;
+  }
+  EXPECT_TRUE(run("--force 4 --no-pictures").says("only with --mission inspect"));
+  EXPECT_TRUE(run("--mission inspect --wall 2 --no-pictures").says("no other wall"));
+  const Flight soft = run("--mission inspect --wall-stiffness 1000 --no-pictures"),
+               smooth = run("--mission inspect --wall-friction 0.1 --no-pictures");
+  EXPECT_LT(soft["force_impact_n"], 9.0);
+  EXPECT_NE(smooth["slide_error_m"], soft["slide_error_m"]);
+}
+
 // The hybrid trajectory of the paper again, from a file with 20 samples per second.
 TEST(HybridMission, FollowsATrajectoryFromAFile) {
   using namespace tilt_ropter;

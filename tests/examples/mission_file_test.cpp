@@ -3,6 +3,7 @@
 
 #include "../../examples/support/mission_file.hpp"
 #include "../../examples/support/hybrid_experiment.hpp"
+#include "../../examples/support/mission_choice.hpp"
 #include "support/program.hpp"
 
 #include <tilt_ropter/model/vehicle.hpp>
@@ -44,12 +45,13 @@ std::string error_of(const std::string& segments, const std::string& start = "[0
 }
 
 int kind_of(const MissionSegment& s) {
-  return s.motion<Hold>()          ? 1
-         : s.motion<Transition>()  ? 2
-         : s.motion<FigureEight>() ? 3
-         : s.motion<MinimumSnap>() ? 4
-         : s.motion<SampledPath>() ? 5
-                                   : 0;
+  return s.motion<Hold>()                   ? 1
+         : s.motion<Transition>()           ? 2
+         : s.motion<FigureEight>()          ? 3
+         : s.motion<MinimumSnap>()          ? 4
+         : s.motion<SampledPath>()          ? 5
+         : s.motion<examples::PushMotion>() ? 6
+                                            : 0;
 }
 
 void expect_same(const Mission& a, const Mission& b) {
@@ -66,6 +68,7 @@ void expect_same(const Mission& a, const Mission& b) {
     ASSERT_LT((p.acceleration - q.acceleration).norm(), 1e-7) << time;
     ASSERT_LT(p.orientation.angularDistance(q.orientation), 1e-7) << time;
     ASSERT_LT((p.angular_velocity - q.angular_velocity).norm(), 1e-7) << time;
+    ASSERT_EQ(p.push ? p.push->force : 0.0, q.push ? q.push->force : 0.0) << time;
   }
 }
 
@@ -83,6 +86,7 @@ TEST(MissionFile, WrittenMissionIsTheSameMission) {
       {hybrid_mission(legs, turned), legs},
       {hybrid_mission(two_axles, turned), two_axles},
       {hybrid_mission(std::nullopt), std::nullopt},
+      {examples::inspection(tilt_ropter_vehicle(), 3.0, turned), std::nullopt},
       {examples::ground_experiment(*wheels, turned), wheels},
       {examples::hybrid_experiment(*wheels, turned), wheels}};
   for (const auto& [mission, undercarriage] : missions) {
@@ -211,6 +215,10 @@ TEST(MissionFile, TrajectoryIsRelativeToTheFile) {
 }
 
 /// Each optional field, with a mission that another value of the field changes.
+const std::string push_on_a_wall =
+    R"("type": "push", "surface_point_m": [1, 0, 0], "normal": [-1, 0, 0], )"
+    R"("tool_m": [0.3, 0, 0], "force_n": 5)";
+
 TEST(MissionFile, EveryFieldHasAnEffect) {
   struct Case {
     std::string before, segment, field;
@@ -251,6 +259,14 @@ TEST(MissionFile, EveryFieldHasAnEffect) {
       {"", R"("type": "figure_eight")", R"("max_yaw_rate_radps": 0.5)"},
       {R"({"type": "way_points", "points_m": [[3, 0]], "end_velocity_mps": [1, 0, 0]},)",
        R"("type": "stop")", R"("max_acceleration_mps2": 0.5)"},
+      {hover, push_on_a_wall, R"("surface_point_m": [1.1, 0, 0])"},
+      {hover, push_on_a_wall, R"("normal": [-1, 0.1, 0])"},
+      {hover, push_on_a_wall, R"("tool_m": [0.4, 0, 0])"},
+      {hover, push_on_a_wall, R"("force_n": 3)"},
+      {hover, push_on_a_wall, R"("friction": 0.2)"},
+      {hover, push_on_a_wall, R"("hold_s": 3)"},
+      {hover, push_on_a_wall, R"("slide_m": [0, 1, 0])"},
+      {hover, push_on_a_wall + R"(, "slide_m": [0, 1, 0])", R"("speed_mps": 0.1)"},
   };
   const auto differ = [](const Mission& a, const Mission& b) {
     if (std::abs(a.duration() - b.duration()) > 1e-6) return true;
@@ -258,6 +274,9 @@ TEST(MissionFile, EveryFieldHasAnEffect) {
       const ReferencePoint p = a(time), q = b(time);
       if ((p.position - q.position).norm() > 1e-6 || a.phase(time) != b.phase(time)) return true;
       if (p.orientation.angularDistance(q.orientation) > 1e-6) return true;
+      if (p.push && q.push &&
+          (p.push->force != q.push->force || p.push->surface.friction != q.push->surface.friction))
+        return true;
     }
     return false;
   };
@@ -265,7 +284,7 @@ TEST(MissionFile, EveryFieldHasAnEffect) {
     std::string changed = c.segment;
     const std::string key = c.field.substr(0, c.field.find(':'));
     const auto was = changed.find(", " + key);
-    if (was != std::string::npos) changed.erase(was);
+    if (was != std::string::npos) changed.erase(was, changed.find(", \"", was + 1) - was);
     // A turn brings the vehicle into the start of a path along its velocity.
     const std::string turn =
         c.field.find("along_velocity") == std::string::npos ? "" : R"({"type": "turn"},)";
@@ -295,6 +314,9 @@ TEST(MissionFile, ErrorsNameSegmentFieldValueAndRange) {
       {R"({"type": "hover", "duration_s": 1})", {"segments[0].type = \"hover\"", "on the ground"}},
       {up + R"({"type": "rest", "duration_s": 1})", {"segments[1].type = \"rest\"", "in the air"}},
       {up + R"({"type": "take_off", "height_m": 2})", {"segments[1].type", "on the ground"}},
+      {'{' + push_on_a_wall + '}', {"segments[0].type = \"push\"", "in the air"}},
+      {up + '{' + push_on_a_wall + R"(, "slide_m": [1, 0, 0]})", {"slide", "along the surface"}},
+      {up + '{' + push_on_a_wall + R"(, "slide_m": [0, 0.1, 0]})", {"slide", "one second"}},
       {R"({"type": "land"})", {"segments[0].type = \"land\"", "in the air"}},
       {R"({"type": "take_off", "height_m": 0.1})", {"height_m = 0.1", "in [0.12, 1000] m"}},
       {up + R"({"type": "go_to", "position_m": [1]})", {"segments[1].position_m = [1]", "two or"}},

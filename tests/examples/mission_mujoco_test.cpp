@@ -70,6 +70,15 @@ TEST(MissionMujoco, FliesAMissionFromAFile) {
   EXPECT_GT(flight["max_current_A"], 653.64 / 16.8);
 }
 
+TEST(MissionMujoco, InspectsAWall) {
+  const Flight flight = run("--mission inspect --level actuator");
+  ASSERT_EQ(flight.exit_code, 0) << flight.output;
+  EXPECT_NEAR(flight["force_mean_n"], 5.0, 0.15) << flight.output;
+  EXPECT_LT(flight["force_stddev_n"], 0.15) << flight.output;
+  EXPECT_LT(flight["force_max_n"], 6.0) << flight.output;
+  EXPECT_LT(flight["slide_error_m"], 0.02) << flight.output;
+}
+
 // Flies seven rotors that do not tilt; every vehicle file in a full run.
 TEST(MissionMujoco, FliesVehiclesOfAnyNumberOfRotors) {
   std::vector<std::string> names = {"hexacopter_with_pusher"};
