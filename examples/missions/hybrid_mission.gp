@@ -41,7 +41,7 @@ take(block, names) = sprintf("load \"< echo '%s << END'; cut -d , -f \
   $(head -n 1 %s | tr , '\\n' | grep -nxE '%s' | cut -d : -f 1 | paste -sd ,) %s; echo END\"", \
   block, log, names, log)
 eval take("$motion", \
-  "time_s|phase|on_ground|(position|reference)_m_.|external_force_n_z|power_w|voltage_v")
+  "time_s|phase|on_ground|(position|reference)_m_.|external_force_n_z|power_w|voltage_v|wall_force_n|push_force_n")
 rotors = 0
 do for [i = 1:8] { if (strstrt(header, sprintf("rotor_speed_radps_%d", i))) { rotors = i } }
 mean_speed(_) = (sum [i = 1:rotors] speed(i)) / rotors
@@ -67,6 +67,12 @@ if (driven) {
 }
 air_rmse = sqrt(air_mean_x); ground_rmse = sqrt(ground_mean_x)
 start[phases + 1] = run_max
+
+pushes = 0
+if (strstrt(header, "push_force_n")) {
+  stats $motion using (column("push_force_n")) name "push" nooutput
+  pushes = push_max > 0
+}
 
 # ---- Pictures: title, and panels with margins in pixels. Every picture resets the settings.
 picture(name, pixels, title) = sprintf("unset multiplot; height = %d.0; gap = 28; \
@@ -129,6 +135,24 @@ plot $motion using (t(0)):(distance_mm(0)) with lines ls 1 lc rgb ink notitle, \
        title sprintf("RMSE in the air %.1f mm (paper: 52 mm)", air_rmse), \
      for [k = 1:driven] "" using (t(0)):(only(in(5), ground_rmse)) with lines lw 3 lc rgb red \
        title sprintf("RMSE on the ground %.1f mm (paper: 145 mm)", ground_rmse)
+
+# ---- Force on a surface: each tick as a point, since a contact chatters where it slides
+if (pushes) {
+  eval picture("push_force", 900, "Pushing on a surface: force and place")
+  eval row(1, 2, 30, 65)
+  set key vertical inside top right maxrows auto
+  set ylabel "force [N]"; set yrange [0:2.5 * push_max]
+  plot $motion using (t(0)):(column("wall_force_n")) with points pt 7 ps 0.3 lc rgb blue notitle, \
+       "" using (t(0)):(column("push_force_n")) with lines ls 2 lc rgb red title "reference", \
+       NaN with points pt 7 lc rgb blue title "surface"
+  eval row(2, 2, 30, 65)
+  set key vertical inside top left maxrows auto
+  set ylabel "position [m]"; set autoscale y
+  plot $motion using (t(0)):(x("reference")) with lines lc rgb pale lw 5 title "reference", \
+       "" using (t(0)):(y("reference")) with lines lc rgb pale lw 5 notitle, \
+       "" using (t(0)):(x("position")) with lines ls 1 lc rgb blue title "x", \
+       "" using (t(0)):(y("position")) with lines ls 1 lc rgb red title "y"
+}
 
 # ---- Height and contact: the whole run; below it, each change of the contact mode enlarged
 eval picture("height_and_contact", 950, "Height of the centre of mass and contact with the ground")

@@ -43,7 +43,8 @@ std::string replaced(std::string text, const std::string& from, const std::strin
 
 /// What the page shows of the log, by the columns' names.
 std::vector<std::string> shown_columns(std::size_t rotors) {
-  std::vector<std::string> names = {"time_s", "phase", "on_ground", "power_w", "orientation_w"};
+  std::vector<std::string> names = {"time_s",        "phase",        "on_ground",   "power_w",
+                                    "orientation_w", "wall_force_n", "push_force_n"};
   for (const char* axis : {"_x", "_y", "_z"})
     for (const char* name : {"position_m", "reference_m", "velocity_mps", "orientation",
                              "command_force_n", "estimated_force_n", "external_force_n"})

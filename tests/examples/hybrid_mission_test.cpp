@@ -244,9 +244,11 @@ TEST(HybridMission, FliesAndDrivesTheEightsOnTheirOwn) {
 
 TEST(HybridMission, InspectsAWall) {
   for (const char* level : {"wrench", "actuator"}) {
-    const Flight flight =
-        run(std::string("--mission inspect --force 4 --no-pictures --level ") + level);
+    const Flight flight = run(std::string("--mission inspect --force 4 --level ") + level +
+                              (level == std::string("wrench") ? "" : " --no-pictures"));
     ASSERT_EQ(flight.exit_code, 0) << flight.output;
+    EXPECT_EQ(flight.pictures, level == std::string("wrench") ? 9 : 0);
+    EXPECT_EQ(flight.output.find("arning"), std::string::npos) << flight.output;
     EXPECT_NEAR(flight["force_mean_n"], 4.0, 0.1) << level;
     EXPECT_LT(flight["force_stddev_n"], 0.15) << level;
     EXPECT_LT(flight["force_max_n"], 5.2) << level;

@@ -36,6 +36,7 @@ void write_logs(const Directory& directory, int rows, int times) {
     names += ',' + name;
     row += ",1";
   };
+  for (const char* name : {"wall_force_n", "push_force_n"}) add(name);
   for (const char* axis : {"_x", "_y", "_z"})
     for (const char* name : {"position_m", "reference_m", "velocity_mps", "orientation",
                              "command_force_n", "estimated_force_n", "external_force_n"})
