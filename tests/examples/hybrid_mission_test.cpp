@@ -257,6 +257,8 @@ TEST(HybridMission, InspectsAWall) {
     EXPECT_LT(flight["slide_force_error_n"], 1.0) << level;
     EXPECT_EQ(flight["solver_failures"], 0) << level;
   }
+  EXPECT_TRUE(run("--mission inspect --no-pictures --vehicle '" VEHICLES_DIR "/quadrotor.json'")
+                  .says("needs a vehicle that gives every force"));
   EXPECT_TRUE(run("--force 4 --no-pictures").says("only with --mission inspect"));
   EXPECT_TRUE(run("--mission inspect --wall 2 --no-pictures").says("no other wall"));
   const Flight soft = run("--mission inspect --wall-stiffness 1000 --no-pictures"),
