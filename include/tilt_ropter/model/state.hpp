@@ -232,8 +232,8 @@ struct ReferencePoint {
   Eigen::Vector3d angular_acceleration =
       Eigen::Vector3d::Zero();  ///< derivative of angular_velocity, body frame [rad/s^2]
   /// The vehicle pushes on a surface here. Position and velocity along its normal are then not
-  /// followed: the vehicle comes closer at 0.1 m/s until its tool touches, and holds the force. The
-  /// rest of the point is followed as ever, for example to slide along the surface.
+  /// followed: the vehicle comes closer, at most at 0.1 m/s, until its tool touches, and holds the
+  /// force. The rest of the point is followed as ever, for example to slide along the surface.
   /// ContactEstimator has to know the reference. In the air only.
   std::optional<SurfacePush> push;
 };

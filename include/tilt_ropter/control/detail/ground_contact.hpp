@@ -220,9 +220,12 @@ class GroundContact {
   // rest it holds the vehicle, and balancing it would make the tool slip.
   void push(const SurfacePush& push, const ContactEstimate& contact, const BodyStated& measured,
             double ahead, bool pushes_now, FlightNode& node) const noexcept {
-    constexpr double approach = 0.1, beyond = 0.05;  // [m/s], behind the surface [m]
-    constexpr double ramp = 0.5;                     // from the touch to the whole force [s]
-    constexpr double still = 0.005;                  // [m]
+    // Slower for a small force, which would not stop the bounces of a fast touch.
+    constexpr double fastest = 0.1, enough = 0.3;  // [m/s], with this force / weight
+    const double approach = fastest * std::min(1.0, push.force / (enough * mass_ * gravity));
+    constexpr double beyond = 0.05;  // behind the surface [m]
+    constexpr double ramp = 0.5;     // from the touch to the whole force [s]
+    constexpr double still = 0.005;  // [m]
     const Surface& surface = push.surface;
     const Eigen::Vector3d& n = surface.normal;
     const double here = n.dot(measured.position);
