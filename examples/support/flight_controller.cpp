@@ -12,15 +12,14 @@ namespace examples {
 
 using namespace tilt_ropter;
 
+// What both levels have.
 template <int Rotors>
 FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
-                                           const NmpcSettings& settings,
                                            const EkfSettings& estimation,
                                            const WrenchObserverSettings& observer,
-                                           const AllocationSettings& allocation,
-                                           ExternalWrench external, bool solved_by_nlopt_alone)
-    : allocation_(std::in_place, vehicle, allocation),
-      body_(vehicle),
+                                           ExternalWrench external,
+                                           const ActuatorNmpcSettings& after_failure)
+    : body_(vehicle),
       actuators_(vehicle),
       ekf_(estimation),
       observer_(vehicle.body, observer),
@@ -30,13 +29,24 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
       external_(external),
       vehicle_(vehicle),
       detector_(vehicle),
-      after_failure_(actuator_nmpc_settings(vehicle)) {
+      after_failure_(after_failure) {
+  allow_passes_after_failure();
+}
+
+template <int Rotors>
+FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
+                                           const NmpcSettings& settings,
+                                           const EkfSettings& estimation,
+                                           const WrenchObserverSettings& observer,
+                                           const AllocationSettings& allocation,
+                                           ExternalWrench external, bool solved_by_nlopt_alone)
+    : FlightController(vehicle, estimation, observer, external, actuator_nmpc_settings(vehicle)) {
   after_failure_.time_limit = settings.time_limit;
   after_failure_.ground = settings.ground;
-  allow_passes_after_failure();
   if (!has_wrench_level<Rotors>)
     throw std::invalid_argument("FlightController: the wrench level needs 4 rotors or more");
   if constexpr (has_wrench_level<Rotors>) {
+    allocation_.emplace(vehicle, allocation);
     if (solved_by_nlopt_alone)
       nmpc_by_nlopt_.emplace(vehicle, settings);
     else
@@ -50,19 +60,8 @@ FlightController<Rotors>::FlightController(const Vehicle<Rotors>& vehicle,
                                            const EkfSettings& estimation,
                                            const WrenchObserverSettings& observer,
                                            ExternalWrench external)
-    : actuator_nmpc_(std::in_place, vehicle, settings),
-      body_(vehicle),
-      actuators_(vehicle),
-      ekf_(estimation),
-      observer_(vehicle.body, observer),
-      by_poses_(vehicle.body),
-      clock_offset_(estimation.clock_offset),
-      contact_(vehicle),
-      external_(external),
-      vehicle_(vehicle),
-      detector_(vehicle),
-      after_failure_(settings) {
-  allow_passes_after_failure();
+    : FlightController(vehicle, estimation, observer, external, settings) {
+  actuator_nmpc_.emplace(vehicle, settings);
 }
 
 // A vehicle that has begun to tumble is saved by plans that are solved: with 6 passes, 2 of 143

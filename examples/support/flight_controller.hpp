@@ -167,6 +167,10 @@ class FlightController {
   [[nodiscard]] bool at_wrench_level() const { return !actuator_nmpc_; }
 
  private:
+  FlightController(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                   const tilt_ropter::EkfSettings& estimation,
+                   const tilt_ropter::WrenchObserverSettings& observer, ExternalWrench external,
+                   const tilt_ropter::ActuatorNmpcSettings& after_failure);
   [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
       const tilt_ropter::ActuatorState<Rotors>& actuators) const;
   void control_actuators(double time, bool measured);
