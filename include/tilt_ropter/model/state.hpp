@@ -208,15 +208,11 @@ struct SurfacePush {
 [[nodiscard]] inline Eigen::Vector3d slide_along(const Surface& surface,
                                                  const Eigen::Vector3d& velocity) noexcept {
   constexpr double least = 1e-3;  // [m/s]
-  const Eigen::Vector3d along = velocity - surface.normal.dot(velocity) * surface.normal;
-  return along.norm() > least ? along : Eigen::Vector3d(Eigen::Vector3d::Zero());
-}
-
-/// Returns the friction on a tool that slides with `slide` (world frame), over the coefficient and
-/// the normal force. Its length grows to one within 2 cm/s.
-[[nodiscard]] inline Eigen::Vector3d friction_of(const Eigen::Vector3d& slide) noexcept {
-  constexpr double full = 0.02;  // [m/s]
-  return -slide / std::max(full, slide.norm());
+  const double off = surface.normal.dot(velocity);
+  Eigen::Vector3d along = velocity;
+  for (int i = 0; i < 3; ++i) along(i) -= off * surface.normal(i);
+  if (!(along.squaredNorm() > least * least)) along.setZero();
+  return along;
 }
 
 /// One point of a time-parametrised reference. A reference is any callable that returns a point:

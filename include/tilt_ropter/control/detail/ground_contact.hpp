@@ -223,43 +223,56 @@ class GroundContact {
     // Slower for a small force, which would not stop the bounces of a fast touch.
     constexpr double fastest = 0.1, enough = 0.3;  // [m/s], with this force / weight
     const double approach = fastest * std::min(1.0, push.force / (enough * mass_ * gravity));
-    constexpr double beyond = 0.05;  // behind the surface [m]
-    constexpr double ramp = 0.5;     // from the touch to the whole force [s]
-    constexpr double still = 0.005;  // [m]
+    constexpr double beyond = 0.05;         // behind the surface [m]
+    constexpr double ramp = 0.5;            // from the touch to the whole force [s]
+    constexpr double still = 0.005;         // [m]
+    constexpr double full_friction = 0.02;  // speed of the slide from which it has its length [m/s]
+    using Triple = detail::Triple<double>;
     const Surface& surface = push.surface;
-    const Eigen::Vector3d& n = surface.normal;
-    const double here = n.dot(measured.position);
+    const Triple outward = detail::triple(surface.normal), none{0.0, 0.0, 0.0},
+                 position = detail::triple(measured.position);
+    const detail::Square<double> to_world = detail::square(measured.orientation.toRotationMatrix());
+    const double here = dot(outward, position);
     double along = here, closing = 0.0;  // position and velocity along the normal
     if (contact.touches_for > 0.0) {
       node.touches = true;
-      node.freedom.linear -= n * n.transpose();
-      const Eigen::Quaterniond to_body = measured.orientation.conjugate();
-      const Eigen::Vector3d slide = slide_along(surface, node.reference.velocity),
-                            &felt = contact.surface_reaction.force;
-      node.normal = to_body * n;
-      const double given = node.normal.dot(felt);
-      const bool rests = slide.isZero(0.0);
-      const Eigen::Vector3d rubbing =
-          rests ? Eigen::Vector3d(felt - given * node.normal)
-                : given * contact.friction * (to_body * friction_of(slide));
+      detail::put(detail::square(node.freedom.linear) + outer(0.0, -1.0 * outward, outward, none),
+                  node.freedom.linear, 0, 0);
+      const detail::Square<double> to_body = transposed(to_world);
+      const Triple normal = to_body * outward,
+                   felt = detail::triple(contact.surface_reaction.force),
+                   slide = detail::triple(slide_along(surface, node.reference.velocity));
+      detail::put(normal, node.normal);
+      const double given = dot(normal, felt), speed = std::sqrt(dot(slide, slide));
+      const bool rests = speed == 0.0;
+      const Triple rubbing =
+          rests ? felt - given * normal
+                : (-given * contact.friction / std::max(full_friction, speed)) * (to_body * slide);
       // The torque of the force that there is, but the force of the reference.
-      Wrenchd reaction{given * node.normal + rubbing, Eigen::Vector3d::Zero()};
-      reaction = transport(reaction, surface.tool);
-      reaction.force = std::min(1.0, (contact.touches_for + ahead) / ramp) *
-                       (push.force + contact.push_correction) * node.normal;
-      const Eigen::Vector3d off =
-          node.freedom.linear * (measured.position - node.reference.position);
-      if (!rests || off.norm() > still) reaction.force += rubbing;
-      node.external = node.external + reaction;
+      const Triple torque = cross(detail::triple(surface.tool), given * normal + rubbing);
+      Triple force = (std::min(1.0, (contact.touches_for + ahead) / ramp) *
+                      (push.force + contact.push_correction)) *
+                     normal;
+      Triple off = position - detail::triple(node.reference.position);
+      off += -dot(outward, off) * outward;
+      if (!rests || dot(off, off) > still * still) force += rubbing;
+      detail::put(detail::triple(node.external.force) + force, node.external.force);
+      detail::put(detail::triple(node.external.torque) + torque, node.external.torque);
     } else if (!pushes_now) {
       return;
     } else {
-      const double end = n.dot(surface.point - measured.orientation * surface.tool) - beyond;
+      const double end =
+          dot(outward, detail::triple(surface.point) - to_world * detail::triple(surface.tool)) -
+          beyond;
       along = std::max(here - approach * ahead, std::min(here, end));
       if (here - approach * ahead > end) closing = -approach;
     }
-    node.reference.position += (along - n.dot(node.reference.position)) * n;
-    node.reference.velocity += (closing - n.dot(node.reference.velocity)) * n;
+    const auto set_along = [&outward](double value, Eigen::Vector3d& of) {
+      const Triple now = detail::triple(of);
+      detail::put(now + (value - dot(outward, now)) * outward, of);
+    };
+    set_along(along, node.reference.position);
+    set_along(closing, node.reference.velocity);
   }
 
   // The reference descends to the expected ground with decreasing speed, then continues with
