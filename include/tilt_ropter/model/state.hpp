@@ -198,9 +198,10 @@ struct SurfacePush {
 /// Returns true if all numbers are finite, the force is positive and the normal has length one.
 [[nodiscard]] inline bool is_usable(const SurfacePush& push) noexcept {
   const Surface& s = push.surface;
-  return all_finite(s.point) && all_finite(s.normal) && all_finite(s.tool) &&
-         std::abs(s.normal.squaredNorm() - 1.0) < 1e-6 && s.friction >= 0.0 &&
-         std::isfinite(s.friction) && push.force > 0.0 && std::isfinite(push.force);
+  double sum = s.friction + push.force;  // finite if all numbers are
+  for (int i = 0; i < 3; ++i) sum += s.point(i) + s.tool(i);
+  return std::isfinite(sum) && std::abs(s.normal.squaredNorm() - 1.0) < 1e-6 && s.friction >= 0.0 &&
+         push.force > 0.0;
 }
 
 /// Returns the part of `velocity` along the surface, or zero if it is too slow to slide (world

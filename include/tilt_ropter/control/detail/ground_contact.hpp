@@ -144,7 +144,9 @@ class GroundContact {
   /// pitched more or less than the node has an angular velocity about this axis while it turns. If
   /// the model let this rotation continue, the plan would tend to keep the nose there.
   [[nodiscard]] BodyStated stopped(const FlightNode& node, BodyStated body) const noexcept {
-    if (node.touches) body.velocity = node.freedom.linear * body.velocity;
+    if (node.touches)
+      detail::put(detail::square(node.freedom.linear) * detail::triple(body.velocity),
+                  body.velocity);
     if (!undercarriage_ || !node.on_ground || !holds()) return body;
     Eigen::Vector3d& w = body.angular_velocity;
     const double along = node.roll_axis.dot(w);

@@ -172,7 +172,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
     if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e);
-    const Tangent q = state_weights(k);
+    const Tangent& q = state_weights(k);
     double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
     for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
     if (node(k).touches) {
@@ -190,7 +190,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
     if (ends_with_riccati(k))
       return after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
-    const Tangent q = state_weights(k);
+    const Tangent& q = state_weights(k);
     for (int i = 0; i < states; ++i) {
       model.gradient(i) = 2.0 * q(i) * e(i);
       model.hessian(i, i) = 2.0 * q(i);
@@ -199,12 +199,14 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     model.gradient(thrust) += 2.0 * ground_thrust_weight(k) * e(thrust);
     model.hessian(thrust, thrust) += 2.0 * ground_thrust_weight(k);
     if (node(k).touches) {
-      const Triple n = detail::triple(node(k).normal);
-      const Triple by_force = 2.0 * push_weight() * dot(n, detail::triple(e, I::force)) * n;
-      detail::put(detail::triple(model.gradient, I::force) + by_force, model.gradient, I::force);
-      detail::put(detail::square(model.hessian, I::force, I::force) +
-                      outer(0.0, 2.0 * push_weight() * n, n, Triple{0.0, 0.0, 0.0}),
-                  model.hessian, I::force, I::force);
+      const Eigen::Vector3d& n = node(k).normal;
+      const double along = dot(detail::triple(n), detail::triple(e, I::force)),
+                   weight = 2.0 * push_weight();
+      for (int i = 0; i < 3; ++i) {
+        model.gradient(I::force + i) += weight * along * n(i);
+        for (int j = 0; j < 3; ++j)
+          model.hessian(I::force + i, I::force + j) += weight * n(i) * n(j);
+      }
     }
     const Square weighted = transposed(scaled(by_angle, 2.0 * detail::triple(q, I::orientation)));
     detail::put(weighted * detail::triple(e, I::orientation), model.gradient, I::orientation);
@@ -308,9 +310,14 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   }
 
   void set_weights() {
-    state_weights_ = state_weights_of(settings_.weights);
-    for (int i = 0; i < states; ++i)
-      last_state_weights_(i) = settings_.weights.terminal * state_weights_(i);
+    Tangent weights = state_weights_of(settings_.weights);
+    for (int touches : {0, 1}) {
+      for (int i = 0; touches == 1 && i < 12; ++i)
+        weights(I::position + i) *= detail::touch_weights[i / 3];
+      state_weights_[0][touches] = weights;
+      for (int i = 0; i < states; ++i)
+        state_weights_[1][touches](i) = settings_.weights.terminal * weights(i);
+    }
     input_weights_ = input_weights_of(settings_.weights);
   }
 
@@ -380,11 +387,8 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     constexpr double time_constant = 0.15;  // of the force [s]
     return settings_.weights.force_rate.maxCoeff() / (time_constant * time_constant);
   }
-  [[nodiscard]] Tangent state_weights(int k) const {
-    Tangent q = k == horizon() ? last_state_weights_ : state_weights_;
-    for (int i = 0; node(k).touches && i < 12; ++i)
-      q(I::position + i) *= detail::touch_weights[i / 3];
-    return q;
+  [[nodiscard]] const Tangent& state_weights(int k) const {
+    return state_weights_[k == horizon()][node(k).touches];
   }
 
   [[nodiscard]] static Input packed(const Wrenchd& wrench) {
@@ -397,7 +401,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   RigidBodyd body_;
   RigidBody<Lanes> lanes_;
   ActuatorConstraints<Rotors> actuators_;
-  Tangent state_weights_, last_state_weights_;
+  Tangent state_weights_[2][2];  ///< of the last node; of a node that touches a surface
   Input input_weights_;
   std::vector<detail::CostAfterHorizon> after_horizon_;  // of TerminalCost::riccati, else empty
 };
