@@ -144,12 +144,12 @@ case $mode in
       --output build-sanitize-threads/results
     build-sanitize-threads/examples/reproduce_paper --only air --settings library,preset \
       --plants plant --threads 3 --no-pictures --output build-sanitize-threads/results
-    quick=(allocation_matrix_test frames_test rigid_body_test riccati_test riccati_equation_test
-      multipliers_test)
-    build plain build-tests "${quick[@]}"
-    for test in "${quick[@]}"; do
-      echo "== Running $test under valgrind"
-      valgrind --quiet --error-exitcode=1 build-tests/tests/"$test" --gtest_brief=1
+    build plain build-tests actuation_tests model_tests optimal_control_tests
+    echo "== Running matrices of actuators, rigid bodies and the Riccati recursion under valgrind"
+    for suites in actuation:AllocationMatrix model:Frames model:RigidBody optimal_control:Riccati \
+      optimal_control:SolveDare optimal_control:DualSolver; do
+      valgrind --quiet --error-exitcode=1 build-tests/tests/"${suites%:*}"_tests \
+        --gtest_filter="${suites#*:}.*" --gtest_brief=1
     done
     ;;
   coverage)

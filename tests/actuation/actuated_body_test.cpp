@@ -15,7 +15,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace actuated_body_test {
 
 using test_support::Dual;
 using test_support::Random;
@@ -237,5 +237,5 @@ TEST(ActuatedBody, LanesGiveTheSameAsDouble) {
   }
 }
 
-}  // namespace
+}  // namespace actuated_body_test
 }  // namespace tilt_ropter

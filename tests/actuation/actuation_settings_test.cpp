@@ -20,7 +20,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace actuation_settings_test {
 
 using namespace test_support;
 
@@ -164,5 +164,5 @@ TEST(ActuationSettings, PowerModelNamesItsArguments) {
                [&](double speed) { PowerModel(vehicle, Eigen::Vector4d(speed, 0.0, 0.0, 0.0)); });
 }
 
-}  // namespace
+}  // namespace actuation_settings_test
 }  // namespace tilt_ropter

@@ -8,7 +8,7 @@
 #include <cmath>
 #include <limits>
 
-namespace {
+namespace actuator_model_test {
 
 using namespace tilt_ropter;
 
@@ -249,4 +249,4 @@ TEST(ActuatorModel, FixedRotorsKeepAngleZero) {
   EXPECT_GT(model.state().tilt_angle(0), 0.9);
 }
 
-}  // namespace
+}  // namespace actuator_model_test

@@ -11,7 +11,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_outputs_test {
 
 using Eigen::Vector4d;
 using test_support::Random;
@@ -261,5 +261,5 @@ TEST(OutputScaling, WorksInSinglePrecisionAndWithDerivatives) {
   EXPECT_NEAR(slope(1, 1), -1.0 / 1.5, 1e-15);
 }
 
-}  // namespace
+}  // namespace actuator_outputs_test
 }  // namespace tilt_ropter

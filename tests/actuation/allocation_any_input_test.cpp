@@ -13,7 +13,7 @@
 #include <limits>
 #include <vector>
 
-namespace {
+namespace allocation_any_input_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -127,4 +127,4 @@ TEST(Allocation, AnyInputGivesAFiniteCommandWithinLimits) {
   }
 }
 
-}  // namespace
+}  // namespace allocation_any_input_test

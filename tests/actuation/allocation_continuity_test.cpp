@@ -18,7 +18,7 @@
 #include <cmath>
 #include <limits>
 
-namespace {
+namespace allocation_continuity_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -283,4 +283,4 @@ TEST(Allocation, HoldsAnglesIfTimeDoesNotAdvanceAndRecovers) {
   EXPECT_GT(allocation.allocate(1.02, push, {}, result).command.tilt_angle.norm(), 1e-3);
 }
 
-}  // namespace
+}  // namespace allocation_continuity_test

@@ -12,7 +12,7 @@
 #include "support/full_run.hpp"
 #include "support/random.hpp"
 
-namespace {
+namespace allocation_failures_test {
 
 using namespace tilt_ropter;
 using test_support::Random;
@@ -167,4 +167,4 @@ TEST(AllocationFailures, LostRotorHasZeroRatesAndOthersKeepTheirs) {
   EXPECT_GT(rates.rotor_acceleration.head<2>().cwiseAbs().minCoeff(), 1.0);
 }
 
-}  // namespace
+}  // namespace allocation_failures_test

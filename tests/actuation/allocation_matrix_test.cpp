@@ -8,7 +8,7 @@
 
 #include "support/vehicles.hpp"
 
-namespace {
+namespace allocation_matrix_test {
 
 using namespace tilt_ropter;
 using test_support::flat_quadrotor;
@@ -110,4 +110,4 @@ TEST(AllocationMatrix, RankIsIndependentOfVehicleSize) {
   }
 }
 
-}  // namespace
+}  // namespace allocation_matrix_test

@@ -10,7 +10,7 @@
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
-namespace {
+namespace allocation_priorities_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -139,4 +139,4 @@ TEST(AllocationPriorities, MaximiseTheFirstReducedGroup) {
   }
 }
 
-}  // namespace
+}  // namespace allocation_priorities_test

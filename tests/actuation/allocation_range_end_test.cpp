@@ -13,7 +13,7 @@
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
-namespace {
+namespace allocation_range_end_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -157,4 +157,4 @@ TEST(AllocationRangeEnd, RandomWalksThroughZeroThrustRarelyTurnArmsOver) {
   }
 }
 
-}  // namespace
+}  // namespace allocation_range_end_test

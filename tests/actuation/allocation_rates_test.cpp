@@ -16,7 +16,7 @@
 #include <cmath>
 #include <limits>
 
-namespace {
+namespace allocation_rates_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -194,4 +194,4 @@ TEST(Allocation, LagCompensationIsReducedAtSmallThrust) {
               0.01 * full, 1e-9);
 }
 
-}  // namespace
+}  // namespace allocation_rates_test

@@ -14,7 +14,7 @@
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
-namespace {
+namespace allocation_reach_test {
 
 using namespace tilt_ropter;
 using test_support::Random;
@@ -206,4 +206,4 @@ TEST(AllocationReach, GivesMostReachableWrenchesWithMinThrustNearTheRangeEnd) {
   }
 }
 
-}  // namespace
+}  // namespace allocation_reach_test

@@ -20,7 +20,7 @@
 #include <cstddef>
 #include <limits>
 
-namespace {
+namespace allocation_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -276,4 +276,4 @@ TEST(Allocation, ScalesUnreachableTorqueAndKeepsLift) {
   EXPECT_NEAR(idle.lost.force.z(), -6.0 * 0.3 * std::cos(0.5), 1e-9);
 }
 
-}  // namespace
+}  // namespace allocation_test

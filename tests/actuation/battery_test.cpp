@@ -8,7 +8,7 @@
 
 #include "support/random.hpp"
 
-namespace {
+namespace battery_test {
 
 using namespace tilt_ropter;
 using test_support::Random;
@@ -235,4 +235,4 @@ TEST(Battery, StatusHasAName) {
   EXPECT_STREQ(to_string(static_cast<BatteryStatus>(99)), "unknown");
 }
 
-}  // namespace
+}  // namespace battery_test

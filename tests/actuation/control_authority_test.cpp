@@ -7,7 +7,7 @@
 
 #include "support/vehicles.hpp"
 
-namespace {
+namespace control_authority_test {
 
 using namespace tilt_ropter;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
@@ -99,4 +99,4 @@ TEST(ControlAuthority, WorksForSixRotorsAndWithOneLost) {
   EXPECT_GT(five.least_thrust, 0.5);  // of the remaining rotors
 }
 
-}  // namespace
+}  // namespace control_authority_test

@@ -9,7 +9,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace failure_detector_ground_test {
 
 using test_support::FailingFlight;
 
@@ -103,5 +103,5 @@ TEST(FailureDetectorOnGround, WhatOtherCausesExplainIsNoFailure) {
     }
 }
 
-}  // namespace
+}  // namespace failure_detector_ground_test
 }  // namespace tilt_ropter

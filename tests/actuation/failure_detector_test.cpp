@@ -15,7 +15,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace failure_detector_test {
 
 constexpr double degree = pi / 180.0;
 
@@ -349,5 +349,5 @@ TEST(FailureDetector, IgnoresInvalidInput) {
   EXPECT_EQ(detector.failure().kind, FailureKind::rotor);
 }
 
-}  // namespace
+}  // namespace failure_detector_test
 }  // namespace tilt_ropter

@@ -7,7 +7,7 @@
 
 #include "support/autodiff.hpp"
 
-namespace {
+namespace power_test {
 
 using namespace tilt_ropter;
 
@@ -80,4 +80,4 @@ TEST(Power, FloatMatchesDoubleAndDerivativeIsCorrect) {
               1e-12);
 }
 
-}  // namespace
+}  // namespace power_test

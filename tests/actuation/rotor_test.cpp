@@ -10,7 +10,7 @@
 #include "support/full_run.hpp"
 #include "support/random.hpp"
 
-namespace {
+namespace rotor_test {
 
 using namespace tilt_ropter;
 
@@ -255,4 +255,4 @@ TEST(Rotor, FloatAndDualMatchDouble) {
   EXPECT_NEAR(speed.derivatives()(0), 1.0 - std::exp(-0.02 / 0.03), 1e-14);
 }
 
-}  // namespace
+}  // namespace rotor_test

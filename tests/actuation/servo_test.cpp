@@ -12,7 +12,7 @@
 #include "support/full_run.hpp"
 #include "support/random.hpp"
 
-namespace {
+namespace servo_test {
 
 using namespace tilt_ropter;
 
@@ -229,4 +229,4 @@ TEST(Servo, FloatAndDualMatchDouble) {
   EXPECT_NEAR(angle.derivatives()(0), (more.update(0.2, 0.0) - servo.angle()) / 1e-6, 1e-5);
 }
 
-}  // namespace
+}  // namespace servo_test

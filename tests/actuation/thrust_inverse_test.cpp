@@ -9,7 +9,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace thrust_inverse_test {
 
 using test_support::Random;
 
@@ -69,5 +69,5 @@ TEST(ThrustInverse, ThrustsOfFixedRotorsStayWithinTheirLimits) {
   }
 }
 
-}  // namespace
+}  // namespace thrust_inverse_test
 }  // namespace tilt_ropter

@@ -10,7 +10,7 @@
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
-namespace {
+namespace thrust_limits_test {
 
 using namespace tilt_ropter;
 using Limits = detail::ThrustLimits<4, double>;
@@ -125,4 +125,4 @@ TEST(ThrustLimits, FloorKeepsMinThrustAndReachability) {
   }
 }
 
-}  // namespace
+}  // namespace thrust_limits_test

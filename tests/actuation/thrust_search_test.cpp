@@ -12,7 +12,7 @@
 #include "support/random.hpp"
 #include "support/vehicles.hpp"
 
-namespace {
+namespace thrust_search_test {
 
 using namespace tilt_ropter;
 using Search = detail::ThrustSearch<4>;
@@ -104,4 +104,4 @@ TEST(ThrustSearch, KeepsLimitsForWrenchesFarBeyondReach) {
   }
 }
 
-}  // namespace
+}  // namespace thrust_search_test

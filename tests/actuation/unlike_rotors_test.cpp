@@ -21,7 +21,7 @@
 #include <cstddef>
 #include <limits>
 
-namespace {
+namespace unlike_rotors_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -288,4 +288,4 @@ TEST(Voltage, BoundsPlannedThrustsAfterFirstNode) {
   EXPECT_FALSE(unbounded.set_voltage(16.0));
 }
 
-}  // namespace
+}  // namespace unlike_rotors_test

@@ -18,7 +18,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_constraints_test {
 
 using test_support::Dual;
 using test_support::Random;
@@ -273,5 +273,5 @@ TEST(ActuatorConstraints, TiltRateFractionTakesEffect) {
     EXPECT_NEAR(half.values(wrench, rate)(0) - usual, 0.35 * vehicle.servo.max_rate, 1e-12);
 }
 
-}  // namespace
+}  // namespace actuator_constraints_test
 }  // namespace tilt_ropter

@@ -18,7 +18,7 @@
 // An actuator fails in hover. The controller at the wrench level is informed 0.1 s later, and the
 // landing begins 3 s after the failure. Each flight prints one line.
 
-namespace {
+namespace actuator_failures_test {
 
 using namespace tilt_ropter;
 
@@ -246,4 +246,4 @@ TEST(ActuatorFailures, LandsWithServoStuckAt90DegreesIfReferenceLeans) {
       }
 }
 
-}  // namespace
+}  // namespace actuator_failures_test

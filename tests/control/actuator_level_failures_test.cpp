@@ -23,7 +23,7 @@
 // the level of thrusts and tilt angles. Each flight prints one line.
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_level_failures_test {
 
 constexpr double degree = pi / 180.0;
 
@@ -193,5 +193,5 @@ TEST(ActuatorLevelFailures, FindsTheFailureItselfAndLandsSoftAndLevel) {
   }
 }
 
-}  // namespace
+}  // namespace actuator_level_failures_test
 }  // namespace tilt_ropter

@@ -14,7 +14,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_level_problem_test {
 
 using test_support::Dual;
 using test_support::Random;
@@ -238,5 +238,5 @@ TEST(ActuatorLevelProblem, ChecksItsSettings) {
   expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
-}  // namespace
+}  // namespace actuator_level_problem_test
 }  // namespace tilt_ropter

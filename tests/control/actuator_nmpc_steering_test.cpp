@@ -16,7 +16,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_nmpc_steering_test {
 
 using Eigen::Vector3d;
 using Node = ActuatorLevelNode<4>;
@@ -128,5 +128,5 @@ TEST(ActuatorNmpcSteering, ModelWithTheWholeExternalWrenchDoesNotSteer) {
       node_of(test_support::flat_quadrotor(), true, 0.0, GroundModel::external_wrench), 0.0);
 }
 
-}  // namespace
+}  // namespace actuator_nmpc_steering_test
 }  // namespace tilt_ropter

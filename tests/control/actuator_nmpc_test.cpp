@@ -19,7 +19,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace actuator_nmpc_test {
 
 using test_support::ActuatorLoop;
 using test_support::hover;
@@ -336,5 +336,5 @@ TEST(ActuatorNmpcSettings, AreCheckedAtConstructionAndWhenReplaced) {
   test_support::expect_accepted([&] { controller.set_settings(valid); });
 }
 
-}  // namespace
+}  // namespace actuator_nmpc_test
 }  // namespace tilt_ropter

@@ -28,7 +28,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace any_input_test {
 
 using test_support::hover;
 using test_support::hovering;
@@ -233,5 +233,5 @@ TEST(AnyInput, MissionReturnsFinitePointsForArbitraryTimes) {
   }
 }
 
-}  // namespace
+}  // namespace any_input_test
 }  // namespace tilt_ropter

@@ -12,7 +12,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace control_settings_test {
 
 using namespace test_support;
 
@@ -231,5 +231,5 @@ TEST(ControlSettings, ReferenceCheckNamesItsArguments) {
   expect_refused("PowerParameters.servo_move [J/rad]", check);
 }
 
-}  // namespace
+}  // namespace control_settings_test
 }  // namespace tilt_ropter

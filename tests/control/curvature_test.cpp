@@ -15,7 +15,7 @@
 #include <algorithm>
 
 namespace tilt_ropter {
-namespace {
+namespace curvature_test {
 
 using test_support::Random;
 
@@ -181,5 +181,5 @@ TEST(Curvature, IsConvexForAnyStateAndLeavesNoTrace) {
       random);
 }
 
-}  // namespace
+}  // namespace curvature_test
 }  // namespace tilt_ropter

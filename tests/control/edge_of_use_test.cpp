@@ -21,7 +21,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace edge_of_use_test {
 
 using test_support::hover;
 
@@ -130,5 +130,5 @@ TEST(EdgeOfUse, SinglePrecisionAllocationWorksForEveryMass) {
   }
 }
 
-}  // namespace
+}  // namespace edge_of_use_test
 }  // namespace tilt_ropter

@@ -19,7 +19,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace failure_ladder_test {
 
 using Loop = test_support::ControlLoop<Plant<4>>;
 using test_support::check_at_most;
@@ -180,5 +180,5 @@ TEST(FailureLadder, CommandsSafeWrenchUntilFirstGoodMeasurement) {
   EXPECT_LT(distance(loop), 0.05);
 }
 
-}  // namespace
+}  // namespace failure_ladder_test
 }  // namespace tilt_ropter

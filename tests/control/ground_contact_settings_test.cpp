@@ -12,7 +12,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace ground_contact_settings_test {
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 
@@ -85,5 +85,5 @@ TEST(GroundContactSettings, EveryRotorKeeps6CentinewtonsOfVerticalThrust) {
               GroundThrust<4>(vehicle, none)(pitched) + 4.0 * 0.06, 1e-9);
 }
 
-}  // namespace
+}  // namespace ground_contact_settings_test
 }  // namespace tilt_ropter

@@ -9,7 +9,7 @@
 #include <optional>
 
 namespace tilt_ropter {
-namespace {
+namespace ground_contact_test {
 
 const Undercarriage wheels{0.11, true, true, true};
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
@@ -353,5 +353,5 @@ TEST(GroundContact, WithoutSettlingSpeedTheReferenceStaysAsItIs) {
   EXPECT_EQ(node.reference.velocity.z(), 0.0);
 }
 
-}  // namespace
+}  // namespace ground_contact_test
 }  // namespace tilt_ropter

@@ -1,5 +1,6 @@
 // After construction and a few ticks no function of the control loop at the actuator level uses the
 // heap, except NLopt.
+// CTest: alone
 
 #include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/control/nmpc.hpp>
@@ -18,7 +19,7 @@
 #include <set>
 
 namespace tilt_ropter {
-namespace {
+namespace heap_in_the_actuator_level_test {
 
 using test_support::expect_nlopt_within_documented_bounds;
 using test_support::HeapInTheLoop;
@@ -77,5 +78,5 @@ TEST_F(HeapInTheLoop, ActuatorLevelInAirAndOnGround) {
   expect_nlopt_within_documented_bounds();
 }
 
-}  // namespace
+}  // namespace heap_in_the_actuator_level_test
 }  // namespace tilt_ropter

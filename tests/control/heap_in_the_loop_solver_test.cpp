@@ -1,5 +1,6 @@
 // After construction and a few ticks no function of the solver uses the heap, except NLopt. NLopt's
 // heap use stays within the bounds in DualSolver's documentation.
+// CTest: alone
 
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
@@ -24,7 +25,7 @@
 #include <set>
 
 namespace tilt_ropter {
-namespace {
+namespace heap_in_the_loop_solver_test {
 
 using test_support::expect_nlopt_within_documented_bounds;
 using test_support::heap_use;
@@ -182,5 +183,5 @@ TEST_F(HeapInTheLoop, QuadrotorProblem) {
   expect_nlopt_within_documented_bounds();
 }
 
-}  // namespace
+}  // namespace heap_in_the_loop_solver_test
 }  // namespace tilt_ropter

@@ -1,5 +1,6 @@
 // After construction and a few ticks no function of the control loop uses the heap, except NLopt.
 // NLopt's heap use stays within the bounds in DualSolver's documentation.
+// CTest: alone
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
@@ -34,7 +35,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace heap_in_the_loop_test {
 
 using test_support::expect_nlopt_within_documented_bounds;
 using test_support::heap_use;
@@ -293,5 +294,5 @@ TEST_F(HeapInTheLoop, AllocationWithinAndBeyondLimits) {
   EXPECT_EQ(reached.size(), 7U);
 }
 
-}  // namespace
+}  // namespace heap_in_the_loop_test
 }  // namespace tilt_ropter

@@ -6,10 +6,10 @@
 
 #include <gtest/gtest.h>
 
-namespace {
+namespace mode_transitions_test {
 
 TEST(ModeTransitions, LandsAndTakesOffWithOneModeChangeEachAndNoBounce) {
   test_support::land_and_take_off<tilt_ropter::Plant<4>>("our plant", 20);
 }
 
-}  // namespace
+}  // namespace mode_transitions_test

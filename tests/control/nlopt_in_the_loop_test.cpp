@@ -1,6 +1,6 @@
 // NLopt solves the quadratic program of every tick that has 1 to n active constraints: counted
 // where NLopt is called.
-// CTest: flight optimised
+// CTest: alone flight optimised
 
 #include "../../examples/support/stress_flight.hpp"
 #include "support/control_loop.hpp"

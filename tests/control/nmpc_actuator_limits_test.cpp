@@ -17,7 +17,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace nmpc_actuator_limits_test {
 
 using test_support::expect_within_bounds;
 using test_support::hover;
@@ -160,5 +160,5 @@ TEST(Nmpc, CommandKeepsActuatorConstraintsFromAnyStart) {
   EXPECT_NEAR(fastest, limit, 1e-6);
 }
 
-}  // namespace
+}  // namespace nmpc_actuator_limits_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace nmpc_faults_test {
 
 using test_support::expect_within_bounds;
 using test_support::hover;
@@ -164,5 +164,5 @@ TEST(Nmpc, ConsecutiveFailuresDropTheWarmStart) {
   EXPECT_GT(iterate_after_failures(3), 10.0 * iterate_after_failures(4));
 }
 
-}  // namespace
+}  // namespace nmpc_faults_test
 }  // namespace tilt_ropter

@@ -12,7 +12,7 @@
 #include <Eigen/Geometry>
 
 namespace tilt_ropter {
-namespace {
+namespace nmpc_measurement_test {
 
 using test_support::hover;
 using test_support::hovering;
@@ -124,5 +124,5 @@ TEST(NmpcMeasurement, RollRateOnTheGroundIsNotCorrectedBetweenTicks) {
   EXPECT_GT((air(turning) - air(hovering())).norm(), 0.1);
 }
 
-}  // namespace
+}  // namespace nmpc_measurement_test
 }  // namespace tilt_ropter

@@ -9,7 +9,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace nmpc_settings_test {
 
 void expect_close(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double relative) {
   EXPECT_TRUE(a.isApprox(b, relative)) << a.transpose() << " and " << b.transpose();
@@ -83,5 +83,5 @@ TEST(NmpcSettings, BoundsAndGroundThrustScaleWithWeightAndSize) {
   EXPECT_NEAR(s.ground.rotor_thrust, 3.0 * usual.ground.rotor_thrust, 1e-12);
 }
 
-}  // namespace
+}  // namespace nmpc_settings_test
 }  // namespace tilt_ropter

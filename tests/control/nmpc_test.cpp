@@ -18,7 +18,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace nmpc_test {
 
 using test_support::expect_within_bounds;
 using test_support::hover;
@@ -315,5 +315,5 @@ TEST(Nmpc, ChecksItsSettings) {
                                [&] { Nmpc(vehicle, settings); });
 }
 
-}  // namespace
+}  // namespace nmpc_test
 }  // namespace tilt_ropter

@@ -21,7 +21,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace origin_test {
 
 struct Flight {
   std::vector<Eigen::Vector3d> positions;
@@ -173,5 +173,5 @@ TEST(Origin, FliesBelowTheGroundOfTheTakeOff) {
   EXPECT_EQ(plant.normal_forces().sum(), 0.0);
 }
 
-}  // namespace
+}  // namespace origin_test
 }  // namespace tilt_ropter

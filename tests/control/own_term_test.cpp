@@ -21,7 +21,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace own_term_test {
 
 using test_support::Random;
 using test_support::random_state;
@@ -193,5 +193,5 @@ TEST(OwnTerm, ValueThatIsNotFiniteLeavesTheCommandFinite) {
   }
 }
 
-}  // namespace
+}  // namespace own_term_test
 }  // namespace tilt_ropter

@@ -10,7 +10,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace plan_in_force_test {
 
 using optimal_control::PrepareStatus;
 using optimal_control::SolveStatus;
@@ -122,5 +122,5 @@ TEST_F(PlanInForceTest, AfterAResetItIsTheWrenchOfTheState) {
   EXPECT_EQ(plan.wrench(solver, 3.4).force, x.wrench.force);
 }
 
-}  // namespace
+}  // namespace plan_in_force_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace push_test {
 
 constexpr double height = 1.5, wall_at = 1.0, reach = 0.28;
 
@@ -188,5 +188,5 @@ TEST(Push, ASlideIsAlongTheSurface) {
   EXPECT_TRUE(slide_along(surface, surface.normal).isZero(0.0));
 }
 
-}  // namespace
+}  // namespace push_test
 }  // namespace tilt_ropter

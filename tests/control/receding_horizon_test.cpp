@@ -11,7 +11,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace receding_horizon_test {
 
 using test_support::expect_within_bounds;
 using test_support::hover;
@@ -115,5 +115,5 @@ TEST(RecedingHorizon, SafeWrenchFollowsIfTheSecondPlanIsNotCredibleEither) {
   EXPECT_EQ(tick_with(loop, loop.state.body).status, NmpcStatus::solved);
 }
 
-}  // namespace
+}  // namespace receding_horizon_test
 }  // namespace tilt_ropter

@@ -7,7 +7,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace reference_check_test {
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 
@@ -137,5 +137,5 @@ TEST(CheckReference, ReportsForceAgainstGravityOnASlope) {
   EXPECT_NEAR(violations[0].required, vehicle.body.mass * gravity * std::sin(0.1), 1e-9);
 }
 
-}  // namespace
+}  // namespace reference_check_test
 }  // namespace tilt_ropter

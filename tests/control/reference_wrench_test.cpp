@@ -13,7 +13,7 @@
 #include <utility>
 
 namespace tilt_ropter {
-namespace {
+namespace reference_wrench_test {
 
 TEST(ReferenceWrench, AcceleratesAndCompensatesDisturbanceInAirAndOnGround) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
@@ -98,5 +98,5 @@ TEST(GroundThrust, KeepsNarrowServosAwayFromTheEndOfTheirRange) {
   }
 }
 
-}  // namespace
+}  // namespace reference_wrench_test
 }  // namespace tilt_ropter

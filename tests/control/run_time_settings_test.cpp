@@ -13,7 +13,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace run_time_settings_test {
 
 const Vehicle<4> vehicle = tilt_ropter_vehicle();
 
@@ -192,5 +192,5 @@ TEST(RunTimeSettings, SettingsAfterPrepareNeedAnotherPrepare) {
   EXPECT_EQ(loop.nmpc.feedback(0.06, {}).status, NmpcStatus::solved);
 }
 
-}  // namespace
+}  // namespace run_time_settings_test
 }  // namespace tilt_ropter

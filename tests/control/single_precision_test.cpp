@@ -28,7 +28,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace single_precision_test {
 
 template <typename To, typename From>
 Wrench<To> cast(const Wrench<From>& w) {
@@ -254,5 +254,5 @@ TEST(SinglePrecision, FliesAndDrivesAKilometreFromTheOrigin) {
   EXPECT_EQ(single.mode_changes, 4);
 }
 
-}  // namespace
+}  // namespace single_precision_test
 }  // namespace tilt_ropter

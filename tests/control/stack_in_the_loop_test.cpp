@@ -23,7 +23,7 @@
 #include <memory>
 
 namespace tilt_ropter {
-namespace {
+namespace stack_in_the_loop_test {
 
 struct Free {
   void operator()(void* memory) const { std::free(memory); }
@@ -114,5 +114,5 @@ TEST(StackInTheLoop, StaysWithinDocumentedLimit) {
   EXPECT_LE(estimating, limit);
 }
 
-}  // namespace
+}  // namespace stack_in_the_loop_test
 }  // namespace tilt_ropter

@@ -23,7 +23,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace thrust_limit_flights_test {
 
 using test_support::hover;
 using test_support::hovering;
@@ -160,5 +160,5 @@ TEST(ThrustLimitFlights, QuadrotorByActuators) {
   });
 }
 
-}  // namespace
+}  // namespace thrust_limit_flights_test
 }  // namespace tilt_ropter

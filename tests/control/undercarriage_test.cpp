@@ -18,7 +18,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace undercarriage_test {
 
 struct Flight {
   double air_rmse = 0.0, ground_rmse = 0.0, rest_thrust = 0.0;
@@ -135,5 +135,5 @@ TEST(Undercarriage, WithoutUndercarriageHeightZeroHasNoEffect) {
   EXPECT_LT(flight.air_rmse, 0.01);
 }
 
-}  // namespace
+}  // namespace undercarriage_test
 }  // namespace tilt_ropter

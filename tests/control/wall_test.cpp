@@ -17,7 +17,7 @@
 #include <tuple>
 
 namespace tilt_ropter {
-namespace {
+namespace wall_test {
 
 constexpr double height = 1.5, wall_at = 0.6, never = std::numeric_limits<double>::infinity();
 
@@ -177,5 +177,5 @@ TEST(Gust, IsNotAWall) {
     }
 }
 
-}  // namespace
+}  // namespace wall_test
 }  // namespace tilt_ropter

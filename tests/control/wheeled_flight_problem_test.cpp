@@ -18,7 +18,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace wheeled_flight_problem_test {
 
 using test_support::Dual;
 using test_support::Random;
@@ -344,5 +344,5 @@ TEST(WheeledFlightProblem, ChecksItsSettings) {
   expect_refused("HorizonSettings.interval [s]", false, [](auto& s) { s.interval = 0.2; });
 }
 
-}  // namespace
+}  // namespace wheeled_flight_problem_test
 }  // namespace tilt_ropter

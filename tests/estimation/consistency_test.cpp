@@ -9,7 +9,7 @@
 #include <cmath>
 #include <limits>
 
-namespace {
+namespace consistency_test {
 
 using namespace tilt_ropter;
 
@@ -91,4 +91,4 @@ TEST(Consistency, BatteryIsSilentBelowTheTopSpeed) {
   EXPECT_DOUBLE_EQ(battery_residual<4>(measured, top).ratio(), 5.0);
 }
 
-}  // namespace
+}  // namespace consistency_test

@@ -7,7 +7,7 @@
 #include <optional>
 
 namespace tilt_ropter {
-namespace {
+namespace contact_estimator_test {
 
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
 const Undercarriage wheels{0.11, true, true, true};
@@ -391,5 +391,5 @@ TEST(ContactEstimator, IgnoresNonFiniteAndOutOfOrderInput) {
   EXPECT_TRUE(is_finite(after));
 }
 
-}  // namespace
+}  // namespace contact_estimator_test
 }  // namespace tilt_ropter

@@ -13,7 +13,7 @@
 #include <optional>
 
 namespace tilt_ropter {
-namespace {
+namespace contact_obstacle_test {
 
 constexpr double tick = 0.01;
 
@@ -149,5 +149,5 @@ TEST(Obstacle, MustBeFinite) {
   EXPECT_FALSE(is_finite(estimate));
 }
 
-}  // namespace
+}  // namespace contact_obstacle_test
 }  // namespace tilt_ropter

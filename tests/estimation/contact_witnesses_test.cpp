@@ -8,7 +8,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace contact_witnesses_test {
 
 const RigidBodyParameters body{2.0, Eigen::Matrix3d::Identity()};
 const Undercarriage wheels{0.11, true, true, true};
@@ -167,5 +167,5 @@ TEST(ContactWitnesses, TheDisturbanceHasLimitsByTheWeight) {
   }
 }
 
-}  // namespace
+}  // namespace contact_witnesses_test
 }  // namespace tilt_ropter

@@ -22,7 +22,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_consistency_test {
 
 using test_support::errors;
 using test_support::expect_good;
@@ -199,5 +199,5 @@ TEST(Ekf, SinglePrecisionAgrees) {
 }
 #endif
 
-}  // namespace
+}  // namespace ekf_consistency_test
 }  // namespace tilt_ropter

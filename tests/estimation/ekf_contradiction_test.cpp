@@ -15,7 +15,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_contradiction_test {
 
 using Eigen::Vector3d;
 using Kind = SensorFaultKind;
@@ -329,5 +329,5 @@ TEST(EkfContradiction, AWrongAccelerometerIsNoLatency) {
   }
 }
 
-}  // namespace
+}  // namespace ekf_contradiction_test
 }  // namespace tilt_ropter

@@ -26,7 +26,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_faults_test {
 
 using test_support::Errors;
 using test_support::errors;
@@ -349,5 +349,5 @@ TEST(Ekf, RecoversFromAnyInput) {
   }
 }
 
-}  // namespace
+}  // namespace ekf_faults_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <cstddef>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_gaps_test {
 
 using Eigen::Vector3d;
 using test_support::Errors;
@@ -209,5 +209,5 @@ TEST(EkfGaps, OneWrongStampIsAShortGap) {
   EXPECT_EQ(f.ekf.trust(f.ekf.time()).state, EstimateState::good);
 }
 
-}  // namespace
+}  // namespace ekf_gaps_test
 }  // namespace tilt_ropter

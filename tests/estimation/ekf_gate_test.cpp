@@ -16,7 +16,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_gate_test {
 
 using Eigen::Vector3d;
 using Circle = test_support::LevelCircle;
@@ -174,5 +174,5 @@ TEST(EkfGate, VelocityZeroMayRepeat) {
   }
 }
 
-}  // namespace
+}  // namespace ekf_gate_test
 }  // namespace tilt_ropter

@@ -19,7 +19,7 @@
 #include <functional>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_imu_position_test {
 
 using Eigen::Vector3d;
 using test_support::Flight;
@@ -191,5 +191,5 @@ TEST(EkfImuPosition, StaysAsGivenWhileTheMarkerIsEstimated) {
   EXPECT_LT((ekf.state().velocity - truth.velocity + lever_velocity).norm(), 0.05);
 }
 
-}  // namespace
+}  // namespace ekf_imu_position_test
 }  // namespace tilt_ropter

@@ -19,7 +19,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_measurements_test {
 
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
@@ -381,5 +381,5 @@ TEST(EkfMeasurements, LevelOrientationPutsForceUp) {
   }
 }
 
-}  // namespace
+}  // namespace ekf_measurements_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_outputs_test {
 
 using test_support::Flight;
 using test_support::Log;
@@ -74,5 +74,5 @@ TEST(Ekf, SubtractsBiasesFromRatesAndSamples) {
   EXPECT_LT((ekf.take_state().angular_velocity - ekf.state().angular_velocity).norm(), 20.0);
 }
 
-}  // namespace
+}  // namespace ekf_outputs_test
 }  // namespace tilt_ropter

@@ -16,7 +16,7 @@
 #include <cstddef>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_restart_test {
 
 using Eigen::Vector3d;
 using test_support::Errors;
@@ -165,5 +165,5 @@ TEST(EkfRestart, IsLikeNewAfterAReset) {
   EXPECT_EQ(used.counts().unused, fresh.counts().unused);
 }
 
-}  // namespace
+}  // namespace ekf_restart_test
 }  // namespace tilt_ropter

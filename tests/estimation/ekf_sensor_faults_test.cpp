@@ -17,7 +17,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_sensor_faults_test {
 
 using Eigen::Vector3d;
 using Circle = test_support::LevelCircle;
@@ -303,5 +303,5 @@ TEST(EkfSensorFaults, ImuBesideTheComGivesStateAndForceOfTheCom) {
   EXPECT_GT(worst_ignored, 0.1);
 }
 
-}  // namespace
+}  // namespace ekf_sensor_faults_test
 }  // namespace tilt_ropter

@@ -14,7 +14,7 @@
 #include <cstddef>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_settings_test {
 
 using test_support::errors;
 using test_support::expect_good;
@@ -243,5 +243,5 @@ TEST(EkfSettings, MaxImuGapBoundsPausesOfTheImu) {
   }
 }
 
-}  // namespace
+}  // namespace ekf_settings_test
 }  // namespace tilt_ropter

@@ -13,7 +13,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_start_test {
 
 using Eigen::Vector3d;
 using Filter = ErrorStateFilter<double>;
@@ -181,5 +181,5 @@ TEST_F(EkfStartAtPose, AfterAGapTheVelocityMovesThePosition) {
   EXPECT_TRUE(filter.covariance().isApprox(expected, 1e-9));
 }
 
-}  // namespace
+}  // namespace ekf_start_test
 }  // namespace tilt_ropter

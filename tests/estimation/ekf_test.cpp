@@ -19,7 +19,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace ekf_test {
 
 using test_support::Errors;
 using test_support::errors;
@@ -359,5 +359,5 @@ TEST(Ekf, KeepsMaxDelayWithFastImu) {
   EXPECT_LT(errors(ekf, flight).position, 0.01);
 }
 
-}  // namespace
+}  // namespace ekf_test
 }  // namespace tilt_ropter

@@ -19,7 +19,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace error_state_filter_jacobians_test {
 
 using test_support::cast;
 using test_support::Dual;
@@ -169,5 +169,5 @@ TEST(ErrorStateFilter, UpdateMatchesJosephForm) {
   EXPECT_LT(worst_covariance, 1e-9);
 }
 
-}  // namespace
+}  // namespace error_state_filter_jacobians_test
 }  // namespace tilt_ropter

@@ -16,7 +16,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace error_state_filter_test {
 
 using test_support::cast;
 using test_support::filter;
@@ -270,5 +270,5 @@ TEST(ErrorStateFilter, RejectsUpdateWithIndefiniteInnovationCovariance) {
   EXPECT_EQ(difference(f.state(), x), Tangent::Zero());
 }
 
-}  // namespace
+}  // namespace error_state_filter_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <Eigen/Core>
 
 namespace tilt_ropter {
-namespace {
+namespace estimation_settings_test {
 
 using namespace test_support;
 
@@ -201,5 +201,5 @@ TEST(EstimationSettings, WrenchObserverNamesEachField) {
   expect_refused(mass, [] { WrenchObserverd{massless}; });
 }
 
-}  // namespace
+}  // namespace estimation_settings_test
 }  // namespace tilt_ropter

@@ -1,5 +1,6 @@
 // After construction and a few measurements the estimator does not use the heap, for any status of
 // its measurements.
+// CTest: alone
 
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/measurement_models.hpp>
@@ -17,7 +18,7 @@
 #include <set>
 
 namespace tilt_ropter {
-namespace {
+namespace heap_in_the_estimator_test {
 
 using test_support::Flight;
 using test_support::heap_use;
@@ -107,5 +108,5 @@ TYPED_TEST(HeapInTheEstimator, NoFunctionOfTheLoopAllocates) {
   EXPECT_TRUE(std::isfinite(finite));
 }
 
-}  // namespace
+}  // namespace heap_in_the_estimator_test
 }  // namespace tilt_ropter

@@ -12,7 +12,7 @@
 #include <cmath>
 
 namespace tilt_ropter::detail {
-namespace {
+namespace measurement_faults_test {
 
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
@@ -158,5 +158,5 @@ TEST(StampMonitor, SwapsTheClocksIfTheMeasurementIsThenInTime) {
   EXPECT_NEAR(monitor.clock_step(), -2.0, 1e-12);
 }
 
-}  // namespace
+}  // namespace measurement_faults_test
 }  // namespace tilt_ropter::detail

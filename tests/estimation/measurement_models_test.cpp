@@ -16,7 +16,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace measurement_models_test {
 
 using Eigen::Vector3d;
 using test_support::cast;
@@ -293,5 +293,5 @@ TEST(MeasurementModels, WhiteNoiseOfEqualEffectIsLarger) {
   EXPECT_EQ(white_stddev(0.5, 0.001, 50.0), 0.5);  // not correlated from sample to sample
 }
 
-}  // namespace
+}  // namespace measurement_models_test
 }  // namespace tilt_ropter

@@ -14,7 +14,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace wrench_observer_calibration_test {
 
 using Eigen::Vector3d;
 using test_support::body;
@@ -201,5 +201,5 @@ TEST(WrenchObserver, SetOffsetRestoresStoredOffset) {
   EXPECT_LT(distance(observer.external(), {}), 1e-12);
 }
 
-}  // namespace
+}  // namespace wrench_observer_calibration_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace wrench_observer_faults_test {
 
 using Eigen::Vector3d;
 using test_support::body;
@@ -249,5 +249,5 @@ TEST(WrenchObserver, RejectsFiniteButAbsurdNumbers) {
   EXPECT_EQ(distance(observer.external(), {}), 0.0);
 }
 
-}  // namespace
+}  // namespace wrench_observer_faults_test
 }  // namespace tilt_ropter

@@ -27,7 +27,7 @@
 #include <stdexcept>
 
 namespace tilt_ropter {
-namespace {
+namespace wrench_observer_test {
 
 using Eigen::Vector3d;
 using test_support::body;
@@ -381,5 +381,5 @@ TEST(WrenchObserver, WorksWithAutomaticDifferentiation) {
   EXPECT_EQ(by_rate.row(2).norm(), 0.0);
 }
 
-}  // namespace
+}  // namespace wrench_observer_test
 }  // namespace tilt_ropter

@@ -10,7 +10,7 @@
 #include <map>
 #include <string>
 
-namespace {
+namespace ablations_test {
 
 using namespace examples;
 using namespace examples::paper;
@@ -133,4 +133,4 @@ TEST(Ablations, TableAndCsvHaveOneRowForEachFlight) {
   EXPECT_NE(csv.find("observer_off,plant,1,0.043,"), std::string::npos) << csv;
 }
 
-}  // namespace
+}  // namespace ablations_test

@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace actuator_failure_test {
 
 struct Failure {
   std::string kind, field;
@@ -129,4 +129,4 @@ TEST(ActuatorFailure, OptionNamesWhatIsWrong) {
                  "unknown field effectiveness, must be rotor, start or angle");
 }
 
-}  // namespace
+}  // namespace actuator_failure_test

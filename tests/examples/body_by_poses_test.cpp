@@ -14,7 +14,7 @@
 #include <cmath>
 #include <deque>
 
-namespace {
+namespace body_by_poses_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -162,4 +162,4 @@ TEST(BodyByPoses, IsInvalidWithoutPoses) {
   EXPECT_FALSE(by_poses.is_valid());
 }
 
-}  // namespace
+}  // namespace body_by_poses_test

@@ -10,7 +10,7 @@
 #include <cstdlib>
 #include <string>
 
-namespace {
+namespace check_vehicle_test {
 
 test_support::Outcome check(const std::string& vehicle,
                             const std::string& more = "--no-pictures --no-flight") {
@@ -162,4 +162,4 @@ TEST(CheckVehicle, HelpAndBadArguments) {
   EXPECT_TRUE(absent.says("cannot read nowhere.json")) << absent.output;
 }
 
-}  // namespace
+}  // namespace check_vehicle_test

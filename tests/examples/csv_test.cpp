@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace csv_test {
 
 using examples::CsvNumbers;
 using examples::CsvTable;
@@ -136,4 +136,4 @@ TEST(Csv, ReadsFilesAndNamesUnreadableOnes) {
   }
 }
 
-}  // namespace
+}  // namespace csv_test

@@ -29,7 +29,7 @@
 #include <functional>
 #include <string>
 
-namespace {
+namespace dds_flights_test {
 
 using Eigen::Vector3d;
 using test_support::Background;
@@ -397,4 +397,4 @@ TEST_F(DdsFlight, Px4NodeSpeaksToOlderFirmwareOnTheSystemClock) {
   EXPECT_EQ(node.stop().exit_code, 0);
 }
 
-}  // namespace
+}  // namespace dds_flights_test

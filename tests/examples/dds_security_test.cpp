@@ -28,7 +28,7 @@
 #include <string>
 #include <thread>
 
-namespace {
+namespace dds_security_test {
 
 using geometry_msgs::msg::PoseStamped;
 using test_support::Directory;
@@ -156,4 +156,4 @@ TEST(DdsSecurity, StrangersHearAndCommandNothing) {
   }
 }
 
-}  // namespace
+}  // namespace dds_security_test

@@ -19,7 +19,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace doors_test {
 
 using namespace tilt_ropter;
 using examples::FlightLogs;
@@ -344,4 +344,4 @@ TEST(Doors, ATrajectoryBelowTheGroundOrInDegreesIsRefused) {
   EXPECT_NEAR(yaw_of(turn(2.0).orientation), pi / 2.0, 1e-9);
 }
 
-}  // namespace
+}  // namespace doors_test

@@ -12,7 +12,7 @@
 #include <map>
 #include <string>
 
-namespace {
+namespace fit_rotor_test {
 
 using test_support::Outcome;
 using test_support::read_file;
@@ -333,4 +333,4 @@ TEST_F(FitRotor, HelpAndBadArguments) {
   EXPECT_EQ(run(program, "'" + generate("stand.csv") + "' -o /proc/nowhere").exit_code, 2);
 }
 
-}  // namespace
+}  // namespace fit_rotor_test

@@ -22,7 +22,7 @@
 #include <cstdio>
 
 namespace tilt_ropter {
-namespace {
+namespace flight_controller_test {
 
 using examples::ExternalWrench;
 
@@ -156,5 +156,5 @@ TEST(FlightController, RotorsStartAgainIfTheVehicleFallsAfterItsLanding) {
   std::printf("falls at %.2f m/s, touches the ground at %.2f m/s\n", fastest, at_touch);
 }
 
-}  // namespace
+}  // namespace flight_controller_test
 }  // namespace tilt_ropter

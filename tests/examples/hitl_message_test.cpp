@@ -10,7 +10,7 @@
 #include <cstdint>
 #include <limits>
 
-namespace {
+namespace hitl_message_test {
 
 using Eigen::Vector3d;
 using Eigen::Vector4d;
@@ -114,4 +114,4 @@ TEST(HitlMessage, RejectsOtherNumbersOfRotors) {
   }
 }
 
-}  // namespace
+}  // namespace hitl_message_test

@@ -22,7 +22,7 @@
 #include <thread>
 #include <vector>
 
-namespace {
+namespace hitl_test {
 
 using Eigen::Vector3d;
 using Eigen::Vector4d;
@@ -394,4 +394,4 @@ TEST_F(HitlFlight, HelpAndBadArguments) {
   }
 }
 
-}  // namespace
+}  // namespace hitl_test

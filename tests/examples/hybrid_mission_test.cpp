@@ -25,7 +25,7 @@
 #include <sstream>
 #include <string>
 
-namespace {
+namespace hybrid_mission_test {
 
 struct Flight : test_support::Outcome {
   std::string csv;
@@ -353,4 +353,4 @@ TEST(HybridMission, HelpAndBadArguments) {
   EXPECT_NE(unwritable.exit_code, 0);
 }
 
-}  // namespace
+}  // namespace hybrid_mission_test

@@ -11,7 +11,7 @@
 #include <fstream>
 #include <string>
 
-namespace {
+namespace identify_servo_test {
 
 using test_support::Outcome;
 using test_support::read_file;
@@ -170,4 +170,4 @@ TEST_F(IdentifyServo, MissionTracksBestWithTheIdentifiedTimeConstant) {
   EXPECT_GT(half["air_rmse_m"], 1.05 * right["air_rmse_m"]);  // the observer compensates most
 }
 
-}  // namespace
+}  // namespace identify_servo_test

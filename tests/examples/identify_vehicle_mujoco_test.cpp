@@ -10,7 +10,7 @@
 #include <cmath>
 #include <string>
 
-namespace {
+namespace identify_vehicle_mujoco_test {
 
 using test_support::Outcome;
 using test_support::read_file;
@@ -84,4 +84,4 @@ TEST(IdentifyVehicleMujoco, ModelNeedsTheRotorsOfTheVehicle) {
   EXPECT_TRUE(six.says("as many rotors")) << six.output;
 }
 
-}  // namespace
+}  // namespace identify_vehicle_mujoco_test

@@ -17,7 +17,7 @@
 #include <cstdio>
 #include <optional>
 
-namespace {
+namespace identify_vehicle_spread_test {
 
 using namespace tilt_ropter;
 using P = VehicleParameter;
@@ -136,4 +136,4 @@ TEST(IdentifyVehicleSpread, FliesAsWellAsWithTheTruth) {
   EXPECT_GE(as_well, 0.95 * vehicles);
 }
 
-}  // namespace
+}  // namespace identify_vehicle_spread_test

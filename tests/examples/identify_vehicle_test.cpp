@@ -27,7 +27,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace identify_vehicle_test {
 
 using test_support::Directory;
 using test_support::Outcome;
@@ -318,4 +318,4 @@ TEST_F(IdentifyVehicle, HelpAndBadArguments) {
   EXPECT_GT(run(HYBRID_MISSION_PROGRAM, "--excite --mission air").exit_code, 100);
 }
 
-}  // namespace
+}  // namespace identify_vehicle_test

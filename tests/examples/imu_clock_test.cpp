@@ -8,7 +8,7 @@
 #include <limits>
 
 namespace examples {
-namespace {
+namespace imu_clock_test {
 
 // Samples at 1 kHz and a tick after every tenth.
 class Clocks {
@@ -74,5 +74,5 @@ TEST(ImuClock, WrongStampHasNoConsequence) {
   }
 }
 
-}  // namespace
+}  // namespace imu_clock_test
 }  // namespace examples

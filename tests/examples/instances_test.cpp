@@ -15,7 +15,7 @@
 #include <utility>
 #include <vector>
 
-namespace {
+namespace instances_test {
 
 using examples::Instance;
 using examples::instance_columns;
@@ -224,4 +224,4 @@ TEST(Instances, RandomTextGivesValidInstanceOrError) {
   EXPECT_LT(accepted, 19000);
 }
 
-}  // namespace
+}  // namespace instances_test

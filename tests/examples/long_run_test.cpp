@@ -21,7 +21,7 @@
 #include <vector>
 
 namespace examples {
-namespace {
+namespace long_run_test {
 
 using namespace tilt_ropter;
 
@@ -81,5 +81,5 @@ TEST(LongRun, LastMissionMatchesTheSecondInRmseAndMemory) {
   EXPECT_LT(rmse.back(), 0.02);
 }
 
-}  // namespace
+}  // namespace long_run_test
 }  // namespace examples

@@ -19,7 +19,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace mcap_test {
 
 using test_support::McapFile;
 using test_support::McapMessage;
@@ -234,4 +234,4 @@ TEST_F(Mcap, OtherProgramsHaveTheOption) {
   EXPECT_GT(test_support::run(MONTE_CARLO_PROGRAM, "--mcap x.mcap").exit_code, 100);
 }
 
-}  // namespace
+}  // namespace mcap_test

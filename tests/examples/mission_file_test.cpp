@@ -20,7 +20,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace mission_file_test {
 
 using namespace tilt_ropter;
 using examples::MissionFileError;
@@ -397,4 +397,4 @@ TEST(MissionFile, ProgramNamesAWrongFileAndReturns2) {
   }
 }
 
-}  // namespace
+}  // namespace mission_file_test

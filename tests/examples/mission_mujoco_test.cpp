@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace mission_mujoco_test {
 
 namespace fs = std::filesystem;
 
@@ -151,4 +151,4 @@ TEST(MissionMujoco, RecordsFilmIfRenderingIsAvailable) {
   EXPECT_EQ(flight.films, 4);
 }
 
-}  // namespace
+}  // namespace mission_mujoco_test

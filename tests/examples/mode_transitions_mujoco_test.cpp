@@ -12,11 +12,11 @@ static void place(MujocoPlant<4>& plant, const tilt_ropter::BodyStated& body,
   plant.reset(body, actuators);
 }
 
-namespace {
+namespace mode_transitions_mujoco_test {
 
 TEST(ModeTransitionsMujoco, LandsAndTakesOffWithOneModeChangeAndNoBounce) {
   test_support::land_and_take_off<MujocoPlant<4>>("MuJoCo", 10);
 }
 
-}  // namespace
+}  // namespace mode_transitions_mujoco_test
 }  // namespace examples

@@ -18,7 +18,7 @@
 #include <utility>
 #include <vector>
 
-namespace {
+namespace monte_carlo_jobs_test {
 
 using namespace test_support::monte_carlo;
 using test_support::Outcome;
@@ -112,4 +112,4 @@ TEST(MonteCarloParts, SlurmArrayIsInterruptedAndContinued) {
                           "--format '%i' --name monte_carlo | grep '_1$')");
 }
 
-}  // namespace
+}  // namespace monte_carlo_jobs_test

@@ -24,7 +24,7 @@
 #include <utility>
 #include <vector>
 
-namespace {
+namespace monte_carlo_parts_test {
 
 namespace fs = std::filesystem;
 using namespace test_support::monte_carlo;
@@ -284,4 +284,4 @@ TEST(MonteCarloParts, EverySettingOfTheVehicleFileChangesTheFlight) {
   for (const auto& [name, text] : changed) EXPECT_NE(row(name, text), unchanged) << name;
 }
 
-}  // namespace
+}  // namespace monte_carlo_parts_test

@@ -21,7 +21,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace monte_carlo_test {
 
 namespace fs = std::filesystem;
 
@@ -278,4 +278,4 @@ TEST(MonteCarlo, ThousandVehiclesFlyWithoutDivergence) {
                               examples::percentile(flights["mission_rmse_m"], 0.95), 0.040);
 }
 
-}  // namespace
+}  // namespace monte_carlo_test

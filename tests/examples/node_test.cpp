@@ -21,7 +21,7 @@
 #include <vector>
 
 namespace loops {
-namespace {
+namespace node_test {
 
 using Times = std::vector<std::int64_t>;
 
@@ -272,5 +272,5 @@ TEST(FlightMessages, HaveTheNamespaceInTheFrameOfTheVehicle) {
   EXPECT_STREQ(messages.diagnostics({}).status._buffer[0].name, "a/tilt_ropter: flight");
 }
 
-}  // namespace
+}  // namespace node_test
 }  // namespace loops

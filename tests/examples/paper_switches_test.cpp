@@ -13,7 +13,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace paper_switches_test {
 
 using examples::ControllerSettings;
 
@@ -64,5 +64,5 @@ TEST(PaperSwitches, AllOfThemGiveThePreset) {
   EXPECT_EQ(fields(s.nmpc, s.allocation), fields(paper_nmpc_settings(), without_lead));
 }
 
-}  // namespace
+}  // namespace paper_switches_test
 }  // namespace tilt_ropter

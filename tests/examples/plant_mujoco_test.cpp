@@ -14,7 +14,7 @@
 #include <cstddef>
 #include <stdexcept>
 
-namespace {
+namespace plant_mujoco_test {
 
 using namespace tilt_ropter;
 using examples::MujocoParameters;
@@ -320,4 +320,4 @@ TEST(MujocoModel, ArmsAreLighterWhereTheyDoNotFit) {
   EXPECT_GT(base_inertia(light, fitting).mass, 0.0);
 }
 
-}  // namespace
+}  // namespace plant_mujoco_test

@@ -21,7 +21,7 @@
 #include <string>
 
 namespace loops {
-namespace {
+namespace px4_node_test {
 
 using Eigen::Vector3d;
 using tilt_ropter::pi;
@@ -352,5 +352,5 @@ TEST(Px4Messages, RejectsInvalidOdometry) {
   EXPECT_TRUE(refused([](Odometry& m) { m.angular_velocity[0] = nan_f; }));
 }
 
-}  // namespace
+}  // namespace px4_node_test
 }  // namespace loops

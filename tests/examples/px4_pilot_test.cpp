@@ -24,7 +24,7 @@
 #include <string>
 
 namespace loops {
-namespace {
+namespace px4_pilot_test {
 
 using Eigen::Vector3d;
 using tilt_ropter::pi;
@@ -323,5 +323,5 @@ TEST(Px4Pilot, RandomSequencesOfHandsAndFaults) {
               worst[2]);
 }
 
-}  // namespace
+}  // namespace px4_pilot_test
 }  // namespace loops

@@ -10,7 +10,7 @@
 
 #include <string>
 
-namespace {
+namespace python_test {
 
 using test_support::Outcome;
 
@@ -112,4 +112,4 @@ TEST_F(Python, AllocatesAsInCpp) {
   EXPECT_NEAR(run["yaw"], 0.70711, 1e-5);
 }
 
-}  // namespace
+}  // namespace python_test

@@ -18,7 +18,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace replay_flight_test {
 
 using test_support::Flight;
 using test_support::Outcome;
@@ -397,4 +397,4 @@ TEST_F(ReplayFlight, CalibratesARecordedFlight) {
   EXPECT_LT(half["shifted_attitude_rmse_deg"], 0.45);
 }
 
-}  // namespace
+}  // namespace replay_flight_test

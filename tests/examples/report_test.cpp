@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace report_test {
 
 using examples::ScriptFile;
 using test_support::Directory;
@@ -122,4 +122,4 @@ TEST(Report, TakesAnyTextAndKeepsALongLogShort) {
   EXPECT_NE(page.find(every_third + ']'), std::string::npos);
 }
 
-}  // namespace
+}  // namespace report_test

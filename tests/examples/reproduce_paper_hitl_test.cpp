@@ -8,7 +8,7 @@
 
 #include <string>
 
-namespace {
+namespace reproduce_paper_hitl_test {
 
 TEST(ReproducePaperHitl, StartsTheThreeProgramsAndReadsTheirFigures) {
   test_support::dds_on_loopback();
@@ -22,4 +22,4 @@ TEST(ReproducePaperHitl, StartsTheThreeProgramsAndReadsTheirFigures) {
             std::string::npos);
 }
 
-}  // namespace
+}  // namespace reproduce_paper_hitl_test

@@ -18,7 +18,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace reproduce_paper_test {
 
 namespace fs = std::filesystem;
 using namespace examples::paper;
@@ -197,4 +197,4 @@ TEST(ReplaceSection, ReplacesOnlyTheTextBetweenTheMarks) {
   EXPECT_THROW(replace_section(directory.file("none.md"), "one", ""), std::runtime_error);
 }
 
-}  // namespace
+}  // namespace reproduce_paper_test

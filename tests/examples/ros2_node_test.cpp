@@ -22,7 +22,7 @@
 #include <vector>
 
 namespace loops {
-namespace {
+namespace ros2_node_test {
 
 using Eigen::Vector3d;
 using test_support::run;
@@ -328,5 +328,5 @@ TEST(RunNode, PrintsHelpAndRejectsUnknownOptions) {
   EXPECT_EQ(run(PX4_NODE_PROGRAM, "--px4-message-version VehicleStatus=5").exit_code, 2);
 }
 
-}  // namespace
+}  // namespace ros2_node_test
 }  // namespace loops

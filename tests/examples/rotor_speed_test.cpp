@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace rotor_speed_test {
 
 test_support::Outcome fly(const std::string& options) {
   const test_support::Directory directory("rotor_speed");
@@ -81,4 +81,4 @@ TEST(RotorSpeed, RefusesWrongOptions) {
     EXPECT_NE(fly(std::string("--rotor-speed ") + wrong).exit_code, 0) << wrong;
 }
 
-}  // namespace
+}  // namespace rotor_speed_test

@@ -14,7 +14,7 @@
 #include <string>
 #include <utility>
 
-namespace {
+namespace rt_loop_test {
 
 /// Sums of the two columns of the histogram that rt_loop prints.
 std::pair<long, long> histogram_counts(const std::string& output) {
@@ -99,4 +99,4 @@ TEST(RtLoop, HelpAndWrongOptions) {
   EXPECT_TRUE(unwritable.says("rt_loop: cannot write /nonexistent/times.csv"));
 }
 
-}  // namespace
+}  // namespace rt_loop_test

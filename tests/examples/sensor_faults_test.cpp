@@ -20,7 +20,7 @@
 #include <vector>
 
 namespace examples {
-namespace {
+namespace sensor_faults_test {
 
 using namespace tilt_ropter;
 
@@ -239,5 +239,5 @@ TEST(SensorFaults, OptionIsParsedAndErrorsNameTheField) {
   EXPECT_NE(complaint("pose_jitter:size=-1").find("SensorFault.size"), std::string::npos);
 }
 
-}  // namespace
+}  // namespace sensor_faults_test
 }  // namespace examples

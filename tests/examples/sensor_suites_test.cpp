@@ -12,7 +12,7 @@
 #include <fstream>
 #include <string>
 
-namespace {
+namespace sensor_suites_test {
 
 test_support::Outcome fly(const std::string& sensors, const std::string& fault,
                           const std::string& more = "") {
@@ -101,4 +101,4 @@ TEST(SensorSuites, WhatComesBackIsUsedAgainUnlessItLands) {
     }
 }
 
-}  // namespace
+}  // namespace sensor_suites_test

@@ -23,7 +23,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace solve_instances_test {
 
 namespace fs = std::filesystem;
 using examples::Instance;
@@ -336,4 +336,4 @@ TEST_F(SolveInstances, HelpNamesEveryColumnAndBadOptionsAreRejected) {
     EXPECT_GT(run(wrong).exit_code, 100) << wrong;
 }
 
-}  // namespace
+}  // namespace solve_instances_test

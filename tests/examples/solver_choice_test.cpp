@@ -8,7 +8,7 @@
 
 #include <string>
 
-namespace {
+namespace solver_choice_test {
 
 using test_support::Directory;
 using test_support::Outcome;
@@ -75,4 +75,4 @@ TEST(SolverChoice, NloptAloneFliesAsWell) {
   EXPECT_NEAR(alone["mission_rmse_m"], usual["mission_rmse_m"], 0.05 * usual["mission_rmse_m"]);
 }
 
-}  // namespace
+}  // namespace solver_choice_test

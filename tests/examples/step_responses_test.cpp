@@ -11,7 +11,7 @@
 #include <sstream>
 #include <string>
 
-namespace {
+namespace step_responses_test {
 
 /// One line of the printed table: rise time [s], overshoot [%] and largest lean [deg].
 struct Row {
@@ -77,4 +77,4 @@ TEST(StepResponses, HelpAndBadArguments) {
   EXPECT_EQ(test_support::run(STEP_RESPONSES_PROGRAM, "--vehicle nowhere.json").exit_code, 2);
 }
 
-}  // namespace
+}  // namespace step_responses_test

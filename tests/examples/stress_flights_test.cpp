@@ -10,7 +10,7 @@
 #include <sstream>
 #include <string>
 
-namespace {
+namespace stress_flights_test {
 
 using test_support::Directory;
 using test_support::Outcome;
@@ -100,4 +100,4 @@ TEST(StressFlights, HelpAndBadArguments) {
   EXPECT_EQ(run(STRESS_FLIGHTS_PROGRAM, "--vehicle nowhere.json").exit_code, 2);
 }
 
-}  // namespace
+}  // namespace stress_flights_test

@@ -13,7 +13,7 @@
 #include <type_traits>
 #include <vector>
 
-namespace {
+namespace tune_weights_test {
 
 using test_support::Directory;
 using test_support::Outcome;
@@ -109,4 +109,4 @@ TEST(TuneWeights, RefusesWrongOptions) {
   EXPECT_TRUE(missing.says("the flights of this mission have no ground_rmse_m"));
 }
 
-}  // namespace
+}  // namespace tune_weights_test

@@ -22,7 +22,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace ulog_test {
 
 using examples::CsvTable;
 using examples::Ulog;
@@ -331,4 +331,4 @@ TEST_F(UlogFile, IdentifyServoReadsIt) {
   EXPECT_EQ(run(IDENTIFY_SERVO_PROGRAM, "'" + csv + "' --topic x" + common).exit_code, 2);
 }
 
-}  // namespace
+}  // namespace ulog_test

@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace vehicle_file_errors_test {
 
 using test_support::shipped;
 using test_support::with;
@@ -247,4 +247,4 @@ TEST(VehicleFile, ProgramsForFourRotorsRejectOtherVehicles) {
   }
 }
 
-}  // namespace
+}  // namespace vehicle_file_errors_test

@@ -23,7 +23,7 @@
 #include <variant>
 #include <vector>
 
-namespace {
+namespace vehicle_file_test {
 
 using examples::VehicleFile;
 using test_support::shipped;
@@ -300,4 +300,4 @@ TEST(VehicleFile, ProgramsAcceptVehiclesWithoutWheelsOrWithDeadTime) {
   }
 }
 
-}  // namespace
+}  // namespace vehicle_file_test

@@ -15,7 +15,7 @@
 #include <string>
 #include <vector>
 
-namespace {
+namespace vehicles_test {
 
 std::string file_of(const std::string& vehicle) {
   return std::string(VEHICLES_DIR) + '/' + vehicle + ".json";
@@ -153,4 +153,4 @@ TEST(Vehicles, ComparesFullActuationWithLeaning) {
   }
 }
 
-}  // namespace
+}  // namespace vehicles_test

@@ -13,7 +13,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace worst_tick_test {
 
 using test_support::check_at_least;
 using test_support::check_at_most;
@@ -86,5 +86,5 @@ TEST(WorstTick, EveryFlightRecoversWithALimitOfTwoPasses) {
   EXPECT_GT(late, 10);  // or the limit says nothing
 }
 
-}  // namespace
+}  // namespace worst_tick_test
 }  // namespace tilt_ropter

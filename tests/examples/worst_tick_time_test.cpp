@@ -13,7 +13,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace worst_tick_time_test {
 
 using examples::Scenario;
 using examples::StressRecord;
@@ -150,5 +150,5 @@ TEST(WorstTickTime, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
                 own / static_cast<double>(ticks), 2e-3);
 }
 
-}  // namespace
+}  // namespace worst_tick_time_test
 }  // namespace tilt_ropter

@@ -10,7 +10,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace clock_calibration_recorded_test {
 
 using Status = ClockCalibrationStatus;
 
@@ -77,5 +77,5 @@ TEST(ClockCalibration, RecordedFlightAgreesWithGroundTruth) {
   RecordProperty("marker_degrees", std::to_string(apart * 180.0 / pi));
 }
 
-}  // namespace
+}  // namespace clock_calibration_recorded_test
 }  // namespace tilt_ropter

@@ -15,7 +15,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace clock_calibration_test {
 
 using test_support::Flight;
 using test_support::flipped;
@@ -361,5 +361,5 @@ TEST(ClockCalibration, StatusHasAName) {
   EXPECT_STREQ(to_string(Status::uncertain), "uncertain");
 }
 
-}  // namespace
+}  // namespace clock_calibration_test
 }  // namespace tilt_ropter

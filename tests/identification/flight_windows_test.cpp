@@ -16,7 +16,7 @@
 #include <vector>
 
 namespace tilt_ropter::detail {
-namespace {
+namespace flight_windows_test {
 
 using Eigen::Vector3d;
 using test_support::Random;
@@ -160,5 +160,5 @@ TEST(FlightWindows, HeightWindowsShowTheBiasOfTheAccelerometer) {
   }
 }
 
-}  // namespace
+}  // namespace flight_windows_test
 }  // namespace tilt_ropter::detail

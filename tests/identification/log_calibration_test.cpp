@@ -14,12 +14,12 @@
 #include <string>
 #include <vector>
 
+namespace log_calibration_test {
+
 using namespace tilt_ropter;
 using test_support::Flight;
 using test_support::normal_vector;
 using test_support::Random;
-
-namespace {
 
 constexpr double clock_offset = 0.083;  // [s]
 const Eigen::Vector3d marker_position(0.07, -0.03, -0.12);
@@ -277,4 +277,4 @@ TEST(LogCalibration, BadLogsAreRefused) {
   EXPECT_STREQ(to_string(LogCalibrationStatus::not_converged), "not_converged");
 }
 
-}  // namespace
+}  // namespace log_calibration_test

@@ -12,7 +12,7 @@
 #include <cstddef>
 
 namespace tilt_ropter::detail {
-namespace {
+namespace rotor_lag_fit_test {
 
 using test_support::Random;
 using RotorVector = VehicleLog<4>::RotorVector;
@@ -99,5 +99,5 @@ TEST(RotorLagFit, ConstantCommandsLeaveThePrior) {
   EXPECT_GT(std::sqrt(fit.covariance(1, 1)), 0.045);
 }
 
-}  // namespace
+}  // namespace rotor_lag_fit_test
 }  // namespace tilt_ropter::detail

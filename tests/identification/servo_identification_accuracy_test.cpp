@@ -25,7 +25,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace servo_identification_accuracy_test {
 
 using Status = ServoIdentificationStatus;
 using Values = std::vector<double>;
@@ -337,5 +337,5 @@ TEST(ServoIdentification, ToleratesQuantisedAngles) {
   EXPECT_NEAR(found.model.dead_time, usual.dead_time, 0.001);
 }
 
-}  // namespace
+}  // namespace servo_identification_accuracy_test
 }  // namespace tilt_ropter

@@ -20,7 +20,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace servo_identification_test {
 
 using Status = ServoIdentificationStatus;
 using Values = std::vector<double>;
@@ -248,5 +248,5 @@ TEST(ServoIdentification, ResultIsFiniteOrRejectedForAnyLog) {
   EXPECT_GT(fits, 0);
 }
 
-}  // namespace
+}  // namespace servo_identification_test
 }  // namespace tilt_ropter

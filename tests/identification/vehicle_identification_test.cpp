@@ -19,7 +19,7 @@
 #include <utility>
 
 namespace tilt_ropter {
-namespace {
+namespace vehicle_identification_test {
 
 using Eigen::Vector3d;
 using P = VehicleParameter;
@@ -233,5 +233,5 @@ TEST(IdentifyVehicle, BadLogsHaveAStatus) {
   EXPECT_STREQ(to_string(P::arm_moment), "arm_moment");
 }
 
-}  // namespace
+}  // namespace vehicle_identification_test
 }  // namespace tilt_ropter

@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter::detail {
-namespace {
+namespace vehicle_log_test {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinite = std::numeric_limits<double>::infinity();
@@ -155,5 +155,5 @@ TEST(CommandReplay, KeepsTheRateLimitInBothDirections) {
   }
 }
 
-}  // namespace
+}  // namespace vehicle_log_test
 }  // namespace tilt_ropter::detail

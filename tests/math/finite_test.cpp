@@ -4,7 +4,7 @@
 
 #include <limits>
 
-namespace {
+namespace finite_test {
 
 using tilt_ropter::all_finite;
 
@@ -39,4 +39,4 @@ TEST(AllFinite, DetectsNanFromASum) {
   EXPECT_FALSE(all_finite(sums));
 }
 
-}  // namespace
+}  // namespace finite_test

@@ -12,7 +12,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace linear_algebra_cholesky_test {
 
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
@@ -306,5 +306,5 @@ TEST(Cholesky, CountsNonFiniteEntriesAsDroppedColumns) {
       }
 }
 
-}  // namespace
+}  // namespace linear_algebra_cholesky_test
 }  // namespace tilt_ropter

@@ -13,7 +13,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace linear_algebra_singular_values_test {
 
 using detail::SingularValues;
 using test_support::Random;
@@ -170,5 +170,5 @@ TEST(SingularValues, NonFiniteMatrixNeverHasFullRank) {
     }
 }
 
-}  // namespace
+}  // namespace linear_algebra_singular_values_test
 }  // namespace tilt_ropter

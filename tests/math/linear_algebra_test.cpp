@@ -11,7 +11,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace linear_algebra_test {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double infinity = std::numeric_limits<double>::infinity();
@@ -153,5 +153,5 @@ TEST(Inverse, TimesMatrixIsIdentity) {
   EXPECT_FALSE(std::isfinite(detail::inverse(singular).sum()));
 }
 
-}  // namespace
+}  // namespace linear_algebra_test
 }  // namespace tilt_ropter

@@ -12,7 +12,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace names_test {
 
 // The name of an enumerator in the middle shows that none is missing before it, and "unknown" after
 // the last one that none is missing at all.
@@ -48,5 +48,5 @@ TEST(Names, AreThoseOfTheEnumerators) {
                "arm_moment");
 }
 
-}  // namespace
+}  // namespace names_test
 }  // namespace tilt_ropter

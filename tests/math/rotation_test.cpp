@@ -12,7 +12,7 @@
 #include "support/full_run.hpp"
 #include "support/random.hpp"
 
-namespace {
+namespace rotation_test {
 
 using namespace tilt_ropter;
 using Eigen::Quaterniond;
@@ -135,4 +135,4 @@ TEST(Rotation, YawRoundTripAndHeadingOfBodyX) {
   EXPECT_NEAR(std::abs(yaw_of(quaternion_from_yaw(pi))), pi, 1e-15);
 }
 
-}  // namespace
+}  // namespace rotation_test

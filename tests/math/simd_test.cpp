@@ -12,7 +12,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace simd_test {
 
 TEST(Packet, FiniteCheckFindsOneBadNumberAtAnyIndex) {
   for (const int count : {0, 1, 2, 3, 4, 7, 8, 16, 24, 35}) {
@@ -138,5 +138,5 @@ TEST(Lanes, EigenMultipliesFourMatricesAtOnce) {
   }
 }
 
-}  // namespace
+}  // namespace simd_test
 }  // namespace tilt_ropter

@@ -9,7 +9,7 @@
 #include <limits>
 #include <string>
 
-namespace {
+namespace validation_test {
 
 using namespace tilt_ropter;
 
@@ -186,4 +186,4 @@ TEST(Validation, AcceptsFlatPlatesInAnyAxes) {
   }
 }
 
-}  // namespace
+}  // namespace validation_test

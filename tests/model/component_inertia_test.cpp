@@ -11,7 +11,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace component_inertia_test {
 
 struct Part {
   double mass;             ///< [kg]
@@ -72,5 +72,5 @@ TEST(ReferenceVehicle, HasTheMassOfItsPartsAndAtMostTwiceTheirInertia) {
   EXPECT_LT(inertia.cwiseAbs().maxCoeff(), 1e-9);
 }
 
-}  // namespace
+}  // namespace component_inertia_test
 }  // namespace tilt_ropter

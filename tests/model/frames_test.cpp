@@ -7,7 +7,7 @@
 #include "support/autodiff.hpp"
 #include "support/random.hpp"
 
-namespace {
+namespace frames_test {
 
 using namespace tilt_ropter;
 using Eigen::Vector3d;
@@ -75,4 +75,4 @@ TEST(Frames, ThrustDirectionWorksInFloatAndWithDerivatives) {
   EXPECT_LT((derivative - Vector3d(0.0, -std::cos(alpha), -std::sin(alpha))).norm(), 1e-15);
 }
 
-}  // namespace
+}  // namespace frames_test

@@ -15,7 +15,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace ned_test {
 
 using Eigen::Matrix3d;
 using Eigen::Quaterniond;
@@ -216,5 +216,5 @@ TEST(Ned, WorksInSinglePrecisionAndWithDerivatives) {
   EXPECT_LT((by_turn - flu_to_frd()).norm(), 1e-14);
 }
 
-}  // namespace
+}  // namespace ned_test
 }  // namespace tilt_ropter

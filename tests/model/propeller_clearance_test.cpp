@@ -7,7 +7,7 @@
 #include <cmath>
 
 namespace examples {
-namespace {
+namespace propeller_clearance_test {
 
 using namespace tilt_ropter;
 
@@ -63,5 +63,5 @@ TEST(PropellerClearance, OfParallelDiscsIsClosedForm) {
   EXPECT_EQ(propeller_clearance(v).propeller, PropellerClearance::none);
 }
 
-}  // namespace
+}  // namespace propeller_clearance_test
 }  // namespace examples

@@ -12,7 +12,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace rigid_body_test {
 
 using test_support::cast;
 using test_support::Dual;
@@ -248,5 +248,5 @@ TEST(RigidBody, RejectsInvalidParameters) {
   EXPECT_THROW(RigidBodyd{p}, std::invalid_argument);
 }
 
-}  // namespace
+}  // namespace rigid_body_test
 }  // namespace tilt_ropter

@@ -9,7 +9,7 @@
 #include <limits>
 
 namespace tilt_ropter {
-namespace {
+namespace state_test {
 
 using test_support::Random;
 using test_support::random_state;
@@ -69,5 +69,5 @@ TEST(State, IsFiniteChecksEveryNumber) {
   EXPECT_FALSE(is_finite(wrench));
 }
 
-}  // namespace
+}  // namespace state_test
 }  // namespace tilt_ropter

@@ -12,7 +12,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace vehicle_parts_test {
 
 using namespace test_support;
 
@@ -202,5 +202,5 @@ TEST(VehicleParts, VehicleChecksAllItsParts) {
       above_up_to(19.5, 1e9));
 }
 
-}  // namespace
+}  // namespace vehicle_parts_test
 }  // namespace tilt_ropter

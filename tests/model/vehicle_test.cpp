@@ -4,7 +4,7 @@
 
 #include <limits>
 
-namespace {
+namespace vehicle_test {
 
 using namespace tilt_ropter;
 
@@ -147,4 +147,4 @@ TEST(Vehicle, TiltRopterRotorsAreNumberedLikePlusQuadrotor) {
   EXPECT_GT(4.0 * v.rotor.max_thrust, 2.0 * v.body.mass * gravity);
 }
 
-}  // namespace
+}  // namespace vehicle_test

@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 
 namespace tilt_ropter {
-namespace {
+namespace wrench_test {
 
 using Eigen::Vector3d;
 using test_support::Random;
@@ -120,5 +120,5 @@ TEST(Wrench, WorksInSinglePrecisionAndWithDerivatives) {
   EXPECT_LT((by_turn + q.toRotationMatrix() * skew(wrench.force)).norm(), 1e-14);
 }
 
-}  // namespace
+}  // namespace wrench_test
 }  // namespace tilt_ropter

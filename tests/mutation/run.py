@@ -24,10 +24,7 @@ BUILD = TREE / 'build-mutation'
 SOURCE = BUILD / 'source'  # copy of the tree, with faults
 PROCESSORS = os.cpu_count() or 1
 
-# Tests that only read sources, those that depend on the clock, and those that count under callgrind:
-# their folders, words of their line "// CTest:", and labels of ctest.
-FOLDERS_LEFT_OUT = {'benchmark', 'docs', 'fuzz', 'interoperability', 'packaging', 'static'}
-WORDS_LEFT_OUT = re.compile(r'^// CTest: .*\b(counted|long|real_time)\b', re.M)
+# Of tests that only read sources, that depend on the clock, and that count under callgrind.
 LABELS_LEFT_OUT = 'source|package|counted|real_time'
 
 FLAGS = '-w -ferror-limit=0 -ftemplate-backtrace-limit=0 -fno-caret-diagnostics'
@@ -153,12 +150,6 @@ def configure(library):
         check=True, stdout=subprocess.DEVNULL)
 
 
-def test_sources():
-    return [path for path in sorted((SOURCE / 'tests').rglob('*_test.cpp'))
-            if path.relative_to(SOURCE / 'tests').parts[0] not in FOLDERS_LEFT_OUT and
-            not WORDS_LEFT_OUT.search(path.read_text())]
-
-
 def ninja(targets):
     """Builds targets, also after errors. Returns whether all are built, and the output."""
     log = BUILD / 'build.log'
@@ -178,15 +169,19 @@ class Parser:
     """Reads sources as the build compiles them, which is much faster than compiling."""
 
     def __init__(self):
-        entries = json.loads((BUILD / 'compile_commands.json').read_text())
-        self.commands = {entry['file']: entry for entry in entries}
+        self.commands = {}  # by file: directory and command
+        for entry in json.loads((BUILD / 'compile_commands.json').read_text()):
+            file = entry['file']
+            joined = re.findall(r'^#include "(.*_test\.cpp)"$', Path(file).read_text(), re.M)
+            for part in joined or [file]:
+                self.commands[part] = (entry['directory'], re.sub(
+                    r' -o \S+ -c \S+$', f' -fsyntax-only {part}', entry['command']))
 
     def read(self, files):
         """Returns what the compiler says to each file."""
         def one(file):
-            entry = self.commands[file]
-            command = re.sub(r' -o \S+ -c ', ' -fsyntax-only ', entry['command'])
-            return subprocess.run(['bash', '-c', command], cwd=entry['directory'], text=True,
+            directory, command = self.commands[file]
+            return subprocess.run(['bash', '-c', command], cwd=directory, text=True,
                                   stderr=subprocess.PIPE, stdout=subprocess.DEVNULL).stderr
         with concurrent.futures.ThreadPoolExecutor(PROCESSORS) as pool:
             return dict(zip(files, pool.map(one, files)))
@@ -197,17 +192,14 @@ class Parser:
 
     def nearest(self, taken):
         """Sources of the tests of the headers with faults: named after the header, or using it."""
-        sources = [path for path in test_sources() if str(path) in self.commands]
+        sources = [path for path in sorted((SOURCE / 'tests').rglob('*_test.cpp'))
+                   if str(path) in self.commands]
         found = set()
         for header in {Path(one.header.path) for one in taken}:
-            own = [path for path in sources if is_test_of(path.stem, header)]
+            own = [path for path in sources if path.stem.startswith(header.stem + '_')]
             using = (path for path in sources if f'/{header.name}>' in path.read_text())
             found.update(own or itertools.islice(using, 2))
         return sorted(map(str, found))
-
-
-def is_test_of(name, header):
-    return name.startswith(Path(header).stem + '_')
 
 
 class Builder:
@@ -247,8 +239,7 @@ class Builder:
     def build(self, compiled_before):
         output = subprocess.run(['ninja', '-C', BUILD, '-t', 'targets', 'all'], text=True,
                                 capture_output=True, check=True).stdout
-        targets = set(re.findall(r'^(\w+): phony$', output, re.M))
-        programs = [path.stem for path in test_sources() if path.stem in targets]
+        programs = re.findall(r'^(tests/\w+): CXX_EXECUTABLE_LINKER', output, re.M)
         while True:
             if not compiled_before:
                 self.parse('instances', lambda taken: self.parser.instances())
@@ -272,9 +263,8 @@ class Test:
 def find_tests():
     output = subprocess.run(['ctest', '--test-dir', BUILD, '--show-only=json-v1', '-LE',
                              LABELS_LEFT_OUT], capture_output=True, text=True, check=True).stdout
-    own = {str(BUILD / 'tests' / path.stem) for path in test_sources()}
     found = [Test(entry) for entry in json.loads(output)['tests']
-             if entry.get('command', [''])[0] in own]
+             if Path(entry.get('command', [''])[0]).parent == BUILD / 'tests']
     return sorted(found, key=lambda test: test.name)
 
 
@@ -350,8 +340,8 @@ def first_run(runner, tests):
 def try_fault(runner, one, tests):
     """Runs the tests that reach a fault until one fails. Returns its name, or None."""
     own = [test for test in tests if one.number in test.reached]
-    for test in sorted(own, key=lambda test: (not is_test_of(test.name, one.header.path),
-                                              test.seconds)):
+    folder = Path(one.header.path).parts[2]  # whose tests may find it most quickly
+    for test in sorted(own, key=lambda test: (not test.name.startswith(folder), test.seconds)):
         limit = 10 * test.seconds + 10
         result, _ = runner.run(test, limit, one.number)
         if result != 'passed':  # again, because a test may fail for another reason

@@ -9,7 +9,7 @@
 #include <cmath>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace anderson_test {
 
 using test_support::Random;
 
@@ -152,5 +152,5 @@ TEST(Anderson, ClearForgetsEverything) {
   }
 }
 
-}  // namespace
+}  // namespace anderson_test
 }  // namespace tilt_ropter::optimal_control

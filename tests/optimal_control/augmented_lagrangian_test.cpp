@@ -14,7 +14,7 @@
 #include <cmath>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace augmented_lagrangian_test {
 
 using test_support::DoubleIntegrator;
 using test_support::Random;
@@ -211,5 +211,5 @@ TEST(AugmentedLagrangian, WeightsGrowOnlyIfFullStepsDoNotHalveTheResidual) {
   EXPECT_DOUBLE_EQ(stop.weight(), 100.0);  // again no earlier residual
 }
 
-}  // namespace
+}  // namespace augmented_lagrangian_test
 }  // namespace tilt_ropter::optimal_control

@@ -16,7 +16,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace auto_diff_problem_members_test {
 
 using test_support::patient;
 
@@ -288,5 +288,5 @@ TEST(AutoDiffProblem, OffersOnlyTheConstraintsOfTheStruct) {
   EXPECT_EQ(ProblemConstraints<AutoDiffProblem<Cart>>::count, 0);
 }
 
-}  // namespace
+}  // namespace auto_diff_problem_members_test
 }  // namespace tilt_ropter::optimal_control

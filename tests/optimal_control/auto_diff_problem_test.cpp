@@ -1,4 +1,5 @@
 // Derivatives and solutions equal those of problems derived by hand, without the heap.
+// CTest: alone
 
 #include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
 
@@ -19,7 +20,7 @@
 #include <cmath>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace auto_diff_problem_test {
 
 using test_support::heap_use;
 using test_support::HeapUse;
@@ -236,5 +237,5 @@ TEST(AutoDiffProblem, SolverLoopDoesNotAllocate) {
   }
 }
 
-}  // namespace
+}  // namespace auto_diff_problem_test
 }  // namespace tilt_ropter::optimal_control

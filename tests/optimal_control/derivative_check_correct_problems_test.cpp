@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace derivative_check_correct_problems_test {
 
 using test_support::Circle;
 using test_support::errors_on_the_way;
@@ -117,5 +117,5 @@ TEST(DerivativeCheck, FindsNoErrorInTheTiltRopterProblem) {
   }
 }
 
-}  // namespace
+}  // namespace derivative_check_correct_problems_test
 }  // namespace tilt_ropter::optimal_control

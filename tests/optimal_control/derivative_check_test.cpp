@@ -15,7 +15,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace derivative_check_test {
 
 using test_support::Circle;
 using test_support::errors_on_the_way;
@@ -263,5 +263,5 @@ TEST(DerivativeCheck, NamesItsArguments) {
     expect_refused("Problem.horizon()", [&] { check(1, 0, 1e-6); });
 }
 
-}  // namespace
+}  // namespace derivative_check_test
 }  // namespace tilt_ropter::optimal_control

@@ -14,7 +14,7 @@
 #include <array>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace free_start_test {
 
 template <typename S, int Size>
 using V = Eigen::Matrix<S, Size, 1>;
@@ -117,5 +117,5 @@ TEST(FreeStart, FitsALineAsLeastSquaresDo) {
   EXPECT_LT((alone.state(in_front) - line).norm(), 1e-3);
 }
 
-}  // namespace
+}  // namespace free_start_test
 }  // namespace tilt_ropter::optimal_control

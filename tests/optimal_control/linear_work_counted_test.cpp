@@ -10,7 +10,7 @@
 #include <algorithm>
 #include <vector>
 
-namespace {
+namespace linear_work_counted_test {
 
 using test_support::check_at_most;
 
@@ -53,4 +53,4 @@ TEST(LinearWork, TenTimesTheHorizonWithAllConstraintsFlipping) {
                 longer.instructions / shorter.instructions, 15.0);
 }
 
-}  // namespace
+}  // namespace linear_work_counted_test

@@ -12,7 +12,7 @@
 #include <ctime>
 #include <vector>
 
-namespace {
+namespace linear_work_test {
 
 using test_support::check_at_most;
 
@@ -71,4 +71,4 @@ TEST(LinearTime, TenTimesTheHorizonWithAllConstraintsFlipping) {
                 longer.seconds / shorter.seconds, 15.0);
 }
 
-}  // namespace
+}  // namespace linear_work_test

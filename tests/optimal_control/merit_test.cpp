@@ -14,7 +14,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace merit_test {
 
 using test_support::Random;
 using test_support::Unicycle;
@@ -353,5 +353,5 @@ TEST(Merit, ViolationIsTheDistanceOutsideTheBounds) {
   EXPECT_EQ(violation(1e300, -infinity, infinity), 0.0);
 }
 
-}  // namespace
+}  // namespace merit_test
 }  // namespace tilt_ropter::optimal_control

@@ -13,7 +13,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace multiple_shooting_guesses_test {
 
 using test_support::PlanValue;
 using test_support::ShortestTime;
@@ -86,5 +86,5 @@ TEST(SolveFromGuesses, InputsStayWithinTheirBoundsIfTheEndIsOutOfReach) {
   }
 }
 
-}  // namespace
+}  // namespace multiple_shooting_guesses_test
 }  // namespace tilt_ropter::optimal_control

@@ -14,7 +14,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace multiple_shooting_ipopt_test {
 
 using test_support::PlanValue;
 
@@ -68,5 +68,5 @@ TEST(SolveAgainstIpopt, ConvergesFromTheGuessesFromWhichIpoptDoes) {
   EXPECT_EQ(all.lies, 0);
 }
 
-}  // namespace
+}  // namespace multiple_shooting_ipopt_test
 }  // namespace tilt_ropter::optimal_control

@@ -21,7 +21,7 @@
 #include <utility>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace multiple_shooting_robustness_test {
 
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
@@ -360,5 +360,5 @@ TEST(MultipleShooting, SolvesWithInputsThatCostAlmostNothing) {
   }
 }
 
-}  // namespace
+}  // namespace multiple_shooting_robustness_test
 }  // namespace tilt_ropter::optimal_control

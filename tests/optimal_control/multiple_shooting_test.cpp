@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace multiple_shooting_test {
 
 using test_support::air_plant;
 using test_support::air_position;
@@ -329,5 +329,5 @@ TEST(MultipleShooting, LogHasEveryIterate) {
   EXPECT_EQ(other.solve(step_start()).cost, report.cost);
 }
 
-}  // namespace
+}  // namespace multiple_shooting_test
 }  // namespace tilt_ropter::optimal_control

@@ -7,7 +7,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace multipliers_test {
 
 using test_support::Random;
 
@@ -113,5 +113,5 @@ TEST(DualSolver, NonFiniteInputFailsAndLeavesTheMultipliers) {
   EXPECT_EQ(lambda, Eigen::VectorXd::Constant(5, 0.25));
 }
 
-}  // namespace
+}  // namespace multipliers_test
 }  // namespace tilt_ropter::optimal_control

@@ -14,7 +14,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace not_a_number_test {
 
 enum class Output {
   none,
@@ -271,5 +271,5 @@ TEST(NotANumber, RecoversInTheNextIteration) {
   EXPECT_TRUE(finite_plan(solver));
 }
 
-}  // namespace
+}  // namespace not_a_number_test
 }  // namespace tilt_ropter::optimal_control

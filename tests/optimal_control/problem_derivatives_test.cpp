@@ -19,7 +19,7 @@
 #include <gtest/gtest.h>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace problem_derivatives_test {
 
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
@@ -184,5 +184,5 @@ TEST(ProblemDerivatives, PassTheCheckForUsers) {
   }
 }
 
-}  // namespace
+}  // namespace problem_derivatives_test
 }  // namespace tilt_ropter::optimal_control

@@ -19,7 +19,7 @@
 #include <cmath>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace problems_test {
 
 using test_support::Contradiction;
 using test_support::DoubleIntegrator;
@@ -185,5 +185,5 @@ TEST(MultipleShooting, NeedsAHorizonOfOneNodeOrMore) {
                              });
 }
 
-}  // namespace
+}  // namespace problems_test
 }  // namespace tilt_ropter::optimal_control

@@ -11,7 +11,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace quadratic_program_hard_bounds_test {
 
 using test_support::Feasibility;
 using test_support::Random;
@@ -65,5 +65,5 @@ TEST(QuadraticProgramHardBounds, AreNotRelaxedAtTheFirstPriceOnEitherSide) {
   }
 }
 
-}  // namespace
+}  // namespace quadratic_program_hard_bounds_test
 }  // namespace tilt_ropter::optimal_control

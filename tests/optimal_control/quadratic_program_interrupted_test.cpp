@@ -13,7 +13,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace quadratic_program_interrupted_test {
 
 using Program = QuadraticProgram<2, 1, 2>;
 using Vector = Program::Program::Vector;
@@ -123,5 +123,5 @@ TEST_F(Interrupted, ClampsThePlanToItsHardBounds) {
   expect_cheaper(false);
 }
 
-}  // namespace
+}  // namespace quadratic_program_interrupted_test
 }  // namespace tilt_ropter::optimal_control

@@ -10,7 +10,7 @@
 
 #include <algorithm>
 
-namespace {
+namespace quadratic_program_tails_test {
 
 struct Passes {
   double mean = 0.0;  ///< of a tick, without the pass of prepare()
@@ -49,4 +49,4 @@ TEST(QuadraticProgramTails, PassesDoNotGrowWithTheHorizon) {
   EXPECT_LE(fly(benchmarks::air(500), 40).mean, fly(benchmarks::air(20), 500).mean + 1.0);
 }
 
-}  // namespace
+}  // namespace quadratic_program_tails_test

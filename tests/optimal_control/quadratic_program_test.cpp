@@ -20,7 +20,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace quadratic_program_test {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -369,5 +369,5 @@ TEST_P(KktResidual, IsViolationOrGapOfBoundsThatMovedCloser) {
 
 INSTANTIATE_TEST_SUITE_P(UpperAndLower, KktResidual, testing::Values(1.0, -1.0));
 
-}  // namespace
+}  // namespace quadratic_program_test
 }  // namespace tilt_ropter::optimal_control

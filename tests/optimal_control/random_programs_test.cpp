@@ -19,7 +19,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace random_programs_test {
 
 using test_support::Feasibility;
 using test_support::RandomProgram;
@@ -138,5 +138,5 @@ TEST(RandomPrograms, SolvesByTheDualAlone) {
   EXPECT_LE(t.worst_residual, 1e-5);
 }
 
-}  // namespace
+}  // namespace random_programs_test
 }  // namespace tilt_ropter::optimal_control

@@ -16,7 +16,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace riccati_test {
 
 using test_support::horizon;
 using test_support::LinearQuadratic;
@@ -338,5 +338,5 @@ TEST(SolveDare, IsEmptyIfThereIsNoSolution) {
   EXPECT_FALSE(exists());
 }
 
-}  // namespace
+}  // namespace riccati_test
 }  // namespace tilt_ropter::optimal_control

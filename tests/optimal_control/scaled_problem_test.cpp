@@ -14,7 +14,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace scaled_problem_test {
 
 /// A mass on a line, with a force of at most 1 N and a prescribed end, in any units.
 struct Mass {
@@ -175,5 +175,5 @@ TEST(ScaledProblem, LeavesUsualUnitsAsTheyAre) {
   EXPECT_TRUE(problem.natural());
 }
 
-}  // namespace
+}  // namespace scaled_problem_test
 }  // namespace tilt_ropter::optimal_control

@@ -21,7 +21,7 @@
 // Problems from other fields, and short problems of the Tilt-Ropter: two solvers that share only
 // the problem must agree.
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace single_shooting_test {
 
 using test_support::Audit;
 using test_support::audit;
@@ -297,5 +297,5 @@ TEST(EqualitiesByWeight, HoldByTheirWeightWithoutUpdates) {
   }
 }
 
-}  // namespace
+}  // namespace single_shooting_test
 }  // namespace tilt_ropter::optimal_control

@@ -12,7 +12,7 @@
 
 // Numbers that are not finite for a while, and bounds that are removed: the solver must recover.
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace solver_recovery_test {
 
 using test_support::air_problem;
 using test_support::air_start;
@@ -151,5 +151,5 @@ TEST(SolverRecovery, AStateOutOfRangeCostsThreeTicks) {
   }
 }
 
-}  // namespace
+}  // namespace solver_recovery_test
 }  // namespace tilt_ropter::optimal_control

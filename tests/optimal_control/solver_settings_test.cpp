@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace solver_settings_test {
 
 using namespace test_support;
 
@@ -32,5 +32,5 @@ TEST(SolverSettings, SolverNamesEachField) {
   check.refuse("QuadraticProgramSettings.max_passes", [](S& s) { s.program.max_passes = 0; });
 }
 
-}  // namespace
+}  // namespace solver_settings_test
 }  // namespace tilt_ropter::optimal_control

@@ -14,7 +14,7 @@
 #include <string>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace stall_test {
 
 /// A cart with a pole. The pole must be upright and at rest at the end.
 struct CartPole {
@@ -112,5 +112,5 @@ TEST(Stall, SwingsUpFromHanging) {
   }
 }
 
-}  // namespace
+}  // namespace stall_test
 }  // namespace tilt_ropter::optimal_control

@@ -1,6 +1,6 @@
 // After no flight does a buffer of the solver contain a subnormal number: arithmetic with these
 // takes many times as long on most processors, so an iteration would take longer for no reason.
-// CTest: optimised
+// CTest: alone optimised
 
 #include "benchmark/scenarios.hpp"
 

@@ -13,7 +13,7 @@
 #include <limits>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace subproblem_test {
 
 using test_support::Random;
 
@@ -212,5 +212,5 @@ TEST(Subproblem, MirrorImageHasTheSameResidualsAndCost) {
   EXPECT_GT(largest, 0.1);
 }
 
-}  // namespace
+}  // namespace subproblem_test
 }  // namespace tilt_ropter::optimal_control

@@ -16,7 +16,7 @@
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
-namespace {
+namespace trajectory_test {
 
 using test_support::air_problem;
 using test_support::air_start;
@@ -247,5 +247,5 @@ TEST(ShiftOfASolver, FitsThePlanToAMovingReference) {
   EXPECT_LE(with.iterations, without.iterations + 5);
 }
 
-}  // namespace
+}  // namespace trajectory_test
 }  // namespace tilt_ropter::optimal_control

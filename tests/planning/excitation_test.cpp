@@ -9,7 +9,7 @@
 #include <cmath>
 #include <limits>
 
-namespace {
+namespace excitation_test {
 
 using namespace tilt_ropter;
 
@@ -71,4 +71,4 @@ TEST(Excitation, ZeroAccelerationsKeepTheirAxesStill) {
   EXPECT_EQ(turned.velocity.norm(), 0.0);
 }
 
-}  // namespace
+}  // namespace excitation_test

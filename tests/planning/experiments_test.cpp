@@ -11,7 +11,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace experiments_test {
 
 using examples::aerial_experiment;
 using examples::excitation_experiment;
@@ -114,5 +114,5 @@ TEST(Experiments, CheckMissionUndercarriageAndLengths) {
   check_length("HybridExperimentSettings.roll_length [m]", &HybridExperimentSettings::roll_length);
 }
 
-}  // namespace
+}  // namespace experiments_test
 }  // namespace tilt_ropter

@@ -13,7 +13,7 @@
 #include <cmath>
 #include <random>
 
-namespace {
+namespace figure_eight_rates_test {
 
 using namespace tilt_ropter;
 using test_support::cases;
@@ -147,4 +147,4 @@ TEST(FigureEight, JerkIsContinuousAlsoAtRampEnds) {
   }
 }
 
-}  // namespace
+}  // namespace figure_eight_rates_test

@@ -10,9 +10,9 @@
 #include <random>
 #include <stdexcept>
 
-using namespace tilt_ropter;
+namespace figure_eight_test {
 
-namespace {
+using namespace tilt_ropter;
 
 using test_support::cases;
 using test_support::ground_parameters;
@@ -34,8 +34,6 @@ Peaks peaks_of(const FigureEight& eight, int samples) {
   }
   return peaks;
 }
-
-}  // namespace
 
 TEST(FigureEight, KeepsAllLimitsAndReachesTheTightest) {
   for (const FigureEightSettings& p : cases()) {
@@ -214,3 +212,5 @@ TEST(FigureEight, StartsAndEndsMoving) {
       }
   }
 }
+
+}  // namespace figure_eight_test

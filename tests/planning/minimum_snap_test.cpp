@@ -15,7 +15,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace minimum_snap_test {
 
 std::vector<MinimumSnapSettings> cases() {
   std::mt19937 generator(6);
@@ -290,5 +290,5 @@ TEST(MinimumSnap, StopsFromAnyMotionWithinTheAcceleration) {
   EXPECT_THROW((void)stop(bad, 1.0), std::invalid_argument);
 }
 
-}  // namespace
+}  // namespace minimum_snap_test
 }  // namespace tilt_ropter

@@ -9,9 +9,9 @@
 #include <string>
 #include <vector>
 
-using namespace tilt_ropter;
+namespace mission_test {
 
-namespace {
+using namespace tilt_ropter;
 
 template <typename Function>
 std::string message_of(const Function& build) {
@@ -49,8 +49,6 @@ HybridMissionSettings other_parameters() {
 
 const Waypoint here{{0.0, 0.0, 1.0}, 0.0};
 const std::optional<Undercarriage> rolling = undercarriage(tilt_ropter_vehicle());
-
-}  // namespace
 
 TEST(HybridMission, PhasesFollowUndercarriage) {
   using Phase = MissionPhase;
@@ -325,3 +323,5 @@ TEST(MissionPhase, HasAName) {
   EXPECT_STREQ(to_string(MissionPhase::ground), "ground");
   EXPECT_STREQ(to_string(static_cast<MissionPhase>(99)), "unknown");
 }
+
+}  // namespace mission_test

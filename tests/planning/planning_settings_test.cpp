@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace planning_settings_test {
 
 using namespace test_support;
 
@@ -366,5 +366,5 @@ TEST(PlanningSettings, HybridMissionNamesEachField) {
       "9:");
 }
 
-}  // namespace
+}  // namespace planning_settings_test
 }  // namespace tilt_ropter

@@ -11,7 +11,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace sampled_path_test {
 
 // Samples of a smooth path that starts and ends at rest, at uneven times.
 constexpr double whole = 6.0;
@@ -100,5 +100,5 @@ TEST(SampledPath, IsDefinedForEveryTime) {
   EXPECT_EQ(path(infinity).position, path(path.end_time()).position);
 }
 
-}  // namespace
+}  // namespace sampled_path_test
 }  // namespace tilt_ropter

@@ -11,9 +11,9 @@
 #include <string>
 #include <vector>
 
-using namespace tilt_ropter;
+namespace transition_test {
 
-namespace {
+using namespace tilt_ropter;
 
 constexpr double pi_ = 3.14159265358979323846;
 
@@ -54,8 +54,6 @@ std::string message_of(const TransitionSettings& p) {
   }
   return "accepted";
 }
-
-}  // namespace
 
 TEST(Transition, MovesFromRestToRestAndHolds) {
   const double infinity = std::numeric_limits<double>::infinity();
@@ -242,3 +240,5 @@ TEST(Transition, SetStartTimeShiftsTheWholeReference) {
   EXPECT_THROW(transition.set_start_time(std::numeric_limits<double>::infinity()),
                std::invalid_argument);
 }
+
+}  // namespace transition_test

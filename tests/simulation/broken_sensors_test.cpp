@@ -9,7 +9,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace broken_sensors_test {
 
 // This fault from 1 s to 2 s.
 SensorFault fault_of(SensorFaultKind kind, double size) {
@@ -118,5 +118,5 @@ TEST(SensorFaults, HaveNames) {
   EXPECT_FALSE(sensor_fault_kind("pose_melt"));
 }
 
-}  // namespace
+}  // namespace broken_sensors_test
 }  // namespace tilt_ropter

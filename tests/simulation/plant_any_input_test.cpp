@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace plant_any_input_test {
 
 using test_support::hover;
 using test_support::hover_speed;
@@ -172,5 +172,5 @@ TEST(Plant, ResetSetsTheWholeStateAndDropsWaitingCommands) {
   EXPECT_NEAR(plant.time(), 7.09, 1e-9);
 }
 
-}  // namespace
+}  // namespace plant_any_input_test
 }  // namespace tilt_ropter

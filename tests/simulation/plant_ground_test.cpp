@@ -16,7 +16,7 @@
 #include <cstddef>
 
 namespace tilt_ropter {
-namespace {
+namespace plant_ground_test {
 
 using test_support::energy;
 using test_support::hover;
@@ -346,5 +346,5 @@ TEST(Plant, ExternalWrenchMatchesEquationsOfMotionOfPaper) {
   }
 }
 
-}  // namespace
+}  // namespace plant_ground_test
 }  // namespace tilt_ropter

@@ -18,7 +18,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace plant_test {
 
 using test_support::energy;
 using test_support::hover;
@@ -339,5 +339,5 @@ TEST(Plant, RotorsCanBeReplacedInFlight) {
   EXPECT_THROW(plant.set_rotors(slow), std::invalid_argument);
 }
 
-}  // namespace
+}  // namespace plant_test
 }  // namespace tilt_ropter

@@ -11,7 +11,7 @@
 #include <vector>
 
 namespace tilt_ropter {
-namespace {
+namespace sensors_test {
 
 using test_support::Random;
 using test_support::StateSensor;
@@ -344,5 +344,5 @@ TEST(Sensors, ResetAllowsTimeToStartAnew) {
   EXPECT_EQ(count, 95);
 }
 
-}  // namespace
+}  // namespace sensors_test
 }  // namespace tilt_ropter

@@ -13,7 +13,7 @@
 #include <string>
 
 namespace tilt_ropter {
-namespace {
+namespace simulation_settings_test {
 
 using namespace test_support;
 
@@ -167,5 +167,5 @@ TEST(SimulationSettings, PlantStateNamesEachField) {
   expect_refused("PlantState.time [s]", [&] { plant.reset(bad); });
 }
 
-}  // namespace
+}  // namespace simulation_settings_test
 }  // namespace tilt_ropter

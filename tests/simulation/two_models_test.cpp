@@ -13,7 +13,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace two_models_test {
 
 using test_support::Random;
 
@@ -80,5 +80,5 @@ TEST(TwoModels, FollowTheSameTrajectoryUnderTheSameCommands) {
   }
 }
 
-}  // namespace
+}  // namespace two_models_test
 }  // namespace tilt_ropter

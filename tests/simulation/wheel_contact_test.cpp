@@ -8,7 +8,7 @@
 #include <cmath>
 
 namespace tilt_ropter {
-namespace {
+namespace wheel_contact_test {
 
 using test_support::Random;
 
@@ -195,5 +195,5 @@ TEST(WheelContact, EveryParameterActsOnTheForces) {
   EXPECT_TRUE(moves([](auto& p) { p.axle_position.x() = 0.01; }));
 }
 
-}  // namespace
+}  // namespace wheel_contact_test
 }  // namespace tilt_ropter
