@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <optional>
 
@@ -343,6 +344,31 @@ TEST(GroundContact, ExternalWrenchModelMovesFreelyUnderTheWholeWrench) {
       ReferenceWrench<4>(vehicle, settings)(at_height(0.11), contact.external, true);
   EXPECT_NEAR(needed.force.z(), vehicle.body.mass * gravity - 14.0, 1e-12);
   EXPECT_NEAR(needed.force.y(), -2.0, 1e-12);
+}
+
+TEST(GroundContact, DrivesWithLessLoadBesideItsReferenceOrTurnedFromIt) {
+  ReferencePoint point = at_height(0.11);
+  point.orientation = quaternion_exp(Eigen::Vector3d(0.0, 0.0, 2.5));
+  const auto lifted = [&point](double ahead, double aside, double turned, double speed = 1.0) {
+    BodyStated state;
+    state.velocity.x() = speed;
+    state.position = point.position + point.orientation * Eigen::Vector3d(ahead, aside, 0.0);
+    state.orientation = point.orientation * quaternion_exp(Eigen::Vector3d(0.0, 0.0, turned));
+    return axle_with().lifted(state, point);
+  };
+  EXPECT_EQ(lifted(1.0, 0.015, -0.05), 0.0);
+  EXPECT_NEAR(lifted(0.0, -0.0325, 0.0), 0.5, 1e-12);
+  EXPECT_NEAR(lifted(0.0, 0.0, std::asin(0.125)), 0.75, 1e-12);
+  EXPECT_EQ(lifted(0.0, 0.0, -3.0), 1.0);
+  EXPECT_EQ(lifted(0.0, 0.0, -3.0, -0.1), 0.5);
+  EXPECT_EQ(lifted(0.0, 0.1, -3.0, 0.0), 0.0);  // rests
+  const GroundContactSettings settings;
+  const Vehicle<4> vehicle = tilt_ropter_vehicle();
+  const ReferenceWrench<4> needed(vehicle, settings);
+  for (const double share : {0.0, 0.6, 1.0})
+    EXPECT_NEAR(needed(point, {}, true, share).force.z(),
+                std::max(settings.down_force, 0.5 * share * vehicle.body.mass * gravity), 1e-12);
+  EXPECT_NEAR(needed(point, {}, false, 1.0).force.z(), vehicle.body.mass * gravity, 1e-12);
 }
 
 TEST(GroundContact, WithoutSettlingSpeedTheReferenceStaysAsItIs) {

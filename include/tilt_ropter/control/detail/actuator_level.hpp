@@ -94,7 +94,8 @@ class ActuatorLevel {
   }
   void set_nodes(const PlanInputs& inputs, Problem& problem) const {
     const bool leans = inverse_.leans();
-    const double interval = settings_.problem.interval;
+    const double interval = settings_.problem.interval,
+                 lifted = ground().lifted(inputs.body, inputs.points[0]);
     for (std::size_t k = 0; k < inputs.points.size(); ++k) {
       Node& node = problem.node(static_cast<int>(k));
       ReferencePoint followed =
@@ -105,7 +106,7 @@ class ActuatorLevel {
         node.reference.orientation = followed.orientation;
       }
       steer(node);
-      Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground);
+      Wrenchd wrench = reference_wrench_(followed, node.external, node.on_ground, lifted);
       if (leans && node.on_ground) {
         lean_on_wheels(node, wrench);
         ground().hold_rotation(node.reference.orientation, node);

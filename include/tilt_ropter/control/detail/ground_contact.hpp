@@ -157,6 +157,22 @@ class GroundContact {
     return body;
   }
 
+  /// Returns how much of half the weight the rotors carry, 0 to 1, while the vehicle drives beside
+  /// its reference or points elsewhere, such as after a bump. Its wheels then lead it where it
+  /// should not be, and the next edge turns it further: with less load they do both less.
+  [[nodiscard]] double lifted(const BodyStated& measured,
+                              const ReferencePoint& reference) const noexcept {
+    const Eigen::Quaterniond to_reference = reference.orientation.conjugate();
+    const Eigen::Vector3d ahead = to_reference * (measured.orientation * Eigen::Vector3d::UnitX());
+    const double aside = (to_reference * (measured.position - reference.position)).y(),
+                 turned = ahead.x() > 0.0 ? ahead.y() : 1.0,
+                 drives = std::min(1.0, measured.velocity.norm() / 0.2);
+    const auto share = [](double value, double none, double all) {
+      return std::clamp((std::abs(value) - none) / (all - none), 0.0, 1.0);
+    };
+    return drives * std::max(share(aside, 0.015, 0.05), share(turned, 0.05, 0.15));  // [m], [rad]
+  }
+
   [[nodiscard]] const std::optional<Undercarriage>& undercarriage() const noexcept {
     return undercarriage_;
   }

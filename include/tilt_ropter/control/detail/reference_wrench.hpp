@@ -94,9 +94,9 @@ class ReferenceWrench {
 
   /// Returns the wrench (body frame) for `point` that also balances `external` (body frame). On the
   /// ground it excludes the components that the ground provides, except with
-  /// GroundModel::external_wrench.
+  /// GroundModel::external_wrench, and carries `lifted` (0 to 1) of half the weight.
   [[nodiscard]] Wrenchd operator()(const ReferencePoint& point, const Wrenchd& external,
-                                   bool on_ground) const noexcept {
+                                   bool on_ground, double lifted = 0.0) const noexcept {
     const Eigen::Vector3d& w = point.angular_velocity;
     Wrenchd wrench;
     wrench.force = body_.mass * (point.orientation.conjugate() *
@@ -106,7 +106,7 @@ class ReferenceWrench {
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
     if (on_ground && ground_.holds()) {
       ground_.release(wrench);
-      wrench.force.z() = ground_thrust_(wrench);
+      wrench.force.z() = std::max(ground_thrust_(wrench), lifted * 0.5 * body_.mass * gravity);
     }
     return wrench;
   }

@@ -79,6 +79,7 @@ class WrenchLevel {
 
   /// Sets references, external wrenches and ground contact of the nodes of `problem`.
   void set_nodes(const PlanInputs& inputs, Problem& problem) const {
+    const double lifted = ground().lifted(inputs.body, inputs.points[0]);
     for (std::size_t k = 0; k < inputs.points.size(); ++k) {
       WheeledFlightNode& node = problem.node(static_cast<int>(k));
       const double ahead = settings_.problem.interval * static_cast<double>(k);
@@ -95,9 +96,10 @@ class WrenchLevel {
         case WrenchReference::inverse_dynamics:
           if constexpr (has_term)
             node.wrench_reference = reference_wrench_(
-                followed, node.external + term_(node.reference).wrench, node.on_ground);
+                followed, node.external + term_(node.reference).wrench, node.on_ground, lifted);
           else
-            node.wrench_reference = reference_wrench_(followed, node.external, node.on_ground);
+            node.wrench_reference =
+                reference_wrench_(followed, node.external, node.on_ground, lifted);
       }
     }
   }
