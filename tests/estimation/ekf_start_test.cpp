@@ -42,8 +42,10 @@ class EkfStartAtPose : public testing::Test {
     before.orientation = random.orientation();
     before.gyro_bias = random.vector(0.1);
     before.accelerometer_bias = random.vector(0.5);
-    before.marker_position = random.vector(0.2);
-    before.marker_orientation = random.orientation();
+    before.marker_position =
+        settings.marker_position - settings.imu_position + Vector3d(0.02, -0.03, 0.01);
+    before.marker_orientation =
+        settings.marker_orientation * quaternion_exp(Vector3d(0.05, 0.03, -0.06));
     Covariance root;
     for (Eigen::Index i = 0; i < root.size(); ++i) root.data()[i] = random.normal(0.005);
     covariance = root * root.transpose();
@@ -87,6 +89,43 @@ TEST_F(EkfStartAtPose, MarkerFrameIsThatOfTheSettingsUnlessKnown) {
   EXPECT_LT(unknown.marker_orientation.angularDistance(settings.marker_orientation), 1e-12);
   EXPECT_LT((known.marker_position - before.marker_position).norm(), 1e-12);
   EXPECT_LT(known.marker_orientation.angularDistance(before.marker_orientation), 1e-12);
+}
+
+TEST_F(EkfStartAtPose, MarkerPositionIsKeptBesideAFixedMarkerOrientation) {
+  settings.marker_orientation_stddev = 0.0;
+  before.marker_orientation =
+      settings.marker_orientation * quaternion_exp(Vector3d(1e-9, 0.0, 0.0));  // rounding
+  EXPECT_EQ(start(marker).state().marker_position, before.marker_position);
+}
+
+// A frame that wrong poses have taught is further away than the settings allow.
+TEST_F(EkfStartAtPose, MarkerFrameIsThatOfTheSettingsIfImplausible) {
+  const InertialStated learned = before;
+  for (const bool turned : {false, true}) {
+    before = learned;
+    if (turned)
+      before.marker_orientation =
+          settings.marker_orientation * quaternion_exp(Vector3d(0.0, 0.11, 0.0));
+    else
+      before.marker_position = settings.marker_position - settings.imu_position +  //
+                               Vector3d(0.0, 0.0, 0.06);
+    const Filter filter = start(all_but_pose);
+    const InertialStated& x = filter.state();
+    EXPECT_LT((x.marker_position - settings.marker_position + settings.imu_position).norm(), 1e-12);
+    EXPECT_LT(x.marker_orientation.angularDistance(settings.marker_orientation), 1e-12);
+    EXPECT_TRUE(stddev(filter, I::marker_position).isApproxToConstant(0.01, 1e-2));
+    EXPECT_TRUE(stddev(filter, I::marker_orientation).isApproxToConstant(0.02, 1e-2));
+    EXPECT_EQ(covariance_of(filter, I::gyro_bias, I::marker_position), 0.0);
+  }
+}
+
+// After Ekf::start() no pose has been used, and a gap follows.
+TEST_F(EkfStartAtPose, BiasesKeepTheirCovarianceIfTheMarkerFrameIsUnknown) {
+  const Filter filter = start({false, true, 0.1});
+  for (const int bias : {I::gyro_bias, I::accelerometer_bias})
+    EXPECT_TRUE(
+        stddev(filter, bias).isApprox(covariance.diagonal().segment<3>(bias).cwiseSqrt(), 0.05))
+        << bias;
 }
 
 TEST_F(EkfStartAtPose, BiasesAndVelocityAreThoseOfTheSettingsUnlessKnown) {

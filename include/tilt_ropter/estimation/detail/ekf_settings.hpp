@@ -158,7 +158,8 @@ struct EkfSettings {
   Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
   /// Standard deviations of this pose. Zero switches its estimation off. If the estimation is on,
   /// it takes about ten seconds of motion about all axes. A vehicle at rest gives no information
-  /// about this pose.
+  /// about this pose. If the estimate is more than five of them away when the filter starts again
+  /// at a pose, it starts with the pose of the settings.
   double marker_position_stddev = 0.0;     ///< of marker_position [m]
   double marker_orientation_stddev = 0.0;  ///< of marker_orientation [rad]
 

@@ -55,12 +55,16 @@ void set_marker_frame(InertialState<Scalar>& x, const EkfSettings& settings) noe
   x.marker_orientation = settings.marker_orientation.template cast<Scalar>();
 }
 
-/// Sets the variance of the marker frame, relative to the IMU, to that of the settings.
+/// Standard deviation of the marker's position relative to the IMU [m].
+inline double marker_position_stddev(const EkfSettings& settings) noexcept {
+  return std::max(settings.marker_position_stddev, settings.imu_position_stddev);
+}
+
+/// Replaces the covariance of the marker frame, relative to the IMU, by that of the settings.
 template <typename Covariance>
-void set_marker_variance(Covariance& p, const EkfSettings& settings) noexcept {
-  set_variance(p, InertialIndex::marker_orientation, settings.marker_orientation_stddev);
-  set_variance(p, InertialIndex::marker_position,
-               std::max(settings.marker_position_stddev, settings.imu_position_stddev));
+void forget_marker_frame(Covariance& p, const EkfSettings& settings) noexcept {
+  forget(p, InertialIndex::marker_orientation, settings.marker_orientation_stddev);
+  forget(p, InertialIndex::marker_position, marker_position_stddev(settings));
 }
 
 /// Changes the covariance of IMU and marker frame to that of the body's position and velocity, if
@@ -94,6 +98,22 @@ void move_to_body(Covariance& p, const Eigen::Quaternion<Scalar>& orientation,
                               .eval();
 }
 
+/// True if the marker frame is within five standard deviations of that of the settings. Poses that
+/// were wrong can have taught another one, of which the covariance is sure.
+template <typename Scalar>
+[[nodiscard]] bool has_plausible_marker_frame(const InertialState<Scalar>& x,
+                                              const EkfSettings& settings) noexcept {
+  constexpr double most = 5.0;       // standard deviations
+  constexpr double rounding = 1e-4;  // of a frame that is not estimated [m], [rad]
+  InertialState<Scalar> expected;
+  set_marker_frame(expected, settings);
+  const auto off = static_cast<double>((x.marker_position - expected.marker_position).norm()),
+             turn = static_cast<double>(
+                 x.marker_orientation.angularDistance(expected.marker_orientation));
+  return off <= most * marker_position_stddev(settings) + rounding &&
+         turn <= most * settings.marker_orientation_stddev + rounding;
+}
+
 /// What the filter knows before it starts at a pose.
 struct KnownAtStart {
   bool marker_frame = false;         ///< learned from poses that were used before
@@ -125,8 +145,8 @@ void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) 
   filter.update(pose);
 }
 
-/// Starts at the pose, with the known marker frame. The update from a much larger covariance sets
-/// the correlation between the pose and an uncertain marker frame.
+/// Starts at the pose, with the known marker frame if it is plausible. The update from a much
+/// larger covariance sets the correlation between the pose and an uncertain marker frame.
 template <typename Scalar>
 void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose,
                    const KnownAtStart& known, const EkfSettings& settings) noexcept {
@@ -134,15 +154,13 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
   using I = InertialIndex;
   using Covariance = typename ErrorStateFilter<Scalar>::Covariance;
   InertialState<Scalar> x = filter.state();
-  if (!known.marker_frame) set_marker_frame(x, settings);
+  const bool frame_is_known = known.marker_frame && has_plausible_marker_frame(x, settings);
+  if (!frame_is_known) set_marker_frame(x, settings);
   x.orientation = (pose.orientation * x.marker_orientation.conjugate()).normalized();
   x.position = pose.position - x.orientation * x.marker_position;
   Covariance p = Covariance::Zero();
-  if (known.marker_frame)
-    p.template bottomRightCorner<12, 12>() =
-        filter.covariance().template bottomRightCorner<12, 12>();
-  else
-    set_marker_variance(p, settings);
+  p.template bottomRightCorner<12, 12>() = filter.covariance().template bottomRightCorner<12, 12>();
+  if (!frame_is_known) forget_marker_frame(p, settings);
   double velocity_stddev = settings.velocity_stddev;
   if (known.biases_and_velocity) {
     // The velocity has changed by an unknown acceleration during the gap.
@@ -222,7 +240,7 @@ void start_at_state(ErrorStateFilter<Scalar>& filter, const BodyState<Scalar>& b
       body.velocity + x.orientation * Vector3<Scalar>(body.angular_velocity.cross(imu_position));
   Covariance p = Covariance::Zero();
   p.template bottomRightCorner<6, 6>() = filter.covariance().template bottomRightCorner<6, 6>();
-  if (!marker_frame_is_known) set_marker_variance(p, settings);
+  if (!marker_frame_is_known) forget_marker_frame(p, settings);
   set_variance(p, I::position, stddev.position);
   set_variance(p, I::velocity, stddev.velocity);
   set_variance(p, I::orientation, stddev.orientation);
