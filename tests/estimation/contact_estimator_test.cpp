@@ -115,6 +115,9 @@ TEST(ContactEstimator, OneWheelThatHardlyCarriesIsNoGround) {
         Eigen::Quaterniond(Eigen::AngleAxisd(c.lean, Eigen::Vector3d::UnitX()));
     feed.state.velocity.z() = c.rising;
     EXPECT_EQ(feed.stay(with_lift(c.load * weight), 0.05).on_ground, c.stands);
+    if (c.stands) continue;
+    EXPECT_FALSE(feed.stay(with_lift(0.8 * weight), 0.03).on_ground);  // the other wheel touches
+    EXPECT_TRUE(feed.stay(with_lift(0.9 * weight), 0.4).on_ground);    // lands
   }
 }
 

@@ -88,14 +88,16 @@ TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
   for (std::size_t i = 0; i < count; ++i) {
     const char* name = to_string(static_cast<P>(i));
     EXPECT_GE(close[i], 0.95 * vehicles) << name;
+    // Of 17 parameters with exact intervals of 95 %, one is below this of 100 in 3 % of the cases.
     if (vehicles >= 100) {
-      EXPECT_GE(inside[i], 0.9 * vehicles) << name;
+      EXPECT_GE(inside[i], 0.88 * vehicles) << name;
     }
     all_inside += inside[i];
     std::printf("%s: within the tolerance %d, inside the interval %d of %d\n", name, close[i],
                 inside[i], vehicles);
   }
-  EXPECT_GE(all_inside, 0.85 * vehicles * static_cast<double>(count));
+  const double least = vehicles >= 100 ? 0.94 : 0.85;
+  EXPECT_GE(all_inside, least * vehicles * static_cast<double>(count));
 }
 
 // The mission in the air, with what was identified from another flight, and with the truth.

@@ -304,9 +304,12 @@ class ContactEstimator {
   // Update in the air, until a load indicates contact.
   void fly(const BodyStated& body, bool starts_carried, double clearance, double dt) noexcept {
     const double load = lift_ + unfelt().z() - air_lift_, rising = rising_of(body);
+    // After one wheel has left, the other one may still touch: that is no landing.
+    one_wheel_for_ = std::max(0.0, one_wheel_for_ - dt);
     const bool near = std::abs(clearance) < leave_height;
-    const double enough = (near ? near_load : far_load) * weight_;
-    const bool moves_carried = near || moved_.z() - air_lift_ > 0.5 * enough;
+    const bool left = one_wheel_for_ > 0.0;
+    const double enough = (left ? 0.5 : near ? near_load : far_load) * weight_;
+    const bool moves_carried = (near && !left) || moved_.z() - air_lift_ > 0.5 * enough;
     // The velocity of a filter that has just started is uncertain, but a start with the load of
     // the ground is not.
     if (starts_carried || (load > enough && moves_carried && rising < 0.1)) {
@@ -351,8 +354,10 @@ class ContactEstimator {
     }
     unloaded_for_ += dt;
     const double lead = unloaded_for_ > unloaded_time ? leave_lead : 0.0;
-    if (std::abs(clearance) > leave_height || one_wheel_stands(body, lift - missing) ||
+    const bool one_wheel = one_wheel_stands(body, lift - missing);
+    if (std::abs(clearance) > leave_height || one_wheel ||
         clearance + lead * rising_of(body) > leave_height) {
+      one_wheel_for_ = one_wheel ? 0.3 : 0.0;
       // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
       air_lift_ = possible(lift_);
@@ -472,7 +477,7 @@ class ContactEstimator {
   // the external force as felt and as the motion shows it.
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero(), slow_velocity_ = velocity_;
   Eigen::Vector3d thrust_ = velocity_, felt_ = velocity_, moved_ = velocity_;
-  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0;
+  double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0, one_wheel_for_ = 0.0;
   double settling_ = 0.0, standing_for_ = 0.0;  // [s]
   int mode_changes_ = 0;
   bool started_ = false, stood_ = false;
