@@ -308,11 +308,11 @@ class Anderson {
 /// Finds the next iterate of MultipleShooting::solve() from the step of a quadratic program.
 ///
 /// If the steps have become slow or the merit function is nearly level, the step from Anderson is
-/// tried first. This step need not lower the merit if the merit is level or if rounding errors hide
-/// its change. The norms in the merit function reject good steps there (Maratos effect). Such a
-/// step is on trust: if the step of the next program is not shorter, the search goes back to the
-/// start of the step on trust. Otherwise, the search is a line search along the step of the
-/// program.
+/// tried first, up to the first bound that is not active. This step need not lower the merit if the
+/// merit is level or if rounding errors hide its change. The norms in the merit function reject
+/// good steps there (Maratos effect). Such a step is on trust: if the step of the next program is
+/// not shorter, the search goes back to the start of the step on trust. Otherwise, the search is a
+/// line search along the step of the program.
 template <typename Problem, typename Program>
 class StepSearch {
  public:
@@ -393,6 +393,7 @@ class StepSearch {
     moved_ = true;
     if (!anderson_.empty()) {
       move_ = anderson_.step(residual_);
+      stop_at_bounds(program);
       try_move(problem, here);
       const bool lower = merit_of_trial() <= merit + 1e-4 * slope;
       if (lower || level || hidden) {
@@ -477,6 +478,27 @@ class StepSearch {
     for (int k = 0; k <= horizon_; ++k)
       for (int i = 0; i < entries_of(k); ++i)
         residual_(entry(k, i)) = scale_(entry(k, i)) * program.step(k)(i);
+  }
+  // Shortens move_ towards the step of the program, which keeps all bounds, so that it crosses no
+  // bound that is not active. Other constraints are active beyond, and the stored moves do not tell
+  // how the steps change there.
+  void stop_at_bounds(const Program& program) {
+    double share = 1.0;
+    for (int k = 0; k <= horizon_; ++k) {
+      const auto& n = program.node(k);
+      for (int i = 0; i < Merit<Problem, Program>::AllConstraints::count; ++i) {
+        if (n.multiplier(i) != 0.0) continue;
+        double there = n.value(i);
+        for (int j = 0; j < entries_of(k); ++j)
+          there += (j < nx ? n.C(i, j) : n.E(i, j - nx)) * move_(entry(k, j)) / scale_(entry(k, j));
+        const double from = n.predicted(i), change = std::abs(there - from);
+        const double bound = there > from ? n.upper(i) : n.lower(i);
+        const double room = std::max(0.0, there > from ? bound - from : from - bound);
+        if (change > room + 1e-9 * (1.0 + std::abs(bound))) share = std::min(share, room / change);
+      }
+    }
+    for (int i = 0; share < 1.0 && i < move_.size(); ++i)
+      move_(i) = residual_(i) + share * (move_(i) - residual_(i));
   }
   void try_move(const Problem& problem, const Points& here) {
     for (int k = 0; k <= horizon_; ++k) {
