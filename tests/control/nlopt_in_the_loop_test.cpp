@@ -120,8 +120,9 @@ TEST(NloptInTheLoop, SolvesInStepsOfThreeMetres) {
 TEST(NloptInTheLoop, SolvesAfterLargeDisturbances) {
   const NmpcSettings settings;
   Ticks ticks(settings);
-  for (std::uint64_t flight = 0;
-       flight < static_cast<std::uint64_t>(test_support::quick_or_full(4, 40)); ++flight) {
+  // In flight 29, the other methods reach the limit of passes before few constraints are left.
+  const std::uint64_t first = test_support::full_run() ? 0 : 26, end = first == 0 ? 40 : 30;
+  for (std::uint64_t flight = first; flight < end; ++flight) {
     const examples::StressStart start =
         examples::stress_start(examples::Scenario::random, 1.0, 20.0, 3, flight);
     test_support::ControlLoop<Plant<4>> loop(1, settings);

@@ -289,6 +289,21 @@ TEST(MultipleShooting, MultipliersMoveByTheShiftSinceTheLastSolve) {
   expect_moved(1);
 }
 
+// The interior point goes on after the interruption; NLopt solves with the few that it leaves.
+TEST(MultipleShooting, NloptSolvesAProgramThatWasInterrupted) {
+  Solver solver(step_problem(), patient());
+  solver.reset(step_start());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  solver.feedback(step_start(), Solver::Clock::time_point());
+  ASSERT_TRUE(solver.interrupted());
+  ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+  const SolveReport& report = solver.feedback(step_start());
+  EXPECT_EQ(report.status, SolveStatus::iterated);
+  EXPECT_EQ(report.solved_by, ProgramSolver::nlopt);
+  EXPECT_GT(report.evaluations, 0);
+  EXPECT_LE(report.active_constraints, SolverSettings().program.max_dual_constraints);
+}
+
 TEST(MultipleShooting, PreparingAnInterruptedProgramIsNoWork) {
   SolverSettings settings = patient();
   settings.max_feedback_time = 1e-9;

@@ -135,7 +135,9 @@ struct QuadraticProgramSettings {
   /// solve the working set may grow to twice this number, in a real-time iteration to 1.5 times: if
   /// more constraints join, the time spent in NLopt is lost.
   int max_dual_constraints = 16;
-  int max_passes = 100;  ///< Riccati passes in one solve, without the pass of prepare()
+  /// Riccati passes in one solve, without the pass of prepare(). With the method `automatic`, the
+  /// last one is left to NLopt if few constraints are active.
+  int max_passes = 100;
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;  ///< of NLopt
 };
 

@@ -55,6 +55,14 @@ class ActiveSet {
       }
   }
 
+  /// Number of constraints that are assumed active or relaxed.
+  [[nodiscard]] int assumed() const {
+    int count = 0;
+    for (const auto& states : states_)
+      count += Constraints - static_cast<int>(std::count(states.begin(), states.end(), 0));
+    return count;
+  }
+
   /// Returns the curvature of the cost along the value of a constraint of node k: the cost of
   /// moving this constraint. `row` is the gradient of the constraint by (dx, du). Uses the Hessians
   /// of the last pass without active constraints.

@@ -244,10 +244,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       }
     }
     solve_by_structure(dx0);
-    if (settings_.method != ProgramMethod::automatic || residual_ > settings_.tolerance) return;
-    const int count = static_cast<int>(this->active().size());
-    if (count == 0 || count > settings_.max_dual_constraints || out_of_time(pass_time_)) return;
-    // Few are left: NLopt solves.
+    leave_few_to_nlopt(dx0);
+  }
+
+  // If few constraints are active after the structured methods, NLopt solves, from their result.
+  void leave_few_to_nlopt(const Tangent& dx0) {
+    if (residual_ > settings_.tolerance && !last_is_for_nlopt()) return;
+    this->collect_active();
+    if (!few_for_nlopt(static_cast<int>(this->active().size())) || out_of_time(pass_time_)) return;
     save();
     ++passes_;
     const ProgramSolver before = solved_by_;
@@ -255,6 +259,14 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       return;
     solved_by_ = before;
     restore();
+  }
+  [[nodiscard]] bool few_for_nlopt(int count) const {
+    return settings_.method == ProgramMethod::automatic && count > 0 &&
+           count <= settings_.max_dual_constraints;
+  }
+  // True if one pass is left, and so few constraints are assumed active that NLopt gets it.
+  [[nodiscard]] bool last_is_for_nlopt() const {
+    return passes_ + 1 == settings_.max_passes && few_for_nlopt(active_set_.assumed());
   }
 
   [[nodiscard]] bool solve_by_nlopt(const Tangent& dx0) {
@@ -273,6 +285,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
           (contradictions <= few_ && settle(dx0, contradictions))) {
         solved_by_ = this->active().empty() ? ProgramSolver::riccati : ProgramSolver::active_set;
         return;
+      }
+      if (last_is_for_nlopt()) {
+        solved_by_ = ProgramSolver::active_set;
+        return (void)solved();
       }
       // The interior point starts from the optimum without constraints: the step that the active
       // set leaves is far from any optimum.
@@ -295,7 +311,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   // Up to eight passes of the active set. From the third pass on, the number of contradictions must
   // decrease in each pass. Returns true if the program is solved.
   bool settle(const Tangent& dx0, int contradictions) {
-    for (int tries = 0; tries < 8 && !out_of_time(pass_time_); ++tries) {
+    for (int tries = 0; tries < 8 && !out_of_time(pass_time_) && !last_is_for_nlopt(); ++tries) {
       const auto start = SolverClock::now();
       ++passes_;
       if (contradictions == 0 && rounded_)
@@ -341,6 +357,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     if (!interior_point_.go_on(*this, dx0)) return false;
     iterate_interior_point(dx0, start, true);
     interrupted_ = cut_off();
+    leave_few_to_nlopt(dx0);
     return true;
   }
   // After half of the allowed passes the program is outdated: a new linearisation is worth more
@@ -372,6 +389,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         interior_point_.finish(*this, true);
         active_set_.assume(*this);
         if (settle(dx0, few_ + 1)) return;
+        if (last_is_for_nlopt()) return (void)solved();
         start = SolverClock::now();
       }
       if (mu < 1e-10 * first) {
