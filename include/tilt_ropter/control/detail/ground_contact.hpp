@@ -162,15 +162,18 @@ class GroundContact {
   /// should not be, and the next edge turns it further: with less load they do both less.
   [[nodiscard]] double lifted(const BodyStated& measured,
                               const ReferencePoint& reference) const noexcept {
-    const Eigen::Quaterniond to_reference = reference.orientation.conjugate();
-    const Eigen::Vector3d ahead = to_reference * (measured.orientation * Eigen::Vector3d::UnitX());
-    const double aside = (to_reference * (measured.position - reference.position)).y(),
-                 turned = ahead.x() > 0.0 ? ahead.y() : 1.0,
-                 drives = std::min(1.0, measured.velocity.norm() / 0.2);
-    const auto share = [](double value, double none, double all) {
-      return std::clamp((std::abs(value) - none) / (all - none), 0.0, 1.0);
-    };
-    return drives * std::max(share(aside, 0.015, 0.05), share(turned, 0.05, 0.15));  // [m], [rad]
+    using Triple = detail::Triple<double>;
+    const auto to_reference = transposed(detail::square(reference.orientation.toRotationMatrix()));
+    const Triple velocity = detail::triple(measured.velocity);
+    const Triple ahead = to_reference * (detail::square(measured.orientation.toRotationMatrix()) *
+                                         Triple{1.0, 0.0, 0.0});
+    const double aside = (to_reference *
+                          (detail::triple(measured.position) - detail::triple(reference.position)))
+                             .y,
+                 turned = ahead.x > 0.0 ? ahead.y : 1.0,
+                 drives = std::min(1.0, std::sqrt(dot(velocity, velocity)) / 0.2);
+    const double far = (std::abs(aside) - 0.015) / 0.035, off = (std::abs(turned) - 0.05) / 0.1;
+    return drives * std::clamp(std::max(far, off), 0.0, 1.0);
   }
 
   [[nodiscard]] const std::optional<Undercarriage>& undercarriage() const noexcept {

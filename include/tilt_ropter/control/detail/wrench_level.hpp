@@ -12,6 +12,8 @@
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <type_traits>
 #include <utility>
@@ -122,12 +124,14 @@ class WrenchLevel {
   /// to such a state.
   [[nodiscard]] bool is_credible(const Problem& problem, const Stated& x) const {
     const NmpcBounds& b = problem.settings().bounds;
-    const double turn = 10.0 * b.angular_velocity.maxCoeff(),
-                 force = 10.0 * b.force_min.cwiseAbs().cwiseMax(b.force_max.cwiseAbs()).maxCoeff(),
-                 torque =
-                     10.0 * b.torque_min.cwiseAbs().cwiseMax(b.torque_max.cwiseAbs()).maxCoeff();
-    return x.body.angular_velocity.norm() <= turn && x.wrench.force.norm() <= force &&
-           x.wrench.torque.norm() <= torque;
+    double turn = 0.0, force = 0.0, torque = 0.0;
+    for (int i = 0; i < 3; ++i) {
+      turn = std::max(turn, b.angular_velocity(i));
+      force = std::max({force, std::abs(b.force_min(i)), std::abs(b.force_max(i))});
+      torque = std::max({torque, std::abs(b.torque_min(i)), std::abs(b.torque_max(i))});
+    }
+    return x.body.angular_velocity.norm() <= 10.0 * turn && x.wrench.force.norm() <= 10.0 * force &&
+           x.wrench.torque.norm() <= 10.0 * torque;
   }
 
   /// What the plan commands at `time` [s].

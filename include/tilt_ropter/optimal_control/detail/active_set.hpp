@@ -59,7 +59,7 @@ class ActiveSet {
   [[nodiscard]] int assumed() const {
     int count = 0;
     for (const auto& states : states_)
-      count += Constraints - static_cast<int>(std::count(states.begin(), states.end(), 0));
+      for (const auto state : states) count += state != 0 ? 1 : 0;
     return count;
   }
 

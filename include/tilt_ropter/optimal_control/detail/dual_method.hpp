@@ -59,6 +59,8 @@ class DualMethod {
   [[nodiscard]] int capacity() const { return capacity_; }
   [[nodiscard]] bool late() const { return dual_.late(); }  ///< the deadline has passed
   [[nodiscard]] int rounds() const { return rounds_; }      ///< rounds of the last solve()
+  /// See DualSolver::allow().
+  void allow(long evaluations) { dual_.allow(evaluations); }
   /// Gradient evaluations by NLopt since construction.
   [[nodiscard]] long evaluations() const { return dual_.evaluations(); }
   /// Newton steps that polished NLopt's results since construction.

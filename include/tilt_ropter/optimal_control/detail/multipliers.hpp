@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -83,6 +84,10 @@ class DualSolver {
     return true;
   }
 
+  /// From now on, NLopt evaluates gradients so many times, and some more to end a line search.
+  /// Without any left, Newton steps alone solve.
+  void allow(long evaluations) { last_evaluation_ = evaluations_ + evaluations; }
+
   /// Number of gradient evaluations by NLopt since construction.
   [[nodiscard]] long evaluations() const { return evaluations_; }
   /// Number of Newton steps after NLopt since construction.
@@ -109,7 +114,7 @@ class DualSolver {
   };
   using Vector = Eigen::VectorXd;
   static constexpr int max_rounds = 20, max_passes = 20;
-  static constexpr int max_evaluations = 40;           // in one call of NLopt, between Newton steps
+  static constexpr long max_evaluations = 40;          // in one call of NLopt, between Newton steps
   static constexpr double gradient_tolerance = 1e-11;  // relative; on the scaled projected gradient
   static constexpr unsigned vector_storage = 8;        // NLopt's default needs 21 MB per call
 
@@ -199,12 +204,14 @@ class DualSolver {
       optimizer().reset(nlopt_create(algorithm(algorithm_), static_cast<unsigned>(size_)));
       if (!optimizer()) return;
       nlopt_set_lower_bounds1(optimizer().get(), 0.0);
-      nlopt_set_maxeval(optimizer().get(), max_evaluations);
       nlopt_set_vector_storage(optimizer().get(), vector_storage);
       nlopt_set_ftol_rel(optimizer().get(), 1e-15);
     }
     nlopt_set_min_objective(optimizer().get(), objective, this);
     nlopt_set_upper_bounds(optimizer().get(), upper_.data());
+    const long allowed = std::min(max_evaluations, last_evaluation_ - evaluations_);
+    if (allowed <= 0) return;  // zero is no limit for NLopt
+    nlopt_set_maxeval(optimizer().get(), static_cast<int>(allowed));
     evaluate(iterate_.data());
     stop_ = std::max(tolerance, 1e-3 * residual(iterate_.data()));
     solved_ = false;
@@ -288,6 +295,7 @@ class DualSolver {
   double stop_ = 0.0;
   bool solved_ = false;
   long evaluations_ = 0, polishing_steps_ = 0;
+  long last_evaluation_ = std::numeric_limits<long>::max();
 };
 
 }  // namespace tilt_ropter::optimal_control

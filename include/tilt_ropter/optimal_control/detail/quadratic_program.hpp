@@ -41,6 +41,7 @@ struct DualMethod {
   [[nodiscard]] static constexpr bool late() { return false; }
   [[nodiscard]] static constexpr int rounds() { return 0; }
   [[nodiscard]] static constexpr long evaluations() { return 0; }
+  static constexpr void allow(long /*evaluations*/) {}
   [[nodiscard]] static constexpr long polishing_steps() { return 0; }
   template <typename Program>
   [[nodiscard]] static constexpr bool prepare(const Program& /*program*/) {
@@ -128,6 +129,8 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     late_ = false;
     rounds_ = 0;
     evaluations_before_ = dual_.evaluations();
+    constexpr long enough = 80;  // then Newton steps take over: a tick must not take much longer
+    if (settings_.method == ProgramMethod::automatic) dual_.allow(enough);
     polishing_before_ = dual_.polishing_steps();
     if (!interrupted_) {
       passes_ = 0;
