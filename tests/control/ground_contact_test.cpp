@@ -356,7 +356,7 @@ TEST(GroundContact, DrivesWithLessLoadBesideItsReferenceOrTurnedFromIt) {
     state.orientation = point.orientation * quaternion_exp(Eigen::Vector3d(0.0, 0.0, turned));
     return axle_with().lifted(state, point);
   };
-  EXPECT_EQ(lifted(1.0, 0.015, -0.05), 0.0);
+  EXPECT_NEAR(lifted(1.0, 0.015, -0.05), 0.0, 1e-12);
   EXPECT_NEAR(lifted(0.0, -0.0325, 0.0), 0.5, 1e-12);
   EXPECT_NEAR(lifted(0.0, 0.0, std::asin(0.125)), 0.75, 1e-12);
   EXPECT_EQ(lifted(0.0, 0.0, -3.0), 1.0);
