@@ -16,7 +16,7 @@ mkdir -p "$report"
 
 llvm-profdata merge -sparse "$build"/profiles/*.profraw -o "$report/all.profdata"
 what=(-instr-profile="$report/all.profdata")
-for program in "$build"/tests/*_test "$build"/examples/* "$build"/examples/mujoco/*; do
+for program in "$build"/tests/*_test "$build"/tests/*_tests "$build"/examples/* "$build"/examples/mujoco/*; do
   if [[ -f $program && -x $program ]]; then
     [[ ${#what[@]} -eq 1 ]] || what+=(-object)
     what+=("$program")
