@@ -102,7 +102,8 @@ struct GroundContactSettings {
   /// Descent speed where the reference is on the ground and the vehicle has not touched it yet
   /// [m/s]. Zero: the vehicle follows the reference as it is, as in the paper.
   double settling_speed = 0.10;
-  /// Vertical thrust that is commanded on the ground [N]. It keeps the tilt angles defined.
+  /// Vertical thrust that is commanded on the ground [N]. It keeps the tilt angles defined. While
+  /// the vehicle drives beside its reference or turned from it, rotors carry up to half the weight.
   double down_force = 0.75;
   /// Vertical thrust that a rotor keeps on the ground where torques reduce its thrust [N]. See
   /// GroundThrust.

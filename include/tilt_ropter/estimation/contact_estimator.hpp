@@ -163,6 +163,9 @@ class ContactEstimator {
   // Load that only the ground can give, as a fraction of the weight. Above this load the vehicle
   // counts as carried. The value must exceed the error of the believed weight.
   static constexpr double carried_load = 0.40;
+  // After one wheel has left, the other one may still touch. For this time [s] only so much load,
+  // which the motion shows too, is a landing.
+  static constexpr double one_wheel_time = 0.3, one_wheel_load = 0.5;
   // A vehicle that is not carried counts as in the air above this distance from the ground [m].
   static constexpr double leave_height = 0.030;
   // Lead of the take-off detection [s]. It acts after the vehicle has not been carried for
@@ -304,11 +307,10 @@ class ContactEstimator {
   // Update in the air, until a load indicates contact.
   void fly(const BodyStated& body, bool starts_carried, double clearance, double dt) noexcept {
     const double load = lift_ + unfelt().z() - air_lift_, rising = rising_of(body);
-    // After one wheel has left, the other one may still touch: that is no landing.
     one_wheel_for_ = std::max(0.0, one_wheel_for_ - dt);
     const bool near = std::abs(clearance) < leave_height;
     const bool left = one_wheel_for_ > 0.0;
-    const double enough = (left ? 0.5 : near ? near_load : far_load) * weight_;
+    const double enough = (left ? one_wheel_load : near ? near_load : far_load) * weight_;
     const bool moves_carried = (near && !left) || moved_.z() - air_lift_ > 0.5 * enough;
     // The velocity of a filter that has just started is uncertain, but a start with the load of
     // the ground is not.
@@ -357,7 +359,7 @@ class ContactEstimator {
     const bool one_wheel = one_wheel_stands(body, lift - missing);
     if (std::abs(clearance) > leave_height || one_wheel ||
         clearance + lead * rising_of(body) > leave_height) {
-      one_wheel_for_ = one_wheel ? 0.3 : 0.0;
+      one_wheel_for_ = one_wheel ? one_wheel_time : 0.0;
       // Without the ground, the whole lift comes from the air.
       estimate_.on_ground = false;
       air_lift_ = possible(lift_);

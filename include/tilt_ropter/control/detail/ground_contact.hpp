@@ -171,9 +171,12 @@ class GroundContact {
                           (detail::triple(measured.position) - detail::triple(reference.position)))
                              .y,
                  turned = ahead.x > 0.0 ? ahead.y : 1.0,
-                 drives = std::min(1.0, std::sqrt(dot(velocity, velocity)) / 0.2);
-    const double far = (std::abs(aside) - 0.015) / 0.035, off = (std::abs(turned) - 0.05) / 0.1;
-    return drives * std::clamp(std::max(far, off), 0.0, 1.0);
+                 drives = std::min(1.0, std::sqrt(dot(velocity, velocity)) / 0.2);  // [m/s]
+    constexpr double near = 0.015, far = 0.05;                                      // [m]
+    constexpr double along = 0.05, across = 0.15;                                   // [rad]
+    return drives * std::clamp(std::max((std::abs(aside) - near) / (far - near),
+                                        (std::abs(turned) - along) / (across - along)),
+                               0.0, 1.0);
   }
 
   [[nodiscard]] const std::optional<Undercarriage>& undercarriage() const noexcept {

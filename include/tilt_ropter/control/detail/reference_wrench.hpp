@@ -48,8 +48,9 @@ class GroundThrust {
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
 
-  /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored.
-  [[nodiscard]] double operator()(const Wrenchd& wrench) const noexcept {
+  /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored:
+  /// at least `lifted` (0 to 1) of half the weight.
+  [[nodiscard]] double operator()(const Wrenchd& wrench, double lifted = 0.0) const noexcept {
     Eigen::Matrix<double, 6, 1> level;
     level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
     double force = settings_.down_force;
@@ -61,7 +62,7 @@ class GroundThrust {
                                    vertical_per_lateral_ * lateral);
       force = std::max(force, (taken + kept) / fraction);
     }
-    return std::max(settings_.down_force, std::min(force, most_));
+    return std::max({settings_.down_force, std::min(force, most_), lifted * most_});
   }
 
  private:
@@ -106,7 +107,7 @@ class ReferenceWrench {
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
     if (on_ground && ground_.holds()) {
       ground_.release(wrench);
-      wrench.force.z() = std::max(ground_thrust_(wrench), lifted * 0.5 * body_.mass * gravity);
+      wrench.force.z() = ground_thrust_(wrench, lifted);
     }
     return wrench;
   }
