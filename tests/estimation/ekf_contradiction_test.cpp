@@ -167,7 +167,7 @@ TEST(EkfContradiction, PosesNoisierThanBelievedDoNotConvictTheImu) {
     SensorFault none;
     none.start = 1e9;
     const Outcome o = fly(none, given);
-    EXPECT_GT(o.counts.gated, 100);
+    EXPECT_LT(o.counts.gated, 20);  // of 6000: their noise is measured
     EXPECT_EQ(o.contradicted, 1e9);
   }
 }

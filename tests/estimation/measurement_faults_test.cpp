@@ -1,4 +1,4 @@
-// Repetitions of measurements, and stamps whose clock jitters or steps.
+// Repetitions of measurements, stamps whose clock jitters or steps, and the noise of poses.
 
 #include <tilt_ropter/estimation/detail/measurement_faults.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
@@ -10,6 +10,8 @@
 #include <Eigen/Geometry>
 
 #include <cmath>
+#include <random>
+#include <utility>
 
 namespace tilt_ropter::detail {
 namespace measurement_faults_test {
@@ -156,6 +158,38 @@ TEST(StampMonitor, SwapsTheClocksIfTheMeasurementIsThenInTime) {
   EXPECT_NEAR(monitor.clock_step(), 0.0, 1e-12);
   EXPECT_TRUE(monitor.swap_clocks(-1.98, 0.2));
   EXPECT_NEAR(monitor.clock_step(), -2.0, 1e-12);
+}
+
+// Noise factors after 10 s on a circle that turns with `rate` [rad/s], radius 1 m, at 100 Hz.
+std::pair<double, double> noise_factors(double rate, double noise, int outlier_every = 0) {
+  const double position = 1e-3, orientation = 2e-3, dt = 0.01;
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal(0.0, noise);
+  const auto vector = [&] { return Vector3d(normal(random), normal(random), normal(random)); };
+  PoseContinuity<double> continuity;
+  for (int i = 0; i < 1000; ++i) {
+    const double angle = rate * dt * i;
+    const MarkerPosed truth{Vector3d(std::cos(angle), std::sin(angle), 1.0),
+                            quaternion_exp(Vector3d(0.0, 0.0, angle))};
+    MarkerPosed measured{truth.position + position * vector(),
+                         truth.orientation * quaternion_exp(orientation * vector())};
+    if (outlier_every > 0 && i % outlier_every == 0) measured.position.x() += 0.1;
+    const double distance = (measured.position - truth.position).norm();
+    continuity.on_pose(dt * i, {measured, truth, distance, position, 0.0}, orientation);
+    continuity.on_used();
+  }
+  return {continuity.position_factor(), continuity.orientation_factor()};
+}
+
+TEST(PoseContinuity, MeasuresTheNoiseOfPosesBesideTheBelieved) {
+  for (const double rate : {0.0, 2.5}) {
+    const auto [position, orientation] = noise_factors(rate, 2.0);
+    EXPECT_NEAR(position, 4.0, 1.2);
+    EXPECT_NEAR(orientation, 4.0, 1.2);
+    EXPECT_EQ(noise_factors(rate, 1.0), std::make_pair(1.0, 1.0));
+    EXPECT_EQ(noise_factors(rate, 0.5), std::make_pair(1.0, 1.0));
+  }
+  EXPECT_LT(noise_factors(2.5, 1.0, 50).first, 2.0);
 }
 
 }  // namespace measurement_faults_test

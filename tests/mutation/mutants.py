@@ -10,6 +10,8 @@ import re
 import subprocess
 
 INCLUDE = '#include <tilt_ropter_mutation.hpp>\n'
+# Else a register of vectors is returned to code for another processor.
+INLINED = '__attribute__((always_inline))'
 LITERAL = re.compile(r'(?<![\w.])(?:\d+\.\d*|\d+)(?:e[+-]?\d+)?(?![\w.])')
 OPERATORS = {
     '+': ['-'], '-': ['+'], '*': ['/'], '/': ['*'], '+=': ['-='], '-=': ['+='], '*=': ['/='],
@@ -463,11 +465,11 @@ def switched(number, header, mutation):
     if piece.form == 'condition':
         return f'{active} ? bool({faulty}) : bool({original})'
     if piece.form == 'typed':
-        return f'[&]() -> {one_line(piece.type_name)} {{ if ({active}) return {faulty}; ' \
+        return f'[&]() {INLINED} -> {one_line(piece.type_name)} {{ if ({active}) return {faulty}; ' \
             f'return {original}; }}()'
     if piece.form == 'auto':
-        return f'tilt_ropter_mutation::either({active}, [&] {{ return {faulty}; }}, ' \
-            f'[&] {{ return {original}; }})'
+        return f'tilt_ropter_mutation::either({active}, [&]() {INLINED} {{ return {faulty}; }}, ' \
+            f'[&]() {INLINED} {{ return {original}; }})'
     return f'({active} ? ({faulty}) : ({original}))'
 
 

@@ -265,6 +265,8 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   filter_.catch_up(time);
   const MarkerPose<Scalar> pose = guard_.turn().undone(arrived.pose);
   LinearisedPose<Scalar> at = filter().linearise(pose);
+  at.noise.template head<3>() *= Scalar(guard_.continuity().position_factor());
+  at.noise.template tail<3>() *= Scalar(guard_.continuity().orientation_factor());
   const Vector3<Scalar>& velocity = filter().state().velocity;
   // Bounded, because a wrong velocity must not make every pose likely.
   constexpr double most = 0.1;  // effect of the jitter [m]

@@ -221,6 +221,23 @@ struct PoseComparison {
   double velocity_stddev;  ///< of the estimate [m/s]
 };
 
+/// Variance of a noise by its squared samples.
+struct PoseNoise {
+  void add(double square, double believed) noexcept {
+    constexpr double part = 0.05, most = 10.0, slow_part = 0.01, outlier = 4.0;
+    const double ratio = square / (believed * believed);
+    recent += part * (std::min(square, most * most * believed * believed) - recent);
+    excess = std::max(1.0, excess + slow_part * (std::min(ratio, outlier * excess) - excess));
+  }
+  /// The larger variance that has lasted, without outliers, by the believed one. 1 if chance
+  /// explains it.
+  [[nodiscard]] double factor() const noexcept {
+    constexpr double chance = 1.3;
+    return excess > chance ? excess : 1.0;
+  }
+  double recent = 0.0, excess = 1.0;
+};
+
 /// Tests whether poses continue each other without a jump, used or not: positions with a plausible
 /// acceleration, orientations as the gyroscope measures. Poses that are above the gate but continue
 /// those that were used show that the IMU is wrong.
@@ -245,19 +262,21 @@ class PoseContinuity {
       constexpr double rate = 1.0;  // of a wrong gyroscope [rad/s]
       const auto turned = static_cast<double>(turn.angularDistance(turn_));
       if (!(turned <= 8.0 * orientation_noise + rate * dt)) turned_ = true;
-      // Of second differences in three axes, and of first ones.
-      constexpr double part = 0.05, most_noise = 10.0;
-      const auto change = static_cast<double>((velocity - velocity_).norm()) * dt;
-      const auto add = [](double& variance, double sample, double believed) {
-        variance += part * (std::min(sample, std::pow(most_noise * believed, 2)) - variance);
-      };
-      if (steps_ > 1 && std::abs(dt - last_step_) < 0.2 * dt)
-        add(position_variance_, change * change / 18.0, c.noise);
-      add(orientation_variance_, turned * turned / 6.0, orientation_noise);
+      // Second differences in three axes, which the IMU has no part in.
+      const Vector3<Scalar> rotation =
+          quaternion_log(last_orientation_.conjugate() * c.measured.orientation);
+      const auto change = static_cast<double>((velocity - velocity_).norm()) * dt,
+                 turn_change = static_cast<double>((rotation - rotation_).norm());
+      if (steps_ > 1 && std::abs(dt - last_step_) < 0.2 * dt) {
+        position_noise_.add(change * change / 18.0, c.noise);
+        orientation_noise_.add(turn_change * turn_change / 18.0, orientation_noise);
+      }
+      rotation_ = rotation;
     }
     last_time_ = time;
     last_step_ = dt;
     last_ = position;
+    last_orientation_ = c.measured.orientation;
     velocity_ = velocity;
     turn_ = turn;
   }
@@ -272,9 +291,13 @@ class PoseContinuity {
   /// True if the noise that the poses show among each other explains these distances [m], [rad], up
   /// to `most` standard deviations.
   [[nodiscard]] bool is_noise(double distance, double turn, double most) const noexcept {
-    return distance <= most * std::sqrt(position_variance_) &&
-           turn <= most * std::sqrt(orientation_variance_);
+    return distance <= most * std::sqrt(position_noise_.recent) &&
+           turn <= most * std::sqrt(orientation_noise_.recent);
   }
+  /// Noise that positions and orientations show among each other: variances by the believed ones,
+  /// at least 1.
+  [[nodiscard]] double position_factor() const noexcept { return position_noise_.factor(); }
+  [[nodiscard]] double orientation_factor() const noexcept { return orientation_noise_.factor(); }
   /// True if the orientation has stepped since then.
   [[nodiscard]] bool turned() const noexcept { return turned_; }
 
@@ -282,9 +305,11 @@ class PoseContinuity {
   static constexpr double longest = 0.15;  // of a gap in which nothing jumps unseen [s]
 
   Vector3<Scalar> last_ = Vector3<Scalar>::Zero(), velocity_ = Vector3<Scalar>::Zero();
-  Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity();
+  Vector3<Scalar> rotation_ = Vector3<Scalar>::Zero();  ///< between the last two poses [rad]
+  Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity(),
+                            last_orientation_ = turn_;
   double last_time_ = -std::numeric_limits<double>::infinity(), last_step_ = 1.0;
-  double position_variance_ = 0.0, orientation_variance_ = 0.0;  ///< per axis [m^2], [rad^2]
+  PoseNoise position_noise_, orientation_noise_;  ///< per axis [m], [rad]
   int steps_ = 0;
   bool jumped_ = false, turned_ = false;
 };

@@ -59,6 +59,8 @@ class MeasurementGuard {
   [[nodiscard]] const StampMonitor& stamps() const noexcept { return stamps_; }
   /// Orientations that have stepped are turned back.
   [[nodiscard]] const OrientationStep<Scalar>& turn() const noexcept { return turn_; }
+  /// Poses by their noise among each other.
+  [[nodiscard]] const PoseContinuity<Scalar>& continuity() const noexcept { return continuity_; }
   /// Too few poses have confirmed the start.
   [[nodiscard]] bool has_just_started() const noexcept { return used_since_start_ < 25; }
 
