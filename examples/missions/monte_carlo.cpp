@@ -115,10 +115,14 @@ void fly_all(const Options& options, const std::string& path) {
 void replay(const Options& options, std::uint64_t index) {
   const VehicleFile file = vehicle_to_fly(options.vehicle);
   const SpreadFlight flight = fly(file, options, index, options.output);
+  const tilt_ropter::ActuatorFailure& failure = flight.record.failure;
   std::cout << "verdict: " << to_string(flight.record.verdict) << '\n'
+            << "actuator_failure: " << to_string(failure.kind) << '\n'
             << std::setprecision(std::numeric_limits<double>::max_digits10);
   for (const auto& [name, value] : flight_row(options.seed, index, flight.draw, flight.record))
     std::cout << name << ": " << value << '\n';
+  if (failure.kind != tilt_ropter::FailureKind::none)
+    std::cout << "actuator_failure_s: " << failure.time << '\n';
 }
 
 /// Returns the word for a shell, quoted if `always` or if necessary.

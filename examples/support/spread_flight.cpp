@@ -228,7 +228,8 @@ FlightRecord fly(const VehicleDraw& draw, RandomStream& random, const VehicleFil
   record.ground_power = figures.ground_power().value();
   record.touchdown_speed = figures.touchdown_speed();
   record.mode_changes = controller.contact().mode_changes();
-  const FailureKind found = controller.failure().kind;
+  record.failure = controller.failure();
+  const FailureKind found = record.failure.kind;
   const bool slow = truth.servo.time_constant > 1.5 * believed.servo.time_constant;
   record.false_alarms = found != FailureKind::none && !(found == FailureKind::slow_servos && slow);
   return record;

@@ -6,6 +6,8 @@
 #include "vehicle_choice.hpp"
 #include "vehicle_spread.hpp"
 
+#include <tilt_ropter/actuation/failure_detector.hpp>
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -48,7 +50,8 @@ struct FlightRecord {
   double touchdown_speed = 0.0;  ///< largest of all touchdowns [m/s]
   int mode_changes = 0, solver_failures = 0;
   SolverTicks solver;
-  /// 1 if the controller found a failed actuator; none fails, but servos may be slow.
+  tilt_ropter::ActuatorFailure failure;  ///< that the controller found
+  /// 1 if it found one; none fails, but servos may be slow.
   int false_alarms = 0;
   MissionFigures figures{0.0};  ///< to the end of the flight
 };
