@@ -224,10 +224,11 @@ struct PoseComparison {
 /// Variance of a noise by its squared samples.
 struct PoseNoise {
   void add(double square, double believed) noexcept {
-    constexpr double part = 0.05, most = 10.0, slow_part = 0.01, outlier = 4.0;
-    const double ratio = square / (believed * believed);
-    recent += part * (std::min(square, most * most * believed * believed) - recent);
-    excess = std::max(1.0, excess + slow_part * (std::min(ratio, outlier * excess) - excess));
+    constexpr double part = 0.05, most = 100.0, slow_part = 0.01, outlier = 4.0;
+    const double variance = believed * believed, bounded = std::min(square, most * variance);
+    recent += part * (bounded - recent);
+    excess += slow_part * (std::min(bounded / variance, outlier * excess) - excess);
+    excess = std::max(1.0, excess);
   }
   /// The larger variance that has lasted, without outliers, by the believed one. 1 if chance
   /// explains it.

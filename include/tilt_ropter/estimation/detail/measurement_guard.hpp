@@ -147,7 +147,7 @@ class MeasurementGuard {
     constexpr double linear = 0.3;  // [rad]
     if (!filter.running()) return start(time, filter.stopped_at(), arrived.lag, filter);
     if (largest_stddev(filter.filter().covariance(), InertialIndex::orientation) > linear)
-      return start(time, last_pose_, arrived.lag, filter);
+      return start_over(time, arrived.lag, start(time, last_pose_, arrived.lag, filter));
     GateMonitor<Scalar>& gate = gates_[0];
     const PoseComparison<Scalar> c = compare(arrived.pose, filter);
     continuity_.on_pose(time, c, settings_.pose_noise.orientation);
@@ -209,13 +209,7 @@ class MeasurementGuard {
     forget_latency();
     used_since_start_ = 0;
     wrong_starts_ += start_was_wrong;
-    // If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
-    // or the last step of the poses' clock.
-    if (is_lost && last_pose_ - full_restart_ < settings_.full_restart_time) {
-      verdict.known.marker_frame = false;
-      verdict.clock_changed = stamps_.swap_clocks(arrived.lag, settings_.max_delay);
-    }
-    if (is_lost) full_restart_ = time;
+    if (is_lost) verdict = start_over(time, arrived.lag, verdict);
     return use(time, verdict);
   }
 
@@ -398,6 +392,17 @@ class MeasurementGuard {
     stamps_.on_used(lag);
     used_since_start_ = wrong_starts_ = 0;
     return use(time, verdict);
+  }
+
+  /// If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
+  /// or the last step of the poses' clock.
+  Verdict start_over(double time, double lag, Verdict verdict) noexcept {
+    if (last_pose_ - full_restart_ < settings_.full_restart_time) {
+      verdict.known.marker_frame = false;
+      verdict.clock_changed = stamps_.swap_clocks(lag, settings_.max_delay);
+    }
+    full_restart_ = time;
+    return verdict;
   }
 
   /// Decides which side is wrong if a pose is above the gate: the IMU if the poses continue each
