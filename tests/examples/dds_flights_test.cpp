@@ -3,17 +3,10 @@
 // flights are the same on a busy machine. A full run also flies in real time.
 // CTest: real_time dds
 
-#include "../../examples/integrations/messages.hpp"
-#include "../../examples/integrations/node.hpp"
 #include "../../examples/integrations/px4_topics.hpp"
-#include "../../examples/integrations/real_time.hpp"
-#include "support/background.hpp"
 #include "support/check_table.hpp"
-#include "support/dds_on_loopback.hpp"
-#include "support/full_run.hpp"
+#include "support/dds_flight.hpp"
 #include "support/px4_vehicle.hpp"
-#include "support/ros2_vehicle.hpp"
-#include "support/wait_until.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
 
@@ -21,67 +14,20 @@
 
 #include <Eigen/Core>
 
-#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <fstream>
-#include <functional>
 #include <string>
 
 namespace dds_flights_test {
 
 using Eigen::Vector3d;
 using test_support::Background;
+using test_support::DdsFlight;
+using test_support::Rmse;
+using test_support::Ros2Line;
 using test_support::wait_until;
-
-/// Root mean square of a distance.
-struct Rmse {
-  double sum = 0.0;
-  int count = 0;
-  void add(const Vector3d& error) {
-    sum += error.squaredNorm();
-    ++count;
-  }
-  [[nodiscard]] double value() const { return std::sqrt(sum / std::max(1, count)); }
-};
-
-/// The topics of ros2_node, seen from the vehicle.
-class Ros2Line {
- public:
-  explicit Ros2Line(const dds::Participant& participant)
-      : imu_(participant, "imu"),
-        pose_(participant, "motion_capture/pose"),
-        speeds_(participant, "rotor_speeds"),
-        actuators_(participant, "actuators") {}
-
-  [[nodiscard]] bool connected() const {
-    return imu_.subscribers() == 1 && pose_.subscribers() == 1 && speeds_.subscribers() == 1 &&
-           actuators_.publishers() == 1;
-  }
-  void on_imu(const sensor_msgs::msg::Imu& m) { imu_.publish(m); }
-  void on_pose(const geometry_msgs::msg::PoseStamped& m) { pose_.publish(m); }
-  void on_rotor_speeds(const sensor_msgs::msg::JointState& m) { speeds_.publish(m); }
-
-  /// Publishes the measurements of this millisecond.
-  void sense() { vehicle.sense(*this); }
-  void take() {
-    actuators_.take([&](const actuator_msgs::msg::Actuators& m) { vehicle.on_command(m); });
-  }
-  [[nodiscard]] bool heard() const { return vehicle.commands > 0; }
-  /// Whether the command of this tick has arrived.
-  [[nodiscard]] bool answered() const {
-    return heard() && vehicle.command_stamp == loops::seconds(loops::stamp(vehicle.now()));
-  }
-
-  test_support::Ros2Vehicle vehicle{1000000000LL};
-
- private:
-  dds::Publisher<sensor_msgs::msg::Imu> imu_;
-  dds::Publisher<geometry_msgs::msg::PoseStamped> pose_;
-  dds::Publisher<sensor_msgs::msg::JointState> speeds_;
-  dds::Subscriber<actuator_msgs::msg::Actuators> actuators_;
-};
 
 /// What a node shows of its flight.
 class Shown {
@@ -122,77 +68,6 @@ class Shown {
   dds::Subscriber<nav_msgs::msg::Path> path_;
   dds::Subscriber<visualization_msgs::msg::MarkerArray> markers_;
   dds::Subscriber<diagnostic_msgs::msg::DiagnosticArray> diagnostics_;
-};
-
-class DdsFlight : public testing::Test {
- protected:
-  /// Flies on in simulated time until `enough()`, which is asked in every tick. Time stands still
-  /// until the tick is answered. Before its first measurement a node does not answer; then the
-  /// vehicle waits for 20 ms, and nothing is counted. Once a second the clock skips a tick.
-  template <typename Line>
-  void lock_step(Line& line, const std::function<bool()>& enough) {
-    const long end = std::lround(1000.0 * line.vehicle.plant.time()) + 60000;
-    for (long i = end - 60000;; ++i) {
-      ASSERT_LT(i, end) << "the flight does not end";
-      line.sense();
-      if (i % 1000 == 500) {
-        ++skipped_;
-      } else if (i % 10 == 0) {
-        clock_.publish({loops::stamp(line.vehicle.now())});
-        ++published_;
-        const auto answered = [&] {
-          line.take();
-          return line.answered();
-        };
-        if (line.heard()) {
-          ASSERT_TRUE(wait_until(answered)) << "no answer at " << line.vehicle.plant.time() << " s";
-          ++answered_;
-        } else {
-          answered_ += wait_until(answered, std::chrono::milliseconds(20)) ? 1 : 0;
-        }
-        if (enough()) return;
-      }
-      ASSERT_TRUE(line.vehicle.step());
-    }
-  }
-  /// A node ran every tick that was answered, and no other tick than those of the clock. Before its
-  /// first measurement it may have missed some.
-  void expect_ticks_of_the_clock(const test_support::Outcome& flown) const {
-    EXPECT_EQ(flown.exit_code, 0) << flown.output;
-    EXPECT_GE(flown["ticks"], answered_);
-    EXPECT_LE(flown["ticks"] + flown["late_ticks"], published_ + skipped_);
-  }
-
-  /// Flies in real time: one step every millisecond. After a pause it catches up.
-  template <typename Line>
-  static void in_real_time(Line& line, double seconds, const std::function<void()>& each) {
-    line.vehicle.start = loops::system_time_ns();
-    const std::int64_t start = loops::now_ns();
-    for (std::int64_t i = 0; i < std::llround(1000.0 * seconds); ++i) {
-      while (!loops::sleep_until(start + i * 1000000)) continue;
-      line.sense();
-      line.take();
-      ASSERT_TRUE(line.vehicle.step());
-      each();
-    }
-  }
-  /// Sends measurements with stamps of the system clock until `enough()`.
-  template <typename Line>
-  static bool on_the_system_clock(Line& line, const std::function<bool()>& enough) {
-    return wait_until([&] {
-      line.vehicle.start += loops::system_time_ns() - line.vehicle.now();
-      line.sense();
-      line.take();
-      return !line.vehicle.step() || enough();
-    });
-  }
-
-  const bool full_ = test_support::full_run();
-  const std::uint32_t domain_ = test_support::dds_on_loopback();
-  test_support::Directory directory_{"dds_flight"};
-  dds::Participant participant_{domain_};
-  dds::Publisher<rosgraph_msgs::msg::Clock> clock_{participant_, "/clock"};
-  int published_ = 0, skipped_ = 0, answered_ = 0;  // ticks
 };
 
 constexpr const char* ros2_parameters =
