@@ -2,7 +2,7 @@
 
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_check.hpp"
-#include "hover_point.hpp"
+#include "flight_plan.hpp"
 #include "parameters.hpp"
 #include "px4_messages.hpp"
 #include "telemetry.hpp"
@@ -33,27 +33,29 @@ its motors and servos.
 
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
                fmu/out/vehicle_control_mode
-               hover_point   geometry_msgs/PoseStamped, where to hover (ENU)
+               hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
 Publishes      fmu/in/offboard_control_mode, fmu/in/actuator_motors, fmu/in/actuator_servos_v1,
                fmu/in/vehicle_thrust_setpoint
                /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
-Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; origin_height [m] of
-PX4's origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if
-PX4's THR_MDL_FAC is set for the motors; hover_x, hover_y, hover_z [m], hover_yaw [rad]; max_silence
-[s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
-(automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args
--r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the
-environment variable ROS_DOMAIN_ID.
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; mission, the path of a
+JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
+without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height [m] of PX4's
+origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
+THR_MDL_FAC is set for the motors; max_silence [s], telemetry_rate [Hz], use_sim_time (true: the
+time is that of /clock), solver (automatic, nlopt, structured). From a file: --ros-args
+--params-file FILE.yaml. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name:
+-r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
-and switch to offboard mode, on the ground or in the air. The vehicle flies to the hover point with
-at most 1 m/s. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the odometry is
+and switch to offboard mode, on the ground or in the air. The vehicle flies with at most 1 m/s to
+the hover point or to where the mission begins. A mission waits while the pilot flies, goes on from
+there, and begins anew after disarming. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the odometry is
 older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
 PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it publishes nothing. Nor does
 it 1.2 s after PX4 last said who flies. An accelerometer that clips, or differs from the odometry by
 3 m/s^2, is replaced by the odometry. Where PX4 resets its position or heading, the hover point
-moves along.)";
+or the mission moves along.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
@@ -83,7 +85,7 @@ class Px4Node {
         observer_(vehicle_.body),
         contact_(vehicle_),
         nmpc_(vehicle_, controller_settings(file_, parameters)),
-        reference_(parameters),
+        reference_(parameters, file_),
         origin_height_(parameters.number(
             "origin_height",
             undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height)),
@@ -174,7 +176,10 @@ class Px4Node {
                 << " s; if the clocks differ, see UXRCE_DDS_SYNCT\n";
       warned_ = true;
     }
-    flying_ = flying_ && !silent_ && pilot_ == Pilot::this_node;
+    const bool goes_on = flying_ && !silent_ && pilot_ == Pilot::this_node;
+    if (flying_ && !goes_on) reference_.stop(time);
+    if (pilot_ == Pilot::nobody) reference_.restart();
+    flying_ = goes_on;
     if (!body_ || silent_ || wrong_imu_) return out;
     if (is_known) {
       // PX4 requires this message for some time before it accepts offboard control, and leaves it
@@ -187,7 +192,9 @@ class Px4Node {
     if (takes_over_) take_over();
     if (!flying_) reference_.start(*body_, time);
 
-    if (is_known && !is_killed_) contact_.update(time, *body_, observed_);
+    const tilt_ropter::ReferencePoint wanted = reference_(time);
+    if (is_known && !is_killed_)
+      contact_.update(time, *body_, observed_, wanted.push ? std::optional(wanted) : std::nullopt);
     (void)nmpc_.prepare(time, reference_, contact_.estimate());
     const tilt_ropter::NmpcResult& result =
         is_known ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
@@ -208,6 +215,7 @@ class Px4Node {
     s.time = now;
     s.body = *body_;
     s.reference = reference_(time_);
+    s.activity = reference_.activity(time_);
     s.actuators = sent_.command;
     s.contact = contact_.estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
@@ -283,7 +291,9 @@ class Px4Node {
   // PX4's own controllers move their set points in the same way: the vehicle has not moved.
   void follow_reset(const Eigen::Vector3d& step, double turn) {
     using namespace tilt_ropter;
-    reference_.move(step, turn);
+    // Before a flight the places of the mission are those of the frame of now.
+    const bool may_fly = pilot_ != Pilot::nobody;
+    reference_.move(may_fly ? step : Eigen::Vector3d(0.0, 0.0, step.z()), may_fly ? turn : 0.0);
     const ContactEstimate& last = contact_.estimate();
     GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
     ground.height += step.z() - ground.rise(step);
@@ -327,7 +337,7 @@ class Px4Node {
   tilt_ropter::ContactEstimator contact_;
   tilt_ropter::Nmpc<4> nmpc_;
   examples::SolverTicks solver_;
-  HoverPoint reference_;
+  FlightPlan reference_;
   double origin_height_, max_silence_;
   std::optional<tilt_ropter::BodyStated> body_;     // last known state
   std::uint64_t sample_ = 0;                        // time of this state [us]

@@ -3,7 +3,7 @@
 #include "../support/flight_controller.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_check.hpp"
-#include "hover_point.hpp"
+#include "flight_plan.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"
 #include "telemetry.hpp"
@@ -35,19 +35,22 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                pose          geometry_msgs/PoseStamped, of the vehicle in the world (ENU)
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
                              rotor_joints names; without names, of rotors 1 to 4
-               hover_point   geometry_msgs/PoseStamped, where to hover (ENU)
+               hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
                              rotors 1 to 4 and their servos
                /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
-Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; position_noise [m],
-orientation_noise [rad], pose_clock_offset [s], hover_x, hover_y, hover_z [m], hover_yaw [rad],
-max_silence [s], telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver
-(automatic, nlopt, structured), rotor_joints (rotor_1,rotor_2,rotor_3,rotor_4). From a file:
---ros-args --params-file FILE.yaml. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name:
--r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the environment variable ROS_DOMAIN_ID.
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; mission, the path of a
+JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
+without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; position_noise [m],
+orientation_noise [rad], pose_clock_offset [s], max_silence [s], telemetry_rate [Hz], use_sim_time
+(true: the time is that of /clock), solver (automatic, nlopt, structured), rotor_joints
+(rotor_1,rotor_2,rotor_3,rotor_4). From a file: --ros-args --params-file FILE.yaml. Topics:
+--ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS
+domain: the environment variable ROS_DOMAIN_ID.
 
-The node flies as soon as it has a pose. It holds its position or lands if the estimate becomes bad.
+The node flies as soon as it has a pose, with at most 1 m/s to where it hovers or to where the
+mission begins. It holds its position or lands if the estimate becomes bad.
 If the IMU is silent for max_silence, the node publishes nothing, and the time-out of the motors ends
 the flight. Stamps must be times of the same clock.)";
 
@@ -62,7 +65,7 @@ class Ros2Node {
       : file_(examples::vehicle_to_fly(parameters.text("vehicle"))),
         vehicle_(examples::quadrotor(file_)),
         controller_(vehicle_, controller_settings(file_, parameters), estimation(parameters)),
-        reference_(parameters),
+        reference_(parameters, file_),
         rotor_joints_(
             separated(parameters.text("rotor_joints", "rotor_1,rotor_2,rotor_3,rotor_4"))),
         max_silence_(parameters.number("max_silence", 0.1)) {}
@@ -123,8 +126,12 @@ class Ros2Node {
     const bool was_silent = silent_;
     silent_ = !(time - controller_.ekf().time() <= max_silence_);
     if (silent_ && !was_silent) std::cerr << "ros2_node: the IMU is silent\n";
+    if (silent_ && follows_) reference_.stop(time);
+    follows_ = follows_ && !silent_;
     if (silent_) return nullptr;
+    if (!follows_) reference_.start(controller_.ekf().state(), time);
     controller_.prepare(time, [this](double t) { return reference_(t); });
+    follows_ = follows_ || controller_.mode() != examples::FlightMode::hold;
     const tilt_ropter::ActuatorState<4>& command = controller_.control(time);
     if (started()) solver_.add(controller_.result().status, controller_.result().report);
     for (std::size_t i = 0; i < 4; ++i) {
@@ -144,6 +151,7 @@ class Ros2Node {
     s.time = now;
     s.body = controller_.ekf().state();
     s.reference = reference_(now_.value_or(0.0));
+    s.activity = reference_.activity(now_.value_or(0.0));
     s.actuators = controller_.applied();
     s.contact = controller_.contact().estimate();
     s.estimate = tilt_ropter::to_string(controller_.trust().state);
@@ -211,10 +219,11 @@ class Ros2Node {
   tilt_ropter::Vehicle<4> vehicle_;
   examples::FlightController<4> controller_;
   examples::SolverTicks solver_;
-  HoverPoint reference_;
+  FlightPlan reference_;
   std::vector<std::string> rotor_joints_;
   double max_silence_;
   bool silent_ = false, wrong_imu_ = false;
+  bool follows_ = false;       // the reference has begun
   std::optional<double> now_;  // of the last tick [s]
   long foreign_stamps_ = 0, ignored_speeds_ = 0;
   std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);

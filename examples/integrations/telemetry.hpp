@@ -44,6 +44,7 @@ struct Snapshot {
   Level level = Level::ok;
   const char* mode = "";      ///< what the node does
   const char* estimate = "";  ///< how good the estimated state is
+  const char* activity = "";  ///< of the reference, such as the phase of a mission
   bool planned = false;       ///< the last command comes from a plan for its measurement
   TickCounts counts;
 };
@@ -151,7 +152,8 @@ class FlightMessages {
               {"external_force_N", number(s.contact.external.force.norm(), 2)},
               {"ticks", std::to_string(s.counts.ticks)},
               {"late_ticks", std::to_string(s.counts.late)},
-              {"worst_tick_ms", number(1e3 * s.counts.worst, 2)}};
+              {"worst_tick_ms", number(1e3 * s.counts.worst, 2)},
+              {"activity", s.activity}};
     values_.clear();
     for (const auto& [key, value] : texts_) values_.push_back({in_message(key), in_message(value)});
     message_ = std::string(s.mode) + ", estimate " + s.estimate;

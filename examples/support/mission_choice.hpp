@@ -5,6 +5,7 @@
 #include "push_motion.hpp"
 #include "trajectory_file.hpp"
 
+#include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
@@ -15,8 +16,10 @@
 #include <algorithm>
 #include <cstddef>
 #include <optional>
+#include <ostream>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 /// The missions that the programs fly.
 namespace examples {
@@ -30,6 +33,12 @@ struct MissionChoice {
   std::string write_path;       // write the mission to this file
 };
 
+[[nodiscard]] inline const std::vector<std::string>& mission_names() {
+  static const std::vector<std::string> names{"hybrid",  "air",    "ground",
+                                              "rolling", "excite", "inspect"};
+  return names;
+}
+
 inline void add_options(CLI::App& app, MissionChoice& choice) {
   auto* mission =
       app.add_option(
@@ -39,7 +48,7 @@ inline void add_options(CLI::App& app, MissionChoice& choice) {
              "rolling: from the eight in flight to the eight on the ground and back "
              "without a stop; excite: hover and shake all axes, for identify_vehicle; inspect: "
              "push with a tool on a wall, slide along it by 1 m, fly back")
-          ->check(CLI::IsMember({"hybrid", "air", "ground", "rolling", "excite", "inspect"}))
+          ->check(CLI::IsMember(mission_names()))
           ->capture_default_str();
   auto* excite = app.add_flag_callback(
       "--excite", [&choice] { choice.name = "excite"; }, "the same as --mission excite");
@@ -127,6 +136,13 @@ template <int Rotors>
     throw std::invalid_argument("--mission " + choice.name + ": the vehicle has no wheels");
   return choice.name == "ground" ? ground_experiment(*wheels, settings)
                                  : hybrid_experiment(*wheels, settings, lengths);
+}
+
+/// Prints a line for each bound that a reference passes.
+inline void print(std::ostream& out, const std::vector<tilt_ropter::BoundViolation>& violations) {
+  for (const tilt_ropter::BoundViolation& v : violations)
+    out << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required << " at "
+        << v.time << " s, allowed is " << v.allowed << '\n';
 }
 
 /// Writes the mission of `choice` if a file for it is given. Returns true in this case.

@@ -693,9 +693,7 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
     progress.show(fraction, to_string(phase));
   });
   progress.finish();
-  for (const tilt_ropter::BoundViolation& v : flown.violations)
-    std::cout << "the reference asks for " << v.bound << "[" << v.axis << "] = " << v.required
-              << " at " << v.time << " s, allowed is " << v.allowed << '\n';
+  print(std::cout, flown.violations);
   std::ostringstream printed;
   printed << "level: " << level_for(options.level, file) << '\n';
   flown.figures.print(printed, flown.contact_mode_changes);

@@ -3,12 +3,15 @@
 // flights are the same on a busy machine. A full run also flies in real time.
 // CTest: real_time dds
 
+#include "../../examples/integrations/flight_plan.hpp"
 #include "../../examples/integrations/px4_topics.hpp"
 #include "support/check_table.hpp"
 #include "support/dds_flight.hpp"
+#include "support/heavy_vehicle.hpp"
 #include "support/px4_vehicle.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/planning/mission.hpp>
 
 #include <gtest/gtest.h>
 
@@ -17,6 +20,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
 #include <fstream>
 #include <string>
 
@@ -102,6 +106,43 @@ TEST_F(DdsFlight, Ros2NodeFollowsTheClockOfASimulationAndShowsItsFlight) {
   }
   EXPECT_NEAR(shown.height, 0.5, 0.05);
   expect_ticks_of_the_clock(node.stop());
+}
+
+// The same mission, vehicle and noise as in hybrid_mission, which is one process.
+TEST_F(DdsFlight, Ros2NodeFliesAMissionAsOneProcessDoes) {
+  const std::string file = directory_.write("mission.json", R"({
+    "name": "short", "start": {"position_m": [0, 0]}, "segments": [
+      {"type": "rest", "duration_s": 0.6},
+      {"type": "take_off", "height_m": 0.6},
+      {"type": "figure_eight", "amplitude_m": [0.5, 0.2, 0.1], "laps": 1, "max_speed_mps": 1},
+      {"type": "land"},
+      {"type": "go_to", "position_m": [0.5, 0]}]})");
+  const auto alone = test_support::run(
+      HYBRID_MISSION_PROGRAM, "--mission-file '" + file + "' --mass-error 0.03 --inertia-error 0 " +
+                                  "--seed 5 --no-pictures --output '" + directory_.file("") + "'");
+  ASSERT_EQ(alone.exit_code, 0) << alone.output;
+  Ros2Line line(participant_);
+  auto& vehicle = line.vehicle;
+  vehicle.wind.setZero();
+  Background node(
+      ROS2_NODE_PROGRAM,
+      "--ros-args -r pose:=motion_capture/pose -p use_sim_time:=true -p mission:='" + file + "'",
+      directory_.file("node"));
+  ASSERT_TRUE(wait_until([&] { return line.connected() && clock_.subscribers() == 1; }));
+  const tilt_ropter::Mission mission =
+      examples::read_mission(file, tilt_ropter::undercarriage(test_support::heavy_vehicle()));
+  Rmse rmse;
+  ASSERT_NO_FATAL_FAILURE(lock_step(line, [&] {
+    const double time = 1e-9 * static_cast<double>(vehicle.now()) - vehicle.first_stamp -
+                        loops::PacedMission::ramp / 2.0;
+    if (line.heard()) rmse.add(vehicle.plant.body().position - mission(time).position);
+    return line.heard() && time > mission.duration();
+  }));
+  EXPECT_EQ(node.stop().exit_code, 0);
+  test_support::check_at_most(58, "mission of ros2_node over DDS: error / that of one process",
+                              rmse.value() / alone["mission_rmse_m"], 1.2);
+  std::printf("mission over DDS: %.4f m, one process: %.4f m\n", rmse.value(),
+              alone["mission_rmse_m"]);
 }
 
 TEST_F(DdsFlight, Ros2NodeHoversOnTheSystemClock) {

@@ -6,6 +6,8 @@
 #include "support/px4_vehicle.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/planning/mission.hpp>
+#include <tilt_ropter/simulation/plant.hpp>
 
 #include <gtest/gtest.h>
 
@@ -30,11 +32,11 @@ constexpr float nan_f = std::numeric_limits<float>::quiet_NaN();
 
 /// A vehicle and the node.
 struct Flight {
-  explicit Flight(const std::string& hover_z = "1.5")
+  explicit Flight(const std::string& hover_z = "1.5", const std::string& mission = "")
       : parameters{
             {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
             {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", hover_z},
-            {"hover_yaw", "-0.5"}} {}
+            {"hover_yaw", "-0.5"},    {"mission", mission}} {}
 
   /// PX4 says so now, and repeats it at 2 Hz.
   void say(bool armed, bool offboard) {
@@ -89,6 +91,29 @@ TEST(Px4Node, HoversInNedAndFrdAxes) {
     EXPECT_EQ(flight.node.snapshot(0)->level, Level::ok);
     EXPECT_STREQ(flight.node.snapshot(0)->mode, "offboard");
   }
+}
+
+TEST(Px4Node, FliesAMissionThatPushesOnAWall) {
+  Flight flight("1.5", "inspect");
+  tilt_ropter::Wall wall;
+  const tilt_ropter::Mission mission = mission_of(flight.parameters, {}).value();
+  for (double time = 0.0; time < 10.0; time += 0.1)
+    if (const auto& push = mission(time).push) {
+      wall.point = push->surface.point;
+      wall.normal = push->surface.normal;
+      wall.hull_centre = push->surface.tool;
+    }
+  flight.vehicle.plant.set_wall(wall);
+  flight.say(false, false);
+  flight.fly(2.0);
+  flight.say(true, true);
+  flight.fly(12.0);
+  double force = 0.0;
+  for (int i = 0; i < 200; ++i) {
+    flight.fly(0.01);
+    force += flight.vehicle.plant.wall_force() / 200.0;
+  }
+  EXPECT_NEAR(force, 5.0, 0.15);
 }
 
 TEST(Px4Node, SpareChannelsAreNanAndStampsAreThoseOfPx4) {

@@ -4,6 +4,7 @@
 
 #include "../../examples/integrations/px4_node.hpp"
 #include "support/full_run.hpp"
+#include "support/program.hpp"
 #include "support/px4_autopilot.hpp"
 
 #include <tilt_ropter/math/rotation.hpp>
@@ -22,6 +23,7 @@
 #include <optional>
 #include <random>
 #include <string>
+#include <utility>
 
 namespace loops {
 namespace px4_pilot_test {
@@ -31,12 +33,15 @@ using tilt_ropter::pi;
 
 /// A vehicle with PX4, a node, a line between them and a pilot.
 struct Flight {
-  Flight() { start_node(); }
+  explicit Flight(std::string mission_file = "") : mission(std::move(mission_file)) {
+    start_node();
+  }
 
   void start_node() {
     parameters = Parameters{
         {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
-        {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"}};
+        {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"},
+        {"mission", mission}};
     node.emplace(parameters);
   }
 
@@ -73,6 +78,7 @@ struct Flight {
 
   [[nodiscard]] const tilt_ropter::BodyStated& body() const { return px4.vehicle.plant.body(); }
 
+  std::string mission;
   test_support::Px4Autopilot px4{5000000000LL};
   Parameters parameters;
   std::optional<Px4Node> node;
@@ -100,6 +106,67 @@ TEST(Px4Pilot, TakesOverAndGivesBack) {
   EXPECT_EQ(flight.px4.unasked, 0);
   EXPECT_LT(flight.tilt, 15.0);
   EXPECT_LT(flight.sag, 0.15);
+}
+
+// The pilot takes over in the eight, on the way back and on the ground; then a flight begins anew.
+TEST(Px4Pilot, GivesBackAMissionThatGoesOn) {
+  const test_support::Directory directory("px4_mission");
+  Flight flight(
+      directory.write("mission.json", R"({"name": "tour", "start": {"position_m": [0.5, 0]},
+    "segments": [{"type": "rest", "duration_s": 0.5}, {"type": "take_off", "height_m": 0.8},
+      {"type": "figure_eight", "amplitude_m": [0.5, 0.3, 0.1], "laps": 1, "max_speed_mps": 1},
+      {"type": "land"}, {"type": "rest", "duration_s": 0.5},
+      {"type": "go_to", "position_m": [1.5, 0]}, {"type": "rest", "duration_s": 0.5}]})"));
+  const auto activity = [&] { return std::string(flight.node->snapshot(0)->activity); };
+  const auto fly_until = [&](const std::string& wanted) {
+    while (activity() != wanted && flight.px4.time() < 120.0) flight.fly(0.05);
+    ASSERT_EQ(activity(), wanted);
+  };
+  const auto hands = [&](double seconds, const Vector3d& by) {
+    const Vector3d before = flight.node->snapshot(0)->reference.position;
+    flight.px4.wants_offboard = false;
+    flight.fly(0.01);
+    flight.px4.stick += by;
+    flight.fly(seconds);
+    flight.px4.wants_offboard = true;
+    flight.fly(0.3);
+    return before;
+  };
+  // Before the flight, PX4 finds its place in the frame of the mission.
+  const Vector3d origin(0.3, -0.2, 0.0);
+  flight.fly(1.0);
+  flight.px4.vehicle.reset_estimate(-origin, 0.0);
+  flight.fly(0.5);
+  flight.px4.wants_offboard = true;
+  ASSERT_TRUE(flight.px4.arm());
+  flight.fly(0.1);
+  EXPECT_EQ(activity(), "way");
+  fly_until("air");
+  flight.fly(3.0);
+  const auto reference = [&] { return flight.node->snapshot(0)->reference.position; };
+  Vector3d left = hands(2.0, {1.5, -1.0, 0.5});
+  EXPECT_EQ(activity(), "way");
+  hands(0.5, {0.0, 1.0, 0.3});
+  EXPECT_EQ(activity(), "way");
+  fly_until("air");
+  EXPECT_LT((reference() - left).norm(), 0.05);
+  fly_until("ground");
+  flight.fly(1.0);
+  left = hands(2.0, {0.0, 1.0, 0.7});
+  EXPECT_EQ(activity(), "way");
+  fly_until("ground");
+  EXPECT_LT((reference() - left).norm(), 0.05);
+  fly_until("mission is over");
+  flight.fly(1.0);
+  EXPECT_LT((flight.body().position - origin - Vector3d(1.5, 0.0, 0.11)).norm(), 0.05);
+  EXPECT_EQ(flight.px4.unasked + flight.px4.blind, 0);
+  EXPECT_LT(flight.tilt, 15.0);
+  EXPECT_LT(flight.sag, 0.15);
+  flight.px4.disarm();
+  flight.fly(1.0);
+  ASSERT_TRUE(flight.px4.arm());
+  fly_until("take_off");
+  EXPECT_LT((flight.body().position - origin - Vector3d(0.5, 0.0, 0.11)).norm(), 0.1);
 }
 
 // PX4 says at 2 Hz who flies. A node that no longer hears it sends nothing.

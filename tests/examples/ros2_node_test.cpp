@@ -12,6 +12,7 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -62,6 +63,53 @@ TEST(Ros2Node, HoversAtThePointOfItsParameters) {
   }
   EXPECT_GE(flight.vehicle.commands, 790);  // from the first pose on, at 100 Hz
   EXPECT_NEAR(flight.vehicle.command_stamp, 1700000008.0, 1e-6);
+}
+
+constexpr const char* short_mission = R"({"name": "short", "start": {"position_m": [0, 0]},
+  "segments": [{"type": "rest", "duration_s": 0.2}, {"type": "take_off", "height_m": 0.6},
+    {"type": "figure_eight", "amplitude_m": [0.5, 0.2, 0.1], "laps": 1, "max_speed_mps": 1},
+    {"type": "land"}]})";
+
+// It stands elsewhere, or flies already. In the eight the IMU is silent for a moment.
+TEST(Ros2Node, FliesAMissionFromWhereItIsAndGoesOnAfterSilence) {
+  const test_support::Directory directory("ros2_node_mission");
+  const std::string file = directory.write("mission.json", short_mission);
+  for (const double height : {0.0, 1.0}) {
+    SCOPED_TRACE(height);
+    Flight flight({simulated, {"mission", file}});
+    auto& plant = flight.vehicle.plant;
+    tilt_ropter::PlantState<4> state = plant.state();
+    state.body.position += Vector3d(0.8, -0.6, height);
+    state.body.orientation = tilt_ropter::quaternion_from_yaw(1.0);
+    if (height > 0.0) {
+      const std::vector<double> hover(4, std::sqrt(1.03 * 1.5 * 9.81 / 4 / 1.4e-6)), level(4);
+      actuator_msgs::msg::Actuators m{};
+      refer_to(m.velocity, hover);
+      refer_to(m.position, level);
+      flight.vehicle.on_command(m);
+      state.actuators.rotor_speed.setConstant(hover[0]);
+    }
+    plant.reset(state);
+    double level = 1.0, step = 0.0;
+    int silent = 0;
+    std::string activity;
+    Vector3d last = state.body.position;
+    while (activity != "mission is over" && plant.time() < 40.0) {
+      flight.fly(0.01);
+      const Snapshot s = flight.node.snapshot(flight.vehicle.now());
+      activity = s.activity;
+      flight.sensing = activity != "air" || ++silent < 150 || silent > 165;
+      if (silent > 0) ASSERT_NE(activity, "take_off");  // it does not begin anew
+      level = std::min(level, (plant.body().orientation * Vector3d::UnitZ()).z());
+      if (flight.node.started()) step = std::max(step, (s.reference.position - last).norm());
+      last = flight.node.started() ? s.reference.position : plant.body().position;
+    }
+    EXPECT_GT(silent, 200);
+    EXPECT_EQ(activity, "mission is over");
+    EXPECT_LT((plant.body().position - Vector3d(0.0, 0.0, 0.11)).norm(), 0.03);
+    EXPECT_GT(level, std::cos(0.15));
+    EXPECT_LT(step, 0.05);
+  }
 }
 
 TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
@@ -288,6 +336,8 @@ TEST(Ros2Node, ShowsItsFlight) {
   EXPECT_EQ(status.level, 0);
   EXPECT_STREQ(status.message, "mission, estimate good");
   EXPECT_STREQ(status.values._buffer[0].value, "mission");
+  EXPECT_STREQ(status.values._buffer[8].key, "activity");
+  EXPECT_STREQ(status.values._buffer[8].value, "hover point");
 }
 
 TEST(Ros2Node, RejectsParametersOutOfRange) {
@@ -324,6 +374,21 @@ TEST(RunNode, PrintsHelpAndRejectsUnknownOptions) {
       EXPECT_EQ(refused.exit_code, 2) << bad << '\n' << refused.output;
     }
   }
+  const test_support::Directory directory("run_node");
+  const std::string csv = directory.write("a.csv", "time_s,x_m,y_m,z_m\n0,0,0,1\n1,0,0,-1\n");
+  std::string wrong = short_mission;
+  wrong.replace(wrong.find("0.6"), 3, "-1 ");
+  const std::string json = directory.write("a.json", wrong);
+  for (const std::string program : {ROS2_NODE_PROGRAM, PX4_NODE_PROGRAM})
+    for (const auto& [parameter, text] :
+         {std::pair<std::string, std::string>{"mission:=nowhere.json", "cannot read nowhere.json"},
+          {"mission:=" + json, "a.json: segments[1].height_m"},
+          {"trajectory:=" + csv, "a.csv:3: column z_m"},
+          {"mission:=air -p trajectory:=" + csv, "only one of the two"}}) {
+      const auto refused = run(program, "--ros-args -p " + parameter);
+      EXPECT_EQ(refused.exit_code, 2) << parameter;
+      EXPECT_TRUE(refused.says(text)) << refused.output;
+    }
   EXPECT_EQ(run("env", "ROS_DOMAIN_ID=231 '" ROS2_NODE_PROGRAM "'").exit_code, 1);
   EXPECT_EQ(run(PX4_NODE_PROGRAM, "--px4-message-version VehicleStatus=5").exit_code, 2);
 }

@@ -30,7 +30,7 @@ class Ros2Vehicle {
   }
 
   void on_command(const actuator_msgs::msg::Actuators& m) {
-    ++commands;
+    if (++commands == 1) first_stamp = loops::seconds(m.header.stamp);
     if (m.velocity._length != 4 || m.position._length != 4) return;
     command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer);
     command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.position._buffer);
@@ -38,9 +38,7 @@ class Ros2Vehicle {
   }
 
   /// One millisecond.
-  [[nodiscard]] bool step() {
-    return plant.step(command_, {Eigen::Vector3d(0.3, 0.6, 0.0), Eigen::Vector3d::Zero()}, 1e-3);
-  }
+  [[nodiscard]] bool step() { return plant.step(command_, {wind, Eigen::Vector3d::Zero()}, 1e-3); }
   [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
   [[nodiscard]] std::int64_t now() const {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
@@ -49,7 +47,8 @@ class Ros2Vehicle {
   std::int64_t start;
   tilt_ropter::Plant<4> plant{heavy_vehicle()};
   int commands = 0;
-  double command_stamp = 0.0;  ///< [s]
+  double first_stamp = 0.0, command_stamp = 0.0;  ///< of the first and the last command [s]
+  Eigen::Vector3d wind{0.3, 0.6, 0.0};            ///< [N]
 
  private:
   /// Called by MissionSensors.
