@@ -49,7 +49,8 @@ class ObstacleWatch {
     moving_ += part(dt, short_time) * (body.velocity - moving_);
     felt_ += part(dt, felt_time) * (free(raw) - felt_);
     jolt_ += part(dt, short_time) * (raw_reaction - jolt_);
-    if (jolt_.norm() > impact * weight_) {
+    swings(dt);
+    if (jolt_.norm() > impact * weight_ && shaken_for_ == 0.0) {
       jolted_for_ = jolt_time;
     } else {
       jolted_for_ = std::max(0.0, jolted_for_ - dt);
@@ -107,6 +108,8 @@ class ObstacleWatch {
   // Force of an impact, mean over short_time, as a fraction of the weight: more than a gust's
   // change; and for how long a rest counts as its consequence [s].
   static constexpr double impact = 0.25, jolt_time = 1.0;
+  // Time constant with which the largest force is forgotten, beside which one swings back [s].
+  static constexpr double swing_time = 0.1;
   // An impact that takes this fraction of the speed towards the reference is an obstacle's. Least
   // speed [m/s], least force as a fraction of the weight, and how far ahead the reference is looked
   // at, because a vehicle that tracks it well has no error yet [s].
@@ -174,10 +177,23 @@ class ObstacleWatch {
     return false;
   }
 
+  // A force that swings to the other side at once is a vibration: no obstacle pulls.
+  void swings(double dt) noexcept {
+    const double size = jolt_.norm(), before = swing_.norm();
+    shaken_for_ = std::max(0.0, shaken_for_ - dt);
+    if (std::min(size, before) > impact * weight_ && jolt_.dot(swing_) < -0.5 * size * before) {
+      if (shaken_for_ == 0.0) forget();
+      shaken_for_ = jolt_time;
+      jolted_for_ = 0.0;
+    }
+    swing_ -= part(dt, swing_time) * swing_;
+    if (size > before) swing_ = jolt_;
+  }
+
   // Whether an impact stops the vehicle that moved towards `ahead`, where its reference will be.
   [[nodiscard]] bool strikes(const BodyStated& body, const Eigen::Vector3d& ahead) const noexcept {
     const double size = jolt_.norm();
-    if (size < hard * weight_) return false;
+    if (size < hard * weight_ || shaken_for_ > 0.0) return false;
     const double approach = before_.dot(jolt_) / size;
     return approach > least_approach &&
            body.velocity.dot(jolt_) / size < (1.0 - stopped_part) * approach &&
@@ -266,11 +282,13 @@ class ObstacleWatch {
   std::optional<Obstacle> obstacle_;
   // World frame: mean force without an obstacle [N], place of the rest, place where the force
   // began, and of the last touch [m], velocity before an impact [m/s], direction of the obstacle or
-  // the probe, mean velocity [m/s], mean external force, and mean reaction [N].
+  // the probe, mean velocity [m/s], mean external force, mean reaction, and the largest one of
+  // late [N].
   Eigen::Vector3d calm_ = Eigen::Vector3d::Zero(), place_ = calm_, began_at_ = calm_;
   Eigen::Vector3d touched_at_ = calm_, before_ = calm_;
-  Eigen::Vector3d direction_ = calm_, moving_ = calm_, felt_ = calm_, jolt_ = calm_;
-  double rests_for_ = 0.0, weak_for_ = 0.0, windy_for_ = 0.0, jolted_for_ = 0.0;  // [s]
+  Eigen::Vector3d direction_ = calm_, moving_ = calm_, felt_ = calm_, jolt_ = calm_, swing_ = calm_;
+  double rests_for_ = 0.0, weak_for_ = 0.0, windy_for_ = 0.0, jolted_for_ = 0.0,
+         shaken_for_ = 0.0;                 // [s]
   double probed_for_ = 0.0, probed_ = 0.0;  // time [s] and reaction [N] of a probe
   double moving_before_ = 0.0, felt_before_ = 0.0, expected_ = 0.0;  // along it [m/s], [N], [m/s]
 };
