@@ -9,6 +9,7 @@
 #include "../support/ulog.hpp"
 
 #include <tilt_ropter/identification/servo_identification.hpp>
+#include <tilt_ropter/math/rotation.hpp>
 
 #include <CLI/CLI.hpp>
 
@@ -149,6 +150,13 @@ int identify(const Options& o) {
     std::cerr
         << "identify_servo: the residual is correlated: a first-order lag does not fit well. If "
            "the steps reached the rate limit of the servo, make them smaller.\n";
+  const auto [low, high] = std::minmax_element(log.angles.begin(), log.angles.end());
+  if (*high - *low > 2.0 * pi)
+    std::cerr << "identify_servo: the angles span " << std::setprecision(3) << *high - *low
+              << " rad: are they degrees? gain and times are right, offset and residual are not in "
+                 "radians.\n";
+  if (found.model.gain < 0.5 || found.model.gain > 2.0)
+    std::cerr << "identify_servo: the gain is far from 1: are command and angle in one unit?\n";
   std::cout << "fly with it: hybrid_mission --servo-time-constant " << std::setprecision(4)
             << found.model.time_constant << '\n'
             << "in a vehicle file: \"servo\": {\"time_constant_s\": " << found.model.time_constant

@@ -123,6 +123,22 @@ TEST_F(IdentifyServo, ErrorsNameFileLineAndColumn) {
   EXPECT_EQ(fit(path("nowhere.csv")).exit_code, 2);
 }
 
+TEST_F(IdentifyServo, WarnsOfOtherUnits) {
+  EXPECT_TRUE(fit(generate("scaled.csv", "--gain 0.3")).says("far from 1: are command and angle"));
+  std::string degrees = "time_s,command_rad,angle_rad\n";
+  double angle = 0.0;
+  for (int i = 0; i < 400; ++i) {
+    const double command = i / 40 % 2 == 1 ? 20.0 : 0.0;
+    degrees += std::to_string(0.01 * i) + ',' + std::to_string(command) + ',' +
+               std::to_string(angle) + '\n';
+    angle += 0.1 * (command - angle);
+  }
+  const Outcome found = fit(write("degrees.csv", degrees));
+  EXPECT_EQ(found.exit_code, 0);
+  EXPECT_TRUE(found.says("rad: are they degrees?")) << found.output;
+  EXPECT_FALSE(fit(generate("log.csv")).says("are "));
+}
+
 TEST_F(IdentifyServo, WarnsOfRateLimitInTheLog) {
   EXPECT_FALSE(fit(generate("small.csv", "--step 0.5")).says("smaller"));
   const Outcome large = fit(generate("large.csv", "--step 1.5 --time-constant 0.05"));

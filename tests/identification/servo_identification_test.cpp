@@ -91,6 +91,14 @@ TEST(ServoIdentification, ReversedServosAndOtherUnitsAreRefusedByName) {
     for (double& angle : log.angles) angle *= degrees;
     EXPECT_EQ(identify_servo(log).status, Status::implausible_gain);
   }
+  // The commands are late by more than the dead time.
+  for (const double late : {0.04, 0.1}) {
+    ServoLog log = square_log(usual);
+    Values stamps = log.times;
+    for (double& time : stamps) time += late;
+    log.angles = servo_response(usual, log.times, log.commands, stamps);
+    EXPECT_EQ(identify_servo(log).status, Status::angle_early) << late;
+  }
 }
 
 TEST(ServoIdentification, AcceptsStampsFromAnyEpoch) {
@@ -214,7 +222,7 @@ TEST(ServoIdentification, ZeroMaxDeadTimeDisablesItsEstimation) {
 
 TEST(ServoIdentification, EveryStatusHasItsOwnText) {
   std::set<std::string> texts;
-  const int last = static_cast<int>(Status::dead_time_too_long);
+  const int last = static_cast<int>(Status::angle_early);
   for (int i = 0; i <= last; ++i) texts.insert(to_string(static_cast<Status>(i)));
   EXPECT_EQ(texts.size(), static_cast<std::size_t>(last) + 1);
   EXPECT_EQ(texts.count("unknown"), 0u);

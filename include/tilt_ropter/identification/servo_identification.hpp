@@ -68,8 +68,9 @@ enum class ServoIdentificationStatus {
   time_constant_too_short,
   time_constant_too_long,
   dead_time_too_long,
-  reversed,         ///< the angle follows the negative command
-  implausible_gain  ///< below 0.1 or above 10: radians and degrees?
+  reversed,          ///< the angle follows the negative command
+  implausible_gain,  ///< below 0.1 or above 10: radians and degrees?
+  angle_early        ///< the angle moves before its command
 };
 
 /// Result of identify_servo().
@@ -96,7 +97,8 @@ struct ServoIdentification {
                           "the time constant is longer than looked for, or than the log",
                           "the dead time is longer than looked for",
                           "the angle follows the negative command: is its sign right?",
-                          "the gain is implausible: are command and angle in one unit?"},
+                          "the gain is implausible: are command and angle in one unit?",
+                          "the angle moves before its command: are their times of one clock?"},
                          status);
 }
 
@@ -300,6 +302,20 @@ ServoMinimum<Log> least_minimum(const Log& log, const ServoIdentificationSetting
   return *std::move(least);
 }
 
+/// True if commands that are brought forward, by more than the interval of the samples, leave less
+/// than this `cost` without a dead time.
+template <typename Log>
+bool moves_early(const Log& log, double cost, double longest) {
+  constexpr double tolerance = 0.003, step = 0.005, most = 0.2;  // [s]
+  const double interval =
+      (log.times.back() - log.times.front()) / static_cast<double>(log.times.size());
+  for (double early = step; early < most; early += step)
+    for (double tau = ServoIdentificationSettings::min_time_constant; tau < longest; tau *= 1.5)
+      if (early > tolerance + interval && ServoFit<Log>(log, tau, -early).cost < 0.8 * cost)
+        return true;
+  return false;
+}
+
 /// Returns the reason why `log` is not suitable for a fit, or `identified`.
 template <typename Log>
 ServoIdentificationStatus check(const Log& log, const ServoIdentificationSettings& settings) {
@@ -378,6 +394,8 @@ template <typename Log = ServoLog>
   else if (!(1.96 * std::abs(result.model.gain) >=
              settings.min_significance * result.half_width.gain))
     result.status = Status::no_response;
+  else if (dead_time_is_free && fit.dead_time == 0.0 && detail::moves_early(log, fit.cost, longest))
+    result.status = Status::angle_early;
   else if (tau >= longest)
     result.status = Status::time_constant_too_long;
   else if (tau <= settings.min_time_constant || !(result.half_width.time_constant < tau))
