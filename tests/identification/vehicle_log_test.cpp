@@ -75,6 +75,17 @@ TEST(VehicleLog, StampsMustBeFiniteAndIncreaseInEveryList) {
   expect_bad("first", [](auto& log) { log.poses.front().time = -infinite; });
 }
 
+TEST(VehicleLog, StampsOfAnotherClockOrUnitMakeItBad) {
+  const auto changed = [](auto& list, double factor, double offset) {
+    for (auto& entry : list) entry.time = factor * (entry.time + 1.0) + offset;
+  };
+  for (const auto& [factor, offset] : {std::pair{1e3, 0.0}, {1e9, 0.0}, {1.0, 1.4e9}}) {
+    expect_bad("poses", [&](auto& log) { changed(log.poses, factor, offset); });
+    expect_bad("commands", [&](auto& log) { changed(log.commands, factor, offset); });
+    expect_bad("rotor speeds", [&](auto& log) { changed(log.rotor_speeds, factor, offset); });
+  }
+}
+
 TEST(VehicleLog, IndexBeforeIsThatOfTheLastElementAtOrBeforeATime) {
   const auto poses = good_log().poses;  // at 0, 0.01 and 0.02 s
   for (const auto& [time, index] : {std::pair<double, std::size_t>{-1.0, 0},

@@ -88,7 +88,8 @@ inline void validate(const VehicleIdentificationSettings& s) {
 /// Whether the log was identified and, if not, the reason.
 enum class VehicleIdentificationStatus {
   identified,
-  bad_log,          ///< a number is not finite, or the stamps of a list do not increase
+  /// A number is not finite, or the stamps of a list do not increase or are not those of the IMU.
+  bad_log,
   no_commands,      ///< fewer than two poses or commands, or fewer than 100 IMU samples
   too_short,        ///< fewer seconds in flight than min_duration
   nothing_excited,  ///< the log determines no parameter
@@ -101,7 +102,8 @@ enum class VehicleIdentificationStatus {
 
 [[nodiscard]] constexpr const char* to_string(VehicleIdentificationStatus status) noexcept {
   return detail::name_in(
-      {"identified", "a number is not finite or time stamps do not increase",
+      {"identified",
+       "a number is not finite, or time stamps do not increase or have another clock or unit",
        "too few IMU samples, poses or commands", "too short: too few seconds in flight",
        "nothing excited: the log determines no parameter", "the fit does not converge",
        "the model does not fit: are axes, signs and the order of the rotors right?",

@@ -54,9 +54,15 @@ template <int Rotors>
   const auto command = [](const ActuatorState<Rotors>& x) {
     return all_finite(x.rotor_speed) && all_finite(x.tilt_angle);
   };
+  const auto is_during = [&log](const auto& list) {  // of one clock and in one unit
+    if (list.empty() || log.imu.empty()) return true;
+    const double middle = list[list.size() / 2].time;
+    return middle > log.imu.front().time - 1.0 && middle < log.imu.back().time + 1.0;
+  };
   return is_good_list(log.imu, imu) && is_good_list(log.poses, pose) &&
          is_good_list(log.commands, command) &&
-         is_good_list(log.rotor_speeds, [](const auto& x) { return all_finite(x); });
+         is_good_list(log.rotor_speeds, [](const auto& x) { return all_finite(x); }) &&
+         is_during(log.poses) && is_during(log.commands) && is_during(log.rotor_speeds);
 }
 
 /// Index of the last element of `list` at or before `time`, or 0 if there is none.
