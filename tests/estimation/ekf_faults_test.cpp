@@ -331,6 +331,32 @@ TEST(Ekf, StartWithoutKnownMarkerFrameTakesThatOfTheSettings) {
   EXPECT_LT(x.orientation.angularDistance(Eigen::Quaterniond::Identity()), 1e-12);
 }
 
+// The poses teach another marker frame than the settings allow: an axis or a unit of it is wrong.
+TEST(Ekf, AMarkerFrameFarFromThatOfTheSettingsIsNotGood) {
+  EkfSettings s;
+  s.marker_position_stddev = 0.01;
+  s.marker_orientation_stddev = 0.02;
+  for (const double turn : {0.0, 0.3})
+    for (const double lever : {0.0, 0.2}) {
+      const Flight flight(3, Eigen::Quaterniond::Identity(), {lever, 0.0, 0.0},
+                          quaternion_exp(Eigen::Vector3d(0.0, 0.0, turn)));
+      Random random(4);
+      Ekfd ekf(s);
+      int good = 0;
+      for (int i = 0; i <= 4000; ++i) {
+        const double t = imu_period * i;
+        ekf.on_imu(t, flight.imu(t));
+        if (i % 2 == 0) ekf.on_pose(t, noisy(flight.pose(t), {}, random));
+        good += i > 2000 && ekf.trust(t).state == EstimateState::good;
+      }
+      SCOPED_TRACE(testing::Message() << turn << " rad, " << lever << " m");
+      if (turn + lever == 0.0)
+        EXPECT_EQ(good, 2000);
+      else
+        EXPECT_EQ(good, 0);
+    }
+}
+
 // In the last nine runs, a filter that kept a wrong velocity, marker frame or step of the clock did
 // not recover.
 TEST(Ekf, RecoversFromAnyInput) {

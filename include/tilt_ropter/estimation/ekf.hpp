@@ -361,7 +361,8 @@ EstimateTrust Ekf<Scalar>::trust(double now) const noexcept {
   if (finds_imu())
     detail::move_to_body(p, filter().state().orientation, filter_.rate(), imu_position());
   detail::predict_errors(p, std::min(detail::age(now, filter_time()), 1e3), settings_.imu_noise, t);
-  t.implausible_bias = detail::has_implausible_bias(filter().state(), settings_);
+  t.implausible_bias = detail::has_implausible_bias(filter().state(), settings_) ||
+                       !detail::has_plausible_marker_frame(filter().state(), settings_);
   detail::judge(settings_.trust, guard_.has_just_started(), t);
   return t;
 }

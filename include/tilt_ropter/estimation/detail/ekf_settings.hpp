@@ -101,8 +101,8 @@ struct EstimateTrust {
   /// times their number of rows, or poses contradict the IMU again and again, as with a wrong
   /// heading of the marker frame. The predicted errors are then too small.
   bool inconsistent = false;
-  /// A bias is more than five standard deviations from that of the settings, as with a wrong unit,
-  /// sign or axis of the IMU.
+  /// A bias or the marker frame is more than five standard deviations from that of the settings, as
+  /// with a wrong unit, sign or axis of the IMU.
   bool implausible_bias = false;
   /// Poses have shown that the IMU is wrong: its noise counts more, for up to a minute.
   bool imu_contradicted = false;
