@@ -3,6 +3,7 @@
 #include "steady_flight.hpp"
 
 #include <tilt_ropter/actuation/allocation.hpp>
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
@@ -70,6 +71,47 @@ void check_servo(const Vehicle<Rotors>& vehicle, std::vector<VehicleFinding>& fi
                                  shown(most / degree / degree) + " degrees"});
 }
 
+/// Numbers that no vehicle has in the right units: the inertia beside mass and size; the thrust,
+/// speed and torque of a rotor that carries its part of the weight. An ideal rotor needs the power
+/// T^1.5 / sqrt(2 density area), and a real one two to three times as much.
+template <int Rotors>
+void check_units(const Vehicle<Rotors>& vehicle, std::vector<VehicleFinding>& findings) {
+  const auto warn = [&findings](const std::string& text) {
+    findings.push_back({false, text + ": is the unit right?"});
+  };
+  double size = 0.0;  // [m]
+  const RotorParameters* rotor = nullptr;
+  int lifting = 0;
+  for (std::size_t i = 0; i < Rotors; ++i) {
+    const RotorParameters& p = rotor_parameters(vehicle, static_cast<int>(i));
+    size = std::max(size, vehicle.rotors[i].position.norm() + p.propeller_radius);
+    if (!(vehicle.rotors[i].orientation(2, 2) > 0.5)) continue;
+    ++lifting;
+    if (rotor == nullptr) rotor = &p;
+  }
+  const Eigen::Vector3d spread = (vehicle.body.inertia.diagonal() / vehicle.body.mass).cwiseSqrt();
+  if (!(spread.maxCoeff() <= 1.5 * size) || !(spread.minCoeff() >= 0.03 * size))
+    warn("body.inertia_kg_m2 is that of a mass " + shown(spread.minCoeff()) + " to " +
+         shown(spread.maxCoeff()) + " m from the axes, of a vehicle that reaches " + shown(size) +
+         " m");
+  if (rotor == nullptr) return;
+  const double thrust = vehicle.body.mass * gravity / lifting;
+  const double speed = speed_from_thrust(thrust, *rotor), radius = rotor->propeller_radius;
+  if (rotor->max_thrust > 20.0 * thrust)
+    warn("rotor.max_thrust_n is " + shown(rotor->max_thrust / thrust) + " times that of hover");
+  if (radius > 0.0 && speed * radius > 300.0)
+    warn("rotor.thrust_coefficient_n_s2_per_rad2: in hover the propeller tips move at " +
+         shown(speed * radius) + " m/s");
+  if (!(radius > 0.0) || !(rotor->torque_ratio > 0.0)) return;
+  constexpr double density = 1.225;  // of air [kg/m^3]
+  const double merit =
+      std::sqrt(thrust / (2.0 * density * pi * radius * radius)) / (rotor->torque_ratio * speed);
+  if (merit < 0.1 || merit > 1.0)
+    warn("in hover a rotor turns at " + shown(speed) + " rad/s with " +
+         shown(rotor->torque_ratio * thrust) + " N m, " + shown(1.0 / merit) +
+         " times the power of an ideal one (thrust coefficient, torque ratio, propeller radius)");
+}
+
 template <int Rotors>
 void check_hover(const VehicleFile& file, const Vehicle<Rotors>& vehicle,
                  std::vector<VehicleFinding>& findings) {
@@ -105,6 +147,7 @@ std::vector<VehicleFinding> file_findings(const VehicleFile& file) {
         check_places(vehicle, findings);
         check_spins(vehicle, findings);
         check_servo(vehicle, findings);
+        check_units(vehicle, findings);
       },
       file.vehicle);
   return findings;

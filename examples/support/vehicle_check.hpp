@@ -17,7 +17,7 @@ struct VehicleFinding {
 };
 
 /// Numbers of the file that contradict each other: rotors in one place, spins that cancel no yaw, a
-/// servo range that looks like radians.
+/// servo range that looks like radians, an inertia or a rotor that no vehicle of this size has.
 [[nodiscard]] std::vector<VehicleFinding> file_findings(const VehicleFile& file);
 
 /// The same, and whether the rotors carry the weight and turn the vehicle about all axes. Programs

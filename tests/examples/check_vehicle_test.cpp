@@ -144,6 +144,18 @@ TEST(CheckVehicle, NamesWhatContradictsItselfInTheFile) {
   EXPECT_FALSE(check("").says("radians"));
 }
 
+TEST(CheckVehicle, NamesUnitsThatNoVehicleHas) {
+  const auto is_named = [](const std::string& from, const std::string& to, const char* text) {
+    const auto told = check_changed("tilt_ropter", from, to);
+    EXPECT_TRUE(told.says(text) && told.says(": is the unit right?")) << to << told.output;
+  };
+  // In kg cm^2; per rpm^2; the torque coefficient; in grams.
+  is_named("[0.014, 0.014, 0.025]", "[140, 140, 250]", "warning: body.inertia_kg_m2");
+  is_named("per_rad2\": 1.4e-06", "per_rad2\": 1.54e-08", "times the power of an ideal one");
+  is_named("\"torque_ratio_m\": 0.016", "\"torque_ratio_m\": 2.2e-8", "of an ideal one");
+  is_named("\"max_thrust_n\": 12.0", "\"max_thrust_n\": 1223", "warning: rotor.max_thrust_n");
+}
+
 TEST(CheckVehicle, DrawsThePicture) {
   if (std::system("gnuplot --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "gnuplot is not installed";
