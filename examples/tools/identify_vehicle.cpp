@@ -113,6 +113,36 @@ VehicleLog<Rotors> read_log(const Options& o, const Vehicle<Rotors>& vehicle) {
                                            o.until);
 }
 
+/// Throws InputFileError if the measured speed of a rotor follows the command of another.
+template <int Rotors>
+void check_rotor_order(const Options& o, const VehicleLog<Rotors>& log) {
+  // Sums of squared differences of measured (row) and commanded speeds (column) from their means.
+  Eigen::Matrix<double, Rotors, Rotors> apart = Eigen::Matrix<double, Rotors, Rotors>::Zero();
+  Eigen::Matrix<double, Rotors, 1> offset = Eigen::Matrix<double, Rotors, 1>::Zero();
+  for (const bool first : {true, false}) {
+    std::size_t next = 0;
+    for (const auto& measured : log.rotor_speeds) {
+      while (next < log.commands.size() && log.commands[next].time <= measured.time) ++next;
+      if (next == 0) continue;
+      const auto& command = log.commands[next - 1].value.rotor_speed;
+      if (first)
+        offset += (measured.value - command) / static_cast<double>(log.rotor_speeds.size());
+      else
+        for (int i = 0; i < Rotors; ++i)
+          apart.row(i).array() +=
+              (measured.value(i) - command.array().transpose() - offset.transpose().array())
+                  .square();
+    }
+  }
+  for (int i = 0; i < Rotors; ++i) {
+    Eigen::Index nearest = 0;
+    apart.row(i).minCoeff(&nearest);
+    if (4.0 * apart(i, nearest) < apart(i, i))
+      throw InputFileError(o.input + ": the measured speed of rotor " + std::to_string(i + 1) +
+                           " follows the command of rotor " + std::to_string(nearest + 1));
+  }
+}
+
 template <int Rotors>
 int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>& given) {
   VehicleIdentificationSettings settings;
@@ -124,6 +154,7 @@ int identify(const Options& o, examples::VehicleFile file, const Vehicle<Rotors>
   else if (stands)
     settings.min_height = stands->height + 0.1;
   const VehicleLog<Rotors> log = read_log(o, given);
+  check_rotor_order(o, log);
   const VehicleIdentification<Rotors> found = identify_vehicle(log, given, settings);
   std::cout << "status: " << to_string(found.status) << '\n'
             << "duration_s: " << std::fixed << std::setprecision(2) << found.duration << '\n'

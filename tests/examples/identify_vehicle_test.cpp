@@ -25,6 +25,7 @@
 #include <fstream>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace identify_vehicle_test {
@@ -197,6 +198,20 @@ TEST_F(IdentifyVehicle, BadLogsAreNamedErrors) {
   EXPECT_TRUE(says(refusal(changed(3000, set(0, "none", ""))), "too short"));
   EXPECT_TRUE(says(refusal(log(), "--from 5 --until 8"), "too short"));
   EXPECT_TRUE(says(refusal(log(), "--min-height 3"), "too short"));
+  // Times in ms, and the telemetry of two rotors exchanged.
+  EXPECT_TRUE(says(refusal(changed(2000,
+                                   [](std::size_t row, const auto& header, auto& fields) {
+                                     for (std::size_t i = 0; i < header.size() && row > 0; ++i)
+                                       if (header[i] == "rotor_speed_time_s") fields[i] += "e3";
+                                   })),
+                   "another clock or unit"));
+  EXPECT_TRUE(says(refusal(changed(1000000,
+                                   [](std::size_t row, const auto& header, auto& fields) {
+                                     for (std::size_t i = 0; i < header.size() && row > 0; ++i)
+                                       if (header[i] == "rotor_speed_radps_1")
+                                         std::swap(fields[i], fields[i + 1]);
+                                   })),
+                   "the measured speed of rotor 1 follows the command of rotor 2"));
   EXPECT_EQ(identify(log(), "--vehicle /proc/nowhere").exit_code, 2);
   EXPECT_EQ(
       run(IDENTIFY_VEHICLE_PROGRAM, "'" + log() + "' --no-pictures -o /proc/nowhere").exit_code, 2);
