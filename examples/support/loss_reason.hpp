@@ -2,6 +2,7 @@
 
 #include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/control/reference_check.hpp>
 #include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -13,6 +14,7 @@
 #include <cstddef>
 #include <sstream>
 #include <string>
+#include <vector>
 
 namespace examples {
 
@@ -51,8 +53,9 @@ class LossReason {
     weight_ = vehicle.body.mass * gravity;
   }
 
-  /// One sentence.
-  [[nodiscard]] std::string sentence() const {
+  /// One sentence. `violations`: bounds that the reference passes.
+  [[nodiscard]] std::string sentence(
+      const std::vector<tilt_ropter::BoundViolation>& violations) const {
     using tilt_ropter::FailureKind;
     constexpr double often = 0.2;
     std::string reason;
@@ -75,6 +78,14 @@ class LossReason {
     if (stop_ > often) add("tilt angles at the end of the servos' range");
     if (full_ > often) add("rotors at their largest thrust");
     if (unsolved_ > often) add("the controller had no plan");
+    if (!violations.empty()) {
+      std::ostringstream text;
+      text.precision(3);
+      const tilt_ropter::BoundViolation& v = violations.front();
+      text << "the reference asks for " << v.bound << '[' << v.axis << "] = " << v.required
+           << " at " << v.time << " s, allowed is " << v.allowed;
+      add(text.str());
+    }
     return reason.empty() ? "not known: no failure, no limit, a good estimate" : reason;
   }
 

@@ -649,7 +649,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   flown.lean = std::acos(std::max(-1.0, upright));
   flown.loss = loss.sentence();
   flown.lost_at = loss.time();
-  if (!flown.loss.empty()) flown.loss_reason = loss_reason.sentence();
+  if (!flown.loss.empty()) flown.loss_reason = loss_reason.sentence(flown.violations);
   flown.flown_time = plant.time();
   flown.contact_mode_changes = controller.contact().mode_changes();
   flown.counts = controller.ekf().counts();

@@ -8,6 +8,7 @@
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/planning/sampled_path.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <optional>
@@ -53,6 +54,47 @@ inline void check_trajectory(const CsvTable& table, double ground,
   }
 }
 
+/// Throws std::runtime_error that names the line where the path is faster than any flight, or the
+/// file if it is nowhere faster than 5 mm/s: metres or seconds are others.
+inline void check_motion(const CsvTable& table, const tilt_ropter::SampledPath& path) {
+  constexpr double fastest = 50.0, strongest = 100.0, slowest = 0.005;  // [m/s], [m/s^2], [m/s]
+  const auto range_of = [&table](const char* column) {
+    const auto [low, high] = std::minmax_element(table[column].begin(), table[column].end());
+    return std::make_pair(*low, *high);
+  };
+  const auto refuse = [&](const char* column) {
+    const auto [low, high] = range_of(column);
+    std::ostringstream text;
+    text << table.file << ": column " << column << " is from " << low << " to " << high
+         << ": is it in m, in a local world? Not UTM, not degrees";
+    throw std::runtime_error(text.str());
+  };
+  const auto is_narrow = [&range_of](const char* column) {  // as a flight in degrees is
+    const auto [low, high] = range_of(column);
+    return high - low > 1e-7 && high - low < 1e-3 && std::abs(low) > 1.0;
+  };
+  for (const char* column : {"x_m", "y_m", "z_m"})
+    if (!(std::max(-range_of(column).first, range_of(column).second) <= 1e4)) refuse(column);
+  if (is_narrow("x_m") && is_narrow("y_m")) refuse("x_m");
+  double most = 0.0, extent = 0.0;
+  for (const char* column : {"x_m", "y_m", "z_m"})
+    extent = std::max(extent, range_of(column).second - range_of(column).first);
+  for (std::size_t i = 1; i < table.rows(); ++i) {
+    const double from = table["time_s"][i - 1], to = table["time_s"][i];
+    const double step = (path(to).position - path(from).position).norm();
+    const double speed = step / (to - from), acceleration = path(to).acceleration.norm();
+    most = std::max(most, speed);
+    if (speed <= fastest && acceleration <= strongest) continue;
+    std::ostringstream text;
+    text << table.file << ':' << table.lines[i] << ": the trajectory asks for " << speed
+         << " m/s and " << acceleration << " m/s^2: are the columns in m and s?";
+    throw std::runtime_error(text.str());
+  }
+  if (extent > 0.1 && most < slowest)
+    throw std::runtime_error(table.file + ": the trajectory is nowhere faster than " +
+                             std::to_string(most) + " m/s: are the columns in m and s?");
+}
+
 }  // namespace detail
 
 /// Reads a trajectory: time_s, x_m, y_m, z_m and, if wanted, yaw_rad or yaw_deg. Where it stays at
@@ -63,8 +105,9 @@ inline void check_trajectory(const CsvTable& table, double ground,
   using namespace tilt_ropter;
   const double ground = undercarriage ? undercarriage->height : 0.0;
   std::vector<PathSample> samples;
+  CsvTable table;
   try {
-    const CsvTable table =
+    table =
         read_csv(file, {"time_s", "x_m", "y_m", "z_m"}, CsvNumbers::finite, {"yaw_rad", "yaw_deg"});
     if (table.has("yaw_rad") && table.has("yaw_deg"))
       throw std::runtime_error(file + ": either yaw_rad or yaw_deg, not both");
@@ -84,6 +127,7 @@ inline void check_trajectory(const CsvTable& table, double ground,
   };
   try {
     const SampledPath path(samples);
+    detail::check_motion(table, path);
     std::vector<MissionSegment> segments;
     for (std::size_t i = 0; i + 1 < samples.size();) {
       const bool on_ground = stands(i) && stands(i + 1);
@@ -96,6 +140,8 @@ inline void check_trajectory(const CsvTable& table, double ground,
     return Mission(std::move(segments));
   } catch (const std::invalid_argument& error) {
     throw InputFileError(file + ": " + error.what());
+  } catch (const std::runtime_error& error) {
+    throw InputFileError(error.what());
   }
 }
 

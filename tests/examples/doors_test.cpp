@@ -339,6 +339,25 @@ TEST(Doors, ATrajectoryBelowTheGroundOrInDegreesIsRefused) {
               std::string::npos);
   EXPECT_NE(read("time_s,x_m,y_m,z_m,yaw_rad,yaw_deg\n0,0,0,1,0,0\n1,0,0,1,0,0\n").find("not both"),
             std::string::npos);
+  // Other units: too fast, too strong, too slow, in another world, or in degrees.
+  const auto scaled = [&](double time, double metres, double x) {
+    std::string text = head;
+    for (int i = 0; i <= 20; ++i) {
+      const double s = 0.05 * i;
+      const std::string place = std::to_string(x + metres * s * s * (3.0 - 2.0 * s));
+      text += std::to_string(time * i) + ',' + place + ',' + place + ",1,0\n";
+    }
+    return read(text);
+  };
+  EXPECT_EQ(scaled(0.4, 2.0, 0.0), "not refused");
+  EXPECT_NE(scaled(0.4, 2e3, 0.0).find("m/s^2: are the columns in m and s?"), std::string::npos);
+  EXPECT_NE(scaled(0.4 / 60.0, 2.0, 0.0).find("path.csv:3: "), std::string::npos);
+  for (const double unit : {1e3, 1e6, 1e9})
+    EXPECT_NE(scaled(0.4 * unit, 2.0, 0.0).find("path.csv: the trajectory is nowhere faster"),
+              std::string::npos);
+  for (const double x : {4.6e5, -5.2e6})
+    EXPECT_NE(scaled(0.4, 2.0, x).find("path.csv: column x_m is from "), std::string::npos);
+  EXPECT_NE(scaled(0.4, 2e-5, 47.3).find("Not UTM, not degrees"), std::string::npos);
   const Mission turn = examples::read_trajectory(
       directory.write("path.csv", "time_s,x_m,y_m,z_m,yaw_deg\n0,0,0,1,0\n2,1,0,1,90\n"), wheels);
   EXPECT_NEAR(yaw_of(turn(2.0).orientation), pi / 2.0, 1e-9);
