@@ -94,9 +94,10 @@ namespace detail {
 /// What may be wrong with a log, and its correction.
 template <typename Sample>
 struct Suspicion {
-  const char* text;
+  std::string text;
   std::function<void(Sample&)> correct;
   bool turns = false;  ///< it concerns rotations
+  bool rare = false;   ///< it is tried alone
 };
 
 using ImuSuspicion = Suspicion<tilt_ropter::InertialSampled>;
@@ -111,7 +112,7 @@ inline std::vector<ImuSuspicion> imu_suspicions() {
   const auto flipped = [](const Eigen::Vector3d& v) {
     return Eigen::Vector3d(v.x(), -v.y(), -v.z());
   };
-  return {
+  std::vector<ImuSuspicion> all = {
       {"", [](Sample&) {}},
       {"the accelerometer is in g instead of m/s^2", [g](Sample& s) { s.specific_force *= g; }},
       {"the accelerometer is in mg instead of m/s^2",
@@ -135,6 +136,48 @@ inline std::vector<ImuSuspicion> imu_suspicions() {
          s.specific_force = exchanged(s.specific_force);
        },
        true}};
+  for (const auto& [unit, factor] :
+       std::vector<std::pair<const char*, double>>{{"mm/s^2", 1e-3}, {"ft/s^2", 0.3048}})
+    all.push_back({std::string("the accelerometer is in ") + unit + " instead of m/s^2",
+                   [f = factor](Sample& s) { s.specific_force *= f; }, false, true});
+  for (const auto& [unit, factor] : std::vector<std::pair<const char*, double>>{
+           {"mrad/s", 1e-3}, {"revolutions per second", 360.0 * degree}, {"rpm", 6.0 * degree}})
+    all.push_back({std::string("the gyroscope is in ") + unit + " instead of rad/s",
+                   [f = factor](Sample& s) { s.angular_velocity *= f; }, true, true});
+  constexpr const char* axes = "xyz";
+  for (const bool gyro : {false, true}) {
+    const auto part = [gyro](Sample& s) -> Eigen::Vector3d& {
+      return gyro ? s.angular_velocity : s.specific_force;
+    };
+    const std::string sensor = gyro ? " of the gyroscope" : " of the accelerometer";
+    for (int i = 0; i < 3; ++i) {
+      all.push_back({std::string("the ") + axes[i] + " axis" + sensor + " has the reversed sign",
+                     [part, i](Sample& s) { part(s)(i) *= -1.0; }, gyro, true});
+      const int k = (i + 1) % 3;
+      all.push_back(
+          {std::string("the ") + axes[i] + " and " + axes[k] + " axes" + sensor + " are exchanged",
+           [part, i, k](Sample& s) { std::swap(part(s)(i), part(s)(k)); }, gyro, true});
+    }
+  }
+  // The rotations that turn the axes into each other, other than forward, right, down.
+  for (int x = 0; x < 6; ++x)
+    for (int y = 0; y < 6; ++y) {
+      const auto axis = [](int n) {
+        return Eigen::Vector3d((n < 3 ? 1.0 : -1.0) * Eigen::Vector3d::Unit(n % 3));
+      };
+      if (x % 3 == y % 3 || (x == 0 && (y == 1 || y == 4))) continue;
+      Eigen::Matrix3d turn;  // IMU -> body
+      turn << axis(x), axis(y), axis(x).cross(axis(y));
+      const auto name = [axes](int n) { return std::string(n < 3 ? "" : "-") + axes[n % 3]; };
+      all.push_back({"the IMU is turned: its x and y axes are " + name(x) + " and " + name(y) +
+                         " of the body",
+                     [turn](Sample& s) {
+                       s.angular_velocity = (turn * s.angular_velocity).eval();
+                       s.specific_force = (turn * s.specific_force).eval();
+                     },
+                     true, true});
+    }
+  return all;
 }
 
 inline std::vector<PoseSuspicion> pose_suspicions() {
@@ -146,29 +189,67 @@ inline std::vector<PoseSuspicion> pose_suspicions() {
     };
   };
   const double half = std::sqrt(0.5);
-  return {{"", [](Pose&) {}},
-          {"the positions are in mm instead of m", [](Pose& p) { p.position *= 1e-3; }},
-          {"the positions are in cm instead of m", [](Pose& p) { p.position *= 1e-2; }},
-          {"the quaternions are x y z w instead of w x y z",
-           [](Pose& p) {
-             const Eigen::Quaterniond& q = p.orientation;
-             p.orientation = Eigen::Quaterniond(q.z(), q.w(), q.x(), q.y());
-           },
-           true},
-          {"the quaternions turn the world to the body instead of the body to the world",
-           [](Pose& p) { p.orientation = p.orientation.conjugate(); }, true},
-          {"z of the world points down (NED) instead of up (ENU)",
-           turn_world(Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0))},
-          {"y of the world points up instead of z",
-           turn_world(Eigen::Quaterniond(half, half, 0.0, 0.0))},
-          {"the height has the reversed sign", [](Pose& p) { p.position.z() *= -1.0; }},
-          {"the world is left-handed",
-           [](Pose& p) {
-             p.position.y() *= -1.0;
-             p.orientation.x() *= -1.0;
-             p.orientation.z() *= -1.0;
-           },
-           true}};
+  std::vector<PoseSuspicion> all = {
+      {"", [](Pose&) {}},
+      {"the positions are in mm instead of m", [](Pose& p) { p.position *= 1e-3; }},
+      {"the positions are in cm instead of m", [](Pose& p) { p.position *= 1e-2; }},
+      {"the quaternions are x y z w instead of w x y z",
+       [](Pose& p) {
+         const Eigen::Quaterniond& q = p.orientation;
+         p.orientation = Eigen::Quaterniond(q.z(), q.w(), q.x(), q.y());
+       },
+       true},
+      {"the quaternions turn the world to the body instead of the body to the world",
+       [](Pose& p) { p.orientation = p.orientation.conjugate(); }, true},
+      {"z of the world points down (NED) instead of up (ENU)",
+       turn_world(Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0))},
+      {"y of the world points up instead of z",
+       turn_world(Eigen::Quaterniond(half, half, 0.0, 0.0))},
+      {"the height has the reversed sign", [](Pose& p) { p.position.z() *= -1.0; }},
+      {"the world is left-handed",
+       [](Pose& p) {
+         p.position.y() *= -1.0;
+         p.orientation.x() *= -1.0;
+         p.orientation.z() *= -1.0;
+       },
+       true}};
+  for (const auto& [unit, factor] : std::vector<std::pair<const char*, double>>{
+           {"km", 1e3}, {"feet", 0.3048}, {"inches", 0.0254}})
+    all.push_back({std::string("the positions are in ") + unit + " instead of m",
+                   [f = factor](Pose& p) { p.position *= f; }, false, true});
+  all.push_back({"the quaternions are w x y z instead of x y z w",
+                 [](Pose& p) {
+                   const Eigen::Quaterniond& q = p.orientation;
+                   p.orientation = Eigen::Quaterniond(q.x(), q.y(), q.z(), q.w());
+                 },
+                 true, true});
+  all.push_back({"y of the world points down",
+                 turn_world(Eigen::Quaterniond(half, -half, 0.0, 0.0)), false, true});
+  all.push_back({"x of the world points up", turn_world(Eigen::Quaterniond(half, 0.0, -half, 0.0)),
+                 false, true});
+  constexpr const char* axes = "xyz";
+  for (int i = 0; i < 3; ++i) {
+    const int k = (i + 1) % 3;
+    const std::string both = std::string(1, axes[i]) + " and " + axes[k];
+    if (i < 2)
+      all.push_back({std::string("the ") + axes[i] + " positions have the reversed sign",
+                     [i](Pose& p) { p.position(i) *= -1.0; }, false, true});
+    all.push_back({"the " + both + " positions are exchanged",
+                   [i, k](Pose& p) { std::swap(p.position(i), p.position(k)); }, false, true});
+    all.push_back(
+        {std::string("q") + axes[i] + " and q" + axes[k] + " are exchanged",
+         [i, k](Pose& p) { std::swap(p.orientation.coeffs()(i), p.orientation.coeffs()(k)); }, true,
+         true});
+    if (i == 1) continue;  // above
+    all.push_back({std::string("the world is left-handed: its ") + axes[i] + " is reversed",
+                   [i](Pose& p) {
+                     p.position(i) *= -1.0;
+                     for (int other = 0; other < 3; ++other)
+                       if (other != i) p.orientation.coeffs()(other) *= -1.0;
+                   },
+                   true, true});
+  }
+  return all;
 }
 
 /// How far the stamps of the poses have to be shifted so that they overlap with those of the IMU
@@ -266,14 +347,33 @@ inline std::string likely_reason(RecordedFlight flight, const tilt_ropter::EkfSe
     const std::string& also = found_reasons[0].also;
     return text + (text.empty() || also.empty() ? "" : "; ") + also;
   };
-  // The first of these sets in which something fits: one fault, or one of the IMU and one of the
-  // poses, both without and with another clock and marker frame.
-  for (const bool both : {false, true})
+  // The first of these sets in which something fits: one common fault, one rare fault, or one of
+  // the IMU and one of the poses, each without and with another clock and marker frame.
+  for (const char* set : {"common", "rare", "both"})
     for (const bool calibrated : {false, true}) {
       for (std::size_t i = 0; i < imus.size(); ++i)
-        for (std::size_t k = 0; k < poses.size(); ++k)
-          if ((i > 0 && k > 0) == both && (i + k > 0 || calibrated)) attempt(i, k, calibrated);
+        for (std::size_t k = 0; k < poses.size(); ++k) {
+          const bool both = i > 0 && k > 0, rare = imus[i].rare || poses[k].rare;
+          if (both && rare) continue;
+          const std::string is_in = both ? "both" : rare ? "rare" : "common";
+          if (is_in == set && (i + k > 0 || calibrated)) attempt(i, k, calibrated);
+        }
       if (!found_reasons.empty()) return best();
+    }
+  // Clocks that rotations do not show. The filter itself finds the rest of the offset.
+  for (int step = 1; step <= 10; ++step)
+    for (const double shift : {0.15 * step, -0.15 * step}) {
+      EkfSettings with = settings;
+      with.clock_offset += shift;
+      Reception reception;
+      const Ekfd filter =
+          run_filter(corrected(0, 0), with, reception, [](const Ekfd&, std::size_t) {});
+      if (!reception.is_good()) continue;
+      char shown[120];
+      (void)std::snprintf(shown, sizeof shown,
+                          "the clock of the poses is off by %.2f s (--clock-offset)",
+                          shift - filter.trust(filter.time()).latency);
+      return shown;
     }
   return "";
 }

@@ -322,8 +322,24 @@ void calibrate(const Options& options, const RecordedFlight& flight, EkfSettings
             << " --accelerometer-bias " << numbers(found.accelerometer_bias) << '\n';
 }
 
+/// Says where a log pauses for longer than a second and ten of its intervals, or ends early.
+template <typename Log>
+void warn_of_pause(const Log& log, const char* name, double until) {
+  double longest = until - log.back().time, start = log.back().time;
+  for (std::size_t i = 1; i < log.size(); ++i) {
+    const double pause = log[i].time - log[i - 1].time;
+    if (pause <= longest) continue;
+    longest = pause;
+    start = log[i - 1].time;
+  }
+  const double interval = (log.back().time - log.front().time) / static_cast<double>(log.size());
+  if (longest > std::max(1.0, 10.0 * interval))
+    std::cerr << "replay_flight: no " << name << " for " << std::setprecision(3) << longest
+              << " s from " << start << " s on: is the log whole?\n";
+}
+
 void print_errors(const Options& options, const examples::InertialLog& imu, const States& estimate,
-                  Truth& truth) {
+                  Truth& truth, bool trusted) {
   const double from = imu.front().time + options.judge_from;
   const Errors plain = judge(estimate, truth, from, 0.0);
   if (plain.position.count() == 0) {
@@ -339,6 +355,11 @@ void print_errors(const Options& options, const examples::InertialLog& imu, cons
   print("shifted_position_rmse_m", shifted.position.value(), 5);
   print("shifted_attitude_rmse_deg", shifted.attitude.value() * 180.0 / pi, 3);
   print("shifted_velocity_rmse_mps", shifted.velocity.value(), 5);
+  if (!trusted) return;
+  if (shifted.position.value() > 0.5 || shifted.velocity.value() > 0.5 ||
+      shifted.attitude.value() > 0.35)
+    std::cerr << "replay_flight: the truth is far from the estimate: unit, order of the "
+                 "quaternion, frame (velocities in the world, z up) or clock of the truth?\n";
 }
 
 /// A flight from CSV files, a ULog, or IMU and truth from a ULog and poses from a CSV file.
@@ -428,6 +449,9 @@ void replay(const Options& options) {
     settings.marker_orientation_stddev = settings.marker_position_stddev = 0.0;
   }
 
+  warn_of_pause(imu, "IMU sample", imu.back().time);
+  if (flight.marker.positions.empty())
+    warn_of_pause(poses, "pose", imu.back().time - settings.clock_offset);
   std::filesystem::create_directories(options.output);
   examples::MissionLog log(options.output + "/replay_flight.csv", columns(!truth.empty()));
   States estimate;
@@ -450,6 +474,11 @@ void replay(const Options& options) {
             << "\nunused: " << filter.counts().unused << "\nrestarts: " << filter.counts().restarts
             << '\n';
   print("clock_offset_s", settings.clock_offset, 5);
+  const double latency = filter.trust(filter.time()).latency;
+  print("pose_latency_s", latency, 5);
+  if (std::abs(latency) > 0.004 && !reception.is_poor())
+    std::cerr << "replay_flight: the stamps of the poses are off by " << std::setprecision(3)
+              << latency << " s at the end: their clock is late or drifts (--calibrate)\n";
   print("marker_rotation_deg", given.angularDistance(x.marker_orientation) * 180.0 / pi, 3);
   print("marker_lever_m", (x.marker_position - given_lever).norm(), 5);
   std::cout << "marker_orientation_wxyz: " << std::setprecision(5) << x.marker_orientation.w()
@@ -459,7 +488,7 @@ void replay(const Options& options) {
   if (5 * (filter.counts().gated + filter.counts().restarts) > filter.counts().used)
     std::cerr << "replay_flight: the gate rejected many poses: are clock and marker frame right "
                  "(--calibrate)?\n";
-  if (!truth.empty()) print_errors(options, imu, estimate, truth);
+  if (!truth.empty()) print_errors(options, imu, estimate, truth, !reception.is_poor());
   if (!reception.is_poor()) return;
   char text[120];
   (void)std::snprintf(text, sizeof text,
@@ -498,6 +527,7 @@ Printed, among others:
   marker_rotation_deg, marker_lever_m  difference of the marker frame from the given marker frame
   rejected                             poses that the gate rejected
   unused                               poses that were late, repeated or invalid
+  pose_latency_s                       by which the filter corrects the stamps of the poses at the end
   positions_only, lost_tracking        rows without orientation, and without position, if any
   time_origin_s                        start of the times, if the stamps count from 1970
 With TRUTH.csv, also the RMS errors, and the same errors with the truth read truth_shift_s later. At

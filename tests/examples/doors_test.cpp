@@ -280,6 +280,13 @@ TEST(Doors, TheReasonOfRefusedPosesIsFound) {
       {"y of the world", same_imu,
        turned(Eigen::Quaterniond(std::sqrt(0.5), -std::sqrt(0.5), 0.0, 0.0))},
       {"height has the reversed", same_imu, [](Pose& p) { p.position.z() *= -1.0; }},
+      {"accelerometer is in ft/s^2", [](Imu& s) { s.specific_force /= 0.3048; }, same_pose},
+      {"y axis of the accelerometer", [](Imu& s) { s.specific_force.y() *= -1.0; }, same_pose},
+      {"x and y axes of the gyroscope",
+       [](Imu& s) { std::swap(s.angular_velocity.x(), s.angular_velocity.y()); }, same_pose},
+      {"in inches", same_imu, [](Pose& p) { p.position /= 0.0254; }},
+      {"y and z positions are exchanged", same_imu,
+       [](Pose& p) { std::swap(p.position.y(), p.position.z()); }},
       {"in g instead of m/s^2; the quaternions are x y z w", in_g, xyzw}};
   for (const Lie& lie : lies) {
     RecordedFlight flight = good;
