@@ -168,7 +168,7 @@ inline std::vector<ImuSuspicion> imu_suspicions() {
       if (x % 3 == y % 3 || (x == 0 && (y == 1 || y == 4))) continue;
       Eigen::Matrix3d turn;  // IMU -> body
       turn << axis(x), axis(y), axis(x).cross(axis(y));
-      const auto name = [axes](int n) { return std::string(n < 3 ? "" : "-") + axes[n % 3]; };
+      const auto name = [](int n) { return std::string(n < 3 ? "" : "-") + axes[n % 3]; };
       all.push_back({"the IMU is turned: its x and y axes are " + name(x) + " and " + name(y) +
                          " of the body",
                      [turn](Sample& s) {

@@ -83,7 +83,7 @@ void check_units(const Vehicle<Rotors>& vehicle, std::vector<VehicleFinding>& fi
   const RotorParameters* rotor = nullptr;
   int lifting = 0;
   for (std::size_t i = 0; i < Rotors; ++i) {
-    const RotorParameters& p = rotor_parameters(vehicle, static_cast<int>(i));
+    const RotorParameters& p = rotor_parameters(vehicle, i);
     size = std::max(size, vehicle.rotors[i].position.norm() + p.propeller_radius);
     if (!(vehicle.rotors[i].orientation(2, 2) > 0.5)) continue;
     ++lifting;

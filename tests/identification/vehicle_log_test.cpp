@@ -80,9 +80,12 @@ TEST(VehicleLog, StampsOfAnotherClockOrUnitMakeItBad) {
     for (auto& entry : list) entry.time = factor * (entry.time + 1.0) + offset;
   };
   for (const auto& [factor, offset] : {std::pair{1e3, 0.0}, {1e9, 0.0}, {1.0, 1.4e9}}) {
-    expect_bad("poses", [&](auto& log) { changed(log.poses, factor, offset); });
-    expect_bad("commands", [&](auto& log) { changed(log.commands, factor, offset); });
-    expect_bad("rotor speeds", [&](auto& log) { changed(log.rotor_speeds, factor, offset); });
+    expect_bad("poses",
+               [f = factor, o = offset, &changed](auto& log) { changed(log.poses, f, o); });
+    expect_bad("commands",
+               [f = factor, o = offset, &changed](auto& log) { changed(log.commands, f, o); });
+    expect_bad("rotor speeds",
+               [f = factor, o = offset, &changed](auto& log) { changed(log.rotor_speeds, f, o); });
   }
 }
 
