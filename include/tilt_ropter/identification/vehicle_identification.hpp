@@ -273,10 +273,10 @@ template <int Rotors>
   constexpr int count = static_cast<int>(VehicleParameter::count);
   VehicleIdentification<Rotors> result;
   result.vehicle = given;
-  result.status = Status::bad_log;
-  if (!detail::is_good_log(log)) return result;
   result.status = Status::no_commands;
   if (log.imu.size() < 100 || log.poses.size() < 2 || log.commands.size() < 2) return result;
+  result.status = Status::bad_log;
+  if (!detail::is_good_log(log)) return result;
 
   detail::VehicleFit<Rotors> fit(
       log, given,
