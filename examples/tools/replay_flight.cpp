@@ -260,6 +260,7 @@ const char* meaning(LogCalibrationStatus status) {
 /// Throws std::runtime_error that says what failed and the likely reason.
 [[noreturn]] void fail(const RecordedFlight& flight, const EkfSettings& settings,
                        const std::string& what) {
+  std::cerr << "replay_flight: looks for the likely reason, up to half a minute\n";
   const std::string reason = examples::likely_reason(flight, settings);
   throw std::runtime_error(what + (reason.empty() ? "; no unit, order, axes or clock was found "
                                                     "with which the logs agree"
