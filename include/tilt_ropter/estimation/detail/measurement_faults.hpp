@@ -221,22 +221,26 @@ struct PoseComparison {
   double velocity_stddev;  ///< of the estimate [m/s]
 };
 
-/// Variance of a noise by its squared samples.
+/// Variance of the noise of a sensor, by squares of its samples in its unit.
 struct PoseNoise {
+  /// Adds a square. `believed`: the standard deviation of the settings.
   void add(double square, double believed) noexcept {
-    constexpr double part = 0.05, most = 100.0, slow_part = 0.01, outlier = 4.0;
+    // Parts of a sample that count for a mean of some 20 and of some 100 samples; the largest
+    // sample, so that wild ones are soon forgotten; and that beside which one is an outlier.
+    constexpr double part = 0.05, slow_part = 0.01, most = 100.0, outlier = 4.0;
     const double variance = believed * believed, bounded = std::min(square, most * variance);
     recent += part * (bounded - recent);
     excess += slow_part * (std::min(bounded / variance, outlier * excess) - excess);
     excess = std::max(1.0, excess);
   }
-  /// The larger variance that has lasted, without outliers, by the believed one. 1 if chance
-  /// explains it.
+  /// The variance of a longer time, without outliers, by the believed one. 1 if it is smaller, or
+  /// if chance explains it.
   [[nodiscard]] double factor() const noexcept {
-    constexpr double chance = 1.3;
+    constexpr double chance = 1.3;  // some four standard deviations of the mean
     return excess > chance ? excess : 1.0;
   }
-  double recent = 0.0, excess = 1.0;
+  double recent = 0.0;  ///< variance of the last samples
+  double excess = 1.0;  ///< as factor(), with chance
 };
 
 /// Tests whether poses continue each other without a jump, used or not: positions with a plausible
@@ -310,7 +314,7 @@ class PoseContinuity {
   Eigen::Quaternion<Scalar> turn_ = Eigen::Quaternion<Scalar>::Identity(),
                             last_orientation_ = turn_;
   double last_time_ = -std::numeric_limits<double>::infinity(), last_step_ = 1.0;
-  PoseNoise position_noise_, orientation_noise_;  ///< per axis [m], [rad]
+  PoseNoise position_noise_, orientation_noise_;  ///< per axis; [m], [rad]
   int steps_ = 0;
   bool jumped_ = false, turned_ = false;
 };

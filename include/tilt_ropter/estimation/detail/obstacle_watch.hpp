@@ -17,8 +17,8 @@ namespace tilt_ropter::detail {
 /// the vehicle in front of its reference. A gust can do the same for a moment; therefore a second
 /// witness is asked. An impact that stops the vehicle gives a force that no gust has. After a soft
 /// touch the vehicle pushes more for a moment: wind that stays the same lets it move, an obstacle
-/// does not. Only horizontal forces count, so that neither a payload nor the ground is an obstacle.
-/// Does not allocate.
+/// does not. A force that swings to the other side at once is a vibration. Only horizontal forces
+/// count, so that neither a payload nor the ground is an obstacle. Does not allocate.
 class ObstacleWatch {
  public:
   explicit ObstacleWatch(double weight) : weight_(weight) {}
