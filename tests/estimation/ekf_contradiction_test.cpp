@@ -195,6 +195,23 @@ TEST(EkfContradiction, VibrationThatIsAliasedIsNoise) {
         }
 }
 
+// From the start, the error swings back before a series of poses above the gate is long.
+TEST(EkfContradiction, AQuickAliasIsContradictedByManyShortSeries) {
+  struct Case {
+    double rate, alias, size;
+  };
+  for (const Case& c : {Case{400.0, 12.5, 0.638}, {400.0, 20.0, 1.0}, {500.0, 6.0, 1.0}}) {
+    SCOPED_TRACE(c.alias);
+    SensorFault fault = fault_of(Kind::imu_vibration, c.size, c.rate + c.alias);
+    fault.start = 0.0;
+    const Outcome o = fly(fault, {1.0, c.rate});
+    EXPECT_LT(o.position, 0.05);
+    EXPECT_LT(o.contradicted, 2.0);
+    EXPECT_LT(o.counts.gated, 60);  // of 1600
+    EXPECT_EQ(o.good, 0);
+  }
+}
+
 TEST(EkfContradiction, AnAccelerometerThatIsCutIsNotBelieved) {
   for (const double motion : {0.0, 1.0})
     for (const double size : {9.0, 9.7}) {

@@ -155,6 +155,7 @@ class MeasurementGuard {
     if (passes(innovation) && gate.accepts(time, c.distance, small, settings_.restart_time)) {
       stamps_.on_used(arrived.lag);
       turn_.end();
+      surprise(false);
       if (++used_since_start_ >= enough) wrong_starts_ = 0;
       Verdict verdict;
       const auto found = static_cast<double>(filter.filter().latency());
@@ -182,6 +183,8 @@ class MeasurementGuard {
       (void)end_trial(time, true);
       return drop(EkfStatus::gated);
     }
+    surprise(!std::isfinite(offset) && continuity_.positions_continue() && !continuity_.turned() &&
+             !is_noise(c, few_stddevs));
     const Action contradiction = which_is_wrong(time, c, offset, filter);
     if (contradiction != Action::drop) {
       stamps_.on_used(arrived.lag);
@@ -269,6 +272,8 @@ class MeasurementGuard {
   static constexpr double inconsistent = 3.0;     ///< mean NIS of a row
   /// Gated poses that show more than an outlier, and those that show a latency.
   static constexpr int some = 3, many = 12;
+  /// Of the noise of poses among each other, which explain a pose above the gate.
+  static constexpr double few_stddevs = 4.0;
   static constexpr double close = 0.5;  ///< to an estimate that a wrong IMU has moved [m]
 
   static constexpr bool is_position(MeasurementKind kind) noexcept {
@@ -410,10 +415,8 @@ class MeasurementGuard {
   [[nodiscard]] Action which_is_wrong(double time, const PoseComparison<Scalar>& c, double offset,
                                       const Filter& filter) const noexcept {
     constexpr double shortest = 0.045;  // a jump of the poses shows within this time [s]
-    const double distance = distance_of(c);
     const double noise = settings_.pose_noise.orientation;
-    const double turn =
-        static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
+    const double distance = distance_of(c), turn = turn_of(c);
     // Poses that are late err along the path, as those beside a wrong accelerometer do.
     const bool may_be_late = std::isfinite(offset) && !filter.filter().is_wider();
     // A pose alone convicts again, and must be no outlier.
@@ -421,10 +424,12 @@ class MeasurementGuard {
     const int gated = gates_[0].gated();
     if ((has_just_started() && wrong_starts_ < most_starts && gated < settings_.max_rejections) ||
         filter.filter().is_widest() || !gates_[0].is_confirmed() ||
-        !continuity_.positions_continue() ||
-        continuity_.is_noise(distance, turn, again ? 6.0 : 4.0) || !(distance <= close))
+        !continuity_.positions_continue() || is_noise(c, again ? 6.0 : few_stddevs) ||
+        !(distance <= close))
       return Action::drop;
-    if (!again && (gated < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
+    const bool often = surprised_ > 0.15;
+    if (!again && !often &&
+        (gated < (may_be_late ? many : some) || !(time - last_pose_ >= shortest)))
       return Action::drop;
     return turn / noise > distance / c.noise ? Action::widen_gyro : Action::widen_accelerometer;
   }
@@ -441,6 +446,18 @@ class MeasurementGuard {
 
   static double distance_of(const PoseComparison<Scalar>& c) noexcept {
     return static_cast<double>((c.measured.position - c.predicted.position).norm());
+  }
+  static double turn_of(const PoseComparison<Scalar>& c) noexcept {
+    return static_cast<double>(c.measured.orientation.angularDistance(c.predicted.orientation));
+  }
+  [[nodiscard]] bool is_noise(const PoseComparison<Scalar>& c, double most) const noexcept {
+    return continuity_.is_noise(distance_of(c), turn_of(c), most);
+  }
+  /// Counts a pose that was compared. An IMU whose error swings contradicts the poses for less time
+  /// at once than an outlier of the poses may last, but again and again.
+  void surprise(bool surprising) noexcept {
+    constexpr double memory = 50.0;  // poses
+    surprised_ += ((surprising ? 1.0 : 0.0) - surprised_) / memory;
   }
 
   PoseComparison<Scalar> compare(const MarkerPose<Scalar>& pose,
@@ -503,7 +520,9 @@ class MeasurementGuard {
   double late_time_ = 0.0, late_since_ = 0.0;  ///< of the last and the first late IMU sample
   int late_samples_ = 0;                       ///< consecutive
   double restarted_ = never, doubtful_until_ = never;  ///< last restart, see EstimateTrust
-  double nis_per_row_ = 1.0, mean_nis_ = 1.0;          ///< of the last one, of those that were used
+  /// Share of the last poses above the gate that continue each other and are not late.
+  double surprised_ = 0.0;
+  double nis_per_row_ = 1.0, mean_nis_ = 1.0;  ///< of the last one, of those that were used
   /// Of the latency: end of its trial, time before which none is tried, what is taken back, and
   /// the mean NIS that ends the trial.
   double trial_end_ = infinity, refused_until_ = never, latency_before_ = 0.0, nis_before_ = 0.0;
