@@ -90,23 +90,25 @@ class BodyByPoses {
                bool in_the_air) {
     constexpr double forgotten = 0.7;  // [s]
     if (!in_the_air) on_ground_ = time_;
-    const double part = std::clamp((time_ - compared_) / memory, 0.0, longest_step / memory);
+    const double dt = std::clamp(time_ - compared_, 0.0, longest_step);
     compared_ = time_;
-    // An impact is short, and counts for little.
     const Eigen::Vector3d predicted = (applied.force + external().force) / mass_;
-    const double turning =
-                     std::min((imu.angular_velocity - body_.angular_velocity).squaredNorm(), 1.0),
-                 felt = std::min((imu.specific_force - predicted).squaredNorm(), 4.0);
-    turning_off_ += part * (turning - turning_off_);
-    force_off_ += part * (felt - force_off_);
-    if (!(time_ - on_ground_ > forgotten)) force_off_ = 0.0;
-    if (!std::isfinite(turning_off_ + force_off_)) turning_off_ = force_off_ = 0.0;
+    // An impact is short, and counts for little.
+    turning_off_.add(imu.angular_velocity - body_.angular_velocity, 1.0, 1.0, dt);
+    force_off_.add(imu.specific_force - predicted, 2.0, 4.0, dt);
+    if (!(time_ - on_ground_ > forgotten)) force_off_ = {};
   }
   /// True if the IMU differs from the prediction by more than noise and errors of the model explain
   /// (root mean squares over 0.5 s).
   [[nodiscard]] bool contradicts_imu() const {
     constexpr double turning = 0.3, force = 0.5;  // [rad/s], [m/s^2]
-    return turning_off_ > turning * turning || force_off_ > force * force;
+    return turning_off_.square > turning * turning || force_off_.square > force * force;
+  }
+  /// True if that difference swings faster than a body, but not faster than the controller:
+  /// the IMU vibrates. What a wrong model of the actuators does is slower.
+  [[nodiscard]] bool imu_vibrates() const {
+    constexpr double turning = 0.3, force = 1.5;  // [rad/s], [m/s^2]
+    return turning_off_.swing > turning * turning || force_off_.swing > force * force;
   }
 
   /// Starts at rest at this pose, without an external wrench.
@@ -150,6 +152,23 @@ class BodyByPoses {
     past_[newest_] = {time_, body_.position, body_.orientation};
   }
 
+  // What the IMU measures less what is predicted.
+  struct Difference {
+    // At most so much of it counts: `most` in the square, `most_slow` in the swing.
+    void add(Eigen::Vector3d value, double most, double most_slow, double dt) {
+      constexpr double quickest = 0.008, slowest = 0.03;  // time constants of the swing [s]
+      const double norm = value.norm();
+      if (!std::isfinite(norm)) return;
+      if (norm > most_slow) value *= most_slow / norm;
+      square += dt / memory * (std::min(norm * norm, most * most) - square);
+      slow += std::min(1.0, dt / quickest) * (value - slow);
+      mean += std::min(1.0, dt / slowest) * (slow - mean);
+      swing += dt / memory * ((slow - mean).squaredNorm() - swing);
+    }
+    double square = 0.0, swing = 0.0;  ///< means
+    Eigen::Vector3d slow = Eigen::Vector3d::Zero(), mean = slow;
+  };
+
   double mass_;
   Eigen::Matrix3d inertia_, inverse_;
   tilt_ropter::BodyStated body_;
@@ -160,7 +179,8 @@ class BodyByPoses {
   std::size_t newest_ = 0;
   double started_ = std::numeric_limits<double>::infinity();
   int outliers_ = 0;
-  double on_ground_ = 0.0, compared_ = 0.0, turning_off_ = 0.0, force_off_ = 0.0;  ///< mean squares
+  double on_ground_ = 0.0, compared_ = 0.0;
+  Difference turning_off_, force_off_;  ///< [rad/s], [m/s^2]
 };
 
 }  // namespace examples

@@ -128,8 +128,9 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   const Wrenchd applied = wrench_of(as_modelled ? applied_ : sent_.command);
   by_poses_.predict(time, applied);
   by_poses_.compare(corrected, applied, airborne_);
-  by_poses_flies_ = ekf_.filter().is_much_wider() && by_poses_.is_valid() &&
-                    (by_poses_flies_ || by_poses_.contradicts_imu());
+  const bool is_convicted =
+      ekf_.filter().is_much_wider() && (by_poses_flies_ || by_poses_.contradicts_imu());
+  by_poses_flies_ = by_poses_.is_valid() && (is_convicted || by_poses_.imu_vibrates());
   observe(time, corrected, applied);
   // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
   const bool pulled = ekf_.running() && (state().orientation * observer_.external().force).z() <
@@ -165,7 +166,7 @@ void FlightController<Rotors>::on_pose(double time, const MarkerPosed& pose) {
   const InertialState<double>& x = ekf_.filter().state();
   const Eigen::Quaterniond orientation = pose.orientation * x.marker_orientation.conjugate();
   const Eigen::Vector3d from_body = x.marker_position + ekf_.imu_position();
-  by_poses_.correct(time + clock_offset_ + ekf_.clock_step() - trust_.latency,
+  by_poses_.correct(time + clock_offset_ + ekf_.clock_step() - pose_latency_,
                     pose.position - orientation * from_body, orientation.normalized());
 }
 
@@ -321,6 +322,9 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   const bool imu_works = !trust_.imu_silent && !trust_.imu_stopped;
   // The poses alone are good enough.
   const bool by_poses = flies_by_poses();
+  trust_.imu_contradicted |= by_poses;
+  if (by_poses && trust_.state == EstimateState::good) trust_.state = EstimateState::degraded;
+  if (!trust_.imu_contradicted) pose_latency_ = trust_.latency;  // a wrong IMU shows none
   const bool lost = !by_poses && (trust_.state == EstimateState::position_lost ||
                                   (trust_.state == EstimateState::lost && imu_works));
   const bool is_good = trust_.state == EstimateState::good && !trust_.unconfirmed;

@@ -210,7 +210,8 @@ class FlightController {
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ObservedWrenchd observed_;
   BodyByPoses by_poses_;
-  double clock_offset_;  ///< of the poses [s]
+  double pose_latency_ = 0.0;  ///< of its poses [s]
+  double clock_offset_;        ///< of the poses [s]
   tilt_ropter::ContactEstimator contact_;
   ExternalWrench external_;
   tilt_ropter::NmpcResult result_;

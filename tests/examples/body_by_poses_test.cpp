@@ -30,6 +30,7 @@ struct Given {
   double jump = 0.0;                                           // of all poses from 4 s on [m]
   Vector3d imu_force{0.0, 0.0, 0.0}, imu_rate{0.0, 0.0, 0.0};  // errors [m/s^2], [rad/s]
   double imu_start = 4.0, imu_end = 10.0;                      // of these [s]
+  double imu_swing = 0.0;                                      // their frequency [Hz]; 0: constant
   bool in_the_air = true;
 };
 
@@ -60,7 +61,8 @@ Errors fly(examples::BodyByPoses& by_poses, const Given& given = {}) {
     const Vector3d turning =
         body.inertia.inverse() *
         (applied.torque + torque - x.angular_velocity.cross(body.inertia * x.angular_velocity));
-    const double lies = t > given.imu_start && t < given.imu_end ? 1.0 : 0.0;
+    const double swing = std::cos(2.0 * pi * given.imu_swing * t),
+                 lies = t > given.imu_start && t < given.imu_end ? swing : 0.0;
     InertialSampled imu;
     imu.angular_velocity = x.angular_velocity + lies * given.imu_rate;
     imu.specific_force = applied.force / body.mass + x.orientation.conjugate() * force / body.mass +
@@ -152,6 +154,35 @@ TEST(BodyByPoses, ContradictsAWrongImuOnly) {
   impact.imu_end = 10.0;
   impact.imu_start = 5.5;
   EXPECT_TRUE(contradicts(impact));
+}
+
+bool vibrates(const Given& given) {
+  examples::BodyByPoses by_poses(tilt_ropter_vehicle().body);
+  fly(by_poses, given);
+  return by_poses.imu_vibrates();
+}
+
+TEST(BodyByPoses, FindsAnImuThatSwingsWithWhatTheBodyWouldFollow) {
+  Given rate, force;
+  rate.imu_rate = {0.0, 0.7, 0.0};
+  force.imu_force = {0.0, 0.0, 3.5};
+  for (Given* given : {&rate, &force}) {
+    EXPECT_FALSE(vibrates(*given));  // an offset, or something pushes
+    for (const double frequency : {5.0, 12.5, 20.0}) {
+      given->imu_swing = frequency;
+      EXPECT_TRUE(vibrates(*given)) << frequency;
+    }
+    for (const double frequency : {1.0, 150.0}) {
+      given->imu_swing = frequency;
+      EXPECT_FALSE(vibrates(*given)) << frequency;
+    }
+  }
+  force.imu_swing = 12.5;
+  force.in_the_air = false;
+  EXPECT_FALSE(vibrates(force));
+  rate.imu_swing = 12.5;
+  rate.imu_rate *= 0.4;
+  EXPECT_FALSE(vibrates(rate));
 }
 
 TEST(BodyByPoses, IsInvalidWithoutPoses) {

@@ -176,6 +176,13 @@ TEST(SensorFaults, AWrongImuIsReplacedByThePoses) {
   expect_near_reference("accelerometer_clip:start=4,size=9.3", 0.4);
 }
 
+// So quick that the filter follows the poses all the same, so slow that the body follows the IMU.
+TEST(SensorFaults, AnImuThatSwingsIsReplacedByThePoses) {
+  for (const char* frequency : {"40", "1015", "1040"})
+    expect_near_reference(std::string("imu_vibration:start=4,size=0.6,frequency=") + frequency,
+                          0.1);
+}
+
 // The clock of the IMU alone is set, also by less than the time that the models need to notice.
 TEST(SensorFaults, ClockStepsOfTheImuAreSurvived) {
   for (const char* size : {"1", "-1", "0.2", "-0.2", "0.08", "-0.08", "0.04", "-0.04", "-0.02"})
