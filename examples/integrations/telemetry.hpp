@@ -266,9 +266,9 @@ class Telemetry {
   /// For the thread of the controller: never waits and never allocates. If the other thread is
   /// copying at this moment, it keeps the last snapshot.
   void offer(const Snapshot& snapshot) {
-    if (!thread_.joinable() || !due_.begins(snapshot.time)) return;
+    if (!thread_.joinable()) return;
     std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-    if (!lock.owns_lock()) return;
+    if (!lock.owns_lock() || !due_.begins(snapshot.time)) return;
     latest_ = snapshot;
     fresh_ = true;
     lock.unlock();
