@@ -25,12 +25,12 @@ names=("$here/names.sh" include)
 equations=("$here/equations.sh" include equations.md)
 finds "model/state.hpp has no leaver" 's/`lever`/`leaver`/' \
   include/tilt_ropter/model/state.hpp "${names[@]}"
-finds "no row in equations.md for actuation/power.hpp|Sec. Energy Efficiency" '/PowerModel/d' \
+finds "no row in equations.md for actuation/power.hpp|Sec. Energy Efficiency" '/actuation.power/d' \
   equations.md "${equations[@]}"
 finds "no row in equations.md for actuation/rotor.hpp|Eq. nowhere" \
   's/(paper, Sec. Control Allocation)/(paper, Eq. nowhere)/' \
   include/tilt_ropter/actuation/rotor.hpp "${equations[@]}"
-finds "model/rigid_body.hpp has no derivativ" 's/::derivative/::derivativ/' \
+finds "model/rigid_body.hpp has no RigidBodi" 's/::RigidBody/::RigidBodi/' \
   equations.md "${equations[@]}"
 finds "there is no actuation/serwo.hpp" 's/servo.hpp/serwo.hpp/' equations.md "${equations[@]}"
 echo "all faults found"

@@ -45,8 +45,8 @@ drawn() {  # plots, scene, answers
 }
 
 page=$away/report.html
-expect "everything is drawn" "$(look_at "$page")" "$(drawn 9 1 "scroll zoom phase time turn")"
-expect "all but the scene without WebGL" "$(look_at "$page" --disable-3d-apis)" "$(drawn 9 0 "scroll zoom phase time")"
+expect "everything is drawn" "$(look_at "$page")" "$(drawn 10 1 "scroll zoom phase time turn")"
+expect "all but the scene without WebGL" "$(look_at "$page" --disable-3d-apis)" "$(drawn 10 0 "scroll zoom phase time")"
 grep -q 'no WebGL, so' <(grep '<div id="scene"' "$away/dom.html") ||
   expect "the page says that it has no scene" "it does not" "it does"
 

@@ -23,7 +23,7 @@ if [ "${2:-}" != build ]; then
     done
   done
 else
-  cmake --build "$directory/build" --parallel > /dev/null
+  cmake --build "$directory/build" --parallel "$(nproc)" > /dev/null
 fi
 cmake --install "$directory/build" > /dev/null
 for file in lib/$name/ros2_node lib/$name/px4_node share/$name/package.xml \

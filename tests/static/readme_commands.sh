@@ -6,7 +6,8 @@
 # LATE_CLOCK makes every tick late, because a busy machine must not change them (where the command
 # takes less than 20 s). Without `full`, skips commands that build, fly for minutes or are in tests
 # of their own, draws no picture of hybrid_mission, and uses the programs in BUILD. Generates the
-# files of the user that the commands name.
+# files of the user that the commands name. What each command took [s] is in
+# BUILD/readme_commands.txt.
 set -euo pipefail
 source=$1
 build=$2
@@ -65,6 +66,7 @@ failed=0
 compared=0
 mapfile -t readmes < <(find cmake examples tests -name README.md | LC_ALL=C sort)
 mkdir steps
+rm -f "$build/readme_commands.txt"
 # Writes each command to a file, and the expected output after it to another file.
 awk 'FNR == 1 { command = "" }
   /^```/ { inside = !inside; if (inside) { output = $0 == "```" && command != "" } else command = ""; next }
@@ -93,6 +95,7 @@ for step in steps/[0-9][0-9][0-9]; do
   run "" && result=0 || result=$?
   took=$((SECONDS - began))
   echo "   $took s"
+  echo "$took  $command" >> "$build/readme_commands.txt"
   if [[ $result -ne 0 ]]; then
     failed=$((failed + 1))
     tail -n 20 output.txt
