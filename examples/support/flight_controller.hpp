@@ -230,7 +230,8 @@ class FlightController {
   void limit_speeds();
   void observe(double time, const tilt_ropter::InertialSampled& sample,
                const tilt_ropter::Wrenchd& applied);
-  /// True if by_poses_ replaces the IMU: two witnesses, filter and actuators, have convicted it.
+  /// True if by_poses_ replaces the IMU: filter and actuators have convicted it, or it swings
+  /// against actuators and poses.
   [[nodiscard]] bool flies_by_poses() const { return by_poses_flies_; }
   [[nodiscard]] tilt_ropter::BodyStated state() const {
     return flies_by_poses() ? by_poses_.body() : ekf_.state();
