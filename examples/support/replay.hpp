@@ -38,15 +38,22 @@ struct Reception {
   double contradicted = 0.0;
   double mean_nis = 0.0;  ///< over the IMU's samples, each at most 100
 
+  static constexpr double good_use = 0.8, good_contradictions = 0.1;
+
   [[nodiscard]] bool is_poor() const { return !(used > 0.5) || contradicted > 0.25; }
-  [[nodiscard]] bool is_good() const { return used > 0.8 && contradicted < 0.1; }
+  [[nodiscard]] bool is_good() const {
+    return used > good_use && contradicted < good_contradictions;
+  }
 };
 
+enum class Replay { whole, while_it_can_be_good };
+
 /// Runs the filter through the logs in the order of the stamps. Calls `on_sample(filter, i)` after
-/// IMU sample i while it runs.
+/// IMU sample i while it runs. `until` may end it as soon as the reception cannot be good any more.
 template <typename OnSample>
 tilt_ropter::Ekfd run_filter(const RecordedFlight& flight, const tilt_ropter::EkfSettings& settings,
-                             Reception& reception, OnSample&& on_sample) {
+                             Reception& reception, OnSample&& on_sample,
+                             Replay until = Replay::whole) {
   using namespace tilt_ropter;
   Ekfd filter(settings);
   const InertialLog& imu = flight.imu;
@@ -60,6 +67,15 @@ tilt_ropter::Ekfd run_filter(const RecordedFlight& flight, const tilt_ropter::Ek
   const auto is_due = [&](const auto& log, std::size_t next, double time) {
     return next < log.size() && log[next].time + offset <= time;
   };
+  const auto number_due = [&](const auto& log) {
+    return std::count_if(log.begin(), log.end(),
+                         [&](const auto& one) { return one.time + offset <= imu.back().time; });
+  };
+  const auto all = static_cast<double>(
+      imu.empty() ? 0 : number_due(flight.marker.poses) + number_due(flight.marker.positions));
+  constexpr double not_yet_used = 20.0;
+  const double most_unused = (1.0 - Reception::good_use) * all + not_yet_used,
+               most_contradicted = Reception::good_contradictions * static_cast<double>(imu.size());
   for (std::size_t i = 0; i < imu.size(); ++i) {
     filter.on_imu(imu[i].time, imu[i].value);
     const bool first = i == 0;
@@ -81,6 +97,10 @@ tilt_ropter::Ekfd run_filter(const RecordedFlight& flight, const tilt_ropter::Ek
     reception.mean_nis += (filter.running() ? std::min(filter.nis(), 100.0) : 100.0) /
                           static_cast<double>(imu.size());
     if (filter.running()) on_sample(filter, i);
+    const double unused = static_cast<double>(reception.poses - used - filter.counts().used);
+    if (until == Replay::while_it_can_be_good &&
+        (unused > most_unused || static_cast<double>(contradicted) > most_contradicted))
+      break;
   }
   used += filter.counts().used;
   reception.used =
@@ -261,20 +281,24 @@ inline double shift_to_overlap(const InertialLog& imu, const PoseLog& poses) {
 
 }  // namespace detail
 
-/// calibrate_clock() also for logs that do not overlap and, if `far`, for offsets of up to 5 s,
-/// which it looks for with 20 poses per second.
+/// 20 poses per second of a log that has more: enough to find a clock, in a fraction of the time.
+inline PoseLog few_poses(const PoseLog& poses) {
+  PoseLog few;
+  for (const auto& pose : poses)
+    if (few.empty() || pose.time > few.back().time + 0.045) few.push_back(pose);
+  return few;
+}
+
+/// calibrate_clock() also for logs that do not overlap and, if `far`, for offsets of up to 5 s.
 inline tilt_ropter::ClockCalibration find_clock(const InertialLog& imu, PoseLog poses, bool far) {
   using namespace tilt_ropter;
   double shift = detail::shift_to_overlap(imu, poses);
   for (auto& pose : poses) pose.time += shift;
   ClockCalibration found = calibrate_clock(imu, poses);
   if (far && found.status != ClockCalibrationStatus::calibrated) {
-    PoseLog few;
-    for (const auto& pose : poses)
-      if (few.empty() || pose.time > few.back().time + 0.045) few.push_back(pose);
     ClockCalibrationSettings settings;
     settings.max_offset = 5.0;
-    const ClockCalibration coarse = calibrate_clock(imu, few, settings);
+    const ClockCalibration coarse = calibrate_clock(imu, few_poses(poses), settings);
     if (coarse.status != ClockCalibrationStatus::calibrated) return found;
     for (auto& pose : poses) pose.time += coarse.offset;
     shift += coarse.offset;
@@ -288,10 +312,8 @@ inline tilt_ropter::ClockCalibration find_clock(const InertialLog& imu, PoseLog 
 /// clock and marker frame on its first minute. Returns a sentence, empty if nothing helped.
 inline std::string likely_reason(RecordedFlight flight, const tilt_ropter::EkfSettings& settings) {
   using namespace tilt_ropter;
-  const auto shorten = [&flight](auto& log, double most) {
-    while (!log.empty() && log.back().time > flight.imu.front().time + most) log.pop_back();
-  };
-  shorten(flight.imu, 60.0);
+  while (!flight.imu.empty() && flight.imu.back().time > flight.imu.front().time + 60.0)
+    flight.imu.pop_back();
   const std::vector<detail::ImuSuspicion> imus = detail::imu_suspicions();
   const std::vector<detail::PoseSuspicion> poses = detail::pose_suspicions();
   std::map<std::pair<std::size_t, std::size_t>, ClockCalibration> clocks;
@@ -313,7 +335,8 @@ inline std::string likely_reason(RecordedFlight flight, const tilt_ropter::EkfSe
     if (calibrated) {
       const auto key = std::make_pair(imus[i].turns ? i : 0, poses[k].turns ? k : 0);
       if (clocks.count(key) == 0)
-        clocks[key] = find_clock(other.imu, other.marker.poses, key.first + key.second == 0);
+        clocks[key] =
+            find_clock(other.imu, few_poses(other.marker.poses), key.first + key.second == 0);
       const ClockCalibration& found = clocks[key];
       if (found.status != ClockCalibrationStatus::calibrated) return;
       with.clock_offset = found.offset;
@@ -330,7 +353,8 @@ inline std::string likely_reason(RecordedFlight flight, const tilt_ropter::EkfSe
       also = shown;
     }
     Reception reception;
-    (void)run_filter(other, with, reception, [](const Ekfd&, std::size_t) {});
+    (void)run_filter(
+        other, with, reception, [](const Ekfd&, std::size_t) {}, Replay::while_it_can_be_good);
     if (!reception.is_good()) return;
     std::string text;
     for (const std::string& part : {std::string(imus[i].text), std::string(poses[k].text)})
@@ -366,8 +390,9 @@ inline std::string likely_reason(RecordedFlight flight, const tilt_ropter::EkfSe
       EkfSettings with = settings;
       with.clock_offset += shift;
       Reception reception;
-      const Ekfd filter =
-          run_filter(corrected(0, 0), with, reception, [](const Ekfd&, std::size_t) {});
+      const Ekfd filter = run_filter(
+          corrected(0, 0), with, reception, [](const Ekfd&, std::size_t) {},
+          Replay::while_it_can_be_good);
       if (!reception.is_good()) continue;
       char shown[120];
       (void)std::snprintf(shown, sizeof shown,
