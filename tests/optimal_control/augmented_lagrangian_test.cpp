@@ -90,6 +90,31 @@ TEST(AugmentedLagrangian, AddsTheGaussNewtonModelOfItsValue) {
   }
 }
 
+// Between adding to the model and taking from it, costs may get another unit.
+TEST(AugmentedLagrangian, RestoresTheModelInTheUnitOfItsCost) {
+  Random random(123);
+  const Flight problem = landing({1e3, 500.0, 2e3});
+  auto lagrangian = used_lagrangian(random, problem);
+  const Stated x = test_support::random_state(random);
+  Flight::Model model;
+  model.lx().setConstant(3.0);
+  model.lxx().setConstant(2.0);
+  lagrangian.add_to_model(problem, touch_down, x, model);
+  model.gradient /= 4.0;
+  model.hessian /= 4.0;
+  const double value = lagrangian.value(problem, touch_down, x);
+  const Eigen::Vector3d h = problem.equality_values(touch_down, x),
+                        w = problem.equality_weights(touch_down);
+  const double by_weights = 0.5 * h.dot(w.asDiagonal() * h);
+  lagrangian.change_unit(4.0);
+  lagrangian.take_from_model(touch_down, model);
+  EXPECT_TRUE((model.lx().array() == 0.75).all());
+  EXPECT_TRUE((model.lxx().array() == 0.5).all());
+  // The weights are the problem's, the multipliers its own.
+  EXPECT_NEAR(lagrangian.value(problem, touch_down, x) - by_weights, (value - by_weights) / 4.0,
+              1e-12 * std::abs(value));
+}
+
 TEST(AugmentedLagrangian, IgnoresNodeZeroAndEqualitiesWithZeroWeight) {
   Random random(122);
   Flight problem = landing(Eigen::Vector3d(1e3, 0.0, 1e3));
