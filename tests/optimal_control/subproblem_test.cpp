@@ -212,5 +212,27 @@ TEST(Subproblem, MirrorImageHasTheSameResidualsAndCost) {
   EXPECT_GT(largest, 0.1);
 }
 
+TEST(Subproblem, KeepsItsMeaningInOtherUnits) {
+  constexpr double cost = 8.0, row = 0.25;
+  Mixed program(3), other(3);
+  for (unsigned seed = 0; seed < 100; ++seed) {
+    SCOPED_TRACE(seed);
+    for (Mixed* one : {&program, &other}) fill(*one, seed, 1.0);
+    other.node(1).finite_penalty.setConstant(3.0);
+    for (int k = 0; k <= 3; ++k) other.change_units(k, cost, Mixed::Values::Constant(row));
+    EXPECT_TRUE((other.node(1).finite_penalty.array() == 3.0 * row / cost).all());
+    expect_close(program.cost_of_step(0.1), cost * other.cost_of_step(0.1 / cost));
+    expect_close(program.excess(), other.excess());
+    for (int k = 0; k <= 3; ++k) {
+      expect_close(program.violation_here(k), row * other.violation_here(k));
+      EXPECT_LT((program.costate(k) - cost * other.costate(k)).norm(), 1e-9);
+      EXPECT_LT((program.node(k).multiplier * row - cost * other.node(k).multiplier).norm(), 1e-9);
+    }
+    const auto predicted = other.node(1).predicted;
+    other.predict();
+    EXPECT_LT((other.node(1).predicted - predicted).norm(), 1e-11);
+  }
+}
+
 }  // namespace subproblem_test
 }  // namespace tilt_ropter::optimal_control

@@ -244,7 +244,7 @@ class SingleShooting {
       damping = std::max(10.0 * damping, 1e-6);
       if (!(damping <= 1e12)) return false;
     }
-    for (auto& w : steps_) w.setZero();
+    steps_[0].setZero();
     riccati_.sweep(steps_);
     optimum_ = steps_;
     for (int k = 0; k < horizon_; ++k) intervals_[at(k)].gain = riccati_.gain(k);
@@ -252,7 +252,6 @@ class SingleShooting {
     for (int j = 0; j < nu; ++j) {
       z.setZero();
       for (int k = 0; k < horizon_; ++k) z(nu * k + j) = 1.0;
-      steps_[0].setZero();
       riccati_.sweep(steps_, z.data());
       for (int k = 0; k < horizon_; ++k) {
         const auto& w = steps_[at(k)];

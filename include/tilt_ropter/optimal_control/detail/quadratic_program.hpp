@@ -417,7 +417,6 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     this->predict();
     const double following = this->cost_of_step(damping_);
     std::swap(saved_steps_, this->steps());
-    for (auto& w : this->steps()) detail::fill(w, 0.0);
     this->set_first(dx0);
     this->riccati.sweep_with(this->steps(), [&](int k, auto& w) {
       std::fill_n(w.data() + States, Inputs, 0.0);
