@@ -195,5 +195,43 @@ TEST(WheelContact, EveryParameterActsOnTheForces) {
   EXPECT_TRUE(moves([](auto& p) { p.axle_position.x() = 0.01; }));
 }
 
+// Each term alone, of a body that does not turn and stands on two wheels.
+TEST(WheelContact, FastestRateHasAClosedForm) {
+  RigidBodyParameters body;
+  body.mass = 5.0;
+  body.inertia = 1e9 * Eigen::Matrix3d::Identity();
+  WheelMount mount{Eigen::Vector3d::Zero(), 0.1, 4.0e-4, false};
+  const double load = 3.0 * 5.0 * gravity, of_body = 1.0 / 5.0, of_spin = 0.1 * 0.1 / 4.0e-4;
+  WheelContactParameters none;
+  none.stiffness = none.bristle_stiffness = 1e-9;
+  none.dissipation = none.bristle_damping = none.rolling_resistance = none.bearing_friction = 0.0;
+  const auto expect_rate = [&](const WheelContactParameters& p, double rate) {
+    EXPECT_NEAR(fastest_contact_rate(p, mount, body), rate, 2e-3 * rate);
+  };
+  WheelContactParameters p = none;
+  p.dissipation = 40.0;
+  expect_rate(p, 40.0 * load * of_body);
+  p = none;
+  p.bearing_friction = 0.01;
+  expect_rate(p, 0.01 / 4.0e-4);
+  p = none;
+  p.stiffness = 3000.0;
+  expect_rate(p, std::sqrt(2.0 * 3000.0 * of_body));
+  for (const bool locked : {false, true}) {
+    mount.locked = locked;
+    const double slip = of_body + (locked ? 0.0 : of_spin);
+    p = none;
+    p.bristle_damping = 20.0;
+    expect_rate(p, 20.0 * slip);
+    p = none;
+    p.bristle_stiffness = 1e4;
+    expect_rate(p, std::sqrt(1e4 * slip));
+  }
+  mount.locked = false;
+  p = none;
+  p.rolling_resistance = 0.02;
+  expect_rate(p, 0.02 * load * of_spin / p.rolling_regularisation);
+}
+
 }  // namespace wheel_contact_test
 }  // namespace tilt_ropter
