@@ -175,8 +175,8 @@ class FailureDetector {
   static constexpr double change_time = 0.3;
   // Then the vehicle begins to swing: rms of the changes by servos, as a fraction of the weight.
   static constexpr double unstable_changes = 0.015;
-  // They explain at least this fraction of the changes: in noise and wind, healthy servos explain a
-  // fifth.
+  // Until then they explain at least this fraction of the changes: in noise and wind, healthy
+  // servos explain a fifth.
   static constexpr double min_explained = 0.25;
   // Slow servos explain the changes this long, less if they explain nearly all of them; on the
   // ground the changes of the yaw torque [s].
@@ -564,12 +564,12 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
                  common = left.by_residual - gain * left.by_applied, slope = common / size,
                  explained = slope * common,
                  surely = slope - 5.0 * std::sqrt(changes * fades / 3.0 / size);
-    const bool fits = k < Rotors
-                          ? slope > 0.0
-                          : surely > 0.5 && slope < 2.0 && explained > min_explained * changes &&
-                                changes - explained < 2.0 * noise_ + 0.5 * explained;
+    const bool fits = k < Rotors ? slope > 0.0
+                                 : surely > 0.5 && slope < 2.0 &&
+                                       changes - explained < 2.0 * noise_ + 0.5 * explained;
     if (!fits || !(explained > most)) continue;
-    is_slow = k > Rotors || (k == Rotors && (!airborne_ || explained > unstable * unstable));
+    is_slow = k >= Rotors && (!airborne_ || explained > unstable * unstable ||
+                              (k > Rotors && explained > min_explained * changes));
     most = explained;
     slowest = slower[index(std::max(k - Rotors, 1))];
   }
