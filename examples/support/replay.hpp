@@ -46,6 +46,7 @@ struct Reception {
   }
 };
 
+/// How far run_filter() goes.
 enum class Replay { whole, while_it_can_be_good };
 
 /// Runs the filter through the logs in the order of the stamps. Calls `on_sample(filter, i)` after
