@@ -34,13 +34,6 @@ class DualMethod {
   using Program = Subproblem<States, Inputs, Constraints, Pattern>;
   using Adjoint = AdjointBatch<States, Inputs, Pattern>;
 
-  /// How solve() ended.
-  enum class Outcome {
-    solved,  ///< no constraint outside the working set is violated
-    full,    ///< the working set is full or no rounds are left, but constraints are still violated
-    failed,  ///< no finite multipliers were found, or none before the deadline
-  };
-
   /// Allocates everything for `horizon` intervals and `capacity` constraints.
   DualMethod(int horizon, int capacity, DualAlgorithm algorithm)
       : capacity_(capacity),
@@ -84,8 +77,10 @@ class DualMethod {
 
   /// Computes the step for the initial step dx0 and the multipliers. Stores the step in `program`
   /// and the multipliers in its nodes. Requires prepare(). The working set grows to at most `most`
-  /// constraints (`most` <= capacity()).
-  [[nodiscard]] Outcome solve(Program& program, const typename Program::Tangent& dx0,
+  /// constraints (`most` <= capacity()). Returns true if no constraint outside of it is violated;
+  /// false if it is full, if no rounds are left, or if no finite multipliers were found before the
+  /// deadline.
+  [[nodiscard]] bool solve(Program& program, const typename Program::Tangent& dx0,
                               std::optional<SolverClock::time_point> deadline, int most) {
     std::copy_n(dx0.data(), States, program.step(0).data());
     program.riccati.sweep(program.steps());
@@ -94,8 +89,7 @@ class DualMethod {
     for (rounds_ = 1;; ++rounds_) {
       const int count = size();
       if (count > 0) {
-        if (!dual_.solve(count, gram_, offsets_, bounds_, multipliers_, deadline))
-          return Outcome::failed;
+        if (!dual_.solve(count, gram_, offsets_, bounds_, multipliers_, deadline)) return false;
         for (int j = 0; j < z_.size(); ++j)
           z_(j) = -detail::dot(&gradients_(0, j), multipliers_.data(), count);
         program.riccati.sweep(program.steps(), z_.data());
@@ -107,7 +101,7 @@ class DualMethod {
       if (!has_room || rounds_ == max_rounds) {
         active_.resize(detail::size(first));
         store_multipliers(program);
-        return Outcome::full;
+        return false;
       }
       add_gradients(program, first);
       for (int i = first; i < size(); ++i) {
@@ -120,7 +114,7 @@ class DualMethod {
                             &offsets_(first));
     }
     store_multipliers(program);
-    return Outcome::solved;
+    return true;
   }
 
  private:

@@ -35,7 +35,6 @@ enum class ProgramStatus {
 /// In the place of DualMethod: there is no NLopt, so nothing here runs.
 template <int States, int Inputs, int Constraints, typename Pattern>
 struct DualMethod {
-  enum class Outcome { solved, full, failed };
   DualMethod(int /*horizon*/, int /*capacity*/, DualAlgorithm /*algorithm*/) {}
   [[nodiscard]] static constexpr int capacity() { return 0; }
   [[nodiscard]] static constexpr bool late() { return false; }
@@ -48,10 +47,10 @@ struct DualMethod {
     return false;
   }
   template <typename Program, typename Deadline>
-  [[nodiscard]] static constexpr Outcome solve(Program& /*program*/,
-                                               const typename Program::Tangent& /*dx0*/,
-                                               const Deadline& /*deadline*/, int /*most*/) {
-    return Outcome::failed;
+  [[nodiscard]] static constexpr bool solve(Program& /*program*/,
+                                            const typename Program::Tangent& /*dx0*/,
+                                            const Deadline& /*deadline*/, int /*most*/) {
+    return false;
   }
 };
 #endif
@@ -273,10 +272,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   [[nodiscard]] bool solve_by_nlopt(const Tangent& dx0) {
-    using Outcome = typename DualMethod<States, Inputs, Constraints, Pattern>::Outcome;
-    const Outcome outcome = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
+    const bool reached = dual_.solve(*this, dx0, deadline_, most_dual_constraints_);
     rounds_ = dual_.rounds();
-    if (outcome != Outcome::solved || !solved()) return false;
+    if (!reached || !solved()) return false;
     solved_by_ = evaluations() > 0 ? ProgramSolver::nlopt : ProgramSolver::riccati;
     return true;
   }
