@@ -68,11 +68,6 @@ template <int Width, std::size_t Count>
 }
 
 /// Transposes a square matrix in place. Its columns are packets.
-[[gnu::always_inline]] inline void transpose(Packet<2> (&c)[2]) {
-  const double above = c[1][0];
-  c[1][0] = c[0][1];
-  c[0][1] = above;
-}
 [[gnu::always_inline]] inline void transpose(Packet<4> (&c)[4]) {
 #if defined(__clang__)
   const Packet<4> e = __builtin_shufflevector(c[0], c[1], 0, 4, 2, 6),
@@ -139,45 +134,6 @@ struct FiniteCheck {
     return (all & sign) == 0;
   }
 };
-
-/// Copies `Rows` numbers.
-template <int Width, int Rows>
-[[gnu::always_inline]] inline void copy(const double* from, double* to) {
-#pragma GCC unroll 32
-  for (int i = 0; i + Width <= Rows; i += Width) {
-    Packet<Width> packet;
-    load<Width>(from + i, packet);
-    store<Width>(to + i, packet);
-  }
-#pragma GCC unroll 4
-  for (int i = Rows - Rows % Width; i < Rows; ++i) to[i] = from[i];
-}
-
-/// Copies the transpose of a Rows x Columns matrix and adds all numbers to `check`. The columns at
-/// `from` have no gaps. The columns at `to` start `stride` numbers apart.
-template <int Width, int Rows, int Columns>
-[[gnu::always_inline]] inline void copy_transposed(const double* from, double* to, int stride,
-                                                   FiniteCheck<Width>& check) {
-  constexpr int rows = Rows - Rows % Width, columns = Columns - Columns % Width;
-  for (int j = 0; j < columns; j += Width)
-    for (int i = 0; i < rows; i += Width) {
-      Packet<Width> square[size(Width)];
-#pragma GCC unroll 4
-      for (int c = 0; c < Width; ++c) {
-        load<Width>(from + Rows * (j + c) + i, square[c]);
-        check.add(square[c]);
-      }
-      transpose(square);
-#pragma GCC unroll 4
-      for (int c = 0; c < Width; ++c) store<Width>(to + stride * (i + c) + j, square[c]);
-    }
-  // The remaining numbers, one by one.
-  for (int j = 0; j < Columns; ++j)
-    for (int i = j < columns ? rows : 0; i < Rows; ++i) {
-      to[stride * i + j] = from[Rows * j + i];
-      check.add(from[Rows * j + i]);
-    }
-}
 
 /// Width of packets on every processor. If registers are shorter, the compiler splits a packet in
 /// two. Code for a second width has to be compiled in addition: see vectorised_wide().

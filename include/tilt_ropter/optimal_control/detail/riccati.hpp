@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
@@ -138,15 +139,12 @@ class Riccati {
   /// Sets A and B of the interval dx_{k+1} = A dx_k + B du_k + defect. Returns false if a number is
   /// not finite.
   [[nodiscard]] bool set_transition(int k, const StateMatrix& A, const InputMatrix& B) {
-    return detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      constexpr int Width = packet();
-      Stage& s = stage(k);
-      detail::FiniteCheck<Width> check;
-      detail::copy_transposed<Width, States, States>(A.data(), s.transition.data(), rows, check);
-      detail::copy_transposed<Width, States, Inputs>(B.data(), s.transition.data() + States, rows,
-                                                     check);
-      return check.passed();
-    });
+    auto& transition = stage(k).transition;
+    for (int i = 0; i < States; ++i) {
+      for (int j = 0; j < States; ++j) transition(j, i) = A(i, j);
+      for (int j = 0; j < Inputs; ++j) transition(States + j, i) = B(i, j);
+    }
+    return all_finite(A) && all_finite(B);
   }
   /// The same for the intervals k to k + count - 1, count <= 4, from derivatives with one lane per
   /// interval. Reads only the entries that the pattern allows.
@@ -278,13 +276,12 @@ class Riccati {
   template <int Width>
   [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
     const Stage& last = stages_.back();
-    for (int j = 0; j < width; ++j)
-      detail::copy<Width, rows>(last.cost.hessian.data() + rows * j, hessian_.data() + rows * j);
-    detail::copy<Width, rows>(last.cost.gradient.data(), gradient_.data());
+    std::copy_n(last.cost.hessian.data(), rows * width, hessian_.data());
+    std::copy_n(last.cost.gradient.data(), rows, gradient_.data());
     for (int i = 0; i < States; ++i) hessian_(i, i) += damping;
     terms(horizon(), hessian_.data(), gradient_.data());
     for (int j = 0; j < States; ++j)
-      detail::copy<Width, States>(hessian_.data() + rows * j, cost_to_go_.data() + rows * j);
+      std::copy_n(hessian_.data() + rows * j, States, cost_to_go_.data() + rows * j);
     mirror<detail::packet_width>();
     for (int k = horizon() - 1; k >= 0; --k) {
       Stage& s = stage(k);
