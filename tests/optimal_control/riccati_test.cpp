@@ -238,9 +238,10 @@ TEST(Riccati, TransitionsInLanesEqualSingleTransitions) {
   Riccati<nx, nu> pass(horizon);
   EXPECT_TRUE(pass.set_transitions(0, 3, A, B));
   for (int k = 0; k < 3; ++k) {
-    EXPECT_EQ(pass.stage(k).transition, lq.pass.stage(k).transition);
-    EXPECT_EQ(pass.stage(k).A(), lq.A[static_cast<std::size_t>(k)]);
-    EXPECT_EQ(pass.stage(k).B(), lq.B[static_cast<std::size_t>(k)]);
+    const auto& transition = pass.stage(k).transition;
+    EXPECT_EQ(transition, lq.pass.stage(k).transition);
+    EXPECT_EQ((transition.topLeftCorner<nx, nx>()), lq.A[static_cast<std::size_t>(k)].transpose());
+    EXPECT_EQ((transition.block<nu, nx>(nx, 0)), lq.B[static_cast<std::size_t>(k)].transpose());
   }
   EXPECT_TRUE(pass.stage(3).transition.isZero(0.0));
 }

@@ -55,13 +55,6 @@ struct RiccatiStage {
   Eigen::Matrix<double, rows, input_rows> factor = detail::Filled();
   Eigen::Matrix<double, Inputs, 1> inverse_pivot = detail::Filled();
   Eigen::Matrix<double, Inputs, 1> eliminated = detail::Filled();
-
-  [[nodiscard]] auto A() const {
-    return transition.template topLeftCorner<States, States>().transpose();
-  }
-  [[nodiscard]] auto B() const {
-    return transition.template block<Inputs, States>(States, 0).transpose();
-  }
 };
 
 /// Terms that are added to the Hessian and gradient of a node before its inputs are eliminated:
@@ -287,12 +280,12 @@ class Riccati {
       Stage& s = stage(k);
       multiply<Width>(s);
       add_gradient<Width>(s);
-      add_hessian<Width>(s);
+      add_hessian<Width>(s, std::make_integer_sequence<int, width>{});
       if (damping > 0.0)
         for (int i = 0; i < width; ++i) hessian_(i, i) += damping;
       terms(k, hessian_.data(), gradient_.data());
       if (!eliminate<Width>(s)) return false;
-      add_remainder<Width>(s);
+      add_remainder<Width>(s, std::make_integer_sequence<int, state_packets<Width>>{});
       mirror<detail::packet_width>();
     }
     return true;
@@ -341,12 +334,8 @@ class Riccati {
   }
 
   // Sets hessian_ to H: columns of dx from the diagonal down, complete columns of du.
-  template <int Width>
-  [[gnu::always_inline]] inline void add_hessian(const Stage& s) {
-    add_columns<Width>(s, std::make_integer_sequence<int, width>{});
-  }
   template <int Width, int... j>
-  [[gnu::always_inline]] inline void add_columns(const Stage& s, std::integer_sequence<int, j...>) {
+  [[gnu::always_inline]] inline void add_hessian(const Stage& s, std::integer_sequence<int, j...>) {
     (add_column<Width, j>(s), ...);
   }
   template <int Width, int j>
@@ -405,17 +394,13 @@ class Riccati {
   }
 
   // Sets cost_to_go_ from the diagonal down: the rest of hessian_ after the elimination.
-  template <int Width>
-  [[gnu::always_inline]] inline void add_remainder(const Stage& s) {
-    add_remainder_columns<Width>(s, std::make_integer_sequence<int, state_packets<Width>>{});
-  }
   template <int Width, int... t>
-  [[gnu::always_inline]] inline void add_remainder_columns(const Stage& s,
-                                                           std::integer_sequence<int, t...>) {
-    (add_remainder_columns_from<Width, t>(s), ...);
+  [[gnu::always_inline]] inline void add_remainder(const Stage& s,
+                                                   std::integer_sequence<int, t...>) {
+    (add_remainder_columns<Width, t>(s), ...);
   }
   template <int Width, int First>
-  [[gnu::always_inline]] inline void add_remainder_columns_from(const Stage& s) {
+  [[gnu::always_inline]] inline void add_remainder_columns(const Stage& s) {
     constexpr int count = state_packets<Width> - First;
     for (int j = Width * First; j < Width * (First + 1) && j < States; ++j) {
       Packet<Width> sum[detail::size(count)];
