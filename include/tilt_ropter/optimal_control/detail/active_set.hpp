@@ -121,9 +121,7 @@ class ActiveSet {
   /// contradict their assumption. The assumptions of these constraints are corrected for the next
   /// pass.
   int solve(Program& program, const typename Program::Tangent& dx0) {
-    program.set_first(dx0);
-    program.riccati.sweep(program.steps());
-    program.predict();
+    program.sweep(dx0);
     int contradictions = 0;
     for (int k = 0; k <= program.horizon(); ++k) {
       auto& n = program.node(k);

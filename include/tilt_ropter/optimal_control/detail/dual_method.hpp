@@ -82,9 +82,7 @@ class DualMethod {
   /// deadline.
   [[nodiscard]] bool solve(Program& program, const typename Program::Tangent& dx0,
                               std::optional<SolverClock::time_point> deadline, int most) {
-    std::copy_n(dx0.data(), States, program.step(0).data());
-    program.riccati.sweep(program.steps());
-    program.predict();
+    program.sweep(dx0);
     for (int i = 0; i < size(); ++i) offsets_(i) = violation(program, row(i));
     for (rounds_ = 1;; ++rounds_) {
       const int count = size();
@@ -171,7 +169,8 @@ class DualMethod {
         if (count % detail::packet_width == 0)  // stale numbers in the rest of the packet decay
           for (int j = 0; j < States + Inputs; ++j)
             std::fill_n(&(*here)(count, j), detail::packet_width, 0.0);
-        set_constraint_gradient(program, r, here->data() + count, here->rows());
+        const auto gradient = program.constraint_gradient(r.k, r.component);
+        for (int j = 0; j < States + Inputs; ++j) (*here)(count, j) = r.side * gradient(j);
         bounds_(first + count) = program.node(k).penalty(r.component);
       }
       if (k < program.horizon()) {
@@ -185,16 +184,6 @@ class DualMethod {
       std::swap(after, here);
     }
     add_gram(program, first);
-  }
-
-  /// Writes the gradient of the constraint by (dx, du) of its node to entries that are `stride`
-  /// numbers apart.
-  static void set_constraint_gradient(const Program& program, const Active& r, double* entries,
-                                      Eigen::Index stride) {
-    const auto& n = program.node(r.k);
-    for (int j = 0; j < States; ++j) entries[stride * j] = r.side * n.C(r.component, j);
-    for (int j = 0; j < Inputs; ++j)
-      entries[stride * (States + j)] = r.k < program.horizon() ? r.side * n.E(r.component, j) : 0.0;
   }
 
   /// Returns the gradients of the constraints from `first` on, by the first `count` entries of z.

@@ -96,14 +96,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     by_dual_ = settings_.method == ProgramMethod::nlopt ||
                (settings_.method == ProgramMethod::automatic && !unsolved_ &&
                 static_cast<int>(this->active().size()) <= settings_.max_dual_constraints);
-    bool good;
     assumes_ = !by_dual_ && !unsolved_;
-    if (assumes_) {
-      active_set_.assume(*this);
-      good = active_set_.factorise(*this, damping);
-    } else {
-      good = active_set_.factorise_free(*this, damping);
-    }
+    if (assumes_) active_set_.assume(*this);
+    const bool good = assumes_ ? active_set_.factorise(*this, damping)
+                               : active_set_.factorise_free(*this, damping);
     const auto factorised = SolverClock::now();
     pass_time_ = 2 * (factorised - start);  // with the sweep after it
     if (good && by_dual_) by_dual_ = dual_.prepare(*this);
@@ -280,7 +276,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   void solve_by_structure(const Tangent& dx0) {
-    if (!by_dual_ && assumes_) {
+    if (assumes_) {
       const int contradictions = active_set_.solve(*this, dx0);
       if ((contradictions == 0 && solved()) ||
           (contradictions <= few_ && settle(dx0, contradictions))) {
@@ -298,7 +294,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
         (void)plain_pass(dx0);
       }
     } else if (!by_dual_) {
-      sweep(dx0);
+      this->sweep(dx0);
       if (this->excess() <= 0.0) {
         for (int k = 0; k <= this->horizon(); ++k) detail::fill(this->node(k).multiplier, 0.0);
         solved_by_ = ProgramSolver::riccati;
@@ -457,14 +453,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
 
   // The optimal step without constraints, by a pass without constraints.
-  void sweep(const Tangent& dx0) {
-    this->set_first(dx0);
-    this->riccati.sweep(this->steps());
-    this->predict();
-  }
   bool plain_pass(const Tangent& dx0) {
     if (!active_set_.factorise_free(*this, damping_)) return false;
-    sweep(dx0);
+    this->sweep(dx0);
     return true;
   }
 

@@ -170,12 +170,11 @@ class Subproblem {
   /// Largest violation of the constraints of node k at the point of linearisation, at least zero.
   [[nodiscard]] double violation_here(int k) const {
     const Node& n = node(k);
-    const double excess = detail::vectorised([&](auto packet) __attribute__((always_inline)) {
+    double most = detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       return excess_of<packet()>(n.value, n);
     });
-    if (!n.crossed) return excess;
-    double most = excess;
-    for (int i = 0; i < Constraints; ++i) most = std::max(most, n.violation(i, n.value(i)));
+    for (int i = 0; n.crossed && i < Constraints; ++i)
+      most = std::max(most, n.violation(i, n.value(i)));
     return most;
   }
 
@@ -206,6 +205,12 @@ class Subproblem {
       }
       return excess;
     });
+  }
+  /// Computes the optimal step of the last factorisation from dx0, and calls predict().
+  void sweep(const Tangent& dx0) {
+    set_first(dx0);
+    riccati.sweep(steps_);
+    predict();
   }
   /// Multiplier of the continuity constraint that ends at node k >= 1, as of the last residual().
   [[nodiscard]] const Tangent& costate(int k) const { return costates_[detail::size(k)]; }
