@@ -85,7 +85,7 @@ class Merit {
         Tangent& defect_weight = defect_weights_[detail::size(k)];
         for (int i = 0; i < D::nx; ++i)
           follow(defect_weight(i), std::max(least, std::abs(program.costate(k + 1)(i))));
-        slope -= weighted_norm(defect_weight, s.defect.data());
+        slope -= weighted_norm(k, s.defect.data());
       }
     }
     return slope;
@@ -99,8 +99,7 @@ class Merit {
     for (int k = 0; k <= here.horizon(); ++k) {
       sum += equalities.value(problem, k, here.x(k)) +
              of_constraints(program, k, program.node(k).value);
-      if (k < here.horizon())
-        sum += weighted_norm(defect_weight(k), program.riccati.stage(k).defect.data());
+      if (k < here.horizon()) sum += weighted_norm(k, program.riccati.stage(k).defect.data());
     }
     return sum;
   }
@@ -117,7 +116,7 @@ class Merit {
       sum += of_constraints(program, k, AllConstraints::values(problem, k, x, u));
       if (k < at.horizon()) {
         const Tangent defect = problem.difference(problem.step(k, x, u), at.x(k + 1));
-        sum += weighted_norm(defect_weight(k), defect.data());
+        sum += weighted_norm(k, defect.data());
       }
     }
     return sum;
@@ -129,14 +128,11 @@ class Merit {
     weight = std::max(m, 0.5 * (weight + m));
   }
 
-  [[nodiscard]] static double weighted_norm(const Tangent& weight, const double* defect) {
+  [[nodiscard]] double weighted_norm(int k, const double* defect) const {
+    const Tangent& weight = defect_weights_[detail::size(k)];
     double sum = 0.0;
     for (int i = 0; i < D::nx; ++i) sum += weight(i) * std::abs(defect[i]);
     return sum;
-  }
-
-  [[nodiscard]] const Tangent& defect_weight(int k) const {
-    return defect_weights_[detail::size(k)];
   }
 
   [[nodiscard]] double of_constraints(const Program& program, int k,
@@ -328,7 +324,7 @@ class StepSearch {
         base_(horizon),
         merit_(horizon),
         anderson_((nx + nu) * (horizon + 1), settings.memory),
-        residual_(zeros((nx + nu) * (horizon + 1))),
+        residual_(Eigen::VectorXd::Zero((nx + nu) * (horizon + 1))),
         base_residual_(residual_),
         move_(residual_),
         scale_(residual_) {}
@@ -336,10 +332,9 @@ class StepSearch {
   /// Call this before the first step of a solve. If `accelerated` is false, only line searches are
   /// used.
   void begin(bool accelerated) {
-    merit_.forget();
+    forget();
     lowest_merit_ = std::numeric_limits<double>::infinity();
     accelerates_ = accelerated && settings_.memory > 0;
-    forget_moves();
     length_ = 1.0;
     first_ = true;
   }
@@ -434,12 +429,10 @@ class StepSearch {
   SolveStatus search_line(const Problem& problem, const Program& program, double merit,
                           double slope, bool hidden, const MeritOfTrial& merit_of_trial,
                           Points& here) {
-    double length = 1.0;
-    if (hidden) {  // the merit gives no information here: without acceleration, use the last length
-      if (!accelerates_) length = length_;
-      try_step(problem, program, length, here);
-    } else {
-      try_step(problem, program, length, here);
+    // A hidden merit gives no information: without acceleration, use the last length.
+    double length = hidden && !accelerates_ ? length_ : 1.0;
+    trial_.set_moved(problem, here, program, length);
+    if (!hidden) {
       double there = merit_of_trial();
       // Parabola through the merit here, its slope and its value at the end of the step. If a
       // Gauss-Newton step goes far beyond the minimum, it does so in every iteration, and only a
@@ -447,23 +440,19 @@ class StepSearch {
       const double bend = there - merit - slope;
       if (bend > 0.0 && -slope < 1.5 * bend) {
         length = std::max(0.1, -slope / (2.0 * bend));
-        try_step(problem, program, length, here);
+        trial_.set_moved(problem, here, program, length);
         there = merit_of_trial();
       }
       while (!(there <= merit + 1e-4 * length * slope)) {
         length *= 0.5;
         if (length < settings_.min_step) return SolveStatus::stalled;
-        try_step(problem, program, length, here);
+        trial_.set_moved(problem, here, program, length);
         there = merit_of_trial();
       }
     }
     length_ = length;
     here.swap(trial_);
     return SolveStatus::iterated;
-  }
-
-  void try_step(const Problem& problem, const Program& program, double length, const Points& here) {
-    trial_.set_moved(problem, here, program, length);
   }
 
   void forget_moves() {
@@ -521,11 +510,6 @@ class StepSearch {
   [[nodiscard]] int entries_of(int k) const { return k < horizon_ ? nx + nu : nx; }
   [[nodiscard]] static int entry(int k, int i) { return (nx + nu) * k + i; }
 
-  [[nodiscard]] static Eigen::VectorXd zeros(int size) {
-    Eigen::VectorXd vector(size);
-    std::fill_n(vector.data(), size, 0.0);
-    return vector;
-  }
   [[nodiscard]] static double norm(const Eigen::VectorXd& v) {
     return std::sqrt(detail::dot(v.data(), v.data(), static_cast<int>(v.size())));
   }
