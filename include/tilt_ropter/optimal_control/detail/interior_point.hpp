@@ -359,10 +359,9 @@ class InteriorPoint {
   }
 
   void begin(Program& program, double gain, double far_above) {
-    std::array<double, detail::size(Constraints)>
-        unit{};  // estimated largest change of the value of each constraint
+    unit_.fill(0.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
-      double& u = unit[detail::size(sides_[i].row)];
+      double& u = unit_[detail::size(sides_[i].row)];
       u = std::max({u, std::abs(value_change_(i) - value_(i)), value_(i)});
     }
     // Derivatives of the cost by (dx, du) of each node, with the effect on later nodes, at the step
@@ -375,7 +374,7 @@ class InteriorPoint {
       auto& n = program.node(side.k);
       if (!n.hard[detail::size(side.row)]) continue;
       const Vector row = program.constraint_gradient(side.k, side.row);
-      double push = 1.0 + gain / std::max(unit[detail::size(side.row)], 1e-100);
+      double push = 1.0 + gain / std::max(unit_[detail::size(side.row)], 1e-100);
       for (int j = 0; j < Program::width; ++j)
         if (row(j) != 0.0)
           push = std::max(push, std::abs(gradients_[detail::size(side.k)](j) / row(j)));
@@ -384,7 +383,6 @@ class InteriorPoint {
               ? 1e6 * std::min(far_above * push, Program::hard_penalty)
               : std::min(far_above * push, Program::hard_penalty);
     }
-    unit_ = unit;
     first_mu_ = restart_mu_ = std::max(10.0 * gain / static_cast<double>(count()), 1e-8);
     center(restart_mu_);
   }
@@ -460,7 +458,7 @@ class InteriorPoint {
     // Fill the last packet with numbers that do not affect the result.
     for (Eigen::Index i = count(); i < detail::padded(static_cast<int>(count())); ++i) {
       penalty_(i) = 2.0;
-      multiplier_(i) = per_stiffness_(i) = value_(i) = value_change_(i) = 1.0;
+      multiplier_(i) = per_stiffness_(i) = value_(i) = 1.0;
       slack_(i) = excess_(i) = 1e-200;
       value_change_(i) = 0.0;
     }
@@ -669,7 +667,7 @@ class InteriorPoint {
   double damping_ = 0.0, mu_ = 0.0, first_mu_ = 0.0, restart_mu_ = 0.0;
   double ratio_ = 1.0;  // by which a step of the last iteration to the solution would decrease mu
   int stuck_ = 0;
-  std::array<double, detail::size(Constraints)> unit_{};
+  std::array<double, detail::size(Constraints)> unit_{};  // estimated largest change of each value
 };
 
 }  // namespace tilt_ropter::optimal_control
