@@ -41,11 +41,7 @@ class ScaledProblem : public Problem {
   template <typename Nodes>
   bool choose_units(double cost, const Nodes& node) {
     forget_units();
-    std::array<Rows, 2> size, distance;
-    for (const std::size_t group : {0U, 1U}) {
-      size[group].setZero();
-      distance[group].setZero();
-    }
+    std::array<Rows, 2> size{Rows::Zero(), Rows::Zero()}, distance = size;
     for (int k = 0; k <= this->horizon(); ++k) {
       const auto& n = node(k);
       Rows &sizes = size[group(k)], &distances = distance[group(k)];
