@@ -52,12 +52,10 @@ class DualMethod {
   [[nodiscard]] int capacity() const { return capacity_; }
   [[nodiscard]] bool late() const { return dual_.late(); }  ///< the deadline has passed
   [[nodiscard]] int rounds() const { return rounds_; }      ///< rounds of the last solve()
-  /// See DualSolver::allow().
-  void allow(long evaluations) { dual_.allow(evaluations); }
-  /// Gradient evaluations by NLopt since construction.
-  [[nodiscard]] long evaluations() const { return dual_.evaluations(); }
-  /// Newton steps that polished NLopt's results since construction.
-  [[nodiscard]] long polishing_steps() const { return dual_.polishing_steps(); }
+  /// These are as in DualSolver.
+  void begin(int most_evaluations) { dual_.begin(most_evaluations); }
+  [[nodiscard]] int evaluations() const { return dual_.evaluations(); }
+  [[nodiscard]] int polishing_steps() const { return dual_.polishing_steps(); }
 
   /// Builds the first working set and computes its gradients. Requires the factorisation of
   /// `program` without terms. Returns false if the working set has more than capacity()

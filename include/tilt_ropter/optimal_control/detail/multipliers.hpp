@@ -84,14 +84,14 @@ class DualSolver {
     return true;
   }
 
-  /// From now on, NLopt evaluates gradients so many times, and some more to end a line search.
-  /// Without any left, Newton steps alone solve.
-  void allow(long evaluations) { last_evaluation_ = evaluations_ + evaluations; }
-
-  /// Number of gradient evaluations by NLopt since construction.
-  [[nodiscard]] long evaluations() const { return evaluations_; }
-  /// Number of Newton steps after NLopt since construction.
-  [[nodiscard]] long polishing_steps() const { return polishing_steps_; }
+  /// From now on, NLopt evaluates at most `most` gradients, and some more to end a line search.
+  /// Without any left, Newton steps alone solve. Sets the two numbers below to zero.
+  void begin(int most) {
+    most_evaluations_ = most;
+    evaluations_ = polishing_steps_ = 0;
+  }
+  [[nodiscard]] int evaluations() const { return evaluations_; }          ///< gradients, by NLopt
+  [[nodiscard]] int polishing_steps() const { return polishing_steps_; }  ///< Newton's, after NLopt
 
   /// True if the deadline of the last solve() has passed.
   [[nodiscard]] bool late() const { return deadline_ && SolverClock::now() > *deadline_; }
@@ -114,7 +114,7 @@ class DualSolver {
   };
   using Vector = Eigen::VectorXd;
   static constexpr int max_rounds = 20, max_passes = 20;
-  static constexpr long max_evaluations = 40;          // in one call of NLopt, between Newton steps
+  static constexpr int max_evaluations = 40;           // in one call of NLopt, between Newton steps
   static constexpr double gradient_tolerance = 1e-11;  // relative; on the scaled projected gradient
   static constexpr unsigned vector_storage = 8;        // NLopt's default needs 21 MB per call
 
@@ -209,9 +209,9 @@ class DualSolver {
     }
     nlopt_set_min_objective(optimizer().get(), objective, this);
     nlopt_set_upper_bounds(optimizer().get(), upper_.data());
-    const long allowed = std::min(max_evaluations, last_evaluation_ - evaluations_);
+    const int allowed = std::min(max_evaluations, most_evaluations_ - evaluations_);
     if (allowed <= 0) return;  // zero is no limit for NLopt
-    nlopt_set_maxeval(optimizer().get(), static_cast<int>(allowed));
+    nlopt_set_maxeval(optimizer().get(), allowed);
     evaluate(iterate_.data());
     stop_ = std::max(tolerance, 1e-3 * residual(iterate_.data()));
     solved_ = false;
@@ -294,8 +294,8 @@ class DualSolver {
   std::optional<SolverClock::time_point> deadline_;
   double stop_ = 0.0;
   bool solved_ = false;
-  long evaluations_ = 0, polishing_steps_ = 0;
-  long last_evaluation_ = std::numeric_limits<long>::max();
+  int evaluations_ = 0, polishing_steps_ = 0;
+  int most_evaluations_ = std::numeric_limits<int>::max();
 };
 
 }  // namespace tilt_ropter::optimal_control

@@ -39,9 +39,9 @@ struct DualMethod {
   [[nodiscard]] static constexpr int capacity() { return 0; }
   [[nodiscard]] static constexpr bool late() { return false; }
   [[nodiscard]] static constexpr int rounds() { return 0; }
-  [[nodiscard]] static constexpr long evaluations() { return 0; }
-  static constexpr void allow(long /*evaluations*/) {}
-  [[nodiscard]] static constexpr long polishing_steps() { return 0; }
+  [[nodiscard]] static constexpr int evaluations() { return 0; }
+  static constexpr void begin(int /*most_evaluations*/) {}
+  [[nodiscard]] static constexpr int polishing_steps() { return 0; }
   template <typename Program>
   [[nodiscard]] static constexpr bool prepare(const Program& /*program*/) {
     return false;
@@ -123,10 +123,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     deadline_ = deadline;
     late_ = false;
     rounds_ = 0;
-    evaluations_before_ = dual_.evaluations();
-    constexpr long enough = 80;  // then Newton steps take over: a tick must not take much longer
-    if (settings_.method == ProgramMethod::automatic) dual_.allow(enough);
-    polishing_before_ = dual_.polishing_steps();
+    constexpr int enough = 80;  // then Newton steps take over: a tick must not take much longer
+    dual_.begin(settings_.method == ProgramMethod::automatic ? enough
+                                                             : std::numeric_limits<int>::max());
     if (!interrupted_) {
       passes_ = 0;
       solve_by_method(dx0);
@@ -197,13 +196,9 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   /// Rounds of the working set in the dual method, zero if the last solve() did not use it.
   [[nodiscard]] int rounds() const { return rounds_; }
   /// Gradient evaluations by NLopt in the last solve().
-  [[nodiscard]] int evaluations() const {
-    return static_cast<int>(dual_.evaluations() - evaluations_before_);
-  }
+  [[nodiscard]] int evaluations() const { return dual_.evaluations(); }
   /// Newton steps that polished NLopt's results in the last solve().
-  [[nodiscard]] int polishing_steps() const {
-    return static_cast<int>(dual_.polishing_steps() - polishing_before_);
-  }
+  [[nodiscard]] int polishing_steps() const { return dual_.polishing_steps(); }
 
  private:
   static QuadraticProgramSettings without_dual(QuadraticProgramSettings settings) {
@@ -475,7 +470,6 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0, rounds_ = 0;
-  long evaluations_before_ = 0, polishing_before_ = 0;
   ProgramSolver solved_by_ = ProgramSolver::riccati;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
