@@ -15,20 +15,12 @@
 /// Problems by automatic differentiation.
 namespace tilt_ropter::detail {
 
-/// True if the struct has the function or constant that Member<User> refers to.
-template <template <typename> class Member, typename User, typename = void>
-inline constexpr bool has_member = false;
-template <template <typename> class Member, typename User>
-inline constexpr bool has_member<Member, User, std::void_t<Member<User>>> = true;
-
 template <typename User>
 using ConstraintsMember = std::integral_constant<int, User::constraints>;
 template <typename User>
 using LowerMember = decltype(std::declval<const User&>().lower(0));
 template <typename User>
 using PenaltyMember = decltype(std::declval<const User&>().penalty(0));
-template <typename User>
-using TerminalConstraintsMember = std::integral_constant<int, User::terminal_constraints>;
 template <typename User>
 using TerminalLowerMember = decltype(std::declval<const User&>().terminal_lower());
 template <typename User>
@@ -47,13 +39,6 @@ using CostMember = decltype(std::declval<const User&>().cost(
     std::declval<const Eigen::Matrix<double, User::inputs, 1>&>()));
 template <typename User>
 using CurvatureMember = std::enable_if_t<User::curvature>;
-
-/// Value of such a constant, or 0 if the struct does not have it.
-template <template <typename> class Member, typename User>
-constexpr int count_of() {
-  if constexpr (has_member<Member, User>) return Member<User>::value;
-  return 0;
-}
 
 }  // namespace tilt_ropter::detail
 
@@ -95,9 +80,8 @@ namespace tilt_ropter::optimal_control {
 ///     template <typename S>
 ///     V<S, terminal_residuals> terminal_residual(const V<S, states>& x) const;
 ///
-///     // any other cost of node k, added to the squares; `residuals` may then be absent. At node
-///     N,
-///     // u is zero. Its Hessian enters without the parts that are not positive semidefinite
+///     // any other cost of node k, added to the squares; `residuals` may then be absent. u is zero
+///     // at node N. Its Hessian enters without the parts that are not positive semidefinite
 ///     template <typename S>
 ///     S cost(int k, const V<S, states>& x, const V<S, inputs>& u) const;
 ///

@@ -11,6 +11,30 @@
 #include <type_traits>
 #include <utility>
 
+namespace tilt_ropter::detail {
+
+/// True if the type has the function or constant that Member<Type> refers to.
+template <template <typename> class Member, typename Type, typename = void>
+inline constexpr bool has_member = false;
+template <template <typename> class Member, typename Type>
+inline constexpr bool has_member<Member, Type, std::void_t<Member<Type>>> = true;
+
+/// Value of such a constant, or `absent` if the type does not have it.
+template <template <typename> class Member, typename Type>
+constexpr int count_of(int absent = 0) {
+  if constexpr (has_member<Member, Type>) return Member<Type>::value;
+  return absent;
+}
+
+template <typename Type>
+using TerminalConstraintsMember = std::integral_constant<int, Type::terminal_constraints>;
+template <typename Type>
+using StiffnessMember = decltype(std::declval<const Type&>().stiffness(0));
+template <typename Type>
+using TerminalStiffnessMember = decltype(std::declval<const Type&>().terminal_stiffness());
+
+}  // namespace tilt_ropter::detail
+
 // clang-format off
 /// The concept of a multiple-shooting problem. A problem is any type `Problem` with
 ///
@@ -158,31 +182,13 @@ struct HasLanes<Problem, std::void_t<decltype(&Problem::step_lanes)>> : std::tru
 /// in this form, whether or not the problem has the optional functions.
 template <typename Problem>
 class ProblemConstraints {
- private:
-  template <typename P, typename = void>
-  struct TerminalCount : std::integral_constant<int, -1> {};
-  template <typename P>
-  struct TerminalCount<P, std::void_t<decltype(P::terminal_constraints)>>
-      : std::integral_constant<int, P::terminal_constraints> {};
-  template <typename P, typename = void>
-  struct HasStiffness : std::false_type {};
-  template <typename P>
-  struct HasStiffness<P, std::void_t<decltype(std::declval<const P&>().stiffness(0))>>
-      : std::true_type {};
-  template <typename P, typename = void>
-  struct HasTerminalStiffness : std::false_type {};
-  template <typename P>
-  struct HasTerminalStiffness<P,
-                              std::void_t<decltype(std::declval<const P&>().terminal_stiffness())>>
-      : std::true_type {};
-
  public:
   using D = ProblemDimensions<Problem>;
   using State = typename Problem::State;
   using Input = typename D::Input;
   static constexpr int of_nodes = D::nc;
   /// Number of separate constraints of node N; -1 if node N has the constraints of the other nodes.
-  static constexpr int of_end = TerminalCount<Problem>::value;
+  static constexpr int of_end = detail::count_of<detail::TerminalConstraintsMember, Problem>(-1);
   static constexpr int count = std::max(of_nodes, of_end);
   using Values = Eigen::Matrix<double, count, 1>;
   using ByState = Eigen::Matrix<double, count, D::nx>;
@@ -230,20 +236,22 @@ class ProblemConstraints {
   static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& penalty,
                      Values& stiffness) {
     constexpr double infinity = std::numeric_limits<double>::infinity();
+    constexpr bool has_stiffness = detail::has_member<detail::StiffnessMember, Problem>,
+                   has_terminal_stiffness =
+                       detail::has_member<detail::TerminalStiffnessMember, Problem>;
     if constexpr (count > of_nodes || of_end >= 0) {
       lower.setConstant(-infinity);
       upper.setConstant(infinity);
       penalty.setConstant(infinity);
     }
-    if constexpr (HasStiffness<Problem>::value || HasTerminalStiffness<Problem>::value)
-      stiffness.setConstant(infinity);
+    if constexpr (has_stiffness || has_terminal_stiffness) stiffness.setConstant(infinity);
     if constexpr (of_end >= 0) {
       if (k == problem.horizon()) {
         if constexpr (of_end > 0) {
           detail::copy_first(of_end, problem.terminal_lower(), lower);
           detail::copy_first(of_end, problem.terminal_upper(), upper);
           detail::copy_first(of_end, problem.terminal_penalty(), penalty);
-          if constexpr (HasTerminalStiffness<Problem>::value)
+          if constexpr (has_terminal_stiffness)
             detail::copy_first(of_end, problem.terminal_stiffness(), stiffness);
         }
         return;
@@ -253,8 +261,7 @@ class ProblemConstraints {
       detail::copy_first(of_nodes, problem.lower(k), lower);
       detail::copy_first(of_nodes, problem.upper(k), upper);
       detail::copy_first(of_nodes, problem.penalty(k), penalty);
-      if constexpr (HasStiffness<Problem>::value)
-        detail::copy_first(of_nodes, problem.stiffness(k), stiffness);
+      if constexpr (has_stiffness) detail::copy_first(of_nodes, problem.stiffness(k), stiffness);
     }
   }
 

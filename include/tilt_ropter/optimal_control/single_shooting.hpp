@@ -165,13 +165,9 @@ class SingleShooting {
     return report_;
   }
 
-  template <typename P, typename = void>
-  struct HasRetractDerivative : std::false_type {};
   template <typename P>
-  struct HasRetractDerivative<P,
-                              std::void_t<decltype(std::declval<const P&>().retract_derivative(
-                                  std::declval<const State&>(), std::declval<const Tangent&>()))>>
-      : std::true_type {};
+  using RetractDerivative = decltype(std::declval<const P&>().retract_derivative(
+      std::declval<const State&>(), std::declval<const Tangent&>()));
 
   using A = typename Dimensions::A;
   using B = typename Dimensions::B;
@@ -278,7 +274,7 @@ class SingleShooting {
         here_.x(k + 1) =
             problem_.step(k, here_.x(k), here_.u(k), interval.by_state, interval.by_input);
         interval.feedback = interval.gain;
-        if constexpr (HasRetractDerivative<Problem>::value)
+        if constexpr (detail::has_member<RetractDerivative, Problem>)
           interval.feedback =
               interval.gain *
               A(Eigen::PartialPivLU<A>(problem_.retract_derivative(base_.x(k), dx)).inverse());
