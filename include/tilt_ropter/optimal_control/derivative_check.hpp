@@ -70,11 +70,35 @@ class DerivativeCheck {
     if constexpr (D::ne > 0) check_equalities(k, x);
   }
 
-  /// Compares step_lanes() with step() for all intervals, if the problem has step_lanes().
-  void check_lanes(const std::vector<State>& xs, const std::vector<Input>& us) {
-    if constexpr (optimal_control::HasLanes<Problem>::value)
-      for (int k = 0; k < problem_.horizon(); k += Lanes::count)
-        check_lanes(k, std::min(Lanes::count, problem_.horizon() - k), xs, us);
+  /// Compares step_lanes() with step() for up to Lanes::count intervals from the first on.
+  void check_lanes(int first, const std::vector<State>& xs, const std::vector<Input>& us) {
+    const int count = std::min(Lanes::count, problem_.horizon() - first);
+    Eigen::Matrix<Lanes, D::nx, D::nx> lanes_A;
+    Eigen::Matrix<Lanes, D::nx, D::nu> lanes_B;
+    lanes_A.setIdentity();
+    lanes_B.setZero();
+    std::vector<State> ends(size(Lanes::count));
+    const auto start = size(first);
+    problem_.step_lanes(first, count, &xs[start], &us[start], ends.data(), lanes_A, lanes_B);
+    for (int lane = 0; lane < count; ++lane) {
+      const int k = first + lane;
+      const auto node = size(k);
+      typename D::A A = D::A::Constant(nan);
+      typename D::B B = D::B::Constant(nan);
+      const State end = problem_.step(k, xs[node], us[node], A, B);
+      // Errors of step() itself are already reported, so they are skipped here.
+      const Tangent end_minus = problem_.difference(ends[size(lane)], end);
+      if (all_finite(problem_.difference(end, xs[node])))
+        expect_zero("step_lanes: end minus that of step", k, end_minus);
+      const auto expect_same = [&](const char* callback, const auto& given, const auto& expected) {
+        for (int i = 0; i < static_cast<int>(expected.rows()); ++i)
+          for (int j = 0; j < static_cast<int>(expected.cols()); ++j)
+            if (std::isfinite(expected(i, j)))
+              expect(callback, k, i, j, given(i, j)[lane], expected(i, j), expected(i, j));
+      };
+      expect_same("step_lanes: A", lanes_A, A);
+      expect_same("step_lanes: B", lanes_B, B);
+    }
   }
 
   /// Returns the errors found, largest first.
@@ -204,36 +228,6 @@ class DerivativeCheck {
         expect("TransitionPattern of [A B]", k, i, j, 0.0, of(by_state.by_long, by_input.by_long),
                of(by_state.by_short, by_input.by_short));
       }
-    }
-  }
-
-  void check_lanes(int first, int count, const std::vector<State>& xs,
-                   const std::vector<Input>& us) {
-    Eigen::Matrix<Lanes, D::nx, D::nx> lanes_A;
-    Eigen::Matrix<Lanes, D::nx, D::nu> lanes_B;
-    lanes_A.setIdentity();
-    lanes_B.setZero();
-    std::vector<State> ends(size(Lanes::count));
-    const auto start = size(first);
-    problem_.step_lanes(first, count, &xs[start], &us[start], ends.data(), lanes_A, lanes_B);
-    for (int lane = 0; lane < count; ++lane) {
-      const int k = first + lane;
-      const auto node = size(k);
-      typename D::A A = D::A::Constant(nan);
-      typename D::B B = D::B::Constant(nan);
-      const State end = problem_.step(k, xs[node], us[node], A, B);
-      // Errors of step() itself are already reported, so they are skipped here.
-      const Tangent end_minus = problem_.difference(ends[size(lane)], end);
-      if (all_finite(problem_.difference(end, xs[node])))
-        expect_zero("step_lanes: end minus that of step", k, end_minus);
-      const auto expect_same = [&](const char* callback, const auto& given, const auto& expected) {
-        for (int i = 0; i < static_cast<int>(expected.rows()); ++i)
-          for (int j = 0; j < static_cast<int>(expected.cols()); ++j)
-            if (std::isfinite(expected(i, j)))
-              expect(callback, k, i, j, given(i, j)[lane], expected(i, j), expected(i, j));
-      };
-      expect_same("step_lanes: A", lanes_A, A);
-      expect_same("step_lanes: B", lanes_B, B);
     }
   }
 
@@ -383,7 +377,8 @@ template <typename Problem>
   detail::DerivativeCheck<Problem> check(problem, tolerance);
   for (std::size_t k = 0; k <= horizon; ++k)
     check.check_node(static_cast<int>(k), xs[k], k < horizon ? us[k] : Input(Input::Zero()));
-  check.check_lanes(xs, us);
+  if constexpr (HasLanes<Problem>::value)
+    for (int k = 0; k < problem.horizon(); k += Lanes::count) check.check_lanes(k, xs, us);
   return check.errors();
 }
 
