@@ -322,8 +322,7 @@ class SingleShooting {
     if (!finite_ || result == NLOPT_OUT_OF_MEMORY || result == NLOPT_INVALID_ARGS)
       return SolveStatus::failed;
     if (!roll_out(latest_.data(), false)) return SolveStatus::failed;
-    double moved = 0.0;
-    for (int i = 0; i < coordinates(); ++i) moved = std::max(moved, std::abs(latest_(i)));
+    const double moved = detail::largest(latest_.head(coordinates()));
     base_.swap(here_);
     double equality = 0.0;
     for (int k = 1; k <= horizon_; ++k)

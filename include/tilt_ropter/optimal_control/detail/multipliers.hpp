@@ -184,9 +184,7 @@ class DualSolver {
   /// before the deadline.
   [[nodiscard]] bool minimise() {
     if (!finite(linear_) || !finite(iterate_)) return false;
-    double largest = 0.0;
-    for (int i = 0; i < size_; ++i) largest = std::max(largest, std::abs(linear_(i)));
-    const double tolerance = gradient_tolerance * (1.0 + largest);
+    const double tolerance = gradient_tolerance * (1.0 + detail::largest(linear_.head(size_)));
     bool solved = false;
     for (int round = 0; round < max_rounds && !solved && !late(); ++round) {
       optimize(tolerance);

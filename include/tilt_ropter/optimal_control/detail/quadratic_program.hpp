@@ -398,21 +398,18 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   // gains of the last pass with the inputs of the linearised plan, both clamped to the hard bounds.
   // Uses the inputs with the lower cost. The multipliers do not change.
   void fallback_step(const Tangent& dx0) {
-    this->set_first(dx0);
-    const auto clamp = [this](int k, auto& w) {
-      this->clamp_input(k, w.data(), w.data() + States);
+    const auto cost_of_clamped = [&](bool follows) {
+      this->set_first(dx0);
+      this->riccati.sweep_with(this->steps(), [&](int k, auto& w) {
+        if (!follows) std::fill_n(w.data() + States, Inputs, 0.0);
+        this->clamp_input(k, w.data(), w.data() + States);
+      });
+      this->predict();
+      return this->cost_of_step(damping_);
     };
-    this->riccati.sweep_with(this->steps(), clamp);
-    this->predict();
-    const double following = this->cost_of_step(damping_);
+    const double following = cost_of_clamped(true);
     std::swap(saved_steps_, this->steps());
-    this->set_first(dx0);
-    this->riccati.sweep_with(this->steps(), [&](int k, auto& w) {
-      std::fill_n(w.data() + States, Inputs, 0.0);
-      clamp(k, w);
-    });
-    this->predict();
-    if (!(this->cost_of_step(damping_) < following)) {
+    if (!(cost_of_clamped(false) < following)) {
       std::swap(saved_steps_, this->steps());
       this->predict();
     }
