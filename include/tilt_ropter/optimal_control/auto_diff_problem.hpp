@@ -192,7 +192,7 @@ class AutoDiffProblem {
   [[nodiscard]] Constraints upper(int k) const { return user_.upper(k); }
   [[nodiscard]] Constraints penalty(int k) const {
     if constexpr (has<detail::PenaltyMember>) return user_.penalty(k);
-    return Constraints::Constant(std::numeric_limits<double>::infinity());
+    return Constraints::Constant(detail::infinity);
   }
   template <typename U = User>
   [[nodiscard]] auto stiffness(int k) const
@@ -212,7 +212,7 @@ class AutoDiffProblem {
   [[nodiscard]] TerminalConstraints terminal_upper() const { return user_.terminal_upper(); }
   [[nodiscard]] TerminalConstraints terminal_penalty() const {
     if constexpr (has<detail::TerminalPenaltyMember>) return user_.terminal_penalty();
-    return TerminalConstraints::Constant(std::numeric_limits<double>::infinity());
+    return TerminalConstraints::Constant(detail::infinity);
   }
   template <typename U = User>
   [[nodiscard]] auto terminal_stiffness() const

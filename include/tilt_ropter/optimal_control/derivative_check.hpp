@@ -113,8 +113,7 @@ class DerivativeCheck {
  private:
   using AllConstraints = optimal_control::ProblemConstraints<Problem>;
   using Pattern = typename optimal_control::TransitionPatternOf<Problem>::type;
-  static constexpr double nan = std::numeric_limits<double>::quiet_NaN(),
-                          infinity = std::numeric_limits<double>::infinity();
+  static constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
   // Derivatives of the same function by differences with long and with short steps.
   template <int Constraints, int Columns>

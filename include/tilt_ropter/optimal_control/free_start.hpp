@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 
 #include <Eigen/Core>
 
-#include <limits>
 #include <utility>
 
 /// Problems whose initial state the solver chooses.
@@ -71,12 +71,12 @@ struct FreeStart : User {
   template <typename U = User>
   [[nodiscard]] auto lower(int k) const -> decltype(std::declval<const U&>().lower(k)) {
     if (k >= in_front) return User::lower(k - in_front);
-    return decltype(std::declval<const U&>().lower(k))::Constant(-infinity);
+    return decltype(std::declval<const U&>().lower(k))::Constant(-detail::infinity);
   }
   template <typename U = User>
   [[nodiscard]] auto upper(int k) const -> decltype(std::declval<const U&>().upper(k)) {
     if (k >= in_front) return User::upper(k - in_front);
-    return decltype(std::declval<const U&>().upper(k))::Constant(infinity);
+    return decltype(std::declval<const U&>().upper(k))::Constant(detail::infinity);
   }
   template <typename U = User>
   [[nodiscard]] auto penalty(int k) const -> decltype(std::declval<const U&>().penalty(k)) {
@@ -88,8 +88,6 @@ struct FreeStart : User {
   }
 
  private:
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
-
   // Zeros with the derivatives of a constant, which a number alone does not have.
   template <typename S, int Size>
   static Vector<S, Size> constant(const Vector<S, User::states>& x,

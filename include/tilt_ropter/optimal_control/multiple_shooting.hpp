@@ -16,7 +16,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <utility>
 
@@ -247,8 +246,7 @@ class MultipleShooting {
   SolveReport report_;
   // Lowest residual and merit of solve() so far, and the iteration of the last decrease.
   struct Progress {
-    double kkt = std::numeric_limits<double>::infinity(),
-           merit = std::numeric_limits<double>::infinity();
+    double kkt = detail::infinity, merit = detail::infinity;
     int iteration = 0;
   } progress_;
   double shifted_ = 0.0;  // intervals by which the plan is ahead of the multipliers
@@ -444,8 +442,8 @@ bool MultipleShooting<Problem>::linearise(bool real_time) {
     AllConstraints::bounds(problem_, k, node.lower, node.upper, node.penalty, node.stiffness);
     for (int i = 0; k == horizon_ && i < nc; ++i)
       if (!AllConstraints::applies(problem_, k, node.E, i)) {
-        node.lower(i) = -std::numeric_limits<double>::infinity();
-        node.upper(i) = std::numeric_limits<double>::infinity();
+        node.lower(i) = -detail::infinity;
+        node.upper(i) = detail::infinity;
       }
     finite = program_.check_node(k) && finite;
     report_.max_violation = detail::larger(report_.max_violation, violation_of(k));
@@ -455,7 +453,7 @@ bool MultipleShooting<Problem>::linearise(bool real_time) {
   report_.kkt = kkt_residual(real_time);
   finite = finite && std::isfinite(report_.kkt) && std::isfinite(report_.cost) &&
            std::isfinite(report_.max_equality);
-  if (!finite) report_.kkt = std::numeric_limits<double>::infinity();
+  if (!finite) report_.kkt = detail::infinity;
   if constexpr (HasCurvature<Problem>::value)
     for (int k = 0; k <= horizon_; ++k)
       problem_.add_curvature(k, here_.x(k), here_.u(k),
@@ -472,8 +470,7 @@ bool MultipleShooting<Problem>::linearise_intervals() {
   const auto set_defect = [&](int k, const State& end) {
     const Tangent defect = problem_.difference(end, here_.x(k + 1));
     program_.riccati.set_defect(k, defect);
-    const double most =
-        all_finite(defect) ? detail::largest(defect) : std::numeric_limits<double>::infinity();
+    const double most = all_finite(defect) ? detail::largest(defect) : detail::infinity;
     finite = finite && std::isfinite(most);
     report_.max_defect = std::max(report_.max_defect, most);
   };

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 
 #include <Eigen/Core>
 
 #include <algorithm>
-#include <limits>
 #include <type_traits>
 #include <utility>
 
@@ -235,16 +235,15 @@ class ProblemConstraints {
   /// no stiffness at all, `stiffness` is not written.
   static void bounds(const Problem& problem, int k, Values& lower, Values& upper, Values& penalty,
                      Values& stiffness) {
-    constexpr double infinity = std::numeric_limits<double>::infinity();
     constexpr bool has_stiffness = detail::has_member<detail::StiffnessMember, Problem>,
                    has_terminal_stiffness =
                        detail::has_member<detail::TerminalStiffnessMember, Problem>;
     if constexpr (count > of_nodes || of_end >= 0) {
-      lower.setConstant(-infinity);
-      upper.setConstant(infinity);
-      penalty.setConstant(infinity);
+      lower.setConstant(-detail::infinity);
+      upper.setConstant(detail::infinity);
+      penalty.setConstant(detail::infinity);
     }
-    if constexpr (has_stiffness || has_terminal_stiffness) stiffness.setConstant(infinity);
+    if constexpr (has_stiffness || has_terminal_stiffness) stiffness.setConstant(detail::infinity);
     if constexpr (of_end >= 0) {
       if (k == problem.horizon()) {
         if constexpr (of_end > 0) {

@@ -21,7 +21,6 @@
 #include <chrono>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <type_traits>
@@ -178,7 +177,6 @@ class SingleShooting {
   using Factorisation = Riccati<nx, nu, typename TransitionPatternOf<Problem>::type>;
   static constexpr double huge = 1e100;
   static constexpr int max_evaluations = 200;  // of the cost in one call of NLopt
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
   // Gain and coordinates of an interval, and the derivatives at the current point.
@@ -301,7 +299,7 @@ class SingleShooting {
     if (!optimizer_) return SolveStatus::failed;
     nlopt_opt optimizer = optimizer_.get();
     variables_.setZero(size);
-    Eigen::VectorXd least = Eigen::VectorXd::Constant(size, -infinity);
+    Eigen::VectorXd least = Eigen::VectorXd::Constant(size, -detail::infinity);
     for (const auto& rows : working_)
       for (const Row& row : rows)
         if (row.slack >= 0) least(row.slack) = 0.0;
@@ -313,7 +311,7 @@ class SingleShooting {
     nlopt_set_maxeval(optimizer, max_evaluations);
     nlopt_set_maxtime(optimizer, std::max(time, 1e-9));  // 0 would mean no limit
     latest_.setZero(size);
-    before_latest_.setConstant(size, infinity);
+    before_latest_.setConstant(size, detail::infinity);
     finite_ = true;
     gradients_ = 0;
     double value = 0.0;
@@ -389,7 +387,7 @@ class SingleShooting {
         const auto& w = optimum_[at(k)];
         Constraints predicted = c + C * w.template head<nx>();
         if (k < horizon_) predicted += E * w.template segment<nu>(nx);
-        Constraints lower, upper, penalty, stiffness = detail::Filled{infinity};
+        Constraints lower, upper, penalty, stiffness = detail::Filled{detail::infinity};
         AllConstraints::bounds(problem_, k, lower, upper, penalty, stiffness);
         for (int i = 0; i < nc; ++i) {
           if (k == horizon_ && !AllConstraints::applies(problem_, k, E, i)) continue;
@@ -478,7 +476,7 @@ class SingleShooting {
       for (const Row& row : rows)
         if (row.slack >= 0)
           gradient[row.slack] =
-              row.unit * std::min(row.penalty, row.stiffness < infinity
+              row.unit * std::min(row.penalty, row.stiffness < detail::infinity
                                                    ? row.stiffness * row.unit * v[row.slack]
                                                    : row.penalty);
     const Eigen::Map<const Eigen::VectorXd> point(v, static_cast<Eigen::Index>(size)),
@@ -546,7 +544,7 @@ class SingleShooting {
         ByState C = ByState::Zero();
         ByInput E = ByInput::Zero();
         if (k == horizon_) AllConstraints::derivatives(problem_, k, base_.x(k), base_.u(k), C, E);
-        Constraints lower, upper, penalty, stiffness = detail::Filled{infinity};
+        Constraints lower, upper, penalty, stiffness = detail::Filled{detail::infinity};
         AllConstraints::bounds(problem_, k, lower, upper, penalty, stiffness);
         for (int i = 0; i < nc; ++i) {
           if (k == horizon_ && !AllConstraints::applies(problem_, k, E, i)) continue;

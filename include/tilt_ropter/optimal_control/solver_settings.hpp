@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/names.hpp>
 #include <tilt_ropter/math/validation.hpp>
 
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <tuple>
 
 /// Settings and reports of the solvers.
@@ -164,7 +164,7 @@ struct SolverSettings {
   double max_time = 1.0;     ///< time limit of solve() [s]
   /// Time limit of feedback() [s]. An iteration that would end later is not started. At most 1000,
   /// or infinite: no limit.
-  double max_feedback_time = std::numeric_limits<double>::infinity();
+  double max_feedback_time = detail::infinity;
   double tolerance = 1e-6;  ///< on the KKT residual, for solve()
   /// Shortest step length in the line search of solve().
   static constexpr double min_step = 1e-4;

@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 
 #include <cmath>
+#include <limits>
 
 /// Include this header wherever code tests whether a number is finite. With -ffast-math the
 /// compiler assumes that all numbers are finite. Bad input then passes the tests, and its effects
@@ -30,6 +31,8 @@ template <typename Derived>
 }
 
 namespace detail {
+
+inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
 /// The larger of two numbers, NaN if either of them is NaN: std::max may drop a NaN.
 [[nodiscard]] inline double larger(double a, double b) noexcept {

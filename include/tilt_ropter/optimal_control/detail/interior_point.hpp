@@ -12,7 +12,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -212,7 +211,7 @@ class InteriorPoint {
   [[nodiscard]] bool go_on(Program& program, const typename Program::Tangent& dx0) {
     for (int i = 0; i < States; ++i) change_[0](i) = dx0(i) - here_[0](i);
     program.riccati.sweep_deviation(change_);
-    if (!(largest(change_) < infinity)) return false;
+    if (!(largest(change_) < detail::infinity)) return false;
     multiply_constraints(program, change_);
     add_change(1.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
@@ -307,7 +306,7 @@ class InteriorPoint {
         sum += v(i);
       }
     }
-    return std::isfinite(sum) ? most : infinity;
+    return std::isfinite(sum) ? most : detail::infinity;
   }
   [[nodiscard]] Eigen::Index count() const { return sides_.count(); }
 
@@ -627,7 +626,8 @@ class InteriorPoint {
   // Moves along the direction. Returns false, and changes nothing, if a number is not finite.
   [[nodiscard]] bool move(const Lengths& lengths) {
     const double primal = lengths.primal, dual = lengths.dual;
-    if (!(largest(change_) * primal < infinity) || !(largest_change() * dual < infinity))
+    if (!(largest(change_) * primal < detail::infinity) ||
+        !(largest_change() * dual < detail::infinity))
       return false;
     add_change(primal);
     const double sum =
@@ -654,7 +654,6 @@ class InteriorPoint {
     return sum;
   }
 
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
   static constexpr double most_of_the_way = 0.99, short_step = 0.1;
 
   Sides sides_;

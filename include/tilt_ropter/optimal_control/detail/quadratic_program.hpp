@@ -145,7 +145,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     if constexpr (Constraints > 0) {
       const auto& n = this->node(k);
       for (int i = 0; i < Constraints; ++i) {
-        if (!n.hard[detail::size(i)] || n.stiffness(i) < infinity) continue;
+        if (!n.hard[detail::size(i)] || n.stiffness(i) < detail::infinity) continue;
         int j = -1, entries = 0;
         for (int l = 0; l < Inputs; ++l)
           if (n.E(i, l) != 0.0) {
@@ -450,8 +450,6 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     this->sweep(dx0);
     return true;
   }
-
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
 
   QuadraticProgramSettings settings_;
   DualMethod<States, Inputs, Constraints, Pattern> dual_;

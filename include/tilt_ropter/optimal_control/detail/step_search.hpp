@@ -14,7 +14,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -185,7 +184,7 @@ class BestPlan {
       weight_ = std::max(weight_, detail::largest(program.costate(k)));
     for (const auto& [k, i] : program.active())
       weight_ = std::max(weight_, std::abs(program.node(k).multiplier(i)));
-    if (!(weight_ < std::numeric_limits<double>::infinity())) weight_ = 1e12;
+    if (!(weight_ < detail::infinity)) weight_ = 1e12;
     const auto value = [&](const Plan& plan) {
       return value_of(problem, program, equalities, plan);
     };
@@ -333,7 +332,7 @@ class StepSearch {
   /// used.
   void begin(bool accelerated) {
     forget();
-    lowest_merit_ = std::numeric_limits<double>::infinity();
+    lowest_merit_ = detail::infinity;
     accelerates_ = accelerated && settings_.memory > 0;
     length_ = 1.0;
     first_ = true;

@@ -12,7 +12,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <utility>
 #include <vector>
 
@@ -38,19 +37,18 @@ namespace tilt_ropter::optimal_control {
 template <int States, int Inputs, int Constraints>
 struct NodeConstraints {
   using Values = Eigen::Matrix<double, Constraints, 1>;
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
   Values value = detail::Filled();  ///< at the point of linearisation
   Eigen::Matrix<double, Constraints, States> C = detail::Filled();  ///< derivative by the state
   Eigen::Matrix<double, Constraints, Inputs> E = detail::Filled();  ///< derivative by the input
-  Values lower = detail::Filled{-infinity};                         ///< infinite: no bound
-  Values upper = detail::Filled{infinity};                          ///< infinite: no bound
+  Values lower = detail::Filled{-detail::infinity};                 ///< infinite: no bound
+  Values upper = detail::Filled{detail::infinity};                  ///< infinite: no bound
   Values penalty = detail::Filled{1.0};                             ///< largest multiplier, finite
-  Values stiffness = detail::Filled{infinity};  ///< infinite: no violation below the penalty
+  Values stiffness = detail::Filled{detail::infinity};  ///< infinite: no violation below penalty
   /// In: warm start. Out: solution. > 0 at the upper bound, < 0 at the lower.
   Values multiplier = detail::Filled();
   Values predicted = detail::Filled();  ///< value + C dx + E du at the current step
   /// Finite penalties of the hard constraints in the last program, see InteriorPoint.
-  Values finite_penalty = detail::Filled{infinity};
+  Values finite_penalty = detail::Filled{detail::infinity};
   /// `crossed`: some lower bound was above its upper bound, see Subproblem::check_node().
   /// `crosses`: the same for each constraint, valid only if `crossed`.
   bool crossed = false;
@@ -75,10 +73,9 @@ struct ProgramResidual {
   double gap = 0.0;              ///< error of the cost due to complementarity, relative to the cost
   [[nodiscard]] double largest() const {
     const double most = std::max({stationarity, violation, complementarity, gap});
-    return stationarity + violation + complementarity + gap <
-                   std::numeric_limits<double>::infinity()
+    return stationarity + violation + complementarity + gap < detail::infinity
                ? most
-               : std::numeric_limits<double>::infinity();  // also for NaN
+               : detail::infinity;  // also for NaN
   }
 };
 
@@ -122,7 +119,8 @@ class Subproblem {
   [[nodiscard]] bool check_node(int k) {
     Node& n = node(k);
     n.crossed = false;
-    for (int i = 0; i < Constraints; ++i) n.hard[detail::size(i)] = n.penalty(i) == infinity;
+    for (int i = 0; i < Constraints; ++i)
+      n.hard[detail::size(i)] = n.penalty(i) == detail::infinity;
     for (int i = 0; i < Constraints; ++i) {
       if (!n.hard[detail::size(i)]) continue;
       // A relaxed hard constraint keeps the penalty at which it was relaxed.
@@ -239,7 +237,7 @@ class Subproblem {
     }
 #pragma GCC unroll 4
     for (int j = 0; j < Width; ++j) rest = std::max(rest, most[j]);
-    return check.passed() ? rest : infinity;
+    return check.passed() ? rest : detail::infinity;
   }
 
   /// Constraint i of node k. active() lists the constraints with a multiplier, after
@@ -435,7 +433,6 @@ class Subproblem {
   Factorisation riccati;
 
  private:
-  static constexpr double infinity = std::numeric_limits<double>::infinity();
   template <int Width>
   static constexpr int row_packets = (Constraints + Width - 1) / Width;
   template <int Width>
@@ -457,8 +454,8 @@ class Subproblem {
       if (!(n.penalty(i) >= 0.0) || !(n.stiffness(i) >= 0.0)) return false;
       if (!(lower <= upper) && !(lower > upper)) return false;
       if (n.penalty(i) == 0.0 || n.stiffness(i) == 0.0) {
-        lower = -infinity;
-        upper = infinity;
+        lower = -detail::infinity;
+        upper = detail::infinity;
         n.penalty(i) = n.stiffness(i) = 1.0;
       } else if (lower > upper) {
         std::swap(lower, upper);
@@ -495,7 +492,7 @@ class Subproblem {
         largest_term =
             std::max(largest_term, m * detail::largest(constraint_gradient(row.k, row.i)));
     }
-    r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : infinity;
+    r.stationarity = finite ? r.stationarity / (1.0 + largest_term) : detail::infinity;
     for (const ActiveConstraint& row : active_) {
       const Node& n = node(row.k);
       const double m = std::abs(n.multiplier(row.i)), value = (n.*values)(row.i);
@@ -509,7 +506,7 @@ class Subproblem {
     r.gap /= 1.0 + std::abs(cost);
     const bool decides = relative || excess > r.largest();
     r.violation = excess;
-    if (excess > 0.0 && excess < infinity)
+    if (excess > 0.0 && excess < detail::infinity)
       r.violation = decides ? unpaid_violation(values, largest_multiplier, relative) : 0.0;
     return r;
   }

@@ -137,7 +137,7 @@ class AugmentedLagrangian {
   /// Resets the weights to the weights of the problem.
   void forget_scale() {
     scale_ = 1.0;
-    last_residual_ = std::numeric_limits<double>::infinity();
+    last_residual_ = detail::infinity;
   }
 
   /// Adds the terms of node k to the model of its cost. Returns the largest |h|.
@@ -266,7 +266,7 @@ class AugmentedLagrangian {
   std::vector<Equalities> multipliers_;
   std::vector<Added> added_;  // terms in the model of each node
   double max_multiplier_, scale_ = 1.0;
-  double last_residual_ = std::numeric_limits<double>::infinity();
+  double last_residual_ = detail::infinity;
 };
 
 }  // namespace tilt_ropter::optimal_control
