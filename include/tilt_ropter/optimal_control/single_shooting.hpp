@@ -23,7 +23,6 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -298,11 +297,9 @@ class SingleShooting {
     optimizer_.reset(nlopt_create(NLOPT_LD_SLSQP, static_cast<unsigned>(size)));
     if (!optimizer_) return SolveStatus::failed;
     nlopt_opt optimizer = optimizer_.get();
-    variables_.setZero(size);
-    Eigen::VectorXd least = Eigen::VectorXd::Constant(size, -detail::infinity);
-    for (const auto& rows : working_)
-      for (const Row& row : rows)
-        if (row.slack >= 0) least(row.slack) = 0.0;
+    Eigen::VectorXd variables = Eigen::VectorXd::Zero(size);  // z and slacks
+    Eigen::VectorXd least = variables;
+    least.head(coordinates()).setConstant(-detail::infinity);
     nlopt_set_lower_bounds(optimizer, least.data());
     nlopt_set_min_objective(optimizer, cost, this);
     if (rows_ > 0)
@@ -315,7 +312,7 @@ class SingleShooting {
     finite_ = true;
     gradients_ = 0;
     double value = 0.0;
-    const nlopt_result result = nlopt_optimize(optimizer, variables_.data(), &value);
+    const nlopt_result result = nlopt_optimize(optimizer, variables.data(), &value);
     ++report_.iterations;
     if (!finite_ || result == NLOPT_OUT_OF_MEMORY || result == NLOPT_INVALID_ARGS)
       return SolveStatus::failed;
@@ -568,7 +565,6 @@ class SingleShooting {
   std::vector<Model> models_;  // at the current point; entries that a problem does not set stay
   std::vector<std::vector<Row>> working_;  // of each node
   std::unique_ptr<nlopt_opt_s, Destroy> optimizer_;
-  Eigen::VectorXd variables_;               // NLopt's variables: z and slacks
   Eigen::VectorXd latest_, before_latest_;  // last points where NLopt requested gradients
   bool updates_multipliers_ = true;
   SolveReport report_;

@@ -267,7 +267,15 @@ class Anderson {
   /// Returns the accelerated step from a point with this f. The step combines the stored moves so
   /// that the predicted f is smallest in the 2-norm.
   [[nodiscard]] const Vector& step(const Vector& f) {
-    solve(f);
+    // Least squares by the normal equations. A column that depends linearly on the columns before
+    // it gets weight zero.
+    for (int j = 0; j < count_; ++j) {
+      weights_(j) = detail::dot(change(j), f.data(), size_);
+      for (int i = j; i < count_; ++i) factor_(i, j) = gram_(i, j);
+      factor_(j, j) *= 1.0 + 1e-10;
+    }
+    (void)detail::factorise(factor_.data(), factor_.rows(), count_, 1e-11);
+    detail::solve_factorised(factor_.data(), factor_.rows(), count_, weights_.data());
     std::copy_n(f.data(), size_, step_.data());
     for (const Matrix* columns : {&changes_, &moves_})
       detail::add_product(-1.0, {columns->data(), size_, count_, size_}, {weights_.data()},
@@ -279,18 +287,6 @@ class Anderson {
   using Matrix = Eigen::MatrixXd;
 
   [[nodiscard]] const double* change(int i) const { return &changes_(0, i); }
-
-  // Least squares by the normal equations. A column that depends linearly on the columns before it
-  // gets weight zero.
-  void solve(const Vector& f) {
-    for (int j = 0; j < count_; ++j) {
-      weights_(j) = detail::dot(change(j), f.data(), size_);
-      for (int i = j; i < count_; ++i) factor_(i, j) = gram_(i, j);
-      factor_(j, j) *= 1.0 + 1e-10;
-    }
-    (void)detail::factorise(factor_.data(), factor_.rows(), count_, 1e-11);
-    detail::solve_factorised(factor_.data(), factor_.rows(), count_, weights_.data());
-  }
 
   int size_;
   Matrix moves_, changes_;  // one column per move
