@@ -116,10 +116,10 @@ class MinimumSnap : public detail::Timing {
   [[nodiscard]] double time_at(std::size_t i) const noexcept { return start_time() + knots_[i]; }
 
  private:
-  // Numbers at one point: velocity, acceleration and jerk, each in three axes.
-  using Rates = std::array<std::array<double, 3>, 3>;
-  // Coefficients of a polynomial of degree 7 in x = time / duration of the piece, in each axis.
-  using Piece = std::array<std::array<double, 3>, 8>;
+  // Position, velocity, acceleration and jerk at one point.
+  using PointValues = std::array<Eigen::Vector3d, 4>;
+  // Coefficients of a polynomial of degree 7 in x = time / duration of the piece.
+  using Piece = std::array<Eigen::Vector3d, 8>;
   // Position, velocity, acceleration and jerk at the start, then at the end -> coefficients.
   using FromEnds = std::array<std::array<double, 8>, 8>;
 
@@ -175,28 +175,25 @@ class MinimumSnap : public detail::Timing {
     knots_ = std::move(knots);
     set_timing(0.0, knots_.back());
     const std::size_t last = knots_.size() - 1, size = last > 1 ? 3 * (last - 1) : 0;
+    const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
     std::vector<std::array<double, 11>> rows(size);  // five entries to each side of the diagonal
-    std::vector<std::array<double, 3>> right(size);
-    std::vector<Rates> rates(knots_.size());
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      const auto at = static_cast<Eigen::Index>(axis);
-      rates.front()[0][axis] = settings_.start_velocity(at);
-      rates.front()[1][axis] = settings_.start_acceleration(at);
-      rates.back()[0][axis] = settings_.end_velocity(at);
-      rates.back()[1][axis] = settings_.end_acceleration(at);
-    }
+    std::vector<Eigen::Vector3d> right(size, zero);
+    std::vector<PointValues> values;
+    for (const Eigen::Vector3d& p : settings_.points) values.push_back({p, zero, zero, zero});
+    values.front()[1] = settings_.start_velocity;
+    values.front()[2] = settings_.start_acceleration;
+    values.back()[1] = settings_.end_velocity;
+    values.back()[2] = settings_.end_acceleration;
     // Adds the derivative of piece `piece` to the equation of a point.
     const auto add = [&](std::size_t row, std::size_t piece, double sign,
                          const std::array<double, 8>& factors) {
       for (std::size_t i = 0; i < 8; ++i) {
         const std::size_t point = piece + i / 4, number = i % 4;
         const double factor = sign * factors[i];
-        const bool is_free = number > 0 && point > 0 && point < last;
-        if (is_free) rows[row][3 * (point - 1) + number - 1 + 5 - row] += factor;
-        for (std::size_t axis = 0; !is_free && axis < 3; ++axis)
-          right[row][axis] -=
-              factor * (number == 0 ? settings_.points[point](static_cast<Eigen::Index>(axis))
-                                    : rates[point][number - 1][axis]);
+        if (number > 0 && point > 0 && point < last)
+          rows[row][3 * (point - 1) + number - 1 + 5 - row] += factor;
+        else
+          right[row] -= factor * values[point][number];
       }
     };
     for (std::size_t i = 1; i < last; ++i)
@@ -208,40 +205,33 @@ class MinimumSnap : public detail::Timing {
         add(row, i, -sign, derivative(order, false, knots_[i + 1] - knots_[i]));
       }
     solve(rows, right);
-    for (std::size_t row = 0; row < size; ++row) rates[1 + row / 3][row % 3] = right[row];
+    for (std::size_t row = 0; row < size; ++row) values[1 + row / 3][1 + row % 3] = right[row];
 
-    pieces_.assign(last, Piece{});
+    pieces_.resize(last);
     for (std::size_t i = 0; i < last; ++i) {
       const FromEnds c = from_ends(knots_[i + 1] - knots_[i]);
-      for (std::size_t axis = 0; axis < 3; ++axis)
-        for (std::size_t end = 0; end < 2; ++end)
-          for (std::size_t number = 0; number < 4; ++number) {
-            const double value = number == 0
-                                     ? settings_.points[i + end](static_cast<Eigen::Index>(axis))
-                                     : rates[i + end][number - 1][axis];
-            for (std::size_t k = 0; k < 8; ++k)
-              pieces_[i][k][axis] += c[k][4 * end + number] * value;
-          }
+      pieces_[i].fill(zero);
+      for (std::size_t k = 0; k < 8; ++k)
+        for (std::size_t j = 0; j < 8; ++j) pieces_[i][k] += c[k][j] * values[i + j / 4][j % 4];
     }
   }
 
   // Solves a positive definite banded system by elimination; the solution replaces `right`.
   static void solve(std::vector<std::array<double, 11>>& rows,
-                    std::vector<std::array<double, 3>>& right) {
+                    std::vector<Eigen::Vector3d>& right) {
     const std::size_t size = rows.size();
     for (std::size_t i = 0; i < size; ++i)
       for (std::size_t j = i + 1; j < std::min(i + 6, size); ++j) {
         const double factor = rows[j][i + 5 - j] / rows[i][5];
         for (std::size_t k = i; k < std::min(i + 6, size); ++k)
           rows[j][k + 5 - j] -= factor * rows[i][k + 5 - i];
-        for (std::size_t axis = 0; axis < 3; ++axis) right[j][axis] -= factor * right[i][axis];
+        right[j] -= factor * right[i];
       }
-    for (std::size_t i = size; i-- > 0;)
-      for (std::size_t axis = 0; axis < 3; ++axis) {
-        for (std::size_t k = i + 1; k < std::min(i + 6, size); ++k)
-          right[i][axis] -= rows[i][k + 5 - i] * right[k][axis];
-        right[i][axis] /= rows[i][5];
-      }
+    for (std::size_t i = size; i-- > 0;) {
+      for (std::size_t k = i + 1; k < std::min(i + 6, size); ++k)
+        right[i] -= rows[i][k + 5 - i] * right[k];
+      right[i] /= rows[i][5];
+    }
   }
 
   [[nodiscard]] bool keeps_limits() const {
@@ -317,14 +307,13 @@ class MinimumSnap : public detail::Timing {
   // Derivative of this order of piece i at x in [0, 1].
   [[nodiscard]] Eigen::Vector3d derivative_of(std::size_t i, int order, double x) const noexcept {
     const double whole = knots_[i + 1] - knots_[i];
-    double value[3] = {};
+    Eigen::Vector3d value = Eigen::Vector3d::Zero();
     for (int k = 7; k >= order; --k) {
       double factor = 1.0;
       for (int j = 0; j < order; ++j) factor *= (k - j) / whole;
-      for (std::size_t axis = 0; axis < 3; ++axis)
-        value[axis] = value[axis] * x + factor * pieces_[i][static_cast<std::size_t>(k)][axis];
+      value = value * x + factor * pieces_[i][static_cast<std::size_t>(k)];
     }
-    return {value[0], value[1], value[2]};
+    return value;
   }
 
   MinimumSnapSettings settings_;
