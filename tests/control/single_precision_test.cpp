@@ -153,7 +153,6 @@ Flight fly(double distance) {
   settings.laps = 1;
   settings.flight_height = 1.0;
   settings.hover_time = 0.5;
-  settings.descent_acceleration = 1.0;
   settings.origin << distance, -distance;
   settings.start_time = 1e6;
   const Mission mission = hybrid_mission(tilt_ropter_vehicle(), settings);

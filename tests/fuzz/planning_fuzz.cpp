@@ -47,9 +47,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     HybridMissionSettings p;
     Undercarriage stand;
     input.vary_all(p.origin, p.yaw, p.direction, stand.height, p.flight_height, p.rest_time,
-                   p.hover_time, p.climb_speed, p.climb_acceleration, p.descent_speed,
-                   p.descent_acceleration, p.air_amplitude, p.ground_amplitude, p.laps, p.max_speed,
-                   p.max_acceleration, p.max_yaw_rate, p.max_yaw_acceleration, p.start_time);
+                   p.hover_time, p.air_amplitude, p.ground_amplitude, p.laps, p.max_speed,
+                   p.max_acceleration, p.max_yaw_rate, p.start_time);
     std::optional<Mission> mission;
     if (fuzz::accepted([&] { mission.emplace(hybrid_mission(stand, p)); })) expect_finite(*mission);
   }

@@ -326,16 +326,10 @@ TEST(PlanningSettings, HybridMissionNamesEachField) {
   check("HybridMissionSettings.flight_height [m]", &S::flight_height, any_finite());
   check("HybridMissionSettings.rest_time [s]", &S::rest_time, in_range(1e-3, 1e10));
   check("HybridMissionSettings.hover_time [s]", &S::hover_time, in_range(1e-3, 1e10));
-  check("HybridMissionSettings.climb_speed [m/s]", &S::climb_speed, positive());
-  check("HybridMissionSettings.climb_acceleration [m/s^2]", &S::climb_acceleration, positive());
-  check("HybridMissionSettings.descent_speed [m/s]", &S::descent_speed, positive());
-  check("HybridMissionSettings.descent_acceleration [m/s^2]", &S::descent_acceleration, positive());
   check("HybridMissionSettings.laps", &S::laps, at_least(1));
   check("HybridMissionSettings.max_speed [m/s]", &S::max_speed, positive());
   check("HybridMissionSettings.max_acceleration [m/s^2]", &S::max_acceleration, positive());
   check("HybridMissionSettings.max_yaw_rate [rad/s]", &S::max_yaw_rate, positive());
-  check("HybridMissionSettings.max_yaw_acceleration [rad/s^2]", &S::max_yaw_acceleration,
-        positive());
   check("HybridMissionSettings.start_time [s]", &S::start_time, times);
 
   const Undercarriage stands{0.5, false, false, false};

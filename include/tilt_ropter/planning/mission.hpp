@@ -156,22 +156,17 @@ class Mission {
 struct HybridMissionSettings {
   Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start and crossing of the eights [m]
   double yaw = 0.0;                                  ///< yaw at the start and in the air [rad]
-  double direction = 0.0;             ///< angle of the eights' long axis about world z [rad]
-  double flight_height = 1.5;         ///< height of the CoM in hover [m]
-  double rest_time = 1.0;             ///< duration of each rest on the ground [s]
-  double hover_time = 2.0;            ///< duration of each hover [s]
-  double climb_speed = 0.8;           ///< limit in take-offs [m/s]
-  double climb_acceleration = 1.0;    ///< limit in take-offs [m/s^2]
-  double descent_speed = 0.5;         ///< limit in landings [m/s]
-  double descent_acceleration = 0.5;  ///< limit in landings [m/s^2]
+  double direction = 0.0;      ///< angle of the eights' long axis about world z [rad]
+  double flight_height = 1.5;  ///< height of the CoM in hover [m]
+  double rest_time = 1.0;      ///< duration of each rest on the ground [s]
+  double hover_time = 2.0;     ///< duration of each hover [s]
   Eigen::Vector3d air_amplitude{1.5, 0.5, 0.5};  ///< see FigureEightSettings (estimate) [m]
   Eigen::Vector2d ground_amplitude{2.0, 0.6};    ///< same on the ground, level (estimate) [m]
   int laps = 2;                                  ///< number of laps of each eight
   double max_speed = 1.5;         ///< limit in both eights (paper, Sec. Aerial Flight) [m/s]
   double max_acceleration = 1.5;  ///< limit in both eights (paper, Sec. Aerial Flight) [m/s^2]
   double max_yaw_rate = 1.5;      ///< limit on the ground and in the turn before landing [rad/s]
-  double max_yaw_acceleration = 1.5;  ///< limit in the turn before landing [rad/s^2]
-  double start_time = 0.0;            ///< time at which the mission starts [s]
+  double start_time = 0.0;        ///< time at which the mission starts [s]
 };
 
 /// Throws std::invalid_argument with the field, its value and the allowed values. FigureEight
@@ -184,15 +179,10 @@ inline void validate(const HybridMissionSettings& p) {
   require_finite("HybridMissionSettings.flight_height [m]", p.flight_height);
   require_in("HybridMissionSettings.rest_time [s]", p.rest_time, 1e-3, 1e10);
   require_in("HybridMissionSettings.hover_time [s]", p.hover_time, 1e-3, 1e10);
-  require_positive("HybridMissionSettings.climb_speed [m/s]", p.climb_speed);
-  require_positive("HybridMissionSettings.climb_acceleration [m/s^2]", p.climb_acceleration);
-  require_positive("HybridMissionSettings.descent_speed [m/s]", p.descent_speed);
-  require_positive("HybridMissionSettings.descent_acceleration [m/s^2]", p.descent_acceleration);
   require(p.laps >= 1, "HybridMissionSettings.laps", p.laps, ">= 1");
   require_positive("HybridMissionSettings.max_speed [m/s]", p.max_speed);
   require_positive("HybridMissionSettings.max_acceleration [m/s^2]", p.max_acceleration);
   require_positive("HybridMissionSettings.max_yaw_rate [rad/s]", p.max_yaw_rate);
-  require_positive("HybridMissionSettings.max_yaw_acceleration [rad/s^2]", p.max_yaw_acceleration);
   require_time("HybridMissionSettings.start_time [s]", p.start_time);
 }
 
@@ -231,7 +221,8 @@ namespace detail {
 ///   by ground_amplitude.x and back instead of the eight on the ground.
 /// - Vehicle that only stands: rest, take-off, hover, the eight in the air, hover, landing, rest.
 /// - Vehicle without an undercarriage: hover, the eight in the air, hover.
-/// The ground is at height zero. Throws std::invalid_argument if the settings are invalid.
+/// Take-offs and landings have the limits that take_off() and landing() have by default. The ground
+/// is at height zero. Throws std::invalid_argument if the settings are invalid.
 [[nodiscard]] inline Mission hybrid_mission(const std::optional<Undercarriage>& undercarriage,
                                             const HybridMissionSettings& p = {}) {
   validate(p);
@@ -252,20 +243,14 @@ namespace detail {
           "HybridMissionSettings.air_amplitude.z [m]", p.air_amplitude.z(),
           "less than flight_height - Undercarriage.height to either side");
   const Waypoint start{{p.origin.x(), p.origin.y(), standing}, p.yaw};
-  const auto up = [&p](const Waypoint& from) {
-    return take_off(from, p.flight_height, p.climb_speed, p.climb_acceleration);
-  };
-  const auto down = [&p, standing](const Waypoint& from) {
-    return landing(from, standing, p.descent_speed, p.descent_acceleration);
-  };
   const Hold rest_at_start(start, p.rest_time);
   if (!undercarriage->rolls)
     return Mission({{MissionPhase::rest, rest_at_start},
-                    {MissionPhase::take_off, up(start)},
+                    {MissionPhase::take_off, take_off(start, p.flight_height)},
                     {MissionPhase::hover, hover_at_start},
                     {MissionPhase::air, FigureEight(air)},
                     {MissionPhase::hover, hover_at_start},
-                    {MissionPhase::landing, down(above_start)},
+                    {MissionPhase::landing, landing(above_start, standing)},
                     {MissionPhase::rest, rest_at_start}},
                    p.start_time);
 
@@ -279,14 +264,17 @@ namespace detail {
   turn.from = above_start;
   turn.to = above_turned;
   turn.max_yaw_rate = p.max_yaw_rate;
-  turn.max_yaw_acceleration = p.max_yaw_acceleration;
 
   const Hold rest(turned, p.rest_time), hover(above_turned, p.hover_time);
   std::vector<MissionSegment> segments = {
-      {MissionPhase::rest, rest_at_start},         {MissionPhase::take_off, up(start)},
-      {MissionPhase::hover, hover_at_start},       {MissionPhase::air, FigureEight(air)},
-      {MissionPhase::hover, Transition(turn)},     {MissionPhase::hover, hover},
-      {MissionPhase::landing, down(above_turned)}, {MissionPhase::rest, rest}};
+      {MissionPhase::rest, rest_at_start},
+      {MissionPhase::take_off, take_off(start, p.flight_height)},
+      {MissionPhase::hover, hover_at_start},
+      {MissionPhase::air, FigureEight(air)},
+      {MissionPhase::hover, Transition(turn)},
+      {MissionPhase::hover, hover},
+      {MissionPhase::landing, landing(above_turned, standing)},
+      {MissionPhase::rest, rest}};
   if (undercarriage->turns) {
     segments.push_back({MissionPhase::ground, ground_eight});
   } else {
@@ -301,9 +289,9 @@ namespace detail {
     segments.push_back({MissionPhase::ground, Transition(straight)});
   }
   segments.push_back({MissionPhase::rest, rest});
-  segments.push_back({MissionPhase::take_off, up(turned)});
+  segments.push_back({MissionPhase::take_off, take_off(turned, p.flight_height)});
   segments.push_back({MissionPhase::hover, hover});
-  segments.push_back({MissionPhase::landing, down(above_turned)});
+  segments.push_back({MissionPhase::landing, landing(above_turned, standing)});
   segments.push_back({MissionPhase::rest, rest});
   return Mission(std::move(segments), p.start_time);
 }
