@@ -28,7 +28,7 @@ using test_support::Random;
 using test_support::random_covariance;
 using Tangent = InertialTangentd;
 using Covariance = ErrorStateFilterd::Covariance;
-using Innovation = ErrorStateFilterd::Innovation;
+using Innovation = MeasurementInnovation<double, 6>;
 
 constexpr auto* random_state = test_support::random_inertial_state;
 
@@ -115,11 +115,12 @@ TEST(ErrorStateFilter, InnovationMatchesAutomaticDifferentiation) {
     const MarkerPosed pose{random.vector(5.0), random.orientation()};
 
     f.reset(x, Covariance::Identity());
-    worst_h = std::max(worst_h, relative(f.innovation(pose).correlation, h.transpose()));
+    worst_h =
+        std::max(worst_h, relative(f.innovation_of(f.linearise(pose)).correlation, h.transpose()));
 
     const Covariance p = random_covariance(random);
     f.reset(x, p);
-    const Innovation in = f.innovation(pose);
+    const Innovation in = f.innovation_of(f.linearise(pose));
     const Eigen::MatrixXd s = h * p * h.transpose() + pose_covariance();
     worst_c = std::max(worst_c, relative(in.correlation, p * h.transpose()));
     worst_s = std::max(worst_s, relative(in.covariance, s));
@@ -150,7 +151,7 @@ TEST(ErrorStateFilter, UpdateMatchesJosephForm) {
     const MarkerPosed pose = test_support::noisy(
         {x.position + x.orientation * x.marker_position, x.orientation * x.marker_orientation},
         {0.1, 0.1}, random);
-    const Innovation in = f.innovation(pose);
+    const Innovation in = f.innovation_of(f.linearise(pose));
     f.update(in, f.linearise(pose));
     const Eigen::Matrix<double, 6, 21> h = pose_jacobian(x);
     const Eigen::Matrix<double, 6, 6> r = pose_covariance();

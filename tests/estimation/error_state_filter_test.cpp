@@ -25,7 +25,7 @@ using test_support::Random;
 using test_support::random_covariance;
 using Tangent = InertialTangentd;
 using Covariance = ErrorStateFilterd::Covariance;
-using Innovation = ErrorStateFilterd::Innovation;
+using Innovation = MeasurementInnovation<double, 6>;
 
 constexpr auto* random_state = test_support::random_inertial_state;
 
@@ -172,8 +172,8 @@ TEST(ErrorStateFilter, InnovationIsIndependentOfQuaternionSign) {
   for (int i = 0; i < 1000; ++i) {
     f.reset(random_state(random), random_covariance(random));
     const MarkerPosed pose{random.vector(5.0), random.orientation()};
-    const Innovation in = f.innovation(pose);
-    EXPECT_EQ(in.residual, f.innovation(test_support::flipped(pose)).residual);
+    const Innovation in = f.innovation_of(f.linearise(pose));
+    EXPECT_EQ(in.residual, f.innovation_of(f.linearise(test_support::flipped(pose))).residual);
   }
 }
 
@@ -263,7 +263,7 @@ TEST(ErrorStateFilter, RejectsUpdateWithIndefiniteInnovationCovariance) {
   InertialStated x;
   x.position << 1.0, 2.0, 3.0;
   f.reset(x, p);
-  const Innovation in = f.innovation({});
+  const Innovation in = f.innovation_of(f.linearise({}));
   EXPECT_EQ(in.distance, std::numeric_limits<double>::max());
   EXPECT_FALSE(f.update(in, f.linearise(MarkerPosed())));
   EXPECT_EQ(f.covariance(), p);

@@ -152,7 +152,6 @@ template <typename Scalar>
 class ErrorStateFilter {
  public:
   using Covariance = Eigen::Matrix<Scalar, 21, 21>;
-  using Innovation = MeasurementInnovation<Scalar, 6>;  ///< of a pose
 
   /// Throws std::invalid_argument if a noise value is out of range.
   ErrorStateFilter(const InertialNoise& inertial, const MarkerPoseNoise& pose);
@@ -214,11 +213,11 @@ class ErrorStateFilter {
   bool update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
               const Measurement& at) noexcept;
 
-  /// Compares a pose (orientation of unit length) with the state. Changes nothing.
-  [[nodiscard]] Innovation innovation(const MarkerPose<Scalar>& pose) const noexcept;
-
   /// Updates with a pose (orientation of unit length), whatever its innovation.
-  bool update(const MarkerPose<Scalar>& pose) noexcept;
+  bool update(const MarkerPose<Scalar>& pose) noexcept {
+    const LinearisedPose<Scalar> at = linearise(pose);
+    return update(innovation_of(at), at);
+  }
 
   [[nodiscard]] const InertialState<Scalar>& state() const noexcept { return state_; }
   [[nodiscard]] const Covariance& covariance() const noexcept { return covariance_; }
@@ -348,18 +347,6 @@ bool ErrorStateFilter<Scalar>::update(const MeasurementInnovation<Scalar, Measur
   information_ += weighted.dot(by_latency);
   excess_ += in.distance - Scalar(Measurement::rows);
   return true;
-}
-
-template <typename Scalar>
-MeasurementInnovation<Scalar, 6> ErrorStateFilter<Scalar>::innovation(
-    const MarkerPose<Scalar>& pose) const noexcept {
-  return innovation_of(linearise(pose));
-}
-
-template <typename Scalar>
-bool ErrorStateFilter<Scalar>::update(const MarkerPose<Scalar>& pose) noexcept {
-  const LinearisedPose<Scalar> at = linearise(pose);
-  return update(innovation_of(at), at);
 }
 
 }  // namespace tilt_ropter
