@@ -369,17 +369,5 @@ TEST(EkfMeasurements, WhatIsNoCovarianceIsRejected) {
   }
 }
 
-TEST(EkfMeasurements, LevelOrientationPutsForceUp) {
-  Random random(70);
-  for (int i = 0; i < 100; ++i) {
-    const Eigen::Quaterniond truth = random.orientation();
-    const double yaw = yaw_of(truth);
-    const Vector3d force = truth.conjugate() * Vector3d(0.0, 0.0, gravity);
-    const Eigen::Quaterniond found = level_orientation<double>(force, yaw);
-    EXPECT_LT((found * force - Vector3d(0.0, 0.0, gravity)).norm(), 1e-9);
-    EXPECT_LT(std::abs(std::remainder(yaw_of(found) - yaw, 2.0 * pi)), 1e-6);
-  }
-}
-
 }  // namespace ekf_measurements_test
 }  // namespace tilt_ropter

@@ -22,15 +22,6 @@ struct StartStddev {
   double orientation = 0.1;  ///< [rad]
 };
 
-/// Orientation of a body at rest with this specific force (body frame) and heading [rad].
-template <typename Scalar>
-[[nodiscard]] Eigen::Quaternion<Scalar> level_orientation(const Vector3<Scalar>& specific_force,
-                                                          const Scalar& heading) {
-  const auto level =
-      Eigen::Quaternion<Scalar>::FromTwoVectors(specific_force, Vector3<Scalar>::UnitZ());
-  return (quaternion_from_yaw(Scalar(heading - yaw_of(level))) * level).normalized();
-}
-
 namespace detail {
 
 /// Sets the variance of one part of the state (see InertialIndex).
