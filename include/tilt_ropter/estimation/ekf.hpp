@@ -131,8 +131,6 @@ class Ekf {
   /// NIS r' S^-1 r of the last measurement that was compared, used or not.
   [[nodiscard]] Scalar nis() const noexcept { return guard_.nis(); }
   [[nodiscard]] const EkfCounts& counts() const noexcept { return guard_.counts(); }
-  /// Measured jitter of the poses' stamps [s], zero if they are regular.
-  [[nodiscard]] double stamp_stddev() const noexcept { return guard_.stamps().stddev(); }
   /// Step of the poses' clock that is added to their stamps [s].
   [[nodiscard]] double clock_step() const noexcept { return guard_.stamps().clock_step(); }
 
@@ -270,8 +268,8 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
   const Vector3<Scalar>& velocity = filter().state().velocity;
   // Bounded, because a wrong velocity must not make every pose likely.
   constexpr double most = 0.1;  // effect of the jitter [m]
-  const double jitter =
-      std::min(stamp_stddev(), most / std::max(static_cast<double>(velocity.norm()), 1.0));
+  const double jitter = std::min(guard_.stamps().stddev(),
+                                 most / std::max(static_cast<double>(velocity.norm()), 1.0));
   at.set_motion(velocity, filter_.mean_rate(), Scalar(jitter));
   const auto innovation = filter().innovation_of(at);
   const detail::Verdict verdict = guard_.judge(time, {pose, arrived.lag}, innovation, filter_);

@@ -90,13 +90,11 @@ class MeasurementGuard {
     if (!is_late && pause > longest_pause) refused_until_ = std::max(refused_until_, time + doubt);
     if (!is_late && pause <= settings_.max_imu_gap) return {};
     if (!is_late) return {Action::restart, EkfStatus::stopped};
-    for (double& last : last_used_) last += late_since_ - newest;
-    last_pose_ += late_since_ - newest;
-    full_restart_ += late_since_ - newest;
-    restarted_ += late_since_ - newest;
-    doubtful_until_ += late_since_ - newest;
-    trial_end_ += late_since_ - newest;
-    refused_until_ += late_since_ - newest;
+    const double step = late_since_ - newest;
+    for (double& last : last_used_) last += step;
+    for (double* last :
+         {&last_pose_, &full_restart_, &restarted_, &doubtful_until_, &trial_end_, &refused_until_})
+      *last += step;
     compared_ = never;
     for (GateMonitor<Scalar>& gate : gates_) gate.clear();
     constexpr bool clock_changed = true;

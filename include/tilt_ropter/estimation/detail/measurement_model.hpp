@@ -12,9 +12,6 @@
 /// predicted motion. Nothing here throws or allocates.
 namespace tilt_ropter {
 
-/// Largest number of rows of one measurement.
-inline constexpr int max_measurement_rows = 6;
-
 /// Predicted motion at the time of a measurement.
 template <typename Scalar>
 struct InertialMotion {
@@ -30,7 +27,7 @@ using InertialMotiond = InertialMotion<double>;  ///< in double precision
 /// jacobian * error + noise to first order. The error is an InertialTangent (true (-) predicted).
 template <typename Scalar, int Rows>
 struct Linearised {
-  static_assert(Rows >= 1 && Rows <= max_measurement_rows, "a measurement has 1 to 6 rows");
+  static_assert(Rows >= 1 && Rows <= 6, "a measurement has 1 to 6 rows");
   static constexpr int rows = Rows;
   using Square = Eigen::Matrix<Scalar, Rows, Rows>;
   using Columns = Eigen::Matrix<Scalar, InertialIndex::size, Rows>;
