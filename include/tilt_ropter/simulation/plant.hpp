@@ -17,7 +17,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <optional>
 #include <vector>
 
@@ -117,7 +116,6 @@ class Plant {
         parameters_(validated(parameters)),
         inertia_inverse_(detail::inverse(vehicle.body.inertia)),
         mounts_(mounts()),
-        axle_arms_(axle_arms()),
         min_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.min_thrust, p); })),
         max_rotor_speed_(of_rotors([](const auto& p) { return speed_at(p.max_thrust, p); })),
         rotor_time_constant_(of_rotors([](const auto& p) { return p.time_constant; })),
@@ -125,6 +123,7 @@ class Plant {
         tilt_commands_(static_cast<std::size_t>(
                            std::min(vehicle.servo.dead_time / substep_, max_pending_commands)) +
                        2) {
+    for (std::size_t i = 0; i < mounts_.size(); ++i) axle_arms_[i] = axle_arm(vehicle_, i);
     PlantState<Rotors> standing;
     standing.body.position.z() = standing_height();
     reset(standing);
@@ -139,7 +138,7 @@ class Plant {
     state_.body.orientation.normalize();
     for (int i = 0; i < Rotors; ++i)
       if (!rotor(i).tilts) state_.actuators.tilt_angle(i) = 0.0;
-    while (tilt_commands_.pop(std::numeric_limits<double>::infinity())) continue;
+    tilt_commands_.clear();
     command_ = state_.actuators;
     disturbance_ = {};
     loads_ = loads(state_);
@@ -316,12 +315,6 @@ class Plant {
     return all;
   }
 
-  [[nodiscard]] std::array<std::optional<std::size_t>, 4> axle_arms() const {
-    std::array<std::optional<std::size_t>, 4> arms;
-    for (std::size_t i = 0; i < mounts_.size(); ++i) arms[i] = axle_arm(vehicle_, i);
-    return arms;
-  }
-
   /// Returns the sign of the tilt axis of a wheel's arm along body y: right arm -1, left arm +1.
   [[nodiscard]] static double tilt_sign(std::size_t wheel) noexcept {
     return wheel % 2 == 0 ? -1.0 : 1.0;
@@ -354,9 +347,7 @@ class Plant {
   /// Returns the longest stable substep [s], at most max_substep. Throws std::invalid_argument if
   /// the substeps would be too short for a reasonable computation time.
   [[nodiscard]] double stable_substep() const {
-    double fastest = 1.0 / vehicle_.servo.time_constant;
-    for (int i = 0; i < Rotors; ++i)
-      fastest = std::max(fastest, 1.0 / parameters_of(i).time_constant);
+    double fastest = 1.0 / std::min(vehicle_.servo.time_constant, rotor_time_constant_.minCoeff());
     for (const WheelMount& mount : mounts_)
       fastest = std::max(fastest, fastest_contact_rate(parameters_.contact, mount, vehicle_.body));
     require(fastest <= 1e7, "Plant: fastest rate of rotors, servos and contact [1/s]", fastest,
