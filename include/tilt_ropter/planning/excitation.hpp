@@ -39,10 +39,9 @@ inline void validate(const ExcitationSettings& p) {
 }
 
 /// Sum of three sines in each of x, y, z, roll, pitch and yaw, all with different frequencies
-/// between 0.35 and 2.9 Hz. So all axes move at once, and each axis can be told from the others.
-/// Position and angles are `center` plus envelope times sines. The envelope rises from 0 to 1 and
-/// falls to 0, along s(x) of Transition. The body rotates by yaw, pitch and roll, in this order
-/// about its own z, y and x axis.
+/// between 0.35 and 2.9 Hz: axes move at once, and can be told from each other. Position and angles
+/// are `center` plus envelope times sines. The envelope rises from 0 to 1 and falls to 0, along
+/// s(x) of Transition. The body rotates by yaw, pitch and roll about its own z, y and x axis.
 class Excitation : public detail::Timing {
  public:
   /// Throws std::invalid_argument if the settings are invalid.

@@ -12,12 +12,10 @@
 #include <algorithm>
 #include <cmath>
 
-/// The figure eight of the paper's experiments, in the air and on the ground (paper, Sec.
-/// Real-World Experiments).
+/// The figure eight in the air and on the ground (paper, Sec. Real-World Experiments).
 namespace tilt_ropter {
 
-/// Heading of the body x axis: a fixed yaw (in the air), or the horizontal direction of motion (on
-/// the ground, because wheels do not slip sideways).
+/// Heading of body x: a fixed yaw, or the level direction of motion, because wheels do not slip.
 enum class HeadingMode { fixed, along_velocity };
 
 /// Lemniscate of Gerono, p = center + Rz(direction) (a_x sin s, a_y sin 2s, a_z sin s). The motion
@@ -28,19 +26,17 @@ enum class HeadingMode { fixed, along_velocity };
 /// the speed on this small eight to 1.2 m/s; the amplitude (2.0, 0.6, 0) m allows 1.5 m/s.
 struct FigureEightSettings {
   Eigen::Vector3d center = Eigen::Vector3d::Zero();  ///< position of the crossing, world frame [m]
-  Eigen::Vector3d amplitude{
-      1.5, 0.5, 0.5};          ///< half extent along the eight, across it and upward (0: level) [m]
-  double direction = 0.0;      ///< angle of the long axis about world z [rad]
-  int laps = 2;                ///< number of whole eights
-  double ramp_laps = 0.25;     ///< path length of the start ramp and of the end ramp [laps]
-  bool starts_moving = false;  ///< without a start ramp
-  bool ends_moving = false;    ///< without an end ramp
-  double max_speed = 1.5;      ///< limit (paper, Sec. Aerial Flight) [m/s]
+  Eigen::Vector3d amplitude{1.5, 0.5, 0.5};  ///< half extents: along, across, up (0: level) [m]
+  double direction = 0.0;                    ///< angle of the long axis about world z [rad]
+  int laps = 2;                              ///< number of whole eights
+  double ramp_laps = 0.25;        ///< path length of the start ramp and of the end ramp [laps]
+  bool starts_moving = false;     ///< without a start ramp
+  bool ends_moving = false;       ///< without an end ramp
+  double max_speed = 1.5;         ///< limit (paper, Sec. Aerial Flight) [m/s]
   double max_acceleration = 1.5;  ///< limit (paper, Sec. Aerial Flight) [m/s^2]
   HeadingMode heading = HeadingMode::fixed;
-  double yaw = 0.0;  ///< yaw of the body, used with HeadingMode::fixed [rad]
-  double max_yaw_rate =
-      1.5;  ///< limit with HeadingMode::along_velocity (paper, Tab. NMPC Parameters) [rad/s]
+  double yaw = 0.0;           ///< yaw of the body, used with HeadingMode::fixed [rad]
+  double max_yaw_rate = 1.5;  ///< limit along_velocity (paper, Tab. NMPC Parameters) [rad/s]
 };
 
 inline void validate(const FigureEightSettings& p) {
@@ -102,8 +98,7 @@ class FigureEight : public detail::Timing {
     set_timing(0.0, (one_lap * settings_.laps + ramps * ramp_angle()) / rate);
   }
 
-  /// Returns the phase rate at which the motion reaches the tightest limit. The current phase rate
-  /// must be 1.
+  /// Returns the phase rate that reaches the tightest limit. The current phase rate must be 1.
   [[nodiscard]] double allowed_phase_rate() const noexcept {
     // The end ramp mirrors the start ramp, and all laps between are equal.
     const double horizon =
@@ -122,8 +117,7 @@ class FigureEight : public detail::Timing {
     return rate;
   }
 
-  /// Returns the phase on the start ramp after `elapsed` [s]. The rate is proportional to
-  /// 10 x^3 - 15 x^4 + 6 x^5.
+  /// Phase on the start ramp after `elapsed` [s], its rate proportional to 10 x^3 - 15 x^4 + 6 x^5.
   [[nodiscard]] Phase ramp(double elapsed) const noexcept {
     const double x = elapsed / ramp_duration_;
     const double x2 = x * x;
@@ -166,9 +160,8 @@ class FigureEight : public detail::Timing {
     point.orientation = fixed_orientation_;
     if (settings_.heading == HeadingMode::fixed) return point;
 
-    // The tangent swings about the eight's -y axis by less than half a turn to either side. Its
-    // angle from the -y axis therefore never jumps. It is the tangent of the path and not of the
-    // velocity, so it is defined at rest too.
+    // The tangent swings about the eight's -y axis by less than half a turn to either side, so its
+    // angle from there never jumps. The path, unlike the velocity, has a tangent at rest, too.
     const double tangent = std::atan2(d1.x(), -d1.y()) - 0.25 * one_lap;
     point.orientation = quaternion_from_yaw(settings_.direction + tangent);
     const double cross = d1.x() * d2.y() - d1.y() * d2.x();

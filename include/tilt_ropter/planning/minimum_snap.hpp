@@ -72,9 +72,8 @@ inline void validate(const MinimumSnapSettings& p) {
 /// 0.55 of the limit. Limits are checked at 200 samples from point to point.
 class MinimumSnap : public detail::Timing {
  public:
-  /// Takes milliseconds; allocates. Throws std::invalid_argument if the settings are invalid, if no
-  /// duration keeps the limits. With HeadingMode::along_velocity, a path without a horizontal
-  /// direction keeps no limit.
+  /// Takes milliseconds; allocates. Throws std::invalid_argument if the settings are invalid or no
+  /// duration keeps the limits, as along_velocity on a path without a horizontal direction.
   explicit MinimumSnap(const MinimumSnapSettings& settings) : settings_(settings) {
     validate(settings);
     if (settings.duration > 0.0) {
@@ -141,8 +140,7 @@ class MinimumSnap : public detail::Timing {
     return c;
   }
 
-  // Derivative of this order at the end (or at the start) of a piece, as a factor of each of the
-  // eight numbers at its ends.
+  // Derivative of this order at the end (or start) of a piece, by each of the eight values at both.
   static std::array<double, 8> derivative(int order, bool at_end, double duration) {
     const FromEnds c = from_ends(duration);
     std::array<double, 8> row{};
@@ -324,9 +322,8 @@ class MinimumSnap : public detail::Timing {
 /// Returns the path on which a vehicle in the moving state `from` comes to rest as soon as
 /// `max_acceleration` [m/s^2] allows. It keeps the heading. `from` is a reference point of the
 /// motion that is given up, so that position, velocity and acceleration continue; its acceleration
-/// must be below the limit. For a stop on wheels, set the sideways acceleration of `from` to zero:
-/// the path is then straight ahead. Throws std::invalid_argument if `from` or the limit is not
-/// valid.
+/// must be below the limit. On wheels, set its sideways acceleration to zero: the path is then
+/// straight ahead. Throws std::invalid_argument if `from` or the limit is not valid.
 [[nodiscard]] inline MinimumSnap stop(const ReferencePoint& from, double max_acceleration) {
   require_finite("stop: position [m]", from.position);
   require_finite("stop: velocity [m/s]", from.velocity);

@@ -25,8 +25,7 @@
 /// Mission: a sequence of motions, each with its mission phase; the mission of the paper.
 namespace tilt_ropter {
 
-/// Phase of a mission. In `rest` and `ground` the vehicle is on its wheels or legs. In all other
-/// phases it flies.
+/// Phase of a mission. In `rest` and `ground` the vehicle is on wheels or legs, else it flies.
 enum class MissionPhase { rest, take_off, hover, air, landing, ground };
 
 [[nodiscard]] constexpr const char* to_string(MissionPhase phase) noexcept {
@@ -36,8 +35,7 @@ enum class MissionPhase { rest, take_off, hover, air, landing, ground };
 /// Reference at rest at one place.
 class Hold : public detail::Timing {
  public:
-  /// `duration` [s]. Throws std::invalid_argument if `duration` is out of range or `place` is not
-  /// finite.
+  /// `duration` [s]. Throws std::invalid_argument if it is out of range or `place` is not finite.
   Hold(const Waypoint& place, double duration) {
     validate(place, "Hold.place");
     require_in("Hold.duration [s]", duration, 1e-3, 1e10);
@@ -93,10 +91,8 @@ class MissionSegment : public detail::Timing {
 class Mission {
  public:
   /// Places the segments one after another, starting at `start_time` [s]. Replaces their own start
-  /// times. Each segment must start where the segment before it ends and with its velocity, within
-  /// 1e-6 m, 1e-6 m/s and 1e-6 rad.
-  /// Throws std::invalid_argument with the name of the segment otherwise. Throws
-  /// std::invalid_argument if there is no segment.
+  /// times. Throws std::invalid_argument if there is no segment, or with the name of one that does
+  /// not start where the segment before it ends and with its velocity (1e-6 m, 1e-6 m/s, 1e-6 rad).
   explicit Mission(std::vector<MissionSegment> segments, double start_time = 0.0)
       : segments_(std::move(segments)) {
     require(!segments_.empty(), "Mission.segments.size()", segments_.size(), ">= 1");
@@ -108,15 +104,13 @@ class Mission {
     }
   }
 
-  /// Returns the reference at `time` [s], for every time: the first point before the start and the
-  /// last point after the end. NaN counts as a time before the start. Does not throw, and allocates
+  /// Returns the reference at `time` [s], for every time, see Timing. Does not throw, and allocates
   /// only if a curve of the user does.
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
     return segment_at(time)(time);
   }
 
-  /// Returns the phase at `time` [s]: the first phase before the start, the last phase after the
-  /// end.
+  /// Returns the phase at `time` [s]: the first one before the start, the last one after the end.
   [[nodiscard]] MissionPhase phase(double time) const noexcept { return segment_at(time).phase; }
 
   [[nodiscard]] double start_time() const noexcept { return segments_.front().start_time(); }
@@ -151,8 +145,7 @@ class Mission {
   std::vector<MissionSegment> segments_;
 };
 
-/// Settings of the paper's mission: an eight in the air, a similar eight on the ground, and a
-/// second take-off and landing.
+/// Settings of the paper's mission: eights in the air and on the ground, and a second flight.
 struct HybridMissionSettings {
   Eigen::Vector2d origin = Eigen::Vector2d::Zero();  ///< start and crossing of the eights [m]
   double yaw = 0.0;                                  ///< yaw at the start and in the air [rad]
@@ -169,9 +162,7 @@ struct HybridMissionSettings {
   double start_time = 0.0;        ///< time at which the mission starts [s]
 };
 
-/// Throws std::invalid_argument with the field, its value and the allowed values. FigureEight
-/// checks the shape of the eights. hybrid_mission() checks that the eight in the air stays off the
-/// ground.
+/// FigureEight checks the shape of the eights, hybrid_mission() the height of the one in the air.
 inline void validate(const HybridMissionSettings& p) {
   require_finite("HybridMissionSettings.origin [m]", p.origin);
   require_finite("HybridMissionSettings.yaw [rad]", p.yaw);

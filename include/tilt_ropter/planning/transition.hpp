@@ -12,8 +12,7 @@
 #include <cmath>
 #include <string>
 
-/// Motions from rest at one place to rest at another: changes of position and heading, take-off and
-/// landing.
+/// Motions from rest at one place to rest at another, in position and heading; take-off, landing.
 namespace tilt_ropter {
 
 /// Place at which the vehicle is at rest. The body is level with heading `yaw`.
@@ -54,8 +53,7 @@ inline void validate(const TransitionSettings& p) {
 /// the same s along the shorter way. The duration is at least 1 ms, also between equal places.
 class Transition : public detail::Timing {
  public:
-  /// Throws std::invalid_argument if the settings are invalid or the given duration violates a
-  /// limit.
+  /// Throws std::invalid_argument if the settings are invalid or the duration violates a limit.
   explicit Transition(const TransitionSettings& settings = {}) : settings_(settings) {
     validate(settings);
     const Waypoint &from = settings.from, &to = settings.to;
@@ -129,11 +127,8 @@ inline Transition vertical(const Waypoint& from, double height, double max_speed
   return detail::vertical(from, height, max_speed, max_acceleration);
 }
 
-/// Returns the motion straight down from `from` until the CoM is at the world height `height` [m].
-/// For a landing on wheels, `height` is the wheel radius above the ground. The final descent is
-/// slow: with the defaults and from 1.5 m, the last 5 cm begin at 0.14 m/s. `max_speed` [m/s] and
-/// `max_acceleration` [m/s^2] are the limits. Throws std::invalid_argument if `height` is not below
-/// `from` or if a limit is invalid.
+/// The same straight down: `height` is below `from`, on wheels the wheel radius above the ground.
+/// The final descent is slow: with the defaults and from 1.5 m, the last 5 cm begin at 0.14 m/s.
 [[nodiscard]] inline Transition landing(const Waypoint& from, double height, double max_speed = 0.5,
                                         double max_acceleration = 0.5) {
   validate(from, "landing from");
