@@ -22,8 +22,7 @@
 
 /// Simulated vehicle for tests of a controller: rigid body, rotors, tilt servos, wheels or legs on
 /// flat ground, and a wall. It shares parameter and state types with the controller's model but no
-/// code, so each can be tested against the other. Its Vehicle is the true vehicle; the controller
-/// need not know the exact parameters.
+/// code, so each can test the other. Its Vehicle is the true one; the controller may have another.
 namespace tilt_ropter {
 
 /// Parameters of Plant in addition to its Vehicle.
@@ -83,8 +82,7 @@ struct PlantLoads {
   /// Right and left wheel (-y, +y) of the front axle or of the single axle, then of the rear axle.
   /// Feet have the same order.
   std::array<WheelForces, 4> wheels;
-  /// Torque on the servo of each wheel's axle about the tilt axis, from the wheel's bearing [N m].
-  /// Zero if the axle does not tilt.
+  /// Torque of each wheel's bearing on its servo about the tilt axis, zero without one [N m].
   std::array<double, 4> servo_torque{};
 };
 
@@ -154,8 +152,7 @@ class Plant {
 
   /// Simulates `dt` in (0, max_step] [s] with constant `command` and constant `disturbance`, a
   /// wrench at the CoM in the body frame. Returns false and keeps the state if an argument is not
-  /// finite or `dt` is out of range. Does the same if the body or a wheel would exceed max_speed.
-  /// Does not throw or allocate.
+  /// finite, `dt` out of range, or a speed would exceed max_speed. Does not throw or allocate.
   bool step(const ActuatorState<Rotors>& command, const Wrenchd& disturbance, double dt) noexcept {
     if (!(dt > 0.0 && dt <= max_step) || !all_finite(command.rotor_speed) ||
         !all_finite(command.tilt_angle) || !is_finite(disturbance))
@@ -186,10 +183,9 @@ class Plant {
     return sound;
   }
 
-  /// Sets the battery voltage `voltage` [V] from the next step on. A reset keeps it. Below the
-  /// nominal voltage, the top rotor speeds fall in proportion to the voltage; above it, they stay
-  /// constant. Commands are clamped to the top speeds. Returns true if voltage_ratio() accepts the
-  /// voltage, otherwise false without a change.
+  /// Sets the battery voltage `voltage` [V] from the next step on. A reset keeps it. Commands are
+  /// clamped to the top rotor speeds, which fall in proportion below the nominal voltage. Returns
+  /// false and changes nothing if voltage_ratio() does not accept the voltage.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
     if (ratio) top_speed_fraction_ = std::min(*ratio, 1.0);
@@ -246,8 +242,7 @@ class Plant {
   /// Torque on an arm / angle by which its servo gives way [N m/rad].
   [[nodiscard]] double servo_stiffness() const noexcept { return parameters_.servo_stiffness; }
 
-  /// Height of the CoM [m] at which wheels or legs carry the whole weight of the upright vehicle.
-  /// Zero without wheels and legs.
+  /// Height of the CoM at which the upright vehicle stands [m]; zero without wheels and legs.
   [[nodiscard]] double standing_height() const noexcept {
     if (mounts_.empty()) return 0.0;
     return mounts_[0].radius - mounts_[0].centre.z() -
@@ -259,8 +254,7 @@ class Plant {
   [[nodiscard]] double substep() const noexcept { return substep_; }
 
  private:
-  /// Time derivative of a state, field by field. The derivative of the quaternion is not a unit
-  /// quaternion.
+  /// Time derivative of a state, field by field; that of the quaternion has no unit length.
   using Rate = PlantState<Rotors>;
 
   static constexpr double max_pending_commands = 1e5;
@@ -282,8 +276,7 @@ class Plant {
     return values;
   }
 
-  /// Returns the speed [rad/s] at which the thrust curve gives `thrust` [N], the larger root of a
-  /// quadratic equation.
+  /// Speed [rad/s] at which the thrust curve gives `thrust` [N]: the larger root of a parabola.
   [[nodiscard]] static double speed_at(double thrust, const RotorParameters& p) noexcept {
     const double middle = -0.5 * p.linear_thrust_coefficient / p.thrust_coefficient;
     const double square = thrust / p.thrust_coefficient, root = std::sqrt(middle * middle + square);
@@ -320,8 +313,7 @@ class Plant {
     return wheel % 2 == 0 ? -1.0 : 1.0;
   }
 
-  /// Returns the tilt rate [rad/s] at which the servo of `arm` moves to the angle that is its
-  /// command plus `deflection` [rad].
+  /// Tilt rate [rad/s] at which the servo of `arm` moves to its command plus `deflection` [rad].
   [[nodiscard]] double tilt_rate(const PlantState<Rotors>& x, int arm,
                                  double deflection) const noexcept {
     const double free = (command_.tilt_angle(arm) + deflection - x.actuators.tilt_angle(arm)) /
@@ -330,9 +322,8 @@ class Plant {
     return std::clamp(free, -limit, limit);
   }
 
-  /// Returns the rate of the axle of `wheel` relative to the body about body y [rad/s], if the axle
-  /// is an arm. The torque of the bearing depends on this rate, and the rate on this torque; both
-  /// are linear.
+  /// Returns the rate of the axle of `wheel`, an arm, relative to the body about body y [rad/s].
+  /// The torque of the bearing depends on this rate, and the rate on this torque; both are linear.
   [[nodiscard]] double axle_rate_of(const PlantState<Rotors>& x, std::size_t wheel) const noexcept {
     const int arm = static_cast<int>(*axle_arms_[wheel]);
     const double gain = parameters_.contact.bearing_friction /
@@ -344,8 +335,7 @@ class Plant {
     return tilt_sign(wheel) * std::clamp((free + gain * drag) / (1.0 + gain), -limit, limit);
   }
 
-  /// Returns the longest stable substep [s], at most max_substep. Throws std::invalid_argument if
-  /// the substeps would be too short for a reasonable computation time.
+  /// Longest stable substep [s], at most max_substep. Throws if it is too short to compute with.
   [[nodiscard]] double stable_substep() const {
     double fastest = 1.0 / std::min(vehicle_.servo.time_constant, rotor_time_constant_.minCoeff());
     for (const WheelMount& mount : mounts_)

@@ -26,8 +26,7 @@
 /// Simulated sensors, each with noise, a rate, a delay and faults to try estimators on.
 namespace tilt_ropter {
 
-/// White Gaussian noise by Marsaglia's polar method. The results of std::normal_distribution differ
-/// between standard libraries.
+/// White Gaussian noise by Marsaglia's polar method, the same with every standard library.
 class GaussianNoise {
  public:
   explicit GaussianNoise(std::uint64_t seed) : generator_(seed) {}
@@ -145,8 +144,7 @@ class Sensor {
         noise_(seed),
         queue_(static_cast<std::size_t>(given.rate * given.delay) + 128) {}  // room for faults
 
-  /// Adds a fault; only kinds of this sensor act. Throws std::invalid_argument if it is out of
-  /// range.
+  /// Adds a fault; only kinds of this sensor act. Throws std::invalid_argument if out of range.
   void add_fault(const SensorFault& fault) { faults_.push_back(validated(fault)); }
 
   /// Prepares for a run whose time starts anew. Keeps biases, faults and the state of the noise.
@@ -156,8 +154,7 @@ class Sensor {
   }
 
  protected:
-  /// Returns true if a measurement is due at `time` [s]. Tolerates a rounding error of a thousandth
-  /// of a period.
+  /// True if a measurement is due at `time` [s], with a tolerance of a thousandth of a period.
   [[nodiscard]] bool due(double time) noexcept {
     if (!std::isfinite(time)) return false;
     if (!started_) start_ = time;

@@ -7,9 +7,8 @@
 
 namespace tilt_ropter::detail {
 
-/// First-in-first-out queue that releases each value at its due time. Holds at most `capacity`
-/// values. In a full queue, a new value replaces the newest value and takes over its due time, so
-/// no value waits too long.
+/// First-in-first-out queue of at most `capacity` values, each released at its due time. In a full
+/// queue a new value replaces the newest and takes over its due time, so none waits too long.
 template <typename Value>
 class DelayQueue {
  public:
@@ -22,8 +21,7 @@ class DelayQueue {
       entries_[(first_ + count_ - 1) % entries_.size()].value = value;
   }
 
-  /// Removes and returns the oldest value if it is due at `time` [s]. Tolerates a rounding error of
-  /// 1 ns.
+  /// Removes and returns the oldest value if it is due at `time` [s], give or take 1 ns.
   [[nodiscard]] std::optional<Value> pop(double time) noexcept {
     if (count_ == 0 || !(entries_[first_].due <= time + 1e-9)) return std::nullopt;
     const std::size_t oldest = first_;

@@ -13,9 +13,8 @@
 #include <cstddef>
 #include <vector>
 
-/// A wall that wheels, propellers and hull of a simulated vehicle touch. The normal force is that
-/// of the wheels on the ground (Hunt and Crossley, 1975). Friction is viscous below Coulomb's
-/// limit.
+/// A wall that wheels, propellers and hull of a simulated vehicle touch. Its normal force is that
+/// of the ground (Hunt and Crossley, 1975). Friction is viscous below Coulomb's limit.
 namespace tilt_ropter {
 
 /// A half-space. It may have any direction.

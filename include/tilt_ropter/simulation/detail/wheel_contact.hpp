@@ -23,9 +23,8 @@
 ///     ____\_|_/____ z = 0      bristle          dz/dt = slip, |z| <= mu N / k_t
 ///
 /// The normal force is Hunt and Crossley's (1975): it never pulls, starts from zero and only
-/// dissipates energy. The bristle z is the elastic displacement of the contact patch along the
-/// rolling direction and along the axle. Below the friction circle the patch sticks without creep.
-/// At the circle it slides.
+/// dissipates energy. The bristle z is the elastic displacement of the contact patch along rolling
+/// direction and axle. The patch sticks without creep inside the friction circle, and slides on it.
 namespace tilt_ropter {
 
 /// Mounting of a wheel or a foot. A foot is modelled as a small locked wheel.
@@ -46,8 +45,8 @@ struct WheelContactParameters {
   double rolling_resistance = 0.018;     ///< resisting torque / (normal force x radius)
   double rolling_regularisation = 0.01;  ///< rim speed below which this torque fades to 0 [m/s]
   double bearing_friction = 1.0e-4;      ///< torque / (wheel spin - rate of the axle) [N m s]
-  Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();  ///< middle of the axles or of the
-                                                            ///< legs, from the CoM, body frame [m]
+  /// Middle of the axles or of the legs, from the CoM, body frame [m].
+  Eigen::Vector3d axle_position = Eigen::Vector3d::Zero();
 };
 
 inline void validate(const WheelContactParameters& p) {
@@ -62,9 +61,8 @@ inline void validate(const WheelContactParameters& p) {
   require_finite("WheelContactParameters.axle_position [m]", p.axle_position);
 }
 
-/// Returns an upper estimate of the fastest rate [1/s] of the coupled contact, wheel spin and body.
-/// The load on the wheel is three times the vehicle's weight. The step of an explicit integration
-/// must not be longer than the inverse of this rate.
+/// Returns an upper estimate of the fastest rate [1/s] of the coupled contact, wheel spin and body,
+/// for three weights on the wheel. No step of an explicit integration may exceed its inverse.
 [[nodiscard]] inline double fastest_contact_rate(const WheelContactParameters& p,
                                                  const WheelMount& mount,
                                                  const RigidBodyParameters& body) {
