@@ -53,8 +53,7 @@ template <int Rotors>
   return {on_ground ? 0.0 : force.norm(), 0.05 * weight};
 }
 
-/// The normalised innovation `nis` of a pose, see Ekf::nis(): of chi-square distribution with
-/// `rows` degrees of freedom.
+/// For the NIS of a pose, see Ekf::nis(): chi-square of `rows` degrees of freedom.
 [[nodiscard]] inline Residual pose_residual(double nis, int rows = 6) noexcept {
   return {nis - rows, std::sqrt(2.0 * rows)};
 }

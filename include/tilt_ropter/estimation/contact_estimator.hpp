@@ -18,8 +18,7 @@
 #include <limits>
 #include <optional>
 
-/// Whether the vehicle is on the ground, where the ground is, and which part of the external wrench
-/// comes from it.
+/// Contact with the ground, the place of the ground, and its part of the external wrench.
 namespace tilt_ropter {
 
 /// Decides whether the vehicle is on the ground, by the load first and by the height second. A
@@ -57,14 +56,12 @@ namespace tilt_ropter {
 /// disturbance has limits: 0.3 weights sideways, one upward or downward, and 0.03 m times the
 /// weight as a torque. ContactEstimate::limited says when it was cut.
 ///
-/// The observer is a filter. After take-off its output still contains a decaying part of the
-/// ground's wrench. This part is known and is subtracted. Does not allocate. Only the constructor
-/// throws.
+/// After take-off the observer's output still contains a decaying part of the ground's wrench,
+/// which is known and subtracted. Does not allocate. Only the constructor throws.
 class ContactEstimator {
  public:
-  /// `assumed_ground` is expected until the vehicle has stood on the ground or flown below this
-  /// plane; with the height -infinity no ground is expected. Throws std::invalid_argument if a
-  /// parameter is out of range.
+  /// `assumed_ground` is expected until the vehicle has stood on the ground or flown below it; with
+  /// height -infinity, none. Throws std::invalid_argument if a parameter is out of range.
   ContactEstimator(const RigidBodyParameters& body,
                    const std::optional<Undercarriage>& undercarriage,
                    const GroundPlane& assumed_ground = {})
@@ -153,12 +150,10 @@ class ContactEstimator {
   [[nodiscard]] double load_by_motion() const noexcept { return moved_.z(); }
 
  private:
-  // The load is the upward external force (lift) minus the lift that the air gives.
-  // Load that counts as contact when the vehicle is within leave_height of the expected ground, as
-  // a fraction of the weight.
+  // The load is the upward external force (lift) minus the lift that the air gives, here in
+  // weights. Load that counts as contact within leave_height of the expected ground.
   static constexpr double near_load = 0.10;
-  // Load that counts as contact at any other height, as a fraction of the weight. It must exceed
-  // the load of gusts.
+  // Load that counts as contact at any other height. It must exceed the load of gusts.
   static constexpr double far_load = 0.30;
   // Load that only the ground can give, as a fraction of the weight. Above this load the vehicle
   // counts as carried. The value must exceed the error of the believed weight.
@@ -168,18 +163,15 @@ class ContactEstimator {
   static constexpr double one_wheel_time = 0.3, one_wheel_load = 0.5;
   // A vehicle that is not carried counts as in the air above this distance from the ground [m].
   static constexpr double leave_height = 0.030;
-  // Lead of the take-off detection [s]. It acts after the vehicle has not been carried for
-  // unloaded_time, as in a take-off but not in a hop over a plank. The vehicle then counts as in
-  // the air if its speed will take it to leave_height within leave_lead.
+  // Lead of the take-off detection [s]. After unloaded_time, longer than a hop over a plank, the
+  // vehicle counts as in the air if its speed will take it to leave_height within leave_lead.
   static constexpr double leave_lead = 0.1;
   static constexpr double unloaded_time = 0.3;  // time without load before leave_lead acts [s]
-  // Depth below the last ground at which the ground is forgotten [m]. A vehicle in the air reaches
-  // this depth behind the edge of a table, for example. Up to this depth the ground is kept,
-  // because its height may only be overestimated.
+  // Depth below the last ground at which the ground is forgotten, such as behind the edge of a
+  // table [m]. Up to this depth its height may only be overestimated.
   static constexpr double search_depth = 0.25;
   static constexpr double load_time = 0.01;  // time constant of the load's average [s]
-  // Time constant of the comparison of felt and moved force [s]. The noise of a filter's velocity
-  // must cancel within it.
+  // Time constant of felt and moved force: the noise of a filter's velocity must cancel in it [s].
   static constexpr double motion_time = 0.1;
   // Difference of both that counts as noise, as a fraction of the weight.
   static constexpr double agreement = 0.1;
@@ -191,17 +183,13 @@ class ContactEstimator {
   static constexpr double planned_reach = 0.6;
   // Largest disturbance, as a fraction of the weight; the torque's has an arm [m].
   static constexpr double most_sideways = 0.3, most_vertical = 1.0, most_arm = 0.03;
-  // Time constant of the average of the wrench in the air, which is kept on the ground [s].
-  static constexpr double air_time = 0.5;
-  // Time constant of the average of the ground's height [s].
-  static constexpr double ground_time = 0.1;
-  // Time constant of the average of the ground's slope [s].
-  static constexpr double slope_time = 0.4;
+  // Time constants of the averages of the wrench in the air, which is kept on the ground, and of
+  // the ground's height and slope [s].
+  static constexpr double air_time = 0.5, ground_time = 0.1, slope_time = 0.4;
   // Largest slope of the ground; a steeper estimate is ignored.
   static constexpr double max_slope = 0.5;
 
-  // Asks both witnesses. `raw` is the mean external wrench since the last update without the lag
-  // of the observer's filter.
+  // Asks both witnesses. `raw`: mean external wrench since the last update, without a filter's lag.
   void judge(const BodyStated& body, const Wrenchd& raw, const std::optional<Wrenchd>& applied,
              double dt) noexcept {
     const Eigen::Vector3d felt = body.orientation * raw.force;
@@ -312,8 +300,7 @@ class ContactEstimator {
     const bool left = one_wheel_for_ > 0.0;
     const double enough = (left ? one_wheel_load : near ? near_load : far_load) * weight_;
     const bool moves_carried = (near && !left) || moved_.z() - air_lift_ > 0.5 * enough;
-    // The velocity of a filter that has just started is uncertain, but a start with the load of
-    // the ground is not.
+    // The velocity of a filter that has just started is uncertain, the load of the ground is not.
     if (starts_carried || (load > enough && moves_carried && rising < 0.1)) {
       estimate_.on_ground = estimate_.ground_known = true;
       unloaded_for_ = 0.0;
@@ -337,9 +324,8 @@ class ContactEstimator {
 
   // Update on the ground, until the vehicle is not carried and has left its place.
   void stay(const BodyStated& body, double clearance, double dt) noexcept {
-    // The ground only pushes, and freely turning wheels give no pitch torque. A wrench that was
-    // sideways in the air may be vertical now: its lift has to stay possible, or the vehicle would
-    // seem carried wherever it is.
+    // The ground only pushes, and freely turning wheels give no pitch torque. What was sideways in
+    // the air may be lift now: it has to stay possible, or the vehicle would seem carried anywhere.
     const double air = lift_of(air_, body), lift = lift_ + unfelt().z();
     if (lift < air || possible(air) != air) set_air_lift(std::min(lift, air), body);
     if (undercarriage_->pitches) air_.torque.y() = estimate_.external.torque.y();

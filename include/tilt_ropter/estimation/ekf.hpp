@@ -56,9 +56,8 @@ class Ekf {
   /// Throws std::invalid_argument if a setting is out of range.
   explicit Ekf(const EkfSettings& settings = {});
 
-  /// Processes an IMU sample taken at `time` [s]. This clock is the reference for all times. If it
-  /// is set back, five samples at most are late. The estimate is kept, and restarts at the next
-  /// pose if this pose is elsewhere.
+  /// Processes an IMU sample taken at `time` [s]; all times are in this clock. If it is set back,
+  /// five samples at most are late. The estimate restarts if the next pose is elsewhere.
   EkfStatus on_imu(double time, const InertialSample<Scalar>& value) noexcept;
 
   /// Processes a pose of the marker frame taken at `time` [s] in motion capture's clock.
@@ -94,8 +93,7 @@ class Ekf {
   }
 
   /// Same as state() for a loop slower than the IMU. The angular velocity is the mean of all
-  /// samples since the last call, including the newest sample. A single sample of a gyroscope that
-  /// vibrates with the rotors is aliased. The mean is half a tick old.
+  /// samples since the last call, half a tick old: vibration of the rotors is aliased in a sample.
   [[nodiscard]] BodyState<Scalar> take_state() noexcept {
     BodyState<Scalar> taken =
         rates_ > 0 ? body_of(rate_sum_ / Scalar(rates_) - filter_.ahead().gyro_bias) : state();

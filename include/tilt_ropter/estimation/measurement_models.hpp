@@ -29,8 +29,7 @@ template <typename Scalar>
 }
 
 /// The centre of the wheel is one radius above the ground, one row. The lowest point of a wheel
-/// that leans by a is at radius * cos(a) below its centre; the difference is below 1 % up to 8
-/// degrees.
+/// that leans by a is radius * cos(a) below its centre: a difference below 1 % up to 8 degrees.
 template <typename Scalar>
 [[nodiscard]] Linearised<Scalar, 1> linearise(const WheelHeightMeasurement<Scalar>& m,
                                               const InertialMotion<Scalar>& at) noexcept {
@@ -44,9 +43,8 @@ template <typename Scalar>
   return h;
 }
 
-/// The forward velocity of the wheel's centre is radius * (speed + w_y), one row, in [m/s]. Forward
-/// is f = y x n / |y x n|, with the ground's normal n in the body frame. Not valid if the axle is
-/// within 6 degrees of the normal.
+/// The forward velocity of the wheel's centre is radius * (speed + w_y), one row [m/s], forward f =
+/// y x n / |y x n| with the ground's normal n, body frame. Not valid if y is within 6 degrees of n.
 template <typename Scalar>
 [[nodiscard]] Linearised<Scalar, 1> linearise(const WheelSpeedMeasurement<Scalar>& m,
                                               const InertialMotion<Scalar>& at) noexcept {

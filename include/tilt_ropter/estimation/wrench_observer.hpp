@@ -63,20 +63,15 @@ inline void validate(const WrenchObserverSettings& s) {
 enum class ObserverStatus {
   updated,
   started,  ///< first sample: the momentum is now known, the estimate is unchanged
-  /// Time jumped forward or back by more than max_gap. The observer restarts and keeps the
-  /// estimate.
-  gap,
-  /// A number was not finite or above 1e6, which no valid sensor reports, or time did not advance.
-  /// Nothing was changed.
-  rejected
+  gap,      ///< time jumped by more than max_gap: the observer restarts and keeps the estimate
+  rejected  ///< not finite, above 1e6, or time did not advance: nothing was changed
 };
 
 [[nodiscard]] constexpr const char* to_string(ObserverStatus status) noexcept {
   return detail::name_in({"updated", "started", "gap", "rejected"}, status);
 }
 
-/// Reliability of the estimate. If several reasons against it apply, the value is the first of them
-/// in this order.
+/// Reliability of the estimate: the first of these values that applies.
 enum class WrenchTrust {
   not_started,  ///< no sample yet
   stale,        ///< no valid sample within max_gap
@@ -100,14 +95,12 @@ struct ObservedWrench {
   ObserverStatus status = ObserverStatus::rejected;  ///< of the sample of this value
   WrenchTrust trust = WrenchTrust::not_started;      ///< reliability of `external` at `time`
   double time = 0.0;  ///< of the last sample that was not rejected [s]
-  /// The estimate: filtered, minus the dead band, within the limits. transport() and
-  /// wrench_in_world() convert it.
+  /// The estimate: filtered, minus the dead band, within the limits.
   Wrench<Scalar> external;
   /// From the last sample alone, without filter, dead band and limits, with all its noise. The
   /// torque needs two samples and is zero after the first one.
   Wrench<Scalar> raw;
-  /// The wrench of the actuators that update() was told with the last sample; nothing from another
-  /// source of external wrenches.
+  /// Argument of update() with the last sample; nothing for another source of external wrenches.
   std::optional<Wrench<Scalar>> applied;
   Sum external_sum, raw_sum;  ///< integrals over the intervals of all samples [N s; N m s]
   double duration = 0.0;      ///< sum of these intervals [s]
@@ -136,8 +129,7 @@ struct WrenchMeans {
 };
 
 /// Returns the means between two values of one observer, at the CoM, in the body frame [N; N m];
-/// nothing if there was no sample between them. The vibration of a rotor is aliased in a single
-/// sample, and cancels in a mean.
+/// nothing without a sample between them. Vibration is aliased in a sample, and cancels in a mean.
 template <typename Scalar>
 [[nodiscard]] auto means_between(const ObservedWrench<Scalar>& before,
                                  const ObservedWrench<Scalar>& now) noexcept {
@@ -197,8 +189,7 @@ enum class CalibrationStatus {
       status);
 }
 
-/// True if the accelerometer, or the torque, contradicts the known wrench by more than an offset:
-/// do not fly with this IMU.
+/// True if the IMU contradicts the known wrench by more than an offset: do not fly with it.
 [[nodiscard]] constexpr bool contradicts_weight(CalibrationStatus status) noexcept {
   return status >= CalibrationStatus::in_g;
 }
@@ -285,9 +276,8 @@ class WrenchObserver {
   }
 
   /// Ends the calibration. If the status is calibrated, the offset becomes the average minus the
-  /// `known` external wrench (body frame, at the CoM). Otherwise the offset is unchanged. An offset
-  /// above half the weight, or above the weight at 0.1 m, is no offset: the status says which unit
-  /// or axis of the accelerometer would explain it.
+  /// `known` external wrench (body frame, at the CoM). An offset above half the weight, or above
+  /// the weight at 0.1 m, is none: the status says which unit or axis would explain it.
   CalibrationStatus end_calibration(const Wrench<Scalar>& known = {}) noexcept;
 
   /// Offset that is subtracted from the raw residual, body frame [N; N m].
@@ -302,8 +292,7 @@ class WrenchObserver {
     judge();
   }
 
-  /// Clears the estimate, the time, the momentum and a calibration that has not ended. Keeps the
-  /// offset and the sums.
+  /// Clears estimate, time, momentum and a calibration that has not ended. Keeps offset and sums.
   void reset() noexcept {
     filtered_ = observed_.external = observed_.raw = {};
     started_ = calibrating_ = false;

@@ -231,8 +231,7 @@ class StoredMeasurement {
   void (*act_)(const void*, double, Receiver*, void*) noexcept = nullptr;
 };
 
-/// At most `Size` measurements in the order of their times. Measurements of equal time keep the
-/// order in which they came.
+/// At most `Size` measurements by their times, those of equal time in the order in which they came.
 template <typename Receiver, std::size_t Size>
 class MeasurementQueue {
  public:

@@ -14,12 +14,10 @@
 #include <cstddef>
 #include <limits>
 
-/// Settings and results of Ekf: status of a measurement, counts, and the reliability of the
-/// estimate.
+/// Settings and results of Ekf: status of a measurement, counts, reliability of the estimate.
 namespace tilt_ropter {
 
-/// Result of processing a measurement. Only `updated`, `started` and `restarted` change the
-/// estimate.
+/// Result of a measurement. Only `updated`, `started` and `restarted` change the estimate.
 enum class EkfStatus {
   updated,    ///< used
   started,    ///< first pose: the filter starts at this pose
@@ -91,11 +89,9 @@ struct EstimateTrust {
   bool orientation_unused = false;
   bool marker_turned = false;  ///< such a step was found: orientations are corrected by it
   /// The filter has restarted at measurements of something at rest, and no motion has confirmed
-  /// since that they are those of the vehicle. Hold the position, then land: during the descent
-  /// they are confirmed, or above the gate.
+  /// since that they are those of the vehicle. Hold, then land: the descent confirms or gates them.
   bool unconfirmed = false;
-  /// The filter has restarted within the last second; within the last five if it was the second
-  /// restart in ten seconds.
+  /// Restarted within the last second; within five if it was the second time in ten seconds.
   bool restarted = false;
   /// The measurements that were used deviate more than they should: their mean NIS is above three
   /// times their number of rows, or poses contradict the IMU again and again, as with a wrong
@@ -190,14 +186,12 @@ struct EkfSettings {
   /// path of at least 0.3 m, although they do not move like the IMU: the estimate itself may be
   /// wrong. It does not restart like this at poses of an object at rest.
   double full_restart_time = 6.0;
-  /// Largest time by which a measurement may arrive after, or before, the IMU sample of the same
-  /// time.
+  /// Largest time between the arrivals of a measurement and of the IMU sample of the same time.
   double max_delay = 0.2;
   /// Fastest IMU [Hz]. The filter keeps the samples of max_delay, at this rate.
   double max_imu_rate = 8000.0;
-  /// Measurements wait this time before they are used, so that measurements with different delays
-  /// are used in the order of their stamps. Set it to the longest delay of a sensor if there are
-  /// several sensors; at most max_delay.
+  /// Measurements wait this time, so that those of different delays are used in the order of their
+  /// stamps. With several sensors, set it to the longest delay of one; at most max_delay.
   double fusion_delay = 0.0;
   /// Longest pause of the IMU that is bridged. After a longer pause the next pose restarts the
   /// filter. After at most 0.4 s any other measurement resumes it, with a larger covariance.

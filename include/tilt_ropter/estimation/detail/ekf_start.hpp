@@ -59,8 +59,7 @@ void forget_marker_frame(Covariance& p, const EkfSettings& settings) noexcept {
 }
 
 /// Changes the covariance of IMU and marker frame to that of the body's position and velocity, if
-/// the position of the IMU is estimated. `body_to_imu`: position of the IMU in the body frame [m].
-/// `sign` -1 is the opposite change.
+/// the position of the IMU, `body_to_imu` in the body frame [m], is estimated. `sign` -1: back.
 template <typename Scalar, typename Covariance>
 void move_to_body(Covariance& p, const Eigen::Quaternion<Scalar>& orientation,
                   const Vector3<Scalar>& angular_velocity, const Vector3<Scalar>& body_to_imu,

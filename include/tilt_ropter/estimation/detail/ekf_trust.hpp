@@ -65,8 +65,7 @@ template <typename Scalar>
          is_far(x.accelerometer_bias, s.accelerometer_bias, s.accelerometer_bias_stddev);
 }
 
-/// Compares ages and predicted errors with their limits, and sets the state. `just_started`: too
-/// few poses have confirmed the start.
+/// Judges ages and errors, sets the state. `just_started`: too few poses have confirmed the start.
 inline void judge(const EkfTrustLimits& limits, bool just_started, EstimateTrust& t) noexcept {
   const auto above = [&limits](double stddev, double limit) {
     return !(limits.confidence * stddev <= limit);

@@ -72,8 +72,7 @@ struct LinearisedPose {
         (x.orientation * x.marker_orientation).conjugate() * pose.orientation));
   }
 
-  /// Adds the effect of a stamp, at this rate of the body [rad/s] and velocity of the IMU [m/s],
-  /// with noise of `stddev` [s].
+  /// Adds the noise `stddev` of a stamp [s] at this velocity of the IMU [m/s] and rate [rad/s].
   void set_motion(const Vector3<Scalar>& velocity, const Vector3<Scalar>& angular_velocity,
                   const Scalar& stddev) noexcept {
     constexpr double slow = 0.2;  // [m/s], [rad/s]: noise of the estimate must not look like motion
@@ -179,8 +178,7 @@ class ErrorStateFilter {
     score_ = excess_ = Scalar(0);
   }
 
-  /// Widens the covariance, and the noise of one sensor of the IMU, after measurements have shown
-  /// that this sensor is wrong. predict() forgets the larger noise slowly.
+  /// Widens the covariance and the noise of a sensor that is wrong. predict() forgets this slowly.
   void widen(bool gyro) noexcept;
   void forget_wider_noise() noexcept { wider_.setOnes(); }
   /// True for some time after widen().
@@ -198,17 +196,15 @@ class ErrorStateFilter {
     return {state_, pose, pose_noise_};
   }
 
-  /// Compares a measurement, linearised at the current state, with the state. Changes nothing. `at`
-  /// is a Linearised or a LinearisedPose.
+  /// Compares a measurement (Linearised or LinearisedPose) with the state of its linearisation.
   template <typename Measurement>
   [[nodiscard]] MeasurementInnovation<Scalar, Measurement::rows> innovation_of(
       const Measurement& at) const noexcept;
 
   /// Updates state and covariance with a measurement, linearised at the current state, and its
-  /// innovation. The covariance is updated in Joseph's form, (I - K H) P (I - K H)' + K R K'. An
-  /// error of the gain, or of rounding, does not make this form negative. Returns false and changes
-  /// nothing if S is not positive definite. Rounding can cause this if P is larger than the noise
-  /// by more digits than a Scalar has.
+  /// innovation, in Joseph's form (I - K H) P (I - K H)' + K R K', which no error of the gain makes
+  /// negative. Returns false and changes nothing if S is not positive definite: rounding can cause
+  /// this if P is larger than the noise by more digits than a Scalar has.
   template <typename Measurement>
   bool update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
               const Measurement& at) noexcept;

@@ -28,8 +28,7 @@ struct InertialState {
 using InertialStated = InertialState<double>;  ///< in double precision
 
 /// Error of an InertialState, in the order of its members. Orientation errors are rotation vectors
-/// in the frame from which the orientation rotates: body frame for the orientation, M for the
-/// marker's orientation.
+/// in the frame from which the orientation rotates: body, and M for the marker's orientation.
 template <typename Scalar>
 using InertialTangent = Eigen::Matrix<Scalar, 21, 1>;
 using InertialTangentd = InertialTangent<double>;  ///< in double precision
@@ -74,9 +73,8 @@ template <typename Scalar>
   return dx;
 }
 
-/// Returns the state `dt` [s] later. The sample is constant over the step; the mean of the samples
-/// at both ends makes the step second order. The rotation is exact. The acceleration is evaluated
-/// in the middle of the step.
+/// Returns the state `dt` [s] later, for a constant sample. The mean of the samples at both ends
+/// makes the step second order. The rotation is exact, the acceleration is that in the middle.
 template <typename Scalar>
 [[nodiscard]] InertialState<Scalar> propagate(const InertialState<Scalar>& x,
                                               const InertialSample<Scalar>& sample,

@@ -42,9 +42,8 @@ class RepetitionDetector {
     return false;
   }
 
-  /// Returns true if the position or velocity `value` is one of the last eight, of all sensors,
-  /// and the samples of the IMU changed since. A velocity of zero may repeat: the user knows that
-  /// the vehicle stands.
+  /// Returns true if the position or velocity `value` is one of the last eight, of all sensors, and
+  /// the samples of the IMU changed since. A velocity of zero may repeat: the vehicle stands.
   [[nodiscard]] bool repeats(const Vector3<Scalar>& value) noexcept {
     if (value == Vector3<Scalar>::Zero()) return false;
     ++received_;
@@ -233,8 +232,7 @@ struct PoseNoise {
     excess += slow_part * (std::min(bounded / variance, outlier * excess) - excess);
     excess = std::max(1.0, excess);
   }
-  /// The variance of a longer time, without outliers, by the believed one. 1 if it is smaller, or
-  /// if chance explains it.
+  /// The variance of a longer time, without outliers, by the believed one. 1 if it may be chance.
   [[nodiscard]] double factor() const noexcept {
     constexpr double chance = 1.3;  // some four standard deviations of the mean
     return excess > chance ? excess : 1.0;
@@ -293,14 +291,12 @@ class PoseContinuity {
 
   /// True if all positions since the last pose that was used continue each other.
   [[nodiscard]] bool positions_continue() const noexcept { return !jumped_ && steps_ > 1; }
-  /// True if the noise that the poses show among each other explains these distances [m], [rad], up
-  /// to `most` standard deviations.
+  /// True if `most` standard deviations of the poses' noise explain `distance` [m], `turn` [rad].
   [[nodiscard]] bool is_noise(double distance, double turn, double most) const noexcept {
     return distance <= most * std::sqrt(position_noise_.recent) &&
            turn <= most * std::sqrt(orientation_noise_.recent);
   }
-  /// Noise that positions and orientations show among each other: variances by the believed ones,
-  /// at least 1.
+  /// Variances that positions and orientations show among each other by the believed ones, >= 1.
   [[nodiscard]] double position_factor() const noexcept { return position_noise_.factor(); }
   [[nodiscard]] double orientation_factor() const noexcept { return orientation_noise_.factor(); }
   /// True if the orientation has stepped since then.
@@ -320,8 +316,7 @@ class PoseContinuity {
 };
 
 /// Finds by how much the orientation of the poses has stepped while their positions go on: motion
-/// capture has defined the rigid body again. The marker frame of the filter is kept, and later
-/// orientations are turned back.
+/// capture has defined the rigid body again. Later orientations are turned back.
 template <typename Scalar>
 class OrientationStep {
  public:
@@ -407,8 +402,7 @@ class GateMonitor {
     if ((gated_ > 1 && count_ == 1) || c.velocity_stddev > known) inconsistent_ = true;
   }
 
-  /// True if at least `count` rejected measurements have moved like the IMU for restart_time, and
-  /// the filter may restart at them.
+  /// True if `count` or more have moved like the IMU for restart_time, and the filter may restart.
   [[nodiscard]] bool moves_like_imu(double time, int count,
                                     const EkfSettings& settings) const noexcept {
     return count_ >= count && time - first_time_ >= settings.restart_time &&

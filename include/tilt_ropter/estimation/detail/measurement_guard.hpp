@@ -21,8 +21,7 @@
 /// allocates. Times are in the clock of the IMU [s].
 namespace tilt_ropter::detail {
 
-/// What Ekf does with a measurement or an IMU sample. It uses a pose after it has widened the noise
-/// of accelerometer or gyroscope.
+/// What Ekf does with a measurement or an IMU sample. The last two widen a noise and use a pose.
 enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro };
 
 /// Decision about a measurement or an IMU sample.
@@ -64,8 +63,7 @@ class MeasurementGuard {
   /// Too few poses have confirmed the start.
   [[nodiscard]] bool has_just_started() const noexcept { return used_since_start_ < 25; }
 
-  /// Judges an IMU sample. `restart`: it is the first one, or follows a gap, or the clock was set
-  /// back to late_since() (clock_changed).
+  /// Judges an IMU sample. `restart`: the first, after a gap, or after a step to late_since().
   Verdict on_imu(double time, const InertialSample<Scalar>& sample, const Filter& filter) noexcept {
     if (!std::isfinite(time) || !within(sample.angular_velocity, 1e3) ||
         !within(sample.specific_force, 1e5))
@@ -84,8 +82,7 @@ class MeasurementGuard {
     late_samples_ = 0;
     repetitions_.on_imu(sample);
     if (!has_imu) return {Action::restart};
-    // Over a pause, or a step of the clock, the estimate goes on along its path: late poses look
-    // alike.
+    // Over a pause or a clock step, the estimate goes on along its path: late poses look alike.
     constexpr double longest_pause = 0.02, doubt = 1.0;  // [s]
     if (!is_late && pause > longest_pause) refused_until_ = std::max(refused_until_, time + doubt);
     if (!is_late && pause <= settings_.max_imu_gap) return {};
@@ -397,8 +394,7 @@ class MeasurementGuard {
     return use(time, verdict);
   }
 
-  /// If the estimate does not last for full_restart_time twice in a row, the marker frame is wrong
-  /// or the last step of the poses' clock.
+  /// If two estimates in a row do not last for full_restart_time, marker frame or clock are wrong.
   Verdict start_over(double time, double lag, Verdict verdict) noexcept {
     if (last_pose_ - full_restart_ < settings_.full_restart_time) {
       verdict.known.marker_frame = false;
@@ -489,8 +485,7 @@ class MeasurementGuard {
             is_place ? velocity_stddev(filter) : acceleration};
   }
 
-  /// Latency of a pose above the gate [s], if one that is new explains the innovation and the
-  /// motion shows it. Otherwise infinite.
+  /// Latency of a gated pose [s], infinite unless it explains the innovation and motion shows it.
   [[nodiscard]] double latency_of(const MeasurementInnovation<Scalar, 6>& in) const noexcept {
     constexpr double stddev = 0.003;  // [s]
     const Eigen::Matrix<Scalar, 6, 1> weighted = in.covariance.llt().solve(in.by_time);
@@ -521,8 +516,7 @@ class MeasurementGuard {
   /// Share of the last poses above the gate that continue each other and are not late.
   double surprised_ = 0.0;
   double nis_per_row_ = 1.0, mean_nis_ = 1.0;  ///< of the last one, of those that were used
-  /// Of the latency: end of its trial, time before which none is tried, what is taken back, and
-  /// the mean NIS that ends the trial.
+  /// Of the latency: end of its trial, time before the next one, what is taken back, largest NIS.
   double trial_end_ = infinity, refused_until_ = never, latency_before_ = 0.0, nis_before_ = 0.0;
   int used_since_start_ = 0;  ///< poses
   int wrong_starts_ = 0;      ///< consecutive

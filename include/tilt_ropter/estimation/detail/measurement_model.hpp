@@ -64,8 +64,7 @@ struct Linearised {
   /// Returns g R.
   [[nodiscard]] Columns times_noise(const Columns& g) const noexcept { return g * noise; }
   void add_noise(Square& s) const noexcept { s += noise; }
-  /// True if every number is finite and the noise is a covariance: positive definite, and no
-  /// standard deviation above 1e5.
+  /// True if every number is finite, and the noise positive definite without stddev above 1e5.
   [[nodiscard]] bool is_usable() const noexcept {
     return all_finite(residual) && all_finite(jacobian) && all_finite(noise) &&
            noise.diagonal().maxCoeff() <= Scalar(1e10) && noise.llt().info() == Eigen::Success;

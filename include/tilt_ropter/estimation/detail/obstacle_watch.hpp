@@ -23,10 +23,9 @@ class ObstacleWatch {
  public:
   explicit ObstacleWatch(double weight) : weight_(weight) {}
 
-  /// Returns the obstacle, if there is one. World frame [N]: `force` is the external force, `raw`
-  /// the same without the lag of a filter, `applied` the force of the actuators, if known. `track`
-  /// is the direction in which a vehicle on wheels can move. Forgets the obstacle without a
-  /// reference.
+  /// Returns the obstacle, if there is one; none without a reference. World frame [N]: `force` is
+  /// the external force, `raw` the same without the lag of a filter, `applied` the force of the
+  /// actuators, if known. `track` is the direction in which a vehicle on wheels can move.
   const std::optional<Obstacle>& update(const BodyStated& body, const Eigen::Vector3d& force,
                                         const Eigen::Vector3d& raw,
                                         const std::optional<Eigen::Vector3d>& applied,
@@ -84,9 +83,8 @@ class ObstacleWatch {
   }
 
   /// Returns the disturbance to compensate, world frame [N]: along the obstacle the one before the
-  /// touch, less a small force with which the vehicle then leans on the obstacle. Without this
-  /// force it would not notice that the obstacle has gone. In a probe, the one at its start, less
-  /// the additional push.
+  /// touch, less a small force on the obstacle, which shows when it has gone. In a probe, the one
+  /// at its start, less the additional push.
   [[nodiscard]] Eigen::Vector3d held(const Eigen::Vector3d& disturbance) const noexcept {
     if (!obstacle_ && probed_for_ == 0.0) return disturbance;
     const double push = weak_for_ > 0.0 ? 0.5 * press : press,  // softly back, after a bounce
@@ -100,8 +98,7 @@ class ObstacleWatch {
   // Motion towards the reference that ends a rest: the noise of the estimate, and the part of the
   // error that even a slow controller closes in enough_rest. Motion off it: more than a bounce [m].
   static constexpr double still = 0.004, still_part = 0.05, bounce = 0.03;
-  // Time that is enough, at rest, before a probe and after an impact, and longer by the speed along
-  // the obstacle [s], [s^2/m].
+  // Rest that is enough before a probe, after an impact, and by the speed of a slide [s], [s^2/m].
   static constexpr double enough_rest = 0.05, impact_rest = 0.1, enough_sliding = 0.3;
   // Time after which a force that was taken for wind is an obstacle's [s].
   static constexpr double long_rest = 0.5;
@@ -280,10 +277,9 @@ class ObstacleWatch {
 
   double weight_;
   std::optional<Obstacle> obstacle_;
-  // World frame: mean force without an obstacle [N], place of the rest, place where the force
-  // began, and of the last touch [m], velocity before an impact [m/s], direction of the obstacle or
-  // the probe, mean velocity [m/s], mean external force, mean reaction, and the largest one of
-  // late [N].
+  // World frame: mean force without an obstacle [N], places of the rest, of the start of the force
+  // and of the last touch [m], velocity before an impact [m/s], direction of obstacle or probe,
+  // mean velocity [m/s], mean external force, mean reaction, and the largest one of late [N].
   Eigen::Vector3d calm_ = Eigen::Vector3d::Zero(), place_ = calm_, began_at_ = calm_;
   Eigen::Vector3d touched_at_ = calm_, before_ = calm_;
   Eigen::Vector3d direction_ = calm_, moving_ = calm_, felt_ = calm_, jolt_ = calm_, swing_ = calm_;

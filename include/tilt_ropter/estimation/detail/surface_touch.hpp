@@ -19,9 +19,8 @@ class SurfaceTouch {
  public:
   explicit SurfaceTouch(double weight) : weight_(weight) {}
 
-  /// Returns the force of the surface on the tool, world frame [N]. `force`: the external force,
-  /// `raw`: the same without the lag of a filter, world frame [N]. `reference`:
-  /// what the vehicle follows; nullptr: it cannot push.
+  /// Returns the force of the surface on the tool. `force`: the external force, `raw`: the same
+  /// without the lag of a filter; world frame [N]. `reference`: what it follows; nullptr: no push.
   Eigen::Vector3d update(const BodyStated& body, const Eigen::Vector3d& force,
                          const Eigen::Vector3d& raw, const ReferencePoint* reference,
                          double dt) noexcept {
@@ -84,8 +83,7 @@ class SurfaceTouch {
   // tool sticks, it grows at this rate [1/s].
   static constexpr double least_slide = 0.02, friction_time = 0.05, stuck_rate = 2.0,
                           most_friction = 2.0;
-  // Integral of the force: after this time of a touch, with this time constant [s], and its limit
-  // as a fraction of the force.
+  // Integral of the force: its start in a touch [s], time constant [s], limit as part of the force.
   static constexpr double settled = 1.0, correction_time = 1.0, most_correction = 0.3;
   // Time constants of the mean force without a touch, and of the reaction [s].
   static constexpr double calm_time = 0.5, felt_time = 0.02;
