@@ -269,7 +269,10 @@ class ContactEstimator {
     if (was_on_ground) {
       stay(body, clearance, dt);
     } else {
-      fade(left_over_, observed, dt);
+      for (int i = 0; i < 3; ++i) {
+        left_over_.force(i) *= kept(observed.force_bandwidth(i), dt);
+        left_over_.torque(i) *= kept(observed.torque_bandwidth(i), dt);
+      }
       estimate_.disturbance = {external.force - left_over_.force,
                                external.torque - left_over_.torque};
       fly(body, starts_carried, clearance, dt);
@@ -394,13 +397,6 @@ class ContactEstimator {
   // What a first-order filter keeps of its last output.
   static double kept(double bandwidth, double dt) noexcept {
     return dt > 0.0 ? std::exp(-bandwidth * dt) : 1.0;  // also for an infinite bandwidth
-  }
-
-  static void fade(Wrenchd& w, const ObservedWrenchd& filter, double dt) noexcept {
-    for (int i = 0; i < 3; ++i) {
-      w.force(i) *= kept(filter.force_bandwidth(i), dt);
-      w.torque(i) *= kept(filter.torque_bandwidth(i), dt);
-    }
   }
 
   void place_ground(const BodyStated& body, double fraction) noexcept {

@@ -33,10 +33,8 @@ struct WrenchObserverSettings {
   Eigen::Vector3d torque_limit = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
   double max_gap = 0.1;  ///< longest time between samples without a restart [s]
   static constexpr double min_calibration_time = 1.0;  ///< shortest valid calibration [s]
-  /// Largest standard deviation of a calibration's blocks [N].
-  static constexpr double max_force_stddev = 0.5;
-  /// Largest standard deviation of a calibration's blocks [N m].
-  static constexpr double max_torque_stddev = 0.05;
+  /// Largest standard deviations of a calibration's blocks [N], [N m].
+  static constexpr double max_force_stddev = 0.5, max_torque_stddev = 0.05;
 };
 
 /// Settings with one bandwidth [1/s] for force and torque in all axes. The default of 15 keeps the
@@ -260,8 +258,6 @@ class WrenchObserver {
 
   /// State of the filter: external() without dead band and limits.
   [[nodiscard]] const Wrench<Scalar>& filtered() const noexcept { return filtered_; }
-
-  [[nodiscard]] const WrenchObserverSettings& settings() const noexcept { return settings_; }
 
   /// Reliability of external() at `now` [s], in the clock of update().
   [[nodiscard]] WrenchTrust trust(double now) const noexcept {

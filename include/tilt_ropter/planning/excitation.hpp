@@ -74,8 +74,6 @@ class Excitation : public detail::Timing {
     return point;
   }
 
-  [[nodiscard]] const ExcitationSettings& settings() const noexcept { return settings_; }
-
  private:
   /// Value and first two derivatives of one axis: x, y, z [m], roll, pitch, yaw [rad].
   void axis_at(std::size_t axis, double elapsed, double& value, double& rate,
