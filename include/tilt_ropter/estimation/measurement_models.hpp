@@ -94,18 +94,11 @@ template <typename Scalar>
   return h;
 }
 
-/// Height of a sensor, one row.
+/// Height of a sensor, one row: that of a wheel above level ground.
 template <typename Scalar>
 [[nodiscard]] Linearised<Scalar, 1> linearise(const HeightMeasurement<Scalar>& m,
                                               const InertialMotion<Scalar>& at) noexcept {
-  using I = InertialIndex;
-  const BodyPoint<Scalar> point(at, m.sensor);
-  Linearised<Scalar, 1> h;
-  h.residual(0) = m.height - point.position.z();
-  h.jacobian(0, I::position + 2) = Scalar(1);
-  h.by(I::orientation) = point.position_by_turn.row(2);
-  h.noise(0) = m.stddev * m.stddev;
-  return h;
+  return linearise(WheelHeightMeasurement<Scalar>{m.height, m.stddev, m.sensor, {}}, at);
 }
 
 /// Distance to a plane along a beam, one row: r = (c - n'x) / (n'R d), with the sensor at x and the
