@@ -132,7 +132,9 @@ class RecedingHorizonController {
   }
 
   /// Replaces feedback() if there is no valid state at `time` [s].
-  [[nodiscard]] const Result& hold(double time) noexcept;
+  [[nodiscard]] const Result& hold(double time) noexcept {
+    return continue_last_plan(time, NmpcStatus::bad_state);
+  }
 
   /// Sets the measured `voltage` of the battery [V]. From the next prepare() on, plans respect the
   /// thrusts that this voltage allows; those of Nmpc if NmpcSettings::actuator_constraints is set.
@@ -163,29 +165,90 @@ class RecedingHorizonController {
   [[nodiscard]] bool begin(double time, const ContactEstimate& contact);
   [[nodiscard]] optimal_control::PrepareStatus finish(double time);
 
-  [[nodiscard]] bool is_plausible(const ContactEstimate& contact) const;
+  [[nodiscard]] bool is_plausible(const ContactEstimate& contact) const {
+    const double most = 10.0 * level_.mass() * gravity;
+    const auto is_small = [most](const Wrenchd& w) {  // false for NaN
+      return w.force.norm() <= most && w.torque.norm() <= most;
+    };
+    return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
+           is_small(contact.external) && is_small(contact.surface_reaction);
+  }
   // From the first point of the reference that is not finite on, the reference goes on straight
   // from the point before it. Returns false if not even the first point is finite.
-  [[nodiscard]] bool continue_reference();
+  [[nodiscard]] bool continue_reference() {
+    inputs_.reference_ends = false;
+    const double interval = settings().problem.interval;
+    for (std::size_t k = 0; k < inputs_.points.size(); ++k) {
+      ReferencePoint& point = inputs_.points[k];
+      const double length = point.orientation.norm();
+      if (!inputs_.reference_ends && all_finite(point.position) && all_finite(point.velocity) &&
+          all_finite(point.acceleration) && all_finite(point.angular_velocity) &&
+          all_finite(point.angular_acceleration) && length > 0.1 && length < 10.0)
+        continue;
+      if (k == 0) return false;
+      inputs_.reference_ends = true;
+      point = inputs_.points[k - 1];
+      point.position += interval * point.velocity;
+      point.acceleration.setZero();
+      point.orientation *= quaternion_exp(Eigen::Vector3d(interval * point.angular_velocity));
+      point.angular_acceleration.setZero();
+    }
+    return true;
+  }
   // End of the time limit of this tick; the time of prepare() counts.
-  [[nodiscard]] Clock::time_point deadline_from(Clock::time_point now) const;
+  [[nodiscard]] Clock::time_point deadline_from(Clock::time_point now) const {
+    const Settings& s = settings();
+    const double limit = s.time_limit > 0.0 ? s.time_limit : 0.5 * s.period;
+    return now - prepare_time_ +
+           std::chrono::duration_cast<Clock::duration>(
+               std::chrono::duration<double>(std::min(limit, 1e6)));
+  }
 
   [[nodiscard]] bool plan_in_force(double time) const {
     return plan_.in_force(time, settings().max_plan_age);
   }
   // Discards the plan after an interruption, because no actuator has followed it.
-  void forget_old_plan(double time);
+  void forget_old_plan(double time) {
+    if (!plan_.exists() || plan_in_force(time)) return;
+    plan_.drop();
+    cold_ = true;
+  }
   // Solves from `x`. Returns false if there is no plan that is credible.
-  [[nodiscard]] bool make_plan(const State& x, Clock::time_point deadline);
+  [[nodiscard]] bool make_plan(const State& x, Clock::time_point deadline) {
+    result_.report = solver_.feedback(x, deadline);
+    return optimal_control::has_plan(result_.report.status) && plan_is_credible();
+  }
   // Returns false if a state of the plan is not credible or moves more than a kilometre away. Bad
   // input then caused the plan, and single iterations do not recover from it.
-  [[nodiscard]] bool plan_is_credible() const;
+  [[nodiscard]] bool plan_is_credible() const {
+    for (int k = 1; k <= solver_.horizon(); ++k) {
+      const State& x = solver_.state(k);
+      if (!(level_.is_credible(solver_.problem(), x) &&
+            (x.body.position - inputs_.body.position).norm() <= 1e3))
+        return false;
+    }
+    return true;
+  }
   // Checks whether a cold start fits into the same tick without making it much longer.
-  [[nodiscard]] bool can_start_again(Clock::time_point deadline) const;
+  [[nodiscard]] bool can_start_again(Clock::time_point deadline) const {
+    const auto needed = std::chrono::duration_cast<Clock::duration>(
+        std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
+    return 4 * solver_.report().passes <= settings().solver.program.max_passes &&
+           Clock::now() + needed < deadline;
+  }
   // Cold start: sets the state of every node to `x` and prepares the solver.
-  void start_cold(const State& x);
+  void start_cold(const State& x) {
+    solver_.reset(x);
+    plan_.reset(x);
+    (void)solver_.prepare();
+  }
 
-  const Result& publish(const Command& command, NmpcStatus status);
+  const Result& publish(const Command& command, NmpcStatus status) {
+    static_cast<Command&>(result_) = command;
+    result_.status = status;
+    result_.on_ground = inputs_.contact.on_ground;
+    return result_;
+  }
   const Result& use_last_plan(double time, NmpcStatus status);
   const Result& continue_last_plan(double time, NmpcStatus status);
 
@@ -297,11 +360,6 @@ auto RecedingHorizonController<Level>::feedback(double time, const BodyStated& m
 }
 
 template <typename Level>
-auto RecedingHorizonController<Level>::hold(double time) noexcept -> const Result& {
-  return continue_last_plan(time, NmpcStatus::bad_state);
-}
-
-template <typename Level>
 auto RecedingHorizonController<Level>::continue_last_plan(double time, NmpcStatus status)
     -> const Result& {
   prepared_ = false;
@@ -312,103 +370,11 @@ auto RecedingHorizonController<Level>::continue_last_plan(double time, NmpcStatu
 template <typename Level>
 auto RecedingHorizonController<Level>::use_last_plan(double time, NmpcStatus status)
     -> const Result& {
-  const double age = plan_.age(time);
-  if (plan_.exists() && age >= 0.0 && age <= settings().max_plan_age)
+  if (plan_in_force(time) && plan_.age(time) >= 0.0)
     return publish(level_.command(solver_, plan_, time), status);
   plan_.drop();
   cold_ = true;
   return publish(level_.safe_command(solver_.problem(), inputs_.contact), NmpcStatus::no_plan);
-}
-
-template <typename Level>
-auto RecedingHorizonController<Level>::publish(const Command& command, NmpcStatus status)
-    -> const Result& {
-  static_cast<Command&>(result_) = command;
-  result_.status = status;
-  result_.on_ground = inputs_.contact.on_ground;
-  return result_;
-}
-
-template <typename Level>
-bool RecedingHorizonController<Level>::is_plausible(const ContactEstimate& contact) const {
-  const double most = 10.0 * level_.mass() * gravity;
-  const auto is_small = [most](const Wrenchd& w) {  // false for NaN
-    return w.force.norm() <= most && w.torque.norm() <= most;
-  };
-  return is_finite(contact) && is_small(contact.disturbance) && is_small(contact.rolling) &&
-         is_small(contact.external) && is_small(contact.surface_reaction);
-}
-
-template <typename Level>
-bool RecedingHorizonController<Level>::continue_reference() {
-  inputs_.reference_ends = false;
-  const double interval = settings().problem.interval;
-  for (std::size_t k = 0; k < inputs_.points.size(); ++k) {
-    ReferencePoint& point = inputs_.points[k];
-    const double length = point.orientation.norm();
-    if (!inputs_.reference_ends && all_finite(point.position) && all_finite(point.velocity) &&
-        all_finite(point.acceleration) && all_finite(point.angular_velocity) &&
-        all_finite(point.angular_acceleration) && length > 0.1 && length < 10.0)
-      continue;
-    if (k == 0) return false;
-    inputs_.reference_ends = true;
-    point = inputs_.points[k - 1];
-    point.position += interval * point.velocity;
-    point.acceleration.setZero();
-    point.orientation *= quaternion_exp(Eigen::Vector3d(interval * point.angular_velocity));
-    point.angular_acceleration.setZero();
-  }
-  return true;
-}
-
-template <typename Level>
-auto RecedingHorizonController<Level>::deadline_from(Clock::time_point now) const
-    -> Clock::time_point {
-  const Settings& s = settings();
-  const double limit = s.time_limit > 0.0 ? s.time_limit : 0.5 * s.period;
-  return now - prepare_time_ +
-         std::chrono::duration_cast<Clock::duration>(
-             std::chrono::duration<double>(std::min(limit, 1e6)));
-}
-
-template <typename Level>
-void RecedingHorizonController<Level>::forget_old_plan(double time) {
-  if (plan_.exists() && !plan_in_force(time)) {
-    plan_.drop();
-    cold_ = true;
-  }
-}
-
-template <typename Level>
-bool RecedingHorizonController<Level>::make_plan(const State& x, Clock::time_point deadline) {
-  result_.report = solver_.feedback(x, deadline);
-  return optimal_control::has_plan(result_.report.status) && plan_is_credible();
-}
-
-template <typename Level>
-bool RecedingHorizonController<Level>::plan_is_credible() const {
-  for (int k = 1; k <= solver_.horizon(); ++k) {
-    const State& x = solver_.state(k);
-    if (!(level_.is_credible(solver_.problem(), x) &&
-          (x.body.position - inputs_.body.position).norm() <= 1e3))
-      return false;
-  }
-  return true;
-}
-
-template <typename Level>
-bool RecedingHorizonController<Level>::can_start_again(Clock::time_point deadline) const {
-  const auto needed = std::chrono::duration_cast<Clock::duration>(
-      std::chrono::duration<double, std::micro>(2.0 * solver_.report().prepare_us));
-  return 4 * solver_.report().passes <= settings().solver.program.max_passes &&
-         Clock::now() + needed < deadline;
-}
-
-template <typename Level>
-void RecedingHorizonController<Level>::start_cold(const State& x) {
-  solver_.reset(x);
-  plan_.reset(x);
-  (void)solver_.prepare();
 }
 
 /// The controller of the wrench level: the plan's state has the wrench of the actuators, as in the
