@@ -53,12 +53,9 @@ class ActuatorLevel {
         inverse_(vehicle),
         reference_wrench_(vehicle, settings.ground, inverse_.matrix()) {
     for (std::size_t i = 0; i < Rotors; ++i) {
-      RotorLimits& rotor = rotors_[i];
-      rotor.parameters = rotor_parameters(vehicle, i);
-      rotor.effectiveness = vehicle.rotors[i].effectiveness;
-      rotor.min_speed = speed_from_thrust(rotor.parameters.min_thrust, rotor.parameters);
-      rotor.max_speed = speed_from_thrust(rotor.parameters.max_thrust, rotor.parameters);
-      rotor.tilts = vehicle.rotors[i].tilts;
+      const RotorParameters& rotor = rotor_parameters(vehicle, i);
+      min_speed_[i] = speed_from_thrust(rotor.min_thrust, rotor);
+      max_speed_[i] = speed_from_thrust(rotor.max_thrust, rotor);
     }
   }
 
@@ -84,10 +81,11 @@ class ActuatorLevel {
     if (!ratio) return false;
     Eigen::Matrix<double, Rotors, 1> most;
     for (int i = 0; i < Rotors; ++i) {
-      RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-      const double thrust = max_thrust_at(rotor.parameters, *ratio);
-      rotor.max_speed = speed_from_thrust(thrust, rotor.parameters);
-      most(i) = rotor.effectiveness * thrust;
+      const auto k = static_cast<std::size_t>(i);
+      const RotorParameters& rotor = rotor_parameters(vehicle_, k);
+      const double thrust = max_thrust_at(rotor, *ratio);
+      max_speed_[k] = speed_from_thrust(thrust, rotor);
+      most(i) = vehicle_.rotors[k].effectiveness * thrust;
     }
     problem.set_max_thrust(most);
     return true;
@@ -144,11 +142,9 @@ class ActuatorLevel {
     State x;
     x.body = ground().stopped(solver.problem().node(0), inputs.body);
     for (int i = 0; i < Rotors; ++i) {
-      const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-      const double thrust =
-          rotor.effectiveness * thrust_from_speed(actuators.rotor_speed(i), rotor.parameters);
+      const double thrust = solver.problem().body().thrust(i, actuators.rotor_speed(i));
       x.thrust(i) = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
-      if (!rotor.tilts) continue;
+      if (!vehicle_.rotors[static_cast<std::size_t>(i)].tilts) continue;
       x.tilt_angle(i) =
           std::clamp(actuators.tilt_angle(i), limits.min_angle(i), limits.max_angle(i));
     }
@@ -193,7 +189,7 @@ class ActuatorLevel {
     State x;
     for (int i = 0; i < Rotors; ++i) {
       const double lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
-      if (rotors_[static_cast<std::size_t>(i)].tilts) {
+      if (vehicle_.rotors[static_cast<std::size_t>(i)].tilts) {
         x.thrust(i) = std::sqrt(lateral * lateral + vertical * vertical);
         x.tilt_angle(i) = std::atan2(lateral, vertical);
       } else {
@@ -294,19 +290,20 @@ class ActuatorLevel {
                  reached_by_servo = -std::expm1(-period / vehicle_.servo.time_constant);
     ActuatorState<Rotors> command;
     for (int i = 0; i < Rotors; ++i) {
-      const RotorLimits& rotor = rotors_[static_cast<std::size_t>(i)];
-      const RotorParameters& parameters = rotor.parameters;
+      const auto k = static_cast<std::size_t>(i);
+      const RotorParameters& rotor = rotor_parameters(vehicle_, k);
       // A lost rotor gets the slowest speed.
-      const double per_effectiveness = rotor.effectiveness > 0.0 ? 1.0 / rotor.effectiveness : 0.0;
+      const double effectiveness = vehicle_.rotors[k].effectiveness,
+                   per_effectiveness = effectiveness > 0.0 ? 1.0 / effectiveness : 0.0;
       const auto speed_at = [&](double thrust) {
         const double clamped = std::clamp(thrust, limits.min_thrust(i), limits.max_thrust(i));
-        return speed_from_thrust(per_effectiveness * clamped, parameters);
+        return speed_from_thrust(per_effectiveness * clamped, rotor);
       };
       const double speed = speed_at(x.thrust(i)),
-                   reached = -std::expm1(-period / parameters.time_constant),
+                   reached = -std::expm1(-period / rotor.time_constant),
                    target = speed + (speed_at(x.thrust(i) + period * rates(i)) - speed) / reached;
-      command.rotor_speed(i) = std::clamp(target, rotor.min_speed, rotor.max_speed);
-      if (rotor.tilts)
+      command.rotor_speed(i) = std::clamp(target, min_speed_[k], max_speed_[k]);
+      if (vehicle_.rotors[k].tilts)
         command.tilt_angle(i) =
             std::clamp(x.tilt_angle(i) + period * rates(Rotors + i) / reached_by_servo,
                        limits.min_angle(i), limits.max_angle(i));
@@ -314,17 +311,11 @@ class ActuatorLevel {
     return command;
   }
 
-  struct RotorLimits {
-    RotorParameters parameters;
-    double effectiveness = 1.0, min_speed = 0.0, max_speed = 0.0;
-    bool tilts = true;
-  };
-
   Settings settings_;
   Vehicle<Rotors> vehicle_;
   ThrustInverse<Rotors> inverse_;
   ReferenceWrench<Rotors> reference_wrench_;
-  std::array<RotorLimits, static_cast<std::size_t>(Rotors)> rotors_;
+  std::array<double, static_cast<std::size_t>(Rotors)> min_speed_{}, max_speed_{};  // [rad/s]
 };
 
 }  // namespace tilt_ropter::detail
