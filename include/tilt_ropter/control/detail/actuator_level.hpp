@@ -218,22 +218,16 @@ class ActuatorLevel {
   }
   // Turns the attitude so that the force that `point` needs can be given without a torque.
   void lean(ReferencePoint& point, const Wrenchd& external) const {
-    const Eigen::Matrix3d& possible = inverse_.steady_forces();
     Eigen::Vector3d needed = vehicle_.body.mass * point.acceleration;
     needed.z() += vehicle_.body.mass * gravity;
     // The external force is constant in the body frame, so the attitude is found by iteration.
     for (int n = 0; n < 4; ++n) {
       const Eigen::Vector3d force = point.orientation.conjugate() * needed - external.force;
       Eigen::Vector3d given;
-      for (int i = 0; i < 3; ++i)
-        given(i) =
-            possible(i, 0) * force.x() + possible(i, 1) * force.y() + possible(i, 2) * force.z();
+      put(square(inverse_.steady_forces()) * triple(force), given);
       const double length = force.norm() * given.norm();
       if (!(length > 1e-6)) return;
-      const Eigen::Vector3d axis = given.cross(force) / length;
-      Eigen::Quaterniond turn(1.0 + given.dot(force) / length, axis.x(), axis.y(), axis.z());
-      turn.normalize();
-      point.orientation = (point.orientation * turn).normalized();
+      point.orientation = (point.orientation * shortest_turn(given, force, length)).normalized();
     }
   }
   // True if the vehicle can push forward without leaning.

@@ -48,6 +48,17 @@ inline constexpr double state_penalty = 1e4;
 /// of those in the air to keep the turn small.
 inline constexpr double touch_weights[] = {16.0, 4.0, 16.0, 4.0};
 
+/// Rotation from one vector to another, by less than half a turn. `length` is the product of their
+/// lengths.
+[[nodiscard]] inline Eigen::Quaterniond shortest_turn(const Eigen::Vector3d& from,
+                                                      const Eigen::Vector3d& to,
+                                                      double length = 1.0) noexcept {
+  const Eigen::Vector3d axis = from.cross(to) / length;
+  Eigen::Quaterniond turn(1.0 + from.dot(to) / length, axis.x(), axis.y(), axis.z());
+  turn.normalize();
+  return turn;
+}
+
 /// Rotation q (x) q_r^-1 from reference to body, with w >= 0: the shorter of the two equivalent
 /// rotations.
 [[nodiscard]] inline Eigen::Quaterniond attitude_error(const FlightNode& node,

@@ -133,9 +133,9 @@ class GroundContact {
     Eigen::Vector3d along = ahead;
     along.z() = ground.rise(ahead);
     along /= along.norm();
-    const Eigen::Quaterniond pitch = shortest_turn(ahead, along);
+    const Eigen::Quaterniond pitch = detail::shortest_turn(ahead, along);
     const Eigen::Vector3d up = pitch * Eigen::Vector3d::UnitZ();
-    laid.orientation = shortest_turn(up, ground.normal()) * (pitch * point.orientation);
+    laid.orientation = detail::shortest_turn(up, ground.normal()) * (pitch * point.orientation);
     return laid;
   }
 
@@ -218,15 +218,6 @@ class GroundContact {
   // Acceleration of the reference along its own body x [m/s^2].
   static double ahead_of(const ReferencePoint& point) noexcept {
     return (point.orientation.conjugate() * point.acceleration).x();
-  }
-
-  // Rotation from one unit vector to another, by less than half a turn.
-  static Eigen::Quaterniond shortest_turn(const Eigen::Vector3d& from,
-                                          const Eigen::Vector3d& to) noexcept {
-    const Eigen::Vector3d axis = from.cross(to);
-    Eigen::Quaterniond turn(1.0 + from.dot(to), axis.x(), axis.y(), axis.z());
-    turn.normalize();
-    return turn;
   }
 
   // Height of the ground that the reference was planned for or that was estimated, under
