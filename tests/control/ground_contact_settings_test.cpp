@@ -78,11 +78,11 @@ TEST(GroundContactSettings, GroundWasNotPlannedAndHoldsTheVehicle) {
 TEST(GroundContactSettings, EveryRotorKeeps6CentinewtonsOfVerticalThrust) {
   const Wrenchd level{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()},
       pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
-  EXPECT_EQ(GroundThrust<4>(vehicle, {})(level), 0.75);
+  EXPECT_EQ(ReferenceWrench<4>(vehicle, {}).ground_thrust(level), 0.75);
   GroundContactSettings none;
   none.rotor_thrust = 0.0;
-  EXPECT_NEAR(GroundThrust<4>(vehicle, {})(pitched),
-              GroundThrust<4>(vehicle, none)(pitched) + 4.0 * 0.06, 1e-9);
+  EXPECT_NEAR(ReferenceWrench<4>(vehicle, {}).ground_thrust(pitched),
+              ReferenceWrench<4>(vehicle, none).ground_thrust(pitched) + 4.0 * 0.06, 1e-9);
 }
 
 }  // namespace ground_contact_settings_test

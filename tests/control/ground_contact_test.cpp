@@ -213,15 +213,16 @@ TEST(GroundContact, HoldsThePitchedBodyAboutTheDirectionInWhichItRolls) {
 TEST(GroundContact, ThrustOnTheGroundKeepsTiltAnglesWithinTheRangeOfTheServos) {
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   const GroundContactSettings settings;
-  const double unlimited = GroundThrust<4>(vehicle, settings)({{0.8, 0.0, 0.0}, {0.0, 0.0, 0.02}});
+  const double unlimited =
+      ReferenceWrench<4>(vehicle, settings).ground_thrust({{0.8, 0.0, 0.0}, {0.0, 0.0, 0.02}});
   EXPECT_LT(unlimited, 1.2);
   vehicle.servo.min_angle = -pi / 3.0;
   vehicle.servo.max_angle = 0.5 * pi;
-  const GroundThrust<4> thrust(vehicle, settings);
+  const ReferenceWrench<4> needed(vehicle, settings);
   const AllocationMatrix<4> allocation(vehicle);
   for (const double force : {-1.5, -0.1, 0.0, 0.8}) {
     Wrenchd wrench{{force, 0.0, 0.0}, {0.0, 0.0, 0.02}};
-    wrench.force.z() = thrust(wrench);
+    wrench.force.z() = needed.ground_thrust(wrench);
     EXPECT_LE(wrench.force.z(), 0.5 * 1.5 * gravity);
     Eigen::Matrix<double, 6, 1> both;
     both << wrench.force, wrench.torque;

@@ -25,7 +25,7 @@ TEST(ReferenceWrench, AcceleratesAndCompensatesDisturbanceInAirAndOnGround) {
   EXPECT_LT((air.force - Eigen::Vector3d(1.0, 3.0, 1.5 * gravity)).norm(), 1e-12);
   EXPECT_EQ(air.torque, Eigen::Vector3d(0.0, -0.05, 0.0));
   EXPECT_EQ(ground.force.y(), 0.0);
-  EXPECT_EQ(ground.force.z(), GroundThrust<4>(vehicle, {})(ground));
+  EXPECT_EQ(ground.force.z(), wrench.ground_thrust(ground));
   EXPECT_GT(ground.force.z(), 0.75);  // above down_force, because of the torque
 }
 
@@ -43,18 +43,19 @@ Eigen::Vector4d vertical_thrusts(const Wrenchd& wrench, double force) {
 }
 
 TEST(GroundThrust, EqualsDownForceWithoutTorque) {
-  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
-  EXPECT_EQ(thrust({}), 0.75);
-  EXPECT_EQ(thrust({Eigen::Vector3d(0.5, 0.0, 7.0), Eigen::Vector3d::Zero()}), 0.75);
+  const ReferenceWrench<4> needed(tilt_ropter_vehicle(), {});
+  EXPECT_EQ(needed.ground_thrust({}), 0.75);
+  EXPECT_EQ(needed.ground_thrust({Eigen::Vector3d(0.5, 0.0, 7.0), Eigen::Vector3d::Zero()}), 0.75);
   // Torque from noise of the estimate, or from a CoM that is half a millimetre off the axle.
-  EXPECT_EQ(thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0075, 0.0)}), 0.75);
+  EXPECT_EQ(needed.ground_thrust({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.0075, 0.0)}),
+            0.75);
 }
 
 TEST(GroundThrust, KeepsEveryRotorPushingUpwardUnderTorque) {
-  const GroundThrust<4> thrust(tilt_ropter_vehicle(), {});
+  const ReferenceWrench<4> needed(tilt_ropter_vehicle(), {});
   for (const double torque : {-0.18, -0.1, 0.05, 0.147}) {  // last: CoM 1 cm off the axle
     const Wrenchd wrench{Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d(0.0, torque, 0.02)};
-    const double force = thrust(wrench);
+    const double force = needed.ground_thrust(wrench);
     const Eigen::Vector4d before = vertical_thrusts(wrench, 0.0);
     const double taken = -before.minCoeff();
     EXPECT_NEAR(vertical_thrusts(wrench, force).minCoeff(),
@@ -66,16 +67,19 @@ TEST(GroundThrust, KeepsEveryRotorPushingUpwardUnderTorque) {
 TEST(GroundThrust, RotorThrustTakesEffectUpToHalfTheWeight) {
   const Wrenchd pitched{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.147, 0.0)};
   GroundContactSettings settings;
+  const auto thrust = [&settings](const Wrenchd& wrench) {
+    return ReferenceWrench<4>(tilt_ropter_vehicle(), settings).ground_thrust(wrench);
+  };
   settings.rotor_thrust = 0.0;
-  const double none = GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched);
+  const double none = thrust(pitched);
   EXPECT_NEAR(vertical_thrusts(pitched, none).minCoeff(), 0.0, 1e-9);
   settings.rotor_thrust = 0.5;
-  EXPECT_NEAR(GroundThrust<4>(tilt_ropter_vehicle(), settings)(pitched), none + 4.0 * 0.5, 1e-9);
+  EXPECT_NEAR(thrust(pitched), none + 4.0 * 0.5, 1e-9);
   settings.rotor_thrust = 100.0;
   const Wrenchd tipping{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 5.0, 0.0)};
-  EXPECT_DOUBLE_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 0.5 * 1.5 * gravity);
+  EXPECT_DOUBLE_EQ(thrust(tipping), 0.5 * 1.5 * gravity);
   settings.down_force = 10.0;  // the user's down_force is not limited
-  EXPECT_EQ(GroundThrust<4>(tilt_ropter_vehicle(), settings)(tipping), 10.0);
+  EXPECT_EQ(thrust(tipping), 10.0);
 }
 
 // A servo that does not reach 90 degrees: the thrust of its rotor stays within half of the tangent
@@ -87,7 +91,7 @@ TEST(GroundThrust, KeepsNarrowServosAwayFromTheEndOfTheirRange) {
     vehicle.servo.max_angle = high;
     for (const double ahead : {0.6, -0.7}) {
       const Wrenchd wrench{Eigen::Vector3d(ahead, 0.0, 0.0), Eigen::Vector3d::Zero()};
-      const double force = GroundThrust<4>(vehicle, {})(wrench);
+      const double force = ReferenceWrench<4>(vehicle, {}).ground_thrust(wrench);
       EXPECT_LT(force, 0.5 * vehicle.body.mass * gravity);
       const auto given = thrusts(wrench, force);
       double steepest = 0.0;

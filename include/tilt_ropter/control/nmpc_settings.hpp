@@ -106,7 +106,7 @@ struct GroundContactSettings {
   /// the vehicle drives beside its reference or turned from it, rotors carry up to half the weight.
   double down_force = 0.75;
   /// Vertical thrust that a rotor keeps on the ground where torques reduce its thrust [N]. See
-  /// GroundThrust.
+  /// ReferenceWrench::ground_thrust().
   double rotor_thrust = 0.06;
 };
 

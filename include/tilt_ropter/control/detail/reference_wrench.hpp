@@ -15,63 +15,6 @@
 /// The wrench that a reference needs, in the air and on the ground.
 namespace tilt_ropter {
 
-/// Vertical thrust to command on the ground: down_force, and more where a torque reduces the thrust
-/// of a rotor, so that every rotor pushes upward. A CoM off the axle pitches the vehicle all the
-/// time. With little total thrust, the front or the rear rotor would have to push downward. Its
-/// servo would then be at one end of its range. From one end to the other is a whole turn. During
-/// this turn the rotor pushes in every direction, and the vehicle tips.
-///
-/// If the torque reduces a rotor's thrust by t, the rotor keeps at least min(2 t, rotor_thrust).
-/// If a servo does not reach 90 degrees to one side, the vertical thrust of its rotor is at least
-/// twice the thrust at which the lateral thrust is at the end of the servo's range. The total is
-/// limited to half the weight, so that the other half stays on the wheels.
-template <int Rotors>
-class GroundThrust {
- public:
-  /// Throws std::invalid_argument if the geometry cannot give every wrench.
-  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings)
-      : GroundThrust(vehicle, settings, AllocationMatrix<Rotors>(vehicle).pseudoinverse) {}
-
-  /// For a geometry of any rank. `inverse` is ThrustInverse::matrix().
-  GroundThrust(const Vehicle<Rotors>& vehicle, const GroundContactSettings& settings,
-               const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
-      : settings_(settings), most_(0.5 * vehicle.body.mass * gravity) {
-    for (int i = 0; i < Rotors; ++i)
-      for (int j = 0; j < 6; ++j) {
-        lateral_(i, j) = inverse(2 * i, j);
-        vertical_(i, j) = inverse(2 * i + 1, j);
-      }
-    const double least = std::min(-vehicle.servo.min_angle, vehicle.servo.max_angle);
-    if (least < 0.5 * pi) vertical_per_lateral_ = 2.0 / std::tan(std::max(least, 0.1));
-  }
-
-  /// Replaces the settings. The new settings must be valid.
-  void set_settings(const GroundContactSettings& settings) noexcept { settings_ = settings; }
-
-  /// Returns the vertical force [N] for `wrench` (body frame), whose own vertical force is ignored:
-  /// at least `lifted` (0 to 1) of half the weight.
-  [[nodiscard]] double operator()(const Wrenchd& wrench, double lifted = 0.0) const noexcept {
-    Eigen::Matrix<double, 6, 1> level;
-    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
-    double force = settings_.down_force;
-    for (int i = 0; i < Rotors; ++i) {
-      const double fraction = vertical_(i, 2), taken = -vertical_.row(i).dot(level);
-      if (!(fraction > 1e-6)) continue;
-      const double lateral = std::abs(lateral_.row(i).dot(level)),
-                   kept = std::max(std::min(2.0 * taken, settings_.rotor_thrust),
-                                   vertical_per_lateral_ * lateral);
-      force = std::max(force, (taken + kept) / fraction);
-    }
-    return std::max({settings_.down_force, std::min(force, most_), lifted * most_});
-  }
-
- private:
-  GroundContactSettings settings_;
-  Eigen::Matrix<double, Rotors, 6> lateral_, vertical_;
-  double vertical_per_lateral_ = 0.0;
-  double most_;
-};
-
 /// The wrench that a reference needs, by inverse dynamics.
 template <int Rotors>
 class ReferenceWrench {
@@ -85,12 +28,14 @@ class ReferenceWrench {
                   const Eigen::Matrix<double, 2 * Rotors, 6>& inverse)
       : body_(vehicle.body),
         ground_(vehicle.body, undercarriage(vehicle), settings),
-        ground_thrust_(vehicle, settings, inverse) {}
+        inverse_(inverse) {
+    const double least = std::min(-vehicle.servo.min_angle, vehicle.servo.max_angle);
+    if (least < 0.5 * pi) vertical_per_lateral_ = 2.0 / std::tan(std::max(least, 0.1));
+  }
 
   /// Replaces the settings. The new settings must be valid.
   void set_settings(const GroundContactSettings& settings) noexcept {
     ground_.set_settings(settings);
-    ground_thrust_.set_settings(settings);
   }
 
   /// Returns the wrench (body frame) for `point` that also balances `external` (body frame). On the
@@ -107,9 +52,38 @@ class ReferenceWrench {
         body_.inertia * point.angular_acceleration + w.cross(body_.inertia * w) - external.torque;
     if (on_ground && ground_.holds()) {
       ground_.release(wrench);
-      wrench.force.z() = ground_thrust_(wrench, lifted);
+      wrench.force.z() = ground_thrust(wrench, lifted);
     }
     return wrench;
+  }
+
+  /// Returns the vertical thrust [N] to command on the ground for `wrench` (body frame), whose own
+  /// vertical force is ignored: at least down_force and `lifted` (0 to 1) of half the weight, and
+  /// more where a torque reduces the thrust of a rotor, so that every rotor pushes upward. A CoM
+  /// off the axle pitches the vehicle all the time. With little total thrust, the front or the rear
+  /// rotor would have to push downward. Its servo would then be at one end of its range. From one
+  /// end to the other is a whole turn. During this turn the rotor pushes in every direction, and
+  /// the vehicle tips.
+  ///
+  /// If the torque reduces a rotor's thrust by t, the rotor keeps at least min(2 t, rotor_thrust).
+  /// If a servo does not reach 90 degrees to one side, the vertical thrust of its rotor is at least
+  /// twice the thrust at which the lateral thrust is at the end of the servo's range. The total is
+  /// limited to half the weight, so that the other half stays on the wheels.
+  [[nodiscard]] double ground_thrust(const Wrenchd& wrench, double lifted = 0.0) const noexcept {
+    const GroundContactSettings& settings = ground_.settings();
+    const double most = 0.5 * body_.mass * gravity;
+    Eigen::Matrix<double, 6, 1> level;
+    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
+    double force = settings.down_force;
+    for (int i = 0; i < Rotors; ++i) {
+      const double fraction = inverse_(2 * i + 1, 2), taken = -inverse_.row(2 * i + 1).dot(level);
+      if (!(fraction > 1e-6)) continue;
+      const double lateral = std::abs(inverse_.row(2 * i).dot(level)),
+                   kept = std::max(std::min(2.0 * taken, settings.rotor_thrust),
+                                   vertical_per_lateral_ * lateral);
+      force = std::max(force, (taken + kept) / fraction);
+    }
+    return std::max({settings.down_force, std::min(force, most), lifted * most});
   }
 
   /// Returns the wrench (body frame) to command without a plan. In the air it carries the weight
@@ -132,7 +106,8 @@ class ReferenceWrench {
  private:
   RigidBodyParameters body_;
   GroundContact ground_;
-  GroundThrust<Rotors> ground_thrust_;
+  Eigen::Matrix<double, 2 * Rotors, 6> inverse_;  // thrusts by the wrench
+  double vertical_per_lateral_ = 0.0;
 };
 
 }  // namespace tilt_ropter
