@@ -96,19 +96,13 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
     settings_ = settings;
     set_weights();
-    actuators_ = actuators;
-    set_bounds();
+    set_actuators(actuators);
   }
 
-  /// Calls ActuatorConstraints::set_voltage() and updates the bounds of all nodes.
-  bool set_voltage([[maybe_unused]] double voltage) noexcept {
-    if constexpr (Rotors > 0) {
-      if (!actuators_.set_voltage(voltage)) return false;
-      const auto thrusts = actuators_.upper().template tail<Rotors>();
-      upper_.template tail<Rotors>() = this->last_upper_.template tail<Rotors>() = thrusts;
-      return true;
-    }
-    return false;
+  /// The same for the constraints of the actuators alone, for example at another voltage.
+  void set_actuators(const ActuatorConstraints<Rotors>& actuators) noexcept {
+    actuators_ = actuators;
+    set_bounds();
   }
 
   /// d difference(retract(x, dx + e), retract(x, dx)) / de, for SingleShooting.

@@ -75,7 +75,7 @@ class WrenchLevel {
   /// See RecedingHorizonController::set_voltage().
   bool set_voltage(double voltage, Problem& problem) noexcept {
     if (!actuators_.set_voltage(voltage)) return false;
-    (void)problem.set_voltage(voltage);
+    problem.set_actuators(constraints(settings_));
     return true;
   }
 
