@@ -9,7 +9,6 @@
 
 #include <Eigen/Core>
 
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -55,19 +54,15 @@ class ActuatorConstraints {
   /// geometry are out of range.
   explicit ActuatorConstraints(const Vehicle<Rotors>& vehicle,
                                double tilt_rate_fraction = NmpcBounds().tilt_rate_fraction)
-      : enabled_(true) {
-    validate(vehicle);
+      : enabled_(true), vehicle_(validated(vehicle)) {
     pseudoinverse_ = AllocationMatrix<Rotors>(vehicle).pseudoinverse;
     const double hover = vehicle.body.mass * gravity / Rotors;
     scale_ = 1.0 / (hover * hover);
-    battery_ = vehicle.battery;
     for (int i = 0; i < Rotors; ++i) {
       const auto k = static_cast<std::size_t>(i);
       const RotorGeometry& geometry = vehicle.rotors[k];
-      rotors_[k] = rotor_parameters(vehicle, k);
-      effectiveness_[k] = geometry.effectiveness;
       if (!(geometry.effectiveness > 0.0)) continue;
-      upper_(2 * Rotors + i) = geometry.effectiveness * rotors_[k].max_thrust;
+      upper_(2 * Rotors + i) = geometry.effectiveness * rotor_parameters(vehicle, k).max_thrust;
       if (!geometry.tilts) continue;
       servo_rate_(i) = vehicle.servo.max_rate;
       upper_(i) = upper_(Rotors + i) = 0.0;
@@ -86,12 +81,14 @@ class ActuatorConstraints {
   /// Returns true if voltage_ratio() accepts the voltage; if not, or without bounds, nothing
   /// changes.
   bool set_voltage(double voltage) noexcept {
-    const std::optional<double> ratio = voltage_ratio(battery_, voltage);
+    const std::optional<double> ratio = voltage_ratio(vehicle_.battery, voltage);
     if (!ratio) return false;
     for (int i = 0; i < Rotors; ++i) {
       const auto k = static_cast<std::size_t>(i);
-      if (effectiveness_[k] > 0.0)
-        upper_(2 * Rotors + i) = effectiveness_[k] * max_thrust_at(rotors_[k], *ratio);
+      const double effectiveness = vehicle_.rotors[k].effectiveness;
+      if (effectiveness > 0.0)
+        upper_(2 * Rotors + i) =
+            effectiveness * max_thrust_at(rotor_parameters(vehicle_, k), *ratio);
     }
     return true;
   }
@@ -184,15 +181,13 @@ class ActuatorConstraints {
 
   bool enabled_ = false;
   static constexpr double hold_square_ = hold_thrust * hold_thrust;
-  double scale_ = 0.0;         // [1/N^2]
-  BatteryParameters battery_;  // no voltage if there are no bounds
-  std::array<RotorParameters, static_cast<std::size_t>(Rotors)> rotors_{};
-  std::array<double, static_cast<std::size_t>(Rotors)> effectiveness_{};
+  double scale_ = 0.0;  // [1/N^2]
   using PerRotor = Eigen::Matrix<double, Rotors, 1>;
   PerRotor servo_rate_ = PerRotor::Zero(), max_rate_ = PerRotor::Zero();  // [rad/s]
   Values upper_ = Values::Constant(std::numeric_limits<double>::infinity());
   Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor> pseudoinverse_ =
       Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor>::Zero();
+  Vehicle<Rotors> vehicle_{};  // its battery has no voltage if there are no bounds
 };
 
 /// No actuator constraints: the problem has only the paper's constraints.
