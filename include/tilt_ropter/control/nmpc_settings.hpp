@@ -288,20 +288,6 @@ void validate(const HorizonSettings<Weights, Bounds>& s) {
   validate(s.bounds);
 }
 
-namespace detail {
-
-/// Throws std::invalid_argument if the horizon of `settings` differs from that of `built`.
-template <typename Weights, typename Bounds>
-void require_same_horizon(const HorizonSettings<Weights, Bounds>& settings,
-                          const HorizonSettings<Weights, Bounds>& built) {
-  require(settings.intervals == built.intervals, "HorizonSettings.intervals", settings.intervals,
-          "as at construction");
-  require(settings.interval == built.interval, "HorizonSettings.interval [s]", settings.interval,
-          "as at construction");
-}
-
-}  // namespace detail
-
 /// Settings of the problem of the wrench level.
 struct WheeledFlightSettings : HorizonSettings<NmpcWeights, NmpcBounds> {
   TerminalCost terminal_cost = TerminalCost::weights;  ///< cost of the last node

@@ -2,11 +2,9 @@
 #pragma once
 
 #include <tilt_ropter/actuation/detail/actuated_body.hpp>
-#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/control/detail/flight_node.hpp>
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
-#include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
@@ -114,12 +112,9 @@ class ActuatorLevelProblem
     set_bounds();
   }
 
-  /// Changes settings for the next MultipleShooting::prepare(). The nodes stay as they are. The
-  /// number and the length of the intervals must stay the same. Does not allocate. Throws
-  /// std::invalid_argument, and changes nothing, if the settings are out of range.
+  /// As WheeledFlightProblem::set_settings(). Does not allocate.
   void set_settings(const ActuatorLevelSettings& settings) {
-    validate(settings);
-    detail::require_same_horizon(settings, settings_);
+    this->require_usable(settings);
     settings_ = settings;
     set_bounds();
   }
@@ -137,16 +132,13 @@ class ActuatorLevelProblem
   [[nodiscard]] const ActuatedBody<Rotors>& body() const { return body_; }
 
   [[nodiscard]] State step(int k, const State& x, const Input& u) const {
-    return step_for(settings_.interval, k, x, u);
+    return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom,
+                      node(k).steering);
   }
   [[nodiscard]] State step(int k, const State& x, const Input& u, StateJacobian& A,
                            InputJacobian& B) const {
     return body_.step(x, u, node(k).external, settings_.interval, node(k).freedom, A, B,
                       node(k).steering);
-  }
-  /// End state after the first `seconds` of interval k.
-  [[nodiscard]] State step_for(double seconds, int k, const State& x, const Input& u) const {
-    return body_.step(x, u, node(k).external, seconds, node(k).freedom, node(k).steering);
   }
 
   /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the

@@ -108,14 +108,6 @@ template <typename Costate>
   return transposed(square(body.orientation.toRotationMatrix())) * triple(body.velocity);
 }
 
-/// v_By, the angular velocity about the roll axis (w_x) and the height of the CoM over its plane
-/// (paper, Eq. mpc_subject).
-[[nodiscard]] inline Eigen::Vector3d ground_conditions(const FlightNode& node,
-                                                       const BodyStated& body) {
-  return {body_velocity(body).y, dot(triple(node.roll_axis), triple(body.angular_velocity)),
-          body.position.z() - node.com_plane.height_at(body.position)};
-}
-
 }  // namespace detail
 
 /// The common part of the problems of both levels: nodes, bounds, and the conditions of ground
@@ -164,10 +156,13 @@ class FlightProblem {
   }
   [[nodiscard]] const Constraints& penalty(int) const { return penalty_; }
 
-  /// v_By, w_x and the height of the CoM over its plane (paper, Eq. mpc_subject), used where the
-  /// node is on the ground.
+  /// v_By, the angular velocity about the roll axis (w_x) and the height of the CoM over its plane
+  /// (paper, Eq. mpc_subject), used where the node is on the ground.
   [[nodiscard]] Equalities equality_values(int k, const State& x) const {
-    return detail::ground_conditions(node(k), x.body);
+    const FlightNode& n = node(k);
+    return {detail::body_velocity(x.body).y,
+            dot(detail::triple(n.roll_axis), detail::triple(x.body.angular_velocity)),
+            x.body.position.z() - n.com_plane.height_at(x.body.position)};
   }
   void equality_derivatives(int k, const State& x, EqualitiesX& H) const {
     constexpr int first = states - 12;
@@ -193,6 +188,15 @@ class FlightProblem {
  protected:
   explicit FlightProblem(const Settings& settings) : settings_(validated(settings)) {
     nodes_.resize(static_cast<std::size_t>(settings.intervals) + 1);
+  }
+
+  // Throws std::invalid_argument if `settings` are out of range or have another horizon.
+  void require_usable(const Settings& settings) const {
+    validate(settings);
+    require(settings.intervals == settings_.intervals, "HorizonSettings.intervals",
+            settings.intervals, "as at construction");
+    require(settings.interval == settings_.interval, "HorizonSettings.interval [s]",
+            settings.interval, "as at construction");
   }
 
   // Sets the bounds of the first and of the last node from lower_ and upper_, and the penalties.

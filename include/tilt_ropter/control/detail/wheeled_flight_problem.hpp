@@ -91,8 +91,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   /// std::invalid_argument, and changes nothing, if the settings are out of range.
   void set_settings(const WheeledFlightSettings& settings,
                     const ActuatorConstraints<Rotors>& actuators = {}) {
-    validate(settings);
-    detail::require_same_horizon(settings, settings_);
+    this->require_usable(settings);
     if (settings.terminal_cost == TerminalCost::riccati) set_terminal(settings.weights);
     settings_ = settings;
     set_weights();
@@ -178,7 +177,12 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
-    clear_curvature(model);
+    // Entries that add_curvature() changes and that are not set below.
+    model.hessian.template topLeftCorner<6, 6>().setZero();
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 3; ++i)
+        model.hessian(I::force + i, I::orientation + j) =
+            model.hessian(I::orientation + i, I::force + j) = 0.0;
     const Tangent e = error(k, x);
     const Square by_angle =
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
@@ -224,7 +228,10 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   /// battery each plan violates the limits more than the last one.
   void add_curvature(int k, const State& x, const Input&, const Constraints& multipliers,
                      const Tangent& costate, Model& model) const {
-    if (!force_is_limited(multipliers)) return;
+    bool limited = false;  // by a bound on the force or a limit of a thrust
+    for (int i = 0; i < 3; ++i) limited |= multipliers(Part::force + i) != 0.0;
+    for (int i = constraints - Rotors; i < constraints; ++i) limited |= multipliers(i) > 0.0;
+    if (!limited) return;
     if constexpr (Rotors > 0)
       actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
                                model.hessian.template topLeftCorner<6, 6>());
@@ -284,23 +291,6 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     detail::put(detail::triple(w.force_rate), all, I::force);
     detail::put(detail::triple(w.torque_rate), all, I::torque);
     return all;
-  }
-
-  // Returns true if a bound on the force or a thrust limit has a multiplier.
-  static bool force_is_limited(const Constraints& multipliers) {
-    bool limited = false;
-    for (int i = 0; i < 3; ++i) limited |= multipliers(Part::force + i) != 0.0;
-    for (int i = constraints - Rotors; i < constraints; ++i) limited |= multipliers(i) > 0.0;
-    return limited;
-  }
-
-  // Sets those entries to zero that add_curvature() changes and cost_model() does not set.
-  static void clear_curvature(Model& model) {
-    model.hessian.template topLeftCorner<6, 6>().setZero();
-    for (int j = 0; j < 3; ++j)
-      for (int i = 0; i < 3; ++i)
-        model.hessian(I::force + i, I::orientation + j) =
-            model.hessian(I::orientation + i, I::force + j) = 0.0;
   }
 
   void set_weights() {
