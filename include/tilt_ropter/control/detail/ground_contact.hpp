@@ -110,7 +110,13 @@ class GroundContact {
   void hold_rotation(const Eigen::Quaterniond& orientation, FlightNode& node) const noexcept {
     if (!undercarriage_ || !node.on_ground || !holds()) return;
     node.roll_axis = roll_axis(orientation.conjugate() * node.com_plane.normal());
-    node.freedom.angular = rotations_left_free(node.roll_axis);
+    Eigen::Matrix3d& kept = node.freedom.angular;
+    kept = held_about(node.roll_axis, inverse_inertia_);
+    for (int i = 0; i < 3; ++i) {
+      if (!undercarriage_->pitches) kept(1, i) = 0.0;
+      if (!undercarriage_->turns) kept(2, i) = 0.0;
+      if (!undercarriage_->pitches && !undercarriage_->turns) kept(0, i) = 0.0;
+    }
   }
 
   /// Returns the point with the vehicle standing on `ground`. Height, vertical velocity and
@@ -201,18 +207,6 @@ class GroundContact {
     if (!settings_.contact_by_height || !undercarriage_) return contact.on_ground;
     const double above = position.z() - undercarriage_->height - expected(contact, position);
     return std::abs(above) <= settings_.height_tolerance;
-  }
-
-  // Freedom::angular with the roll axis held.
-  [[nodiscard]] Eigen::Matrix3d rotations_left_free(
-      const Eigen::Vector3d& roll_axis) const noexcept {
-    Eigen::Matrix3d kept = held_about(roll_axis, inverse_inertia_);
-    for (int i = 0; i < 3; ++i) {
-      if (!undercarriage_->pitches) kept(1, i) = 0.0;
-      if (!undercarriage_->turns) kept(2, i) = 0.0;
-      if (!undercarriage_->pitches && !undercarriage_->turns) kept(0, i) = 0.0;
-    }
-    return kept;
   }
 
   // Acceleration of the reference along its own body x [m/s^2].

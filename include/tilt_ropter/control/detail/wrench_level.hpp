@@ -13,7 +13,6 @@
 #include <tilt_ropter/optimal_control/multiple_shooting.hpp>
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <type_traits>
 #include <utility>
@@ -96,12 +95,9 @@ class WrenchLevel {
               node.on_ground ? settings_.ground.down_force : mass() * gravity;
           break;
         case WrenchReference::inverse_dynamics:
-          if constexpr (has_term)
-            node.wrench_reference = reference_wrench_(
-                followed, node.external + term_(node.reference).wrench, node.on_ground, lifted);
-          else
-            node.wrench_reference =
-                reference_wrench_(followed, node.external, node.on_ground, lifted);
+          Wrenchd external = node.external;
+          if constexpr (has_term) external = external + term_(node.reference).wrench;
+          node.wrench_reference = reference_wrench_(followed, external, node.on_ground, lifted);
       }
     }
   }
@@ -124,14 +120,10 @@ class WrenchLevel {
   /// to such a state.
   [[nodiscard]] bool is_credible(const Problem& problem, const Stated& x) const {
     const NmpcBounds& b = problem.settings().bounds;
-    double turn = 0.0, force = 0.0, torque = 0.0;
-    for (int i = 0; i < 3; ++i) {
-      turn = std::max(turn, b.angular_velocity(i));
-      force = std::max({force, std::abs(b.force_min(i)), std::abs(b.force_max(i))});
-      torque = std::max({torque, std::abs(b.torque_min(i)), std::abs(b.torque_max(i))});
-    }
-    return x.body.angular_velocity.norm() <= 10.0 * turn && x.wrench.force.norm() <= 10.0 * force &&
-           x.wrench.torque.norm() <= 10.0 * torque;
+    const double force = std::max(largest(b.force_min), largest(b.force_max)),
+                 torque = std::max(largest(b.torque_min), largest(b.torque_max));
+    return x.body.angular_velocity.norm() <= 10.0 * largest(b.angular_velocity) &&
+           x.wrench.force.norm() <= 10.0 * force && x.wrench.torque.norm() <= 10.0 * torque;
   }
 
   /// What the plan commands at `time` [s].
