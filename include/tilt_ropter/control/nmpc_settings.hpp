@@ -316,21 +316,14 @@ struct ActuatorLevelSettings : HorizonSettings<ActuatorLevelWeights, FlightBound
   static constexpr int max_passes = 6;
 };
 
-/// The solver's default settings with a lower limit on passes, for a control loop. A tick whose
-/// quadratic program needs more passes reports approximate.
-[[nodiscard]] inline optimal_control::SolverSettings real_time_settings(int max_passes) {
-  optimal_control::SolverSettings s;
-  s.program.max_passes = max_passes;
-  return s;
-}
-
 /// Settings of both levels of control. `Problem` is WheeledFlightSettings or ActuatorLevelSettings.
 template <typename Problem>
 struct ControllerSettings {
   /// Weights, bounds and horizon of the optimal-control problem.
   Problem problem;
-  /// Limits and tolerances of the solver.
-  optimal_control::SolverSettings solver = real_time_settings(Problem::max_passes);
+  /// Limits and tolerances of the solver, with a lower limit on passes than its default. A tick
+  /// whose quadratic program needs more passes reports approximate.
+  optimal_control::SolverSettings solver;
   double period = 0.01;  ///< period of the loop that calls the controller [s]
   /// Time limit for prepare() and feedback() together, including cold starts and repeated plans
   /// [s]. Work that would end later is not started, and is left to the next tick. Zero: half the
@@ -341,6 +334,8 @@ struct ControllerSettings {
   double max_plan_age = 0.2;
   /// Number of failures in a row after which the next solve starts cold from the measured state.
   int failures_before_reset = 3;
+
+  ControllerSettings() { solver.program.max_passes = Problem::max_passes; }
 };
 
 template <typename Problem>

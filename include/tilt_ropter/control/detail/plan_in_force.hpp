@@ -100,9 +100,6 @@ class WrenchPlan : public PlanInForce<Solver> {
     return within(solver.problem().settings().bounds, solver.input(this->at(solver, age).k));
   }
 
-  /// True between correct() and the next plan.
-  [[nodiscard]] bool corrected() const noexcept { return corrected_; }
-
   /// Wrench that is commanded at `time` [s]: that of the plan, linear in each interval, or that of
   /// the last correction.
   [[nodiscard]] Wrenchd wrench(const Solver& solver, double time) const noexcept {
@@ -142,7 +139,7 @@ class WrenchPlan : public PlanInForce<Solver> {
 
   typename Solver::Gain gain_ = Solver::Gain::Zero();
   // Set by correct():
-  bool corrected_ = false;
+  bool corrected_ = false;  // until the next plan
   double corrected_time_ = 0.0;
   Wrenchd corrected_wrench_;
   Rate corrected_rate_ = Rate::Zero();
