@@ -233,18 +233,14 @@ class FlightProblem {
   }
   [[gnu::always_inline]] inline void gather_nodes(int k, int count, Wrench<Lanes>& external,
                                                   Freedom<Lanes>& freedom) const {
-    const auto take = [&](auto& to, const auto& of) __attribute__((always_inline)) {
+    const auto take = [&](auto& to, auto part, auto entry) __attribute__((always_inline)) {
       gather_into(
-          to, count, [&](int i) -> const auto& { return of(node(k + i)); });
+          to, count, [&](int i) -> const auto& { return (node(k + i).*part).*entry; });
     };
-    take(
-        external.force, [](const Node& n) -> const auto& { return n.external.force; });
-    take(
-        external.torque, [](const Node& n) -> const auto& { return n.external.torque; });
-    take(
-        freedom.linear, [](const Node& n) -> const auto& { return n.freedom.linear; });
-    take(
-        freedom.angular, [](const Node& n) -> const auto& { return n.freedom.angular; });
+    take(external.force, &FlightNode::external, &Wrenchd::force);
+    take(external.torque, &FlightNode::external, &Wrenchd::torque);
+    take(freedom.linear, &FlightNode::freedom, &Freedomd::linear);
+    take(freedom.angular, &FlightNode::freedom, &Freedomd::angular);
   }
   [[gnu::always_inline]] static inline void scatter_body(const BodyState<Lanes>& from, int lane,
                                                          BodyStated& to) {
