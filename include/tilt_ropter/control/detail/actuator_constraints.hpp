@@ -36,6 +36,7 @@ namespace tilt_ropter {
 ///
 /// A wrench that needs the null space of A has other thrusts than A^+ W. The constraints ignore the
 /// null space. A rotor that does not tilt has only the third constraint. A lost rotor has none.
+/// With `Rotors` = 0 the problem has only the paper's constraints.
 template <int Rotors>
 class ActuatorConstraints {
  public:
@@ -188,13 +189,6 @@ class ActuatorConstraints {
   Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor> pseudoinverse_ =
       Eigen::Matrix<double, 2 * Rotors, 6, Eigen::RowMajor>::Zero();
   Vehicle<Rotors> vehicle_{};  // its battery has no voltage if there are no bounds
-};
-
-/// No actuator constraints: the problem has only the paper's constraints.
-template <>
-class ActuatorConstraints<0> {
- public:
-  static constexpr int count = 0;
 };
 
 }  // namespace tilt_ropter

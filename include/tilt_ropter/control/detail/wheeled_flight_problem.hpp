@@ -232,9 +232,8 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     for (int i = 0; i < 3; ++i) limited |= multipliers(Part::force + i) != 0.0;
     for (int i = constraints - Rotors; i < constraints; ++i) limited |= multipliers(i) > 0.0;
     if (!limited) return;
-    if constexpr (Rotors > 0)
-      actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
-                               model.hessian.template topLeftCorner<6, 6>());
+    actuators_.add_curvature(packed(x.wrench), multipliers.template tail<3 * Rotors>(),
+                             model.hessian.template topLeftCorner<6, 6>());
     const Triple force = detail::triple(x.wrench.force),
                  wanted = detail::force_costate(node(k), x.body, body_.mass(), settings_.interval,
                                                 costate, I::position);
@@ -258,19 +257,16 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     detail::put(triple(x.wrench.torque), value, Part::torque);
     detail::put(triple(x.body.angular_velocity), value, Part::angular_velocity);
     for (int i = 0; i < inputs; ++i) value(Part::rate + i) = u(i);
-    if constexpr (Rotors > 0) {
-      const auto of_actuators = actuators_.values(packed(x.wrench), u);
-      std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Part::actuators);
-    }
+    const auto of_actuators = actuators_.values(packed(x.wrench), u);
+    std::copy_n(of_actuators.data(), 3 * Rotors, value.data() + Part::actuators);
     return value;
   }
   void constraint_derivatives(int, const State& x, const Input& u, ConstraintsX& C,
                               ConstraintsU& E) const {
     for (int i = 0; i < 6; ++i) C(Part::force + i, I::force + i) = E(Part::rate + i, i) = 1.0;
     for (int i = 0; i < 3; ++i) C(Part::angular_velocity + i, I::angular_velocity + i) = 1.0;
-    if constexpr (Rotors > 0)
-      actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
-                             E.template bottomRows<3 * Rotors>());
+    actuators_.derivatives(packed(x.wrench), u, C.template bottomLeftCorner<3 * Rotors, 6>(),
+                           E.template bottomRows<3 * Rotors>());
   }
 
  private:
@@ -316,10 +312,8 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
       const Triple below = i < 2 ? detail::triple(*lower[i]) : -1.0 * detail::triple(*upper[i]);
       detail::put(below, lower_, 3 * i);
     }
-    if constexpr (Rotors > 0) {
-      std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
-      std::fill_n(lower_.data() + Part::actuators, 3 * Rotors, -infinity);
-    }
+    std::copy_n(actuators_.upper().data(), 3 * Rotors, upper_.data() + Part::actuators);
+    std::fill_n(lower_.data() + Part::actuators, 3 * Rotors, -infinity);
     this->finish_bounds(Part::rate, 6 + 2 * Rotors);
     std::fill_n(this->first_upper_.data() + constraints - Rotors, Rotors, infinity);
   }
