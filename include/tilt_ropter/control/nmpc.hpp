@@ -23,10 +23,8 @@
 #include <cstddef>
 #include <limits>
 
-/// The Tilt-Ropter's controller (paper, Sec. Control). Nmpc computes the wrench that tracks a
-/// reference in the air and on the ground, with one real-time iteration per call. ActuatorNmpc
-/// plans at the level of thrusts and tilt angles, for any vehicle that can hover or drive: tilting
-/// or fixed rotors, any rank of the allocation matrix. It needs no allocation.
+/// The Tilt-Ropter's controller (paper, Sec. Control): it tracks a reference in the air and on the
+/// ground, with one real-time iteration per call. Nmpc and ActuatorNmpc are its two levels.
 namespace tilt_ropter {
 
 /// The controller. `Level` tells what is planned and commanded, see Nmpc and ActuatorNmpc.
@@ -398,8 +396,9 @@ Nmpc(const Vehicle<Rotors>&, const NmpcSettings&, const Term& = Term())
     -> Nmpc<Rotors, optimal_control::MultipleShooting, Term>;
 
 /// The controller of the actuator level: the plan's state has the thrust and the tilt angle of each
-/// rotor. Its result is the speed and the tilt angle to send to each rotor. The commands invert the
-/// lags of the actuators. For any vehicle that can hover or drive.
+/// rotor. Its result is the speed and the tilt angle to send to each rotor, without an Allocation.
+/// The commands invert the lags of the actuators. For any vehicle that can hover or drive: tilting
+/// or fixed rotors, any rank of the allocation matrix.
 ///
 /// A vehicle that cannot give every force without leaning, such as a quadrotor with fixed rotors,
 /// leans as the reference's acceleration and the external force require. The heading of the

@@ -511,10 +511,8 @@ template <int Rotors>
   return s;
 }
 
-/// Returns settings with which a vehicle flies without tuning: weights of one over the square of
-/// the allowed error. The settings for the ground are those of nmpc_settings(), except that
-/// slow servos raise down_force by half as much. Throws std::invalid_argument if the errors are out
-/// of range or the vehicle has no mass or size.
+/// The same for ActuatorNmpc. The settings for the ground are those of nmpc_settings(), except that
+/// slow servos raise down_force by half as much.
 template <int Rotors>
 [[nodiscard]] ActuatorNmpcSettings actuator_nmpc_settings(const Vehicle<Rotors>& vehicle,
                                                           const AllowedErrors& errors = {}) {

@@ -141,8 +141,7 @@ class ActuatorLevelProblem
                       node(k).steering);
   }
 
-  /// Steps the `count` intervals k, k + 1, .. side by side. If there are fewer than four, the
-  /// remaining lanes repeat the last interval.
+  /// As WheeledFlightProblem::step_lanes().
   [[gnu::always_inline]] inline void step_lanes(int k, int count, const State* x, const Input* u,
                                                 State* ends, LaneStateJacobian& A,
                                                 LaneInputJacobian& B) const {

@@ -82,14 +82,13 @@ class WrenchPlan : public PlanInForce<Solver> {
  public:
   using Rate = Eigen::Matrix<double, 6, 1>;
 
-  /// Takes the plan that `solver` made for the measurement at `time` [s].
   void begin(const Solver& solver, double time) noexcept {
     PlanInForce<Solver>::begin(solver, time);
     gain_ = solver.gain(0);
     corrected_ = false;
   }
 
-  /// Call this after solver.reset(x). If a plan exists, its wrench is then the wrench of `x`.
+  /// If a plan exists, its wrench is then the wrench of `x`.
   void reset(const Stated& x) noexcept {
     PlanInForce<Solver>::reset(x);
     corrected_ = false;
