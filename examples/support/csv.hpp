@@ -69,13 +69,16 @@ inline std::string csv_number(std::string_view text, CsvNumbers allowed, double&
   return std::isfinite(value) || allowed == CsvNumbers::any ? "" : "is not finite";
 }
 
+inline bool is_control(char c) {
+  return static_cast<unsigned char>(c) < 0x20 || c == 0x7f;
+}
+
 /// For messages on a terminal: short and without control characters.
-inline std::string csv_quoted(std::string_view text) {
+inline std::string csv_quoted(std::string_view text, char mark = '\'') {
   constexpr std::size_t longest = 40;
   std::string shown(text.substr(0, longest));
-  const auto is_control = [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7f; };
   std::replace_if(shown.begin(), shown.end(), is_control, '?');
-  return '\'' + shown + (text.size() > longest ? "...'" : "'");
+  return mark + shown + (text.size() > longest ? "..." : "") + mark;
 }
 
 }  // namespace detail

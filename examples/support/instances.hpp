@@ -1,5 +1,7 @@
 #pragma once
 
+#include "csv.hpp"
+
 #include <tilt_ropter/model/state.hpp>
 
 #include <Eigen/Core>
@@ -14,7 +16,6 @@
 #include <optional>
 #include <string>
 #include <string_view>
-#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -71,31 +72,15 @@ struct Field {
 };
 
 inline std::vector<Field> split(std::string_view line) {
-  constexpr std::string_view blanks = " \t";
   std::vector<Field> fields;
   for (std::size_t start = 0; start <= line.size();) {
     const std::size_t end = std::min(line.find(',', start), line.size());
-    const std::string_view raw = line.substr(start, end - start);
-    const std::size_t first = std::min(raw.find_first_not_of(blanks), raw.size());
-    const std::size_t last = raw.find_last_not_of(blanks);
-    const std::size_t size = first == raw.size() ? 0 : last - first + 1;
-    fields.push_back({raw.substr(first, size), start + (size == 0 ? 0 : first)});
+    const std::string_view text = without_blanks(line.substr(start, end - start));
+    const auto offset = text.empty() ? start : static_cast<std::size_t>(text.data() - line.data());
+    fields.push_back({text, offset});
     start = end + 1;
   }
   return fields;
-}
-
-inline bool is_control(char c) {
-  const auto byte = static_cast<unsigned char>(c);
-  return byte < 0x20 || byte == 0x7f;
-}
-
-/// For messages on a terminal: short and without control characters.
-inline std::string quoted(std::string_view text) {
-  constexpr std::size_t longest = 40;
-  std::string shown(text.substr(0, longest));
-  std::replace_if(shown.begin(), shown.end(), is_control, '?');
-  return '"' + shown + (text.size() > longest ? "...\"" : "\"");
 }
 
 inline std::size_t column_of(std::string_view line, std::size_t offset) {
@@ -104,16 +89,6 @@ inline std::size_t column_of(std::string_view line, std::size_t offset) {
   };
   const auto end = line.begin() + static_cast<std::ptrdiff_t>(std::min(offset, line.size()));
   return 1 + static_cast<std::size_t>(std::count_if(line.begin(), end, starts_character));
-}
-
-/// Reads a complete field into `value`. Returns the error, or an empty text.
-inline std::string read_number(std::string_view text, double& value) {
-  const bool plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
-  const std::string_view number = plus ? text.substr(1) : text;
-  const auto [end, code] = std::from_chars(number.data(), number.data() + number.size(), value);
-  if (code == std::errc::result_out_of_range) return "is out of the range of a double";
-  if (code != std::errc() || end != number.data() + number.size()) return "is not a number";
-  return std::isfinite(value) ? "" : "is not finite";
 }
 
 /// Normalises q. Returns false if q has no usable direction.
@@ -140,8 +115,8 @@ inline bool normalise(Eigen::Quaterniond& q) {
   for (std::size_t i = 0; i < std::min(fields.size(), instance_columns.size()); ++i)
     if (fields[i].text != instance_columns[i]) {
       error.column = detail::column_of(line, fields[i].offset);
-      error.message = "column is called " + detail::quoted(fields[i].text) + ", must be " +
-                      detail::quoted(instance_columns[i]) + expected;
+      error.message = "column is called " + detail::csv_quoted(fields[i].text, '"') + ", must be " +
+                      detail::csv_quoted(instance_columns[i], '"') + expected;
       return false;
     }
   if (fields.size() == instance_columns.size()) return true;
@@ -172,19 +147,20 @@ inline bool normalise(Eigen::Quaterniond& q) {
   instance.id = std::string(fields[0].text);
   if (instance.id.empty()) return wrong(fields[0].offset, "id is empty");
   if (std::any_of(instance.id.begin(), instance.id.end(), detail::is_control))
-    return wrong(fields[0].offset, "id " + detail::quoted(instance.id) + " has control characters");
+    return wrong(fields[0].offset,
+                 "id " + detail::csv_quoted(instance.id, '"') + " has control characters");
   if (fields[1].text != "paper" && fields[1].text != "wide")
     return wrong(fields[1].offset,
-                 "bounds = " + detail::quoted(fields[1].text) + ": must be paper or wide");
+                 "bounds = " + detail::csv_quoted(fields[1].text, '"') + ": must be paper or wide");
   instance.bounds = fields[1].text == "paper" ? InstanceBounds::paper : InstanceBounds::wide;
 
   detail::InstanceNumbers n;
   for (std::size_t i = 2; i < count; ++i) {
     const std::string problem =
-        detail::read_number(fields[i].text, n(static_cast<Eigen::Index>(i - 2)));
+        detail::csv_number(fields[i].text, CsvNumbers::finite, n(static_cast<Eigen::Index>(i - 2)));
     if (!problem.empty())
       return wrong(fields[i].offset, std::string(instance_columns[i]) + " = " +
-                                         detail::quoted(fields[i].text) + " " + problem);
+                                         detail::csv_quoted(fields[i].text, '"') + " " + problem);
   }
   using I = detail::InstanceIndex;
   instance.external = {n.segment<3>(I::external_force), n.segment<3>(I::external_torque)};
