@@ -412,19 +412,6 @@ template <int Rotors>
   return controls;
 }
 
-template <int Rotors>
-[[nodiscard]] bool gives_every_wrench(const tilt_ropter::Vehicle<Rotors>& vehicle) {
-  if constexpr (has_wrench_level<Rotors>) {
-    try {
-      (void)tilt_ropter::AllocationMatrix<Rotors>(vehicle);
-      return true;
-    } catch (const std::invalid_argument&) {
-      return false;
-    }
-  }
-  return false;
-}
-
 /// Returns the surface on which `mission` pushes, if it does. Throws std::invalid_argument if there
 /// is more than one, or a wall beside it.
 [[nodiscard]] inline std::optional<tilt_ropter::Surface> pushed_surface(
@@ -558,7 +545,7 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
   WallOptions walls = options.wall;
   walls.pushed = pushed_surface(mission, walls);
   if (walls.pushed) flown.push.emplace();
-  if (walls.pushed && !gives_every_wrench(vehicles.believed))
+  if (walls.pushed && !(has_wrench_level<Rotors> && allocation_rank(vehicles.believed) == 6))
     throw std::invalid_argument(
         "the mission pushes on a surface: needs a vehicle that gives every force and torque");
   std::optional<Wall> wall = walls.at(0.0);

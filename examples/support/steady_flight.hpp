@@ -43,24 +43,18 @@ template <int Rotors>
   using namespace tilt_ropter;
   const ThrustInverse<Rotors> inverse(vehicle);
   const ActuatedBody<Rotors> body(vehicle);
+  const ActuatorLimits<Rotors> limits(vehicle);
   const Eigen::Matrix3d& possible = inverse.steady_forces();
   SteadyFlight<Rotors> found;
 
   // Vertical force and torques by lateral and vertical thrusts; torques by the size.
   Eigen::Matrix<double, 4, 2 * Rotors> turning = Eigen::Matrix<double, 4, 2 * Rotors>::Zero();
-  Eigen::Matrix<double, Rotors, 1> least, most;
   double size = 1e-9;
   for (std::size_t k = 0; k < Rotors; ++k) size = std::max(size, vehicle.rotors[k].position.norm());
   for (int i = 0; i < Rotors; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    const RotorParameters& rotor = rotor_parameters(vehicle, k);
-    least(i) = vehicle.rotors[k].effectiveness * rotor.min_thrust;
-    most(i) = vehicle.rotors[k].effectiveness * rotor.max_thrust;
     for (const bool vertical : {false, true}) {
-      if (!vertical && !vehicle.rotors[k].tilts) continue;
+      if (!vertical && !vehicle.rotors[static_cast<std::size_t>(i)].tilts) continue;
       ActuatedState<Rotors> one;
-      one.thrust.setZero();
-      one.tilt_angle.setZero();
       one.thrust(i) = 1.0;
       one.tilt_angle(i) = vertical ? 0.0 : 0.5 * pi;
       const Wrenchd wrench = body.wrench(one);
@@ -80,7 +74,8 @@ template <int Rotors>
   found.lean = std::acos(std::min(lift.z() / lift.norm(), 1.0));
   Wrenchd wanted;
   wanted.force = vehicle.body.mass * gravity * lift.normalized();
-  const auto thrusts = inverse.within(wanted, least, most);
+  const auto& most = limits.max_thrust;
+  const auto thrusts = inverse.within(wanted, limits.min_thrust, most);
   ActuatedState<Rotors> x;
   found.least_thrust = found.lift_per_weight = std::numeric_limits<double>::infinity();
   bool within = true;
