@@ -51,7 +51,6 @@ template <typename Reference, int Rotors>
   require_finite("check_reference.plane.height [m]", plane.height);
   require_finite("check_reference.plane.slope", plane.slope);
 
-  using Vector6 = Eigen::Matrix<double, 6, 1>;
   GroundContactSettings ground_settings = settings.ground;
   ground_settings.model = GroundModel::held;  // what the ground gives needs no thrust
   const ReferenceWrench<Rotors> reference_wrench(vehicle, ground_settings);
@@ -78,7 +77,7 @@ template <typename Reference, int Rotors>
   };
 
   const double horizon = settings.problem.intervals * settings.problem.interval;
-  Vector6 last = Vector6::Zero();
+  Wrenchd last;
   ReferencePoint last_point;
   bool last_on_ground = false;
   const long samples = std::lround(std::ceil((end - start) / step));
@@ -89,15 +88,15 @@ template <typename Reference, int Rotors>
     const Eigen::Vector3d& w = point.angular_velocity;
     const Wrenchd needed =
         reference_wrench(on_ground ? ground.on_ground(plane, point) : point, {}, on_ground);
-    Vector6 wrench;
-    wrench << needed.force, needed.torque;
-    compare(0, time, wrench.head<3>(), bounds.force_min, bounds.force_max);
-    compare(1, time, wrench.tail<3>(), bounds.torque_min, bounds.torque_max);
+    compare(0, time, needed.force, bounds.force_min, bounds.force_max);
+    compare(1, time, needed.torque, bounds.torque_min, bounds.torque_max);
     compare(2, time, w, -bounds.angular_velocity, bounds.angular_velocity);
     if (i > 0) {
-      const Vector6 rate = (wrench - last) / (on_ground == last_on_ground ? step : horizon);
-      compare(3, time, rate.head<3>(), -bounds.force_rate, bounds.force_rate);
-      compare(4, time, rate.tail<3>(), -bounds.torque_rate, bounds.torque_rate);
+      const double duration = on_ground == last_on_ground ? step : horizon;
+      const Eigen::Vector3d force_rate = (needed.force - last.force) / duration,
+                            torque_rate = (needed.torque - last.torque) / duration;
+      compare(3, time, force_rate, -bounds.force_rate, bounds.force_rate);
+      compare(4, time, torque_rate, -bounds.torque_rate, bounds.torque_rate);
       const Eigen::Vector3d moved = point.position - last_point.position -
                                     0.5 * step * (point.velocity + last_point.velocity),
                             turned = quaternion_log(Eigen::Quaterniond(
@@ -106,7 +105,7 @@ template <typename Reference, int Rotors>
       compare(5, time, moved, -largest_step, largest_step);
       compare(6, time, turned, -largest_step, largest_step);
     }
-    last = wrench;
+    last = needed;
     last_point = point;
     last_on_ground = on_ground;
   }

@@ -8,7 +8,6 @@
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
-#include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/rigid_body.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -282,12 +281,6 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     for (int i = 0; i < 6; ++i) detail::put(detail::triple(*blocks[i]), all, 3 * i);
     return all;
   }
-  static Input input_weights_of(const NmpcWeights& w) {
-    Input all;
-    detail::put(detail::triple(w.force_rate), all, I::force);
-    detail::put(detail::triple(w.torque_rate), all, I::torque);
-    return all;
-  }
 
   void set_weights() {
     Tangent weights = state_weights_of(settings_.weights);
@@ -298,7 +291,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
       for (int i = 0; i < states; ++i)
         state_weights_[1][touches](i) = settings_.weights.terminal * weights(i);
     }
-    input_weights_ = input_weights_of(settings_.weights);
+    input_weights_ = packed({settings_.weights.force_rate, settings_.weights.torque_rate});
   }
 
   void set_bounds() {
@@ -344,7 +337,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     InputJacobian B;
     (void)body_.step(hover, Input::Zero(), {}, settings_.interval, {}, A, B);
     const Tangent of_state = state_weights_of(weights);
-    const Input of_input = input_weights_of(weights);
+    const Input of_input = packed({weights.force_rate, weights.torque_rate});
     Model cost;
     for (int i = 0; i < states; ++i) cost.hessian(i, i) = of_state(i);
     for (int i = 0; i < inputs; ++i) cost.hessian(states + i, states + i) = of_input(i);
@@ -369,6 +362,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     return state_weights_[k == horizon()][node(k).touches];
   }
 
+  // Of a wrench, or of the weights of its rate.
   [[nodiscard]] static Input packed(const Wrenchd& wrench) {
     Input w;
     detail::put(detail::triple(wrench.force), w, I::force);
