@@ -27,9 +27,8 @@ struct FlightWindow {
   std::size_t first = 0, last = 0;  ///< IMU samples [first, last)
   std::size_t weights = 0;          ///< of the first sample, in the list of all weights
   Eigen::Vector3d angular_velocity, angular_acceleration, specific_force;
-  Eigen::Matrix3d rate_products;  ///< mean of w w' [rad^2/s^2]
-  Eigen::Vector3d velocity;       ///< in the body frame [m/s]
-  Eigen::Matrix3d rotation;       ///< body -> world
+  Eigen::Vector3d velocity;  ///< in the body frame [m/s]
+  Eigen::Matrix3d rotation;  ///< body -> world
 };
 
 /// Unexplained vertical acceleration in a long window, without and with the accelerometer.
@@ -158,7 +157,6 @@ class FlightWindows {
     w.angular_velocity.setZero();
     w.angular_acceleration.setZero();
     w.specific_force.setZero();
-    w.rate_products.setZero();
     for (std::size_t i = w.weights; i < weights_.size(); ++i) {
       slopes_[i] /= ramp;
       const InertialSampled& sample = imu[w.first + i - w.weights].value;
@@ -166,7 +164,6 @@ class FlightWindows {
       w.angular_acceleration += slopes_[i] * sample.angular_velocity;
       w.specific_force += weights_[i] * sample.specific_force;
     }
-    w.rate_products = w.angular_velocity * w.angular_velocity.transpose();
   }
 
   /// Windows of half a second in which poses and accelerometer must agree about the vertical.
@@ -303,7 +300,7 @@ class WindowModel {
     std::vector<double> sine(imu.size()), cosine(imu.size());
     std::array<std::vector<double>, 4> series;
     for (auto& list : series) list.resize(imu.size());
-    double limited = 0.0, moving = 0.0;
+    double limited = 0.0;
     const LagModel servo{given_.servo.time_constant * std::exp(x(I::servo_lag)), x(I::servo_delay),
                          given_.servo.max_rate};
     for (int i = 0; i < Rotors; ++i) {
@@ -333,7 +330,6 @@ class WindowModel {
         series[1][j] = thrust * c;
         sine[j] = s;
         cosine[j] = c;
-        moving += 1.0;
         limited += std::abs(rate[j]) >= given_.servo.max_rate ? 1.0 : 0.0;
       }
       // Differences of the angles, unlike the rates, do not jump when a command takes effect.
@@ -352,7 +348,7 @@ class WindowModel {
         f.cosine[k](i) = flight_.slope(w, series[3]);
       }
     }
-    f.rate_limited = limited / std::max(1.0, moving);
+    f.rate_limited = limited / static_cast<double>(Rotors * imu.size());
     return f;
   }
 
