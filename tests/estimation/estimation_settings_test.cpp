@@ -175,12 +175,11 @@ TEST(EstimationSettings, VehicleIdentificationNamesEachField) {
   check("VehicleIdentificationSettings.imu_position [m]", &S::imu_position, any_finite());
   check("VehicleIdentificationSettings.min_height [m]", &S::min_height,
         {{-infinite, 0.0, infinite}, {not_a_number}});
-  check("VehicleIdentificationSettings.max_iterations", &S::max_iterations, whole_numbers(1, 1000));
   S bad;
-  bad.max_iterations = 0;
+  bad.min_height = not_a_number;
   Vehicle<4> vehicle = tilt_ropter_vehicle();
   const VehicleLog<4> log;
-  expect_refused("VehicleIdentificationSettings.max_iterations",
+  expect_refused("VehicleIdentificationSettings.min_height [m]",
                  [&] { (void)identify_vehicle(log, vehicle, bad); });
   vehicle.body.mass = 0.0;
   expect_refused(mass, [&] { (void)identify_vehicle(log, vehicle); });

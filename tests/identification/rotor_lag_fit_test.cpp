@@ -59,7 +59,7 @@ TEST(RotorLagFit, FindsTimeConstantAndDeadTimeWithHonestIntervals) {
   Eigen::Vector2d squares = Eigen::Vector2d::Zero(), largest = Eigen::Vector2d::Zero();
   for (unsigned seed = 0; seed < logs; ++seed) {
     const VehicleLog<4> log = record(vehicle, seed);
-    const RotorLagFit<4> fit(log, vehicle, 30);
+    const RotorLagFit<4> fit(log, vehicle);
     const Eigen::Vector2d error(fit.log_scale - std::log(lag_ratio), fit.dead_time - dead_time);
     const Eigen::Vector2d stddev = fit.covariance.diagonal().cwiseSqrt();
     largest = largest.cwiseMax(error.cwiseAbs());
@@ -77,7 +77,7 @@ TEST(RotorLagFit, FindsTimeConstantAndDeadTimeWithHonestIntervals) {
 TEST(RotorLagFit, CorrectionsAreWhatTheModelOfTheSpeedsDoesNotGive) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   const VehicleLog<4> log = record(vehicle, 100);
-  const RotorLagFit<4> fit(log, vehicle, 30);
+  const RotorLagFit<4> fit(log, vehicle);
   const auto corrections = fit.speed_corrections();
   ASSERT_EQ(corrections.size(), log.imu.size());
   for (std::size_t j = 200; j + 200 < corrections.size(); ++j)
@@ -92,7 +92,7 @@ TEST(RotorLagFit, ConstantCommandsLeaveThePrior) {
   VehicleLog<4> log = record(vehicle, 101);
   log.commands.resize(1);
   for (auto& m : log.rotor_speeds) m.value.setConstant(1600.0);
-  const RotorLagFit<4> fit(log, vehicle, 30);
+  const RotorLagFit<4> fit(log, vehicle);
   EXPECT_NEAR(fit.log_scale, 0.0, 1e-9);
   EXPECT_NEAR(fit.dead_time, 0.0, 1e-9);
   EXPECT_GT(std::sqrt(fit.covariance(0, 0)), 0.9);

@@ -61,8 +61,6 @@ struct VehicleIdentificationSettings {
   TrustedScale trusted = TrustedScale::mass;
   Eigen::Vector3d imu_position =
       Eigen::Vector3d::Zero();  ///< of the IMU in the body frame of the given vehicle [m]
-  /// Length of the windows over which the log is averaged [s].
-  static constexpr double window = 0.04;
   /// Only parts of the flight higher than this count [m].
   double min_height = -std::numeric_limits<double>::infinity();
   static constexpr double min_duration = 5.0;  ///< required duration of these parts [s]
@@ -75,14 +73,12 @@ struct VehicleIdentificationSettings {
   /// As a fraction of the smallest moment of inertia.
   static constexpr double max_arm_inertia = 0.1;
   static constexpr double max_arm_moment = 0.003;  ///< per mass [m]
-  int max_iterations = 30;  ///< largest number of steps of one least-squares solution
 };
 
 inline void validate(const VehicleIdentificationSettings& s) {
   require_finite("VehicleIdentificationSettings.imu_position [m]", s.imu_position);
   require(!std::isnan(s.min_height), "VehicleIdentificationSettings.min_height [m]", s.min_height,
           "a number");
-  require_in("VehicleIdentificationSettings.max_iterations", s.max_iterations, 1, 1000);
 }
 
 /// Whether the log was identified and, if not, the reason.
@@ -278,10 +274,8 @@ template <int Rotors>
   result.status = Status::bad_log;
   if (!detail::is_good_log(log)) return result;
 
-  detail::VehicleFit<Rotors> fit(
-      log, given,
-      {settings.trusted == TrustedScale::mass, settings.window, settings.min_height,
-       settings.imu_position, settings.max_iterations});
+  detail::VehicleFit<Rotors> fit(log, given, settings.trusted == TrustedScale::mass,
+                                 settings.min_height, settings.imu_position);
   result.duration = fit.duration();
   result.status = Status::too_short;
   if (result.duration < settings.min_duration) return result;

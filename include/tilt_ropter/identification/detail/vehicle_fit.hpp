@@ -21,6 +21,8 @@
 /// Least squares of identify_vehicle(): fits WindowModel to a log.
 namespace tilt_ropter::detail {
 
+inline constexpr int max_fit_iterations = 30;  ///< steps of one least-squares solution
+
 /// Sum of the covariances of the scores up to a distance of `block`, with falling weights
 /// (Bartlett's window), so that correlated scores are weighted correctly.
 template <typename Score>
@@ -50,9 +52,9 @@ class RotorLagFit {
   Matrix2 covariance = Matrix2::Identity();
 
   /// Fits a log that contains measured speeds. Log and vehicle must outlive this.
-  RotorLagFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given, int max_iterations)
+  RotorLagFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given)
       : log_(log), given_(given) {
-    fit(max_iterations);
+    fit();
   }
 
   /// Slow part of measured minus modelled speed at each IMU sample: mean over 0.6 s. The model
@@ -113,7 +115,7 @@ class RotorLagFit {
     return residuals;
   }
 
-  void fit(int max_iterations) {
+  void fit() {
     const auto cost_of = [](const std::vector<RotorVector>& r) {
       double sum = 0.0;
       for (const RotorVector& entry : r) sum += entry.squaredNorm();
@@ -125,17 +127,16 @@ class RotorLagFit {
     const double count = std::max(1.0, static_cast<double>(Rotors * residuals.size()));
     const Eigen::Vector2d steps(1e-3, 1e-4), prior(1.0, 0.05);
     Matrix2 inverse = Matrix2::Identity(), spread = Matrix2::Zero();
-    for (int iteration = 0; iteration < max_iterations; ++iteration) {
-      std::array<std::vector<RotorVector>, 2> slopes;
+    for (int iteration = 0; iteration < max_fit_iterations; ++iteration) {
+      std::vector<RotorVector> slopes[2];
       for (int p = 0; p < 2; ++p) {
         Eigen::Vector2d more = x, less = x;
         more(p) += steps(p);
         less(p) -= steps(p);
         const auto high = speed_residuals(more(0), more(1));
-        slopes[static_cast<std::size_t>(p)] = speed_residuals(less(0), less(1));
+        slopes[p] = speed_residuals(less(0), less(1));
         for (std::size_t j = 0; j < high.size(); ++j)
-          slopes[static_cast<std::size_t>(p)][j] =
-              (slopes[static_cast<std::size_t>(p)][j] - high[j]) / (2.0 * steps(p));
+          slopes[p][j] = (slopes[p][j] - high[j]) / (2.0 * steps(p));
       }
       const double variance = std::max(cost / count, 1e-12);
       Matrix2 information = Eigen::Vector2d(prior.cwiseProduct(prior).cwiseInverse()).asDiagonal();
@@ -145,11 +146,9 @@ class RotorLagFit {
       std::vector<Eigen::Vector2d> scores(residuals.size());
       for (std::size_t j = 0; j < residuals.size(); ++j) {
         for (int p = 0; p < 2; ++p) {
-          scores[j](p) = slopes[static_cast<std::size_t>(p)][j].dot(residuals[j]) / variance;
+          scores[j](p) = slopes[p][j].dot(residuals[j]) / variance;
           for (int q = 0; q < 2; ++q)
-            information(p, q) +=
-                slopes[static_cast<std::size_t>(p)][j].dot(slopes[static_cast<std::size_t>(q)][j]) /
-                variance;
+            information(p, q) += slopes[p][j].dot(slopes[q][j]) / variance;
         }
         slope += scores[j];
       }
@@ -190,16 +189,13 @@ class VehicleFit {
   using FitMatrix = Eigen::Matrix<double, I::count + 0 * Rotors, I::count + 0 * Rotors>;
   using Matrix2 = Eigen::Matrix<double, 2 + 0 * Rotors, 2 + 0 * Rotors>;
 
-  VehicleFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given,
-             const VehicleFitSettings& settings)
-      : log_(log),
-        given_(given),
-        max_iterations_(settings.max_iterations),
-        model_(log, given, settings) {
-    held_.fill(false);
+  /// As for WindowModel.
+  VehicleFit(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given, bool trust_mass,
+             double min_height, const Eigen::Vector3d& imu_position)
+      : log_(log), given_(given), model_(log, given, trust_mass, min_height, imu_position) {
     set_prior();
     if (log.rotor_speeds.empty()) return;
-    const RotorLagFit<Rotors> lag(log, given_, max_iterations_);
+    const RotorLagFit<Rotors> lag(log, given_);
     rotor_lag_covariance_ = lag.covariance;
     x_(I::rotor_lag) = prior_(I::rotor_lag) = lag.log_scale;
     x_(I::rotor_delay) = prior_(I::rotor_delay) = lag.dead_time;
@@ -433,7 +429,7 @@ class VehicleFit {
     double now = cost();
     FitMatrix information;
     FitVector slope;
-    for (int iteration = 0; iteration < max_iterations_; ++iteration) {
+    for (int iteration = 0; iteration < max_fit_iterations; ++iteration) {
       set_jacobian();
       set_normal_equations(jacobian_, information, slope, nullptr);
       const FitVector before = x_;
@@ -511,7 +507,6 @@ class VehicleFit {
 
   const VehicleLog<Rotors>& log_;
   Vehicle<Rotors> given_;
-  int max_iterations_;
   Model model_;
   Matrix2 rotor_lag_covariance_ = Matrix2::Identity();
   FitVector prior_, prior_stddev_, longest_, x_, stddevs_;

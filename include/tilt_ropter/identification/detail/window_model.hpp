@@ -244,15 +244,6 @@ struct FitIndex {
 };
 using FitVector = Eigen::Matrix<double, FitIndex::count, 1>;
 
-/// Settings of VehicleFit, see VehicleIdentificationSettings.
-struct VehicleFitSettings {
-  bool trust_mass = true;
-  double window = 0.04;
-  double min_height = 0.0;
-  Eigen::Vector3d imu_position = Eigen::Vector3d::Zero();
-  int max_iterations = 30;
-};
-
 /// Predictions and measurements, one number per row: specific force x y z [m/s^2] and angular
 /// acceleration x y z [rad/s^2] of each window, then the excess of each height window [m/s^2].
 template <int Rotors>
@@ -264,6 +255,8 @@ class WindowModel {
   using FitVector = Eigen::Matrix<double, I::count + 0 * Rotors, 1>;
   using Matrix3 = Eigen::Matrix<double, 3 + 0 * Rotors, 3 + 0 * Rotors>;
 
+  static constexpr double window = 0.04;  ///< over which the log is averaged [s]
+
   /// What the actuators did in each window, for one set of lags: weighted means per rotor.
   struct Features {
     std::vector<RotorVector> lateral, vertical;  ///< thrust sin(tilt), thrust cos(tilt) [N]
@@ -272,14 +265,15 @@ class WindowModel {
     double rate_limited = 0.0;
   };
 
-  /// The log must outlive this.
-  WindowModel(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given,
-              const VehicleFitSettings& settings)
+  /// `trust_mass`: the mass of `given` is right, otherwise its thrust coefficient. The rest is as
+  /// for FlightWindows. The log must outlive this.
+  WindowModel(const VehicleLog<Rotors>& log, const Vehicle<Rotors>& given, bool trust_mass,
+              double min_height, const Eigen::Vector3d& imu_position)
       : log_(log),
         given_(given),
-        trust_mass_(settings.trust_mass),
-        imu_position_(settings.imu_position),
-        flight_(log, settings.window, settings.min_height, settings.imu_position) {}
+        trust_mass_(trust_mass),
+        imu_position_(imu_position),
+        flight_(log, window, min_height, imu_position) {}
 
   /// Adds the slow part of measured minus modelled rotor speeds, see RotorLagFit.
   void set_speed_corrections(std::vector<RotorVector> corrections) {
