@@ -21,7 +21,7 @@ bool is_finite(const ServoModel& m) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
   fuzz::Input input(bytes, size);
   ServoIdentificationSettings s;
-  if (input.coin()) input.vary_all(s.max_time_constant, s.max_dead_time);
+  if (input.coin()) input.vary_all(s.max_dead_time);
   s.max_iterations = input.integer(0, 100);
 
   // A servo that follows its command. The input bytes replace some samples.

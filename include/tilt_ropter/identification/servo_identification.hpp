@@ -42,8 +42,8 @@ struct ServoModel {
 /// Search range and acceptance limits of identify_servo().
 struct ServoIdentificationSettings {
   static constexpr double min_time_constant = 0.002;  ///< shortest time constant of the search [s]
-  double max_time_constant = 2.0;  ///< longest time constant; never longer than the log [s]
-  double max_dead_time = 0.2;      ///< longest dead time of the search; 0: no dead time [s]
+  static constexpr double max_time_constant = 2.0;    ///< longest; never longer than the log [s]
+  double max_dead_time = 0.2;  ///< longest dead time of the search; 0: no dead time [s]
   /// Required largest minus smallest command [rad].
   static constexpr double min_excitation = 0.01;
   /// Required gain / standard deviation of the gain.
@@ -103,9 +103,6 @@ struct ServoIdentification {
 }
 
 inline void validate(const ServoIdentificationSettings& s) {
-  require(std::isfinite(s.max_time_constant) && s.max_time_constant > s.min_time_constant,
-          "ServoIdentificationSettings.max_time_constant [s]", s.max_time_constant,
-          "finite and > min_time_constant");
   require_non_negative("ServoIdentificationSettings.max_dead_time [s]", s.max_dead_time);
   require(s.max_iterations > 0, "ServoIdentificationSettings.max_iterations", s.max_iterations,
           "> 0");
