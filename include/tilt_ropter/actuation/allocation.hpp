@@ -112,10 +112,9 @@ class Allocation {
   using Thrusts = Eigen::Matrix<Scalar, components, 1>;
   using Angles = Eigen::Matrix<Scalar, Rotors, 1>;
 
-  [[nodiscard]] Thrusts least_thrusts(const Vector3<Scalar>& force,
-                                      const Vector3<Scalar>& torque) const noexcept {
-    return pseudoinverse_.template leftCols<3>() * force +
-           pseudoinverse_.template rightCols<3>() * torque;
+  [[nodiscard]] Thrusts least_thrusts(const Wrench<Scalar>& wrench) const noexcept {
+    return pseudoinverse_.template leftCols<3>() * wrench.force +
+           pseudoinverse_.template rightCols<3>() * wrench.torque;
   }
 
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate_after(
@@ -163,7 +162,6 @@ class Allocation {
   std::array<RotorParameters, detail::size(Rotors)> rotors_;
   std::array<Scalar, detail::size(Rotors)> min_speed_{}, max_speed_{}, hold_thrust_{};
   Scalar largest_hold_thrust_{};
-  bool has_min_thrust_ = false;
   BatteryParameters battery_;
   Scalar servo_lead_, max_tilt_rate_, calm_thrust_;
   Eigen::Matrix<Scalar, Rotors, 1> rotor_lead_;
@@ -171,7 +169,6 @@ class Allocation {
   Matrix matrix_;
   Pseudoinverse pseudoinverse_;
   detail::ThrustChoice<Rotors> choice_;
-  std::array<bool, detail::size(Rotors)> tilts_{};
 
   Allocation(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings,
              const AllocationMatrix<Rotors>& allocation);
@@ -196,18 +193,15 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
       pseudoinverse_(allocation.pseudoinverse.template cast<Scalar>()),
       choice_(vehicle, settings, allocation) {
   for (std::size_t i = 0; i < Rotors; ++i) {
-    const RotorGeometry& rotor = vehicle.rotors[i];
-    tilts_[i] = rotor.tilts;
     const RotorParameters& whole = rotor_parameters(vehicle, i);
     min_speed_[i] = speed_from_thrust(Scalar(whole.min_thrust), whole);
     max_speed_[i] = speed_from_thrust(Scalar(whole.max_thrust), whole);
     hold_thrust_[i] = Scalar(std::max(settings.hold_thrust, whole.min_thrust));
     largest_hold_thrust_ = std::max(largest_hold_thrust_, hold_thrust_[i]);
-    has_min_thrust_ = has_min_thrust_ || whole.min_thrust > 0.0;
     rotor_lead_(static_cast<Eigen::Index>(i)) =
         Scalar(settings.lag_compensation * whole.time_constant);
     // A contains no thrust of a lost rotor, so its coefficient may have any value.
-    const double effectiveness = rotor.effectiveness > 0.0 ? rotor.effectiveness : 1.0;
+    const double given = vehicle.rotors[i].effectiveness, effectiveness = given > 0.0 ? given : 1.0;
     rotors_[i] = whole;
     for (double RotorParameters::*field :
          {&RotorParameters::thrust_coefficient, &RotorParameters::linear_thrust_coefficient,
@@ -225,7 +219,7 @@ Wrench<Value> Allocation<Rotors, Scalar>::wrench(
   Eigen::Matrix<Value, components, 1> thrusts = Eigen::Matrix<Value, components, 1>::Zero();
   for (int i = 0; i < Rotors; ++i) {
     const Value thrust = thrust_from_speed(actuators.rotor_speed(i), rotor(i));
-    if (!tilts_[detail::size(i)]) {
+    if (!limits_.tilts(i)) {
       thrusts(2 * i + 1) = thrust;
     } else if (all_finite(actuators.tilt_angle.template segment<1>(i))) {
       thrusts(2 * i) = thrust * sin(actuators.tilt_angle(i));
@@ -256,12 +250,13 @@ bool Allocation<Rotors, Scalar>::are_good(const Thrusts& thrusts, const Angles& 
   for (int i = 0; i < Rotors; ++i) {
     const Vector2 thrust = thrusts.template segment<2>(2 * i);
     if (!limits_.contains(i, thrust)) return false;
-    if (!tilts_[detail::size(i)]) continue;
+    if (!limits_.tilts(i)) continue;
     if (limits_.beyond_range(angles(i)) > Scalar(0) &&
         limits_.part_of_end(last(i)) != detail::AnglePart::whole &&
         thrust.squaredNorm() > faint * faint)
       return false;
-    if (has_min_thrust_ && thrust.norm() < limits_.min_thrust(i) - limits_.tolerance())
+    if (limits_.min_thrust(i) > Scalar(0) &&
+        thrust.norm() < limits_.min_thrust(i) - limits_.tolerance())
       return false;
   }
   return true;
@@ -291,8 +286,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
     result.achieved = wrench(result.command);
     return result;
   }
-  Thrusts thrusts =
-      least_thrusts(choice_.shortened_force(wanted.force), choice_.shortened_torque(wanted.torque));
+  Thrusts thrusts = least_thrusts(choice_.shortened(wanted));
   Angles from, angles;
   const auto point_angles = [&] {
     for (int i = 0; i < Rotors; ++i)
@@ -314,11 +308,10 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
 
   bool holds = false, waits = result.status == Status::range_end_held, cuts = false;
   for (int i = 0; i < Rotors; ++i) {
-    const auto arm = detail::size(i);
     auto thrust = thrusts.template segment<2>(2 * i);
     Scalar angle(0), follow(1);
-    bool waiting = at_end[arm];
-    if (tilts_[arm]) {
+    bool waiting = at_end[detail::size(i)];
+    if (limits_.tilts(i)) {
       follow = follow_fraction(i, thrust, elapsed);
       const Scalar beyond = limits_.beyond_range(angles(i));
       const bool rounding =
@@ -382,8 +375,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
 template <int Rotors, typename Scalar>
 ActuatorRates<Rotors, Scalar> Allocation<Rotors, Scalar>::rates(
     const Wrench<Scalar>& wrench, const Wrench<Scalar>& wrench_rate) const noexcept {
-  const auto thrusts = least_thrusts(wrench.force, wrench.torque);
-  const auto slopes = least_thrusts(wrench_rate.force, wrench_rate.torque);
+  const Thrusts thrusts = least_thrusts(wrench), slopes = least_thrusts(wrench_rate);
   ActuatorRates<Rotors, Scalar> rates;
   for (int i = 0; i < Rotors; ++i) {
     const Scalar lateral = thrusts(2 * i), vertical = thrusts(2 * i + 1);
@@ -403,7 +395,7 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
   for (int i = 0; i < Rotors; ++i) {
     const Scalar speed = last.rotor_speed(i), angle = last.tilt_angle(i);
     command.rotor_speed(i) = bounded_speed(i, std::isfinite(speed) ? speed : Scalar(0));
-    if (tilts_[detail::size(i)])
+    if (limits_.tilts(i))
       command.tilt_angle(i) = limits_.bounded_angle(std::isfinite(angle) ? angle : Scalar(0));
   }
   return command;

@@ -51,7 +51,7 @@ enum class WrenchGroup {
   sideways,  ///< F_x and F_y
   yaw        ///< M_z
 };
-inline constexpr std::size_t wrench_group_count = 4;
+inline constexpr int wrench_group_count = 4;
 
 /// Settings of the steps by which Allocation goes beyond the inverse of the matrix.
 struct AllocationSettings {
@@ -90,7 +90,7 @@ inline void validate(const AllocationSettings& p) {
   for (const WrenchGroup group : p.priorities) {
     const int index = static_cast<int>(group);
     order += (order.empty() ? "" : ", ") + std::to_string(index);
-    known = known && index >= 0 && index < static_cast<int>(wrench_group_count);
+    known = known && index >= 0 && index < wrench_group_count;
     if (known) ++named[detail::size(index)];
   }
   for (const int count : named) known = known && count == 1;

@@ -89,9 +89,9 @@ class ThrustProgram {
 
   /// Calls plane(k, row, normal, offset) for each half-plane and disc(k, row, radius) for each
   /// disc. Calls bound(k, variable, side, shift) for each bound side z + shift > 0. k counts
-  /// constraints. `row` is the first row of the rotor.
+  /// constraints. `row` is the first row of the rotor. Returns the number of constraints.
   template <typename Plane, typename Disc, typename Bound>
-  void each(const Plane& plane, const Disc& disc, const Bound& bound) const noexcept {
+  std::size_t each(const Plane& plane, const Disc& disc, const Bound& bound) const noexcept {
     std::size_t k = 0;
     for (std::size_t i = 0; i < Rotors; ++i) {
       if (!used[i]) continue;
@@ -107,26 +107,22 @@ class ThrustProgram {
       bound(k++, j, 1.0, -lower[b]);
       bound(k++, j, -1.0, upper[b]);
     }
+    return k;
   }
 
   /// Computes the slack of each constraint, > 0 inside. Returns the number of constraints.
   std::size_t slacks(const Vector& z, const Thrusts& t, Numbers& slack) const noexcept {
-    std::size_t count = 0;
-    each(
+    return each(
         [&](std::size_t k, Eigen::Index row, const Eigen::Vector2d& normal, double offset) {
           slack[k] = normal.x() * t(row) + normal.y() * t(row + 1) - offset;
-          count = k + 1;
         },
         [&](std::size_t k, Eigen::Index row, double radius) {
           const double size = std::sqrt(t(row) * t(row) + t(row + 1) * t(row + 1));
           slack[k] = 0.5 * (radius - size) * (radius + size);
-          count = k + 1;
         },
         [&](std::size_t k, Eigen::Index j, double sign, double shift) {
           slack[k] = sign * z(j) + shift;
-          count = k + 1;
         });
-    return count;
   }
 
   /// Writes the slacks at `z` and returns true if all of them are > 0.

@@ -18,9 +18,6 @@
 /// Search for thrusts within limits if the minimum-norm thrusts are not within limits.
 namespace tilt_ropter::detail {
 
-/// Number of groups of wrench components that are scaled together.
-inline constexpr int wrench_groups = 4;
-
 /// Searches T = sum_g fraction_g G_g + N y within limits. N is the null space of the allocation
 /// matrix. G_g are the minimum-norm thrusts of one group of the wrench.
 ///
@@ -39,8 +36,8 @@ class ThrustSearch {
   static constexpr int max_nodes = 512, max_splits = 40;
   using Thrusts = Eigen::Matrix<double, components, 1>;
   using Directions = Eigen::Matrix<double, components, directions>;
-  using Groups = Eigen::Matrix<double, components, wrench_groups>;
-  using Fractions = std::array<double, size(wrench_groups)>;
+  using Groups = Eigen::Matrix<double, components, wrench_group_count>;
+  using Fractions = std::array<double, size(wrench_group_count)>;
   using Parts = std::array<AnglePart, size(Rotors)>;
   using Angles = std::array<double, size(Rotors)>;
   using Limits = ThrustLimits<Rotors, double>;
@@ -137,9 +134,9 @@ class ThrustSearch {
   }
 
  private:
-  static constexpr int fraction = directions, tau = directions + wrench_groups;
+  static constexpr int fraction = directions, tau = directions + wrench_group_count;
   static constexpr int variables = tau + 1;
-  using Program = ThrustProgram<Rotors, variables, wrench_groups + 1>;
+  using Program = ThrustProgram<Rotors, variables, wrench_group_count + 1>;
   using Vector = typename Program::Vector;
   static constexpr double tolerance = 1e-10, back_off = 1e-6;
 
@@ -185,7 +182,7 @@ class ThrustSearch {
         for (int j = 0; j < directions; ++j)
           program.columns(row, j) = null_space_(row, j) * (unit_ / most);
         double sum = 0.0;
-        for (int g = 0; g < wrench_groups; ++g) {
+        for (int g = 0; g < wrench_group_count; ++g) {
           program.columns(row, fraction + g) = request.groups(row, g) / most;
           sum += initial * program.columns(row, fraction + g);
         }
@@ -194,7 +191,7 @@ class ThrustSearch {
     }
     z.setZero();
     for (int j = 0; j < variables; ++j) program.release(j);
-    for (int g = 0; g < wrench_groups; ++g) {
+    for (int g = 0; g < wrench_group_count; ++g) {
       z(fraction + g) = initial;
       program.lower[size(g)] = 0.0;
       program.upper[size(g)] = 1.0;
@@ -219,7 +216,7 @@ class ThrustSearch {
     for (int attempt = 0; attempt < (at_edge ? 3 : 1); ++attempt) {
       start(request, parts, 1.0, attempt > 0 ? edge : 0.0, program, z);
       program.cautious = attempt > 1;
-      for (int g = 0; g < wrench_groups; ++g) program.fix(fraction + g, z);
+      for (int g = 0; g < wrench_group_count; ++g) program.fix(fraction + g, z);
       reached = program.push(tau, -1.0, 0.0, true, tolerance, z);
       answer.missing = std::min(answer.missing, z(tau));
       if (reached || z(tau) > near_edge) break;
@@ -239,7 +236,7 @@ class ThrustSearch {
     for (const double wider : {0.0, widening}) {
       if (inside) break;
       start(request, parts, 0.5, wider, program, z);
-      for (int g = 0; g < wrench_groups; ++g) {
+      for (int g = 0; g < wrench_group_count; ++g) {
         if (request.groups.col(g).squaredNorm() > 0.0) continue;
         z(fraction + g) = 1.0;
         program.fix(fraction + g, z);
@@ -247,7 +244,7 @@ class ThrustSearch {
       inside = program.push(tau, -1.0, 0.0, wider <= 0.0, 0.1 * widening, z);
     }
     program.fix(tau, z);
-    for (int g = 0; g < wrench_groups; ++g) {
+    for (int g = 0; g < wrench_group_count; ++g) {
       const auto group = size(g);
       if (program.is_free(fraction + g)) {
         program.upper[group] = 2.0;
@@ -314,15 +311,11 @@ class ThrustChoice {
     search_.set_max_thrust(i, max_thrust);
   }
 
-  /// Shortens a force or torque [N, N m] that is far out of reach. The shortened vector is still
-  /// out of reach. This does not change the result and prevents overflow.
-  template <typename Vector>
-  [[nodiscard]] Vector shortened_force(const Vector& v) const noexcept {
-    return shortened(v, max_force_);
-  }
-  template <typename Vector>
-  [[nodiscard]] Vector shortened_torque(const Vector& v) const noexcept {
-    return shortened(v, max_torque_);
+  /// Shortens a force or torque that is far out of reach. The shortened vector is still out of
+  /// reach. This does not change the result and prevents overflow.
+  template <typename Scalar>
+  [[nodiscard]] Wrench<Scalar> shortened(const Wrench<Scalar>& w) const noexcept {
+    return {shortened(w.force, max_force_), shortened(w.torque, max_torque_)};
   }
 
   /// Chooses thrusts for `wanted`. The minimum-norm thrusts `least` violate a limit or turn an arm
@@ -331,8 +324,8 @@ class ThrustChoice {
   [[nodiscard]] Chosen choose(const Wrench<double>& wanted, const Thrusts& least,
                               const Angles& last, double faint) const noexcept {
     Request request;
-    for (std::size_t g = 0; g < wrench_group_count; ++g)
-      request.groups.col(static_cast<Eigen::Index>(g)) = group_thrusts(priorities_[g], wanted);
+    for (int g = 0; g < wrench_group_count; ++g)
+      request.groups.col(g) = group_thrusts(priorities_[size(g)], wanted);
     Parts all, near;
     all.fill(AnglePart::whole);
     bool near_end = false;
@@ -407,22 +400,22 @@ class ThrustChoice {
     return directions;
   }
 
-  template <typename Vector>
-  [[nodiscard]] static Vector shortened(const Vector& v, double limit) noexcept {
-    const auto size = v.stableNorm();
-    using Number = typename Vector::Scalar;
-    return size > Number(limit) ? Vector(v / size * Number(limit)) : v;
+  template <typename Scalar>
+  [[nodiscard]] static Vector3<Scalar> shortened(const Vector3<Scalar>& v, double limit) noexcept {
+    const Scalar size = v.stableNorm();
+    return size > Scalar(limit) ? Vector3<Scalar>(v / size * Scalar(limit)) : v;
   }
 
   [[nodiscard]] Thrusts group_thrusts(WrenchGroup group,
                                       const Wrench<double>& wanted) const noexcept {
-    Vector3<double> force = Vector3<double>::Zero(), torque = Vector3<double>::Zero();
-    if (group == WrenchGroup::level) torque.template head<2>() = wanted.torque.template head<2>();
-    if (group == WrenchGroup::lift) force.z() = wanted.force.z();
-    if (group == WrenchGroup::sideways) force.template head<2>() = wanted.force.template head<2>();
-    if (group == WrenchGroup::yaw) torque.z() = wanted.torque.z();
-    return pseudoinverse_.template leftCols<3>() * shortened_force(force) +
-           pseudoinverse_.template rightCols<3>() * shortened_torque(torque);
+    Wrenchd part;
+    if (group == WrenchGroup::level) part.torque.head<2>() = wanted.torque.head<2>();
+    if (group == WrenchGroup::lift) part.force.z() = wanted.force.z();
+    if (group == WrenchGroup::sideways) part.force.head<2>() = wanted.force.head<2>();
+    if (group == WrenchGroup::yaw) part.torque.z() = wanted.torque.z();
+    part = shortened(part);
+    return pseudoinverse_.template leftCols<3>() * part.force +
+           pseudoinverse_.template rightCols<3>() * part.torque;
   }
 
   /// Angle in range, nearest to `last`, along which the thrust of rotor i points [rad].
