@@ -90,7 +90,8 @@ TEST(UnlikeRotors, EqualOwnParametersMatchCommonParametersBitForBit) {
     EXPECT_EQ(c.condition, d.condition);
     EXPECT_EQ(c.forward, d.forward);
     EXPECT_EQ(c.least_thrust, d.least_thrust);
-    EXPECT_EQ(PowerModel(common).coefficient(), PowerModel(own).coefficient());
+    const Eigen::Vector4d fast = Eigen::Vector4d::Constant(900.0);
+    EXPECT_EQ(PowerModel(common).power(fast), PowerModel(own).power(fast));
     EXPECT_EQ(ActuatorConstraints<4>(common).upper(), ActuatorConstraints<4>(own).upper());
 
     ActuatorModel<4> model(common), own_model(own);

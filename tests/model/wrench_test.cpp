@@ -63,7 +63,6 @@ TEST(Wrench, RoundTripIsIdentity) {
     const Eigen::Quaterniond q = random.orientation();
     EXPECT_LT(distance(transport(transport(wrench, lever), Vector3d(-lever)), wrench), 1e-14);
     EXPECT_LT(distance(wrench_in_body(wrench_in_world(wrench, q), q), wrench), 1e-13);
-    EXPECT_LT(distance(rotate(rotate(wrench, q), q.conjugate()), wrench), 1e-13);
   }
 }
 
@@ -83,8 +82,8 @@ TEST(Wrench, AgreesWithWheelFramePose) {
   const Eigen::Quaterniond turn(wheel.linear());
   for (int i = 0; i < 100; ++i) {
     const Vector3d force = random.vector(10.0), v = random.vector(3.0), w = random.vector(5.0);
-    const Wrenchd at_com =
-        transport(rotate(Wrenchd{force, Vector3d::Zero()}, turn), Vector3d(wheel.translation()));
+    const Wrenchd at_com = transport(wrench_in_world(Wrenchd{force, Vector3d::Zero()}, turn),
+                                     Vector3d(wheel.translation()));
     const Vector3d v_wheel = wheel.linear().transpose() * (v + w.cross(wheel.translation()));
     EXPECT_NEAR(at_com.force.dot(v) + at_com.torque.dot(w), force.dot(v_wheel), 1e-12);
   }

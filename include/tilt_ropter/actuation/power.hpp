@@ -114,7 +114,6 @@ class Battery {
     return source(state_of_charge_);
   }
   [[nodiscard]] double state_of_charge() const noexcept { return state_of_charge_; }
-  [[nodiscard]] const BatteryParameters& parameters() const noexcept { return parameters_; }
 
  private:
   [[nodiscard]] static bool usable(double power) noexcept { return power >= 0.0 && power <= 1e12; }
@@ -263,12 +262,6 @@ class PowerModel {
     return power(rotor_speed) + Scalar(servo_move_) * sum;
   }
 
-  /// Power of electronics and servos at rest [W].
-  [[nodiscard]] double at_rest() const noexcept { return at_rest_; }
-
-  /// Coefficient c [W s^3].
-  [[nodiscard]] double coefficient() const noexcept { return coefficient_; }
-
  private:
   template <int Rotors>
   static Eigen::Matrix<double, Rotors, 1> speeds_in_hover(const Vehicle<Rotors>& vehicle) {
@@ -282,9 +275,9 @@ class PowerModel {
     return speeds;
   }
 
-  double at_rest_;     // electronics and servos [W]
-  double servo_move_;  // [J/rad]
-  double coefficient_ = 0.0;
+  double at_rest_;            // electronics and servos [W]
+  double servo_move_;         // [J/rad]
+  double coefficient_ = 0.0;  // c [W s^3]
 };
 
 }  // namespace tilt_ropter

@@ -13,9 +13,8 @@
 namespace tilt_ropter {
 
 /// Thrust [N] at `speed` [rad/s]: c Omega^2 + b Omega with the linear coefficient b. b = 0 is the
-/// paper's law (paper, Sec. Control Allocation). Returns zero if the result is negative. Also
-/// returns zero for a speed that is negative, not finite or above 1e9 rad/s, which no valid sensor
-/// reports.
+/// paper's law (paper, Sec. Control Allocation). Returns zero if the result is negative, and for a
+/// speed that is negative, not finite or above 1e9 rad/s, which no valid sensor reports.
 template <typename Scalar>
 [[nodiscard]] Scalar thrust_from_speed(const Scalar& speed, const RotorParameters& rotor) noexcept {
   if (!(speed > Scalar(0) && speed < Scalar(1e9))) return Scalar(0);
@@ -113,10 +112,7 @@ class Rotor {
     started_ = std::isfinite(time);
   }
 
-  [[nodiscard]] const Scalar& speed() const noexcept { return speed_; }  ///< [rad/s]
-  [[nodiscard]] Scalar thrust() const noexcept {                         ///< [N]
-    return thrust_from_speed(speed_, parameters_);
-  }
+  [[nodiscard]] const Scalar& speed() const noexcept { return speed_; }          ///< [rad/s]
   [[nodiscard]] const Scalar& min_speed() const noexcept { return min_speed_; }  ///< [rad/s]
   /// Speed at max_thrust, or at the thrust that the voltage allows [rad/s].
   [[nodiscard]] const Scalar& max_speed() const noexcept { return max_speed_; }

@@ -69,14 +69,6 @@ class Servo {
 
   [[nodiscard]] const Scalar& angle() const noexcept { return angle_; }  ///< [rad]
 
-  /// Rate [rad/s] right after the last update, within +-max_rate.
-  [[nodiscard]] Scalar rate() const noexcept {
-    const Scalar rate = (command_ - angle_) / Scalar(parameters_.time_constant);
-    const Scalar limit = Scalar(parameters_.max_rate);
-    if (rate > limit) return limit;
-    return rate < -limit ? Scalar(-limit) : rate;
-  }
-
  private:
   struct Waiting {
     double time = 0.0;  ///< time at which the command takes effect [s]

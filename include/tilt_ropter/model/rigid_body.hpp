@@ -28,7 +28,6 @@ class RigidBody {
   explicit RigidBody(const RigidBodyParameters& parameters) : body_(validated(parameters)) {}
 
   [[nodiscard]] const Scalar& mass() const { return body_.mass; }
-  [[nodiscard]] const Matrix3<Scalar>& inertia() const { return body_.inertia; }
 
   /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The wrench rate `u` (body
   /// frame, [N/s; N m/s]) and the `external` wrench (body frame) are constant during the step. The

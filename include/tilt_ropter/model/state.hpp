@@ -16,8 +16,8 @@
 /// throws or allocates.
 namespace tilt_ropter {
 
-/// Force [N] and torque [N m] at the CoM, both in the body frame. transport() and rotate() convert
-/// them to other points and frames.
+/// Force [N] and torque [N m] at the CoM, both in the body frame. transport() and wrench_in_world()
+/// convert them to other points and frames.
 template <typename Scalar>
 struct Wrench {
   Vector3<Scalar> force = Vector3<Scalar>::Zero();
@@ -157,26 +157,19 @@ template <typename Scalar>
   return {wrench.force, wrench.torque + lever.cross(wrench.force)};
 }
 
-/// Returns the wrench about the same point, in another frame. `rotation` is a unit quaternion that
-/// maps coordinates in the frame of `wrench` to coordinates in the frame of the result.
-template <typename Scalar>
-[[nodiscard]] Wrench<Scalar> rotate(const Wrench<Scalar>& wrench,
-                                    const Eigen::Quaternion<Scalar>& rotation) noexcept {
-  return {rotation * wrench.force, rotation * wrench.torque};
-}
-
-/// Returns a body-frame wrench in world axes, still about the CoM. `orientation` is body -> world.
+/// Returns a body-frame wrench in world axes, still about the CoM. `orientation` is body -> world,
+/// a unit quaternion.
 template <typename Scalar>
 [[nodiscard]] Wrench<Scalar> wrench_in_world(
     const Wrench<Scalar>& in_body, const Eigen::Quaternion<Scalar>& orientation) noexcept {
-  return rotate(in_body, orientation);
+  return {orientation * in_body.force, orientation * in_body.torque};
 }
 
 /// Inverse of wrench_in_world().
 template <typename Scalar>
 [[nodiscard]] Wrench<Scalar> wrench_in_body(const Wrench<Scalar>& in_world,
                                             const Eigen::Quaternion<Scalar>& orientation) noexcept {
-  return rotate(in_world, orientation.conjugate());
+  return wrench_in_world(in_world, orientation.conjugate());
 }
 
 /// A plane in the world that a tool of the vehicle may touch. It need not be vertical.
