@@ -58,11 +58,8 @@ const char* const battery = "BatteryParameters.resistance [ohm]";
 TEST(ActuationSettings, AllocationNamesEachField) {
   using S = AllocationSettings;
   const Fields<S> check;
-  check("AllocationSettings.range_end_margin [rad]", &S::range_end_margin, in_range(0.0, 0.5 * pi));
   check("AllocationSettings.hold_thrust [N]", &S::hold_thrust, positive());
-  check("AllocationSettings.hold_time [s]", &S::hold_time, positive());
   check("AllocationSettings.lag_compensation", &S::lag_compensation, in_range(0.0, 1.0));
-  check("AllocationSettings.calm_fraction", &S::calm_fraction, positive());
 }
 
 TEST(ActuationSettings, AllocationNeedsEachPriorityOnce) {
@@ -87,8 +84,8 @@ TEST(ActuationSettings, AllocationChecksVehicleAndSettings) {
   expect_vehicle_refused(mass, spoil_mass, construct);
   expect_vehicle_refused(servo, spoil_servo, construct);
   AllocationSettings settings;
-  settings.hold_time = 0.0;
-  expect_refused("AllocationSettings.hold_time [s]",
+  settings.hold_thrust = 0.0;
+  expect_refused("AllocationSettings.hold_thrust [N]",
                  [&] { Allocation<4>(tilt_ropter_vehicle(), settings); });
 }
 

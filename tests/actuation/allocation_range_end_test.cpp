@@ -67,21 +67,18 @@ TEST(AllocationRangeEnd, PushesBeyondTheMarginTurnArmsOverOnce) {
   EXPECT_LE(turned_over, 2);
 }
 
-TEST(AllocationRangeEnd, FollowsMarginOfSettings) {
+TEST(AllocationRangeEnd, ArmsWaitBelowTheMargin) {
   ActuatorState<4> last;
   last.tilt_angle << pi, pi, -3.1, 3.1;
-  for (const double margin : {0.0, 0.05, 0.3}) {
-    AllocationSettings settings;
-    settings.range_end_margin = margin;
-    const Allocation allocation(tilt_ropter_vehicle(), settings);
-    // The 2 N of the front arm would point `beyond` [rad] past the end of the range.
-    for (const double beyond : {0.04, 0.06, 0.2, 0.4}) {
-      const auto result = allocation.allocate(push(0.0, -4.0 * std::tan(beyond), -8.0), last);
-      EXPECT_EQ(result.status == Status::range_end_held, beyond < margin) << margin << beyond;
-      EXPECT_EQ(result.turned_over > 0, beyond >= margin);
-      if (beyond < margin) {
-        EXPECT_NEAR(result.lost.force.norm(), 4.0 * std::tan(beyond), 0.01);
-      }
+  constexpr double margin = AllocationSettings::range_end_margin;
+  const Allocation allocation(tilt_ropter_vehicle());
+  // The 2 N of the front arm would point `beyond` [rad] past the end of the range.
+  for (const double beyond : {0.04, 0.06, 0.2, 0.4}) {
+    const auto result = allocation.allocate(push(0.0, -4.0 * std::tan(beyond), -8.0), last);
+    EXPECT_EQ(result.status == Status::range_end_held, beyond < margin) << beyond;
+    EXPECT_EQ(result.turned_over > 0, beyond >= margin);
+    if (beyond < margin) {
+      EXPECT_NEAR(result.lost.force.norm(), 4.0 * std::tan(beyond), 0.01);
     }
   }
 }

@@ -139,7 +139,7 @@ class Allocation {
     const Scalar square = thrust.squaredNorm(), hold = hold_thrust(i) * hold_thrust(i);
     if (square >= hold) return Scalar(1);
     if (square <= limits_.tolerance() * limits_.tolerance()) return Scalar(0);
-    const auto rate = static_cast<double>(square / (hold - square)) / hold_time_;
+    const auto rate = static_cast<double>(square / (hold - square)) / AllocationSettings::hold_time;
     return Scalar(-std::expm1(-elapsed * rate));
   }
 
@@ -165,7 +165,6 @@ class Allocation {
   BatteryParameters battery_;
   Scalar servo_lead_, max_tilt_rate_, calm_thrust_;
   Eigen::Matrix<Scalar, Rotors, 1> rotor_lead_;
-  double hold_time_;
   Matrix matrix_;
   Pseudoinverse pseudoinverse_;
   detail::ThrustChoice<Rotors> choice_;
@@ -188,7 +187,6 @@ Allocation<Rotors, Scalar>::Allocation(const Vehicle<Rotors>& vehicle,
       servo_lead_(Scalar(settings.lag_compensation * vehicle.servo.time_constant)),
       max_tilt_rate_(Scalar(vehicle.servo.max_rate)),
       calm_thrust_(Scalar(settings.calm_fraction * vehicle.body.mass * gravity / Rotors)),
-      hold_time_(settings.hold_time),
       matrix_(allocation.matrix.template cast<Scalar>()),
       pseudoinverse_(allocation.pseudoinverse.template cast<Scalar>()),
       choice_(vehicle, settings, allocation) {

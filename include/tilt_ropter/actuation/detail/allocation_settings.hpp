@@ -64,23 +64,21 @@ struct AllocationSettings {
                                                          WrenchGroup::sideways, WrenchGroup::yaw};
   /// Hysteresis at the ends of the servo's range [rad]. An arm waits at the end of the range while
   /// its target is less than this angle beyond the end. Otherwise the arm turns round to the
-  /// equivalent angle inside the range. Noise below this value turns no arm over. Zero: the arm
-  /// turns over at once.
-  double range_end_margin = 0.1;
+  /// equivalent angle inside the range. Noise below this value turns no arm over.
+  static constexpr double range_end_margin = 0.1;
   /// Thrust below which a tilt angle lags behind its target, see hold_time [N]. The angle is
   /// undefined at zero thrust and keeps its last value there.
   double hold_thrust = 0.02;
-  /// Time scale of a tilt angle at small thrust; a larger value makes the angle slower [s]. At a
-  /// thrust T below h = max(hold_thrust, min_thrust) the angle approaches its target with the time
-  /// constant hold_time (h^2 / T^2 - 1) [s].
-  double hold_time = 0.01;
+  /// At a thrust T below h = max(hold_thrust, min_thrust) the angle approaches its target with the
+  /// time constant hold_time (h^2 / T^2 - 1) [s].
+  static constexpr double hold_time = 0.01;
   /// Fraction of the actuators' time constants by which commands lead a moving wrench. The lead
   /// compensates the first-order lags: 1 inverts the lags, 0 leaves them.
   double lag_compensation = 1.0;
   /// Thrust below which the lead of a tilt angle is reduced, as a fraction of one rotor's thrust in
   /// hover. The lead falls with the square of the thrust. At small thrust the rate of the angle is
   /// mostly noise, and the lag matters little.
-  double calm_fraction = 0.1;
+  static constexpr double calm_fraction = 0.1;
 };
 
 inline void validate(const AllocationSettings& p) {
@@ -96,11 +94,8 @@ inline void validate(const AllocationSettings& p) {
   for (const int count : named) known = known && count == 1;
   require(known, "AllocationSettings.priorities", order,
           "level (0), lift (1), sideways (2) and yaw (3), each once, in any order");
-  require_in("AllocationSettings.range_end_margin [rad]", p.range_end_margin, 0.0, 0.5 * pi);
   require_positive("AllocationSettings.hold_thrust [N]", p.hold_thrust);
-  require_positive("AllocationSettings.hold_time [s]", p.hold_time);
   require_in("AllocationSettings.lag_compensation", p.lag_compensation, 0.0, 1.0);
-  require_positive("AllocationSettings.calm_fraction", p.calm_fraction);
 }
 
 /// Command, the wrench that the command gives, and the part of the wanted wrench that the command

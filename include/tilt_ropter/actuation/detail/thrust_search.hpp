@@ -293,7 +293,6 @@ class ThrustChoice {
         search_(limits_, null_space(allocation)),
         pseudoinverse_(allocation.pseudoinverse),
         priorities_(settings.priorities),
-        margin_(settings.range_end_margin),
         negligible_(2e-8 * largest_max_thrust(vehicle)) {
     double lever = 0.0;
     for (std::size_t i = 0; i < Rotors; ++i) {
@@ -372,7 +371,8 @@ class ThrustChoice {
     std::array<bool, size(Rotors)> waiting{};
     const bool waits = all_wait(free.thrusts, last, faint, waiting);
     if (waits) chosen.at_end = waiting;
-    if (waits || Search::is_better(free.fractions, answer.fractions, margin_))
+    if (waits ||
+        Search::is_better(free.fractions, answer.fractions, AllocationSettings::range_end_margin))
       chosen.thrusts = free.thrusts;
     return chosen;
   }
@@ -468,7 +468,7 @@ class ThrustChoice {
       const double beyond = beyond_end(i, thrust, last(i));
       beyond_range[size(i)] = beyond > 0.0;
       any = any || beyond > 0.0;
-      all = all && (beyond < margin_ || thrust.norm() < faint);
+      all = all && (beyond < AllocationSettings::range_end_margin || thrust.norm() < faint);
     }
     return any && all;
   }
@@ -508,7 +508,7 @@ class ThrustChoice {
   Search search_;
   Eigen::Matrix<double, 2 * Rotors, 6> pseudoinverse_;
   std::array<WrenchGroup, wrench_group_count> priorities_;
-  double margin_, negligible_;
+  double negligible_;
   bool has_min_thrust_ = false;
   double max_force_, max_torque_;
 };
