@@ -231,10 +231,9 @@ class FailureDetector {
   void judge_servos(double time, const Block& block) noexcept;
 
   // A mean at first, then exponentially weighted.
-  void learn(const Block& block) noexcept {
-    learnt_for_ += block.duration;
-    baseline_ += block.duration / std::min(learnt_for_, baseline_time) *
-                 (block.residual / block.duration - baseline_);
+  void learn(double dt, const Vector6& residual) noexcept {
+    learnt_for_ += dt;
+    baseline_ += dt / std::min(learnt_for_, baseline_time) * (residual - baseline_);
   }
 
   // Compares the window with each failure.
@@ -282,7 +281,6 @@ class FailureDetector {
 template <int Rotors>
 FailureDetector<Rotors>::FailureDetector(const Vehicle<Rotors>& vehicle)
     : body_(vehicle), parameters_(vehicle.body) {
-  validate(vehicle);
   hover_thrust_ = vehicle.body.mass * gravity / Rotors;
   time_constant_ = vehicle.servo.time_constant;
   rolls_ = vehicle.wheels.has_value();
@@ -438,7 +436,8 @@ void FailureDetector<Rotors>::end_block(double time, const InertialSampled& samp
   const bool is_found = failure_.kind != FailureKind::none;
   // What leaves the window is learnt, unless the window may contain a failure.
   Block& oldest = ring_[index(next_)];
-  if (airborne_ && filled_ == blocks && suspect_ < 0) learn(oldest);
+  if (airborne_ && filled_ == blocks && suspect_ < 0)
+    learn(oldest.duration, oldest.residual / oldest.duration);
   const double dt = block_.duration;
   oldest = block_;
   block_ = {};
@@ -479,10 +478,8 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   Vector6 free;
   free << 1.0, 0.0, 0.0, 0.0, 1.0, 1.0;
   Vector6 change = per_second * free.cwiseProduct(sum.residual);
-  if (per_second * sum.thrust.maxCoeff() < without_thrust * hover_thrust_ && load > 0.5) {
-    learnt_for_ += dt;
-    baseline_ += dt / std::min(learnt_for_, baseline_time) * (change / load - baseline_);
-  }
+  if (per_second * sum.thrust.maxCoeff() < without_thrust * hover_thrust_ && load > 0.5)
+    learn(dt, change / load);
   if (learnt_for_ < known_after) return;
   change -= std::max(load, 0.0) * baseline_;
   const double leaning = 0.2 * std::max(load, 0.0) * weight;
@@ -638,10 +635,8 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
   if (!turned && fraction >= (learnt_for_ < known_after ? max_weak_at_start : 1.0)) return;
   failure_.rotor = index(rotor);
   failure_.time = time;
-  if (fraction < lost_fraction) {
-    failure_.kind = FailureKind::rotor;
-    failure_.effectiveness = 0.0;
-  } else if (turned) {
+  const bool is_lost = fraction < lost_fraction;
+  if (turned && !is_lost) {
     failure_.kind = FailureKind::servo;
     failure_.angle = actual;
     // What is normal may be wrong by all of it.
@@ -651,7 +646,7 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
     suspect_ = -1;
   } else {
     failure_.kind = FailureKind::rotor;
-    failure_.effectiveness = fraction;
+    failure_.effectiveness = is_lost ? 0.0 : fraction;
   }
 }
 
