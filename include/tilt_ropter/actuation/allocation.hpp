@@ -321,7 +321,8 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
       if (std::abs(angle - from(i)) > Scalar(pi * (1.0 + 1e-6))) ++result.turned_over;
     }
     const auto unit = Limits::direction(angle);
-    const Scalar size = limits_.bounded_thrust(i, thrust.dot(unit));
+    const Scalar size =
+        std::max(limits_.min_thrust(i), std::min(thrust.dot(unit), limits_.max_thrust(i)));
     if ((thrust - size * unit).norm() > Scalar(4) * limits_.tolerance())
       (follow < Scalar(1) ? holds : waiting ? waits : cuts) = true;
     thrust = size * unit;

@@ -9,7 +9,6 @@
 #include <Eigen/Core>
 
 #include <array>
-#include <cstddef>
 #include <limits>
 #include <string>
 

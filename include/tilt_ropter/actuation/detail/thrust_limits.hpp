@@ -302,7 +302,6 @@ enum class AnglePart { whole, lower, upper };
 template <int Rotors, typename Scalar>
 class ThrustLimits {
  public:
-  static constexpr int components = 2 * Rotors;
   using Vector2 = Eigen::Matrix<Scalar, 2, 1>;
 
   explicit ThrustLimits(const Vehicle<Rotors>& vehicle)
@@ -330,11 +329,6 @@ class ThrustLimits {
   [[nodiscard]] bool tilts(int i) const noexcept { return tilts_[std::size_t(i)]; }
   [[nodiscard]] Scalar min_thrust(int i) const noexcept { return min_thrust_[std::size_t(i)]; }
   [[nodiscard]] Scalar max_thrust(int i) const noexcept { return max_thrust_[std::size_t(i)]; }
-
-  /// Returns `thrust` [N] of rotor i, clamped to its limits.
-  [[nodiscard]] Scalar bounded_thrust(int i, Scalar thrust) const noexcept {
-    return std::max(min_thrust(i), std::min(thrust, max_thrust(i)));
-  }
 
   /// (T_l, T_v) of unit thrust at a tilt angle [rad].
   [[nodiscard]] static Vector2 direction(Scalar angle) noexcept {
@@ -378,12 +372,8 @@ class ThrustLimits {
     if (!tilts(i))
       return thrust.y() >= min_thrust(i) - tolerance_ && thrust.y() <= max_thrust(i) + tolerance_;
     const Scalar most = max_thrust(i) + tolerance_;
-    return thrust.squaredNorm() <= most * most && in_range(thrust);
-  }
-
-  /// Returns true if an angle of the servo gives the direction of `thrust`, within tolerance().
-  [[nodiscard]] bool in_range(const Vector2& thrust) const noexcept {
-    return cos_half_width_ < Scalar(-1) || out_of_range(thrust) <= Scalar(0);
+    return thrust.squaredNorm() <= most * most &&
+           (cos_half_width_ < Scalar(-1) || out_of_range(thrust) <= Scalar(0));
   }
 
   /// Measure [N] that increases with the distance of `thrust` from the servo's range. At most 0

@@ -263,15 +263,6 @@ class ThrustSearch {
   std::array<bool, size(Rotors)> used_{};
 };
 
-/// Thrusts [N] and how they were chosen.
-template <int Rotors>
-struct ChosenThrusts {
-  AllocationStatus status = AllocationStatus::ok;
-  Eigen::Matrix<double, 2 * Rotors, 1> thrusts;
-  /// Arms whose thrust points beyond the end of the range and that wait at this end.
-  std::array<bool, size(Rotors)> at_end{};
-};
-
 /// Steps 2 to 4 of Allocation: null space, end of the range, priorities. Only the constructor
 /// allocates. Nothing throws.
 template <int Rotors>
@@ -285,7 +276,14 @@ class ThrustChoice {
   using Limits = ThrustLimits<Rotors, double>;
   using Thrusts = typename Search::Thrusts;
   using Angles = Eigen::Matrix<double, Rotors, 1>;
-  using Chosen = ChosenThrusts<Rotors>;
+
+  /// Thrusts [N] and how they were chosen.
+  struct Chosen {
+    AllocationStatus status = AllocationStatus::ok;
+    Thrusts thrusts;
+    /// Arms whose thrust points beyond the end of the range and that wait at this end.
+    std::array<bool, size(Rotors)> at_end{};
+  };
 
   ThrustChoice(const Vehicle<Rotors>& vehicle, const AllocationSettings& settings,
                const AllocationMatrix<Rotors>& allocation)

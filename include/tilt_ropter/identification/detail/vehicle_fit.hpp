@@ -296,16 +296,14 @@ class VehicleFit {
   }
 
   /// Residual in standard deviations, and its weight: beyond four they count less (Huber 1964).
-  [[nodiscard]] double residual(std::size_t row, double& weight) const {
+  [[nodiscard]] std::pair<double, double> residual(std::size_t row) const {
     const double r = (model_.measured(row) - predicted_[row]) / rms_[model_.group(row)];
-    weight = std::abs(r) > 4.0 ? 4.0 / std::abs(r) : 1.0;
-    return r;
+    return {r, std::abs(r) > 4.0 ? 4.0 / std::abs(r) : 1.0};
   }
   [[nodiscard]] double cost() const {
     double sum = 0.0;
     for (std::size_t row = 0; row < predicted_.size(); ++row) {
-      double weight = 1.0;
-      const double r = residual(row, weight);
+      const auto [r, weight] = residual(row);
       sum += weight < 1.0 ? 8.0 * std::abs(r) - 16.0 : r * r;
     }
     FitVector off = x_ - prior_;
@@ -381,8 +379,8 @@ class VehicleFit {
     slope.setZero();
     if (scores != nullptr) scores->assign(windows().size(), FitVector::Zero());
     for (std::size_t row = 0; row < predicted_.size(); ++row) {
-      double weight = 1.0;
-      const double r = residual(row, weight), scale = 1.0 / rms_[model_.group(row)];
+      const auto [r, weight] = residual(row);
+      const double scale = 1.0 / rms_[model_.group(row)];
       FitVector left = FitVector::Zero(), right = FitVector::Zero();
       for (int i = 0; i < I::count; ++i) {
         if (held_[at(i)]) continue;
@@ -471,10 +469,11 @@ class VehicleFit {
   void set_rms() {
     std::array<double, 7> sum{}, count{};
     for (std::size_t row = 0; row < predicted_.size(); ++row) {
-      double weight = 1.0;
-      const double r = residual(row, weight) * rms_[model_.group(row)];
-      sum[model_.group(row)] += weight * r * r;
-      count[model_.group(row)] += 1.0;
+      const std::size_t g = model_.group(row);
+      const auto [in_stddevs, weight] = residual(row);
+      const double r = in_stddevs * rms_[g];
+      sum[g] += weight * r * r;
+      count[g] += 1.0;
     }
     for (std::size_t g = 0; g < rms_.size(); ++g)
       if (count[g] > 0.0) rms_[g] = std::max(1e-9, std::sqrt(sum[g] / count[g]));
