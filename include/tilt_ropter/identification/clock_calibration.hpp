@@ -57,12 +57,9 @@ enum class ClockCalibrationStatus {
 /// Result of calibrate_clock(). The offset is valid only if the status is calibrated.
 struct ClockCalibration {
   ClockCalibrationStatus status = ClockCalibrationStatus::bad_data;
-  /// Time to add to the stamps of the poses (EkfSettings.clock_offset) [s].
-  double offset = 0.0;
-  /// Standard deviation of the offset [s].
-  double stddev = std::numeric_limits<double>::infinity();
-  /// Fitted rotation M -> body.
-  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();
+  double offset = 0.0;  ///< to add to the stamps of the poses (EkfSettings.clock_offset) [s]
+  double stddev = std::numeric_limits<double>::infinity();                 ///< of the offset [s]
+  Eigen::Quaterniond marker_orientation = Eigen::Quaterniond::Identity();  ///< M -> body
   double residual = 0.0;  ///< root mean square over rotations and axes [rad]
 };
 

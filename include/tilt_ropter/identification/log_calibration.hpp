@@ -34,10 +34,8 @@ struct LogCalibrationSettings {
   /// Standard deviation of the direction of gravity from -z of motion capture's world, per axis
   /// [rad]. Zero: the world is level, as the filter assumes.
   double gravity_stddev = 0.0;
-  /// Before the flight, about zero [rad/s].
-  static constexpr double gyro_bias_stddev = 0.2;
-  /// Before the flight, about zero [m/s^2].
-  static constexpr double accelerometer_bias_stddev = 1.0;
+  static constexpr double gyro_bias_stddev = 0.2;           ///< before the flight, of zero [rad/s]
+  static constexpr double accelerometer_bias_stddev = 1.0;  ///< before the flight, of zero [m/s^2]
 
   /// A calibration with a larger standard deviation is refused.
   static constexpr double max_marker_position_stddev = 0.01;     ///< [m]

@@ -44,11 +44,9 @@ struct ServoIdentificationSettings {
   static constexpr double min_time_constant = 0.002;  ///< shortest time constant of the search [s]
   static constexpr double max_time_constant = 2.0;    ///< longest; never longer than the log [s]
   double max_dead_time = 0.2;  ///< longest dead time of the search; 0: no dead time [s]
-  /// Required largest minus smallest command [rad].
-  static constexpr double min_excitation = 0.01;
-  /// Required gain / standard deviation of the gain.
-  static constexpr double min_significance = 5.0;
-  static constexpr int min_samples = 20;  ///< required number of samples, at least 6
+  static constexpr double min_excitation = 0.01;   ///< required largest - smallest command [rad]
+  static constexpr double min_significance = 5.0;  ///< required gain / its standard deviation
+  static constexpr int min_samples = 20;           ///< required number of samples, at least 6
   int max_iterations = 100;  ///< largest number of Gauss-Newton iterations from each start
 };
 

@@ -65,13 +65,11 @@ struct VehicleIdentificationSettings {
   double min_height = -std::numeric_limits<double>::infinity();
   static constexpr double min_duration = 5.0;  ///< required duration of these parts [s]
   /// A parameter counts as excited if the half-width of its 95 % interval is at most this:
-  /// As a fraction, for scales, inertias and time constants.
-  static constexpr double max_ratio = 0.2;
-  static constexpr double max_com = 0.005;       ///< [m]
-  static constexpr double max_dead_time = 0.01;  ///< [s]
-  static constexpr double max_drag = 0.2;        ///< per mass [1/s]
-  /// As a fraction of the smallest moment of inertia.
-  static constexpr double max_arm_inertia = 0.1;
+  static constexpr double max_ratio = 0.2;  ///< of scales, inertias, time constants: a fraction
+  static constexpr double max_com = 0.005;  ///< [m]
+  static constexpr double max_dead_time = 0.01;    ///< [s]
+  static constexpr double max_drag = 0.2;          ///< per mass [1/s]
+  static constexpr double max_arm_inertia = 0.1;   ///< fraction of the smallest moment of inertia
   static constexpr double max_arm_moment = 0.003;  ///< per mass [m]
 };
 

@@ -27,14 +27,10 @@ struct RigidBodyParameters {
       Eigen::Matrix3d::Identity();  ///< about the CoM, in the body frame [kg m^2]
 };
 
-/// Motor and propeller. The thrust at speed Omega is
-///
-///     T = thrust_coefficient Omega^2 + linear_thrust_coefficient Omega,
-///
-/// or zero if this sum is negative. Without the linear term this is the paper's law. If the thrust
-/// of a real propeller rises faster than the squared speed, the linear term is negative. The thrust
-/// then begins at the speed -linear_thrust_coefficient / thrust_coefficient. If the thrust rises
-/// slower than the squared speed, the linear term is positive.
+/// Motor and propeller. The thrust at speed Omega is thrust_coefficient Omega^2 +
+/// linear_thrust_coefficient Omega, see thrust_from_speed(). If the thrust of a real propeller
+/// rises faster than the squared speed, the linear term is negative. The thrust then begins at the
+/// speed -linear_thrust_coefficient / thrust_coefficient.
 struct RotorParameters {
   double thrust_coefficient = 1.0e-6;  ///< factor of the squared speed [N s^2 / rad^2]
   double torque_ratio = 0.016;         ///< reaction torque / thrust [m]
@@ -124,22 +120,16 @@ struct Undercarriage {
   double rolling_mass = 0.0, turning_inertia = 0.0;
 };
 
-/// Electrical power of the vehicle:
-///
-///     P = electronics + sum over servos (servo_hold + servo_move |angle rate|) + c sum Omega^3,
-///
-/// with the factor c for which P in hover equals `hover`, with servos at rest. Every rotor that
-/// tilts has a servo.
+/// Electrical power of the vehicle, see PowerModel. Every rotor that tilts has a servo.
 struct PowerParameters {
   double electronics = 20.0;  ///< power without rotors and servos [W]
-  double hover = 600.0;       ///< total power in hover [W]
+  double hover = 600.0;       ///< total power in hover, with servos at rest [W]
   double servo_hold = 0.0;    ///< power of each servo that holds its angle [W]
   double servo_move = 0.0;    ///< additional energy of a servo per angle that it turns [J/rad]
 };
 
-/// Battery that supplies the rotors. The open-circuit voltage falls linearly with the state of
-/// charge. Without load it is full_voltage at full charge and empty_voltage at zero charge. The
-/// fields after nominal_voltage are all zero if the battery is unknown.
+/// Battery that supplies the rotors, see Battery. The fields after nominal_voltage are all zero if
+/// the battery is unknown.
 struct BatteryParameters {
   /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: unknown;
   /// the voltage then has no effect.
@@ -178,7 +168,6 @@ inline void validate(const RotorParameters& p, const std::string& field = "Rotor
   require_in(field + ".min_thrust [N]", p.min_thrust, 0.0, 1e6);
   require(p.max_thrust > p.min_thrust && p.max_thrust <= 1e6, field + ".max_thrust [N]",
           p.max_thrust, "> min_thrust and <= 1e6");
-  // At the lower bound the thrust begins at half of the top speed.
   require_in(field + ".linear_thrust_coefficient [N s]", p.linear_thrust_coefficient,
              -std::sqrt(0.5 * p.thrust_coefficient * p.max_thrust), 1e3);
   require_in(field + ".time_constant [s]", p.time_constant, 1e-6, 1e3);
