@@ -268,31 +268,26 @@ Vector5d stddevs(const ServoFit<Log>& fit, bool dead_time_is_free) {
   return roots;
 }
 
+/// Best of the minima that Gauss-Newton finds, with its number of iterations. The starts are dead
+/// times on a grid with a spacing of 1/20 of the longest. Each start uses the best of time
+/// constants that are a factor of 1.5 apart.
 template <typename Log>
-struct ServoMinimum {
-  ServoFit<Log> fit;
-  int iterations;
-};
-
-/// Best of the minima that Gauss-Newton finds. The starts are dead times on a grid with a spacing
-/// of 1/20 of the longest. Each start uses the best of time constants that are a factor of 1.5
-/// apart.
-template <typename Log>
-ServoMinimum<Log> least_minimum(const Log& log, const ServoIdentificationSettings& settings,
-                                double longest) {
-  std::optional<ServoMinimum<Log>> least;
+std::pair<ServoFit<Log>, int> least_minimum(const Log& log,
+                                            const ServoIdentificationSettings& settings,
+                                            double longest) {
+  std::optional<std::pair<ServoFit<Log>, int>> least;
   const int dead_times = settings.max_dead_time > 0.0 ? 20 : 0;
   for (int i = 0; i <= dead_times; ++i) {
     const double dead_time = i * settings.max_dead_time / 20.0;
-    ServoMinimum<Log> minimum{ServoFit<Log>(log, settings.min_time_constant, dead_time), 0};
+    ServoFit<Log> best(log, settings.min_time_constant, dead_time);
     for (double tau = 1.5 * settings.min_time_constant; tau < longest; tau *= 1.5) {
       ServoFit<Log> fit(log, tau, dead_time);
-      if (fit.cost < minimum.fit.cost) minimum.fit = std::move(fit);
+      if (fit.cost < best.cost) best = std::move(fit);
     }
-    while (minimum.iterations < settings.max_iterations &&
-           improve(minimum.fit, log, settings, longest))
-      ++minimum.iterations;
-    if (!least || minimum.fit.cost < least->fit.cost) least = std::move(minimum);
+    int iterations = 0;
+    while (iterations < settings.max_iterations && improve(best, log, settings, longest))
+      ++iterations;
+    if (!least || best.cost < least->first.cost) least.emplace(std::move(best), iterations);
   }
   return *std::move(least);
 }

@@ -83,8 +83,6 @@ class RigidBody {
       pushes[n] = {pushes[0].force + step.time_at(n) * force_rate,
                    pushes[0].torque + step.time_at(n) * torque_rate};
     step.template run<WithSensitivity>(body_, x.body, pushes, freedom, next.body);
-    next.wrench.force = x.wrench.force;
-    next.wrench.torque = x.wrench.torque;
     detail::put(triple(x.wrench.force) + dt * force_rate, next.wrench.force);
     detail::put(triple(x.wrench.torque) + dt * torque_rate, next.wrench.torque);
     if constexpr (!WithSensitivity) return;

@@ -95,11 +95,9 @@ class ThrustInverse {
   [[nodiscard]] const Eigen::Matrix3d& steady_forces() const noexcept { return steady_forces_; }
   /// True if the vehicle must lean for a force that is not vertical in the body frame.
   [[nodiscard]] bool leans() const noexcept {
-    double off = 0.0;
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        off = std::max(off, std::abs(steady_forces_(i, j) - (i == j ? 1.0 : 0.0)));
-    return off > 1e-3;
+    Eigen::Matrix3d off = steady_forces_;
+    for (int i = 0; i < 3; ++i) off(i, i) -= 1.0;
+    return detail::largest(off) > 1e-3;
   }
 
  private:
