@@ -10,8 +10,7 @@
 /// compile them. The library is built with the flags of the project that links to it; see
 /// cmake/compiled.cmake. For ActuatorNmpc, include compiled_actuator_level.hpp.
 ///
-/// The library also contains Ekf in double precision, which does not depend on the number of
-/// rotors.
+/// The library also contains Ekf in double precision, for any number of rotors.
 
 /// Instances for one number of rotors, and for one level of control. `prefix` is `extern` for a
 /// declaration.

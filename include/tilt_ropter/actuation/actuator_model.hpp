@@ -29,9 +29,8 @@ namespace tilt_ropter {
 ///     ...                                                           // the next command
 ///     motors.send(model.to_send(command));
 ///
-/// What is not divided out is a difference between commanded and applied wrench that the observer
-/// reports as external, so the controller compensates it. Does not allocate. Only the constructor
-/// throws.
+/// The observer reports what is not divided out as an external wrench, so the controller
+/// compensates it. Does not allocate. Only the constructor throws.
 template <int Rotors, typename Scalar = double>
 class ActuatorModel {
  public:
@@ -115,8 +114,7 @@ class ActuatorModel {
   }
 
   /// Sets the measured battery `voltage` [V]. The top speeds of the rotors fall with the voltage.
-  /// Returns true if voltage_ratio() accepts the voltage. Otherwise the last accepted voltage
-  /// remains in effect.
+  /// Returns true if voltage_ratio() accepts it. Otherwise the last accepted voltage remains.
   bool set_voltage(double voltage) noexcept {
     const std::optional<double> ratio = voltage_ratio(battery_, voltage);
     if (!ratio) return false;
@@ -138,8 +136,7 @@ class ActuatorModel {
     read();
   }
 
-  /// Speeds [rad/s] and angles [rad] at the last update. The angle of a rotor that does not tilt is
-  /// zero.
+  /// Speeds [rad/s] and angles [rad] at the last update. Zero angles for rotors that do not tilt.
   [[nodiscard]] const ActuatorState<Rotors, Scalar>& state() const noexcept { return state_; }
 
  private:
@@ -156,8 +153,7 @@ class ActuatorModel {
   // Lag of a rotor beyond the believed one [s]. In an oscillation it looks like a ratio, which
   // would follow the oscillation and feed it, if it were not learnt more slowly by this factor.
   static constexpr double most_lag = 0.05, slow = 0.1;
-  // Slower than this fraction of the top speed a rotor is not learnt: its noise is a large
-  // fraction.
+  // Below this fraction of the top speed nothing is learnt, because the noise is a large part.
   static constexpr double min_fraction = 0.1;
   // Outside these fractions of the expected speed the rotor or its sensor has failed.
   static constexpr double least_part = 0.6, most_part = 1.4;

@@ -126,14 +126,12 @@ class Allocation {
   [[nodiscard]] bool are_good(const Thrusts& thrusts, const Angles& last, const Angles& angles,
                               Scalar faint) const noexcept;
 
-  /// Calls ThrustChoice and converts its result to this class's scalar. Not inlined, because it is
-  /// long and rarely called.
+  /// Calls ThrustChoice with doubles. Not inlined, because it is long and rarely called.
   [[gnu::noinline]] void choose(const Wrench<Scalar>& wanted, const Angles& last, Scalar faint,
                                 Thrusts& thrusts, AllocationStatus& status,
                                 std::array<bool, detail::size(Rotors)>& at_end) const noexcept;
 
-  /// Fraction of the way to its target that an angle covers in `elapsed` [s], depending on its
-  /// thrust.
+  /// Fraction of the way to its target that an angle covers in `elapsed` [s] at this thrust.
   [[nodiscard]] Scalar follow_fraction(int i, const Vector2& thrust,
                                        double elapsed) const noexcept {
     const Scalar square = thrust.squaredNorm(), hold = hold_thrust(i) * hold_thrust(i);
@@ -417,14 +415,12 @@ template <int Rotors>
   return within;
 }
 
-/// Level hover and the wrench that remains beyond hover, at rest. The speed of servos and rotors is
-/// not considered.
+/// Level hover and the wrench that remains beyond it, at rest. Ignores lags of servos and rotors.
 struct ControlAuthority {
   /// Rank of A, see AllocationMatrix; below 6 Allocation and Nmpc reject the vehicle.
   int rank = 0;
-  /// Largest singular value of A / smallest singular value, with torques in units of the vehicle's
-  /// size. This is the thrust cost of the most expensive wrench relative to the cheapest wrench.
-  /// Infinite below rank 6.
+  /// Largest singular value of A / smallest, with torques in units of the vehicle's size: thrusts
+  /// of the most expensive wrench / those of the cheapest. Infinite below rank 6.
   double condition = std::numeric_limits<double>::infinity();
   /// True if the vehicle carries its weight without torque, with all thrusts within limits.
   bool hovers = false;
@@ -432,16 +428,14 @@ struct ControlAuthority {
   /// is near zero, a thrust in the opposite direction requires half a turn of the servo.
   double least_thrust = 0.0;
   /// Largest force [N] and torque [N m] along each body axis, F then M, that Allocation adds to
-  /// hover with nothing lost. One magnitude per direction, forward and backward. Zero if the
-  /// vehicle does not hover.
+  /// hover with nothing lost. One magnitude per direction. Zero if the vehicle does not hover.
   Eigen::Matrix<double, 6, 1> forward = Eigen::Matrix<double, 6, 1>::Zero();
   Eigen::Matrix<double, 6, 1> backward = Eigen::Matrix<double, 6, 1>::Zero();
 };
 
 /// Control authority of a vehicle of any rank. Below rank 6 all members except the rank keep their
-/// defaults, although some of these vehicles do hover, for example a flat quadrotor. Uses bisection
-/// and takes about a millisecond. Allocates. Throws std::invalid_argument if the vehicle fails
-/// validate().
+/// defaults, although a flat quadrotor, for example, does hover. Uses bisection and takes about a
+/// millisecond. Allocates. Throws std::invalid_argument if the vehicle fails validate().
 template <int Rotors>
 [[nodiscard]] ControlAuthority control_authority(const Vehicle<Rotors>& vehicle) {
   validate(vehicle);

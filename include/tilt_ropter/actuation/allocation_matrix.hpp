@@ -112,8 +112,7 @@ struct AllocationMatrix {
   }
 
   /// Completes the rows of `svd` to an orthonormal basis. Each iteration takes the unit vector
-  /// farthest from the current span. It makes the vector orthogonal to the span, twice because of
-  /// rounding.
+  /// farthest from the current span. It makes it orthogonal to the span, twice because of rounding.
   void set_null_space(const Decomposition& svd) {
     std::vector<int> columns;  // of A that belong to an actuator
     for (int j = 0; j < components; ++j)
@@ -169,8 +168,7 @@ struct AllocationMatrix {
 };
 
 /// Rank of the allocation matrix of `vehicle`: the number of its singular values above 1e-6 times
-/// the largest. Below 6 the rotors do not give every wrench. Allocates. Throws as
-/// singular_values().
+/// the largest. Below 6 not every wrench is possible. Allocates. Throws as singular_values().
 template <int Rotors>
 [[nodiscard]] int allocation_rank(const Vehicle<Rotors>& vehicle) {
   const auto singular = AllocationMatrix<Rotors>::singular_values(vehicle);

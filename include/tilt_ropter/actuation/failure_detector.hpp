@@ -18,8 +18,7 @@
 #include <cstddef>
 #include <limits>
 
-/// Finds a failed rotor, a stuck servo or slow servos from the motion of the body and the speeds of
-/// the rotors.
+/// Finds a failed rotor, a stuck servo or slow servos from the motion and the speeds of the rotors.
 namespace tilt_ropter {
 
 /// What has failed.
@@ -140,8 +139,7 @@ class FailureDetector {
   // Until then a rotor is lost that keeps less than this fraction of its thrust. For the reference
   // vehicle the same torque needs the CoM 2.5 cm off, and the same force a payload of 0.2 kg.
   static constexpr double max_weak_at_start = 0.4;
-  // Smallest change of a rotor's force that is a failure, as a fraction of the weight that each
-  // rotor carries in hover.
+  // Smallest change of a rotor's force that is a failure, as a fraction of its thrust in hover.
   static constexpr double min_change = 0.35;
   // The same, as a fraction of this rotor's present thrust.
   static constexpr double min_fraction = 0.35;
@@ -158,8 +156,7 @@ class FailureDetector {
   // A rotor whose measured speed is below this fraction of the expected speed is too slow. An empty
   // battery and a wrong thrust map leave 0.8.
   static constexpr double min_speed_fraction = 0.7;
-  // It also lacks this fraction of the hover speed: idle speeds differ from the model by any
-  // factor.
+  // It also lacks this fraction of the hover speed, because idle speeds differ by any factor.
   static constexpr double min_missing_speed = 0.25;
   static constexpr int falling_readings = 3;     // that show a motor that stops
   static constexpr double falling_time = 0.006,  // they take at least [s]
@@ -168,15 +165,13 @@ class FailureDetector {
   // telemetry is late and a rotor may be slower than its model [s].
   static constexpr double rise_time = 0.05;
   // Servos may be slower than modelled by these factors. The one that explains most is reported;
-  // the first, by which a healthy vehicle may differ, only if it begins to swing, and as the
-  // second.
+  // the first, as a healthy vehicle may have it, only if it begins to swing, and as the second.
   static constexpr std::array<double, 3> slower{2.0, 4.0, 8.0};
   // Slower changes of the residual are wind, a load or a wrong mass [s].
   static constexpr double change_time = 0.3;
   // Then the vehicle begins to swing: rms of the changes by servos, as a fraction of the weight.
   static constexpr double unstable_changes = 0.015;
-  // Until then they explain at least this fraction of the changes: in noise and wind, healthy
-  // servos explain a fifth.
+  // Until then they explain at least this fraction of the changes. Healthy servos explain a fifth.
   static constexpr double min_explained = 0.25;
   // Slow servos explain the changes this long, less if they explain nearly all of them; on the
   // ground the changes of the yaw torque [s].
@@ -265,8 +260,7 @@ class FailureDetector {
   std::array<Telemetry, static_cast<std::size_t>(Rotors)> telemetry_{};
   // Angles behind the modelled ones, of the slower servos [rad]; NaN: not started.
   std::array<Eigen::Matrix<double, Rotors, 1>, slower.size()> behind_;
-  // Changes over time: of the residual, of the modelled wrench, and of what each explanation
-  // leaves.
+  // Changes over time of the residual, of the modelled wrench, and of what explanations leave.
   struct Changes {
     Vector6 mean = Vector6::Zero();
     double size = 0.0, by_applied = 0.0, by_residual = 0.0;  ///< mean products
@@ -467,8 +461,7 @@ auto FailureDetector<Rotors>::window_sum() const noexcept -> Block {
 
 // On wheels the vehicle is free to move along x and to turn about y and z, on legs it is not: there
 // a rotor that does not push is missed, and one that pushes sideways shows. What else acts there,
-// such as a CoM off the axle, is in proportion to the load, and learnt while the rotors hardly
-// push.
+// such as a CoM off the axle, is in proportion to the load, and learnt while rotors hardly push.
 template <int Rotors>
 void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   const Block sum = window_sum();

@@ -45,10 +45,9 @@ struct BatteryLoad {
 ///
 ///     V = U - R I,    P = V I    =>    V = U / 2 + sqrt(U^2 / 4 - R P),
 ///
-/// as long as P <= U^2 / (4 R), the largest power. At constant power, state of charge and time have
-/// a closed relation, which endurance() and update() use: with U = V + R P / V, the time from V_a
-/// down to V_b is proportional to (V_a^2 - V_b^2) / (2 P) - R ln(V_a / V_b). Does not allocate.
-/// Only the constructor throws.
+/// as long as P <= U^2 / (4 R), the largest power. At constant power, endurance() and update() use
+/// a closed relation: with U = V + R P / V, the time from V_a down to V_b is proportional to
+/// (V_a^2 - V_b^2) / (2 P) - R ln(V_a / V_b). Does not allocate. Only the constructor throws.
 class Battery {
  public:
   /// Throws std::invalid_argument if the parameters fail validate() or are unknown, or if
@@ -86,9 +85,8 @@ class Battery {
   }
 
   /// Time [s] for which the battery gives the constant `power` [W] from now on, until the state of
-  /// charge is `until`. The time ends earlier if the battery cannot give the power before that.
-  /// Infinite without power. Zero for an invalid power or an `until` that is not below the state of
-  /// charge.
+  /// charge is `until`. It ends earlier if the battery cannot give the power. Infinite without
+  /// power. Zero for an invalid power or an `until` that is not below the state of charge.
   [[nodiscard]] double endurance(double power, double until = 0.0) const noexcept {
     if (!usable(power) || !(until < state_of_charge_)) return 0.0;
     if (!(power > 0.0)) return std::numeric_limits<double>::infinity();
@@ -96,8 +94,7 @@ class Battery {
     return end < state_of_charge_ ? time_between(state_of_charge_, end, power) : 0.0;
   }
 
-  /// Energy [J] that the source still gives, without load: the upper limit of what the terminals
-  /// give.
+  /// Energy [J] that the source still gives: the upper limit of what the terminals give.
   [[nodiscard]] double energy() const noexcept {
     return 3600.0 * parameters_.capacity * state_of_charge_ * 0.5 *
            (open_circuit_voltage() + parameters_.empty_voltage);
@@ -208,15 +205,13 @@ class PowerModel {
  public:
   /// For a vehicle whose rotors carry equal parts of m g in hover. Each rotor's speed follows from
   /// its own curve. Throws std::invalid_argument if the parameters fail validate(), if hover takes
-  /// less power than electronics and servos, or if the hover speed is so low that the power would
-  /// overflow.
+  /// less power than electronics and servos, or if the hover speed is next to zero.
   template <int Rotors>
   explicit PowerModel(const Vehicle<Rotors>& vehicle)
       : PowerModel(vehicle, speeds_in_hover(vehicle)) {}
 
-  /// For a vehicle whose rotors carry different parts of m g, such as a vehicle whose rotors push
-  /// against each other. `hover` are the rotor speeds in hover [rad/s]. Throws like the constructor
-  /// above.
+  /// For rotors that carry different parts of m g, such as rotors that push against each other.
+  /// `hover` are the rotor speeds in hover [rad/s]. Throws like the constructor above.
   template <int Rotors>
   PowerModel(const Vehicle<Rotors>& vehicle, const Eigen::Matrix<double, Rotors, 1>& hover)
       : at_rest_(vehicle.power.electronics + servo_count(vehicle) * vehicle.power.servo_hold),

@@ -35,8 +35,7 @@ template <typename Scalar>
     return Scalar(std::max(0.0, -b / c));
   const double root = std::sqrt(c);
   if (!(std::abs(b) > 0.0)) return sqrt(thrust) / Scalar(root);
-  // Divided by sqrt(c), so that no product overflows. Each sign of b has a form without
-  // cancellation.
+  // Divided by sqrt(c): no product overflows. Each sign of b has a form without cancellation.
   const double half = 0.5 * b / root;
   const Scalar shifted = sqrt(Scalar(thrust + Scalar(half * half)));
   if (half < 0.0) return (shifted + Scalar(-half)) / Scalar(root);
@@ -52,8 +51,7 @@ template <typename Scalar>
 }
 
 /// Largest thrust [N] of `rotor` at `ratio` times the nominal voltage, see voltage_ratio(). The top
-/// speed is proportional to the voltage. Above the nominal voltage the limit is max_thrust. The
-/// limit is never below min_thrust.
+/// speed is proportional to the voltage. The limit is never below min_thrust or above max_thrust.
 [[nodiscard]] inline double max_thrust_at(const RotorParameters& rotor, double ratio) noexcept {
   if (!(ratio < 1.0)) return rotor.max_thrust;
   const double speed = ratio * speed_from_thrust(rotor.max_thrust, rotor);
@@ -84,10 +82,9 @@ class Rotor {
   }
 
   /// Advances the speed to `time` [s] under the earlier command. Then accepts `command` [rad/s],
-  /// clamped to [min_speed, max_speed], for the time after `time`. The first update starts the
-  /// clock and does not change the speed. Ignores a command or time that is not finite, and a time
-  /// before the last time. If clock_was_set_back(), the clock starts again and the speed does not
-  /// change. Returns the speed at `time`.
+  /// clamped to [min_speed, max_speed], for the time after `time`. The first update, and one after
+  /// clock_was_set_back(), starts the clock and does not change the speed. Ignores a command or
+  /// time that is not finite, and a time before the last time. Returns the speed at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
     const bool usable =

@@ -27,18 +27,16 @@ class Servo {
  public:
   static constexpr std::size_t capacity = 64;
 
-  /// The initial angle is zero, or the nearest angle in range. Throws std::invalid_argument if the
-  /// parameters fail validate().
+  /// Starts at zero or the nearest angle in range. Throws std::invalid_argument if validate() does.
   explicit Servo(const ServoParameters& parameters = {}) : parameters_(parameters) {
     validate(parameters);
     angle_ = command_ = bounded(Scalar(0));
   }
 
   /// Advances the angle to `time` [s] under the earlier commands. Then accepts `command` [rad],
-  /// clamped to the range, which acts from time + dead_time on. The first update starts the clock
-  /// and does not change the angle. Ignores a command or time that is not finite, and a time before
-  /// the last time. If clock_was_set_back(), the clock starts again and the angle does not change.
-  /// Returns the angle at `time`.
+  /// clamped to the range, which acts from time + dead_time on. The first update, and one after
+  /// clock_was_set_back(), starts the clock and does not change the angle. Ignores a command or
+  /// time that is not finite, and a time before the last time. Returns the angle at `time`.
   Scalar update(double time, const Scalar& command) noexcept {
     using std::abs;
     const bool usable =

@@ -86,8 +86,7 @@ class GyroIntegral {
   }
 
  private:
-  /// Rotation from sample i to `time`, before the next sample. The rate is linear between the
-  /// samples.
+  /// Rotation from sample i to `time`, before the next sample. The rate is linear in between.
   [[nodiscard]] Eigen::Quaterniond part(std::size_t i, double time) const {
     const double duration = time - imu_[i].time;
     const double fraction = duration / (imu_[i + 1].time - imu_[i].time);
@@ -150,8 +149,7 @@ TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scala
 
 /// Returns true if the gyro's rotations during the `turns` (poses at this clock offset) repeat
 /// themselves after a time of up to `range` [s], so well that the difference is comparable with the
-/// `cost` of the calibration. Then another offset, inside or outside the search range, fits as
-/// well.
+/// `cost` of the calibration. Then another offset, searched or not, fits as well.
 template <typename Scalar>
 bool repeats(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& gyro, double offset,
              double range, double step, double cost) {
@@ -185,8 +183,7 @@ bool repeats(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& g
 
 /// Finds the offset between the two clocks. Compares the rotation of the marker frame between poses
 /// one `window` apart with the rotation integrated from the gyro, at every offset. The constant
-/// rotation of the marker frame and the gyro's bias are fitted at each offset, so they do not
-/// disturb the result.
+/// rotation of the marker frame and the gyro's bias are fitted at each offset.
 ///
 /// Both logs must be in the order of their stamps. Poses may have outliers and gaps. Needs a few
 /// seconds of rotation about two axes or more, and `max_offset` of IMU samples before and after the

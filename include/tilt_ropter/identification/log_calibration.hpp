@@ -97,8 +97,7 @@ struct LogCalibration {
 
   double position_residual = 0.0;     ///< root mean square per axis, without outliers [m]
   double orientation_residual = 0.0;  ///< root mean square per axis, without outliers [rad]
-  /// Ratio of the errors that the log shows to those that the assumed noise explains. The
-  /// intervals contain it.
+  /// Errors that the log shows / those that the assumed noise explains. Contained in the intervals.
   double error_scale = 1.0;
   int poses = 0, outliers = 0;  ///< poses used, and those of them with reduced weight
   int iterations = 0;
@@ -209,8 +208,7 @@ template <typename Scalar>
   return std::sqrt(square * (parts - 1) / parts);
 }
 
-/// Standard deviations of the unknowns before the log. What the settings do not contain is
-/// practically unknown.
+/// Standard deviations of the unknowns before the log; large for what the settings do not contain.
 template <typename Scalar>
 [[nodiscard]] typename LogSmoother<Scalar>::Vector prior_stddev(
     const LogCalibrationSettings& settings) {

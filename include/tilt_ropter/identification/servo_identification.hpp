@@ -109,8 +109,7 @@ inline void validate(const ServoIdentificationSettings& s) {
 namespace detail {
 
 /// Columns of the response at each stamp, for one time constant and dead time, and their
-/// derivatives. The response is linear in gain, offset and initial angle. Exact for commands that
-/// are held.
+/// derivatives. It is linear in gain, offset and initial angle. Exact for commands that are held.
 struct ServoColumns {
   Eigen::Matrix<double, Eigen::Dynamic, 3> linear;  // n x 3: of gain, offset, initial angle
   Eigen::VectorXd gain_tau, gain_dead, decay_tau;   // d(linear) by time constant and dead time
@@ -182,8 +181,7 @@ struct ServoFit {
         time_constant(tau),
         dead_time(dead) {
     const Eigen::Map<const Eigen::VectorXd> measured(log.angles.data(), columns.linear.rows());
-    // Padded to the size that is factorised elsewhere, because each size costs half a second to
-    // compile.
+    // Padded to the size that is factorised elsewhere: each size takes half a second to compile.
     Matrix5d gram = Matrix5d::Identity();
     Vector5d image = Vector5d::Zero();
     gram.topLeftCorner<3, 3>() = columns.linear.transpose().lazyProduct(columns.linear);
@@ -223,8 +221,7 @@ bool improve(ServoFit<Log>& fit, const Log& log, const ServoIdentificationSettin
   auto gram = jacobian.transpose().lazyProduct(jacobian).eval();
   auto slope = jacobian.transpose().lazyProduct(fit.residual).eval();
   Vector5d step = gram.ldlt().solve(slope);
-  // A dead time that would leave its range is set to the end of the range. The other variables are
-  // solved for this dead time.
+  // A dead time that would leave its range is set to the end. The others are solved for it.
   const double dead_end = fit.dead_time + step(4) * fit.time_constant;
   if (dead_end < 0.0 || dead_end > settings.max_dead_time) {
     const double end = dead_end < 0.0 ? 0.0 : settings.max_dead_time;
@@ -340,8 +337,7 @@ ServoIdentificationStatus check(const Log& log, const ServoIdentificationSetting
 ///
 /// Any motion of the servo is suitable. Several steps, each held for some time constants, are best.
 /// The steps must be small, below rate limit times time constant, because the model has no rate
-/// limit. A log with an active rate limit gives too long a time constant and a residual_correlation
-/// near 1.
+/// limit. With an active limit the time constant is too long and residual_correlation near 1.
 ///
 /// Confidence intervals follow from Gauss-Newton: 1.96 sqrt(diag(s^2 (J'J)^-1)). They are widened
 /// by sqrt((1 + c) / (1 - c)) if the residuals have a correlation c > 0 (Bartlett 1935). The

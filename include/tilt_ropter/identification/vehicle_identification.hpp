@@ -251,8 +251,7 @@ template <int Rotors>
 /// steps therefore use instrumental variables, see detail::VehicleFit::refine().
 ///
 /// Intervals: covariance of the fit with the autocorrelation of the residuals up to 1 s (Newey &
-/// West 1987). They do not contain errors of the model, except 0.1 % of inertia_y for the bearings
-/// of wheels.
+/// West 1987). Without errors of the model, except 0.1 % of inertia_y for the bearings of wheels.
 ///
 /// Allocates; takes about a second for 30 s of log. Throws std::invalid_argument if a setting or
 /// the given vehicle is invalid. Does not throw for a bad log; the status reports it.

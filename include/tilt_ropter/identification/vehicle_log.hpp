@@ -17,8 +17,7 @@
 /// Log of one flight for the identification of a vehicle, and replay of its actuator commands.
 namespace tilt_ropter {
 
-/// Measurements and commands of one flight. The stamps of each list must increase; their spacing
-/// may be uneven.
+/// Measurements and commands of one flight. The stamps of each list must increase, also unevenly.
 template <int Rotors>
 struct VehicleLog {
   using RotorVector = Eigen::Matrix<double, Rotors, 1>;

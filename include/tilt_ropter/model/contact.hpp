@@ -92,15 +92,13 @@ struct ContactEstimate {
   /// the external wrench that would act if the vehicle left the ground.
   Wrenchd disturbance;
   /// On the ground: the external force along the ground (zero if the vehicle does not roll) and the
-  /// external torque about the free axes of the Undercarriage. Examples are wind, rolling
-  /// resistance and turning resistance. The force is at most 0.3 weights, and along an obstacle the
-  /// one before the touch.
+  /// external torque about the free axes of the Undercarriage. Examples are wind and the resistance
+  /// to rolling. The force is at most 0.3 weights, and along an obstacle the one before the touch.
   Wrenchd rolling;
   /// On the ground: the ground's normal force, its roll torque, and its torque about every other
   /// axis that is not free. If the vehicle does not roll: the whole force. In the air: zero.
   Wrenchd ground_reaction;
-  /// Time for which the tool has touched the surface that the reference pushes on; 0: it does not
-  /// [s].
+  /// Time for which the tool has touched the surface that the reference pushes on, or 0 [s].
   double touches_for = 0.0;
   /// Of that surface: its normal force, and its friction. Not in `disturbance`.
   Wrenchd surface_reaction;

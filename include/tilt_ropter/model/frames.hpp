@@ -70,8 +70,7 @@ template <typename Scalar>
   return {ned.y(), ned.x(), -ned.z()};
 }
 
-/// Converts an angular velocity, a specific force or another body-frame vector from FLU to FRD
-/// axes.
+/// Converts an angular velocity or another body-frame vector from FLU to FRD axes.
 template <typename Scalar>
 [[nodiscard]] Vector3<Scalar> frd_from_flu(const Vector3<Scalar>& flu) noexcept {
   return {flu.x(), -flu.y(), -flu.z()};
@@ -99,8 +98,7 @@ template <typename Scalar>
 /// in q. It keeps the norm of q and does not flip the sign along a motion.
 template <typename Scalar>
 [[nodiscard]] Eigen::Quaternion<Scalar> ned_from_enu(const Eigen::Quaternion<Scalar>& q) noexcept {
-  // (ENU -> NED) (x) q (x) (FRD -> FLU). The outer factors are half turns: (0, 1, 1, 0) / sqrt(2)
-  // and (0, 1, 0, 0).
+  // (ENU -> NED) (x) q (x) (FRD -> FLU). The outer ones are half turns about (1, 1, 0) and x.
   const Scalar c = Scalar(std::sqrt(0.5));
   return {Scalar(c * (q.w() + q.z())), Scalar(c * (q.x() + q.y())), Scalar(c * (q.x() - q.y())),
           Scalar(c * (q.w() - q.z()))};

@@ -21,8 +21,7 @@ struct InertialSample {
 };
 using InertialSampled = InertialSample<double>;  ///< in double precision
 
-/// Pose of the marker frame M in the world, measured by motion capture. q and -q are the same
-/// orientation.
+/// Pose of the marker frame M in the world, from motion capture. q and -q are the same orientation.
 template <typename Scalar>
 struct MarkerPose {
   Vector3<Scalar> position = Vector3<Scalar>::Zero();  ///< origin of M in the world [m]
@@ -119,8 +118,7 @@ struct PoseMeasurement {
   Eigen::Quaternion<Scalar> sensor_orientation = Eigen::Quaternion<Scalar>::Identity();
 };
 
-/// A wheel that does not slip sideways: the axle has no velocity along itself. Use it only while
-/// the vehicle is on the ground.
+/// A wheel that does not slip sideways: the axle has no velocity along itself. On the ground only.
 template <typename Scalar>
 struct NoSlipMeasurement {
   static constexpr MeasurementKind kind = MeasurementKind::wheel;
@@ -139,8 +137,7 @@ struct WheelHeightMeasurement {
   MeasuredPlane<Scalar> ground;
 };
 
-/// Speed of a wheel that rolls without slip, from an encoder between wheel and body. The wheel
-/// turns about body y; forward is positive.
+/// Speed of a wheel without slip, from an encoder at the body, about body y; forward is positive.
 template <typename Scalar>
 struct WheelSpeedMeasurement {
   static constexpr MeasurementKind kind = MeasurementKind::wheel;

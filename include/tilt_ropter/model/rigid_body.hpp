@@ -15,8 +15,7 @@
 /// Eqs. rb1-rb4), with its discrete step and the analytic sensitivity of that step.
 namespace tilt_ropter {
 
-/// Prediction model of the controller. The actuator wrench (F, M) is the integral of its rate and
-/// drives the body.
+/// Prediction model of the controller. The integral (F, M) of the wrench rate drives the body.
 template <typename Scalar>
 class RigidBody {
  public:
@@ -40,8 +39,7 @@ class RigidBody {
     return next;
   }
 
-  /// The same step with its exact derivative in tangent coordinates (dF, dM, dp, dv, dtheta, dw):
-  /// dx+ = A dx + B du.
+  /// The same step with its exact derivative dx+ = A dx + B du in the coordinates of TangentIndex.
   [[nodiscard]] State<Scalar> step(const State<Scalar>& x, const WrenchRate& u,
                                    const Wrench<Scalar>& external, Scalar dt,
                                    const Freedom<Scalar>& freedom, StateJacobian& A,
@@ -101,9 +99,8 @@ class RigidBody {
     detail::put(step.time_at(1) * velocity_middle + dt * velocity_end, *B, I::velocity, I::force);
     detail::put(step.time_at(1) * position_middle, *B, I::position, I::force);
 
-    // Sets one column of the derivatives with respect to M, dM or w. `start` is the derivative of
-    // the initial w. `push` and `push_rate` are the constant and the linear part in time of the
-    // derivative of the rate of w.
+    // Sets one column of the derivatives with respect to M, dM or w. `start`: derivative of the
+    // initial w. `push`, `push_rate`: constant and linear part in time of that of the rate of w.
     const auto set_column = [&](const Triple& start, const Triple& push, const Triple& push_rate,
                                 auto& jacobian, int column) __attribute__((always_inline)) {
       const auto add = [&](int n, Triple& w_rate) __attribute__((always_inline)) {
@@ -122,8 +119,7 @@ class RigidBody {
       }
     };
     if constexpr (std::is_arithmetic_v<Scalar>) {
-      // Nine calls instead of nine inlined copies save a tenth of the compile time of a program
-      // that uses Nmpc.
+      // Nine calls instead of nine inlined copies save a tenth of the compile time of Nmpc.
       set_columns([&](const Triple& start, const Triple& push, const Triple& push_rate,
                       auto& jacobian, int column) __attribute__((noinline)) {
         set_column(start, push, push_rate, jacobian, column);

@@ -10,9 +10,8 @@
 #include <cmath>
 #include <optional>
 
-/// Wrench, actuator state, body state and the NMPC's state; a wrench about other points and in
-/// other frames; points of a reference, and surfaces that it pushes on. No function in this header
-/// throws or allocates.
+/// Wrench, also about other points and in other frames; states of actuators, body and NMPC; points
+/// of a reference, and surfaces that it pushes on. No function in this header throws or allocates.
 namespace tilt_ropter {
 
 /// Force [N] and torque [N m] at the CoM, both in the body frame. transport() and wrench_in_world()
@@ -50,8 +49,7 @@ struct BodyState {
 };
 using BodyStated = BodyState<double>;  ///< in double precision
 
-/// State of the paper's NMPC, x = (F, M, p, v, q, w) (paper, Sec. States and Inputs): the actuator
-/// wrench and the body state.
+/// State of the paper's NMPC, x = (F, M, p, v, q, w) (paper, Sec. States and Inputs).
 template <typename Scalar>
 struct State {
   Wrench<Scalar> wrench;
@@ -64,8 +62,7 @@ template <typename Scalar>
 using StateTangent = Eigen::Matrix<Scalar, 18, 1>;
 using StateTangentd = StateTangent<double>;  ///< in double precision
 
-/// First index of each part of a StateTangent. The parts of a wrench and of its rate have the same
-/// indices.
+/// First index of each part of a StateTangent. Those of a wrench are also those of its rate.
 struct TangentIndex {
   static constexpr int force = 0, torque = 3, position = 6, velocity = 9, orientation = 12,
                        angular_velocity = 15;
@@ -156,8 +153,7 @@ template <typename Scalar>
   return {wrench.force, wrench.torque + lever.cross(wrench.force)};
 }
 
-/// Returns a body-frame wrench in world axes, still about the CoM. `orientation` is body -> world,
-/// a unit quaternion.
+/// Returns a body-frame wrench in world axes, about the CoM. `orientation`: body -> world, unit.
 template <typename Scalar>
 [[nodiscard]] Wrench<Scalar> wrench_in_world(
     const Wrench<Scalar>& in_body, const Eigen::Quaternion<Scalar>& orientation) noexcept {
@@ -196,8 +192,7 @@ struct SurfacePush {
          push.force > 0.0;
 }
 
-/// Returns the part of `velocity` along the surface, or zero if it is too slow to slide (world
-/// frame) [m/s].
+/// Returns the part of `velocity` along the surface, zero if too slow to slide (world frame) [m/s].
 [[nodiscard]] inline Eigen::Vector3d slide_along(const Surface& surface,
                                                  const Eigen::Vector3d& velocity) noexcept {
   constexpr double least = 1e-3;  // [m/s]

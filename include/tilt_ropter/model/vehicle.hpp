@@ -56,8 +56,7 @@ struct RotorGeometry {
       Eigen::Matrix3d::Identity();  ///< rotor frame -> body frame, a rotation matrix
   Spin spin = Spin::counter_clockwise;
   bool tilts = true;  ///< false: alpha is always zero, thrust along the rotor frame's z
-  /// Thrust at a given speed, and thrust limits, as a fraction of the values in RotorParameters.
-  /// Zero: the rotor is lost.
+  /// Thrust at a speed, and thrust limits, as a fraction of those in RotorParameters. Zero: lost.
   double effectiveness = 1.0;
   /// Motor and propeller of this rotor. Without a value the rotor uses Vehicle::rotor.
   /// rotor_parameters() returns the parameters that apply.
@@ -128,8 +127,7 @@ struct PowerParameters {
   double servo_move = 0.0;    ///< additional energy of a servo per angle that it turns [J/rad]
 };
 
-/// Battery that supplies the rotors, see Battery. The fields after nominal_voltage are all zero if
-/// the battery is unknown.
+/// Parameters of a Battery. The fields after nominal_voltage are all zero if it is unknown.
 struct BatteryParameters {
   /// Voltage under load at which the rotors reach RotorParameters::max_thrust [V]. Zero: unknown;
   /// the voltage then has no effect.
@@ -155,8 +153,7 @@ struct BatteryParameters {
   return ratio >= 0.5 && ratio <= 1.5 ? std::optional<double>(ratio) : std::nullopt;
 }
 
-// The ranges are wider than the values of any vehicle. They prevent overflow in products of two
-// parameters.
+// Ranges wider than the values of any vehicle prevent overflow in products of two parameters.
 inline void validate(const RigidBodyParameters& p) {
   require_in("RigidBodyParameters.mass [kg]", p.mass, 1e-6, 1e6);
   require_inertia("RigidBodyParameters.inertia", p.inertia);
@@ -252,8 +249,7 @@ struct Vehicle {
   BatteryParameters battery;
 };
 
-/// Returns the parameters of `rotor` (from 0): its own parameters if it has them, otherwise the
-/// common parameters.
+/// Returns the parameters of `rotor` (from 0): its own if it has them, otherwise the common ones.
 template <int Rotors>
 [[nodiscard]] const RotorParameters& rotor_parameters(const Vehicle<Rotors>& vehicle,
                                                       std::size_t rotor) noexcept {
@@ -261,8 +257,7 @@ template <int Rotors>
   return own ? *own : vehicle.rotor;
 }
 
-/// Calls change(parameters) for the common rotor parameters and for the own parameters of each
-/// rotor that has them. Example: reduce the thrust of every rotor.
+/// Calls change(parameters) for the common rotor parameters and for the own ones of each rotor.
 template <int Rotors, typename Change>
 void change_rotor_parameters(Vehicle<Rotors>& vehicle, const Change& change) {
   change(vehicle.rotor);
@@ -330,8 +325,7 @@ void validate(const Vehicle<Rotors>& vehicle) {
   validate(vehicle.battery);
 }
 
-/// Returns the Undercarriage of the vehicle's wheels or legs, or std::nullopt without wheels and
-/// legs.
+/// Returns the Undercarriage of wheels or legs, or std::nullopt without wheels and legs.
 template <int Rotors>
 [[nodiscard]] std::optional<Undercarriage> undercarriage(const Vehicle<Rotors>& vehicle) noexcept {
   if (vehicle.wheels) {

@@ -15,9 +15,8 @@
 #include <cmath>
 #include <cstddef>
 
-/// Rigid body that is driven by the thrust and the tilt angle of each rotor, with its discrete step
-/// and the analytic sensitivity of that step. It needs no inverse of the allocation matrix, so the
-/// vehicle may have any rotors.
+/// Rigid body that is driven by the thrust and the tilt angle of each rotor, with its step and the
+/// analytic sensitivity of that step. It needs no inverse of A: the vehicle may have any rotors.
 namespace tilt_ropter {
 
 /// Thrust and tilt angle of each rotor, and the body state.
@@ -154,8 +153,7 @@ class ActuatedBody {
 
   /// Returns the state after one classical Runge-Kutta step of `dt` [s]. The rates `u` of thrusts
   /// [N/s] and tilt angles [rad/s] and the `external` wrench (body frame) are constant during the
-  /// step. The quaternion is normalised at the end. `freedom` is as in RigidBody::step(), and
-  /// `steering` is for wheels.
+  /// step. The quaternion is normalised at the end. `freedom` is as in RigidBody::step().
   [[nodiscard]] State step(const State& x, const Input& u, const Wrench<Scalar>& external,
                            const Scalar& dt, const Freedom<Scalar>& freedom = {},
                            const Steering<Scalar>& steering = {}) const {
@@ -164,8 +162,7 @@ class ActuatedBody {
     return next;
   }
 
-  /// The same step with its exact derivative in the tangent coordinates of ActuatedIndex:
-  /// dx+ = A dx + B du.
+  /// The same step with its exact derivative dx+ = A dx + B du in the coordinates of ActuatedIndex.
   [[nodiscard]] State step(const State& x, const Input& u, const Wrench<Scalar>& external,
                            const Scalar& dt, const Freedom<Scalar>& freedom, StateJacobian& A,
                            InputJacobian& B, const Steering<Scalar>& steering = {}) const {

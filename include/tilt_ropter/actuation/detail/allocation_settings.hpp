@@ -42,8 +42,7 @@ enum class AllocationStatus {
          status == AllocationStatus::turned_over;
 }
 
-/// Groups of wrench components in the body frame. The components of a group are scaled down
-/// together.
+/// Groups of wrench components (body frame), which are scaled down together.
 enum class WrenchGroup {
   level,     ///< M_x and M_y, roll and pitch torque
   lift,      ///< F_z
@@ -106,9 +105,8 @@ struct AllocationResult {
   ActuatorState<Rotors, Scalar> command;
   Wrench<Scalar> achieved;
   Wrench<Scalar> lost;
-  /// Number of arms that this command turns by more than half a turn, because the short way leaves
-  /// the servo's range. Their thrust has a wrong direction until the servo arrives. Counted at
-  /// every status.
+  /// Number of arms that this command turns by more than half a turn, at every status. Their thrust
+  /// has a wrong direction until the servo arrives.
   int turned_over = 0;
   /// Time of the command [s]. The default means that the command is infinitely old.
   double time = -std::numeric_limits<double>::infinity();

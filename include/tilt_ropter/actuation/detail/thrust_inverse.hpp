@@ -20,8 +20,7 @@ namespace tilt_ropter {
 /// Smallest lateral and vertical thrusts T = (T_1l, T_1v, ..., T_nl, T_nv) for a wrench W = A T, in
 /// the sense of least squares where the rotors cannot give the whole wrench. See AllocationMatrix
 /// for A. The inverse is damped, A' (A A' + e I)^-1, with torques in units of the vehicle's size.
-/// At full rank it differs from the pseudo-inverse by about 1e-8 of its size. It ignores that a
-/// thrust cannot be negative.
+/// At full rank it differs from the pseudo-inverse by about 1e-8. Its thrusts may be negative.
 template <int Rotors>
 class ThrustInverse {
  public:

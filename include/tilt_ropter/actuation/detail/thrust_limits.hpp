@@ -212,8 +212,7 @@ class ThrustProgram {
         }
       }
 
-      // A short step means that the iterate is off the central path. The next step leads back to
-      // it.
+      // A short step means that the iterate is off the central path. The next one leads back.
       const double centering = cautious            ? 0.5
                                : last_length > 0.7 ? 0.1
                                : last_length > 0.3 ? 0.4
@@ -262,8 +261,7 @@ class ThrustProgram {
           }
         }
       }
-      // Rounding may put a step outside if the feasible region is no thicker than the rounding
-      // error.
+      // Rounding may put a step outside if the feasible region is as thin as rounding errors.
       Vector next = z + length * step;
       bool stays = inside(next, slack);
       for (int halving = 0; halving < 4 && !stays; ++halving) {
@@ -285,8 +283,7 @@ class ThrustProgram {
 
 /// Part of a servo's range. The set of thrusts of a range wider than half a turn is not convex.
 /// `lower` and `upper` are the half turns at the two ends of the range. They are convex and cover a
-/// range of up to a whole turn. `whole` is the convex hull. A range of half a turn or less has only
-/// `whole`.
+/// range of up to a whole turn. `whole` is the convex hull. Half a turn or less has only `whole`.
 enum class AnglePart { whole, lower, upper };
 
 /// Set of thrusts within limits. For each rotor the set is a part of the plane of (T_l, T_v):
@@ -296,9 +293,8 @@ enum class AnglePart { whole, lower, upper };
 ///
 /// The limits are the limits of RotorParameters times the rotor's effectiveness.
 ///
-/// The min_thrust of a tilting rotor would cut a hole into the disc. To keep the set convex, an
-/// optional floor T . u >= min_thrust along a unit vector u replaces the hole. Nothing throws or
-/// allocates.
+/// The min_thrust of a tilting rotor would cut a hole into the disc. To keep the set convex, a
+/// floor T . u >= min_thrust along a unit vector u may replace it. Nothing throws or allocates.
 template <int Rotors, typename Scalar>
 class ThrustLimits {
  public:
@@ -322,8 +318,7 @@ class ThrustLimits {
     }
   }
 
-  /// Sets another limit [N] of rotor i, for example for another voltage. `max_thrust` includes the
-  /// effectiveness.
+  /// Sets another limit [N] of rotor i, which includes the effectiveness.
   void set_max_thrust(std::size_t i, Scalar max_thrust) noexcept { max_thrust_[i] = max_thrust; }
 
   [[nodiscard]] bool tilts(int i) const noexcept { return tilts_[std::size_t(i)]; }
@@ -366,8 +361,7 @@ class ThrustLimits {
   /// Distance [N] up to which a thrust counts as inside the set.
   [[nodiscard]] Scalar tolerance() const noexcept { return tolerance_; }
 
-  /// Returns true if (T_l, T_v) of rotor i is within limits. Ignores the min_thrust of a tilting
-  /// rotor.
+  /// True if (T_l, T_v) of rotor i is within limits, except for the min_thrust of a tilting rotor.
   [[nodiscard]] bool contains(int i, const Vector2& thrust) const noexcept {
     if (!tilts(i))
       return thrust.y() >= min_thrust(i) - tolerance_ && thrust.y() <= max_thrust(i) + tolerance_;
@@ -376,8 +370,7 @@ class ThrustLimits {
            (cos_half_width_ < Scalar(-1) || out_of_range(thrust) <= Scalar(0));
   }
 
-  /// Measure [N] that increases with the distance of `thrust` from the servo's range. At most 0
-  /// within the range.
+  /// Increases with the distance of `thrust` from the servo's range, at most 0 within it [N].
   [[nodiscard]] Scalar out_of_range(const Vector2& thrust) const noexcept {
     return cos_half_width_ * thrust.norm() - thrust.dot(middle_) - tolerance_;
   }

@@ -149,8 +149,7 @@ class ThrustSearch {
     stack[1][size(rotor)] = first;
   }
 
-  /// Rotor whose thrust is farthest out of its range, among the rotors whose hull was searched.
-  /// Returns -1 if there is none.
+  /// Rotor whose thrust is farthest out of its range, of those whose hull was searched, or -1.
   [[nodiscard]] int farthest_out(const Parts& parts, const Thrusts& thrusts) const noexcept {
     if (limits_.convex()) return -1;
     int worst = -1;
@@ -208,8 +207,7 @@ class ThrustSearch {
 
   [[nodiscard]] bool reach_convex(const Request& request, const Parts& parts, bool at_edge,
                                   Answer& answer) const noexcept {
-    // At the edge: first within limits, then within wider limits, then once more with smaller
-    // steps.
+    // At the edge: first within limits, then within wider limits, then with smaller steps.
     Program program;
     Vector z;
     bool reached = false;
@@ -263,8 +261,7 @@ class ThrustSearch {
   std::array<bool, size(Rotors)> used_{};
 };
 
-/// Steps 2 to 4 of Allocation: null space, end of the range, priorities. Only the constructor
-/// allocates. Nothing throws.
+/// Steps 2 to 4 of Allocation: null space, end of the range, priorities. Nothing throws.
 template <int Rotors>
 class ThrustChoice {
   using Search = ThrustSearch<Rotors>;
@@ -316,8 +313,7 @@ class ThrustChoice {
   }
 
   /// Chooses thrusts for `wanted`. The minimum-norm thrusts `least` violate a limit or turn an arm
-  /// over. `last` are the last angles [rad], in range. An arm whose thrust is below `faint` [N]
-  /// never turns over.
+  /// over. `last`: the last angles [rad], in range. Arms below `faint` [N] never turn over.
   [[nodiscard]] Chosen choose(const Wrench<double>& wanted, const Thrusts& least,
                               const Angles& last, double faint) const noexcept {
     Request request;
@@ -376,8 +372,7 @@ class ThrustChoice {
   }
 
   /// Angle [rad] by which `thrust` of rotor i points beyond the end of its range, if `last` is near
-  /// this end. Returns zero within the range, for an arm farther from the end, and for a negligible
-  /// loss.
+  /// this end. Zero within the range, for an arm farther from the end, and for a negligible loss.
   [[nodiscard]] double beyond_end(int i, const Eigen::Vector2d& thrust,
                                   double last) const noexcept {
     if (!limits_.tilts(i) || limits_.part_of_end(last) == AnglePart::whole) return 0.0;
@@ -455,9 +450,8 @@ class ThrustChoice {
     return false;
   }
 
-  /// Marks the arms whose thrust points beyond the end of the range. Returns true if there are such
-  /// arms and each of them may wait. An arm may wait if it is less than the margin beyond the end,
-  /// or if its thrust is below `faint`.
+  /// Marks the arms whose thrust points beyond the end of the range. Returns true if there are any
+  /// and each may wait: it is less than the margin beyond the end, or its thrust is below `faint`.
   [[nodiscard]] bool all_wait(const Thrusts& thrusts, const Angles& last, double faint,
                               std::array<bool, size(Rotors)>& beyond_range) const noexcept {
     bool any = false, all = true;
@@ -471,9 +465,8 @@ class ThrustChoice {
     return any && all;
   }
 
-  /// Handles `thrusts` that give the wrench but turn arms over. If all these arms may wait, they
-  /// wait at the end. Otherwise the smallest number of arms that gives the wrench turns over,
-  /// starting with the arm farthest beyond the end.
+  /// Handles `thrusts` that give the wrench but turn arms over. If all of these may wait, they do.
+  /// Otherwise the smallest number that gives the wrench turns over, from the farthest on.
   void turn_over(Request& request, Parts parts, const Angles& last, const Thrusts& least,
                  const Thrusts& thrusts, double faint, Chosen& chosen) const noexcept {
     chosen.thrusts = thrusts;

@@ -48,8 +48,7 @@ class LogSmoother {
   using Imu = std::vector<Timed<InertialSample<Scalar>>>;
   using Poses = std::vector<Timed<MarkerPose<Scalar>>>;
 
-  /// State at an IMU sample, and the poses from there to the next node. The marker frame in
-  /// `state` is not used.
+  /// State at an IMU sample, without its marker frame, and the poses from there to the next node.
   struct Node {
     std::size_t sample = 0;
     std::size_t first_pose = 0, last_pose = 0;  ///< [first, last)

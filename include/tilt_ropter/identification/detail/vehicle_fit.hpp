@@ -80,8 +80,7 @@ class RotorLagFit {
   }
 
  private:
-  /// Measured minus modelled speeds at the stamps of the measurements, without each rotor's gain
-  /// and offset.
+  /// Measured minus modelled speeds at the measured stamps, without each rotor's gain and offset.
   [[nodiscard]] std::vector<RotorVector> speed_residuals(double scale, double delay) const {
     const auto& measured = log_.rotor_speeds;
     std::vector<RotorVector> residuals(measured.size());
@@ -243,11 +242,10 @@ class VehicleFit {
     return converged;
   }
 
-  /// Takes out the error that the controller causes: its commands react to the noise of the IMU,
-  /// so the model's derivatives in a window are correlated with the noise in this window. The
-  /// method of instrumental variables multiplies the residuals with other derivatives: those of
-  /// commands before the window, extrapolated (Soderstrom & Stoica 1983). Returns false if it does
-  /// not converge.
+  /// Takes out the error that the controller causes: its commands react to the noise of the IMU, so
+  /// the model's derivatives in a window are correlated with the noise in this window. The method
+  /// of instrumental variables multiplies the residuals with derivatives that are extrapolated from
+  /// commands before the window (Soderstrom & Stoica 1983). Returns false if it fails.
   bool refine() {
     FitMatrix information;
     FitVector slope;
@@ -484,8 +482,7 @@ class VehicleFit {
     FitVector slope;
     std::vector<FitVector> scores;
     set_normal_equations(instruments, information, slope, &scores);
-    // The height windows of half a second and the corrections of the speeds depend on their
-    // neighbours over that time.
+    // Height windows and corrections of the speeds depend on neighbours within half a second.
     FitMatrix spread =
         spread_of(scores, static_cast<std::size_t>(std::lround(1.0 / model_.flight().hop())));
     const FitMatrix prior = prior_information();

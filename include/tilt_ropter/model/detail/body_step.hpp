@@ -11,9 +11,8 @@
 /// The Runge-Kutta step of a rigid body that the prediction models of both control levels share.
 namespace tilt_ropter {
 
-/// Motion that a support leaves free. Wheels on the ground remove the acceleration along the
-/// ground's normal and the rotation about the direction in which they roll. The ground's reaction
-/// then needs no model.
+/// Motion that a support leaves free. Wheels on the ground remove the acceleration along its normal
+/// and the rotation about the direction in which they roll. Its reaction then needs no model.
 template <typename Scalar>
 struct Freedom {
   /// Projection matrix of the acceleration, world frame.
@@ -29,16 +28,14 @@ using Freedomd = Freedom<double>;  ///< in double precision
 /// defaults mean: no wheels.
 template <typename Scalar>
 struct Steering {
-  /// Acceleration along body y by the angular velocity, body frame: the speed of the wheels times
-  /// the ground's normal [m/s].
+  /// Acceleration along body y by w, body frame: speed of the wheels times ground's normal [m/s].
   Vector3<Scalar> speed = Vector3<Scalar>::Zero();
   Scalar side{1};  ///< part of the rotors' force along body y that moves the body: 1 or 0
 };
 using Steeringd = Steering<double>;  ///< in double precision
 
-/// Returns Freedom::angular for a body of this inertia that a support holds about `axis` (unit
-/// vector, body frame), as an impulse about this axis does: I - J^-1 a a' / (a' J^-1 a). `inverse`
-/// is J^-1.
+/// Returns Freedom::angular for a body that a support holds about `axis` (unit vector, body frame),
+/// as an impulse about it does: I - J^-1 a a' / (a' J^-1 a). `inverse` is J^-1.
 [[nodiscard]] inline Eigen::Matrix3d held_about(const Eigen::Vector3d& axis,
                                                 const Eigen::Matrix3d& inverse) noexcept {
   double turned[3], along = 0.0;
