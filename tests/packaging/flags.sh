@@ -28,8 +28,7 @@ for compiler in g++ clang++; do
     native+=" -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
   fi
   build $compiler "-O0 $warnings"  # too slow to fly
-  for flags in "-O2 $warnings $native" "-O2 -g $warnings" "-O2 -std=c++20 $warnings" \
-    "-O2 -fno-exceptions -fno-rtti $warnings"; do
+  for flags in "-O2 $warnings $native" "-O2 -std=c++20 -fno-exceptions -fno-rtti $warnings"; do
     build $compiler "$flags"
     for program in header_only with_compiled; do
       "$away/program/$program" | tail -1

@@ -111,6 +111,7 @@ class Battery {
     return source(state_of_charge_);
   }
   [[nodiscard]] double state_of_charge() const noexcept { return state_of_charge_; }
+  [[nodiscard]] const BatteryParameters& parameters() const noexcept { return parameters_; }
 
  private:
   [[nodiscard]] static bool usable(double power) noexcept { return power >= 0.0 && power <= 1e12; }
