@@ -130,7 +130,9 @@ void FlightController<Rotors>::on_imu(double stamp, const InertialSampled& sampl
   by_poses_.compare(corrected, applied, airborne_);
   const bool is_convicted =
       ekf_.filter().is_much_wider() && (by_poses_flies_ || by_poses_.contradicts_imu());
-  by_poses_flies_ = by_poses_.is_valid() && (is_convicted || by_poses_.imu_vibrates());
+  // The prediction of actuators that are convicted themselves is no witness of a vibration.
+  const bool vibrates = failure_.kind == FailureKind::none && by_poses_.imu_vibrates();
+  by_poses_flies_ = by_poses_.is_valid() && (is_convicted || vibrates);
   observe(time, corrected, applied);
   // Ground can only push. What pulls the vehicle down is a rotor that does not lift.
   const bool pulled = ekf_.running() && (state().orientation * observer_.external().force).z() <

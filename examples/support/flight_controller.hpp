@@ -231,7 +231,7 @@ class FlightController {
   void observe(double time, const tilt_ropter::InertialSampled& sample,
                const tilt_ropter::Wrenchd& applied);
   /// True if by_poses_ replaces the IMU: filter and actuators have convicted it, or it swings
-  /// against actuators and poses.
+  /// against poses and actuators without a failure.
   [[nodiscard]] bool flies_by_poses() const { return by_poses_flies_; }
   [[nodiscard]] tilt_ropter::BodyStated state() const {
     return flies_by_poses() ? by_poses_.body() : ekf_.state();

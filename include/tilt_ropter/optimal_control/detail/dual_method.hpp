@@ -79,7 +79,7 @@ class DualMethod {
   /// false if it is full, if no rounds are left, or if no finite multipliers were found before the
   /// deadline.
   [[nodiscard]] bool solve(Program& program, const typename Program::Tangent& dx0,
-                              std::optional<SolverClock::time_point> deadline, int most) {
+                           std::optional<SolverClock::time_point> deadline, int most) {
     program.sweep(dx0);
     for (int i = 0; i < size(); ++i) offsets_(i) = violation(program, row(i));
     for (rounds_ = 1;; ++rounds_) {
