@@ -300,18 +300,22 @@ class Subproblem {
   [[gnu::always_inline]] inline void add_constraint_values(int k, const Vector& w,
                                                            double* values) const {
     const Node& n = node(k);
-    const int columns = k < horizon() ? width : States;
     if constexpr (Constraints >= Width) {
       detail::Packet<Width> sum[detail::size(row_packets<Width>)];
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t)
         detail::load<Width>(values + row_packet<Width>(t), sum[t]);
-      for (int j = 0; j < columns; ++j) {
-        const double* column =
-            j < States ? n.C.data() + Constraints * j : n.E.data() + Constraints * (j - States);
+      for (int j = 0; j < States; ++j) {
 #pragma GCC unroll 16
         for (int t = 0; t < row_packets<Width>; ++t)
-          detail::add_product<Width>(sum[t], column + row_packet<Width>(t), w(j));
+          detail::add_product<Width>(sum[t], n.C.data() + Constraints * j + row_packet<Width>(t),
+                                     w(j));
+      }
+      for (int j = 0; k < horizon() && j < Inputs; ++j) {
+#pragma GCC unroll 16
+        for (int t = 0; t < row_packets<Width>; ++t)
+          detail::add_product<Width>(sum[t], n.E.data() + Constraints * j + row_packet<Width>(t),
+                                     w(States + j));
       }
 #pragma GCC unroll 16
       for (int t = 0; t < row_packets<Width>; ++t)
@@ -319,7 +323,7 @@ class Subproblem {
     } else {
       for (int i = 0; i < Constraints; ++i) {
         for (int j = 0; j < States; ++j) values[i] += n.C(i, j) * w(j);
-        for (int j = States; j < columns; ++j) values[i] += n.E(i, j - States) * w(j);
+        for (int j = 0; k < horizon() && j < Inputs; ++j) values[i] += n.E(i, j) * w(States + j);
       }
     }
   }
