@@ -220,7 +220,7 @@ TEST(Battery, AnyInputGivesFiniteResults) {
 // The paper's battery weighs 485 g (paper, Sec. Hardware System Design).
 TEST(Battery, PaperBatteryHasThePaperCapacityAndAPossibleEnergyPerMass) {
   const Battery battery(paper_battery());
-  EXPECT_EQ(paper_battery().capacity, 5.3);
+  EXPECT_EQ(battery.parameters().capacity, 5.3);
   const double per_kilogram = battery.energy() / 3600.0 / 0.485;
   EXPECT_GT(per_kilogram, 150.0);
   EXPECT_LT(per_kilogram, 190.0);

@@ -131,6 +131,14 @@ TEST(EstimationSettings, LogCalibrationNamesEachField) {
       "LogCalibrationSettings.imu_noise.accelerometer_density",
       [](S& s, double v) { s.imu_noise.accelerometer_density = v; }, density);
   check("LogCalibrationSettings.gravity_stddev [rad]", &S::gravity_stddev, in_range(0.0, 1.0));
+  check("LogCalibrationSettings.max_marker_position_stddev [m]", &S::max_marker_position_stddev,
+        positive());
+  check("LogCalibrationSettings.max_marker_orientation_stddev [rad]",
+        &S::max_marker_orientation_stddev, positive());
+  check("LogCalibrationSettings.max_gyro_bias_stddev [rad/s]", &S::max_gyro_bias_stddev,
+        positive());
+  check("LogCalibrationSettings.max_accelerometer_bias_stddev [m/s^2]",
+        &S::max_accelerometer_bias_stddev, positive());
   check("LogCalibrationSettings.max_iterations", &S::max_iterations, at_least(1));
   S bad;
   bad.max_iterations = 0;

@@ -164,8 +164,7 @@ TEST(FlightController, RotorsStartAgainIfTheVehicleFallsAfterItsLanding) {
 TEST(FlightController, SlowServosAreNoVibrationOfTheImu) {
   const Vehicle<4> nominal = tilt_ropter_vehicle();
   examples::RandomStream random(1, 42);  // of IdentifyVehicleSpread
-  examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
-  draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
+  const examples::VehicleDraw draw = test_support::draw_in_steps(random, nominal);
   const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
   const Eigen::Vector3d drag = random.uniform_vector(0.0, 0.3);
   const auto flight = test_support::fly_for_identification(

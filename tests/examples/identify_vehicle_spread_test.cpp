@@ -30,8 +30,7 @@ TEST(IdentifyVehicleSpread, FindsTheParametersAndItsIntervalsHold) {
   int identified = 0;
   for (int index = 0; index < vehicles; ++index) {
     examples::RandomStream random(1, static_cast<std::uint64_t>(index));
-    examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
-    draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
+    const examples::VehicleDraw draw = test_support::draw_in_steps(random, nominal);
     const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
     const Eigen::Vector3d drag = random.uniform_vector(0.0, 0.3);
     const auto flight = test_support::fly_for_identification(
@@ -107,8 +106,7 @@ TEST(IdentifyVehicleSpread, FliesAsWellAsWithTheTruth) {
   int as_well = 0;
   for (int index = 0; index < vehicles; ++index) {
     examples::RandomStream random(2, static_cast<std::uint64_t>(index));
-    examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
-    draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;  // steps of the plant
+    const examples::VehicleDraw draw = test_support::draw_in_steps(random, nominal);
     const Vehicle<4> truth = examples::true_vehicle(draw, nominal);
     const auto flight = test_support::fly_for_identification(
         truth, nominal, draw.com_offset, draw, random, examples::excitation_experiment());

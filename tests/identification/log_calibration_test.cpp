@@ -82,16 +82,13 @@ std::vector<double> relative_errors(const LogCalibration& found, const InertialS
   return errors;
 }
 
-/// Fraction of the values inside their intervals, over `runs` flights. With `may_be_wide` the
-/// intervals may be too wide for the limits.
-double coverage(int runs, const Conditions& conditions, const LogCalibrationSettings& settings,
-                bool may_be_wide = false) {
+/// Fraction of the values inside their intervals, over `runs` flights.
+double coverage(int runs, const Conditions& conditions, const LogCalibrationSettings& settings) {
   int inside = 0, count = 0;
   for (int run = 0; run < runs; ++run) {
     const Log log = fly(static_cast<unsigned>(run), conditions);
     const LogCalibration found = calibrate_log(log.imu, log.poses, settings);
-    EXPECT_TRUE(found.status == LogCalibrationStatus::calibrated ||
-                (may_be_wide && found.status == LogCalibrationStatus::uncertain))
+    EXPECT_EQ(found.status, LogCalibrationStatus::calibrated)
         << run << ' ' << to_string(found.status) << ' ' << to_string(found.clock) << ' '
         << found.uncertain;
     for (const double error : relative_errors(found, log.last)) {
@@ -122,7 +119,9 @@ TEST(LogCalibration, IntervalsHoldIfTheNoiseIsNotAsAssumed) {
   louder.pose_noise = {6e-3, 0.015};
   LogCalibrationSettings wide;
   wide.clock.max_stddev = 0.01;
-  const double with_more = coverage(runs, louder, wide, true);
+  wide.max_marker_position_stddev = wide.max_marker_orientation_stddev = 1.0;
+  wide.max_gyro_bias_stddev = wide.max_accelerometer_bias_stddev = 1.0;
+  const double with_more = coverage(runs, louder, wide);
   EXPECT_GE(with_more, 0.90);
   EXPECT_LE(with_more, 0.99);
 }
@@ -233,11 +232,21 @@ TEST(LogCalibration, RefusesWhatTheMotionDoesNotShow) {
 }
 
 TEST(LogCalibration, NamesWhatIsUncertain) {
+  const Log log = fly(3);
+  LogCalibrationSettings strict;
+  strict.max_marker_position_stddev = 1e-6;
+  LogCalibration found = calibrate_log(log.imu, log.poses, strict);
+  EXPECT_EQ(found.status, LogCalibrationStatus::uncertain);
+  EXPECT_EQ(found.uncertain, "marker_position");
+  strict.max_marker_orientation_stddev = strict.max_gyro_bias_stddev = 1e-6;
+  strict.max_accelerometer_bias_stddev = 1e-6;
+  found = calibrate_log(log.imu, log.poses, strict);
+  EXPECT_EQ(found.uncertain, "marker_position marker_orientation gyro_bias accelerometer_bias");
   // The clock shows by rotations; the accelerometer is too noisy for a lever arm.
   Conditions rough;
   rough.imu_noise.accelerometer_density = 1.0;
   const Log noisy = fly(4, rough);
-  const LogCalibration found = calibrate_log(noisy.imu, noisy.poses);
+  found = calibrate_log(noisy.imu, noisy.poses);
   EXPECT_EQ(found.status, LogCalibrationStatus::uncertain) << to_string(found.status);
   EXPECT_NE(found.uncertain.find("marker_position"), std::string::npos) << found.uncertain;
 }

@@ -25,6 +25,14 @@ struct IdentificationFlight {
   bool flew = false;                   ///< to the end, within 2 m of the reference
 };
 
+/// Draws a vehicle; the delay of its commands is a whole number of steps of the plant.
+inline examples::VehicleDraw draw_in_steps(examples::RandomStream& random,
+                                           const tilt_ropter::Vehicle<4>& nominal) {
+  examples::VehicleDraw draw = examples::draw_vehicle(random, nominal.body.inertia);
+  draw.command_delay = std::ceil(1e3 * draw.command_delay) * 1e-3;
+  return draw;
+}
+
 /// Flies `mission` with the vehicle `truth`, whose CoM is `com` [m] from the origin of the body
 /// frame in which `believed`, the IMU and the poses are given. Noise, biases and delays are those
 /// of `draw`; there is no wind.

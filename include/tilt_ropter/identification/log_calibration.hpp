@@ -38,10 +38,10 @@ struct LogCalibrationSettings {
   static constexpr double accelerometer_bias_stddev = 1.0;  ///< before the flight, of zero [m/s^2]
 
   /// A calibration with a larger standard deviation is refused.
-  static constexpr double max_marker_position_stddev = 0.01;     ///< [m]
-  static constexpr double max_marker_orientation_stddev = 0.01;  ///< [rad]
-  static constexpr double max_gyro_bias_stddev = 0.01;           ///< [rad/s]
-  static constexpr double max_accelerometer_bias_stddev = 0.1;   ///< [m/s^2]
+  double max_marker_position_stddev = 0.01;     ///< [m]
+  double max_marker_orientation_stddev = 0.01;  ///< [rad]
+  double max_gyro_bias_stddev = 0.01;           ///< [rad/s]
+  double max_accelerometer_bias_stddev = 0.1;   ///< [m/s^2]
 
   static constexpr double max_imu_gap = 0.05;  ///< longest pause between IMU samples [s]
   int max_iterations = 40;                     ///< of Gauss-Newton
@@ -55,6 +55,13 @@ inline void validate(const LogCalibrationSettings& s) {
   validate(s.pose_noise);
   validate(s.clock);
   require_in("LogCalibrationSettings.gravity_stddev [rad]", s.gravity_stddev, 0.0, 1.0);
+  require_positive("LogCalibrationSettings.max_marker_position_stddev [m]",
+                   s.max_marker_position_stddev);
+  require_positive("LogCalibrationSettings.max_marker_orientation_stddev [rad]",
+                   s.max_marker_orientation_stddev);
+  require_positive("LogCalibrationSettings.max_gyro_bias_stddev [rad/s]", s.max_gyro_bias_stddev);
+  require_positive("LogCalibrationSettings.max_accelerometer_bias_stddev [m/s^2]",
+                   s.max_accelerometer_bias_stddev);
   require(s.max_iterations >= 1, "LogCalibrationSettings.max_iterations", s.max_iterations,
           "at least 1");
 }

@@ -98,7 +98,8 @@ class ObstacleWatch {
   // Motion towards the reference that ends a rest: the noise of the estimate, and the part of the
   // error that even a slow controller closes in enough_rest. Motion off it: more than a bounce [m].
   static constexpr double still = 0.004, still_part = 0.05, bounce = 0.03;
-  // Rest that is enough before a probe, after an impact, and by the speed of a slide [s], [s^2/m].
+  // Time that is enough, at rest, before a probe and after an impact, and longer by the speed along
+  // the obstacle [s], [s^2/m].
   static constexpr double enough_rest = 0.05, impact_rest = 0.1, enough_sliding = 0.3;
   // Time after which a force that was taken for wind is an obstacle's [s].
   static constexpr double long_rest = 0.5;
