@@ -1,10 +1,12 @@
 #pragma once
 
+#include "../support/control_level.hpp"
 #include "../support/mission_choice.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"
+#include "set_points.hpp"
 
 #include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/control/reference_check.hpp>
@@ -21,11 +23,14 @@
 #include <cmath>
 #include <cstddef>
 #include <iostream>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
 
 namespace loops {
@@ -46,11 +51,17 @@ namespace loops {
   const auto& names = examples::mission_names();
   const bool is_name = std::find(names.begin(), names.end(), mission) != names.end();
   (is_name ? choice.name : choice.file) = mission;
-  const tilt_ropter::Vehicle<4> vehicle = examples::quadrotor(file);
-  tilt_ropter::Mission result = examples::mission_of(choice, vehicle);
-  examples::print(std::cerr, check_reference(result, result.start_time(), result.end_time(),
-                                             vehicle, file.settings()));
-  return result;
+  return std::visit(
+      [&](const auto& vehicle) {
+        tilt_ropter::Mission result = examples::mission_of(choice, vehicle);
+        if constexpr (examples::HasWrenchLevel<std::decay_t<decltype(vehicle)>>::value)
+          if (examples::reason_against_wrench_level(file).empty())
+            examples::print(std::cerr,
+                            check_reference(result, result.start_time(), result.end_time(), vehicle,
+                                            file.settings()));
+        return result;
+      },
+      file.vehicle);
 }
 
 /// A mission from `from` [s] on whose pace changes evenly from `first` to `last` within `ramp`, so
@@ -93,7 +104,7 @@ class FlightPlan {
 
   /// The point or the mission of the parameters. Throws as mission_of().
   FlightPlan(Parameters& parameters, const examples::VehicleFile& file)
-      : undercarriage_(undercarriage(examples::quadrotor(file))) {
+      : undercarriage_(std::visit([](const auto& v) { return undercarriage(v); }, file.vehicle)) {
     point_.position << parameters.number("hover_x", 0.0), parameters.number("hover_y", 0.0),
         parameters.number("hover_z", 1.5);
     point_.yaw = parameters.number("hover_yaw", 0.0);
@@ -101,7 +112,7 @@ class FlightPlan {
     if (const auto mission = mission_of(parameters, file))
       mission_ = std::make_shared<const tilt_ropter::Mission>(*mission);
     restart();
-    follow({}, 0.0);
+    fly_pieces({}, 0.0);
   }
 
   /// The reference at `time` [s].
@@ -120,6 +131,7 @@ class FlightPlan {
     if (const auto* paced = now.motion<PacedMission>())
       return is_over ? "mission is over"
                      : to_string(paced->mission->phase(paced->progress(time - now.start_time())));
+    if (now.motion<SetPoints>()) return "set points";
     return is_over ? "hover point" : "way";
   }
 
@@ -130,7 +142,7 @@ class FlightPlan {
     std::vector<tilt_ropter::MissionSegment> pieces =
         way({body.position + stop - step_, tilt_ropter::yaw_of(body.orientation) - turn_});
     if (mission_) pieces.push_back(paced({mission_, progress_, 0.0, 1.0}));
-    follow(std::move(pieces), time);
+    fly_pieces(std::move(pieces), time);
   }
 
   /// The vehicle does not follow from `time` [s] on. A mission waits for start().
@@ -155,20 +167,57 @@ class FlightPlan {
                                    tilt_ropter::yaw_of(orientation.normalized()) - turn_};
     if (!mission_ && to.position == point_.position && to.yaw == point_.yaw)
       return true;  // a stream of the same point does not hold the vehicle back
-    const tilt_ropter::MissionSegment now = piece(time);
-    tilt_ropter::ReferencePoint from = now(time);
-    std::vector<tilt_ropter::MissionSegment> pieces;
-    if (const auto* paced = now.motion<PacedMission>()) {
-      const double passed = std::clamp(time - now.start_time(), 0.0, now.duration());
-      pieces.push_back(
-          this->paced({paced->mission, paced->progress(passed), paced->pace(passed), 0.0}));
-      from = pieces.back()(PacedMission::ramp);
-    }
+    Pieces pieces = ending(time);
+    const tilt_ropter::ReferencePoint from = at_rest(pieces, time);
     mission_.reset();
     point_ = to;
     for (auto& part : way({from.position, tilt_ropter::yaw_of(from.orientation)}))
       pieces.push_back(std::move(part));
-    follow(std::move(pieces), time);
+    fly_pieces(std::move(pieces), time);
+    return true;
+  }
+
+  /// Follows `points` from `time` [s] on, until others come; at the end it stops. To a trajectory
+  /// that begins somewhere else the vehicle first flies. This ends a mission. Returns false,
+  /// and flies on, if there are none, numbers are not finite, times do not rise, or they are
+  /// farther away than `farthest`.
+  bool follow(std::vector<SetPoint> points, double time) {
+    for (SetPoint& p : points) {
+      p.position -= step_;
+      p.yaw -= turn_;
+    }
+    std::optional<SetPoints> motion = SetPoints::through(std::move(points));
+    if (!motion) return false;
+    const tilt_ropter::ReferencePoint now = piece(time)(time), first = (*motion)(0.0);
+    if (!((first.position - now.position).norm() < farthest)) return false;
+    // The set points of the last message, which a way may lead to.
+    const tilt_ropter::MissionSegment* last =
+        follows_set_points_ ? &pieces_[pieces_.size() - 3] : nullptr;
+    Pieces pieces;
+    if (motion->is_single() || are_close(first, now)) {
+      motion->begin_at(now);
+    } else if (last && time < last->start_time() && are_close(first, (*last)(last->start_time()))) {
+      // It is on its way there, and a stream of set points does not hold it back.
+      motion->begin_at((*last)(last->start_time()));
+      pieces.assign(pieces_.begin(), pieces_.end() - 3);
+      time = pieces.front().start_time();
+    } else {
+      pieces = ending(time);
+      const tilt_ropter::ReferencePoint from = at_rest(pieces, time);
+      mission_.reset();
+      point_ = {first.position, tilt_ropter::yaw_of(first.orientation)};
+      for (auto& part : way({from.position, tilt_ropter::yaw_of(from.orientation)}))
+        pieces.push_back(std::move(part));
+    }
+    mission_.reset();
+    const Braking braking{(*motion)(motion->duration())};
+    const tilt_ropter::ReferencePoint end = braking(Braking::duration);
+    point_ = {end.position, tilt_ropter::yaw_of(end.orientation)};
+    pieces.push_back({tilt_ropter::MissionPhase::air, *motion, 0.0, motion->duration()});
+    pieces.push_back({tilt_ropter::MissionPhase::air, braking, 0.0, Braking::duration});
+    pieces.push_back({tilt_ropter::MissionPhase::hover, tilt_ropter::Hold(point_, 1e-3)});
+    fly_pieces(std::move(pieces), time);
+    follows_set_points_ = true;
     return true;
   }
 
@@ -180,6 +229,29 @@ class FlightPlan {
 
  private:
   using Pieces = std::vector<tilt_ropter::MissionSegment>;
+
+  // The motion of now ends within a second.
+  [[nodiscard]] Pieces ending(double time) const {
+    const tilt_ropter::MissionSegment& now = piece(time);
+    if (const auto* mission = now.motion<PacedMission>()) {
+      const double passed = std::clamp(time - now.start_time(), 0.0, now.duration());
+      return {paced({mission->mission, mission->progress(passed), mission->pace(passed), 0.0})};
+    }
+    const tilt_ropter::ReferencePoint point = now(time);
+    if (!(point.velocity.norm() > 0.01)) return {};
+    return {{tilt_ropter::MissionPhase::air, Braking{point}, 0.0, Braking::duration}};
+  }
+  // Where ending() leads.
+  [[nodiscard]] tilt_ropter::ReferencePoint at_rest(const Pieces& ending, double time) const {
+    return ending.empty() ? piece(time)(time) : ending.back()(ending.back().end_time());
+  }
+
+  [[nodiscard]] static bool are_close(const tilt_ropter::ReferencePoint& a,
+                                      const tilt_ropter::ReferencePoint& b) {
+    constexpr double near = 0.5, about = 0.6;  // [m], [rad]
+    return (a.position - b.position).norm() < near &&
+           a.orientation.angularDistance(b.orientation) < about;
+  }
 
   static tilt_ropter::MissionSegment paced(const PacedMission& mission) {
     return {mission.mission->phase(mission.from), mission, 0.0, mission.duration()};
@@ -213,7 +285,8 @@ class FlightPlan {
     return pieces;
   }
 
-  void follow(Pieces pieces, double time) {
+  void fly_pieces(Pieces pieces, double time) {
+    follows_set_points_ = false;
     if (pieces.empty())
       pieces.push_back({tilt_ropter::MissionPhase::hover, tilt_ropter::Hold(target(), 1e-3)});
     for (auto& part : pieces) {
@@ -236,20 +309,39 @@ class FlightPlan {
   Pieces pieces_;                                   // one after another
   Eigen::Vector3d step_ = Eigen::Vector3d::Zero();  // of the frame, see move() [m]
   double turn_ = 0.0;                               // [rad]
+  bool follows_set_points_ = false;
 };
 
-/// Returns the settings of the controller of a node. With `use_sim_time` they have no time limit:
-/// a simulated clock runs at any speed, and may wait for the command. `solver` is what solves the
-/// quadratic programs: automatic, nlopt or structured.
-[[nodiscard]] inline tilt_ropter::NmpcSettings controller_settings(
-    const examples::VehicleFile& file, Parameters& parameters) {
-  tilt_ropter::NmpcSettings settings = file.settings();
+/// Returns the same settings as the parameters of a node say. With `use_sim_time` they have no time
+/// limit: a simulated clock runs at any speed, and may wait for the command. `solver` is what
+/// solves the quadratic programs: automatic, nlopt or structured.
+template <typename Settings>
+[[nodiscard]] Settings as_the_node_says(Settings settings, Parameters& parameters) {
   const std::string solver = parameters.text("solver", "automatic");
   if (examples::program_methods().count(solver) == 0)
     throw std::invalid_argument("solver = " + solver + ": must be automatic, nlopt or structured");
   examples::set_solver(solver, settings.solver);
-  return parameters.choice("use_sim_time", false) ? examples::in_simulated_time(settings)
-                                                  : settings;
+  if (parameters.choice("use_sim_time", false))
+    settings.time_limit = std::numeric_limits<double>::infinity();
+  return settings;
+}
+
+/// Makes a `Controller` of `vehicle`, its settings at the level of the parameter `level`, and the
+/// other arguments. Throws std::invalid_argument for a wrong level.
+template <typename Controller, int Rotors, typename... Arguments>
+[[nodiscard]] Controller at_level(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                                  const examples::VehicleFile& file, Parameters& parameters,
+                                  const Arguments&... arguments) {
+  const std::string level = parameters.text("level");
+  if (!level.empty() && level != "wrench" && level != "actuator")
+    throw std::invalid_argument("level = " + level + ": must be wrench or actuator");
+  const std::string choice = examples::level_choice(level, file);
+  if (!choice.empty()) std::cerr << choice << '\n';
+  if (examples::level_for(level, file) == "wrench")
+    return Controller(vehicle, as_the_node_says(file.settings(), parameters), arguments...);
+  return Controller(vehicle,
+                    as_the_node_says(examples::actuator_level_settings(file, vehicle), parameters),
+                    arguments...);
 }
 
 }  // namespace loops

@@ -12,6 +12,7 @@
 #include <std_msgs.h>
 #include <tf2_msgs.h>
 #include <tilt_ropter_msgs.h>
+#include <trajectory_msgs.h>
 #include <visualization_msgs.h>
 
 #include <cstdint>
@@ -35,7 +36,9 @@ namespace geometry_msgs::msg {
 using Point = geometry_msgs_msg_dds__Point_;
 using Pose = geometry_msgs_msg_dds__Pose_;
 using PoseStamped = geometry_msgs_msg_dds__PoseStamped_;
+using Transform = geometry_msgs_msg_dds__Transform_;
 using TransformStamped = geometry_msgs_msg_dds__TransformStamped_;
+using Twist = geometry_msgs_msg_dds__Twist_;
 using Vector3 = geometry_msgs_msg_dds__Vector3_;
 using Wrench = geometry_msgs_msg_dds__Wrench_;
 using WrenchStamped = geometry_msgs_msg_dds__WrenchStamped_;
@@ -57,6 +60,10 @@ using Path = nav_msgs_msg_dds__Path_;
 namespace tf2_msgs::msg {
 using TFMessage = tf2_msgs_msg_dds__TFMessage_;
 }
+namespace trajectory_msgs::msg {
+using MultiDOFJointTrajectory = trajectory_msgs_msg_dds__MultiDOFJointTrajectory_;
+using MultiDOFJointTrajectoryPoint = trajectory_msgs_msg_dds__MultiDOFJointTrajectoryPoint_;
+}  // namespace trajectory_msgs::msg
 namespace visualization_msgs::msg {
 using Marker = visualization_msgs_msg_dds__Marker_;
 using MarkerArray = visualization_msgs_msg_dds__MarkerArray_;
@@ -72,6 +79,7 @@ using ActuatorServos = px4_msgs_msg_dds__ActuatorServos_;
 using ActuatorServosV0 = px4_msgs_msg_older_ActuatorServosV0_;
 using OffboardControlMode = px4_msgs_msg_dds__OffboardControlMode_;
 using SensorCombined = px4_msgs_msg_dds__SensorCombined_;
+using TrajectorySetpoint = px4_msgs_msg_dds__TrajectorySetpoint_;
 using VehicleControlMode = px4_msgs_msg_dds__VehicleControlMode_;
 using VehicleOdometry = px4_msgs_msg_dds__VehicleOdometry_;
 using VehicleStatus = px4_msgs_msg_dds__VehicleStatus_;
@@ -115,12 +123,14 @@ TILT_ROPTER_TOPIC(tilt_ropter_msgs_msg_dds__WrenchCommand)
 TILT_ROPTER_TOPIC(nav_msgs_msg_dds__Odometry)
 TILT_ROPTER_TOPIC(nav_msgs_msg_dds__Path)
 TILT_ROPTER_TOPIC(tf2_msgs_msg_dds__TFMessage)
+TILT_ROPTER_TOPIC(trajectory_msgs_msg_dds__MultiDOFJointTrajectory)
 TILT_ROPTER_TOPIC(visualization_msgs_msg_dds__MarkerArray)
 TILT_ROPTER_TOPIC(diagnostic_msgs_msg_dds__DiagnosticArray)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorMotors)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorServos)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__OffboardControlMode)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__SensorCombined)
+TILT_ROPTER_TOPIC(px4_msgs_msg_dds__TrajectorySetpoint)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleControlMode)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleOdometry)
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__VehicleStatus)

@@ -78,14 +78,15 @@ inline constexpr std::uint8_t nav_state_manual = 0, nav_state_offboard = 14;
 /// Returns ActuatorMotors or a version of ActuatorServos whose first channels are `outputs`. All
 /// other channels are NaN (disarmed). Times are in microseconds of PX4: `now`, and `sample` for the
 /// measurement on which the outputs are based.
-template <typename Message>
-[[nodiscard]] Message px4_controls(const Eigen::Vector4d& outputs, std::uint64_t now,
-                                   std::uint64_t sample) {
+template <typename Message, int Count>
+[[nodiscard]] Message px4_controls(const Eigen::Matrix<double, Count, 1>& outputs,
+                                   std::uint64_t now, std::uint64_t sample) {
   Message m{};
   m.timestamp = now;
   m.timestamp_sample = sample;
   std::fill(std::begin(m.control), std::end(m.control), std::numeric_limits<float>::quiet_NaN());
-  for (std::size_t i = 0; i < 4; ++i)
+  static_assert(Count <= 8);  // ActuatorServos has no more
+  for (std::size_t i = 0; i < Count; ++i)
     m.control[i] = static_cast<float>(outputs(static_cast<Eigen::Index>(i)));
   return m;
 }

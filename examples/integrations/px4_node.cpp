@@ -5,6 +5,8 @@
 #include "px4_topics.hpp"
 #include "run_node.hpp"
 
+#include <tilt_ropter/model/vehicle.hpp>
+
 #include <CLI/CLI.hpp>
 
 #include <cstdint>
@@ -26,7 +28,8 @@ Servos servos_publisher(loops::Node& node, const loops::Px4Versions& versions) {
   return node.publisher<ActuatorServos>(topic, {true, 1});
 }
 
-void subscribe_to_status(loops::Node& node, loops::Px4Node& pilot,
+template <int Rotors>
+void subscribe_to_status(loops::Node& node, loops::Px4Node<Rotors>& pilot,
                          const loops::Px4Versions& versions) {
   const std::string topic = versions.topic("VehicleStatus");
   const auto subscribe = [&](auto message) {
@@ -47,9 +50,11 @@ void subscribe_to_status(loops::Node& node, loops::Px4Node& pilot,
   }
 }
 
-void fly(loops::Node& node, const std::vector<std::string>& choices) {
+template <int Rotors>
+void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
+         const examples::VehicleFile& file, const std::vector<std::string>& choices) {
   const loops::Px4Versions versions(choices);
-  loops::Px4Node pilot(node.parameters());
+  loops::Px4Node<Rotors> pilot(vehicle, file, node.parameters());
   loops::Telemetry telemetry(node, pilot.vehicle());
   auto mode = node.publisher<OffboardControlMode>(versions.topic("OffboardControlMode"), {true, 1});
   auto motors = node.publisher<ActuatorMotors>(versions.topic("ActuatorMotors"), {true, 1});
@@ -67,9 +72,14 @@ void fly(loops::Node& node, const std::vector<std::string>& choices) {
   node.subscribe<geometry_msgs::msg::PoseStamped>(
       "hover_point", dds::default_quality,
       [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_hover_point(m); });
+  node.subscribe<trajectory_msgs::msg::MultiDOFJointTrajectory>(
+      "trajectory", dds::default_quality,
+      [&](const trajectory_msgs::msg::MultiDOFJointTrajectory& m) { pilot.on_trajectory(m); });
+  node.subscribe<TrajectorySetpoint>(versions.topic("TrajectorySetpoint"), dds::sensor_data,
+                                     [&](const TrajectorySetpoint& m) { pilot.on_set_point(m); });
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
-    const loops::Px4Node::Output out = pilot.tick(now);
+    const auto out = pilot.tick(now);
     if (out.mode) mode.publish(*out.mode);
     if (out.thrust) thrust.publish(*out.thrust);
     if (out.actuators) {
@@ -100,5 +110,5 @@ int main(int argc, char** argv) {
                  "version of a message in older firmware, as MESSAGE=VERSION: VehicleStatus=1 "
                  "ActuatorServos=0 for PX4 1.16 and 1.17; may be given several times")
       ->take_all();
-  return loops::run_node(app, argc, argv, [&](loops::Node& node) { fly(node, versions); });
+  return loops::run_node(app, argc, argv, [&](auto&... arguments) { fly(arguments..., versions); });
 }

@@ -1,7 +1,8 @@
 #pragma once
 
+#include "../support/level_nmpc.hpp"
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_check.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "flight_plan.hpp"
 #include "parameters.hpp"
 #include "px4_messages.hpp"
@@ -9,8 +10,6 @@
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
-#include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/nmpc.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/frames.hpp>
@@ -24,6 +23,7 @@
 #include <iostream>
 #include <optional>
 #include <utility>
+#include <vector>
 
 namespace loops {
 
@@ -34,11 +34,15 @@ its motors and servos.
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
                fmu/out/vehicle_control_mode
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
+               trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
+                             ends a mission. One of a single point is valid for 0.5 s
+               fmu/in/trajectory_setpoint   a set point with a position in NED, the same
 Publishes      fmu/in/offboard_control_mode, fmu/in/actuator_motors, fmu/in/actuator_servos_v1,
                fmu/in/vehicle_thrust_setpoint
                /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
-Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; mission, the path of a
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file, with 2 to 8 rotors;
+level, wrench or actuator, without it wrench if the rotors give every wrench; mission, the path of a
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height [m] of PX4's
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
@@ -50,8 +54,8 @@ time is that of /clock), solver (automatic, nlopt, structured). From a file: --r
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
 and switch to offboard mode, on the ground or in the air. The vehicle flies with at most 1 m/s to
 the hover point or to where the mission begins. A mission waits while the pilot flies, goes on from
-there, and begins anew after disarming. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT). While the odometry is
-older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
+there, and begins anew after disarming. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT).
+While the odometry is older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
 PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it publishes nothing. Nor does
 it 1.2 s after PX4 last said who flies. An accelerometer that clips, or differs from the odometry by
 3 m/s^2, is replaced by the odometry. Where PX4 resets its position or heading, the hover point
@@ -60,6 +64,7 @@ or the mission moves along.)";
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
 /// actuator model. Not thread-safe.
+template <int Rotors>
 class Px4Node {
  public:
   static constexpr double longest_hold = 0.3;  ///< without a state; then nothing is sent [s]
@@ -70,22 +75,22 @@ class Px4Node {
   struct Output {
     std::optional<px4_msgs::msg::OffboardControlMode> mode;
     /// For ActuatorMotors and ActuatorServos, as px4_controls() makes them.
-    std::optional<tilt_ropter::ActuatorOutputs<4>> actuators;
+    std::optional<tilt_ropter::ActuatorOutputs<Rotors>> actuators;
     std::optional<px4_msgs::msg::VehicleThrustSetpoint> thrust;
     std::uint64_t now = 0, sample = 0;  ///< [us]
   };
 
-  /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
-  explicit Px4Node(Parameters& parameters)
-      : file_(examples::vehicle_to_fly(parameters.text("vehicle"))),
-        vehicle_(examples::quadrotor(file_)),
+  /// For the `vehicle` of `file`. Throws std::invalid_argument for parameters out of range,
+  /// examples::VehicleFileError if the level cannot control it.
+  Px4Node(const tilt_ropter::Vehicle<Rotors>& vehicle, const examples::VehicleFile& file,
+          Parameters& parameters)
+      : vehicle_(vehicle),
         scaling_(vehicle_, {parameters.number("thrust_model_factor", 0.0), {}}),
-        allocation_(vehicle_),
         actuators_(vehicle_),
         observer_(vehicle_.body),
         contact_(vehicle_),
-        nmpc_(vehicle_, controller_settings(file_, parameters)),
-        reference_(parameters, file_),
+        nmpc_(at_level<examples::LevelNmpc<Rotors>>(vehicle_, file, parameters)),
+        reference_(parameters, file),
         origin_height_(parameters.number(
             "origin_height",
             undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height)),
@@ -127,12 +132,13 @@ class Px4Node {
     } else if (clips) {
       return;
     }
-    const tilt_ropter::Wrenchd applied = allocation_.wrench(actuators_.update(time, sent_.command));
+    tilt_ropter::Wrenchd applied = nmpc_.wrench_of(actuators_.update(time, nmpc_.command()));
+    if (pilot_ == Pilot::nobody) applied = {};  // disarmed motors do not turn, not even slowly
     const double weight = vehicle_.body.mass * tilt_ropter::gravity;
     if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
         (is_killed_ || applied.force.norm() > 0.5 * weight)) {
       // The rotors do not turn as commanded: a kill switch, of which PX4 tells nothing.
-      actuators_.reset({Eigen::Vector4d::Zero(), sent_.command.tilt_angle});
+      actuators_.reset({Eigen::Matrix<double, Rotors, 1>::Zero(), nmpc_.command().tilt_angle});
       is_killed_ = true;
       killed_ = time;
     }
@@ -155,6 +161,16 @@ class Px4Node {
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, time_))
       std::cerr << "px4_node: hover_point is ignored: no pose, or too far away\n";
+  }
+
+  /// Set points of another program, which end a mission.
+  void on_trajectory(const trajectory_msgs::msg::MultiDOFJointTrajectory& m) {
+    follow("trajectory", set_points(m));
+  }
+  /// The same in the words of PX4, with a position.
+  void on_set_point(const px4_msgs::msg::TrajectorySetpoint& m) {
+    const double yaw = tilt_ropter::yaw_of(reference_(time_).orientation);
+    follow("trajectory_setpoint", set_points(m, origin_height_, yaw));
   }
 
   /// One period of the controller at the time `now` [ns].
@@ -195,16 +211,15 @@ class Px4Node {
     const tilt_ropter::ReferencePoint wanted = reference_(time);
     if (is_known && !is_killed_)
       contact_.update(time, *body_, observed_, wanted.push ? std::optional(wanted) : std::nullopt);
-    (void)nmpc_.prepare(time, reference_, contact_.estimate());
-    const tilt_ropter::NmpcResult& result =
-        is_known ? nmpc_.feedback(time, *body_) : nmpc_.hold(time);
-    planned_ = has_plan(result.status);
-    solver_.add(result.status, result.report);
+    nmpc_.prepare(time, reference_, contact_.estimate());
+    const auto& command = nmpc_.control(time, is_known ? body_ : std::nullopt,
+                                        actuators_.update(time, nmpc_.command()));
+    planned_ = has_plan(nmpc_.status());
+    solver_.add(nmpc_.status(), nmpc_.report());
     flying_ = true;
-    sent_ = allocation_.allocate(time, result.wrench, result.rate, sent_);
-    actuators_.update(time, sent_.command);  // takes effect now
-    out.actuators = scaling_.outputs(sent_.command);
-    out.thrust = px4_thrust(result.wrench.force, largest_force(), out.now, out.sample);
+    actuators_.update(time, command);  // takes effect now
+    out.actuators = scaling_.outputs(command);
+    out.thrust = px4_thrust(nmpc_.wrench().force, largest_force(), out.now, out.sample);
     return out;
   }
 
@@ -216,7 +231,8 @@ class Px4Node {
     s.body = *body_;
     s.reference = reference_(time_);
     s.activity = reference_.activity(time_);
-    s.actuators = sent_.command;
+    s.rotor_speed = nmpc_.command().rotor_speed;
+    s.tilt_angle = nmpc_.command().tilt_angle;
     s.contact = contact_.estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
     s.planned = planned_ && pilot_ == Pilot::this_node;
@@ -233,10 +249,15 @@ class Px4Node {
 
   [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
   [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
-  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+  [[nodiscard]] const tilt_ropter::Vehicle<Rotors>& vehicle() const { return vehicle_; }
 
  private:
   enum class Pilot { somebody_else, nobody, this_node };
+
+  void follow(const char* topic, std::vector<SetPoint> points) {
+    if (!reference_.follow(std::move(points), time_))
+      std::cerr << "px4_node: " << topic << " is ignored: no set points, or too far away\n";
+  }
 
   [[nodiscard]] bool untold() const { return !(std::abs(time_ - told_) <= longest_untold); }
 
@@ -253,7 +274,7 @@ class Px4Node {
   void decide(Pilot pilot) {
     const Pilot before = std::exchange(pilot_, pilot);
     if (pilot_ == before) return;
-    if (pilot_ != Pilot::this_node) sent_ = {};
+    if (pilot_ != Pilot::this_node) nmpc_.forget();
     takes_over_ = pilot_ == Pilot::this_node && before == Pilot::somebody_else;
     if (pilot_ == Pilot::nobody) {
       observer_.begin_calibration();
@@ -284,7 +305,7 @@ class Px4Node {
 
   [[nodiscard]] double largest_force() const {
     double sum = 0.0;
-    for (std::size_t i = 0; i < 4; ++i) sum += rotor_parameters(vehicle_, i).max_thrust;
+    for (std::size_t i = 0; i < Rotors; ++i) sum += rotor_parameters(vehicle_, i).max_thrust;
     return sum;
   }
 
@@ -299,9 +320,7 @@ class Px4Node {
     ground.height += step.z() - ground.rise(step);
     contact_ = ContactEstimator(vehicle_, ground);
     home_ += step.z();
-    NmpcSettings settings = nmpc_.settings();
-    settings.ground.planned_height += step.z();
-    nmpc_.set_settings(settings);
+    nmpc_.raise_ground(step.z());
   }
 
   // Another controller has flown: what turns is not known, and what the observer knew is old. In
@@ -320,22 +339,18 @@ class Px4Node {
     contact_ = ContactEstimator(vehicle_, ground);
     constexpr double in_the_air = 0.3;  // under the vehicle [m]
     const double standing = undercarriage(vehicle_).value_or(Undercarriage{0.0}).height;
-    Wrenchd hover;
-    hover.force.z() = vehicle_.body.mass * gravity;
     if (body_->position.z() - standing - ground.height_at(body_->position) > in_the_air)
-      sent_ = allocation_.allocate(hover, {});
-    actuators_.reset(sent_.command);
+      nmpc_.start_with_lift(vehicle_.body.mass * gravity);
+    actuators_.reset(nmpc_.command());
   }
 
-  examples::VehicleFile file_;
-  tilt_ropter::Vehicle<4> vehicle_;
-  tilt_ropter::OutputScaling<4> scaling_;
-  tilt_ropter::Allocation<4> allocation_;
-  tilt_ropter::ActuatorModel<4> actuators_;
+  tilt_ropter::Vehicle<Rotors> vehicle_;
+  tilt_ropter::OutputScaling<Rotors> scaling_;
+  tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ObservedWrenchd observed_;
   tilt_ropter::ContactEstimator contact_;
-  tilt_ropter::Nmpc<4> nmpc_;
+  examples::LevelNmpc<Rotors> nmpc_;
   examples::SolverTicks solver_;
   FlightPlan reference_;
   double origin_height_, max_silence_;
@@ -350,7 +365,6 @@ class Px4Node {
   Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  // specific force by the odometry [m/s^2]
   double felt_at_ = -1e9;                           // its time [s]
   std::uint8_t resets_ = 0;                         // of PX4's estimator
-  tilt_ropter::AllocationResult<4> sent_;
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
        is_told_ = false, flying_ = false, is_killed_ = false, takes_over_ = false;

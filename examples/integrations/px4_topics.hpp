@@ -20,7 +20,7 @@ struct Px4Topic {
 /// The topics that px4_node uses. The fields of every version are in idl/px4_msgs.idl.
 /// VehicleStatus: PX4 1.15 has version 0, PX4 1.16 and 1.17 have version 1. ActuatorServos: all of
 /// them have version 0, with 8 instead of 15 controls.
-inline constexpr std::array<Px4Topic, 8> px4_topics = {{
+inline constexpr std::array<Px4Topic, 9> px4_topics = {{
     {"VehicleOdometry", "fmu/out/vehicle_odometry", 0, 0},
     {"SensorCombined", "fmu/out/sensor_combined", 0, 0},
     {"VehicleStatus", "fmu/out/vehicle_status", 4, 0},
@@ -29,6 +29,7 @@ inline constexpr std::array<Px4Topic, 8> px4_topics = {{
     {"ActuatorMotors", "fmu/in/actuator_motors", 0, 0},
     {"ActuatorServos", "fmu/in/actuator_servos", 1, 0},
     {"VehicleThrustSetpoint", "fmu/in/vehicle_thrust_setpoint", 0, 0},
+    {"TrajectorySetpoint", "fmu/in/trajectory_setpoint", 0, 0},
 }};
 
 /// The version of each message that the firmware has.

@@ -3,6 +3,8 @@
 #include "ros2_node.hpp"
 #include "run_node.hpp"
 
+#include <tilt_ropter/model/vehicle.hpp>
+
 #include <CLI/CLI.hpp>
 
 #include <cstdint>
@@ -10,8 +12,10 @@
 
 namespace {
 
-void fly(loops::Node& node) {
-  loops::Ros2Node pilot(node.parameters());
+template <int Rotors>
+void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
+         const examples::VehicleFile& file) {
+  loops::Ros2Node<Rotors> pilot(vehicle, file, node.parameters());
   loops::Telemetry telemetry(node, pilot.vehicle());
   auto actuators = node.publisher<actuator_msgs::msg::Actuators>("actuators", {true, 1});
   constexpr dds::Quality many_samples{false, 100};  // those of a tick that comes late
@@ -26,6 +30,9 @@ void fly(loops::Node& node) {
   node.subscribe<geometry_msgs::msg::PoseStamped>(
       "hover_point", dds::default_quality,
       [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_hover_point(m); });
+  node.subscribe<trajectory_msgs::msg::MultiDOFJointTrajectory>(
+      "trajectory", dds::default_quality,
+      [&](const trajectory_msgs::msg::MultiDOFJointTrajectory& m) { pilot.on_trajectory(m); });
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
     if (const auto* command = pilot.tick(now)) actuators.publish(*command);
@@ -41,5 +48,5 @@ void fly(loops::Node& node) {
 
 int main(int argc, char** argv) {
   CLI::App app{loops::ros2_help, "ros2_node"};
-  return loops::run_node(app, argc, argv, fly);
+  return loops::run_node(app, argc, argv, [](auto&... arguments) { fly(arguments...); });
 }

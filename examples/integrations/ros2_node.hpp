@@ -2,7 +2,7 @@
 
 #include "../support/flight_controller.hpp"
 #include "../support/solver_choice.hpp"
-#include "../support/vehicle_check.hpp"
+#include "../support/vehicle_choice.hpp"
 #include "flight_plan.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"
@@ -34,18 +34,21 @@ inline constexpr const char* ros2_help =
 Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                pose          geometry_msgs/PoseStamped, of the vehicle in the world (ENU)
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
-                             rotor_joints names; without names, of rotors 1 to 4
+                             rotor_joints names; without names, of all rotors in order
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
+               trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
+                             ends a mission. One of a single point is valid for 0.5 s
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
-                             rotors 1 to 4 and their servos
+                             the rotors and their servos, as in the vehicle file
                /tf, odometry, path, markers, /diagnostics: the flight, for rviz2 or Foxglove
 
-Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file; mission, the path of a
+Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file, with 2 to 8 rotors;
+level, wrench or actuator, without it wrench if the rotors give every wrench; mission, the path of a
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], max_silence [s], telemetry_rate [Hz], use_sim_time
 (true: the time is that of /clock), solver (automatic, nlopt, structured), rotor_joints
-(rotor_1,rotor_2,rotor_3,rotor_4). From a file: --ros-args --params-file FILE.yaml. Topics:
+(rotor_1,rotor_2,...). From a file: --ros-args --params-file FILE.yaml. Topics:
 --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS
 domain: the environment variable ROS_DOMAIN_ID.
 
@@ -56,18 +59,20 @@ the flight. Stamps must be times of the same clock.)";
 
 /// The onboard control loop for messages of ROS 2. All times are from the stamps of messages. The
 /// stamps and the time of tick() must be of the same clock. Not thread-safe.
+template <int Rotors>
 class Ros2Node {
  public:
   static constexpr double max_clock_difference = 1.0;  ///< [s]
 
-  /// Throws std::invalid_argument for parameters out of range, examples::VehicleFileError.
-  explicit Ros2Node(Parameters& parameters)
-      : file_(examples::vehicle_to_fly(parameters.text("vehicle"))),
-        vehicle_(examples::quadrotor(file_)),
-        controller_(vehicle_, controller_settings(file_, parameters), estimation(parameters)),
-        reference_(parameters, file_),
-        rotor_joints_(
-            separated(parameters.text("rotor_joints", "rotor_1,rotor_2,rotor_3,rotor_4"))),
+  /// For the `vehicle` of `file`. Throws std::invalid_argument for parameters out of range,
+  /// examples::VehicleFileError if the level cannot control it.
+  Ros2Node(const tilt_ropter::Vehicle<Rotors>& vehicle, const examples::VehicleFile& file,
+           Parameters& parameters)
+      : vehicle_(vehicle),
+        controller_(at_level<examples::FlightController<Rotors>>(vehicle, file, parameters,
+                                                                 estimation(parameters))),
+        reference_(parameters, file),
+        rotor_joints_(joints(parameters)),
         max_silence_(parameters.number("max_silence", 0.1)) {}
 
   /// Ignores a sample whose stamp is more than `max_clock_difference` from the last tick.
@@ -95,7 +100,7 @@ class Ros2Node {
       if (ignored_speeds_++ == 0)
         std::cerr << "ros2_node: rotor_speeds are ignored: " << why << '\n';
     };
-    const std::optional<Eigen::Vector4d> speeds = in_order(m);
+    const std::optional<Speeds> speeds = in_order(m);
     if (!speeds) return ignore("not the joints of the parameter rotor_joints");
     const double most = 1.3 * vehicle_top_speed();
     if (!(speeds->cwiseAbs().maxCoeff() <= most)) return ignore("not in rad/s, or no numbers");
@@ -108,6 +113,12 @@ class Ros2Node {
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, now_.value_or(0.0)))
       std::cerr << "ros2_node: hover_point is ignored: no pose, or too far away\n";
+  }
+
+  /// Set points of another program, which end a mission.
+  void on_trajectory(const trajectory_msgs::msg::MultiDOFJointTrajectory& m) {
+    if (!reference_.follow(set_points(m), now_.value_or(0.0)))
+      std::cerr << "ros2_node: trajectory is ignored: no set points, or too far away\n";
   }
 
   /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is
@@ -132,9 +143,9 @@ class Ros2Node {
     if (!follows_) reference_.start(controller_.ekf().state(), time);
     controller_.prepare(time, [this](double t) { return reference_(t); });
     follows_ = follows_ || controller_.mode() != examples::FlightMode::hold;
-    const tilt_ropter::ActuatorState<4>& command = controller_.control(time);
+    const tilt_ropter::ActuatorState<Rotors>& command = controller_.control(time);
     if (started()) solver_.add(controller_.result().status, controller_.result().report);
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < Rotors; ++i) {
       speeds_[i] = command.rotor_speed(static_cast<Eigen::Index>(i));
       angles_[i] = command.tilt_angle(static_cast<Eigen::Index>(i));
     }
@@ -152,7 +163,8 @@ class Ros2Node {
     s.body = controller_.ekf().state();
     s.reference = reference_(now_.value_or(0.0));
     s.activity = reference_.activity(now_.value_or(0.0));
-    s.actuators = controller_.applied();
+    s.rotor_speed = controller_.applied().rotor_speed;
+    s.tilt_angle = controller_.applied().tilt_angle;
     s.contact = controller_.contact().estimate();
     s.estimate = tilt_ropter::to_string(controller_.trust().state);
     s.planned = has_plan(controller_.result().status);
@@ -169,42 +181,48 @@ class Ros2Node {
 
   [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
   [[nodiscard]] bool started() const { return controller_.started(); }
-  [[nodiscard]] const tilt_ropter::Vehicle<4>& vehicle() const { return vehicle_; }
+  [[nodiscard]] const tilt_ropter::Vehicle<Rotors>& vehicle() const { return vehicle_; }
 
  private:
-  static std::vector<std::string> separated(const std::string& names) {
+  using Speeds = Eigen::Matrix<double, Rotors, 1>;
+
+  // The parameter rotor_joints, or rotor_1,rotor_2 and so on.
+  static std::vector<std::string> joints(Parameters& parameters) {
+    std::string usual;
+    for (int i = 1; i <= Rotors; ++i) usual += (i > 1 ? ",rotor_" : "rotor_") + std::to_string(i);
+    const std::string names = parameters.text("rotor_joints", usual);
     std::vector<std::string> parts;
     std::stringstream stream(names);
     for (std::string part; std::getline(stream, part, ',');) parts.push_back(part);
-    if (parts.size() != 4)
-      throw std::invalid_argument("rotor_joints = " + names + ": must be 4 names, with commas");
+    if (parts.size() != Rotors)
+      throw std::invalid_argument("rotor_joints = " + names + ": must be " +
+                                  std::to_string(Rotors) + " names, with commas");
     return parts;
   }
 
   [[nodiscard]] double vehicle_top_speed() const {
     double top = 0.0;
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < Rotors; ++i) {
       const tilt_ropter::RotorParameters& rotor = rotor_parameters(vehicle_, i);
       top = std::max(top, speed_from_thrust(rotor.max_thrust, rotor));
     }
     return top;
   }
 
-  // The speeds of rotors 1 to 4; nothing if a joint is missing.
-  [[nodiscard]] std::optional<Eigen::Vector4d> in_order(
-      const sensor_msgs::msg::JointState& m) const {
-    if (m.name._length == 0 && m.velocity._length == 4)
-      return Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer);
+  // The speeds of all rotors; nothing if a joint is missing.
+  [[nodiscard]] std::optional<Speeds> in_order(const sensor_msgs::msg::JointState& m) const {
+    if (m.name._length == 0 && m.velocity._length == Rotors)
+      return Speeds(Eigen::Map<const Speeds>(m.velocity._buffer));
     if (m.name._length != m.velocity._length) return std::nullopt;
-    Eigen::Vector4d speeds = Eigen::Vector4d::Constant(std::nan(""));
+    Speeds speeds = Speeds::Constant(std::nan(""));
     int found = 0;
     for (std::uint32_t k = 0; k < m.name._length; ++k)
-      for (std::size_t i = 0; i < 4; ++i)
+      for (std::size_t i = 0; i < Rotors; ++i)
         if (rotor_joints_[i] == m.name._buffer[k]) {
           speeds(static_cast<Eigen::Index>(i)) = m.velocity._buffer[k];
           ++found;
         }
-    return found == 4 ? std::optional(speeds) : std::nullopt;
+    return found == Rotors ? std::optional(speeds) : std::nullopt;
   }
 
   static tilt_ropter::EkfSettings estimation(Parameters& parameters) {
@@ -215,9 +233,8 @@ class Ros2Node {
     return s;
   }
 
-  examples::VehicleFile file_;
-  tilt_ropter::Vehicle<4> vehicle_;
-  examples::FlightController<4> controller_;
+  tilt_ropter::Vehicle<Rotors> vehicle_;
+  examples::FlightController<Rotors> controller_;
   examples::SolverTicks solver_;
   FlightPlan reference_;
   std::vector<std::string> rotor_joints_;
@@ -226,7 +243,7 @@ class Ros2Node {
   bool follows_ = false;       // the reference has begun
   std::optional<double> now_;  // of the last tick [s]
   long foreign_stamps_ = 0, ignored_speeds_ = 0;
-  std::vector<double> speeds_ = std::vector<double>(4), angles_ = std::vector<double>(4);
+  std::vector<double> speeds_ = std::vector<double>(Rotors), angles_ = speeds_;
   actuator_msgs::msg::Actuators message_{};
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "../../cmake/vehicle_file/tilt_ropter/input_file_error.hpp"
+#include "../support/vehicle_check.hpp"
 #include "node.hpp"
 #include "parameters.hpp"
 
@@ -10,13 +11,14 @@
 #include <iostream>
 #include <stdexcept>
 #include <string>
+#include <variant>
 #include <vector>
 
 namespace loops {
 
-/// main() of a node: calls fly(node) and prints the counts of its ticks. `app` has the options of
-/// the program beside those of ROS 2. Exit code 2 for wrong options,
-/// parameters and vehicle files, 1 for other errors.
+/// main() of a node: calls fly(node, vehicle, file) for the vehicle of the parameter `vehicle`, and
+/// prints the counts of its ticks. `app` has the options of the program beside those of ROS 2. Exit
+/// code 2 for wrong options, parameters and vehicle files, 1 for other errors.
 template <typename Fly>
 int run_node(CLI::App& app, int argc, const char* const* argv, const Fly& fly) {
   std::vector<std::string> arguments(argv + 1, argv + argc);
@@ -25,7 +27,8 @@ int run_node(CLI::App& app, int argc, const char* const* argv, const Fly& fly) {
     // CLI11 needs the arguments in reverse order.
     app.parse(std::vector<std::string>(arguments.rbegin(), arguments.rend()));
     Node node(parameters);
-    fly(node);
+    const examples::VehicleFile file = examples::vehicle_to_fly(parameters.text("vehicle"));
+    std::visit([&](const auto& vehicle) { fly(node, vehicle, file); }, file.vehicle);
     node.counts().print(std::cout);
     return 0;
   } catch (const CLI::ParseError& error) {

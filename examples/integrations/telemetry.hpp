@@ -15,7 +15,6 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <condition_variable>
 #include <cstddef>
@@ -34,12 +33,15 @@ namespace loops {
 
 enum class Level : std::uint8_t { ok = 0, warning = 1, error = 2 };  // of diagnostic_msgs
 
+/// A number for each of up to 8 rotors.
+using Numbers = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 8, 1>;
+
 /// The state of a node at a tick.
 struct Snapshot {
   std::int64_t time = 0;  ///< [ns]
   tilt_ropter::BodyStated body;
   tilt_ropter::ReferencePoint reference;
-  tilt_ropter::ActuatorState<4> actuators;
+  Numbers rotor_speed, tilt_angle;  ///< [rad/s], [rad]
   tilt_ropter::ContactEstimate contact;
   Level level = Level::ok;
   const char* mode = "";      ///< what the node does
@@ -54,10 +56,16 @@ struct Snapshot {
 class FlightMessages {
  public:
   /// `prefix` is in front of the names of the vehicle's frame and of its diagnostics.
-  explicit FlightMessages(const tilt_ropter::Vehicle<4>& vehicle, const std::string& prefix = "")
-      : vehicle_(vehicle),
-        base_link_(prefix + "base_link"),
-        name_(prefix + "tilt_ropter: flight") {}
+  template <int Rotors>
+  explicit FlightMessages(const tilt_ropter::Vehicle<Rotors>& vehicle,
+                          const std::string& prefix = "")
+      : base_link_(prefix + "base_link"),
+        name_(prefix + "tilt_ropter: flight"),
+        marker_(Rotors + other_markers),
+        points_(marker_.size()) {
+    for (std::size_t i = 0; i < Rotors; ++i)
+      rotors_.push_back({rotor_in_body(vehicle, i), rotor_parameters(vehicle, i)});
+  }
 
   /// The pose of base_link in map.
   [[nodiscard]] const tf2_msgs::msg::TFMessage& transform(const Snapshot& s) {
@@ -98,17 +106,16 @@ class FlightMessages {
 
   /// Thrust of each rotor, external force and torque, reference, contact.
   [[nodiscard]] const visualization_msgs::msg::MarkerArray& markers(const Snapshot& s) {
-    using tilt_ropter::rotor_in_body;
     constexpr double per_newton = 0.05, per_newton_metre = 0.5;  // length of arrows [m]
     used_ = 0;
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < rotors_.size(); ++i) {
       const auto k = static_cast<Eigen::Index>(i);
-      const Eigen::Isometry3d rotor = rotor_in_body(vehicle_, i);
-      const double thrust =
-          tilt_ropter::thrust_from_speed(s.actuators.rotor_speed(k), rotor_parameters(vehicle_, i));
-      arrow(s, thrust_, static_cast<int>(i), rotor.translation(),
-            per_newton * thrust * rotor.linear() *
-                tilt_ropter::thrust_direction(s.actuators.tilt_angle(k)),
+      const auto& [place, parameters] = rotors_[i];
+      Eigen::Vector3d thrust = Eigen::Vector3d::Zero();
+      if (k < s.rotor_speed.size())
+        thrust = tilt_ropter::thrust_from_speed(s.rotor_speed(k), parameters) * place.linear() *
+                 tilt_ropter::thrust_direction(s.tilt_angle(k));
+      arrow(s, thrust_, static_cast<int>(i), place.translation(), per_newton * thrust,
             {0.1F, 0.5F, 0.9F, 1.0F});
     }
     const tilt_ropter::Wrenchd& external = s.contact.external;
@@ -171,7 +178,12 @@ class FlightMessages {
  private:
   static constexpr int shaft_and_head = 0, sphere = 2, cylinder = 3;  // types of Marker
   static constexpr int add = 0, remove = 2;                           // actions of Marker
-  static constexpr std::size_t marker_count = 8;
+  static constexpr std::size_t other_markers = 4;                     // than thrusts
+
+  struct Rotor {
+    Eigen::Isometry3d place;  // in the body
+    tilt_ropter::RotorParameters parameters;
+  };
 
   [[nodiscard]] static std_msgs::msg::Header header(const Snapshot& s, const std::string& frame) {
     return {stamp(s.time), in_message(frame)};
@@ -208,7 +220,7 @@ class FlightMessages {
     if (!(along.norm() > 1e-3)) m.action = remove;
   }
 
-  tilt_ropter::Vehicle<4> vehicle_;
+  std::vector<Rotor> rotors_;
   const std::string base_link_, name_;
   const std::string map_ = "map", thrust_ = "thrust", wrench_ = "external_wrench",
                     reference_ = "reference", contact_ = "contact";
@@ -218,8 +230,8 @@ class FlightMessages {
   std::vector<geometry_msgs::msg::PoseStamped> poses_;
   Eigen::Vector3d last_ = Eigen::Vector3d::Zero();
   nav_msgs::msg::Path path_{};
-  std::vector<visualization_msgs::msg::Marker> marker_{marker_count};
-  std::array<std::vector<geometry_msgs::msg::Point>, marker_count> points_;
+  std::vector<visualization_msgs::msg::Marker> marker_;
+  std::vector<std::vector<geometry_msgs::msg::Point>> points_;  // of each marker
   std::size_t used_ = 0;
   visualization_msgs::msg::MarkerArray markers_{};
   std::vector<std::pair<std::string, std::string>> texts_;
@@ -236,7 +248,8 @@ class FlightMessages {
 class Telemetry {
  public:
   /// Throws dds::Error, and std::invalid_argument for a rate outside 0 to 100 Hz.
-  Telemetry(Node& node, const tilt_ropter::Vehicle<4>& vehicle)
+  template <int Rotors>
+  Telemetry(Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle)
       : messages_(vehicle, node.parameters().prefix()),
         rate_(node.parameters().number("telemetry_rate", 20.0)),
         transform_(node.publisher<tf2_msgs::msg::TFMessage>("/tf", {true, 100})),

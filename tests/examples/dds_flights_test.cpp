@@ -22,6 +22,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <fstream>
+#include <optional>
 #include <string>
 
 namespace dds_flights_test {
@@ -108,8 +109,45 @@ TEST_F(DdsFlight, Ros2NodeFollowsTheClockOfASimulationAndShowsItsFlight) {
   expect_ticks_of_the_clock(node.stop());
 }
 
-// The same mission, vehicle and noise as in hybrid_mission, which is one process.
-TEST_F(DdsFlight, Ros2NodeFliesAMissionAsOneProcessDoes) {
+/// Flies the mission or trajectory in `file` by ros2_node, in lock step; compares the error with
+/// that of hybrid_mission, which is one process and has the same vehicle and noise.
+class DdsMission : public DdsFlight {
+ protected:
+  void fly(const std::string& parameter, const std::string& option, const std::string& file,
+           const std::string& level, const tilt_ropter::Mission& mission) {
+    const auto alone = test_support::run(
+        HYBRID_MISSION_PROGRAM,
+        option + " '" + file + "' --level " + level +
+            " --mass-error 0.03 --inertia-error 0 --seed 5 --no-pictures --output '" +
+            directory_.file("") + "'");
+    ASSERT_EQ(alone.exit_code, 0) << alone.output;
+    Ros2Line line(participant_);
+    auto& vehicle = line.vehicle;
+    vehicle.wind.setZero();
+    Background node(ROS2_NODE_PROGRAM,
+                    "--ros-args -r pose:=motion_capture/pose -p use_sim_time:=true -p level:=" +
+                        level + " -p " + parameter + ":='" + file + "'",
+                    directory_.file("node"));
+    ASSERT_TRUE(wait_until([&] { return line.connected() && clock_.subscribers() == 1; }));
+    Rmse rmse;
+    ASSERT_NO_FATAL_FAILURE(lock_step(line, [&] {
+      const double time = 1e-9 * static_cast<double>(vehicle.now()) - vehicle.first_stamp -
+                          loops::PacedMission::ramp / 2.0 + mission.start_time();
+      if (line.heard()) rmse.add(vehicle.plant.body().position - mission(time).position);
+      return line.heard() && time > mission.end_time();
+    }));
+    EXPECT_EQ(node.stop().exit_code, 0);
+    test_support::check_at_most(
+        58, parameter + " of ros2_node over DDS, " + level + " level: error / that of one process",
+        rmse.value() / alone["mission_rmse_m"], 1.2);
+    std::printf("%s over DDS, %s level: %.4f m, one process: %.4f m\n", parameter.c_str(),
+                level.c_str(), rmse.value(), alone["mission_rmse_m"]);
+  }
+  const std::optional<tilt_ropter::Undercarriage> wheels_ =
+      tilt_ropter::undercarriage(test_support::heavy_vehicle());
+};
+
+TEST_F(DdsMission, Ros2NodeFliesAMissionAsOneProcessDoes) {
   const std::string file = directory_.write("mission.json", R"({
     "name": "short", "start": {"position_m": [0, 0]}, "segments": [
       {"type": "rest", "duration_s": 0.6},
@@ -117,32 +155,63 @@ TEST_F(DdsFlight, Ros2NodeFliesAMissionAsOneProcessDoes) {
       {"type": "figure_eight", "amplitude_m": [0.5, 0.2, 0.1], "laps": 1, "max_speed_mps": 1},
       {"type": "land"},
       {"type": "go_to", "position_m": [0.5, 0]}]})");
-  const auto alone = test_support::run(
-      HYBRID_MISSION_PROGRAM, "--mission-file '" + file + "' --mass-error 0.03 --inertia-error 0 " +
-                                  "--seed 5 --no-pictures --output '" + directory_.file("") + "'");
-  ASSERT_EQ(alone.exit_code, 0) << alone.output;
-  Ros2Line line(participant_);
-  auto& vehicle = line.vehicle;
-  vehicle.wind.setZero();
-  Background node(
-      ROS2_NODE_PROGRAM,
-      "--ros-args -r pose:=motion_capture/pose -p use_sim_time:=true -p mission:='" + file + "'",
-      directory_.file("node"));
-  ASSERT_TRUE(wait_until([&] { return line.connected() && clock_.subscribers() == 1; }));
-  const tilt_ropter::Mission mission =
-      examples::read_mission(file, tilt_ropter::undercarriage(test_support::heavy_vehicle()));
-  Rmse rmse;
-  ASSERT_NO_FATAL_FAILURE(lock_step(line, [&] {
-    const double time = 1e-9 * static_cast<double>(vehicle.now()) - vehicle.first_stamp -
-                        loops::PacedMission::ramp / 2.0;
-    if (line.heard()) rmse.add(vehicle.plant.body().position - mission(time).position);
-    return line.heard() && time > mission.duration();
-  }));
-  EXPECT_EQ(node.stop().exit_code, 0);
-  test_support::check_at_most(58, "mission of ros2_node over DDS: error / that of one process",
-                              rmse.value() / alone["mission_rmse_m"], 1.2);
-  std::printf("mission over DDS: %.4f m, one process: %.4f m\n", rmse.value(),
-              alone["mission_rmse_m"]);
+  for (const char* level : {"wrench", "actuator"})
+    fly("mission", "--mission-file", file, level, examples::read_mission(file, wheels_));
+}
+
+TEST_F(DdsMission, Ros2NodeFliesATrajectoryAsOneProcessDoes) {
+  const std::string file = directory_.write("trajectory.csv",
+                                            "time_s,x_m,y_m,z_m\n0,0,0,0.11\n1,0,0,0.11\n"
+                                            "3,0,0,0.8\n5,0.8,0.2,1\n7,1,-0.5,1\n9,0.5,0,0.8\n");
+  for (const char* level : {"wrench", "actuator"})
+    fly("trajectory", "--trajectory", file, level, examples::read_trajectory(file, wheels_));
+}
+
+/// Two vehicles that the same clock moves.
+struct TwoVehicles {
+  explicit TwoVehicles(const dds::Participant& participant)
+      : a(participant, "a/"),
+        b(participant, "b/"),
+        vehicle{a.vehicle, b.vehicle, a.vehicle.plant} {}
+
+  [[nodiscard]] bool connected() const { return a.connected() && b.connected(); }
+  void sense() {
+    a.sense();
+    b.sense();
+  }
+  void take() {
+    a.take();
+    b.take();
+  }
+  [[nodiscard]] bool heard() const { return a.heard() && b.heard(); }
+  [[nodiscard]] bool answered() const { return a.answered() && b.answered(); }
+
+  struct Both {
+    test_support::Ros2Vehicle &a, &b;
+    tilt_ropter::Plant<4>& plant;
+    [[nodiscard]] bool step() { return a.step() && b.step(); }
+    [[nodiscard]] std::int64_t now() const { return a.now(); }
+  };
+  Ros2Line a, b;
+  Both vehicle;
+};
+
+TEST_F(DdsFlight, TwoVehiclesFlyInOneDomain) {
+  TwoVehicles two(participant_);
+  const auto node = [&](const std::string& name, const std::string& parameters) {
+    return Background(ROS2_NODE_PROGRAM,
+                      "--ros-args -r __ns:=/" + name +
+                          " -r pose:=motion_capture/pose -p use_sim_time:=true " + parameters,
+                      directory_.file(name));
+  };
+  Background a = node("a", "-p hover_x:=0.5 -p hover_z:=0.6"),
+             b = node("b", "-p hover_x:=-0.5 -p hover_z:=1.2 -p level:=actuator");
+  ASSERT_TRUE(wait_until([&] { return two.connected() && clock_.subscribers() == 2; }));
+  ASSERT_NO_FATAL_FAILURE(lock_step(two, [&] { return two.vehicle.plant.time() > 7.0; }));
+  EXPECT_LT((two.a.vehicle.plant.body().position - Vector3d(0.5, 0.0, 0.6)).norm(), 0.03);
+  EXPECT_LT((two.b.vehicle.plant.body().position - Vector3d(-0.5, 0.0, 1.2)).norm(), 0.03);
+  EXPECT_EQ(a.stop().exit_code, 0);
+  EXPECT_EQ(b.stop().exit_code, 0);
 }
 
 TEST_F(DdsFlight, Ros2NodeHoversOnTheSystemClock) {

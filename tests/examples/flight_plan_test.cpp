@@ -13,8 +13,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 namespace loops {
 namespace flight_plan_test {
@@ -197,6 +200,110 @@ TEST(FlightPlan, MovesWithTheFrame) {
   EXPECT_NEAR(yaw_of(plan(9.0).orientation), 0.2, 1e-12);
   ASSERT_TRUE(plan.fly_to(pose_at(1.0, 1.0, 1.0), 9.0));
   EXPECT_LT((plan(30.0).position - Vector3d(1.0, 1.0, 1.0)).norm(), 1e-12);
+}
+
+SetPoint set_point(double time, const Vector3d& position, const Vector3d& velocity) {
+  SetPoint p;
+  p.time = time;
+  p.position = position;
+  p.velocity = velocity;
+  return p;
+}
+
+// A planner that sends a point of a circle at 20 Hz, and then ends.
+TEST(FlightPlan, FollowsAStreamOfSetPointsWithoutAJump) {
+  for (const double far : {0.0, 0.3, 4.0}) {
+    SCOPED_TRACE(far);
+    FlightPlan plan = plan_of({{"hover_x", "0"}, {"hover_z", "1"}});
+    plan.start(body_at({0.0, 0.0, 1.0}), 0.0);
+    Follower follower{plan};
+    const auto circle = [far](double t) {
+      const double a = 0.5 * t;
+      return set_point(0.0, {far + 1.0 - std::cos(a), std::sin(a), 1.0},
+                       {0.5 * std::sin(a), 0.5 * std::cos(a), 0.0});
+    };
+    for (double time = 1.0; time < 26.0; time += 0.05) {
+      follower.follow(time);
+      ASSERT_TRUE(plan.follow({circle(time - 1.0)}, follower.time));
+      follower.begin_at(follower.time);
+    }
+    EXPECT_STREQ(plan.activity(follower.time), "set points");
+    const Vector3d error = plan(26.0).position - circle(25.0).position;
+    EXPECT_LT(error.norm(), 0.02);
+    const double until = follower.time + SetPoints::patience + Braking::duration;
+    follower.follow(until + 1.0);
+    EXPECT_LT(follower.last.velocity.norm(), 1e-9);
+    EXPECT_LT((follower.last.position - circle(25.0).position).norm(), 0.6);
+    EXPECT_STREQ(plan.activity(follower.time), "hover point");
+  }
+}
+
+TEST(FlightPlan, FliesToATrajectoryAndAlongIt) {
+  FlightPlan plan = plan_of({{"mission", "air"}});
+  plan.start(body_at({0.0, 0.0, 1.5}), 0.0);
+  Follower follower{plan};
+  follower.follow(8.0);
+  const Vector3d a(3.0, 0.0, 2.0), b(4.0, 1.0, 2.0), c(5.0, 0.0, 1.0), v(1.0, 0.0, 0.0);
+  ASSERT_TRUE(plan.follow({set_point(0.0, a, Vector3d::Zero()), set_point(2.0, b, v),
+                           set_point(4.5, c, Vector3d::Zero())},
+                          8.0));
+  plan.move({0.0, 0.0, 1.0}, 0.0);
+  follower.begin_at(8.0);
+  while (std::string(plan.activity(follower.time)) != "set points")
+    follower.follow(follower.time + 0.01);
+  const double start = follower.time;
+  EXPECT_LT((plan(start).position - a - Vector3d::UnitZ()).norm(), 0.02);
+  EXPECT_LT((plan(start + 2.0).position - b - Vector3d::UnitZ()).norm(), 0.02);
+  EXPECT_LT((plan(start + 2.0).velocity - v).norm(), 0.05);
+  follower.follow(start + 8.0);
+  EXPECT_LT((follower.last.position - c - Vector3d::UnitZ()).norm(), 1e-9);
+}
+
+TEST(FlightPlan, IgnoresSetPointsThatAreNone) {
+  FlightPlan plan = plan_of({});
+  const Vector3d p(0.0, 0.0, 1.5), zero = Vector3d::Zero();
+  EXPECT_FALSE(plan.follow({}, 1.0));
+  EXPECT_FALSE(plan.follow({set_point(0.0, {0.0, std::nan(""), 1.0}, zero)}, 1.0));
+  EXPECT_FALSE(plan.follow({set_point(0.0, p, {0.0, 0.0, HUGE_VAL})}, 1.0));
+  EXPECT_FALSE(plan.follow({set_point(0.0, {2e4, 0.0, 1.0}, zero)}, 1.0));
+  EXPECT_FALSE(plan.follow({set_point(1.0, p, zero), set_point(1.0, p, zero)}, 1.0));
+  EXPECT_EQ(plan(20.0).position, p);
+}
+
+TEST(SetPoints, ComeFromMessages) {
+  px4_msgs::msg::TrajectorySetpoint px4{};
+  const float nan = std::nanf("");
+  px4 = {0, {1.0F, 2.0F, -3.0F}, {0.5F, nan, -0.25F}, {nan, nan, nan}, {}, 0.5F, nan};
+  const SetPoint p = set_points(px4, 0.1, 7.0).front();
+  EXPECT_EQ(p.position, Vector3d(2.0, 1.0, 3.1));
+  EXPECT_EQ(p.velocity, Vector3d(0.0, 0.5, 0.25));
+  EXPECT_EQ(p.acceleration, Vector3d::Zero());
+  EXPECT_NEAR(p.yaw, tilt_ropter::pi / 2.0 - 0.5, 1e-7);
+  px4.yaw = nan;
+  EXPECT_EQ(set_points(px4, 0.1, 7.0).front().yaw, 7.0);
+
+  using trajectory_msgs::msg::MultiDOFJointTrajectoryPoint;
+  std::vector<std::vector<geometry_msgs::msg::Transform>> transforms;
+  std::vector<MultiDOFJointTrajectoryPoint> points(3);
+  for (int i = 0; i < 3; ++i)
+    transforms.push_back(
+        {{{0.5 * i * i, 1.0, 2.0}, {0.0, 0.0, std::sin(0.1 * i), std::cos(0.1 * i)}}});
+  for (std::size_t i = 0; i < 3; ++i) {
+    refer_to(points[i].transforms, transforms[i]);
+    points[i].time_from_start = {static_cast<std::int32_t>(2 * i), 500000000U};
+  }
+  trajectory_msgs::msg::MultiDOFJointTrajectory m{};
+  refer_to(m.points, points);
+  const std::vector<SetPoint> read = set_points(m);
+  ASSERT_EQ(read.size(), 3U);
+  EXPECT_EQ(read[1].time, 2.5);
+  EXPECT_EQ(read[1].position, Vector3d(0.5, 1.0, 2.0));
+  EXPECT_LT((read[1].velocity - Vector3d(0.5, 0.0, 0.0)).norm(), 1e-12);
+  EXPECT_NEAR(read[2].yaw, 0.4, 1e-12);
+  EXPECT_NEAR(read[1].yaw_rate, 0.1, 1e-12);
+  EXPECT_EQ(read[2].velocity, Vector3d::Zero());
+  transforms[1][0].rotation.w = 2.0;
+  EXPECT_TRUE(set_points(m).empty());
 }
 
 TEST(FlightPlan, ReadsMissionsAndTrajectories) {

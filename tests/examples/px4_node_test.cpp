@@ -50,7 +50,7 @@ struct Flight {
       ASSERT_TRUE(vehicle.step());
       if (repeat && std::lround(1000.0 * vehicle.plant.time()) % 500 == 0) repeat();
       if (std::lround(1000.0 * vehicle.plant.time()) % 10 != 0) continue;
-      const Px4Node::Output out = node.tick(vehicle.now());
+      const auto out = node.tick(vehicle.now());
       if (out.mode) vehicle.on_mode(*out.mode);
       if (!out.actuators) continue;
       using namespace px4_msgs::msg;
@@ -65,7 +65,7 @@ struct Flight {
   std::function<void()> repeat;
   px4_msgs::msg::ActuatorServos servos{};
   Parameters parameters;
-  Px4Node node{parameters};
+  Px4Node<4> node{tilt_ropter::tilt_ropter_vehicle(), {}, parameters};
 };
 
 TEST(Px4Node, HoversInNedAndFrdAxes) {
@@ -146,7 +146,7 @@ TEST(Px4Node, SendsNoCommandsUnlessArmedAndOffboard) {
 
 // Passes the accelerometer's samples on, turned or in another unit.
 struct Liar {
-  Px4Node& node;
+  Px4Node<4>& node;
   Eigen::Matrix3f lie;
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) { node.on_odometry(m); }
   void on_sensors(px4_msgs::msg::SensorCombined m) {
@@ -175,7 +175,7 @@ TEST(Px4Node, DoesNotFlyWithAnAccelerometerThatContradictsTheWeight) {
     wait();
     EXPECT_TRUE(flight.node.tick(flight.vehicle.now()).mode);
     flight.say(true, true);
-    const Px4Node::Output out = flight.node.tick(flight.vehicle.now());
+    const auto out = flight.node.tick(flight.vehicle.now());
     EXPECT_FALSE(out.mode || out.actuators);
     EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
     // The IMU is mended on the ground: the next arming flies.
@@ -243,7 +243,7 @@ TEST(Px4Node, SendsNothingIfItsClockIsNotThatOfPx4) {
     flight.say(true, true);
     flight.fly(0.1);
     EXPECT_GT(flight.vehicle.commands, 5);
-    const Px4Node::Output out = flight.node.tick(flight.vehicle.now() + difference);
+    const auto out = flight.node.tick(flight.vehicle.now() + difference);
     EXPECT_FALSE(out.mode || out.actuators);
     EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
   }
@@ -324,15 +324,17 @@ TEST(Px4Node, SendsTheThrustForTheLandDetector) {
   flight.fly(2.0);
   flight.say(true, true);
   flight.fly(5.0);
-  const Px4Node::Output out = flight.node.tick(flight.vehicle.now());
+  const auto out = flight.node.tick(flight.vehicle.now());
   ASSERT_TRUE(out.thrust);
   EXPECT_NEAR(out.thrust->xyz[2], -1.03 * 1.5 * 9.81 / 48.0, 0.02);
   EXPECT_EQ(out.thrust->timestamp, out.now);
 }
 
 TEST(Px4Node, RejectsParametersOutOfRange) {
-  const auto node = [](Parameters parameters) { Px4Node pilot(parameters); };
-  EXPECT_THROW(node({{"vehicle", "nowhere.json"}}), examples::VehicleFileError);
+  const auto node = [](Parameters parameters) {
+    Px4Node<4> pilot(tilt_ropter::tilt_ropter_vehicle(), {}, parameters);
+  };
+  EXPECT_THROW(node({{"level", "thrust"}}), std::invalid_argument);
   EXPECT_THROW(node({{"thrust_model_factor", "2.0"}}), std::invalid_argument);
 }
 

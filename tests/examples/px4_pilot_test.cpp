@@ -33,7 +33,8 @@ using tilt_ropter::pi;
 
 /// A vehicle with PX4, a node, a line between them and a pilot.
 struct Flight {
-  explicit Flight(std::string mission_file = "") : mission(std::move(mission_file)) {
+  explicit Flight(std::string mission_file = "", std::string of_control = "")
+      : mission(std::move(mission_file)), level(std::move(of_control)) {
     start_node();
   }
 
@@ -41,8 +42,8 @@ struct Flight {
     parameters = Parameters{
         {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
         {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"},
-        {"mission", mission}};
-    node.emplace(parameters);
+        {"mission", mission},     {"level", level}};
+    node.emplace(tilt_ropter::tilt_ropter_vehicle(), examples::VehicleFile{}, parameters);
   }
 
   void fly(double seconds) {
@@ -51,7 +52,7 @@ struct Flight {
       ASSERT_TRUE(px4.step());
       judge();
       if (std::lround(1000.0 * px4.time()) % 10 != 0) continue;
-      const Px4Node::Output out = node->tick(px4.vehicle.now());
+      const auto out = node->tick(px4.vehicle.now());
       px4.take(out, hears);
       if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 3.0)
         sag = std::max(sag, shown->reference.position.z() - shown->body.position.z());
@@ -78,10 +79,10 @@ struct Flight {
 
   [[nodiscard]] const tilt_ropter::BodyStated& body() const { return px4.vehicle.plant.body(); }
 
-  std::string mission;
+  std::string mission, level;
   test_support::Px4Autopilot px4{5000000000LL};
   Parameters parameters;
-  std::optional<Px4Node> node;
+  std::optional<Px4Node<4>> node;
   bool heard = true, hears = true;  ///< the two directions of the line
   double heading_error = 0.0;       ///< of PX4's estimate [rad]
   double tilt = 0.0;                ///< largest [deg]
@@ -348,9 +349,9 @@ const Event events[] = {
      }},
 };
 
-void fly_sequence(unsigned seed, std::array<double, 3>& worst) {
+void fly_sequence(unsigned seed, const char* level, std::array<double, 3>& worst) {
   std::mt19937 random(seed);
-  Flight flight;
+  Flight flight("", level);
   std::string story;
   ASSERT_NO_FATAL_FAILURE(flight.take_off());
   for (const double end = flight.px4.time() + 10.0; flight.px4.time() < end;) {
@@ -382,12 +383,14 @@ void fly_sequence(unsigned seed, std::array<double, 3>& worst) {
 }
 
 TEST(Px4Pilot, RandomSequencesOfHandsAndFaults) {
-  std::array<double, 3> worst{};
-  const int count = test_support::quick_or_full(5, 200);
-  for (int seed = 0; seed < count; ++seed)
-    ASSERT_NO_FATAL_FAILURE(fly_sequence(static_cast<unsigned>(seed), worst));
-  std::printf("%d sequences: tilt %.1f deg, sag %.3f m, fall %.2f m/s\n", count, worst[0], worst[1],
-              worst[2]);
+  for (const char* level : {"wrench", "actuator"}) {
+    std::array<double, 3> worst{};
+    const int count = test_support::quick_or_full(3, 200);
+    for (int seed = 0; seed < count; ++seed)
+      ASSERT_NO_FATAL_FAILURE(fly_sequence(static_cast<unsigned>(seed), level, worst));
+    std::printf("%d sequences at the %s level: tilt %.1f deg, sag %.3f m, fall %.2f m/s\n", count,
+                level, worst[0], worst[1], worst[2]);
+  }
 }
 
 }  // namespace px4_pilot_test

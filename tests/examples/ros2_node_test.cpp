@@ -32,7 +32,8 @@ const std::pair<const std::string, std::string> simulated{"use_sim_time", "true"
 
 /// A vehicle and the node, on a clock that starts at a Unix time, like the clock of ROS.
 struct Flight {
-  explicit Flight(Parameters parameters) : node(parameters) {}
+  explicit Flight(Parameters parameters)
+      : node(tilt_ropter::tilt_ropter_vehicle(), {}, parameters) {}
 
   void fly(double seconds) {
     for (int i = 0; i < std::lround(1000.0 * seconds); ++i) {
@@ -44,7 +45,7 @@ struct Flight {
   }
 
   test_support::Ros2Vehicle vehicle{1700000000LL * 1000000000LL};
-  Ros2Node node;
+  Ros2Node<4> node;
   bool sensing = true;
 };
 
@@ -134,7 +135,7 @@ TEST(Ros2Node, SendsNothingBeforeFirstPoseOrWithoutImu) {
 
 /// Passes the samples of the IMU on, turned or in another unit.
 struct Liar {
-  Ros2Node& node;
+  Ros2Node<4>& node;
   Eigen::Matrix3d rate, force;
   void on_imu(sensor_msgs::msg::Imu m) {
     auto& w = m.angular_velocity;
@@ -181,7 +182,7 @@ template <typename Change>
 double error_with_speeds(const Change& change) {
   Flight flight({simulated, {"hover_z", "0.6"}});
   struct Changed {
-    Ros2Node& node;
+    Ros2Node<4>& node;
     const Change& change;
     void on_imu(const sensor_msgs::msg::Imu& m) { node.on_imu(m); }
     void on_pose(const geometry_msgs::msg::PoseStamped& m) { node.on_pose(m); }
@@ -341,16 +342,17 @@ TEST(Ros2Node, ShowsItsFlight) {
 }
 
 TEST(Ros2Node, RejectsParametersOutOfRange) {
-  const auto node = [](Parameters parameters) { Ros2Node pilot(parameters); };
-  EXPECT_THROW(node({{"vehicle", "nowhere.json"}}), examples::VehicleFileError);
+  const auto node = [](const Parameters& parameters) { Flight flight(parameters); };
+  EXPECT_THROW(node({{"level", "thrust"}}), std::invalid_argument);
   EXPECT_THROW(node({{"position_noise", "-1.0"}}), std::invalid_argument);
   EXPECT_THROW(node({{"max_silence", "0.1s"}}), std::invalid_argument);
 }
 
 TEST(ControllerSettings, HaveNoTimeLimitOnASimulatedClock) {
   Parameters usual, on_simulated_clock{simulated};
-  EXPECT_EQ(controller_settings({}, usual).time_limit, tilt_ropter::NmpcSettings().time_limit);
-  EXPECT_TRUE(std::isinf(controller_settings({}, on_simulated_clock).time_limit));
+  const tilt_ropter::NmpcSettings settings;
+  EXPECT_EQ(as_the_node_says(settings, usual).time_limit, settings.time_limit);
+  EXPECT_TRUE(std::isinf(as_the_node_says(settings, on_simulated_clock).time_limit));
 }
 
 TEST(Dds, TopicsOfRos2HaveAPrefix) {

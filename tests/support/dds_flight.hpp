@@ -18,6 +18,7 @@
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <string>
 
 /// Flights of the nodes over DDS.
 namespace test_support {
@@ -36,11 +37,11 @@ struct Rmse {
 /// The topics of ros2_node, seen from the vehicle.
 class Ros2Line {
  public:
-  explicit Ros2Line(const dds::Participant& participant)
-      : imu_(participant, "imu"),
-        pose_(participant, "motion_capture/pose"),
-        speeds_(participant, "rotor_speeds"),
-        actuators_(participant, "actuators") {}
+  explicit Ros2Line(const dds::Participant& participant, const std::string& space = "")
+      : imu_(participant, space + "imu"),
+        pose_(participant, space + "motion_capture/pose"),
+        speeds_(participant, space + "rotor_speeds"),
+        actuators_(participant, space + "actuators") {}
 
   [[nodiscard]] bool connected() const {
     return imu_.subscribers() == 1 && pose_.subscribers() == 1 && speeds_.subscribers() == 1 &&

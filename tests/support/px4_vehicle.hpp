@@ -3,8 +3,10 @@
 #include "../../examples/integrations/px4_messages.hpp"
 #include "heavy_vehicle.hpp"
 
+#include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>
@@ -16,13 +18,17 @@
 
 namespace test_support {
 
-/// A simulated vehicle that speaks in messages of PX4. It converts to NED and FRD by matrices,
-/// independently of the code of the node. Its plant is `start` [ns] behind the clock of the stamps.
-class Px4Vehicle {
+/// A simulated vehicle, heavier than believed, that speaks in messages of PX4. It converts to NED
+/// and FRD by matrices, independently of the code of the node. Its plant is `start` [ns] behind the
+/// clock of the stamps.
+template <int Rotors>
+class AnyPx4Vehicle {
  public:
   static constexpr double thrust_model_factor = 0.3, origin_height = 0.07;
 
-  explicit Px4Vehicle(std::int64_t start_time) : start(start_time) {}
+  explicit AnyPx4Vehicle(std::int64_t start_time, const tilt_ropter::Vehicle<Rotors>& believed =
+                                                      tilt_ropter::tilt_ropter_vehicle())
+      : start(start_time), plant(heavier(believed)), vehicle_(believed) {}
 
   /// Status is any version of VehicleStatus.
   template <typename Status = px4_msgs::msg::VehicleStatus>
@@ -53,19 +59,23 @@ class Px4Vehicle {
   void on_motors(const px4_msgs::msg::ActuatorMotors& m) {
     ++commands;
     last_motors = m;
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < Rotors; ++i) {
+      const tilt_ropter::RotorParameters& rotor = rotor_parameters(vehicle_, i);
       const double u = double(m.control[i]);
       if (!(u >= 0.0 && u <= 1.0)) ++wrong_outputs;
-      const double thrust = 12.0 * (thrust_model_factor * u * u + (1.0 - thrust_model_factor) * u);
-      command_.rotor_speed(static_cast<int>(i)) = std::sqrt(thrust / 1.4e-6);
+      const double share = thrust_model_factor * u * u + (1.0 - thrust_model_factor) * u;
+      command_.rotor_speed(static_cast<int>(i)) =
+          tilt_ropter::speed_from_thrust(rotor.max_thrust * share, rotor);
     }
   }
   /// For any version of ActuatorServos.
   template <typename Servos>
   void on_servos(const Servos& m) {
     ++servo_commands;
-    for (std::size_t i = 0; i < 4; ++i)
-      command_.tilt_angle(static_cast<int>(i)) = tilt_ropter::pi * double(m.control[i]);
+    const double low = vehicle_.servo.min_angle, high = vehicle_.servo.max_angle;
+    for (std::size_t i = 0; i < Rotors; ++i)
+      command_.tilt_angle(static_cast<int>(i)) =
+          low + (high - low) * 0.5 * (1.0 + double(m.control[i]));
   }
 
   /// Whether the vehicle obeys the commands of the node; otherwise it follows `by_another`.
@@ -114,13 +124,13 @@ class Px4Vehicle {
 
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
-  tilt_ropter::Plant<4> plant{heavy_vehicle()};
+  tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
   double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
   px4_msgs::msg::ActuatorMotors last_motors{};
-  tilt_ropter::ActuatorState<4> by_another;  ///< while the node does not fly
+  tilt_ropter::ActuatorState<Rotors> by_another;  ///< while the node does not fly
 
  private:
   [[nodiscard]] std::uint64_t now_us() const { return static_cast<std::uint64_t>(now() / 1000); }
@@ -146,11 +156,13 @@ class Px4Vehicle {
 
   const Eigen::Matrix3d enu_to_ned_ = (Eigen::Matrix3d() << 0, 1, 0, 1, 0, 0, 0, 0, -1).finished();
   const Eigen::Matrix3d flu_to_frd_ = Eigen::Vector3d(1, -1, -1).asDiagonal();
-  tilt_ropter::ActuatorState<4> command_;
+  tilt_ropter::Vehicle<Rotors> vehicle_;
+  tilt_ropter::ActuatorState<Rotors> command_;
   Eigen::Vector3d estimate_step_ = Eigen::Vector3d::Zero();
   double estimate_turn_ = 0.0;
   std::uint8_t resets_ = 0;
   bool obeys_ = false;
 };
+using Px4Vehicle = AnyPx4Vehicle<4>;
 
 }  // namespace test_support

@@ -5,6 +5,8 @@
 #include "heavy_vehicle.hpp"
 
 #include <tilt_ropter/model/measurements.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
 
 #include <Eigen/Core>
@@ -16,11 +18,15 @@
 
 namespace test_support {
 
-/// A simulated vehicle that speaks in messages of ROS 2: the heavy vehicle with the sensors of the
-/// mission, in side wind. Its plant is `start` [ns] behind the clock of the stamps.
-class Ros2Vehicle {
+/// A simulated vehicle that speaks in messages of ROS 2: a vehicle that is heavier than believed,
+/// with the sensors of the mission, in side wind. Its plant is `start` [ns] behind the clock of the
+/// stamps.
+template <int Rotors>
+class AnyRos2Vehicle {
  public:
-  explicit Ros2Vehicle(std::int64_t start_time) : start(start_time) {}
+  explicit AnyRos2Vehicle(std::int64_t start_time, const tilt_ropter::Vehicle<Rotors>& believed =
+                                                       tilt_ropter::tilt_ropter_vehicle())
+      : start(start_time), plant(heavier(believed)) {}
 
   /// Gives the messages of this millisecond to on_imu, on_pose and on_rotor_speeds of `node`.
   template <typename Node>
@@ -31,30 +37,32 @@ class Ros2Vehicle {
 
   void on_command(const actuator_msgs::msg::Actuators& m) {
     if (++commands == 1) first_stamp = loops::seconds(m.header.stamp);
-    if (m.velocity._length != 4 || m.position._length != 4) return;
-    command_.rotor_speed = Eigen::Map<const Eigen::Vector4d>(m.velocity._buffer);
-    command_.tilt_angle = Eigen::Map<const Eigen::Vector4d>(m.position._buffer);
+    if (m.velocity._length != Rotors || m.position._length != Rotors) return;
+    command_.rotor_speed = Eigen::Map<const Numbers>(m.velocity._buffer);
+    command_.tilt_angle = Eigen::Map<const Numbers>(m.position._buffer);
     command_stamp = loops::seconds(m.header.stamp);
   }
 
   /// One millisecond.
   [[nodiscard]] bool step() { return plant.step(command_, {wind, Eigen::Vector3d::Zero()}, 1e-3); }
-  [[nodiscard]] const tilt_ropter::ActuatorState<4>& command() const { return command_; }
+  [[nodiscard]] const tilt_ropter::ActuatorState<Rotors>& command() const { return command_; }
   [[nodiscard]] std::int64_t now() const {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
   }
 
   std::int64_t start;
-  tilt_ropter::Plant<4> plant{heavy_vehicle()};
+  tilt_ropter::Plant<Rotors> plant;
   int commands = 0;
   double first_stamp = 0.0, command_stamp = 0.0;  ///< of the first and the last command [s]
   Eigen::Vector3d wind{0.3, 0.6, 0.0};            ///< [N]
 
  private:
+  using Numbers = Eigen::Matrix<double, Rotors, 1>;
+
   /// Called by MissionSensors.
   template <typename Node>
   struct Messages {
-    Ros2Vehicle& vehicle;
+    AnyRos2Vehicle& vehicle;
     Node& node;
 
     [[nodiscard]] std_msgs::msg::Header header(double time) const {
@@ -75,16 +83,17 @@ class Ros2Vehicle {
       const Eigen::Quaterniond& q = pose.orientation;
       node.on_pose({header(time), {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}}});
     }
-    void on_rotor_speeds(const Eigen::Vector4d& speeds) {
-      const std::vector<double> values(speeds.data(), speeds.data() + 4);
+    void on_rotor_speeds(const Numbers& speeds) {
+      const std::vector<double> values(speeds.data(), speeds.data() + Rotors);
       sensor_msgs::msg::JointState m{};
       loops::refer_to(m.velocity, values);
       node.on_rotor_speeds(m);
     }
   };
 
-  examples::MissionSensors<4> sensors_{5};
-  tilt_ropter::ActuatorState<4> command_;
+  examples::MissionSensors<Rotors> sensors_{5};
+  tilt_ropter::ActuatorState<Rotors> command_;
 };
+using Ros2Vehicle = AnyRos2Vehicle<4>;
 
 }  // namespace test_support

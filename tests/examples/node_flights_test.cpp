@@ -1,0 +1,200 @@
+// Both nodes with 2 to 8 rotors, at both levels, and with set points of a planner, in simulated
+// time.
+// CTest: dds flight optimised
+
+#include "../../examples/integrations/px4_node.hpp"
+#include "../../examples/integrations/ros2_node.hpp"
+#include "support/px4_vehicle.hpp"
+#include "support/ros2_vehicle.hpp"
+
+#include <tilt_ropter/math/rotation.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+namespace loops {
+namespace node_flights_test {
+
+using Eigen::Vector3d;
+
+constexpr std::int64_t start = 5000000000LL;
+
+Parameters hover(const std::string& level) {
+  return {{"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
+          {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"},
+          {"hover_yaw", "-0.5"},    {"level", level}};
+}
+
+/// A vehicle and ros2_node.
+template <int Rotors>
+struct Ros2Flight {
+  Ros2Flight(const tilt_ropter::Vehicle<Rotors>& flown, const examples::VehicleFile& file,
+             Parameters parameters)
+      : vehicle(start, flown), node(flown, file, parameters) {}
+
+  void step(long ms) {
+    vehicle.sense(node);
+    ASSERT_TRUE(vehicle.step());
+    if (ms % 10 != 0) return;
+    if (const auto* command = node.tick(vehicle.now())) vehicle.on_command(*command);
+  }
+  [[nodiscard]] Level level() const { return node.snapshot(0).level; }
+
+  test_support::AnyRos2Vehicle<Rotors> vehicle;
+  Ros2Node<Rotors> node;
+};
+
+/// A vehicle and px4_node; PX4 arms after 2 s.
+template <int Rotors>
+struct Px4Flight {
+  Px4Flight(const tilt_ropter::Vehicle<Rotors>& flown, const examples::VehicleFile& file,
+            Parameters parameters)
+      : vehicle(start, flown), node(flown, file, parameters) {}
+
+  void step(long ms) {
+    vehicle.sense(node);
+    ASSERT_TRUE(vehicle.step());
+    if (ms % 500 == 0) node.on_status(vehicle.status(ms >= 2000, ms >= 2000));
+    if (ms % 10 != 0) return;
+    const auto out = node.tick(vehicle.now());
+    if (!out.actuators) return;
+    using namespace px4_msgs::msg;
+    vehicle.on_motors(px4_controls<ActuatorMotors>(out.actuators->motor, out.now, out.sample));
+    vehicle.on_servos(px4_controls<ActuatorServos>(out.actuators->servo, out.now, out.sample));
+  }
+  [[nodiscard]] Level level() const { return node.snapshot(0)->level; }
+
+  test_support::AnyPx4Vehicle<Rotors> vehicle;
+  Px4Node<Rotors> node;
+};
+
+template <template <int> class Flight>
+void hover_with_every_vehicle() {
+  for (const std::pair<std::string, std::string>& chosen :
+       {std::pair<std::string, std::string>{"bicopter", ""},
+        {"tricopter", ""},
+        {"tilt_ropter", "actuator"},
+        {"quadrotor", ""},
+        {"hexacopter", "wrench"},
+        {"hexacopter_with_pusher", ""},
+        {"coaxial_octocopter", ""}}) {
+    SCOPED_TRACE(chosen.first + " " + chosen.second);
+    const examples::VehicleFile file =
+        examples::read_vehicle(VEHICLES_DIR "/" + chosen.first + ".json");
+    std::visit(
+        [&](auto vehicle) {
+          if (!undercarriage(vehicle)) vehicle.legs.emplace();
+          Flight flight(vehicle, file, hover(chosen.second));
+          for (long ms = 1; ms <= 10000; ++ms) ASSERT_NO_FATAL_FAILURE(flight.step(ms));
+          const auto& body = flight.vehicle.plant.body();
+          EXPECT_LT((body.position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.04);
+          EXPECT_LT(body.velocity.norm(), 0.03);
+          EXPECT_NEAR(tilt_ropter::yaw_of(body.orientation), -0.5, 0.05);
+          EXPECT_EQ(flight.level(), Level::ok);
+        },
+        file.vehicle);
+  }
+}
+
+TEST(NodeFlights, EveryVehicleHoversByRos2Node) {
+  hover_with_every_vehicle<Ros2Flight>();
+}
+
+TEST(NodeFlights, EveryVehicleHoversByPx4Node) {
+  hover_with_every_vehicle<Px4Flight>();
+}
+
+/// A circle of 0.8 m from the hover point on, in 12.6 s; the heading turns along.
+SetPoint circle(double time) {
+  constexpr double radius = 0.8, rate = 0.5;
+  const double a = rate * time;
+  SetPoint p;
+  p.position = Vector3d(0.3, 0.6, 1.5) + radius * Vector3d(1.0 - std::cos(a), std::sin(a), 0.0);
+  p.velocity = radius * rate * Vector3d(std::sin(a), std::cos(a), 0.0);
+  p.acceleration = radius * rate * rate * Vector3d(std::cos(a), -std::sin(a), 0.0);
+  p.yaw = -0.5 + a;
+  p.yaw_rate = rate;
+  return p;
+}
+
+const tilt_ropter::Vehicle<4> vehicle_of_paper = tilt_ropter::tilt_ropter_vehicle();
+
+TEST(NodeFlights, Px4NodeFollowsSetPointsOfPx4) {
+  Px4Flight flight(vehicle_of_paper, {}, hover(""));
+  constexpr long begin = 8000, end = 20000;
+  for (long ms = 1; ms <= end + 3000; ++ms) {
+    ASSERT_NO_FATAL_FAILURE(flight.step(ms));
+    if (ms < begin || ms > end) continue;
+    const SetPoint p = circle(1e-3 * static_cast<double>(ms - begin));
+    if (ms % 50 == 0) {
+      px4_msgs::msg::TrajectorySetpoint m{};
+      const auto ned = [](float(&field)[3], const Vector3d& enu) {
+        field[0] = static_cast<float>(enu.y());
+        field[1] = static_cast<float>(enu.x());
+        field[2] = static_cast<float>(-enu.z());
+      };
+      ned(m.position, p.position - Vector3d(0.0, 0.0, 0.07));
+      ned(m.velocity, p.velocity);
+      ned(m.acceleration, p.acceleration);
+      m.yaw = static_cast<float>(tilt_ropter::pi / 2.0 - p.yaw);
+      m.yawspeed = static_cast<float>(-p.yaw_rate);
+      flight.node.on_set_point(m);
+    }
+    if (ms < begin + 2000) continue;
+    const auto& body = flight.vehicle.plant.body();
+    ASSERT_LT((body.position - p.position).norm(), 0.05) << ms;
+    ASSERT_LT(body.orientation.angularDistance(tilt_ropter::quaternion_from_yaw(p.yaw)), 0.1);
+  }
+  // The planner has ended. The vehicle stops where it was, and hovers.
+  EXPECT_LT((flight.vehicle.plant.body().position - circle(12.0).position).norm(), 0.6);
+  EXPECT_LT(flight.vehicle.plant.body().velocity.norm(), 0.03);
+  EXPECT_STREQ(flight.node.snapshot(0)->activity, "hover point");
+}
+
+TEST(NodeFlights, Ros2NodeFollowsATrajectoryOfATopic) {
+  Ros2Flight flight(vehicle_of_paper, {}, hover("actuator"));
+  std::vector<std::vector<geometry_msgs::msg::Transform>> transforms;
+  std::vector<std::vector<geometry_msgs::msg::Twist>> velocities;
+  std::vector<trajectory_msgs::msg::MultiDOFJointTrajectoryPoint> points(26);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const SetPoint p = circle(0.5 * static_cast<double>(i));
+    const Eigen::Quaterniond q = tilt_ropter::quaternion_from_yaw(p.yaw);
+    transforms.push_back(
+        {{{p.position.x(), p.position.y(), p.position.z()}, {q.x(), q.y(), q.z(), q.w()}}});
+    velocities.push_back(
+        {{{p.velocity.x(), p.velocity.y(), p.velocity.z()}, {0.0, 0.0, p.yaw_rate}}});
+    points[i].time_from_start = {static_cast<std::int32_t>(i / 2), i % 2 == 0 ? 0U : 500000000U};
+  }
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    refer_to(points[i].transforms, transforms[i]);
+    refer_to(points[i].velocities, velocities[i]);
+  }
+  trajectory_msgs::msg::MultiDOFJointTrajectory m{};
+  refer_to(m.points, points);
+  constexpr long begin = 8000;
+  for (long ms = 1; ms <= begin + 12400; ++ms) {
+    ASSERT_NO_FATAL_FAILURE(flight.step(ms));
+    if (ms == begin) flight.node.on_trajectory(m);
+    if (ms < begin + 1000) continue;
+    const SetPoint p = circle(1e-3 * static_cast<double>(ms - begin));
+    const auto& body = flight.vehicle.plant.body();
+    ASSERT_LT((body.position - p.position).norm(), 0.05) << ms;
+    ASSERT_LT(body.orientation.angularDistance(tilt_ropter::quaternion_from_yaw(p.yaw)), 0.1);
+  }
+  m.points._length = 0;
+  flight.node.on_trajectory(m);  // ignored
+  EXPECT_STREQ(flight.node.snapshot(0).activity, "set points");
+}
+
+}  // namespace node_flights_test
+}  // namespace loops
