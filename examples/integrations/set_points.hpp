@@ -38,14 +38,15 @@ class SetPoints {
   static constexpr double patience = 0.5;  ///< until the next message of a single set point [s]
   static constexpr double farthest = 1e4;  ///< [m]
 
-  /// Nothing if there are no points, a number is not finite or too large, or times do not rise.
+  /// Nothing if there are no points, a number is not finite or too large, or times do not rise by
+  /// 2 ms.
   static std::optional<SetPoints> through(std::vector<SetPoint> points) {
     if (points.empty()) return std::nullopt;
     double last = -1.0;
     for (SetPoint& p : points) {
       const double size = p.position.norm() + p.velocity.norm() + p.acceleration.norm() +
                           std::abs(p.yaw) + std::abs(p.yaw_rate);
-      if (!(size < farthest) || !(p.time > last + 1e-6) || !(p.time < 1e5)) return std::nullopt;
+      if (!(size < farthest) || !(p.time > last + 2e-3) || !(p.time < 1e5)) return std::nullopt;
       last = p.time;
     }
     for (std::size_t i = 1; i < points.size(); ++i)
