@@ -2,6 +2,7 @@
 // hitl_onboard and hitl_flight_controller, and applies the actuator commands of
 // hitl_flight_controller.
 
+#include "../support/flight_mcap.hpp"
 #include "../support/loss_watch.hpp"
 #include "../support/mission_figures.hpp"
 #include "../support/mission_sensors.hpp"
@@ -28,6 +29,7 @@
 #include <cstdint>
 #include <exception>
 #include <iostream>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -39,7 +41,7 @@ namespace {
 
 struct Options {
   hitl::Line line;
-  std::string vehicle, plant = "plant";
+  std::string vehicle, plant = "plant", mcap;
   std::int64_t seed = 1;
   double mass_error = 0.03, inertia_error = 0.10;
   double until = 0.0;
@@ -47,6 +49,27 @@ struct Options {
 
 constexpr double step = 1e-3;       // time step of the plant [s]
 constexpr long steps_of_tick = 10;  // of hitl_onboard
+
+template <typename SimulatedPlant>
+examples::FlightSample flight_sample(const Mission& mission, const SimulatedPlant& plant,
+                                     const ActuatorState<4>& command, double power, bool silent) {
+  const double time = plant.time() - hitl::head_start;
+  const ReferencePoint point = mission(time);
+  examples::FlightSample s;
+  s.time = plant.time();
+  s.truth = plant.body();
+  s.reference.position = point.position;
+  s.reference.orientation = point.orientation;
+  s.true_external = plant.external_wrench();
+  s.tilt_command = command.tilt_angle;
+  s.tilt = plant.actuators().tilt_angle;
+  s.speed_command = command.rotor_speed;
+  s.speed = plant.actuators().rotor_speed;
+  s.power = power;
+  s.phase = time < 0.0 ? "waiting" : to_string(mission.phase(time));
+  s.mode = silent ? "silent" : "commanded";
+  return s;
+}
 
 /// Flies `plant`, which is a Plant<4> or a MujocoPlant of the vehicle `truth`.
 template <typename SimulatedPlant>
@@ -89,6 +112,8 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   bool silent = true;
   examples::Progress progress;
   examples::LossWatch loss;
+  std::optional<examples::FlightMcap> mcap;
+  if (!options.mcap.empty()) mcap.emplace(options.mcap, 4);
   const bool lock_step = options.line.lock_step > 0.0;
   const auto take = [&] {
     const auto now = hitl::Clock::now();
@@ -144,23 +169,30 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
     time = plant.time() - hitl::head_start;
     if (const auto m = sensors.rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
       rotor_speeds.publish(encoder.encode(hitl::RotorSpeeds{m->time, m->rotor_speed}));
-    if (const auto m = sensors.poses.sample(plant.time(), plant.body()))
-      poses.publish(encoder.encode(hitl::Pose{m->time, {m->position, m->orientation}}));
+    if (const auto m = sensors.poses.sample(plant.time(), plant.body())) {
+      const MarkerPosed pose{m->position, m->orientation};
+      poses.publish(encoder.encode(hitl::Pose{m->time, pose}));
+      if (mcap) mcap->on_pose(m->time, pose);
+    }
     sent_at.push_back(hitl::Clock::now());
     if (const auto m =  // last, because a tick on board begins when it arrives
-        sensors.imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force()))
-      imu.publish(
-          encoder.encode(hitl::Inertial{m->time, {m->angular_velocity, m->specific_force}}));
+        sensors.imu.sample(plant.time(), plant.body().angular_velocity, plant.specific_force())) {
+      const InertialSampled sample{m->angular_velocity, m->specific_force};
+      imu.publish(encoder.encode(hitl::Inertial{m->time, sample}));
+      if (mcap) mcap->on_imu(m->time, sample);
+    }
     if (!silent) loss.on_step(time, 0.0, examples::is_tipped(plant.body().orientation));
     if (i % 10 == 0) clock.publish({loops::stamp(std::llround(1e9 * plant.time()))});
+    const double watts = power.power(plant.actuators().rotor_speed);
     if (time >= 0.0)
       figures.on_plant(mission.phase(time), plant.body().position, mission(time).position,
-                       plant.body().velocity.z(), power.power(plant.actuators().rotor_speed),
-                       plant.normal_forces().sum() > 0.0);
+                       plant.body().velocity.z(), watts, plant.normal_forces().sum() > 0.0);
+    if (mcap && i % 10 == 0) mcap->on_tick(flight_sample(mission, plant, command, watts, silent));
     if (i % 1000 == 0)
       progress.show(std::max(0.0, time / end),
                     time < 0.0 ? "waiting" : to_string(mission.phase(time)));
   }
+  if (mcap) mcap->close();
   flight_over.publish({true});  // reliable: DDS repeats it until it has arrived
   progress.finish();
   figures.print_flight(std::cout);
@@ -229,6 +261,10 @@ int main(int argc, char** argv) {
                  "end the flight at this mission time; 0: full mission [s]")
       ->check(CLI::Range(0.0, 1000.0))
       ->capture_default_str();
+  app.add_option(
+      "--mcap", options.mcap,
+      "also write vehicle, sensors and commands to this MCAP file, as messages of ROS 2, "
+      "for Foxglove, PlotJuggler and ros2 bag");
   hitl::add_options(app, options.line, options.vehicle);
   app.footer(footer);
   return hitl::run_program(app, "hitl_simulator", argc, argv, [&] { return simulate(options); });

@@ -108,19 +108,20 @@ void FlightMcap::text(std::uint16_t channel, const std::string& now, std::string
 
 void FlightMcap::on_tick(const FlightSample& s) {
   now_ = nanoseconds(s.time);
+  const BodyStated& shown = s.estimate ? *s.estimate : s.truth;
   Cdr transforms;
   transforms.add(std::uint32_t{1})
       .add(static_cast<std::int32_t>(now_ / 1000000000))
       .add(static_cast<std::uint32_t>(now_ % 1000000000))
       .add(std::string("map"))
       .add(std::string("base_link"))
-      .add_all(s.estimate.position);
-  write(tf_, add(transforms, s.estimate.orientation));
-  odometry(estimate_, s.estimate);
+      .add_all(shown.position);
+  write(tf_, add(transforms, shown.orientation));
+  if (s.estimate) odometry(estimate_, *s.estimate);
   odometry(truth_, s.truth);
   pose(reference_, s.reference.position, s.reference.orientation);
-  wrench(command_, s.command);
-  wrench(external_, s.external);
+  if (s.command) wrench(command_, *s.command);
+  if (s.external) wrench(external_, *s.external);
   wrench(true_external_, s.true_external);
   joints(tilt_, arms_, s.tilt, false);
   joints(tilt_command_, arms_, s.tilt_command, false);

@@ -9,16 +9,19 @@
 #include <Eigen/Geometry>
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
 namespace examples {
 
-/// What FlightMcap writes of a tick.
+/// What FlightMcap writes of a tick. A simulator does not know what the controller estimates.
 struct FlightSample {
   double time = 0.0;  ///< [s]
-  tilt_ropter::BodyStated estimate, truth, reference;
-  tilt_ropter::Wrenchd command, external, true_external;
+  tilt_ropter::BodyStated truth, reference;
+  tilt_ropter::Wrenchd true_external;
+  std::optional<tilt_ropter::BodyStated> estimate;
+  std::optional<tilt_ropter::Wrenchd> command, external;
   Eigen::VectorXd tilt_command, tilt, speed_command, speed;  ///< [rad], [rad/s]
   double power = 0.0;                                        ///< [W]
   std::string phase, mode;
