@@ -101,6 +101,23 @@ void expect_honest(const Vehicle<Rotors>& vehicle, double force, double torque, 
   test_support::check_at_most(8, "allocation: loss where none is said [N, N m]", worst, 1e-10);
 }
 
+// Thrusts far below a newton: no limit is one of an absolute size.
+TEST(Allocation, CarriesAVehicleOfTenGrams) {
+  Vehicle<4> tiny = tilt_ropter_vehicle();
+  tiny.body.mass = 0.01;
+  tiny.body.inertia *= 0.01 / 1.5;
+  tiny.rotor.max_thrust = 0.08;
+  tiny.rotor.thrust_coefficient *= 0.08 / 12.0;
+  const Allocation<4> allocation(tiny);
+  for (const double lean : {0.0, 0.1, 0.25}) {  // up to more than the rotors give
+    const Wrenchd wanted{{lean, 0.0, 0.1}, Vector3d::Zero()};
+    const auto result = allocation.allocate(wanted, {});
+    EXPECT_NEAR(allocation.wrench(result.command).force.z(), 0.1, 1e-6) << lean;
+    if (lean < 0.2) EXPECT_LT(largest(difference(allocation.wrench(result.command), wanted)), 1e-6) << lean;
+    EXPECT_GE(allocation.wrench(result.command).force.x(), 0.5 * lean) << lean;
+  }
+}
+
 TEST(Allocation, TiltRopterReportsAchievedAndLostWrench) {
   Statuses count;
   expect_honest(tilt_ropter_vehicle(), 8.0, 0.5, 1, count);

@@ -33,6 +33,8 @@ TEST(FailureDetectorOnGround, ARotorInFrontOrBehindIsFoundBeforeTheTakeOff) {
       drive(flight, thrust, 0.35);
       EXPECT_EQ(flight.detector.failure().kind, FailureKind::rotor) << thrust;
       EXPECT_EQ(flight.detector.failure().rotor, rotor);
+      EXPECT_GT(flight.detector.failure().time, 12.5);  // the flight begins at 10 s
+      EXPECT_LE(flight.detector.failure().time, 12.86);
     }
 }
 

@@ -1,6 +1,7 @@
 // What the filter returns: mean rates since the last tick, and measurements without biases.
 
 #include <tilt_ropter/estimation/ekf.hpp>
+#include <tilt_ropter/estimation/measurement_models.hpp>
 
 #include "support/ekf_flights.hpp"
 #include "support/flights.hpp"
@@ -50,6 +51,22 @@ TEST(Ekf, TakeStateReturnsMeanRateSinceLastCall) {
   (void)sample(103, 5.0);
   (void)sample(10000, 0.4);  // after a gap
   EXPECT_DOUBLE_EQ(ekf.take_state().angular_velocity.z(), 0.4);
+}
+
+TEST(Ekf, SaysThatThePositionsAreMistimed) {
+  Ekfd ekf;
+  const Eigen::Vector3d level(0.0, 0.0, gravity);
+  const MarkerPosed pose{Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity()};
+  for (int i = 0; i <= 2000; ++i) {
+    (void)ekf.on_imu(0.001 * i, {Eigen::Vector3d::Zero(), level});
+    if (i % 10 == 0) (void)ekf.on_pose(0.001 * i, pose);
+  }
+  EXPECT_FALSE(ekf.trust(2.0).poses_mistimed);
+  (void)ekf.on_measurement(1.2, PositionMeasurement<double>{});
+  EXPECT_TRUE(ekf.trust(2.0).poses_mistimed);
+  (void)ekf.on_pose(2.0005, pose);
+  (void)ekf.on_imu(2.001, {Eigen::Vector3d::Zero(), level});
+  EXPECT_FALSE(ekf.trust(2.001).poses_mistimed);
 }
 
 TEST(Ekf, SubtractsBiasesFromRatesAndSamples) {

@@ -157,6 +157,8 @@ TEST(DerivativeCheck, FindsMistakesOfTheCurvature) {
 }
 
 TEST(DerivativeCheck, ToStringDescribesTheError) {
+  EXPECT_EQ(to_string({"step: A", 2, 3, 7, 0.123456789, 1e-7}),
+            "step: A(3, 7) at node 2 is 0.123456789, expected 1e-07");
   EXPECT_EQ(to_string({"step: A", 0, 3, 7, 0.5, 0.25}),
             "step: A(3, 7) at node 0 is 0.5, expected 0.25");
   EXPECT_EQ(to_string({"cost_model: lx", 12, 4, -1, 0.5, -2.0}),
