@@ -83,7 +83,7 @@ install_for_tests() {  # more packages
   install clang clang-format libgtest-dev libbenchmark-dev libcli11-dev nlohmann-json3-dev \
     gnuplot-nox fonts-dejavu-core libjs-three node-d3 libmujoco-dev libegl-dev libgl1 \
     libgl1-mesa-dri cyclonedds-dev cyclonedds-tools libyaml-cpp-dev openssl pkgconf pybind11-dev \
-    python3-dev python3-numpy time valgrind "$@"
+    python3-dev python3-numpy time valgrind liburdfdom-tools "$@"
 }
 configure() {  # preset, directory
   echo "== Configuring $2/"

@@ -91,6 +91,18 @@ class Parameters {
       throw std::invalid_argument(name + " = " + value + ": must be a number");
     return result;
   }
+  /// The same for numbers with commas; none if it is not set.
+  [[nodiscard]] std::vector<double> numbers(const std::string& name) {
+    std::vector<double> result;
+    const std::string value = text(name);
+    std::istringstream parts(value);
+    for (std::string part; std::getline(parts, part, ',');) {
+      std::istringstream in(part);
+      if (!(in >> result.emplace_back()) || !(in >> std::ws).eof())
+        throw std::invalid_argument(name + " = " + value + ": must be numbers, with commas");
+    }
+    return result;
+  }
   /// The same for true or false, also as Python writes them. Throws std::invalid_argument if it is
   /// neither.
   [[nodiscard]] bool choice(const std::string& name, bool otherwise) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "../support/late_state.hpp"
 #include "../support/level_nmpc.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
@@ -46,20 +47,22 @@ level, wrench or actuator, without it wrench if the rotors give every wrench; mi
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height [m] of PX4's
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
-THR_MDL_FAC is set for the motors; max_silence [s], telemetry_rate [Hz], use_sim_time (true: the
-time is that of /clock), solver (automatic, nlopt, structured). From a file: --ros-args
---params-file FILE.yaml. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name:
--r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the environment variable ROS_DOMAIN_ID.
+THR_MDL_FAC is set for the motors; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
+of those that tilt, servo_trims in [-1, 1] and reversed_servos (such as 2,4); max_silence [s],
+telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver (automatic, nlopt,
+structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
+TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the
+environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
 and switch to offboard mode, on the ground or in the air. The vehicle flies with at most 1 m/s to
 the hover point or to where the mission begins. A mission waits while the pilot flies, goes on from
 there, and begins anew after disarming. PX4 and the computer must share one clock (UXRCE_DDS_SYNCT).
-While the odometry is older than max_silence, by its stamp or its arrival, the node sends no OffboardControlMode, so that
-PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it publishes nothing. Nor does
-it 1.2 s after PX4 last said who flies. An accelerometer that clips, or differs from the odometry by
-3 m/s^2, is replaced by the odometry. Where PX4 resets its position or heading, the hover point
-or the mission moves along.)";
+While the odometry is older than max_silence, by its stamp or its arrival, the node sends no
+OffboardControlMode, so that PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it
+publishes nothing. Nor does it 1.2 s after PX4 last said who flies. An accelerometer that clips, or
+differs from the odometry by 3 m/s^2, is replaced by the odometry. Where PX4 resets its position or
+heading, the hover point or the mission moves along.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
@@ -74,8 +77,7 @@ class Px4Node {
   /// What a tick() asks to publish.
   struct Output {
     std::optional<px4_msgs::msg::OffboardControlMode> mode;
-    /// For ActuatorMotors and ActuatorServos, as px4_controls() makes them.
-    std::optional<tilt_ropter::ActuatorOutputs<Rotors>> actuators;
+    std::optional<Px4Controls> actuators;  ///< for px4_controls()
     std::optional<px4_msgs::msg::VehicleThrustSetpoint> thrust;
     std::uint64_t now = 0, sample = 0;  ///< [us]
   };
@@ -85,10 +87,12 @@ class Px4Node {
   Px4Node(const tilt_ropter::Vehicle<Rotors>& vehicle, const examples::VehicleFile& file,
           Parameters& parameters)
       : vehicle_(vehicle),
-        scaling_(vehicle_, {parameters.number("thrust_model_factor", 0.0), {}}),
+        wiring_(px4_wiring(vehicle_, parameters)),
+        scaling_(vehicle_, wiring_.outputs),
         actuators_(vehicle_),
         observer_(vehicle_.body),
         contact_(vehicle_),
+        late_(vehicle_.body),
         nmpc_(at_level<examples::LevelNmpc<Rotors>>(vehicle_, file, parameters)),
         reference_(parameters, file),
         origin_height_(parameters.number(
@@ -132,7 +136,9 @@ class Px4Node {
     } else if (clips) {
       return;
     }
-    tilt_ropter::Wrenchd applied = nmpc_.wrench_of(actuators_.update(time, nmpc_.command()));
+    tilt_ropter::Wrenchd applied = time < late_.last_time()
+                                       ? late_.applied(time)
+                                       : nmpc_.wrench_of(actuators_.update(time, nmpc_.command()));
     if (pilot_ == Pilot::nobody) applied = {};  // disarmed motors do not turn, not even slowly
     const double weight = vehicle_.body.mass * tilt_ropter::gravity;
     if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
@@ -206,19 +212,24 @@ class Px4Node {
     }
     if (pilot_ != Pilot::this_node) return out;
     if (takes_over_) take_over();
-    if (!flying_) reference_.start(*body_, time);
+    const auto& applied = actuators_.update(time, nmpc_.command());
+    late_.on_wrench(time, nmpc_.wrench_of(applied));
+    // Of now: a state that is 60 ms old would turn the vehicle over.
+    std::optional<tilt_ropter::BodyStated> body_now;
+    if (is_known) body_now = late_.at(time, *body_, seconds(sample_), observer_.external());
+    if (!flying_) reference_.start(body_now.value_or(*body_), time);
 
     const tilt_ropter::ReferencePoint wanted = reference_(time);
     if (is_known && !is_killed_)
-      contact_.update(time, *body_, observed_, wanted.push ? std::optional(wanted) : std::nullopt);
+      contact_.update(time, *body_now, observed_,
+                      wanted.push ? std::optional(wanted) : std::nullopt);
     nmpc_.prepare(time, reference_, contact_.estimate());
-    const auto& command = nmpc_.control(time, is_known ? body_ : std::nullopt,
-                                        actuators_.update(time, nmpc_.command()));
+    const auto& command = nmpc_.control(time, body_now, applied);
     planned_ = has_plan(nmpc_.status());
     solver_.add(nmpc_.status(), nmpc_.report());
     flying_ = true;
     actuators_.update(time, command);  // takes effect now
-    out.actuators = scaling_.outputs(command);
+    if (const auto outputs = scaling_.outputs(command)) out.actuators = wiring_.controls(*outputs);
     out.thrust = px4_thrust(nmpc_.wrench().force, largest_force(), out.now, out.sample);
     return out;
   }
@@ -274,7 +285,10 @@ class Px4Node {
   void decide(Pilot pilot) {
     const Pilot before = std::exchange(pilot_, pilot);
     if (pilot_ == before) return;
-    if (pilot_ != Pilot::this_node) nmpc_.forget();
+    if (pilot_ != Pilot::this_node) {
+      nmpc_.forget();
+      late_ = examples::LateState(vehicle_.body);
+    }
     takes_over_ = pilot_ == Pilot::this_node && before == Pilot::somebody_else;
     if (pilot_ == Pilot::nobody) {
       observer_.begin_calibration();
@@ -345,11 +359,13 @@ class Px4Node {
   }
 
   tilt_ropter::Vehicle<Rotors> vehicle_;
+  Px4Wiring<Rotors> wiring_;
   tilt_ropter::OutputScaling<Rotors> scaling_;
   tilt_ropter::ActuatorModel<Rotors> actuators_;
   tilt_ropter::WrenchObserverd observer_;
   tilt_ropter::ObservedWrenchd observed_;
   tilt_ropter::ContactEstimator contact_;
+  examples::LateState late_;
   examples::LevelNmpc<Rotors> nmpc_;
   examples::SolverTicks solver_;
   FlightPlan reference_;

@@ -1,6 +1,5 @@
-// The PX4 node with a pilot and with faults, in simulated time, against a
-// stand-in that is as strict as PX4. A full run flies 200 random sequences.
-// CTest: dds flight optimised
+// The PX4 node with a pilot and with faults, in simulated time, against a stand-in that is as
+// strict as PX4. A full run flies 200 random sequences. CTest: dds flight optimised
 
 #include "../../examples/integrations/px4_node.hpp"
 #include "support/full_run.hpp"
@@ -190,8 +189,7 @@ TEST(Px4Pilot, IsNotBelievedForEverWhenTheStatusStops) {
   EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
 }
 
-// The node stops its OffboardControlMode at once, and flies on for a moment, so
-// that PX4 is about to take over when the node ends.
+// The node stops its OffboardControlMode at once, and flies on until PX4 takes over.
 TEST(Px4Pilot, Px4TakesOverSoonAfterOdometryIsLost) {
   Flight flight;
   flight.take_off();
@@ -307,8 +305,7 @@ const Event events[] = {
      }},
     {"reset of the estimate", 0.5,
      [](Flight& f, double seconds, std::mt19937& random) {
-       // A heading that is wrong for good turns every vehicle over: PX4 mends
-       // it by its reset.
+       // A heading that is wrong for good turns every vehicle over: PX4 mends it by its reset.
        const double heading = between(-0.4, 0.4, random);
        f.px4.vehicle.reset_estimate(somewhere(5.0, 0.0, random), heading - f.heading_error);
        f.heading_error = heading;
@@ -319,6 +316,12 @@ const Event events[] = {
        f.px4.vehicle.stamps_late = between(-0.2, 1.0, random);
        f.fly(seconds);
        f.px4.vehicle.stamps_late = 0.0;
+     }},
+    {"a slow line", 2.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.delay = between(0.0, random() % 2 == 0 ? 0.1 : 1.0, random);
+       f.fly(seconds);
+       f.px4.vehicle.delay = 0.0;
      }},
     {"clipping", 1.0,
      [](Flight& f, double seconds, std::mt19937& random) {

@@ -52,7 +52,8 @@ class Px4Autopilot {
     decide();
     if (!connected) return;
     const double now = time();
-    if (vehicle.estimating && std::abs(vehicle.stamps_late) <= 0.1 && tick() % 10 == 8)
+    if (vehicle.estimating && std::abs(vehicle.stamps_late + vehicle.delay) <= 0.1 &&
+        tick() % 10 == 8)
       located_ = now;
     vehicle.sense(node);
     if (!tells) return;

@@ -15,6 +15,8 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <utility>
 
 namespace test_support {
 
@@ -46,8 +48,12 @@ class AnyPx4Vehicle {
   template <typename Node>
   void sense(Node& node) {
     const long tick = std::lround(1000.0 * plant.time());
-    if (tick % 10 == 5) node.on_sensors(sensors());
-    if (tick % 10 == 8 && estimating) node.on_odometry(odometry());
+    if (tick % 10 == 5) sensors_.emplace_back(plant.time() + delay, sensors());
+    if (tick % 10 == 8 && estimating) odometry_.emplace_back(plant.time() + delay, odometry());
+    for (; !sensors_.empty() && sensors_.front().first <= plant.time(); sensors_.pop_front())
+      node.on_sensors(sensors_.front().second);
+    for (; !odometry_.empty() && odometry_.front().first <= plant.time(); odometry_.pop_front())
+      node.on_odometry(odometry_.front().second);
   }
 
   void on_mode(const px4_msgs::msg::OffboardControlMode& m) {
@@ -73,9 +79,11 @@ class AnyPx4Vehicle {
   void on_servos(const Servos& m) {
     ++servo_commands;
     const double low = vehicle_.servo.min_angle, high = vehicle_.servo.max_angle;
+    std::size_t servo = 0;
     for (std::size_t i = 0; i < Rotors; ++i)
-      command_.tilt_angle(static_cast<int>(i)) =
-          low + (high - low) * 0.5 * (1.0 + double(m.control[i]));
+      if (vehicle_.rotors[i].tilts)
+        command_.tilt_angle(static_cast<int>(i)) =
+            low + (high - low) * 0.5 * (1.0 + double(m.control[servo++]));
   }
 
   /// Whether the vehicle obeys the commands of the node; otherwise it follows `by_another`.
@@ -124,6 +132,7 @@ class AnyPx4Vehicle {
 
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
+  double delay = 0.0;        ///< until odometry and sensors arrive [s]
   tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
   double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
@@ -158,6 +167,8 @@ class AnyPx4Vehicle {
   const Eigen::Matrix3d flu_to_frd_ = Eigen::Vector3d(1, -1, -1).asDiagonal();
   tilt_ropter::Vehicle<Rotors> vehicle_;
   tilt_ropter::ActuatorState<Rotors> command_;
+  std::deque<std::pair<double, px4_msgs::msg::SensorCombined>> sensors_;  // on their way
+  std::deque<std::pair<double, px4_msgs::msg::VehicleOdometry>> odometry_;
   Eigen::Vector3d estimate_step_ = Eigen::Vector3d::Zero();
   double estimate_turn_ = 0.0;
   std::uint8_t resets_ = 0;
