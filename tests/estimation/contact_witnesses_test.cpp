@@ -1,6 +1,7 @@
 // Contact needs two witnesses: the load that the accelerometer feels, and the load by the motion.
 
 #include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/estimation/wrench_observer.hpp>
 
 #include <gtest/gtest.h>
 
@@ -55,6 +56,26 @@ struct Vertical {
   double time = 0.0, floor, thrust = 0.0, gust = 0.0, lie = 0.0;
   bool knows_thrust = true;
 };
+
+// A controller that takes over in hover: its observer has begun anew, and its first sample comes
+// late.
+TEST(ContactWitnesses, AHoverWithoutASampleIsNotGround) {
+  WrenchObserverd observer(body);
+  const InertialSampled level{Eigen::Vector3d::Zero(), {0.0, 0.0, gravity}};
+  observer.update(0.0, level, {});  // somebody else flies: the applied wrench is not known
+  observer.reset();
+  EXPECT_FALSE(observer.observed().applied);
+  Wrenchd hover;
+  hover.force.z() = weight;
+  BodyStated state;
+  state.position.z() = 1.5;
+  ContactEstimator contact(body, wheels);
+  for (int i = 1; i <= 100; ++i) {
+    if (i > 10) observer.update(0.01 * i - 0.08, level, hover);
+    EXPECT_FALSE(contact.update(0.01 * i, state, observer.observed()).on_ground) << i;
+    EXPECT_LT(std::abs(contact.load_by_motion()), 0.01 * weight) << i;
+  }
+}
 
 TEST(ContactWitnesses, AFeltLoadInMidAirIsNotGround) {
   for (const double height : {0.5, 1.5, 20.0}) {

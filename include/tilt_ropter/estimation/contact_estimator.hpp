@@ -196,14 +196,16 @@ class ContactEstimator {
     const Eigen::Vector3d thrust =
         applied ? body.orientation * applied->force : Eigen::Vector3d::Zero();
     lift_ += (started_ ? fraction(dt, load_time) : 1.0) * (felt.z() - lift_);
-    // A state that jumps has not moved.
+    // A state that jumps has not moved. Before its first sample an observer knows no thrust.
     const bool jumped = !((body.velocity - velocity_).norm() < 0.3 + 50.0 * dt);
-    if (!started_ || jumped) {
-      if (!started_) felt_ = felt, thrust_ = thrust;
+    const bool begins = !started_ || (applied && !knows_thrust_);
+    knows_thrust_ = applied.has_value();
+    if (begins || jumped) {
+      if (begins) felt_ = felt, thrust_ = thrust;
       slow_velocity_ =
-          body.velocity - (started_ ? Eigen::Vector3d(velocity_ - slow_velocity_)
-                                    : motion_time / body_mass() *
-                                          (felt + thrust - weight_ * Eigen::Vector3d::UnitZ()));
+          body.velocity -
+          (begins ? motion_time / body_mass() * (felt + thrust - weight_ * Eigen::Vector3d::UnitZ())
+                  : Eigen::Vector3d(velocity_ - slow_velocity_));
     }
     velocity_ = body.velocity;
     const double part = fraction(dt, motion_time);
@@ -464,7 +466,7 @@ class ContactEstimator {
   double air_lift_ = 0.0, lift_ = 0.0, time_ = 0.0, unloaded_for_ = 0.0, one_wheel_for_ = 0.0;
   double settling_ = 0.0, standing_for_ = 0.0;  // [s]
   int mode_changes_ = 0;
-  bool started_ = false, stood_ = false;
+  bool started_ = false, knows_thrust_ = false, stood_ = false;
 };
 
 }  // namespace tilt_ropter

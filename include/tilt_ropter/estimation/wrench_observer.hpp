@@ -288,9 +288,11 @@ class WrenchObserver {
     judge();
   }
 
-  /// Clears estimate, time, momentum and a calibration that has not ended. Keeps offset and sums.
+  /// Clears estimate, applied wrench, time, momentum and a calibration that has not ended. Keeps
+  /// offset and sums.
   void reset() noexcept {
     filtered_ = observed_.external = observed_.raw = {};
+    observed_.applied.reset();
     started_ = calibrating_ = false;
     judge();
   }
