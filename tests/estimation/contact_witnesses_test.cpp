@@ -62,7 +62,7 @@ struct Vertical {
 TEST(ContactWitnesses, AHoverWithoutASampleIsNotGround) {
   WrenchObserverd observer(body);
   const InertialSampled level{Eigen::Vector3d::Zero(), {0.0, 0.0, gravity}};
-  observer.update(0.0, level, {});  // somebody else flies: the applied wrench is not known
+  (void)observer.update(0.0, level, {});  // somebody else flies: the applied wrench is not known
   observer.reset();
   EXPECT_FALSE(observer.observed().applied);
   Wrenchd hover;
@@ -71,7 +71,7 @@ TEST(ContactWitnesses, AHoverWithoutASampleIsNotGround) {
   state.position.z() = 1.5;
   ContactEstimator contact(body, wheels);
   for (int i = 1; i <= 100; ++i) {
-    if (i > 10) observer.update(0.01 * i - 0.08, level, hover);
+    if (i > 10) (void)observer.update(0.01 * i - 0.08, level, hover);
     EXPECT_FALSE(contact.update(0.01 * i, state, observer.observed()).on_ground) << i;
     EXPECT_LT(std::abs(contact.load_by_motion()), 0.01 * weight) << i;
   }

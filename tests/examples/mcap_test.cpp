@@ -33,14 +33,16 @@ class Mcap : public testing::Test {
   std::string write(int ticks) {
     examples::FlightMcap log(directory.file("made.mcap"), 3);
     examples::FlightSample s;
-    s.estimate.position << 1.0, 2.0, 3.0;
-    s.estimate.velocity << 0.5, 0.0, 0.0;
-    s.estimate.orientation = Eigen::AngleAxisd(0.5 * tilt_ropter::pi, Eigen::Vector3d::UnitZ());
-    s.estimate.angular_velocity << 0.1, 0.2, 0.3;
+    s.estimate.emplace();
+    s.external.emplace();
+    s.estimate->position << 1.0, 2.0, 3.0;
+    s.estimate->velocity << 0.5, 0.0, 0.0;
+    s.estimate->orientation = Eigen::AngleAxisd(0.5 * tilt_ropter::pi, Eigen::Vector3d::UnitZ());
+    s.estimate->angular_velocity << 0.1, 0.2, 0.3;
     s.truth.position << -1.0, -2.0, -3.0;
     s.reference.position << 7.0, 8.0, 9.0;
     s.command = {{1.0, 2.0, 3.0}, {4.0, 5.0, 6.0}};
-    s.external.force << 0.0, 0.0, -0.25;
+    s.external->force << 0.0, 0.0, -0.25;
     s.true_external.torque << 0.0, 0.125, 0.0;
     s.tilt = Eigen::Vector3d(0.1, 0.2, 0.3);
     s.tilt_command = 2.0 * s.tilt;
