@@ -93,10 +93,9 @@ void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
           },
           servos);
     }
-    if (auto snapshot = pilot.snapshot(now)) {
-      snapshot->counts = node.counts();
-      telemetry.offer(*snapshot);
-    }
+    loops::Snapshot snapshot = pilot.snapshot(now);
+    snapshot.counts = node.counts();
+    telemetry.offer(snapshot);
   });
   pilot.solver().print(std::cout);
 }

@@ -18,6 +18,7 @@
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -49,8 +50,8 @@ without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
 THR_MDL_FAC is set for the motors; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
 of those that tilt, servo_trims in [-1, 1] and reversed_servos (such as 2,4); max_silence [s],
-telemetry_rate [Hz], use_sim_time (true: the time is that of /clock), solver (automatic, nlopt,
-structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
+telemetry_rate [Hz], status_line (false: none), use_sim_time (true: the time is that of /clock),
+solver (automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
 TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the
 environment variable ROS_DOMAIN_ID.
 
@@ -101,6 +102,7 @@ class Px4Node {
         max_silence_(parameters.number("max_silence", 0.1)) {}
 
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
+    heard_[0].on_message(seconds(m.timestamp_sample));
     const auto body = body_state(m, origin_height_);
     if (!body) return;
     if (body_ && !silent_) {
@@ -126,6 +128,7 @@ class Px4Node {
   }
 
   void on_sensors(const px4_msgs::msg::SensorCombined& m) {
+    heard_[1].on_message(seconds(m.timestamp));
     if (pilot_ == Pilot::somebody_else) return;  // the state of the actuators is unknown
     const double time = seconds(m.timestamp);
     Eigen::Vector3d specific_force = tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2));
@@ -157,10 +160,12 @@ class Px4Node {
   /// For any version of VehicleStatus.
   template <typename Status>
   void on_status(const Status& m) {
+    heard_[2].on_message(seconds(m.timestamp));
     on_pilot(m.timestamp, m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
   }
   /// When who flies changes, this comes up to 0.2 s before VehicleStatus.
   void on_control_mode(const px4_msgs::msg::VehicleControlMode& m) {
+    heard_[3].on_message(seconds(m.timestamp));
     on_pilot(m.timestamp, m.flag_armed, m.flag_control_offboard_enabled);
   }
   /// Where to hover from now on.
@@ -185,6 +190,7 @@ class Px4Node {
     out.now = static_cast<std::uint64_t>(now / 1000);
     out.sample = sample_;
     const double time = time_ = seconds(out.now), age = time - seconds(sample_);
+    for (Heard& topic : heard_) topic.on_tick(time);
     if (std::exchange(is_new_, false)) arrived_ = time;
     if (std::exchange(is_told_, false)) told_ = time;
     if (untold()) decide(Pilot::somebody_else);
@@ -234,12 +240,19 @@ class Px4Node {
     return out;
   }
 
-  /// What the last tick() did, except the counts. Nothing before the first odometry.
-  [[nodiscard]] std::optional<Snapshot> snapshot(std::int64_t now) const {
-    if (!body_) return std::nullopt;
+  /// What the last tick() did, except the counts.
+  [[nodiscard]] Snapshot snapshot(std::int64_t now) const {
     Snapshot s;
     s.time = now;
-    s.body = *body_;
+    s.located = body_.has_value();
+    if (body_) s.body = *body_;
+    s.heard = heard_;
+    s.waits_for = !body_                           ? "vehicle_odometry"
+                  : untold()                       ? "vehicle_status or vehicle_control_mode"
+                  : silent_                        ? "vehicle_odometry"
+                  : pilot_ == Pilot::nobody        ? "arming"
+                  : pilot_ == Pilot::somebody_else ? "offboard mode"
+                                                   : "";
     s.reference = reference_(time_);
     s.activity = reference_.activity(time_);
     s.rotor_speed = nmpc_.command().rotor_speed;
@@ -247,7 +260,8 @@ class Px4Node {
     s.contact = contact_.estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
     s.planned = planned_ && pilot_ == Pilot::this_node;
-    s.mode = untold()                     ? "not told who flies"
+    s.mode = !body_                       ? "not located"
+             : untold()                   ? "not told who flies"
              : wrong_imu_                 ? "refuses to fly"
              : pilot_ == Pilot::this_node ? "offboard"
              : pilot_ == Pilot::nobody    ? "disarmed"
@@ -381,6 +395,8 @@ class Px4Node {
   Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  // specific force by the odometry [m/s^2]
   double felt_at_ = -1e9;                           // its time [s]
   std::uint8_t resets_ = 0;                         // of PX4's estimator
+  std::array<Heard, 4> heard_{Heard("odometry"), Heard("sensors"), Heard("status"),
+                              Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
        is_told_ = false, flying_ = false, is_killed_ = false, takes_over_ = false;

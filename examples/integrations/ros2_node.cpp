@@ -36,7 +36,6 @@ void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
   node.parameters().refuse_unknown();
   node.spin(10000000, [&](std::int64_t now) {
     if (const auto* command = pilot.tick(now)) actuators.publish(*command);
-    if (!pilot.started()) return;
     loops::Snapshot snapshot = pilot.snapshot(now);
     snapshot.counts = node.counts();
     telemetry.offer(snapshot);

@@ -16,6 +16,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -46,8 +47,8 @@ Parameters (--ros-args -p NAME:=VALUE): vehicle, the path of its JSON file, with
 level, wrench or actuator, without it wrench if the rotors give every wrench; mission, the path of a
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; position_noise [m],
-orientation_noise [rad], pose_clock_offset [s], max_silence [s], telemetry_rate [Hz], use_sim_time
-(true: the time is that of /clock), solver (automatic, nlopt, structured), rotor_joints
+orientation_noise [rad], pose_clock_offset [s], max_silence [s], telemetry_rate [Hz], status_line
+(false: none), use_sim_time (true: the time is that of /clock), solver (automatic, nlopt, structured), rotor_joints
 (rotor_1,rotor_2,...). From a file: --ros-args --params-file FILE.yaml. Topics:
 --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS
 domain: the environment variable ROS_DOMAIN_ID.
@@ -77,6 +78,7 @@ class Ros2Node {
 
   /// Ignores a sample whose stamp is more than `max_clock_difference` from the last tick.
   void on_imu(const sensor_msgs::msg::Imu& m) {
+    heard_[0].on_message(seconds(m.header.stamp));
     if (!(std::abs(seconds(m.header.stamp) - now_.value_or(seconds(m.header.stamp))) <=
           max_clock_difference)) {
       if (foreign_stamps_++ == 0)
@@ -89,6 +91,7 @@ class Ros2Node {
   }
 
   void on_pose(const geometry_msgs::msg::PoseStamped& m) {
+    heard_[1].on_message(seconds(m.header.stamp));
     const auto& p = m.pose.position;
     const auto& q = m.pose.orientation;
     controller_.on_pose(seconds(m.header.stamp), {{p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}});
@@ -96,6 +99,7 @@ class Ros2Node {
 
   /// Ignores speeds that are those of no rotor or of other joints, and says so once.
   void on_rotor_speeds(const sensor_msgs::msg::JointState& m) {
+    heard_[2].on_message(m.header.stamp.sec == 0 ? now_.value_or(0.0) : seconds(m.header.stamp));
     const auto ignore = [this](const char* why) {
       if (ignored_speeds_++ == 0)
         std::cerr << "ros2_node: rotor_speeds are ignored: " << why << '\n';
@@ -126,6 +130,7 @@ class Ros2Node {
   [[nodiscard]] const actuator_msgs::msg::Actuators* tick(std::int64_t now) {
     const double time = 1e-9 * static_cast<double>(now);
     now_ = time;
+    for (Heard& topic : heard_) topic.on_tick(time);
     const tilt_ropter::CalibrationStatus imu = controller_.imu_check();
     const bool was_wrong = wrong_imu_;
     wrong_imu_ = !started() && contradicts_weight(imu);
@@ -160,6 +165,12 @@ class Ros2Node {
     using examples::FlightMode;
     Snapshot s;
     s.time = now;
+    s.located = started();
+    s.heard = heard_;
+    s.waits_for = !heard_[0].ever()           ? "imu"
+                  : !heard_[1].ever()         ? "pose"
+                  : !started() && !wrong_imu_ ? "an estimate"
+                                              : "";
     s.body = controller_.ekf().state();
     s.reference = reference_(now_.value_or(0.0));
     s.activity = reference_.activity(now_.value_or(0.0));
@@ -170,6 +181,7 @@ class Ros2Node {
     s.planned = has_plan(controller_.result().status);
     s.mode = silent_      ? "silent"
              : wrong_imu_ ? "refuses to fly"
+             : !started() ? "not located"
                           : examples::to_string(controller_.mode());
     s.level = silent_ || wrong_imu_ || controller_.mode() == FlightMode::landing ||
                       controller_.mode() == FlightMode::stopped
@@ -239,6 +251,7 @@ class Ros2Node {
   FlightPlan reference_;
   std::vector<std::string> rotor_joints_;
   double max_silence_;
+  std::array<Heard, 4> heard_{Heard("imu"), Heard("pose"), Heard("rotor_speeds")};
   bool silent_ = false, wrong_imu_ = false;
   bool follows_ = false;       // the reference has begun
   std::optional<double> now_;  // of the last tick [s]

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "heard.hpp"
 #include "messages.hpp"
 #include "node.hpp"
 #include "tick_timer.hpp"
@@ -15,11 +16,13 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <iostream>
 #include <mutex>
 #include <stdexcept>
 #include <string>
@@ -49,6 +52,21 @@ struct Snapshot {
   const char* activity = "";  ///< of the reference, such as the phase of a mission
   bool planned = false;       ///< the last command comes from a plan for its measurement
   TickCounts counts;
+  bool located = true;  ///< false: the body is not known yet
+  std::array<Heard, 4> heard;
+  const char* waits_for = "";  ///< what the node needs to fly; "" if nothing
+
+  /// What an operator looks at, in one line.
+  [[nodiscard]] std::string line() const {
+    std::string text = mode;
+    if (located) text += std::string(", ") + activity + ", estimate " + estimate;
+    for (const Heard& topic : heard)
+      if (*topic.topic() != 0) text += "; " + topic.text();
+    if (counts.late > 0)
+      text += "; late ticks " + std::to_string(counts.late) + " of " + std::to_string(counts.ticks);
+    if (*waits_for != 0) text += std::string("; waits for ") + waits_for;
+    return text;
+  }
 };
 
 /// Makes the messages of a flight from snapshots. The messages refer to memory of this object and
@@ -160,7 +178,14 @@ class FlightMessages {
               {"ticks", std::to_string(s.counts.ticks)},
               {"late_ticks", std::to_string(s.counts.late)},
               {"worst_tick_ms", number(1e3 * s.counts.worst, 2)},
-              {"activity", s.activity}};
+              {"activity", s.activity},
+              {"waits_for", s.waits_for}};
+    for (const Heard& topic : s.heard) {
+      if (*topic.topic() == 0) continue;
+      texts_.emplace_back(topic.topic() + std::string("_hz"), number(topic.rate(), 0));
+      texts_.emplace_back(topic.topic() + std::string("_age_ms"),
+                          topic.ever() ? number(1e3 * topic.age(), 1) : "never");
+    }
     values_.clear();
     for (const auto& [key, value] : texts_) values_.push_back({in_message(key), in_message(value)});
     message_ = std::string(s.mode) + ", estimate " + s.estimate;
@@ -243,8 +268,9 @@ class FlightMessages {
 
 /// Publishes the messages of a flight from its own thread, so that the thread of the controller
 /// only copies a snapshot. Transform, odometry and markers at the rate of the parameter
-/// `telemetry_rate` [Hz] (0: nothing at all), path and diagnostics once a second. The clock is that
-/// of the snapshots.
+/// `telemetry_rate` [Hz] (0: nothing at all), path and diagnostics once a second, and then a line
+/// on standard error unless the parameter `status_line` is false. The clock is that of the
+/// snapshots.
 class Telemetry {
  public:
   /// Throws dds::Error, and std::invalid_argument for a rate outside 0 to 100 Hz.
@@ -252,6 +278,7 @@ class Telemetry {
   Telemetry(Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle)
       : messages_(vehicle, node.parameters().prefix()),
         rate_(node.parameters().number("telemetry_rate", 20.0)),
+        prints_(node.parameters().choice("status_line", true)),
         transform_(node.publisher<tf2_msgs::msg::TFMessage>("/tf", {true, 100})),
         odometry_(node.publisher<nav_msgs::msg::Odometry>("odometry", dds::default_quality)),
         path_(node.publisher<nav_msgs::msg::Path>("path", dds::default_quality)),
@@ -297,13 +324,16 @@ class Telemetry {
       const Snapshot s = latest_;
       fresh_ = false;
       lock.unlock();
-      transform_.publish(messages_.transform(s));
-      odometry_.publish(messages_.odometry(s));
-      markers_.publish(messages_.markers(s));
-      const auto& path = messages_.path(s);
+      if (s.located) {
+        transform_.publish(messages_.transform(s));
+        odometry_.publish(messages_.odometry(s));
+        markers_.publish(messages_.markers(s));
+        (void)messages_.path(s);
+      }
       if (second.begins(s.time)) {
-        path_.publish(path);
+        if (s.located) path_.publish(messages_.path(s));
         diagnostics_.publish(messages_.diagnostics(s));
+        if (prints_) std::cerr << s.line() + '\n';
       }
       lock.lock();
     }
@@ -311,6 +341,7 @@ class Telemetry {
 
   FlightMessages messages_;
   double rate_;
+  bool prints_;
   TickTimer due_{1, true};
   dds::Publisher<tf2_msgs::msg::TFMessage> transform_;
   dds::Publisher<nav_msgs::msg::Odometry> odometry_;

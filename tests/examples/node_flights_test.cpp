@@ -76,7 +76,7 @@ struct Px4Flight {
     vehicle.on_motors(px4_controls<ActuatorMotors>(out.actuators->motor, out.now, out.sample));
     vehicle.on_servos(px4_controls<ActuatorServos>(out.actuators->servo, out.now, out.sample));
   }
-  [[nodiscard]] Level level() const { return node.snapshot(0)->level; }
+  [[nodiscard]] Level level() const { return node.snapshot(0).level; }
 
   test_support::AnyPx4Vehicle<Rotors> vehicle;
   Px4Node<Rotors> node;
@@ -131,6 +131,36 @@ SetPoint circle(double time) {
   return p;
 }
 
+TEST(NodeFlights, Px4NodeSaysWhatItWaitsFor) {
+  Parameters parameters = hover("");
+  test_support::Px4Vehicle vehicle(start);
+  Px4Node<4> node(vehicle_of_paper, {}, parameters);
+  long ms = 0;
+  // PX4 says at 2 Hz that it is `armed` and in offboard mode, if it says anything.
+  const auto waits_for = [&](long until, bool says, bool armed, bool offboard) {
+    for (; ms < until; ++ms) {
+      if (says && ms % 500 == 0) node.on_status(vehicle.status(armed, offboard));
+      vehicle.sense(node);
+      EXPECT_TRUE(vehicle.step());
+      if (ms % 10 == 0) (void)node.tick(vehicle.now());
+    }
+    return std::string(node.snapshot(0).waits_for);
+  };
+  vehicle.estimating = false;
+  EXPECT_EQ(waits_for(100, false, false, false), "vehicle_odometry");
+  EXPECT_FALSE(node.snapshot(0).located);
+  vehicle.estimating = true;
+  EXPECT_EQ(waits_for(500, false, false, false), "vehicle_status or vehicle_control_mode");
+  EXPECT_EQ(waits_for(3000, true, false, false), "arming");
+  EXPECT_EQ(waits_for(3600, true, true, false), "offboard mode");
+  EXPECT_EQ(waits_for(5500, true, true, true), "");
+  const Snapshot s = node.snapshot(0);
+  EXPECT_NEAR(s.heard[0].rate(), 100.0, 2.0);
+  EXPECT_NEAR(s.heard[0].age(), 0.002, 0.002);
+  EXPECT_NEAR(s.heard[2].rate(), 2.0, 0.1);
+  EXPECT_FALSE(s.heard[3].ever());
+}
+
 // Agent, network and estimator take their time. Without a prediction 60 ms turned the vehicle over.
 TEST(NodeFlights, OdometryMayBeLate) {
   for (const char* level : {"wrench", "actuator"})
@@ -147,11 +177,11 @@ TEST(NodeFlights, OdometryMayBeLate) {
       for (long ms = 1; ms <= 30000; ++ms) {
         ASSERT_NO_FATAL_FAILURE(flight.step(ms));
         const auto shown = flight.node.snapshot(0);
-        if (ms % 10 != 0 || ms < 6000 || !shown) continue;  // in the air
+        if (ms % 10 != 0 || ms < 6000 || !shown.located) continue;  // in the air
         const double error =
-            (flight.vehicle.plant.body().position - shown->reference.position).norm();
+            (flight.vehicle.plant.body().position - shown.reference.position).norm();
         worst = std::max(worst, error);
-        if (std::string(shown->activity) != "air") continue;
+        if (std::string(shown.activity) != "air") continue;
         sum += error * error;
         ++count;
       }
@@ -227,7 +257,7 @@ TEST(NodeFlights, Px4NodeFollowsSetPointsOfPx4) {
   // The planner has ended. The vehicle stops where it was, and hovers.
   EXPECT_LT((flight.vehicle.plant.body().position - circle(12.0).position).norm(), 0.6);
   EXPECT_LT(flight.vehicle.plant.body().velocity.norm(), 0.03);
-  EXPECT_STREQ(flight.node.snapshot(0)->activity, "hover point");
+  EXPECT_STREQ(flight.node.snapshot(0).activity, "hover point");
 }
 
 TEST(NodeFlights, Ros2NodeFollowsATrajectoryOfATopic) {

@@ -279,6 +279,43 @@ TEST(Telemetry, FollowsTheClockOfTheSnapshots) {
   EXPECT_EQ(seconds, (Times{start, start + 1000}));
 }
 
+TEST(Heard, CountsRateAndAge) {
+  Heard imu("imu");
+  imu.on_tick(100.0);
+  EXPECT_EQ(imu.text(), "imu: nothing");
+  for (int i = 1; i <= 1500; ++i) {
+    if (i % 5 == 0) imu.on_message(100.0 + 0.001 * i - 0.007);
+    if (i % 10 == 0) imu.on_tick(100.0 + 0.001 * i);
+  }
+  EXPECT_NEAR(imu.rate(), 200.0, 1.0);
+  EXPECT_NEAR(imu.age(), 0.007, 1e-9);
+  EXPECT_EQ(imu.text(), "imu 200 Hz 7 ms");
+  for (int i = 151; i <= 400; ++i) imu.on_tick(100.0 + 0.01 * i);
+  EXPECT_EQ(imu.text(), "imu 0 Hz 2507 ms");
+}
+
+TEST(Snapshot, IsALineForTheOperator) {
+  Snapshot s;
+  s.mode = "offboard";
+  s.activity = "air";
+  s.estimate = "of PX4";
+  s.heard[0] = Heard("odometry");
+  s.heard[0].on_message(0.997);
+  s.heard[0].on_tick(1.0);
+  EXPECT_EQ(s.line(), "offboard, air, estimate of PX4; odometry 0 Hz 3 ms");
+  s.counts.late = 2;
+  s.counts.ticks = 300;
+  s.waits_for = "arming";
+  s.located = false;
+  EXPECT_EQ(s.line(), "offboard; odometry 0 Hz 3 ms; late ticks 2 of 300; waits for arming");
+  FlightMessages messages(tilt_ropter::tilt_ropter_vehicle());
+  const auto& values = messages.diagnostics(s).status._buffer[0].values;
+  EXPECT_STREQ(values._buffer[9].key, "waits_for");
+  EXPECT_STREQ(values._buffer[10].key, "odometry_hz");
+  EXPECT_STREQ(values._buffer[11].key, "odometry_age_ms");
+  EXPECT_STREQ(values._buffer[11].value, "3.0");
+}
+
 TEST(FlightMessages, HaveTheNamespaceInTheFrameOfTheVehicle) {
   FlightMessages messages(tilt_ropter::tilt_ropter_vehicle(), "a/");
   EXPECT_STREQ(messages.transform({}).transforms._buffer[0].child_frame_id, "a/base_link");

@@ -88,8 +88,8 @@ TEST(Px4Node, HoversInNedAndFrdAxes) {
     // In hover, the external force is the wind and the weight that the node does not know. The
     // accelerometer bias has been calibrated.
     EXPECT_LT((flight.node.external().force - Vector3d(0.3, 0.6, -0.03 * 1.5 * 9.81)).norm(), 0.1);
-    EXPECT_EQ(flight.node.snapshot(0)->level, Level::ok);
-    EXPECT_STREQ(flight.node.snapshot(0)->mode, "offboard");
+    EXPECT_EQ(flight.node.snapshot(0).level, Level::ok);
+    EXPECT_STREQ(flight.node.snapshot(0).mode, "offboard");
   }
 }
 
@@ -177,7 +177,7 @@ TEST(Px4Node, DoesNotFlyWithAnAccelerometerThatContradictsTheWeight) {
     flight.say(true, true);
     const auto out = flight.node.tick(flight.vehicle.now());
     EXPECT_FALSE(out.mode || out.actuators);
-    EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+    EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
     // The IMU is mended on the ground: the next arming flies.
     flight.say(false, false);
     flight.fly(2.0);
@@ -234,7 +234,7 @@ TEST(Px4Node, StopsSendingSoonAfterOdometryIsLost) {
   flight.fly(0.1);
   EXPECT_EQ(flight.vehicle.commands, commands);
   EXPECT_EQ(flight.vehicle.heartbeats, heartbeats);
-  EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+  EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
 }
 
 TEST(Px4Node, SendsNothingIfItsClockIsNotThatOfPx4) {
@@ -245,7 +245,7 @@ TEST(Px4Node, SendsNothingIfItsClockIsNotThatOfPx4) {
     EXPECT_GT(flight.vehicle.commands, 5);
     const auto out = flight.node.tick(flight.vehicle.now() + difference);
     EXPECT_FALSE(out.mode || out.actuators);
-    EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+    EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
   }
 }
 
@@ -270,7 +270,7 @@ TEST(Px4Node, DoesNotFlyOnStampsThatAreOld) {
     EXPECT_LT((flight.vehicle.plant.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.1);
     flight.fly(0.2);
     EXPECT_EQ(flight.vehicle.commands, commands) << age;
-    EXPECT_EQ(flight.node.snapshot(0)->level, Level::error);
+    EXPECT_EQ(flight.node.snapshot(0).level, Level::error);
   }
 }
 

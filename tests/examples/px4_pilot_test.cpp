@@ -55,7 +55,7 @@ struct Flight {
       const auto out = node->tick(px4.vehicle.now());
       px4.take(out, hears);
       if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 3.0)
-        sag = std::max(sag, shown->reference.position.z() - shown->body.position.z());
+        sag = std::max(sag, shown.reference.position.z() - shown.body.position.z());
     }
   }
 
@@ -118,13 +118,13 @@ TEST(Px4Pilot, GivesBackAMissionThatGoesOn) {
       {"type": "figure_eight", "amplitude_m": [0.5, 0.3, 0.1], "laps": 1, "max_speed_mps": 1},
       {"type": "land"}, {"type": "rest", "duration_s": 0.5},
       {"type": "go_to", "position_m": [1.5, 0]}, {"type": "rest", "duration_s": 0.5}]})"));
-  const auto activity = [&] { return std::string(flight.node->snapshot(0)->activity); };
+  const auto activity = [&] { return std::string(flight.node->snapshot(0).activity); };
   const auto fly_until = [&](const std::string& wanted) {
     while (activity() != wanted && flight.px4.time() < 120.0) flight.fly(0.05);
     ASSERT_EQ(activity(), wanted);
   };
   const auto hands = [&](double seconds, const Vector3d& by) {
-    const Vector3d before = flight.node->snapshot(0)->reference.position;
+    const Vector3d before = flight.node->snapshot(0).reference.position;
     flight.px4.wants_offboard = false;
     flight.fly(0.01);
     flight.px4.stick += by;
@@ -144,7 +144,7 @@ TEST(Px4Pilot, GivesBackAMissionThatGoesOn) {
   EXPECT_EQ(activity(), "way");
   fly_until("air");
   flight.fly(3.0);
-  const auto reference = [&] { return flight.node->snapshot(0)->reference.position; };
+  const auto reference = [&] { return flight.node->snapshot(0).reference.position; };
   Vector3d left = hands(2.0, {1.5, -1.0, 0.5});
   EXPECT_EQ(activity(), "way");
   hands(0.5, {0.0, 1.0, 0.3});
@@ -182,7 +182,7 @@ TEST(Px4Pilot, IsNotBelievedForEverWhenTheStatusStops) {
   flight.fly(0.6);
   EXPECT_EQ(flight.px4.vehicle.commands, commands);
   EXPECT_EQ(flight.px4.vehicle.heartbeats, heartbeats);
-  EXPECT_STREQ(flight.node->snapshot(0)->mode, "not told who flies");
+  EXPECT_STREQ(flight.node->snapshot(0).mode, "not told who flies");
   EXPECT_FALSE(flight.px4.is_offboard());
   flight.px4.tells = true;
   flight.fly(6.0);
@@ -375,7 +375,7 @@ void fly_sequence(unsigned seed, const char* level, std::array<double, 3>& worst
   EXPECT_TRUE(flight.px4.is_offboard());
   EXPECT_FALSE(flight.px4.disarmed_by_land_detector());
   const auto shown = flight.node->snapshot(0);
-  EXPECT_LT((shown->body.position - shown->reference.position).norm(), 0.1);
+  EXPECT_LT((shown.body.position - shown.reference.position).norm(), 0.1);
   EXPECT_EQ(flight.px4.blind + flight.px4.unasked, 0);
   EXPECT_EQ(flight.px4.vehicle.wrong_modes + flight.px4.vehicle.wrong_outputs, 0);
   EXPECT_LT(flight.tilt, 15.0);
