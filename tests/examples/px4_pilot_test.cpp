@@ -55,7 +55,7 @@ struct Flight {
       const auto out = node->tick(px4.vehicle.now());
       px4.take(out, hears);
       if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 3.0)
-        sag = std::max(sag, shown.reference.position.z() - shown.body.position.z());
+        sag = std::max(sag, shown.reference.position.z() - body().position.z());
     }
   }
 

@@ -4,8 +4,9 @@
 #include "../../examples/support/vehicle_choice.hpp"
 #include "support/program.hpp"
 
-#include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/detail/actuated_body.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <gtest/gtest.h>
@@ -14,11 +15,13 @@
 #include <Eigen/Geometry>
 
 #include <cmath>
+#include <cstddef>
 #include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <variant>
 
 namespace vehicle_exports_test {

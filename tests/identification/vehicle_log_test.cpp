@@ -127,6 +127,7 @@ struct Replayed {
 Replayed step(const LagModel& lag, double size) {
   const std::vector<Timed<double>> commands{{0.0, 0.0}, {0.1, size}};
   std::vector<Timed<int>> stamps;
+  stamps.reserve(100);
   for (int i = 0; i < 100; ++i) stamps.push_back({0.01 * i, 0});
   Replayed r;
   replay(

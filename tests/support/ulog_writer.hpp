@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -93,7 +94,7 @@ inline constexpr const char* px4_formats[] = {
     "uint8_t esc_online_flags;uint8_t esc_armed_flags;uint8_t[2] _padding0;esc_report[8] esc;"};
 
 [[nodiscard]] inline std::uint64_t microseconds(double time) {
-  return static_cast<std::uint64_t>(1e6 * time + 0.5);
+  return static_cast<std::uint64_t>(std::llround(1e6 * time));
 }
 
 /// `gyro` and `accelerometer`: forward-left-up.
