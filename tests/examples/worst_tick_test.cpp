@@ -72,7 +72,7 @@ TEST(WorstTick, EveryFlightRecoversWithALimitOfTwoPasses) {
   int most = 0, late = 0;
   const test_support::Totals t =
       test_support::fly_all(quick_or_full(3, 200), [&](const examples::StressStart& start) {
-        const examples::StressRecord r = examples::fly_stress<Counting>(
+        examples::StressRecord r = examples::fly_stress<Counting>(
             vehicle, stress_settings(vehicle, 1e-6 * limit), start, 15.0);
         for (const int readings : Counting<4>::readings) most = std::max(most, readings);
         late += Counting<4>::late;

@@ -28,8 +28,7 @@ struct Model {
   const FigureEightSettings& p;
   double duration;
 
-  Scalar phase(const Scalar& time) const {
-    const Scalar t = time;
+  Scalar phase(const Scalar& t) const {
     const double rate = two_pi * (p.laps + 2.0 * p.ramp_laps) / duration;
     const double ramp = 2.0 * two_pi * p.ramp_laps / rate;
     const auto ramp_phase = [&](const Scalar& x) {
