@@ -125,7 +125,7 @@ template <int Rotors>
   };
   // Numbers for all of `count`, or none.
   const auto list = [&](const std::string& name, std::size_t count) {
-    const std::vector<double> values = parameters.numbers(name);
+    std::vector<double> values = parameters.numbers(name);
     if (!values.empty() && values.size() != count)
       refuse(name, std::to_string(count) + " numbers, with commas");
     return values;

@@ -30,11 +30,12 @@ namespace detail {
 
 inline std::vector<std::string> elements(const std::string& name, int count) {
   std::vector<std::string> names;
+  names.reserve(static_cast<std::size_t>(count));
   for (int i = 0; i < count; ++i) names.push_back(name + '[' + std::to_string(i) + ']');
   return names;
 }
 
-inline std::vector<std::string> joined(std::vector<std::vector<std::string>> parts) {
+inline std::vector<std::string> joined(const std::vector<std::vector<std::string>>& parts) {
   std::vector<std::string> all;
   for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
   return all;

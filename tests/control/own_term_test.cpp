@@ -133,9 +133,9 @@ double circle(const Term& term, bool observer_knows) {
     for (int n = 0; n < 20; ++n)
       EXPECT_TRUE(plant.step(sent.command, air(plant.body()).wrench, 5e-4));
     const double error = (plant.body().position - reference(plant.time()).position).norm();
-    if (i >= ticks / 2) sum += error * error / (ticks / 2);
+    if (i >= ticks / 2) sum += error * error;
   }
-  return std::sqrt(sum);
+  return std::sqrt(sum / (ticks - ticks / 2));
 }
 
 TEST(OwnTerm, DragInThePredictionReducesTheTrackingError) {

@@ -284,6 +284,7 @@ TEST(SetPoints, ComeFromMessages) {
 
   using trajectory_msgs::msg::MultiDOFJointTrajectoryPoint;
   std::vector<std::vector<geometry_msgs::msg::Transform>> transforms;
+  transforms.reserve(3);
   std::vector<MultiDOFJointTrajectoryPoint> points(3);
   for (int i = 0; i < 3; ++i)
     transforms.push_back(

@@ -124,7 +124,7 @@ TEST(Px4Pilot, GivesBackAMissionThatGoesOn) {
     ASSERT_EQ(activity(), wanted);
   };
   const auto hands = [&](double seconds, const Vector3d& by) {
-    const Vector3d before = flight.node->snapshot(0).reference.position;
+    Vector3d before = flight.node->snapshot(0).reference.position;
     flight.px4.wants_offboard = false;
     flight.fly(0.01);
     flight.px4.stick += by;

@@ -190,8 +190,8 @@ double error_with_speeds(const Change& change) {
       std::vector<std::string> names;
       std::vector<double> speeds(m.velocity._buffer, m.velocity._buffer + 4);
       change(names, speeds);
-      std::vector<char*> pointers;
-      for (std::string& name : names) pointers.push_back(name.data());
+      std::vector<char*> pointers(names.size());
+      for (std::size_t i = 0; i < names.size(); ++i) pointers[i] = names[i].data();
       sensor_msgs::msg::JointState other{};
       refer_to(other.name, pointers);
       refer_to(other.velocity, speeds);

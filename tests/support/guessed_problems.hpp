@@ -150,7 +150,7 @@ struct ShortestTime {
   [[nodiscard]] int horizon() const { return intervals; }
   template <typename S>
   VectorOf<S, 2> step(int, const VectorOf<S, 2>& x, const VectorOf<S, 2>& u) const {
-    const S h = u(1);
+    const S& h = u(1);
     VectorOf<S, 2> end;
     end << x(0) + h * x(1) + S(0.5) * h * h * u(0), x(1) + h * u(0);
     return end;
