@@ -220,7 +220,7 @@ class Px4Node {
     if (takes_over_) take_over();
     const auto& applied = actuators_.update(time, nmpc_.command());
     late_.on_wrench(time, nmpc_.wrench_of(applied));
-    // Of now: a state that is 60 ms old would turn the vehicle over.
+    // Of now: at 1.5 m/s a state that is 60 ms old costs 60 mm.
     std::optional<tilt_ropter::BodyStated> body_now;
     if (is_known) body_now = late_.at(time, *body_, seconds(sample_), observer_.external());
     if (!flying_) reference_.start(body_now.value_or(*body_), time);
@@ -249,6 +249,7 @@ class Px4Node {
     s.heard = heard_;
     s.waits_for = !body_                           ? "vehicle_odometry"
                   : untold()                       ? "vehicle_status or vehicle_control_mode"
+                  : wrong_imu_                     ? "disarming, to calibrate again"
                   : silent_                        ? "vehicle_odometry"
                   : pilot_ == Pilot::nobody        ? "arming"
                   : pilot_ == Pilot::somebody_else ? "offboard mode"

@@ -36,17 +36,17 @@ struct SetPoint {
 class SetPoints {
  public:
   static constexpr double patience = 0.5;  ///< until the next message of a single set point [s]
-  static constexpr double farthest = 1e4;  ///< [m]
 
-  /// Nothing if there are no points, a number is not finite or too large, or times do not rise by
+  /// Nothing if there are no points, a number is not finite or above 1e4, or times do not rise by
   /// 2 ms.
   static std::optional<SetPoints> through(std::vector<SetPoint> points) {
+    constexpr double largest = 1e4;
     if (points.empty()) return std::nullopt;
     double last = -1.0;
     for (SetPoint& p : points) {
       const double size = p.position.norm() + p.velocity.norm() + p.acceleration.norm() +
                           std::abs(p.yaw) + std::abs(p.yaw_rate);
-      if (!(size < farthest) || !(p.time > last + 2e-3) || !(p.time < 1e5)) return std::nullopt;
+      if (!(size < largest) || !(p.time > last + 2e-3) || !(p.time < 1e5)) return std::nullopt;
       last = p.time;
     }
     for (std::size_t i = 1; i < points.size(); ++i)
@@ -171,8 +171,8 @@ struct Braking {
   tilt_ropter::ReferencePoint from;
 };
 
-/// The first joint's set points of a trajectory. Velocities that are missing are those between the
-/// neighbours; at the ends the vehicle then rests.
+/// The first joint's set points of a trajectory. If a velocity is missing, all between the ends are
+/// those from neighbour to neighbour, and the vehicle rests at an end without one.
 [[nodiscard]] inline std::vector<SetPoint> set_points(
     const trajectory_msgs::msg::MultiDOFJointTrajectory& m) {
   std::vector<SetPoint> points;

@@ -161,7 +161,8 @@ TEST(NodeFlights, Px4NodeSaysWhatItWaitsFor) {
   EXPECT_FALSE(s.heard[3].ever());
 }
 
-// Agent, network and estimator take their time. Without a prediction 60 ms turned the vehicle over.
+// Agent, network and estimator take their time. When late samples were compared with the actuators
+// of now, 60 ms turned the vehicle over; when a late state was taken for that of now, it lagged.
 TEST(NodeFlights, OdometryMayBeLate) {
   for (const char* level : {"wrench", "actuator"})
     for (const long delay : {0L, 30L, 60L, 80L}) {

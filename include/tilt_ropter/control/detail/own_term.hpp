@@ -93,7 +93,7 @@ class ProblemWithTerm : public WheeledFlightProblem<Rotors> {
     const OwnTerm own = term_(middle.body);
     const Eigen::Matrix<double, 6, 18> by_state = own.derivative * A.template bottomRows<9>();
     const Eigen::Matrix<double, 6, 6> by_input = own.derivative * B.template bottomRows<9>();
-    const State end = this->step_under(external + own.wrench, interval, k, x, u, A, B);
+    State end = this->step_under(external + own.wrench, interval, k, x, u, A, B);
     // A constant wrench acts on the body as the wrench of the state at the start does.
     const Eigen::Matrix<double, 12, 6> by_wrench = A.template bottomLeftCorner<12, 6>();
     A.template bottomRows<12>() += by_wrench * by_state;
