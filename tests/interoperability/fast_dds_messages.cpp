@@ -17,6 +17,7 @@
 #include <std_msgsPubSubTypes.h>
 #include <tf2_msgsPubSubTypes.h>
 #include <tilt_ropter_msgsPubSubTypes.h>
+#include <trajectory_msgsPubSubTypes.h>
 #include <visualization_msgsPubSubTypes.h>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
