@@ -2,10 +2,10 @@
 #pragma once
 
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/optimal_control/problem.hpp>
 
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
 #include <unsupported/Eigen/AutoDiff>
 
 #include <limits>
@@ -284,9 +284,14 @@ class AutoDiffProblem {
       model.gradient(0) = std::numeric_limits<double>::quiet_NaN();
       return;
     }
-    const Eigen::SelfAdjointEigenSolver<Hessian> parts(hessian);
-    hessian.noalias() = parts.eigenvectors() * parts.eigenvalues().cwiseMax(0.0).asDiagonal() *
-                        parts.eigenvectors().transpose();
+    // Eigenvalues: the singular values of a matrix that is shifted until it has no negative ones.
+    const double shift = hessian.norm();
+    for (int i = 0; i < states + inputs; ++i) hessian(i, i) += shift;
+    const detail::SingularValues<states + inputs, states + inputs> parts(hessian);
+    const Eigen::Matrix<double, states + inputs, 1> scales =
+        (parts.values.array() - shift).max(0.0).sqrt();
+    const Hessian scaled = parts.left * scales.asDiagonal();
+    hessian.noalias() = scaled * scaled.transpose();
     model.lxx() = hessian.template topLeftCorner<states, states>();
     if (k == horizon()) return;
     model.lux() = hessian.template bottomLeftCorner<inputs, states>();
