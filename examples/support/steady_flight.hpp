@@ -48,7 +48,8 @@ template <int Rotors>
   SteadyFlight<Rotors> found;
 
   // Vertical force and torques by lateral and vertical thrusts; torques by the size.
-  Eigen::Matrix<double, 4, 2 * Rotors> turning = Eigen::Matrix<double, 4, 2 * Rotors>::Zero();
+  // Of a size that is known at run time only: compiled once for all numbers of rotors.
+  Eigen::MatrixXd turning = Eigen::MatrixXd::Zero(4, 2 * Rotors);
   double size = 1e-9;
   for (std::size_t k = 0; k < Rotors; ++k) size = std::max(size, vehicle.rotors[k].position.norm());
   for (int i = 0; i < Rotors; ++i) {
@@ -61,10 +62,11 @@ template <int Rotors>
       turning.col(2 * i + vertical) << wrench.force.z(), wrench.torque / size;
     }
   }
-  const Eigen::Matrix4d gram = turning * turning.transpose() + 1e-9 * Eigen::Matrix4d::Identity();
+  Eigen::MatrixXd gram = turning * turning.transpose();
+  gram.diagonal().array() += 1e-9;
   for (int axis = 0; axis < 3; ++axis) {
-    const Eigen::Vector4d wanted = Eigen::Vector4d::Unit(1 + axis);
-    const Eigen::Vector4d given = turning * (turning.transpose() * gram.ldlt().solve(wanted));
+    const Eigen::VectorXd wanted = Eigen::VectorXd::Unit(4, 1 + axis),
+                          given = turning * (turning.transpose() * gram.ldlt().solve(wanted));
     found.turns[static_cast<std::size_t>(axis)] = (given - wanted).norm() < 1e-3;
     found.pushes[static_cast<std::size_t>(axis)] = possible(axis, axis) > 0.5;
   }

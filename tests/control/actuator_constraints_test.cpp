@@ -125,7 +125,7 @@ void expect_exact_curvature(const Vehicle<Rotors>& vehicle, const Vector6& wrenc
   constraints.add_curvature(wrench, multipliers, curvature);
   curvature -= Square::Ones();
   EXPECT_LT((curvature - expected).norm(), 1e-5 * (1.0 + expected.norm()));
-  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Square>(curvature).eigenvalues().minCoeff(),
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(curvature).eigenvalues().minCoeff(),
             -1e-12 * (1.0 + curvature.norm()));
 }
 

@@ -26,6 +26,27 @@
 #include <utility>
 #include <vector>
 
+namespace tilt_ropter::detail {
+
+// Matrices of any size: these functions compile once in a file, not once for each problem.
+
+/// Returns the multipliers of constraints at their bound, least squares of their `gradients` (rows)
+/// against the gradient of the cost.
+[[nodiscard]] inline Eigen::VectorXd multipliers_of(const Eigen::MatrixXd& gradients,
+                                                    const Eigen::VectorXd& of_cost) {
+  Eigen::MatrixXd gram = gradients * gradients.transpose();
+  gram.diagonal().array() += 1e-12 * gram.trace();
+  return gram.ldlt().solve(-(gradients * of_cost));
+}
+
+/// Returns a b^-1.
+[[nodiscard]] inline Eigen::MatrixXd over(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
+  const Eigen::MatrixXd right = b.transpose(), wanted = a.transpose();
+  return right.partialPivLu().solve(wanted).transpose();
+}
+
+}  // namespace tilt_ropter::detail
+
 /// NLopt alone: SLSQP solves a whole problem of optimal_control/problem.hpp. Against
 /// MultipleShooting this is the plain way, and an independent one: it needs no quadratic programs,
 /// no multipliers and no line search of ours, but dense algebra whose time grows with the cube of
@@ -273,8 +294,7 @@ class SingleShooting {
         interval.feedback = interval.gain;
         if constexpr (detail::has_member<RetractDerivative, Problem>)
           interval.feedback =
-              interval.gain *
-              A(Eigen::PartialPivLU<A>(problem_.retract_derivative(base_.x(k), dx)).inverse());
+              detail::over(interval.gain, problem_.retract_derivative(base_.x(k), dx));
         interval.by_state += interval.by_input * interval.feedback;
       }
       finite = finite && all_finite(here_.u(k)) &&
@@ -360,10 +380,8 @@ class SingleShooting {
         ++index;
       }
     if (violated) return any;
-    const auto active = slopes.topRows(count());
-    Eigen::MatrixXd gram = active * active.transpose();
-    gram.diagonal().array() += 1e-12 * gram.trace();
-    const Eigen::VectorXd multipliers = gram.ldlt().solve(-(active * gradient.head(coordinates())));
+    const Eigen::VectorXd multipliers =
+        detail::multipliers_of(slopes.topRows(count()), gradient.head(coordinates()));
     for (Eigen::Index i = 0; i < count(); ++i) {
       Row& row = *at_bound[detail::size(i)];
       row.gives_way = multipliers(i) > row.penalty;
