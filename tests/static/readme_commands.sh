@@ -51,7 +51,10 @@ missing() {  # file
 shorter() {  # sets `command` to one that takes less time and needs the same of program and README
   case $command in
     # tune_weights_test searches.
-    build/examples/tune_weights*) command+=" --evaluations 1 --no-mujoco --no-pictures" ;;
+    build/examples/tune_weights*)
+      command+=" --evaluations 1 --no-mujoco --no-pictures"
+      [[ $full || $command == *--vehicles* ]] || command+=" --vehicles 1"
+      ;;
     *--no-pictures* | *--write-*) ;;
     build/examples/hybrid_mission*)
       [[ $full ]] || command=${command/hybrid_mission/hybrid_mission --no-pictures} ;;
