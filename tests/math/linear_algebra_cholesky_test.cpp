@@ -306,5 +306,32 @@ TEST(Cholesky, CountsNonFiniteEntriesAsDroppedColumns) {
       }
 }
 
+TEST(Cholesky, OfTheEstimatorsSolvesLikeEigenOrSaysThatNothingIsDefinite) {
+  Random random(9);
+  constexpr int n = 6;
+  using Square = Eigen::Matrix<double, n, n>;
+  for (int i = 0; i < 50; ++i) {
+    Square A = random_definite(random, n);
+    const Eigen::LLT<MatrixXd> llt(A);
+    const Eigen::Matrix<double, n, 1> x = random_vector(random, n);
+    Eigen::Matrix<double, 4, n> rows;
+    for (int r = 0; r < 4; ++r) rows.row(r) = random_vector(random, n).transpose();
+    A.triangularView<Eigen::StrictlyUpper>().setConstant(nan);  // is not read
+    const detail::Cholesky factor(A);
+    EXPECT_TRUE(factor.is_definite);
+    EXPECT_LT(error(factor.solve(x), llt.solve(x)), 1e-13);
+    const MatrixXd truth = llt.solve(MatrixXd(rows.transpose())).transpose();
+    EXPECT_LT((factor.solve_rows(rows) - truth).norm(), 1e-13 * truth.norm());
+    const Eigen::Matrix<float, n, n> single = A.cast<float>();
+    const Eigen::Matrix<float, n, 1> least = detail::Cholesky(single).solve(x.cast<float>());
+    EXPECT_LT(error(least.cast<double>(), llt.solve(x)), 1e-4);
+    for (const double bad : {0.0, -1.0, nan}) {
+      Square spoilt = A;
+      spoilt(i % n, i % n) = bad;
+      EXPECT_FALSE(detail::Cholesky(spoilt).is_definite) << bad << " at " << i % n;
+    }
+  }
+}
+
 }  // namespace linear_algebra_cholesky_test
 }  // namespace tilt_ropter

@@ -3,12 +3,12 @@
 
 #include <tilt_ropter/estimation/detail/inertial_state.hpp>
 #include <tilt_ropter/estimation/detail/measurement_model.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
@@ -311,10 +311,10 @@ MeasurementInnovation<Scalar, Measurement::rows> ErrorStateFilter<Scalar>::innov
   const typename Measurement::Square s = at.times(in.correlation);
   in.covariance = (s + s.transpose()) / Scalar(2);
   at.add_noise(in.covariance);
-  const auto factor = in.covariance.llt();
+  const detail::Cholesky factor(in.covariance);
   in.by_time = at.by_time;
   in.distance = std::numeric_limits<Scalar>::max();
-  in.is_definite = factor.info() == Eigen::Success;
+  in.is_definite = factor.is_definite;
   if (!in.is_definite) return in;
   const Scalar square = in.residual.dot(factor.solve(in.residual));
   if (square < in.distance) in.distance = square;  // huge residuals overflow
@@ -325,9 +325,9 @@ template <typename Scalar>
 template <typename Measurement>
 bool ErrorStateFilter<Scalar>::update(const MeasurementInnovation<Scalar, Measurement::rows>& in,
                                       const Measurement& at) noexcept {
-  const auto factor = in.covariance.llt();
-  if (factor.info() != Eigen::Success) return false;
-  const typename Measurement::Columns gain = factor.solve(in.correlation.transpose()).transpose();
+  const detail::Cholesky factor(in.covariance);
+  if (!factor.is_definite) return false;
+  const typename Measurement::Columns gain = factor.solve_rows(in.correlation);
   Covariance left = covariance_;  // (I - K H) P
   left.noalias() -= gain * in.correlation.transpose();
   typename Measurement::Columns rest = at.times_noise(gain);

@@ -8,6 +8,7 @@
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/estimation/detail/measurement_faults.hpp>
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
@@ -433,9 +434,8 @@ class MeasurementGuard {
     if (!turn_.is_open() && !(continuity_.turned() && used_since_start_ >= 2 * enough))
       return false;
     const Vector3<Scalar> residual = in.residual.template head<3>();
-    const auto factor = in.covariance.template topLeftCorner<3, 3>().llt();
-    return factor.info() == Eigen::Success &&
-           residual.dot(factor.solve(residual)) <= Scalar(gate_of(3));
+    const detail::Cholesky factor(Matrix3<Scalar>(in.covariance.template topLeftCorner<3, 3>()));
+    return factor.is_definite && residual.dot(factor.solve(residual)) <= Scalar(gate_of(3));
   }
 
   static double distance_of(const PoseComparison<Scalar>& c) noexcept {
@@ -488,7 +488,7 @@ class MeasurementGuard {
   /// Latency of a gated pose [s], infinite unless it explains the innovation and motion shows it.
   [[nodiscard]] double latency_of(const MeasurementInnovation<Scalar, 6>& in) const noexcept {
     constexpr double stddev = 0.003;  // [s]
-    const Eigen::Matrix<Scalar, 6, 1> weighted = in.covariance.llt().solve(in.by_time);
+    const Eigen::Matrix<Scalar, 6, 1> weighted = detail::Cholesky(in.covariance).solve(in.by_time);
     const auto score = static_cast<double>(weighted.dot(in.residual)),
                information = static_cast<double>(weighted.dot(in.by_time));
     const bool is_explained =

@@ -3,9 +3,9 @@
 
 #include <tilt_ropter/estimation/detail/inertial_state.hpp>
 #include <tilt_ropter/math/detail/finite.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 /// What a measurement model gives to the error-state filter: residual, Jacobian and noise at the
@@ -67,7 +67,7 @@ struct Linearised {
   /// True if every number is finite, and the noise positive definite without stddev above 1e5.
   [[nodiscard]] bool is_usable() const noexcept {
     return all_finite(residual) && all_finite(jacobian) && all_finite(noise) &&
-           noise.diagonal().maxCoeff() <= Scalar(1e10) && noise.llt().info() == Eigen::Success;
+           noise.diagonal().maxCoeff() <= Scalar(1e10) && detail::Cholesky(noise).is_definite;
   }
 };
 
