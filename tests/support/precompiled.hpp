@@ -5,8 +5,6 @@
 #include <tilt_ropter/identification/log_calibration.hpp>
 #include <tilt_ropter/identification/servo_identification.hpp>
 #include <tilt_ropter/identification/vehicle_identification.hpp>
-#include <tilt_ropter/optimal_control/auto_diff_problem.hpp>
-#include <tilt_ropter/optimal_control/single_shooting.hpp>
 #include <tilt_ropter/tilt_ropter.hpp>
 
 #if __has_include(<CLI/CLI.hpp>)
@@ -27,7 +25,6 @@
   prefix template class FailureDetector<4>;                                           \
   prefix template class Plant<4>;                                                     \
   prefix template class Plant<6>;                                                     \
-  prefix template class RigidBody<double>;                                            \
   prefix template class RotorSpeedSensor<4>;                                          \
   prefix template class detail::ThrustChoice<4>;                                      \
   prefix template class detail::ThrustLimits<4, double>;                              \
@@ -72,14 +69,9 @@
   prefix template EkfStatus Ekf<double>::on_measurement(                                           \
       double, const WorldVelocityMeasurement<double>&) noexcept;
 
-#define TILT_ROPTER_SOLVER_TEST_INSTANCES(prefix)                                             \
-  prefix template class WheeledFlightProblem<0>;                                              \
-  prefix template class WheeledFlightProblem<4>;                                              \
-  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<0>>;           \
-  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<4>>;           \
-  prefix template class optimal_control::Riccati<18, 6,                                       \
-                                                 WheeledFlightProblem<0>::TransitionPattern>; \
-  prefix template class optimal_control::Riccati<18, 6, WheeledFlightProblem<4>::TransitionPattern>;
+#define TILT_ROPTER_SOLVER_TEST_INSTANCES(prefix)                                   \
+  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<0>>; \
+  prefix template class optimal_control::MultipleShooting<WheeledFlightProblem<4>>;
 
 #ifdef TILT_ROPTER_COMPILES_ONCE
 namespace tilt_ropter {

@@ -15,8 +15,8 @@
 /// singular values, Cholesky factorisations.
 ///
 /// Matrices are stored in Eigen's types, and the estimators and identification compute with Eigen,
-/// but for Cholesky: a program with Ekf takes 11.8 s to compile instead of 22.4 s (GCC, -O2). In
-/// the control loop the functions below replace Eigen's, for four reasons.
+/// but the filter has Cholesky from here: a program with Ekf takes 11.8 s to compile instead of
+/// 22.4 s (GCC, -O2). In the control loop the functions below replace Eigen's, for four reasons.
 ///
 /// 1. Time to compile. Every user of the controller compiles them. A file that includes Eigen/Dense
 ///    takes 0.8 s (clang 14, -O2). One use of each adds:
