@@ -259,6 +259,7 @@ template <int Rotors>
   const double radius = vehicle.wheels ? vehicle.wheels->radius : foot_radius;
   const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
   std::ostringstream xml;
+  // The extent scales the camera's near plane; MuJoCo's own would reach to the wall far below.
   xml << R"(<mujoco model="tilt_ropter">
 <compiler angle="radian" inertiafromgeom="false" balanceinertia="false" discardvisual=)"
       << quoted(p.seen ? "false" : "true") << R"(/>
@@ -266,6 +267,7 @@ template <int Rotors>
       << " timestep=" << quoted(numbers(p.time_step))
       << " gravity=" << quoted(numbers(0.0, 0.0, -tilt_ropter::gravity)) << R"(/>
 <size nconmax="60" njmax="400"/>
+<statistic extent="1"/>
 <visual>
   <global offwidth="1920" offheight="1080" fovy="32"/>
   <quality shadowsize="4096" offsamples="4"/>
