@@ -22,8 +22,11 @@ class Error : public std::runtime_error {
 /// The description of a message for Cyclone; messages.hpp specialises it for each message.
 template <typename Message>
 const dds_topic_descriptor_t& descriptor();
+/// Its hash in ROS 2, or "" if it has none; the same.
+template <typename Message>
+const char* type_hash();
 
-/// Qualities of service. All topics are volatile and keep the last `depth` messages. A subscriber
+/// Qualities of service. Topics keep the last `depth` messages. A subscriber
 /// hears publishers that offer at least what it requests.
 struct Quality {
   bool reliable = true;
@@ -31,12 +34,17 @@ struct Quality {
   std::int64_t deadline = DDS_INFINITY;  ///< longest time between messages [ns]
   std::int64_t lease = DDS_INFINITY;     ///< a publisher that is silent on the wire is dead [ns]
   bool ignore_own = false;  ///< of a subscriber: hear no publisher of the same participant
+  bool latched = false;     ///< a subscriber that comes later also gets them (transient local)
 };
 inline constexpr Quality default_quality{true, 10};  ///< of ROS 2
 inline constexpr Quality sensor_data{false, 5};      ///< of ROS 2, for sensors
 
+/// The DDS topic on which ROS 2 says what belongs to which node.
+inline constexpr char graph_topic[] = "ros_discovery_info";
+
 /// Returns the DDS topic of a ROS 2 topic. A relative name becomes one in the root name space.
 [[nodiscard]] inline std::string topic_name(const std::string& ros_topic) {
+  if (ros_topic == graph_topic) return ros_topic;
   return (ros_topic.rfind('/', 0) == 0 ? "rt" : "rt/") + ros_topic;
 }
 
@@ -66,11 +74,20 @@ class Participant {
  public:
   /// Throws Error, for example if CYCLONEDDS_URI names a network interface that does not exist.
   explicit Participant(std::uint32_t domain)
-      : entity_(dds_create_participant(domain, nullptr, nullptr),
-                "a participant in DDS domain " + std::to_string(domain)) {}
+      : entity_(create(domain), "a participant in DDS domain " + std::to_string(domain)) {}
   [[nodiscard]] dds_entity_t get() const { return entity_.get(); }
 
  private:
+  // ROS 2 takes a participant for its own if it says to which enclave it belongs.
+  static dds_entity_t create(std::uint32_t domain) {
+    static constexpr char enclave[] = "enclave=/;";
+    dds_qos_t* qos = dds_create_qos();
+    dds_qset_userdata(qos, enclave, sizeof enclave - 1);
+    const dds_entity_t participant = dds_create_participant(domain, qos, nullptr);
+    dds_delete_qos(qos);
+    return participant;
+  }
+
   Entity entity_;
 };
 
@@ -78,16 +95,20 @@ namespace detail {
 
 class QualityHandle {
  public:
-  explicit QualityHandle(const Quality& quality) : qos_(dds_create_qos()) {
+  QualityHandle(const Quality& quality, const std::string& hash) : qos_(dds_create_qos()) {
     // A full queue never makes the writer wait: then the message is lost for slow readers.
     dds_qset_reliability(
         qos_, quality.reliable ? DDS_RELIABILITY_RELIABLE : DDS_RELIABILITY_BEST_EFFORT, 0);
     dds_qset_history(qos_, DDS_HISTORY_KEEP_LAST, quality.depth);
-    dds_qset_durability(qos_, DDS_DURABILITY_VOLATILE);
+    dds_qset_durability(qos_,
+                        quality.latched ? DDS_DURABILITY_TRANSIENT_LOCAL : DDS_DURABILITY_VOLATILE);
     dds_qset_deadline(qos_, quality.deadline);
     dds_qset_liveliness(qos_, DDS_LIVELINESS_AUTOMATIC, quality.lease);
     dds_qset_ignorelocal(qos_,
                          quality.ignore_own ? DDS_IGNORELOCAL_PARTICIPANT : DDS_IGNORELOCAL_NONE);
+    if (hash.empty()) return;
+    const std::string told = "typehash=RIHS01_" + hash + ';';  // ROS 2 warns where it is missing
+    dds_qset_userdata(qos_, told.data(), told.size());
   }
   ~QualityHandle() { dds_delete_qos(qos_); }
   QualityHandle(const QualityHandle&) = delete;
@@ -116,9 +137,10 @@ class Publisher {
   Publisher(const Participant& participant, const std::string& ros_topic,
             const Quality& quality = default_quality)
       : topic_(detail::topic<Message>(participant, topic_name(ros_topic))),
-        writer_(dds_create_writer(participant.get(), topic_.get(),
-                                  detail::QualityHandle(quality).get(), nullptr),
-                "a writer of " + ros_topic) {}
+        writer_(
+            dds_create_writer(participant.get(), topic_.get(),
+                              detail::QualityHandle(quality, type_hash<Message>()).get(), nullptr),
+            "a writer of " + ros_topic) {}
 
   /// Sends `message`; it is copied. Returns false if the message was not sent.
   bool publish(const Message& message) { return dds_write(writer_.get(), &message) >= 0; }
@@ -129,6 +151,7 @@ class Publisher {
     dds_get_publication_matched_status(writer_.get(), &status);
     return static_cast<int>(status.current_count);
   }
+  [[nodiscard]] dds_entity_t writer() const { return writer_.get(); }
 
  private:
   Entity topic_, writer_;
@@ -141,9 +164,10 @@ class Subscriber {
   Subscriber(const Participant& participant, const std::string& ros_topic,
              const Quality& quality = default_quality)
       : topic_(detail::topic<Message>(participant, topic_name(ros_topic))),
-        reader_(dds_create_reader(participant.get(), topic_.get(),
-                                  detail::QualityHandle(quality).get(), nullptr),
-                "a reader of " + ros_topic) {}
+        reader_(
+            dds_create_reader(participant.get(), topic_.get(),
+                              detail::QualityHandle(quality, type_hash<Message>()).get(), nullptr),
+            "a reader of " + ros_topic) {}
 
   /// Calls action(message) or action(message, info) for every message that has arrived, the oldest
   /// first. The message and what it points to exist during the call only. Returns the number of

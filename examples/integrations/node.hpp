@@ -1,6 +1,7 @@
 #pragma once
 
 #include "dds.hpp"
+#include "graph.hpp"
 #include "messages.hpp"
 #include "parameters.hpp"
 #include "real_time.hpp"
@@ -45,7 +46,10 @@ class Node {
   /// Throws dds::Error, std::runtime_error as ros_domain(), std::invalid_argument for a wrong
   /// parameter.
   explicit Node(Parameters& parameters)
-      : parameters_(parameters), participant_(ros_domain()), waiting_(participant_) {
+      : parameters_(parameters),
+        participant_(ros_domain()),
+        graph_(participant_, parameters.name_space(), parameters.node()),
+        waiting_(participant_) {
     stopped_ = 0;
     for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { stopped_ = 1; });
     if (parameters.choice("use_sim_time", false))
@@ -60,18 +64,22 @@ class Node {
     const auto subscriber =
         std::make_shared<dds::Subscriber<Message>>(participant_, parameters_.topic(topic), quality);
     waiting_.add(*subscriber);
+    graph_.add_reader(subscriber->reader());
     receivers_.push_back([subscriber, action] { subscriber->take(action); });
   }
   template <typename Message>
   [[nodiscard]] dds::Publisher<Message> publisher(const std::string& topic,
                                                   const dds::Quality& quality) {
-    return {participant_, parameters_.topic(topic), quality};
+    dds::Publisher<Message> publisher(participant_, parameters_.topic(topic), quality);
+    graph_.add_writer(publisher.writer());
+    return publisher;
   }
 
   /// Calls tick(time) every `period` [ns], with the time [ns] of the clock of ROS 2, as TickTimer
   /// says.
   template <typename Tick>
   void spin(std::int64_t period, const Tick& tick) {
+    graph_.publish();
     timer_ = TickTimer(period, use_clock_);
     while (stopped_ == 0) {
       waiting_.wait(use_clock_ ? period : timer_.due() - now_ns());
@@ -93,6 +101,7 @@ class Node {
   inline static volatile std::sig_atomic_t stopped_ = 0;
   Parameters& parameters_;
   dds::Participant participant_;
+  Graph graph_;
   dds::WaitSet waiting_;
   std::vector<std::function<void()>> receivers_;
   TickTimer timer_{1, false};

@@ -124,6 +124,9 @@ class Parameters {
   }
   /// Returns "/NAMESPACE/NODE".
   [[nodiscard]] std::string full_name() const { return name_space_ + "/" + node_; }
+  [[nodiscard]] const std::string& node() const { return node_; }
+  /// Returns "/NAMESPACE", or "/" for a node in no namespace.
+  [[nodiscard]] std::string name_space() const { return name_space_.empty() ? "/" : name_space_; }
 
   /// Call this after everything was read. Throws std::invalid_argument for a parameter or topic
   /// that nobody asked for.
