@@ -101,14 +101,21 @@ struct PacedMission {
 class FlightPlan {
  public:
   static constexpr double farthest = 1e4;  ///< longest way [m]
+  /// Nobody means a point that is lower than the CoM of the vehicle on the ground, at z = 0, by
+  /// more than this [m]: its z points down.
+  static constexpr double deepest = 0.5;
 
-  /// The point or the mission of the parameters. Throws as mission_of().
+  /// The point or the mission of the parameters. Throws as mission_of(), and std::invalid_argument
+  /// for a point below the ground.
   FlightPlan(Parameters& parameters, const examples::VehicleFile& file)
       : undercarriage_(std::visit([](const auto& v) { return undercarriage(v); }, file.vehicle)) {
     point_.position << parameters.number("hover_x", 0.0), parameters.number("hover_y", 0.0),
         parameters.number("hover_z", 1.5);
     point_.yaw = parameters.number("hover_yaw", 0.0);
     validate(point_, "hover_x, hover_y, hover_z, hover_yaw");
+    if (is_below_ground(point_.position))
+      throw std::invalid_argument("hover_z = " + parameters.text("hover_z") +
+                                  ": must be above the ground, at 0; z points up");
     if (const auto mission = mission_of(parameters, file))
       mission_ = std::make_shared<const tilt_ropter::Mission>(*mission);
     restart();
@@ -118,6 +125,11 @@ class FlightPlan {
   /// The reference at `time` [s].
   tilt_ropter::ReferencePoint operator()(double time) const {
     tilt_ropter::ReferencePoint point = piece(time)(time);
+    if (follows_set_points_ && point.position.z() < floor_) {  // a motion that goes on, or stops
+      point.position.z() = floor_;
+      point.velocity.z() = std::max(point.velocity.z(), 0.0);
+      point.acceleration.z() = std::max(point.acceleration.z(), 0.0);
+    }
     point.position += step_;
     point.orientation = tilt_ropter::quaternion_from_yaw(turn_) * point.orientation;
     if (point.push) point.push->surface.point += step_;
@@ -155,7 +167,8 @@ class FlightPlan {
   void restart() { progress_ = mission_ ? mission_->start_time() : 0.0; }
 
   /// Flies to another point, at `time` [s]: the position and the heading of `pose`. This ends a
-  /// mission. Returns false, and flies on, if it is no pose or farther away than `farthest`.
+  /// mission. Returns false, and flies on, if it is no pose, farther away than `farthest` or below
+  /// the ground.
   bool fly_to(const geometry_msgs::msg::Pose& pose, double time) {
     const Eigen::Vector3d position(pose.position.x, pose.position.y, pose.position.z);
     const Eigen::Quaterniond orientation(pose.orientation.w, pose.orientation.x, pose.orientation.y,
@@ -165,6 +178,7 @@ class FlightPlan {
       return false;
     const tilt_ropter::Waypoint to{position - step_,
                                    tilt_ropter::yaw_of(orientation.normalized()) - turn_};
+    if (is_below_ground(to.position)) return false;
     if (!mission_ && to.position == point_.position && to.yaw == point_.yaw)
       return true;  // a stream of the same point does not hold the vehicle back
     Pieces pieces = ending(time);
@@ -180,11 +194,15 @@ class FlightPlan {
   /// Follows `points` from `time` [s] on, until others come; at the end it stops. To a trajectory
   /// that begins somewhere else the vehicle first flies. This ends a mission. Returns false,
   /// and flies on, if there are none, numbers are not finite, times do not rise, or they are
-  /// farther away than `farthest`.
+  /// farther away than `farthest` or below the ground. Between and after them the reference stays
+  /// above the ground and the lowest of them.
   bool follow(std::vector<SetPoint> points, double time) {
+    double floor = lowest();
     for (SetPoint& p : points) {
       p.position -= step_;
       p.yaw -= turn_;
+      floor = std::min(floor, p.position.z());
+      if (is_below_ground(p.position)) return false;
     }
     std::optional<SetPoints> motion = SetPoints::through(std::move(points));
     if (!motion) return false;
@@ -211,13 +229,15 @@ class FlightPlan {
     }
     mission_.reset();
     const Braking braking{(*motion)(motion->duration())};
-    const tilt_ropter::ReferencePoint end = braking(Braking::duration);
+    tilt_ropter::ReferencePoint end = braking(Braking::duration);
+    end.position.z() = std::max(end.position.z(), floor);
     point_ = {end.position, tilt_ropter::yaw_of(end.orientation)};
     pieces.push_back({tilt_ropter::MissionPhase::air, *motion, 0.0, motion->duration()});
     pieces.push_back({tilt_ropter::MissionPhase::air, braking, 0.0, Braking::duration});
     pieces.push_back({tilt_ropter::MissionPhase::hover, tilt_ropter::Hold(point_, 1e-3)});
     fly_pieces(std::move(pieces), time);
     follows_set_points_ = true;
+    floor_ = floor;
     return true;
   }
 
@@ -229,6 +249,12 @@ class FlightPlan {
 
  private:
   using Pieces = std::vector<tilt_ropter::MissionSegment>;
+
+  // Height of the CoM on the ground [m].
+  [[nodiscard]] double lowest() const { return undercarriage_ ? undercarriage_->height : 0.0; }
+  [[nodiscard]] bool is_below_ground(const Eigen::Vector3d& position) const {
+    return position.z() < lowest() - deepest;
+  }
 
   // The motion of now ends within a second.
   [[nodiscard]] Pieces ending(double time) const {
@@ -310,6 +336,7 @@ class FlightPlan {
   Eigen::Vector3d step_ = Eigen::Vector3d::Zero();  // of the frame, see move() [m]
   double turn_ = 0.0;                               // [rad]
   bool follows_set_points_ = false;
+  double floor_ = 0.0;  // lowest reference of set points [m]
 };
 
 /// Returns the same settings as the parameters of a node say. With `use_sim_time` they have no time

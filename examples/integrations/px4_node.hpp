@@ -171,7 +171,7 @@ class Px4Node {
   /// Where to hover from now on.
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, time_))
-      std::cerr << "px4_node: hover_point is ignored: no pose, or too far away\n";
+      std::cerr << "px4_node: hover_point is ignored: no pose, too far away, or below the ground\n";
   }
 
   /// Set points of another program, which end a mission.
@@ -282,7 +282,8 @@ class Px4Node {
 
   void follow(const char* topic, std::vector<SetPoint> points) {
     if (!reference_.follow(std::move(points), time_))
-      std::cerr << "px4_node: " << topic << " is ignored: no set points, or too far away\n";
+      std::cerr << "px4_node: " << topic
+                << " is ignored: no set points, too far away, or below the ground\n";
   }
 
   [[nodiscard]] bool untold() const { return !(std::abs(time_ - told_) <= longest_untold); }

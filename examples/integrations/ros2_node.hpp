@@ -116,13 +116,15 @@ class Ros2Node {
   /// Where to hover from now on.
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, now_.value_or(0.0)))
-      std::cerr << "ros2_node: hover_point is ignored: no pose, or too far away\n";
+      std::cerr
+          << "ros2_node: hover_point is ignored: no pose, too far away, or below the ground\n";
   }
 
   /// Set points of another program, which end a mission.
   void on_trajectory(const trajectory_msgs::msg::MultiDOFJointTrajectory& m) {
     if (!reference_.follow(set_points(m), now_.value_or(0.0)))
-      std::cerr << "ros2_node: trajectory is ignored: no set points, or too far away\n";
+      std::cerr
+          << "ros2_node: trajectory is ignored: no set points, too far away, or below the ground\n";
   }
 
   /// One period of the controller at the time `now` [ns]. Returns the command to publish, which is

@@ -270,6 +270,34 @@ TEST(FlightPlan, IgnoresSetPointsThatAreNone) {
   EXPECT_EQ(plan(20.0).position, p);
 }
 
+// A point with z down, as of NED, would be a dive into the ground.
+TEST(FlightPlan, KnowsTheGround) {
+  EXPECT_THROW(plan_of({{"hover_z", "-1.5"}}), std::invalid_argument);
+  FlightPlan plan = plan_of({});
+  const double stands = tilt_ropter::tilt_ropter_vehicle().wheels->radius;
+  const Vector3d zero = Vector3d::Zero();
+  EXPECT_FALSE(plan.fly_to(pose_at(1.0, 0.0, -1.5), 1.0));
+  EXPECT_FALSE(plan.follow({set_point(0.0, {1.0, 0.0, -1.5}, zero)}, 1.0));
+  EXPECT_FALSE(plan.follow(
+      {set_point(0.0, {1.0, 0.0, 1.5}, zero), set_point(3.0, {1.0, 0.0, -1.5}, zero)}, 1.0));
+  EXPECT_EQ(plan(20.0).position, Vector3d(0.0, 0.0, 1.5));
+  EXPECT_TRUE(plan.fly_to(pose_at(0.0, 0.0, stands), 20.0));  // to land there
+
+  // What goes on after a set point, and the way to a stop, ends on the ground.
+  double lowest = 1e9;
+  ASSERT_TRUE(plan.follow({set_point(0.0, {0.0, 0.0, 1.0}, {0.0, 0.0, -3.0})}, 20.5));
+  for (double t = 20.5; t < 25.0; t += 0.01) {
+    const ReferencePoint point = plan(t);
+    lowest = std::min(lowest, point.position.z());
+    if (point.position.z() == stands) {
+      EXPECT_GE(point.velocity.z(), 0.0);
+    }
+  }
+  EXPECT_EQ(lowest, stands);
+  plan.start(body_at({0.0, 0.0, stands}), 25.0);
+  EXPECT_EQ(plan(40.0).position.z(), stands);
+}
+
 TEST(SetPoints, ComeFromMessages) {
   px4_msgs::msg::TrajectorySetpoint px4{};
   const float nan = std::nanf("");
