@@ -28,20 +28,26 @@
 
 namespace tilt_ropter::detail {
 
-// Matrices of any size: these functions compile once in a file, not once for each problem.
+template <typename Scalar>
+using MatrixX = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+
+// Matrices of any size: these functions compile once in a file, not once for each problem, and as
+// templates only where they are used.
 
 /// Returns the multipliers of constraints at their bound, least squares of their `gradients` (rows)
 /// against the gradient of the cost.
-[[nodiscard]] inline Eigen::VectorXd multipliers_of(const Eigen::MatrixXd& gradients,
-                                                    const Eigen::VectorXd& of_cost) {
-  Eigen::MatrixXd gram = gradients * gradients.transpose();
+template <typename Scalar>
+[[nodiscard]] MatrixX<Scalar> multipliers_of(const MatrixX<Scalar>& gradients,
+                                             const MatrixX<Scalar>& of_cost) {
+  MatrixX<Scalar> gram = gradients * gradients.transpose();
   gram.diagonal().array() += 1e-12 * gram.trace();
   return gram.ldlt().solve(-(gradients * of_cost));
 }
 
 /// Returns a b^-1.
-[[nodiscard]] inline Eigen::MatrixXd over(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
-  const Eigen::MatrixXd right = b.transpose(), wanted = a.transpose();
+template <typename Scalar>
+[[nodiscard]] MatrixX<Scalar> over(const MatrixX<Scalar>& a, const MatrixX<Scalar>& b) {
+  const MatrixX<Scalar> right = b.transpose(), wanted = a.transpose();
   return right.partialPivLu().solve(wanted).transpose();
 }
 
@@ -294,7 +300,7 @@ class SingleShooting {
         interval.feedback = interval.gain;
         if constexpr (detail::has_member<RetractDerivative, Problem>)
           interval.feedback =
-              detail::over(interval.gain, problem_.retract_derivative(base_.x(k), dx));
+              detail::over<double>(interval.gain, problem_.retract_derivative(base_.x(k), dx));
         interval.by_state += interval.by_input * interval.feedback;
       }
       finite = finite && all_finite(here_.u(k)) &&
@@ -381,7 +387,7 @@ class SingleShooting {
       }
     if (violated) return any;
     const Eigen::VectorXd multipliers =
-        detail::multipliers_of(slopes.topRows(count()), gradient.head(coordinates()));
+        detail::multipliers_of<double>(slopes.topRows(count()), gradient.head(coordinates()));
     for (Eigen::Index i = 0; i < count(); ++i) {
       Row& row = *at_bound[detail::size(i)];
       row.gives_way = multipliers(i) > row.penalty;
