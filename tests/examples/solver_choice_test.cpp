@@ -59,12 +59,19 @@ TEST(SolverChoice, RefusesWhatIsNoChoice) {
 // The whole problem by SLSQP in every tick takes minutes for a hop.
 TEST(SolverChoice, NloptAloneFliesAsWell) {
   const Directory directory("nlopt_alone");
+  // The full run also flies and drives through points; a whole mission takes five minutes.
+  const std::string way =
+                        R"({"type": "way_points", "points_m": [[0.6, 0.3, 0.7], [1.2, 0, 0.5]]},)",
+                    drive = R"(, {"type": "turn"},
+      {"type": "way_points", "points_m": [[1.8, 0.3], [2.4, 0]]}, {"type": "stop"})";
+  const bool full = test_support::full_run();
   directory.write("hop.json",
                   R"({"name": "hop", "start": {"position_m": [0, 0], "yaw_deg": 0}, "segments": [
-      {"type": "rest", "duration_s": 0.2}, {"type": "take_off", "height_m": 0.5},
-      {"type": "hover", "duration_s": 0.2}, {"type": "land"}]})");
-  std::string mission;  // the whole one in the full run, which takes minutes
-  if (!test_support::full_run()) mission = "--mission-file '" + directory.file("hop.json") + "' ";
+      {"type": "rest", "duration_s": 0.2}, {"type": "take_off", "height_m": 0.5},)" +
+                      (full ? way : "") +
+                      R"({"type": "hover", "duration_s": 0.2}, {"type": "land"})" +
+                      (full ? drive : "") + "]}");
+  const std::string mission = "--mission-file '" + directory.file("hop.json") + "' ";
   const Outcome usual = run(HYBRID_MISSION_PROGRAM, mission),
                 alone = run(HYBRID_MISSION_PROGRAM, mission + "--solver nlopt_alone");
   ASSERT_EQ(alone.exit_code, 0) << alone.output;
