@@ -353,6 +353,11 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
   if (mode_ != FlightMode::hold) waits_ = false;
   if (waits_ && is_good) wait_for(reference(time), time);
   const bool follows = mode_ == FlightMode::mission || mode_ == FlightMode::returning;
+  const bool doubts = (doubtful_for_ > in_doubt && follows) ||
+                      (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground);
+  // The first velocity in the air is a guess: it holds where it is when it knows better.
+  const bool guesses = mode_ == FlightMode::hold && starts_in_air_ &&
+                       vertical_stddev(InertialIndex::velocity) > 0.03;
   switch (mode_) {
     case FlightMode::mission:
     case FlightMode::returning:
@@ -360,12 +365,8 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
       // Who holds for long does not know where.
       if (lost || (mode_ == FlightMode::hold && time - mode_since_ > longest_hold))
         begin(FlightMode::landing, time);
-      else if ((doubtful_for_ > in_doubt && follows) ||
-               (trust_.unconfirmed && !was_unconfirmed && !contact_.estimate().on_ground))
+      else if (doubts || guesses)
         begin(FlightMode::hold, time);
-      else if (mode_ == FlightMode::hold && starts_in_air_ &&
-               vertical_stddev(InertialIndex::velocity) > 0.03)
-        begin(FlightMode::hold, time);  // where it is now: the first velocity is a guess
       else if (mode_ == FlightMode::hold && time - bad_until_ > good_for)
         return_to(reference(time), time);
       else if (mode_ == FlightMode::returning && time - mode_since_ > way_time_)
