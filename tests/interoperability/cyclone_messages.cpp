@@ -68,7 +68,7 @@ TEST(Interoperability, EveryFieldPassesBetweenCycloneAndFastDds) {
   std::vector<std::string> names;
   std::vector<std::unique_ptr<Exchange>> all;
 #define TOPIC(PACKAGE, MODULE, NAME, WIRE_NAME)                                   \
-  names.emplace_back(#NAME);                                                      \
+  names.emplace_back(#MODULE #NAME);                                              \
   all.push_back(std::make_unique<ExchangeOf<PACKAGE##_msg_##MODULE##_##NAME##_>>( \
       participant, static_cast<int>(all.size())));
 #include "topics.inc"

@@ -12,6 +12,7 @@
 #include <geometry_msgsPubSubTypes.h>
 #include <nav_msgsPubSubTypes.h>
 #include <px4_msgsPubSubTypes.h>
+#include <rmw_dds_commonPubSubTypes.h>
 #include <rosgraph_msgsPubSubTypes.h>
 #include <sensor_msgsPubSubTypes.h>
 #include <std_msgsPubSubTypes.h>
@@ -136,9 +137,9 @@ void run(std::uint32_t domain) {
   std::vector<std::string> names;
   std::vector<std::unique_ptr<Exchange>> all;
 #define TOPIC(PACKAGE, MODULE, NAME, WIRE_NAME)                                        \
-  names.emplace_back(#NAME);                                                           \
+  names.emplace_back(#MODULE #NAME);                                                   \
   all.push_back(std::make_unique<ExchangeOf<PACKAGE::msg::MODULE::NAME##_PubSubType>>( \
-      std::string(#NAME) == #WIRE_NAME ? current : make_participant(domain),           \
+      std::string(#MODULE) == "dds_" ? current : make_participant(domain),             \
       static_cast<int>(all.size()), #PACKAGE "::msg::dds_::" #WIRE_NAME "_"));
 #include "topics.inc"
 #undef TOPIC
