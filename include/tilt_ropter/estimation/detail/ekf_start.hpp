@@ -124,9 +124,11 @@ void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) 
   x.position = pose.position - x.orientation * x.marker_position;
   auto p = filter.covariance();
   const Matrix3<Scalar> rotation = turn.toRotationMatrix();
-  p.template middleRows<3>(I::velocity) = (rotation * p.template middleRows<3>(I::velocity)).eval();
-  p.template middleCols<3>(I::velocity) =
-      (p.template middleCols<3>(I::velocity) * rotation.transpose()).eval();
+  for (int i = 0; i < I::size; ++i)
+    put(square(rotation) * triple(p, I::velocity, i), p, I::velocity, i);
+  p.transposeInPlace();
+  for (int i = 0; i < I::size; ++i)
+    put(square(rotation) * triple(p, I::velocity, i), p, I::velocity, i);
   forget(p, I::position, 1.0);
   // The heading is as good as the pose says; the tilt is kept.
   const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
@@ -206,12 +208,9 @@ template <typename Scalar>
   auto p = filter.covariance();
   p.template middleRows<3>(I::position) += dt * p.template middleRows<3>(I::velocity);
   p.template middleCols<3>(I::position) += dt * p.template middleCols<3>(I::velocity);
-  const auto add = [&p](int part, double stddev) {
-    p.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
-  };
-  add(I::orientation, turn * gap);
-  add(I::velocity, push * gap);
-  add(I::position, push * gap * gap / 2.0);
+  add_variance(p, I::orientation, turn * gap);
+  add_variance(p, I::velocity, push * gap);
+  add_variance(p, I::position, push * gap * gap / 2.0);
   filter.reset(x, p);
   return true;
 }

@@ -52,6 +52,17 @@ inline void validate(const MarkerPoseNoise& n) {
   require_in("MarkerPoseNoise.orientation [rad]", n.orientation, 1e-6, 10.0);
 }
 
+namespace detail {
+
+/// Adds to the variance of one part of the state (see InertialIndex).
+template <typename Covariance>
+void add_variance(Covariance& p, int part, double stddev) noexcept {
+  for (int i = part; i < part + 3; ++i)
+    p(i, i) += static_cast<typename Covariance::Scalar>(stddev * stddev);
+}
+
+}  // namespace detail
+
 /// A pose linearised at a state, with its sparse Jacobian
 /// H = [I 0 by_turn 0 0 0 rotation; 0 0 to_marker 0 0 I 0]. Same interface as Linearised.
 template <typename Scalar>
@@ -91,37 +102,51 @@ struct LinearisedPose {
   [[nodiscard]] Columns times_transpose(
       const Eigen::Matrix<Scalar, InertialIndex::size, InertialIndex::size>& m) const noexcept {
     using I = InertialIndex;
-    const auto columns = [&m](int start) { return m.template middleCols<3>(start); };
+    const auto columns = [](auto& of, int start) { return of.data() + I::size * start; };
     Columns product;
-    product.template leftCols<3>() = columns(I::position);
-    product.template leftCols<3>().noalias() += columns(I::orientation) * by_turn.transpose();
-    product.template leftCols<3>().noalias() += columns(I::marker_position) * rotation.transpose();
-    product.template rightCols<3>() = columns(I::marker_orientation);
-    product.template rightCols<3>().noalias() += columns(I::orientation) * to_marker.transpose();
+    std::copy_n(columns(m, I::position), 3 * I::size, columns(product, 0));
+    std::copy_n(columns(m, I::marker_orientation), 3 * I::size, columns(product, 3));
+    const auto add = [&](int from, const Matrix3<Scalar>& by, int to) {
+      detail::add_product<I::size, 3, 3>(columns(m, from), detail::transposed_entries(by),
+                                         columns(product, to));
+    };
+    add(I::orientation, by_turn, 0);
+    add(I::marker_position, rotation, 0);
+    add(I::orientation, to_marker, 3);
     return product;
   }
   template <int N>
   [[nodiscard]] Eigen::Matrix<Scalar, 6, N> times(
       const Eigen::Matrix<Scalar, InertialIndex::size, N>& c) const noexcept {
     using I = InertialIndex;
-    const auto part = [&c](int start) { return c.template middleRows<3>(start); };
     Eigen::Matrix<Scalar, 6, N> s;
-    s.template topRows<3>() = part(I::position);
-    s.template topRows<3>().noalias() += by_turn * part(I::orientation);
-    s.template topRows<3>().noalias() += rotation * part(I::marker_position);
-    s.template bottomRows<3>() = part(I::marker_orientation);
-    s.template bottomRows<3>().noalias() += to_marker * part(I::orientation);
+    for (int n = 0; n < N; ++n) {
+      const auto turn = detail::triple(c, I::orientation, n);
+      detail::put(detail::triple(c, I::position, n) + detail::square(by_turn) * turn +
+                      detail::square(rotation) * detail::triple(c, I::marker_position, n),
+                  s, 0, n);
+      detail::put(detail::triple(c, I::marker_orientation, n) + detail::square(to_marker) * turn, s,
+                  3, n);
+    }
     return s;
   }
   [[nodiscard]] Columns times_noise(const Columns& g) const noexcept {
-    Columns product = g * noise.asDiagonal();
-    if (stamp_variance > Scalar(0))
-      product.noalias() += (stamp_variance * (g * by_time)) * by_time.transpose();
+    Columns product;
+    for (int j = 0; j < rows; ++j)
+      for (int i = 0; i < InertialIndex::size; ++i) product(i, j) = g(i, j) * noise(j);
+    if (!(stamp_variance > Scalar(0))) return product;
+    InertialTangent<Scalar> moved = InertialTangent<Scalar>::Zero();
+    detail::add_product<InertialIndex::size, rows, 1>(g.data(), detail::entries(by_time),
+                                                      moved.data(), stamp_variance);
+    detail::add_product<InertialIndex::size, 1, rows>(
+        moved.data(), detail::transposed_entries(by_time), product.data());
     return product;
   }
   void add_noise(Square& s) const noexcept {
-    s.diagonal() += noise;
-    if (stamp_variance > Scalar(0)) s.noalias() += (stamp_variance * by_time) * by_time.transpose();
+    for (int j = 0; j < rows; ++j) {
+      s(j, j) += noise(j);
+      for (int i = 0; i < rows; ++i) s(i, j) += stamp_variance * by_time(i) * by_time(j);
+    }
   }
 
   Matrix3<Scalar> rotation, to_marker, by_turn;
@@ -260,26 +285,27 @@ ErrorStateFilter<Scalar>::ErrorStateFilter(const InertialNoise& inertial,
 template <typename Scalar>
 void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
                                        const Scalar& dt) noexcept {
-  const Eigen::Matrix<Scalar, 9, 15> f = transition(state_, sample, dt);
-  const Eigen::Matrix<Scalar, 9, 21> moved = f * covariance_.template topRows<15>();
-  const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<15>() * f.transpose();
-  by_latency_.template head<9>() = (f * by_latency_.template head<15>()).eval();
+  const InertialTransition<Scalar> f(state_, sample, dt);
+  f.template apply<21, 1, 21>(covariance_.data());  // P F'
+  f.template apply<1, 21, 9>(covariance_.data());   // F P F', of its first nine columns
+  // Rounding leaves an asymmetric part, which would grow from step to step.
+  for (int j = 0; j < 9; ++j) {
+    for (int i = 0; i < j; ++i)
+      covariance_(i, j) = covariance_(j, i) = (covariance_(i, j) + covariance_(j, i)) / Scalar(2);
+    for (int i = 9; i < 21; ++i) covariance_(j, i) = covariance_(i, j);
+  }
+  f.template apply<1, 21, 1>(by_latency_.data());
   const Scalar forgotten = std::min(Scalar(1), dt / Scalar(latency_memory));
   score_ -= forgotten * score_;
   excess_ -= forgotten * excess_;
   information_ -= forgotten * (information_ - Scalar(least_information));
-  // Rounding leaves an asymmetric part, which would grow from step to step.
-  covariance_.template topLeftCorner<9, 9>() = (own + own.transpose()) / Scalar(2);
-  covariance_.template topRightCorner<9, 12>() = moved.template rightCols<12>();
-  covariance_.template bottomLeftCorner<12, 9>() = moved.template rightCols<12>().transpose();
-  auto variances = covariance_.diagonal().template segment<12>(noisy);
-  for (int i = 0; i < 4; ++i) {  // velocity, orientation, biases of gyroscope and accelerometer
-    const Scalar factor = wider_(i == 1 || i == 2 ? 1 : 0);
-    variances.template segment<3>(3 * i) +=
-        (dt * factor * factor) * process_noise_.template segment<3>(3 * i);
-  }
   constexpr double time_constant = 20.0;  // long beside the contradictions of a vibration [s]
-  wider_.array() -= (wider_.array() - Scalar(1)) * std::min(Scalar(1), dt / Scalar(time_constant));
+  for (int i = 0; i < 12; ++i) {  // velocity, orientation, biases of gyroscope and accelerometer
+    const Scalar factor = wider_(i >= 3 && i < 9 ? 1 : 0);
+    covariance_(noisy + i, noisy + i) += dt * factor * factor * process_noise_(i);
+  }
+  for (int i = 0; i < 2; ++i)
+    wider_(i) -= (wider_(i) - Scalar(1)) * std::min(Scalar(1), dt / Scalar(time_constant));
   const InertialState<Scalar> before = state_;
   state_ = propagate(state_, sample, dt);
   // Late poses have started a filter that is late.
@@ -293,7 +319,7 @@ void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
   constexpr double rate = 0.3, turn = 0.05, force = 2.0, velocity = 0.3;
   constexpr double growth = 3.0;  // of the noise
   const auto add = [this](int part, double stddev) {
-    covariance_.diagonal().template segment<3>(part).array() += Scalar(stddev * stddev);
+    detail::add_variance(covariance_, part, stddev);
   };
   add(gyro ? I::gyro_bias : I::accelerometer_bias, gyro ? rate : force);
   add(gyro ? I::orientation : I::velocity, gyro ? turn : velocity);
@@ -308,8 +334,8 @@ MeasurementInnovation<Scalar, Measurement::rows> ErrorStateFilter<Scalar>::innov
   MeasurementInnovation<Scalar, Measurement::rows> in;
   in.residual = at.residual;
   in.correlation = at.times_transpose(covariance_);
-  const typename Measurement::Square s = at.times(in.correlation);
-  in.covariance = (s + s.transpose()) / Scalar(2);
+  in.covariance = at.times(in.correlation);
+  detail::symmetrise(in.covariance);
   at.add_noise(in.covariance);
   const detail::Cholesky factor(in.covariance);
   in.by_time = at.by_time;
@@ -328,17 +354,27 @@ bool ErrorStateFilter<Scalar>::update(const MeasurementInnovation<Scalar, Measur
   const detail::Cholesky factor(in.covariance);
   if (!factor.is_definite) return false;
   const typename Measurement::Columns gain = factor.solve_rows(in.correlation);
+  constexpr int size = InertialIndex::size, rows = Measurement::rows;
   Covariance left = covariance_;  // (I - K H) P
-  left.noalias() -= gain * in.correlation.transpose();
+  detail::add_product<size, rows, size>(gain.data(), detail::transposed_entries(in.correlation),
+                                        left.data(), Scalar(-1));
   typename Measurement::Columns rest = at.times_noise(gain);
   rest -= at.times_transpose(left);
-  left.noalias() += rest * gain.transpose();
-  covariance_ = (left + left.transpose()) / Scalar(2);
-  state_ = retract(state_, InertialTangent<Scalar>(gain * in.residual));
+  for (int j = 0; j < size; ++j) {  // the lower triangle: the other one differs by rounding
+    for (int k = 0; k < rows; ++k)
+      for (int i = j; i < size; ++i) left(i, j) += rest(i, k) * gain(j, k);
+    for (int i = j; i < size; ++i) covariance_(i, j) = covariance_(j, i) = left(i, j);
+  }
+  const auto times_gain = [&gain](const Eigen::Matrix<Scalar, rows, 1>& x) {
+    InertialTangent<Scalar> result = InertialTangent<Scalar>::Zero();
+    detail::add_product<size, rows, 1>(gain.data(), detail::entries(x), result.data());
+    return result;
+  };
+  state_ = retract(state_, times_gain(in.residual));
   if (updates_ < first_updates) return ++updates_, true;
   const Eigen::Matrix<Scalar, Measurement::rows, 1> by_latency = at.times(by_latency_) - at.by_time,
                                                     weighted = factor.solve(by_latency);
-  by_latency_ -= gain * by_latency;
+  by_latency_ -= times_gain(by_latency);
   score_ += weighted.dot(in.residual);
   information_ += weighted.dot(by_latency);
   excess_ += in.distance - Scalar(Measurement::rows);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -92,35 +93,55 @@ template <typename Scalar>
   return y;
 }
 
-/// Derivative of propagate() by the first 15 entries of the error; position, velocity and
-/// orientation of the result. The other parts do not change.
+/// Derivative F of propagate() by the error. Only position, velocity and orientation of the result
+/// differ from the error before: they depend on its first 15 entries.
 template <typename Scalar>
-[[nodiscard]] Eigen::Matrix<Scalar, 9, 15> transition(const InertialState<Scalar>& x,
-                                                      const InertialSample<Scalar>& sample,
-                                                      const Scalar& dt) {
-  using I = InertialIndex;
-  const Vector3<Scalar> turn = (sample.angular_velocity - x.gyro_bias) * dt;
-  const Vector3<Scalar> force = sample.specific_force - x.accelerometer_bias;
-  const Scalar half = dt / Scalar(2);
-  const Matrix3<Scalar> rotation =
-      (x.orientation * quaternion_exp(turn / Scalar(2))).toRotationMatrix();
-  const Matrix3<Scalar> half_rotation =
-      quaternion_exp(turn / Scalar(2)).conjugate().toRotationMatrix();
-  // Derivatives of the acceleration by orientation, gyro bias and accelerometer bias. In the middle
-  // of the step, an orientation error from the start is rotated by half the turn.
-  const Matrix3<Scalar> by_middle = -rotation * skew(force);
-  Eigen::Matrix<Scalar, 9, 15> f = Eigen::Matrix<Scalar, 9, 15>::Zero();
-  auto acceleration = f.template block<3, 9>(I::velocity, I::orientation);
-  acceleration.template leftCols<3>().noalias() = dt * by_middle * half_rotation;
-  acceleration.template middleCols<3>(I::gyro_bias - I::orientation).noalias() =
-      (-dt * half) * by_middle * right_jacobian(turn / Scalar(2));
-  acceleration.template rightCols<3>() = -dt * rotation;
-  f.template block<3, 9>(I::position, I::orientation) = half * acceleration;
-  f.template block<3, 3>(I::position, I::velocity).diagonal().setConstant(dt);
-  f.template topLeftCorner<6, 6>().diagonal().setOnes();
-  f.template block<3, 3>(I::orientation, I::orientation) = half_rotation * half_rotation;
-  f.template block<3, 3>(I::orientation, I::gyro_bias) = -dt * right_jacobian(turn);
-  return f;
-}
+class InertialTransition {
+ public:
+  InertialTransition(const InertialState<Scalar>& x, const InertialSample<Scalar>& sample,
+                     const Scalar& dt)
+      : dt_(dt) {
+    using detail::put, detail::square;
+    const Vector3<Scalar> turn = (sample.angular_velocity - x.gyro_bias) * dt;
+    const Vector3<Scalar> half_turn = turn * Scalar(0.5);
+    const Eigen::Quaternion<Scalar> half = quaternion_exp(half_turn);
+    const auto rotation = square((x.orientation * half).toRotationMatrix()),
+               back = square(half.conjugate().toRotationMatrix());
+    // In the middle of the step, an orientation error from the start is rotated by half the turn.
+    const Vector3<Scalar> force = sample.specific_force - x.accelerometer_bias;
+    const auto by_middle = Scalar(-dt) * times_cross(rotation, detail::triple(force));
+    put(by_middle * back, push_, 0, 0);
+    put(Scalar(-dt / Scalar(2)) * (by_middle * square(right_jacobian(half_turn))), push_, 0, 3);
+    put(Scalar(-dt) * rotation, push_, 0, 6);
+    put(back * back, turn_, 0, 0);
+    put(Scalar(-dt) * square(right_jacobian(turn)), turn_, 0, 3);
+  }
+
+  /// Replaces `Count` vectors by F times these. The entries of a vector are `Along` numbers apart,
+  /// and the vectors `Across`.
+  template <int Along, int Across, int Count>
+  void apply(Scalar* data) const noexcept {
+    using I = InertialIndex;
+    const auto entry = [data](int k, int i) -> Scalar& { return data[Along * k + Across * i]; };
+    Scalar push[3][Count] = {}, turn[3][Count] = {};
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < 9; ++k)
+        for (int i = 0; i < Count; ++i) {
+          push[c][i] += push_(c, k) * entry(I::orientation + k, i);
+          if (k < 6) turn[c][i] += turn_(c, k) * entry(I::orientation + k, i);
+        }
+    for (int c = 0; c < 3; ++c)
+      for (int i = 0; i < Count; ++i) {
+        entry(I::position + c, i) += dt_ * (entry(I::velocity + c, i) + push[c][i] / Scalar(2));
+        entry(I::velocity + c, i) += push[c][i];
+        entry(I::orientation + c, i) = turn[c][i];
+      }
+  }
+
+ private:
+  Scalar dt_;                         // [s]
+  Eigen::Matrix<Scalar, 3, 9> push_;  // change of velocity by orientation and both biases
+  Eigen::Matrix<Scalar, 3, 6> turn_;  // orientation by orientation and gyro bias
+};
 
 }  // namespace tilt_ropter

@@ -44,25 +44,34 @@ struct Linearised {
   /// Three columns of H from `start` (see InertialIndex).
   [[nodiscard]] auto by(int start) noexcept { return jacobian.template middleCols<3>(start); }
 
-  /// Returns m H'. Skips the parts of the state that the measurement does not depend on.
-  template <typename Derived>
-  [[nodiscard]] Columns times_transpose(const Eigen::MatrixBase<Derived>& m) const noexcept {
+  /// Returns m H'. Skips what the measurement does not depend on.
+  [[nodiscard]] Columns times_transpose(
+      const Eigen::Matrix<Scalar, InertialIndex::size, InertialIndex::size>& m) const noexcept {
     Columns product = Columns::Zero();
-    for (int start = 0; start < InertialIndex::size; start += 3) {
-      const auto part = jacobian.template middleCols<3>(start);
-      if ((part.array() == Scalar(0)).all()) continue;
-      product.noalias() += m.template middleCols<3>(start) * part.transpose();
-    }
+    for (int k = 0; k < InertialIndex::size; ++k)
+      for (int r = 0; r < Rows; ++r) {
+        const Scalar& by = jacobian(r, k);
+        if (by == Scalar(0)) continue;
+        for (int i = 0; i < InertialIndex::size; ++i) product(i, r) += m(i, k) * by;
+      }
     return product;
   }
   /// Returns H c.
   template <int N>
   [[nodiscard]] Eigen::Matrix<Scalar, Rows, N> times(
       const Eigen::Matrix<Scalar, InertialIndex::size, N>& c) const noexcept {
-    return jacobian * c;
+    Eigen::Matrix<Scalar, Rows, N> product = Eigen::Matrix<Scalar, Rows, N>::Zero();
+    detail::add_product<Rows, InertialIndex::size, N>(jacobian.data(), detail::entries(c),
+                                                      product.data());
+    return product;
   }
   /// Returns g R.
-  [[nodiscard]] Columns times_noise(const Columns& g) const noexcept { return g * noise; }
+  [[nodiscard]] Columns times_noise(const Columns& g) const noexcept {
+    Columns product = Columns::Zero();
+    detail::add_product<InertialIndex::size, Rows, Rows>(g.data(), detail::entries(noise),
+                                                         product.data());
+    return product;
+  }
   void add_noise(Square& s) const noexcept { s += noise; }
   /// True if every number is finite, and the noise positive definite without stddev above 1e5.
   [[nodiscard]] bool is_usable() const noexcept {

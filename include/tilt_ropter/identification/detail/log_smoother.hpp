@@ -132,7 +132,9 @@ class LogSmoother {
   [[nodiscard]] static Transition transition_of(const InertialState<Scalar>& x,
                                                 const InertialSample<Scalar>& sample, double dt) {
     Transition f = Transition::Zero();
-    f.template leftCols<15>() = transition(x, sample, dt);
+    Eigen::Matrix<Scalar, 15, 15> all = Eigen::Matrix<Scalar, 15, 15>::Identity();
+    InertialTransition<Scalar>(x, sample, dt).template apply<1, 15, 15>(all.data());
+    f.template leftCols<15>() = all.template topRows<9>();
     f.template block<2, 2>(Index::position, Index::gravity).diagonal().setConstant(dt * dt / 2.0);
     f.template block<2, 2>(Index::velocity, Index::gravity).diagonal().setConstant(dt);
     return f;

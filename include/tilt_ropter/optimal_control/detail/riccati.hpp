@@ -145,11 +145,9 @@ class Riccati {
       int k, int count, const Eigen::Matrix<Lanes, States, States>& A,
       const Eigen::Matrix<Lanes, States, Inputs>& B) {
     constexpr int lanes = Lanes::count;
-    static constexpr auto lists = reached_by<States, Inputs, Pattern, lanes>();
     detail::FiniteCheck<lanes> check;
     for (int t = 0; t < rows / lanes; ++t) {
-      const auto& list = lists[detail::size(t)];
-      for (const int row : list) {
+      for (const int row : reached<lanes>[detail::size(t)]) {
         Packet<lanes> square[detail::size(lanes)];
 #pragma GCC unroll 4
         for (int c = 0; c < lanes; ++c) {
@@ -265,6 +263,9 @@ class Riccati {
   static constexpr int state_rows = Stage::state_rows, input_rows = Stage::input_rows;
   template <int Width>
   static constexpr int state_packets = (States + Width - 1) / Width;
+  // In a function template, every instance of the function would evaluate these lists.
+  template <int Width, int Factor = 1>
+  static constexpr auto reached = reached_by<States, Inputs, Pattern, Width>(Factor);
 
   template <int Width>
   [[gnu::always_inline]] inline bool pass(double damping, const NodeTerms& terms) {
@@ -304,11 +305,9 @@ class Riccati {
   }
   template <int Width, int Columns>
   [[gnu::always_inline]] inline void multiply_packet(const Stage& s, int t, int first) {
-    static constexpr auto lists = reached_by<States, Inputs, Pattern, Width>(rows);
-    const auto& list = lists[detail::size(t)];
     const double *transition = s.transition.data() + Width * t, *rest = cost_to_go_.data() + first;
     Packet<Width> sum[detail::size(Columns)] = {};
-    for (const int column : list) {
+    for (const int column : reached<Width, rows>[detail::size(t)]) {
       Packet<Width> m;
       detail::load<Width>(transition + column, m);
       const double* p = rest + column;
@@ -342,8 +341,7 @@ class Riccati {
   [[gnu::always_inline]] inline void add_column(const Stage& s) {
     constexpr int first = j < States ? j / Width : 0,
                   last = j < States ? state_packets<Width> : rows / Width;
-    static constexpr auto lists = reached_by<States, Inputs, Pattern, 1>(rows);
-    constexpr const auto& list = lists[detail::size(j)];
+    constexpr const auto& list = reached<1, rows>[detail::size(j)];
     const double *transition = s.transition.data() + j, *product = product_.data() + Width * first;
     const double* cost = s.cost.hessian.data() + rows * j;
     double* column = hessian_.data() + rows * j;
