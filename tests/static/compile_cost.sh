@@ -4,12 +4,13 @@
 # instances of tilt_ropter::compiled. Uses -O2, as a Release build of a user may do.
 #
 # usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full | count [FLAG...]]
-# Measures processor time; `full` also measures -g. `count` measures no time: it counts the bytes
+# Measures processor time; `full` also measures -g and the loop of README. `count` measures no time: it counts the bytes
 # that GCC allocates while it compiles, which are the same on a busy machine and grow with what it
 # parses, instantiates and optimises. It compiles with the flags, which may make warnings errors.
 set -euo pipefail
 compiler=$1 include=$2 eigen=$3 form=${4-} flags=("${@:5}")
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
+most_loop_times=33 most_loop_megabytes=1250
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 
@@ -95,4 +96,11 @@ if [[ $form == full ]]; then
   read -r debug_seconds debug_megabytes <<< "$(cost nmpc -g)"
   echo "with -g: $debug_seconds s, $debug_megabytes MB; at most $most_debug_megabytes MB"
   at_most $most_debug_megabytes "$debug_megabytes"
+  cp "$include/../examples/getting_started/own_loop.cpp" "$away"
+  read -r loop_seconds loop_megabytes <<< "$(cost own_loop)"
+  loop_times=$(ratio "$loop_seconds")
+  echo "own_loop: $loop_seconds s, $loop_megabytes MB, $loop_times times as long; at most" \
+    "$most_loop_megabytes MB and $most_loop_times times"
+  at_most $most_loop_megabytes "$loop_megabytes"
+  at_most $most_loop_times "$loop_times"
 fi

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/one_processor.hpp>
 
 #include <Eigen/Core>
@@ -98,9 +99,12 @@ template <typename Derived>
     first = Scalar(2) * half_sine * half_sine / square;
     second = (angle - sin(angle)) / (square * angle);
   }
-  const Matrix3<Scalar> cross = skew(theta);
-  Matrix3<Scalar> jacobian = second * cross * cross - first * cross;
-  jacobian.diagonal().array() += Scalar(1);
+  // I - first [theta]x + second [theta]x^2
+  const detail::Triple<Scalar> turn = detail::triple(theta);
+  Matrix3<Scalar> jacobian;
+  detail::put(
+      outer(Scalar(Scalar(1) - second * square), second * turn, turn, Scalar(-first) * turn),
+      jacobian, 0, 0);
   return jacobian;
 }
 

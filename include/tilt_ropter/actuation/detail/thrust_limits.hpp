@@ -59,12 +59,19 @@ class ThrustProgram {
 
   /// Fixes variable `j` at its value in `z`.
   void fix(int j, const Vector& z) noexcept {
-    base += z(j) * columns.col(j);
-    columns.col(j).setZero();
+    for (int i = 0; i < 2 * Rotors; ++i) {
+      base(i) += z(j) * columns(i, j);
+      columns(i, j) = 0.0;
+    }
     free_[size(j)] = false;
   }
   void release(int j) noexcept { free_[size(j)] = true; }
   [[nodiscard]] bool is_free(int j) const noexcept { return free_[size(j)]; }
+  [[nodiscard]] Eigen::Matrix<double, 2 * Rotors, 1> thrusts(const Vector& z) const noexcept {
+    Thrusts t = base;
+    add_product<2 * Rotors, Variables, 1>(columns.data(), entries(z), t.data());
+    return t;
+  }
 
   /// Moves `z`, which must be strictly inside, so that sign z(j) increases. Returns true where z(j)
   /// reaches `goal`; then z(j) = goal exactly. Returns false where the duality gap falls below
@@ -127,7 +134,7 @@ class ThrustProgram {
 
   /// Writes the slacks at `z` and returns true if all of them are > 0.
   bool inside(const Vector& z, Numbers& slack) const noexcept {
-    const std::size_t count = slacks(z, base + columns * z, slack);
+    const std::size_t count = slacks(z, thrusts(z), slack);
     bool all = true;
     for (std::size_t k = 0; k < count; ++k) all = all && slack[k] > 0.0;
     return all;
@@ -144,7 +151,7 @@ class ThrustProgram {
   bool minimise(const Vector& cost, double weight, Vector& z, double tolerance,
                 const Target& target) const noexcept {
     Numbers slack, multiplier, change;
-    Thrusts t = base + columns * z;
+    Thrusts t = thrusts(z);
     const std::size_t count = slacks(z, t, slack);
     const auto constraint_count = static_cast<double>(count);
     // Start on the central path, with a duality gap of the size of the cost.
@@ -192,8 +199,11 @@ class ThrustProgram {
              barrier(j) += side / slack[k];
              hessian(j, j) += multiplier[k] / slack[k];
            });
-      gradient += columns.transpose() * thrust_gradient;
-      barrier += columns.transpose() * thrust_barrier;
+      // Row vectors times the columns.
+      add_product<1, 2 * Rotors, Variables>(thrust_gradient.data(), entries(columns),
+                                            gradient.data());
+      add_product<1, 2 * Rotors, Variables>(thrust_barrier.data(), entries(columns),
+                                            barrier.data());
       const double residual = std::sqrt(gradient.squaredNorm());
       if (gap < tolerance && (residual < 1e-3 * tolerance + 1e-12 || gap < 1e-4 * tolerance))
         return false;
@@ -218,14 +228,16 @@ class ThrustProgram {
                                : last_length > 0.3 ? 0.4
                                                    : 0.9;
       const double mu = centering * gap / constraint_count;
-      Vector step = mu * barrier - cost_gradient;
+      Vector step;
+      for (int j = 0; j < Variables; ++j) step(j) = mu * barrier(j) - cost_gradient(j);
       factorise(hessian);  // directions without curvature get a zero step
       solve_factorised(hessian, step.data());
       for (int j = 0; j < Variables; ++j)
         if (!is_free(j)) step(j) = 0.0;
 
       // Longest steps that keep slacks and multipliers positive.
-      const Thrusts move = columns * step;
+      Thrusts move = Filled();
+      add_product<2 * Rotors, Variables, 1>(columns.data(), entries(step), move.data());
       double longest = 1e3, dual_longest = 1.0;
       const auto limit_step = [&](std::size_t k, double slope, double square) {
         // The slack after a step of length a is slack + a slope - a^2 square / 2.
@@ -248,12 +260,17 @@ class ThrustProgram {
            [&](std::size_t k, Eigen::Index j, double side, double) {
              limit_step(k, side * step(j), 0.0);
            });
+      const auto after = [&z, &step](double length) {
+        Vector there;
+        for (int j = 0; j < Variables; ++j) there(j) = z(j) + length * step(j);
+        return there;
+      };
       double length = std::min({1.0, 0.95 * longest, 0.95 * dual_longest});
       if (aims) {
         const double progress = target.sign * step(target.variable);
         const double to_goal = ahead / progress;
         if (progress > 0.0 && to_goal <= std::max(length, 0.9 * longest)) {
-          Vector there = z + to_goal * step;
+          Vector there = after(to_goal);
           there(target.variable) = target.goal;
           if (to_goal <= length || inside(there, slack)) {
             z = there;
@@ -262,16 +279,16 @@ class ThrustProgram {
         }
       }
       // Rounding may put a step outside if the feasible region is as thin as rounding errors.
-      Vector next = z + length * step;
+      Vector next = after(length);
       bool stays = inside(next, slack);
       for (int halving = 0; halving < 4 && !stays; ++halving) {
         length *= 0.5;
-        next = z + length * step;
+        next = after(length);
         stays = inside(next, slack);
       }
       if (!stays) return false;
       z = next;
-      t = base + columns * z;
+      t = thrusts(z);
       last_length = length;
       for (std::size_t k = 0; k < count; ++k) multiplier[k] += length * change[k];
     }

@@ -201,8 +201,8 @@ class ThrustSearch {
   }
 
   void read(const Program& program, const Vector& z, Thrusts& thrusts) const noexcept {
-    thrusts = program.base + program.columns * z;
-    for (int i = 0; i < Rotors; ++i) thrusts.template segment<2>(2 * i) *= limits_.max_thrust(i);
+    thrusts = program.thrusts(z);
+    for (int i = 0; i < components; ++i) thrusts(i) *= limits_.max_thrust(i / 2);
   }
 
   [[nodiscard]] bool reach_convex(const Request& request, const Parts& parts, bool at_edge,
@@ -388,15 +388,15 @@ class ThrustChoice {
   [[nodiscard]] static typename Search::Directions null_space(
       const AllocationMatrix<Rotors>& allocation) {
     typename Search::Directions directions = Search::Directions::Zero();
-    for (Eigen::Index j = 0; j < allocation.null_space.cols(); ++j)
-      directions.col(j) = allocation.null_space.col(j);
+    std::copy_n(allocation.null_space.data(), allocation.null_space.size(), directions.data());
     return directions;
   }
 
   template <typename Scalar>
   [[nodiscard]] static Vector3<Scalar> shortened(const Vector3<Scalar>& v, double limit) noexcept {
-    const Scalar size = v.stableNorm();
-    return size > Scalar(limit) ? Vector3<Scalar>(v / size * Scalar(limit)) : v;
+    using std::hypot;  // unlike a square, it does not overflow
+    const Scalar factor = Scalar(limit) / hypot(v.x(), v.y(), v.z());
+    return factor < Scalar(1) ? Vector3<Scalar>(v * factor) : v;
   }
 
   [[nodiscard]] Thrusts group_thrusts(WrenchGroup group,

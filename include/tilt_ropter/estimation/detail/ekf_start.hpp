@@ -28,14 +28,14 @@ namespace detail {
 template <typename Covariance>
 void set_variance(Covariance& p, int part, double stddev) noexcept {
   using Scalar = typename Covariance::Scalar;
-  p.diagonal().template segment<3>(part).setConstant(Scalar(stddev * stddev));
+  for (int i = part; i < part + 3; ++i) p(i, i) = Scalar(stddev * stddev);
 }
 
 /// Replaces the covariance of one part of the state: it does not depend on other parts any more.
 template <typename Covariance>
 void forget(Covariance& p, int part, double stddev) noexcept {
-  p.template middleRows<3>(part).setZero();
-  p.template middleCols<3>(part).setZero();
+  for (int i = 0; i < p.rows(); ++i)
+    for (int k = part; k < part + 3; ++k) p(i, k) = p(k, i) = 0;
   set_variance(p, part, stddev);
 }
 
@@ -132,7 +132,9 @@ void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) 
   forget(p, I::position, 1.0);
   // The heading is as good as the pose says; the tilt is kept.
   const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
-  p.template block<3, 3>(I::orientation, I::orientation) += Scalar(0.01) * up * up.transpose();
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k)
+      p(I::orientation + i, I::orientation + k) += Scalar(0.01) * up(i) * up(k);
   filter.reset(x, p);
   filter.update(pose);
 }

@@ -76,11 +76,15 @@ struct LinearisedPose {
                  const Eigen::Matrix<Scalar, 6, 1>& variances) noexcept
       : rotation(x.orientation.toRotationMatrix()),
         to_marker(x.marker_orientation.conjugate().toRotationMatrix()),
-        by_turn(-rotation * skew(x.marker_position)),
         noise(variances) {
-    residual.template head<3>() = pose.position - x.position - rotation * x.marker_position;
-    residual.template tail<3>() = quaternion_log(Eigen::Quaternion<Scalar>(
-        (x.orientation * x.marker_orientation).conjugate() * pose.orientation));
+    using detail::put, detail::triple;
+    const auto place = triple(x.marker_position);
+    const auto turn = detail::square(rotation);
+    put(times_cross(Scalar(-1) * turn, place), by_turn, 0, 0);
+    put(triple(pose.position) - triple(x.position) - turn * place, residual);
+    put(triple(quaternion_log(Eigen::Quaternion<Scalar>(
+            (x.orientation * x.marker_orientation).conjugate() * pose.orientation))),
+        residual, 3);
   }
 
   /// Adds the noise `stddev` of a stamp [s] at this velocity of the IMU [m/s] and rate [rad/s].
@@ -271,15 +275,15 @@ ErrorStateFilter<Scalar>::ErrorStateFilter(const InertialNoise& inertial,
   validate(pose);
   const auto square = [](double stddev) { return Scalar(stddev * stddev); };
   const auto set_noise = [&](int start, double density) {
-    process_noise_.template segment<3>(start - noisy).setConstant(square(density));
+    std::fill_n(process_noise_.data() + start - noisy, 3, square(density));
   };
   using I = InertialIndex;
   set_noise(I::velocity, inertial.accelerometer_density);
   set_noise(I::orientation, inertial.gyro_density);
   set_noise(I::gyro_bias, inertial.gyro_bias_walk);
   set_noise(I::accelerometer_bias, inertial.accelerometer_bias_walk);
-  pose_noise_.template head<3>().setConstant(square(pose.position));
-  pose_noise_.template tail<3>().setConstant(square(pose.orientation));
+  std::fill_n(pose_noise_.data(), 3, square(pose.position));
+  std::fill_n(pose_noise_.data() + 3, 3, square(pose.orientation));
 }
 
 template <typename Scalar>

@@ -123,7 +123,7 @@ class InertialTransition {
   void apply(Scalar* data) const noexcept {
     using I = InertialIndex;
     const auto entry = [data](int k, int i) -> Scalar& { return data[Along * k + Across * i]; };
-    Scalar push[3][Count] = {}, turn[3][Count] = {};
+    Scalar push[3][detail::size(Count)] = {}, turn[3][detail::size(Count)] = {};
     for (int c = 0; c < 3; ++c)
       for (int k = 0; k < 9; ++k)
         for (int i = 0; i < Count; ++i) {

@@ -371,7 +371,7 @@ template <int Rows, int Inner, int Columns, typename Scalar>
 void add_product(const Scalar* a, const Entries<Scalar>& b, Scalar* result,
                  const Scalar& factor = Scalar(1)) noexcept {
   for (int j = 0; j < Columns; ++j) {
-    Scalar sum[Rows] = {};
+    Scalar sum[size(Rows)] = {};
     for (int k = 0; k < Inner; ++k) {
       const Scalar& entry = b.data[b.along * k + b.across * j];
       for (int i = 0; i < Rows; ++i) sum[i] += a[Rows * k + i] * entry;
