@@ -113,8 +113,7 @@ class Allocation {
   using Angles = Eigen::Matrix<Scalar, Rotors, 1>;
 
   [[nodiscard]] Thrusts least_thrusts(const Wrench<Scalar>& wrench) const noexcept {
-    return pseudoinverse_.template leftCols<3>() * wrench.force +
-           pseudoinverse_.template rightCols<3>() * wrench.torque;
+    return detail::least_thrusts(pseudoinverse_, wrench);
   }
 
   [[nodiscard]] AllocationResult<Rotors, Scalar> allocate_after(
@@ -222,8 +221,7 @@ Wrench<Value> Allocation<Rotors, Scalar>::wrench(
       thrusts(2 * i + 1) = thrust * cos(actuators.tilt_angle(i));
     }
   }
-  const Eigen::Matrix<Value, 6, 1> packed = matrix_.template cast<Value>() * thrusts;
-  return {packed.template head<3>(), packed.template tail<3>()};
+  return detail::wrench_of(matrix_, thrusts);
 }
 
 template <int Rotors, typename Scalar>
@@ -304,7 +302,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
 
   bool holds = false, waits = result.status == Status::range_end_held, cuts = false;
   for (int i = 0; i < Rotors; ++i) {
-    auto thrust = thrusts.template segment<2>(2 * i);
+    const Vector2 thrust(thrusts(2 * i), thrusts(2 * i + 1));
     Scalar angle(0), follow(1);
     bool waiting = at_end[detail::size(i)];
     if (limits_.tilts(i)) {
@@ -318,12 +316,14 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
       if (follow < Scalar(1)) angle = from(i) + follow * (angle - from(i));
       if (std::abs(angle - from(i)) > Scalar(pi * (1.0 + 1e-6))) ++result.turned_over;
     }
-    const auto unit = Limits::direction(angle);
+    const Vector2 unit = Limits::direction(angle);
     const Scalar size =
         std::max(limits_.min_thrust(i), std::min(thrust.dot(unit), limits_.max_thrust(i)));
-    if ((thrust - size * unit).norm() > Scalar(4) * limits_.tolerance())
+    const Vector2 given = size * unit, lost = thrust - given;
+    if (lost.norm() > Scalar(4) * limits_.tolerance())
       (follow < Scalar(1) ? holds : waiting ? waits : cuts) = true;
-    thrust = size * unit;
+    thrusts(2 * i) = given.x();
+    thrusts(2 * i + 1) = given.y();
     result.command.rotor_speed(i) = bounded_speed(i, speed_from_thrust(size, rotor(i)));
     result.command.tilt_angle(i) = angle;
   }
@@ -337,8 +337,7 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate_after(
     else if (result.turned_over > 0)
       result.status = Status::turned_over;
   }
-  const Eigen::Matrix<Scalar, 6, 1> achieved = matrix_ * thrusts;
-  result.achieved = {achieved.template head<3>(), achieved.template tail<3>()};
+  result.achieved = detail::wrench_of(matrix_, thrusts);
   result.lost = {wanted.force - result.achieved.force, wanted.torque - result.achieved.torque};
   return result;
 }
@@ -364,7 +363,8 @@ AllocationResult<Rotors, Scalar> Allocation<Rotors, Scalar>::allocate(
     const Scalar turn = std::max(-max_tilt_rate_, std::min(ahead.tilt_rate(i), max_tilt_rate_));
     result.command.tilt_angle(i) += servo_lead_ * calm * calm * turn;
   }
-  result.command.rotor_speed += rotor_lead_.cwiseProduct(ahead.rotor_acceleration);
+  for (int i = 0; i < Rotors; ++i)
+    result.command.rotor_speed(i) += rotor_lead_(i) * ahead.rotor_acceleration(i);
   result.command = within_limits(result.command);
   return result;
 }

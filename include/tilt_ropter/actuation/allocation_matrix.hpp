@@ -4,6 +4,7 @@
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/simd.hpp>
 #include <tilt_ropter/math/validation.hpp>
+#include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
 
 #include <Eigen/Core>
@@ -43,6 +44,31 @@ double put_allocation(const Vehicle<Rotors>& vehicle, Matrix& matrix) {
     put_wrench(rotor, parameters, 1.0, 2, 2 * i + 1, matrix);
   }
   return size;
+}
+
+/// Returns the wrench A T of thrusts.
+template <typename Scalar, typename Value, int Components>
+[[nodiscard]] Wrench<Value> wrench_of(const Eigen::Matrix<Scalar, 6, Components>& matrix,
+                                      const Eigen::Matrix<Value, Components, 1>& thrusts) noexcept {
+  Wrench<Value> wrench;
+  for (int j = 0; j < Components; ++j)
+    for (int row = 0; row < 3; ++row) {
+      wrench.force(row) += Value(matrix(row, j)) * thrusts(j);
+      wrench.torque(row) += Value(matrix(row + 3, j)) * thrusts(j);
+    }
+  return wrench;
+}
+
+/// Returns the least thrusts for a wrench, from the pseudoinverse of A.
+template <typename Scalar, int Components>
+[[nodiscard]] Eigen::Matrix<Scalar, Components, 1> least_thrusts(
+    const Eigen::Matrix<Scalar, Components, 6>& pseudoinverse,
+    const Wrench<Scalar>& wrench) noexcept {
+  Eigen::Matrix<Scalar, Components, 1> thrusts = Filled();
+  add_product<Components, 3, 1>(pseudoinverse.data(), entries(wrench.force), thrusts.data());
+  add_product<Components, 3, 1>(pseudoinverse.data() + 3 * Components, entries(wrench.torque),
+                                thrusts.data());
+  return thrusts;
 }
 
 }  // namespace detail

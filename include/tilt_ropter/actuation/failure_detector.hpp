@@ -228,7 +228,8 @@ class FailureDetector {
   // A mean at first, then exponentially weighted.
   void learn(double dt, const Vector6& residual) noexcept {
     learnt_for_ += dt;
-    baseline_ += dt / std::min(learnt_for_, baseline_time) * (residual - baseline_);
+    const Vector6 change = residual - baseline_;
+    baseline_ += dt / std::min(learnt_for_, baseline_time) * change;
   }
 
   // Compares the window with each failure.
@@ -416,9 +417,10 @@ void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
   }
   const Wrenchd applied = body_.wrench(x);
   const Eigen::Vector3d gyroscopic = gyroscopic_torque(sample.angular_velocity),
-                        mean = 0.5 * (gyroscopic + gyroscopic_);
-  block_.residual += dt * scaled({parameters_.mass * sample.specific_force - applied.force,
-                                  mean - applied.torque});
+                        sum = gyroscopic + gyroscopic_;
+  const Wrenchd needed{parameters_.mass * sample.specific_force, 0.5 * sum};
+  block_.residual += dt * scaled(needed);
+  block_.residual -= dt * scaled(applied);
   block_.applied += dt * scaled(applied);
   block_.duration += dt;
 }
@@ -426,7 +428,7 @@ void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
 template <int Rotors>
 void FailureDetector<Rotors>::end_block(double time, const InertialSampled& sample) noexcept {
   const Eigen::Vector3d change = sample.angular_velocity - start_rate_;
-  block_.residual.template tail<3>() += per_torque_ * (parameters_.inertia * change);
+  block_.residual += scaled({Eigen::Vector3d::Zero(), parameters_.inertia * change});
   const bool is_found = failure_.kind != FailureKind::none;
   // What leaves the window is learnt, unless the window may contain a failure.
   Block& oldest = ring_[index(next_)];
@@ -470,7 +472,12 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
                least = min_change_on_ground * hover_thrust_;
   Vector6 free;
   free << 1.0, 0.0, 0.0, 0.0, 1.0, 1.0;
-  Vector6 change = per_second * free.cwiseProduct(sum.residual);
+  const auto freely = [&free](double factor, const Vector6& v) {
+    Vector6 product;
+    for (int i = 0; i < 6; ++i) product(i) = factor * free(i) * v(i);
+    return product;
+  };
+  Vector6 change = freely(per_second, sum.residual);
   if (per_second * sum.thrust.maxCoeff() < without_thrust * hover_thrust_ && load > 0.5)
     learn(dt, change / load);
   if (learnt_for_ < known_after) return;
@@ -490,8 +497,8 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   };
   for (int i = 0; i < Rotors; ++i) {
     if (lost_[index(i)]) continue;
-    compare(i, per_second * free.cwiseProduct(sum.left.col(i)));
-    const Vector6 sideways = free.cwiseProduct(columns_[index(2 * i)]);
+    compare(i, freely(per_second, sum.left.col(i)));
+    const Vector6 sideways = freely(1.0, columns_[index(2 * i)]);
     const double force = sideways.dot(change) / sideways.squaredNorm();
     if (tilts_[index(i)] && compare(Rotors + i, force * sideways)) push = force;
   }
@@ -519,12 +526,14 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
   double fades = std::min(1.0, dt / servo_time);
   // In the air the forces, because a wrong CoM and inertia change the torques in many ways. On the
   // ground only the turning is free.
-  Vector6 counts = Vector6::Unit(5);
-  if (airborne_) counts << 1.0, 1.0, 1.0, 0.0, 0.0, 0.0;
-  const auto change_of = [&](const Vector6& sum, Vector6& mean) -> Vector6 {
-    const Vector6 change = sum / dt - mean;
-    mean += part * change;
-    return counts.cwiseProduct(change);
+  const auto change_of = [&](const Vector6& sum, Vector6& mean) {
+    Vector6 counted = Vector6::Zero();
+    for (int i = 0; i < 6; ++i) {
+      const double change = sum(i) / dt - mean(i);
+      mean(i) += part * change;
+      if (airborne_ ? i < 3 : i == 5) counted(i) = change;
+    }
+    return counted;
   };
   const auto average = [&](const Vector6& a, const Vector6& b, double& product) {
     product += fades * (a.dot(b) - product);
@@ -536,7 +545,8 @@ void FailureDetector<Rotors>::judge_servos(double time, const Block& block) noex
   average(applied, applied, applied_.size);
   average(residual, applied, residual_.by_applied);
   // White noise from one block to the next: servos are slower.
-  noise_ += fades * (0.5 * (residual - last_residual_).squaredNorm() - noise_);
+  const Vector6 step = residual - last_residual_;
+  noise_ += fades * (0.5 * step.squaredNorm() - noise_);
   last_residual_ = residual;
   const double gain = residual_.by_applied / (applied_.size + 1e-12);
   const double changes = residual_.size - gain * residual_.by_applied;

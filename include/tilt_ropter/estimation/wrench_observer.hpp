@@ -306,8 +306,12 @@ class WrenchObserver {
     void add(const Wrench<Scalar>& sample, const Wrench<Scalar>& applied, double dt) noexcept;
 
     [[nodiscard]] bool deviates_less(double force, double torque) const noexcept {
-      return squares.template head<3>().maxCoeff() <= Scalar(force * force * time) &&
-             squares.template tail<3>().maxCoeff() <= Scalar(torque * torque * time);
+      bool all = true;
+      for (int i = 0; i < 6; ++i) {
+        const double most = i < 3 ? force : torque;
+        all = all && squares(i) <= Scalar(most * most * time);
+      }
+      return all;
     }
 
     Vector6 mean = Vector6::Zero(), squares = Vector6::Zero(), block_sum = Vector6::Zero();
@@ -326,11 +330,6 @@ class WrenchObserver {
   }
   static bool within(const Wrench<Scalar>& w, double bound) noexcept {
     return within(w.force, bound) && within(w.torque, bound);
-  }
-
-  static Vector3<Scalar> gain(const Eigen::Vector3d& bandwidth, double dt) noexcept {
-    const auto passed = [dt](double k) { return -std::expm1(-k * dt); };
-    return bandwidth.unaryExpr(passed).template cast<Scalar>();
   }
 
   void shape() noexcept;
@@ -387,28 +386,34 @@ const ObservedWrench<Scalar>& WrenchObserver<Scalar>::update(
     started_ = true;
     observed_.time = settling_since_ = time;
     angular_velocity_ = angular_velocity;
-    observed_.raw = {mass_ * specific_force - applied.force - offset_.force,
-                     Vector3<Scalar>::Zero()};
+    observed_.raw.force = mass_ * specific_force - applied.force;
+    observed_.raw.force -= offset_.force;
+    observed_.raw.torque.setZero();
     judge();
     return observed_;
   }
   if (!(dt > 0.0)) return observed_;
   // The momentum at the last sample is the initial value of the torque's integral. The mean of
   // both rates makes the gyroscopic term second order in dt.
-  const Vector3<Scalar> rate = (angular_velocity + angular_velocity_) / Scalar(2);
+  const Vector3<Scalar> change = angular_velocity - angular_velocity_,
+                        rate = angular_velocity_ + Scalar(0.5) * change,
+                        momentum_rate = inertia_ * Vector3<Scalar>(Scalar(1.0 / dt) * change) +
+                                        rate.cross(inertia_ * rate);
   const Wrench<Scalar> residual{mass_ * specific_force - applied.force,
-                                inertia_ * (angular_velocity - angular_velocity_) / Scalar(dt) -
-                                    applied.torque + rate.cross(inertia_ * rate)};
+                                momentum_rate - applied.torque};
   if (!within(residual, 1e30)) return observed_;  // dt was almost zero
   observed_.status = ObserverStatus::updated;
   observed_.time = time;
   observed_.applied = applied;
   angular_velocity_ = angular_velocity;
   observed_.raw = {residual.force - offset_.force, residual.torque - offset_.torque};
-  filtered_.force +=
-      gain(settings_.force_bandwidth, dt).cwiseProduct(observed_.raw.force - filtered_.force);
-  filtered_.torque +=
-      gain(settings_.torque_bandwidth, dt).cwiseProduct(observed_.raw.torque - filtered_.torque);
+  const auto follow = [dt](Vector3<Scalar>& value, const Vector3<Scalar>& raw,
+                           const Eigen::Vector3d& bandwidth) {
+    for (int i = 0; i < 3; ++i)
+      value(i) += Scalar(-std::expm1(-bandwidth(i) * dt)) * (raw(i) - value(i));
+  };
+  follow(filtered_.force, observed_.raw.force, settings_.force_bandwidth);
+  follow(filtered_.torque, observed_.raw.torque, settings_.torque_bandwidth);
   shape();
   observed_.add_to_sums(dt);
   judge();
@@ -450,7 +455,8 @@ void WrenchObserver<Scalar>::BlockAverage::add(const Wrench<Scalar>& sample,
   time += block_time;
   const Vector6 block = block_sum / Scalar(block_time), step = block - mean;
   mean += Scalar(block_time / time) * step;
-  squares += Scalar(block_time) * step.cwiseProduct(block - mean);
+  const Vector6 rest = block - mean;
+  for (int i = 0; i < 6; ++i) squares(i) += Scalar(block_time) * step(i) * rest(i);
   block_sum.setZero();
   block_time = 0.0;
 }
@@ -460,10 +466,16 @@ void WrenchObserver<Scalar>::shape() noexcept {
   limited_ = false;
   const auto shaped = [this](const Vector3<Scalar>& filtered, const Eigen::Vector3d& dead_band,
                              const Eigen::Vector3d& limit) {
-    const Vector3<Scalar>&band = dead_band.cast<Scalar>(), &bound = limit.cast<Scalar>();
-    const Vector3<Scalar> rest = filtered - filtered.cwiseMax(-band).cwiseMin(band);
-    Vector3<Scalar> cut = rest.cwiseMax(-bound).cwiseMin(bound);
-    limited_ = limited_ || cut != rest;
+    Vector3<Scalar> cut;
+    for (int i = 0; i < 3; ++i) {
+      const Scalar value = filtered(i), band(dead_band(i)), bound(limit(i));
+      const Scalar rest = value >= band    ? Scalar(value - band)
+                          : value <= -band ? Scalar(value + band)
+                                           : Scalar(0);
+      const bool above = rest > bound, below = rest < -bound;
+      cut(i) = above ? bound : below ? Scalar(-bound) : rest;
+      limited_ = limited_ || above || below;
+    }
     return cut;
   };
   observed_.external.force =

@@ -159,8 +159,9 @@ class Plant {
       return false;
     const PlantState<Rotors> before = state_;
     disturbance_ = disturbance;
-    command_.rotor_speed = command.rotor_speed.cwiseMax(min_rotor_speed_)
-                               .cwiseMin(top_speed_fraction_ * max_rotor_speed_);
+    for (int i = 0; i < Rotors; ++i)
+      command_.rotor_speed(i) = std::min(std::max(command.rotor_speed(i), min_rotor_speed_(i)),
+                                         top_speed_fraction_ * max_rotor_speed_(i));
     tilt_commands_.push(
         before.time + vehicle_.servo.dead_time,
         command.tilt_angle.cwiseMax(vehicle_.servo.min_angle).cwiseMin(vehicle_.servo.max_angle));

@@ -235,7 +235,7 @@ class ThrustSearch {
       if (inside) break;
       start(request, parts, 0.5, wider, program, z);
       for (int g = 0; g < wrench_group_count; ++g) {
-        if (request.groups.col(g).squaredNorm() > 0.0) continue;
+        if (largest(request.groups.col(g)) > 0.0) continue;
         z(fraction + g) = 1.0;
         program.fix(fraction + g, z);
       }
@@ -407,8 +407,7 @@ class ThrustChoice {
     if (group == WrenchGroup::sideways) part.force.head<2>() = wanted.force.head<2>();
     if (group == WrenchGroup::yaw) part.torque.z() = wanted.torque.z();
     part = shortened(part);
-    return pseudoinverse_.template leftCols<3>() * part.force +
-           pseudoinverse_.template rightCols<3>() * part.torque;
+    return least_thrusts(pseudoinverse_, part);
   }
 
   /// Angle in range, nearest to `last`, along which the thrust of rotor i points [rad].

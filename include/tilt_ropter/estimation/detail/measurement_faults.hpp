@@ -25,8 +25,8 @@ template <typename Scalar>
 class RepetitionDetector {
  public:
   void on_imu(const InertialSample<Scalar>& sample) noexcept {
-    if (sample.angular_velocity != imu_.angular_velocity ||
-        sample.specific_force != imu_.specific_force)
+    if (!(sample.angular_velocity == imu_.angular_velocity &&
+          sample.specific_force == imu_.specific_force))
       ++imu_changes_;
     imu_ = sample;
   }

@@ -347,7 +347,16 @@ struct Cholesky {
   /// Returns S^-1 x.
   [[nodiscard]] Eigen::Matrix<Scalar, Size, 1> solve(
       const Eigen::Matrix<Scalar, Size, 1>& x) const noexcept {
-    return solve_rows<1>(x.transpose()).transpose();
+    Eigen::Matrix<Scalar, Size, 1> y = x;
+    for (int j = 0; j < Size; ++j) {
+      for (int k = 0; k < j; ++k) y(j) -= factor(j, k) * y(k);
+      y(j) /= factor(j, j);
+    }
+    for (int j = Size - 1; j >= 0; --j) {
+      for (int k = j + 1; k < Size; ++k) y(j) -= factor(k, j) * y(k);
+      y(j) /= factor(j, j);
+    }
+    return y;
   }
 };
 
