@@ -177,7 +177,11 @@ void start_at_pose(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& p
 /// Difference of the first three rows of a measurement from a part of the state, world frame.
 template <typename Scalar, typename Measurement>
 [[nodiscard]] Vector3<Scalar> displacement(int part, const Measurement& at) noexcept {
-  return at.jacobian.template block<3, 3>(0, part).transpose() * at.residual.template head<3>();
+  Vector3<Scalar> displacement = Vector3<Scalar>::Zero();
+  for (int i = 0; i < 3; ++i)
+    for (int row = 0; row < 3; ++row)
+      displacement(i) += at.jacobian(row, part + i) * at.residual(row);
+  return displacement;
 }
 
 /// Moves one part of the state, position or velocity, to the measurement `at`.

@@ -3,13 +3,14 @@
 
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
 #include <tilt_ropter/estimation/detail/inertial_state.hpp>
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <cmath>
 #include <cstddef>
 #include <vector>
 
@@ -170,7 +171,8 @@ class LogSmoother {
     by_state.template topRightCorner<3, 3>() = at.by_turn;
     by_state.template bottomRightCorner<3, 3>() = at.to_marker;
     Eigen::Matrix<Scalar, 6, Index::size> h = Eigen::Matrix<Scalar, 6, Index::size>::Zero();
-    h.template leftCols<17>() = by_state * transition_of(node.state, sample, dt);
+    add_product<6, 9, 17>(by_state.data(), entries(transition_of(node.state, sample, dt)),
+                          h.data());
     h.template block<3, 3>(3, Index::marker_orientation).setIdentity();
     h.template block<3, 3>(0, Index::marker_position) = at.rotation;
     h.col(Index::clock) << x.velocity + at.by_turn * rate, at.to_marker * rate;
@@ -185,7 +187,6 @@ class LogSmoother {
     mean.template segment<6>(Index::gyro_bias) << -nodes.front().state.gyro_bias,
         -nodes.front().state.accelerometer_bias;
     mean.template segment<2>(Index::gravity) = -constants.gravity;
-    const auto square = [](double x) { return x * x; };
     for (std::size_t k = 0; k < nodes.size(); ++k) {
       Node& node = nodes[k];
       for (std::size_t i = node.first_pose; i < node.last_pose; ++i)
@@ -198,21 +199,24 @@ class LogSmoother {
         const double dt = imu_[j + 1].time - imu_[j].time;
         const InertialSample<Scalar> sample = mean_sample(j, dt);
         const Transition f = transition_of(x, sample, dt);
-        const Part moved = f * p.template topRows<17>();
-        const Eigen::Matrix<Scalar, 9, 9> own = moved.template leftCols<17>() * f.transpose();
-        p.template topLeftCorner<9, 9>() = (own + own.transpose()) / 2.0;
-        p.template topRightCorner<9, Index::size - 9>() =
-            moved.template rightCols<Index::size - 9>();
-        p.template bottomLeftCorner<Index::size - 9, 9>() =
-            moved.template rightCols<Index::size - 9>().transpose();
+        Part moved = Part::Zero();  // F P
+        add_product<9, 17, Index::size>(f.data(), entries(p), moved.data());
+        Eigen::Matrix<Scalar, 9, 9> own = Eigen::Matrix<Scalar, 9, 9>::Zero();  // F P F'
+        add_product<9, 17, 9>(moved.data(), transposed_entries(f), own.data());
+        symmetrise(own);
+        for (int row = 0; row < 9; ++row)
+          for (int c = 0; c < Index::size; ++c)
+            p(row, c) = p(c, row) = c < 9 ? own(row, c) : moved(row, c);
         const auto add = [&](int part, double density) {
-          p.diagonal().template segment<3>(part).array() += dt * square(density);
+          add_variance(p, part, std::sqrt(dt) * density);
         };
         add(Index::velocity, imu_noise.accelerometer_density);
         add(Index::orientation, imu_noise.gyro_density);
         add(Index::gyro_bias, imu_noise.gyro_bias_walk);
         add(Index::accelerometer_bias, imu_noise.accelerometer_bias_walk);
-        mean.template head<9>() = (f * mean.template head<17>()).eval();
+        Eigen::Matrix<Scalar, 9, 1> later = Eigen::Matrix<Scalar, 9, 1>::Zero();
+        add_product<9, 17, 1>(f.data(), entries(mean), later.data());
+        mean.template head<9>() = later;
         x = move(x, sample, dt);
       }
       mean.template head<15>() += difference(x, nodes[k + 1].state).template head<15>();
@@ -223,16 +227,25 @@ class LogSmoother {
     const LinearPose at = linearise(node, i);
     Update& u = updates_[i];
     u.by_error = at.by_error;
-    const Gain correlation = p * at.by_error;
-    Eigen::Matrix<Scalar, 6, 6> s = at.by_error.transpose() * correlation;
-    s = ((s + s.transpose()) / 2.0).eval();
-    s.diagonal() += pose_variances() / weights[i];
-    const Eigen::LLT<Eigen::Matrix<Scalar, 6, 6>> factor(s);
-    u.weighted = factor.solve(at.residual - at.by_error.transpose() * mean);
-    u.gain = factor.solve(correlation.transpose()).transpose();
-    mean += correlation * u.weighted;
-    p -= u.gain * correlation.transpose();
-    p = ((p + p.transpose()) / 2.0).eval();
+    constexpr int size = Index::size;
+    Gain correlation = Gain::Zero();  // P H'
+    add_product<size, size, 6>(p.data(), entries(at.by_error), correlation.data());
+    Eigen::Matrix<Scalar, 6, 6> s = Eigen::Matrix<Scalar, 6, 6>::Zero();  // H P H'
+    for (int row = 0; row < 6; ++row)
+      add_product<1, size, 6>(at.by_error.data() + size * row, entries(correlation),
+                              s.data() + 6 * row);
+    symmetrise(s);
+    const Residual variances = pose_variances();
+    for (int row = 0; row < 6; ++row) s(row, row) += variances(row) / weights[i];
+    const Cholesky factor(s);
+    Residual residual = at.residual;
+    add_product<1, size, 6>(mean.data(), entries(at.by_error), residual.data(), Scalar(-1));
+    u.weighted = factor.solve(residual);
+    u.gain = factor.solve_rows(correlation);
+    add_product<size, 6, 1>(correlation.data(), entries(u.weighted), mean.data());
+    add_product<size, 6, size>(u.gain.data(), transposed_entries(correlation), p.data(),
+                               Scalar(-1));
+    symmetrise(p);
   }
 
   /// Backward pass: smoothed errors at the nodes, mean + P r.
@@ -242,10 +255,14 @@ class LogSmoother {
     std::vector<Transition> steps;
     for (std::size_t k = nodes.size(); k-- > 0;) {
       const Node& node = nodes[k];
-      smoothed_[k] = node.mean + node.covariance * r;
+      smoothed_[k] = node.mean;
+      add_product<Index::size, Index::size, 1>(node.covariance.data(), entries(r),
+                                               smoothed_[k].data());
       for (std::size_t i = node.last_pose; i-- > node.first_pose;) {
         const Update& u = updates_[i];
-        r += u.by_error * (u.weighted - u.gain.transpose() * r);
+        Residual pull = u.weighted;
+        add_product<1, Index::size, 6>(r.data(), entries(u.gain), pull.data(), Scalar(-1));
+        add_product<Index::size, 6, 1>(u.by_error.data(), entries(pull), r.data());
       }
       if (k == 0) break;
       steps.clear();
@@ -257,7 +274,8 @@ class LogSmoother {
         x = move(x, sample, dt);
       }
       for (std::size_t m = steps.size(); m-- > 0;) {
-        const Eigen::Matrix<Scalar, 17, 1> pulled = steps[m].transpose() * r.template head<9>();
+        Eigen::Matrix<Scalar, 17, 1> pulled = Eigen::Matrix<Scalar, 17, 1>::Zero();
+        add_product<1, 9, 17>(r.data(), entries(steps[m]), pulled.data());
         r.template head<9>().setZero();
         r.template head<17>() += pulled;
       }
