@@ -4,13 +4,14 @@
 # instances of tilt_ropter::compiled. Uses -O2, as a Release build of a user may do.
 #
 # usage: compile_cost.sh COMPILER INCLUDE_DIR EIGEN_DIR [full | count [FLAG...]]
-# Measures processor time; `full` also measures -g and the loop of README. `count` measures no time: it counts the bytes
-# that GCC allocates while it compiles, which are the same on a busy machine and grow with what it
-# parses, instantiates and optimises. It compiles with the flags, which may make warnings errors.
+# Measures processor time; `full` also measures -g and the loop of the README. `count` measures no
+# time: it counts the bytes that GCC allocates while it compiles, which are the same on a busy machine
+# and grow with what it parses, instantiates and optimises. It compiles with the flags, which may
+# make warnings errors.
 set -euo pipefail
 compiler=$1 include=$2 eigen=$3 form=${4-} flags=("${@:5}")
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
-most_loop_times=33 most_loop_megabytes=1250
+most_loop_times=30 most_loop_megabytes=1150
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 

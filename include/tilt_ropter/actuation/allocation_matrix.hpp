@@ -46,7 +46,7 @@ double put_allocation(const Vehicle<Rotors>& vehicle, Matrix& matrix) {
   return size;
 }
 
-/// Returns the wrench A T of thrusts.
+/// Returns the wrench A T [N; N m] of the thrusts T [N]: see AllocationMatrix.
 template <typename Scalar, typename Value, int Components>
 [[nodiscard]] Wrench<Value> wrench_of(const Eigen::Matrix<Scalar, 6, Components>& matrix,
                                       const Eigen::Matrix<Value, Components, 1>& thrusts) noexcept {
@@ -59,7 +59,7 @@ template <typename Scalar, typename Value, int Components>
   return wrench;
 }
 
-/// Returns the least thrusts for a wrench, from the pseudoinverse of A.
+/// Returns the thrusts [N] of least norm for a wrench, from the pseudoinverse of A.
 template <typename Scalar, int Components>
 [[nodiscard]] Eigen::Matrix<Scalar, Components, 1> least_thrusts(
     const Eigen::Matrix<Scalar, Components, 6>& pseudoinverse,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/detail/one_processor.hpp>
 
 #include <Eigen/Core>
@@ -99,12 +98,15 @@ template <typename Derived>
     first = Scalar(2) * half_sine * half_sine / square;
     second = (angle - sin(angle)) / (square * angle);
   }
-  // I - first [theta]x + second [theta]x^2
-  const detail::Triple<Scalar> turn = detail::triple(theta);
+  // I - first [theta]x + second [theta]x^2, with [theta]x^2 = theta theta' - |theta|^2 I.
+  const Scalar x = theta.x(), y = theta.y(), z = theta.z();
+  const Scalar xy = second * x * y, xz = second * x * z, yz = second * y * z;
+  const Scalar turn_x = first * x, turn_y = first * y, turn_z = first * z;
+  const Scalar rest = Scalar(1) - second * square;
   Matrix3<Scalar> jacobian;
-  detail::put(
-      outer(Scalar(Scalar(1) - second * square), second * turn, turn, Scalar(-first) * turn),
-      jacobian, 0, 0);
+  jacobian << Scalar(rest + second * x * x), Scalar(xy + turn_z), Scalar(xz - turn_y),
+      Scalar(xy - turn_z), Scalar(rest + second * y * y), Scalar(yz + turn_x), Scalar(xz + turn_y),
+      Scalar(yz - turn_x), Scalar(rest + second * z * z);
   return jacobian;
 }
 

@@ -67,6 +67,7 @@ class ThrustProgram {
   }
   void release(int j) noexcept { free_[size(j)] = true; }
   [[nodiscard]] bool is_free(int j) const noexcept { return free_[size(j)]; }
+  /// t(z), in units of `base`.
   [[nodiscard]] Eigen::Matrix<double, 2 * Rotors, 1> thrusts(const Vector& z) const noexcept {
     Thrusts t = base;
     add_product<2 * Rotors, Variables, 1>(columns.data(), entries(z), t.data());

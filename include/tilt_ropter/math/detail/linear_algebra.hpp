@@ -14,10 +14,10 @@
 /// The small linear algebra of the control loop: entries, 3-vectors, the inverse of a 3x3 matrix,
 /// singular values, Cholesky factorisations.
 ///
-/// Matrices are stored in Eigen's types, and the estimators and identification compute with Eigen,
-/// but the filter has its products and Cholesky from here: a program with Ekf takes 6.8 s to
-/// compile instead of 22.4 s (GCC, -O2). In the control loop the functions below replace Eigen's,
-/// for four reasons.
+/// Matrices are stored in Eigen's types, and the estimators and identification compute with Eigen
+/// where a few types suffice. Products and Cholesky are from here: a program with Ekf takes 6.8 s
+/// to compile instead of 22.4 s (GCC, -O2). In the control loop the functions below replace
+/// Eigen's, for four reasons.
 ///
 /// 1. Time to compile. Every user of the controller compiles them. A file that includes Eigen/Dense
 ///    takes 0.8 s (clang 14, -O2). One use of each adds:
@@ -347,16 +347,8 @@ struct Cholesky {
   /// Returns S^-1 x.
   [[nodiscard]] Eigen::Matrix<Scalar, Size, 1> solve(
       const Eigen::Matrix<Scalar, Size, 1>& x) const noexcept {
-    Eigen::Matrix<Scalar, Size, 1> y = x;
-    for (int j = 0; j < Size; ++j) {
-      for (int k = 0; k < j; ++k) y(j) -= factor(j, k) * y(k);
-      y(j) /= factor(j, j);
-    }
-    for (int j = Size - 1; j >= 0; --j) {
-      for (int k = j + 1; k < Size; ++k) y(j) -= factor(k, j) * y(k);
-      y(j) /= factor(j, j);
-    }
-    return y;
+    const Eigen::Matrix<Scalar, 1, Size> row = solve_rows(Eigen::Matrix<Scalar, 1, Size>(x.data()));
+    return Eigen::Matrix<Scalar, Size, 1>(row.data());
   }
 };
 
@@ -375,7 +367,7 @@ template <typename Matrix>
   return {m.data(), static_cast<int>(m.rows()), 1};
 }
 
-/// result += factor A B for any scalar, for the estimators. A and the result are stored by columns.
+/// result += factor A B for any scalar. A and the result are stored by columns, without gaps.
 template <int Rows, int Inner, int Columns, typename Scalar>
 void add_product(const Scalar* a, const Entries<Scalar>& b, Scalar* result,
                  const Scalar& factor = Scalar(1)) noexcept {
