@@ -51,6 +51,27 @@ TEST(Entries, CopyFirstLeavesTheRest) {
   }
 }
 
+TEST(Products, AreThoseOfEigen) {
+  const Eigen::Matrix<double, 5, 3> a = Eigen::Matrix<double, 5, 3>::Random();
+  const Eigen::Matrix<double, 3, 4> b = Eigen::Matrix<double, 3, 4>::Random();
+  const Eigen::Matrix<double, 4, 3> c = Eigen::Matrix<double, 4, 3>::Random();
+  const Eigen::Matrix<double, 5, 4> before = Eigen::Matrix<double, 5, 4>::Random();
+  Eigen::Matrix<double, 5, 4> result = before;
+  detail::add_product<5, 3, 4>(a.data(), detail::entries(b), result.data());
+  EXPECT_LT((result - before - a * b).norm(), 1e-14);
+  result = before;
+  detail::add_product<5, 3, 4>(a.data(), detail::transposed_entries(c), result.data(), -2.0);
+  EXPECT_LT((result - before + 2.0 * a * c.transpose()).norm(), 1e-14);
+}
+
+TEST(Products, SymmetriseTakesTheMeanOfBothTriangles) {
+  const Eigen::Matrix4d before = Eigen::Matrix4d::Random();
+  Eigen::Matrix4d m = before;
+  detail::symmetrise(m);
+  EXPECT_LT((m - 0.5 * (before + before.transpose())).norm(), 1e-15);
+  EXPECT_EQ(m, m.transpose());
+}
+
 TEST(Entries, LargestIsMaximumNorm) {
   Eigen::Matrix<double, 2, 3> m;
   m << 1.0, -2.0, 3.0, -4.0, 0.0, 0.5;
