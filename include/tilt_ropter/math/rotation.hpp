@@ -99,14 +99,13 @@ template <typename Derived>
     second = (angle - sin(angle)) / (square * angle);
   }
   // I - first [theta]x + second [theta]x^2, with [theta]x^2 = theta theta' - |theta|^2 I.
-  const Scalar x = theta.x(), y = theta.y(), z = theta.z();
-  const Scalar xy = second * x * y, xz = second * x * z, yz = second * y * z;
-  const Scalar turn_x = first * x, turn_y = first * y, turn_z = first * z;
-  const Scalar rest = Scalar(1) - second * square;
+  const Scalar x = theta.x(), y = theta.y(), z = theta.z(), rest = Scalar(1) - second * square;
+  const Scalar x1 = first * x, y1 = first * y, z1 = first * z;
+  const Scalar x2 = second * x, y2 = second * y, z2 = second * z;
   Matrix3<Scalar> jacobian;
-  jacobian << Scalar(rest + second * x * x), Scalar(xy + turn_z), Scalar(xz - turn_y),
-      Scalar(xy - turn_z), Scalar(rest + second * y * y), Scalar(yz + turn_x), Scalar(xz + turn_y),
-      Scalar(yz - turn_x), Scalar(rest + second * z * z);
+  jacobian << Scalar(rest + x2 * x), Scalar(x2 * y + z1), Scalar(x2 * z - y1), Scalar(y2 * x - z1),
+      Scalar(rest + y2 * y), Scalar(y2 * z + x1), Scalar(z2 * x + y1), Scalar(z2 * y - x1),
+      Scalar(rest + z2 * z);
   return jacobian;
 }
 
