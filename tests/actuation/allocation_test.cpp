@@ -113,8 +113,9 @@ TEST(Allocation, CarriesAVehicleOfTenGrams) {
     const Wrenchd wanted{{lean, 0.0, 0.1}, Vector3d::Zero()};
     const auto result = allocation.allocate(wanted, {});
     EXPECT_NEAR(allocation.wrench(result.command).force.z(), 0.1, 1e-6) << lean;
-    if (lean < 0.2)
+    if (lean < 0.2) {
       EXPECT_LT(largest(difference(allocation.wrench(result.command), wanted)), 1e-6) << lean;
+    }
     EXPECT_GE(allocation.wrench(result.command).force.x(), 0.5 * lean) << lean;
   }
 }

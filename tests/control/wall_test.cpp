@@ -124,7 +124,9 @@ TEST_P(Touch, IsBlockedAndBounded) {
     // A soft touch has to reach 0.05 weights first.
     EXPECT_LT(r.blocked_after, 1.2);
     EXPECT_GT(r.forward, 0.7);
-    if (c.speed <= 0.2) EXPECT_LT(r.early, 0.45 * weight);  // the momentum alone is 0.3 N s
+    if (c.speed <= 0.2) {
+      EXPECT_LT(r.early, 0.45 * weight);  // the momentum alone is 0.3 N s
+    }
     EXPECT_LT(r.late, (c.speed > 0.2 ? 0.4 : 0.3) * weight);
     EXPECT_LT(r.drop, 0.05);
     EXPECT_LT(r.lean, 10.0 * pi / 180.0);

@@ -95,7 +95,9 @@ TEST_F(ContactObstacle, StopsWheelsAndIsNotCompensated) {
     const ContactEstimate& estimate = contact.estimate();
     EXPECT_TRUE(estimate.on_ground);
     EXPECT_EQ(estimate.blocked.has_value(), in_front);
-    if (in_front) EXPECT_NEAR(estimate.rolling.force.x(), -0.1 * weight, 0.03 * weight);
+    if (in_front) {
+      EXPECT_NEAR(estimate.rolling.force.x(), -0.1 * weight, 0.03 * weight);
+    }
   }
 }
 

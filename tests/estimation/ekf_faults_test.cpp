@@ -350,10 +350,7 @@ TEST(Ekf, AMarkerFrameFarFromThatOfTheSettingsIsNotGood) {
         good += i > 2000 && ekf.trust(t).state == EstimateState::good;
       }
       SCOPED_TRACE(testing::Message() << turn << " rad, " << lever << " m");
-      if (turn + lever == 0.0)
-        EXPECT_EQ(good, 2000);
-      else
-        EXPECT_EQ(good, 0);
+      EXPECT_EQ(good, turn + lever == 0.0 ? 2000 : 0);
     }
 }
 

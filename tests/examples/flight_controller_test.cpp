@@ -140,7 +140,9 @@ TEST(FlightController, RotorsStartAgainIfTheVehicleFallsAfterItsLanding) {
     ASSERT_TRUE(plant.step(command, {}, 1e-3));
     const bool stopped = controller.mode() == examples::FlightMode::stopped;
     if (stopped && stopped_at == 0) stopped_at = i;
-    if (stopped_at > 0 && i < stopped_at + 1000) EXPECT_TRUE(stopped) << i;
+    if (stopped_at > 0 && i < stopped_at + 1000) {
+      EXPECT_TRUE(stopped) << i;
+    }
     if (stopped_at > 0 && i == stopped_at + 1000) {
       PlantState<4> higher = plant.state();
       higher.body.position.z() += 4.0;

@@ -107,8 +107,9 @@ TEST(FlightPlan, BeginsAMissionWhereverTheVehicleStands) {
     Follower follower{plan, 100.0};
     while (std::string(plan.activity(follower.time)) == "way") {
       follower.follow(follower.time + 0.1);
-      if ((follower.last.position - begin).head<2>().norm() > 1e-9)
+      if ((follower.last.position - begin).head<2>().norm() > 1e-9) {
         ASSERT_GT(follower.last.position.z(), 0.11) << "on the ground";
+      }
     }
     EXPECT_LT((follower.last.position - begin).norm(), 1e-6);
     EXPECT_NEAR(yaw_of(follower.last.orientation), 0.0, 1e-9);
@@ -160,7 +161,9 @@ TEST(FlightPlan, DoesNotFlyAlongTheGround) {
   while (std::string(plan.activity(follower.time)) == "way") {
     follower.follow(follower.time + 0.01);
     const double far = (follower.last.position - left).head<2>().norm();
-    if (far > 0.01 && far < 1.0) ASSERT_GT(follower.last.position.z(), 0.25);
+    if (far > 0.01 && far < 1.0) {
+      ASSERT_GT(follower.last.position.z(), 0.25);
+    }
   }
   EXPECT_LT((follower.last.position - left).norm(), 1e-3);
 }
