@@ -265,6 +265,14 @@ class Plant {
   }
 
   using RotorVector = Eigen::Matrix<double, Rotors, 1>;
+  using Vector = detail::Triple<double>;
+
+  [[nodiscard]] static Wrenchd wrench_of(const Vector& force, const Vector& torque) noexcept {
+    Wrenchd wrench;
+    put(force, wrench.force);
+    put(torque, wrench.torque);
+    return wrench;
+  }
 
   [[nodiscard]] const RotorParameters& parameters_of(int i) const noexcept {
     return rotor_parameters(vehicle_, static_cast<std::size_t>(i));
@@ -357,7 +365,7 @@ class Plant {
     return sound;
   }
   [[nodiscard]] Wrenchd rotor_wrench(const ActuatorState<Rotors>& actuators) const noexcept {
-    Wrenchd sum;
+    Vector force{}, torque{};
     for (int i = 0; i < Rotors; ++i) {
       const RotorGeometry& geometry = rotor(i);
       const RotorParameters& p = parameters_of(i);
@@ -366,22 +374,23 @@ class Plant {
                                geometry.effectiveness * p.linear_thrust_coefficient;
       const double thrust = std::max(per_speed, 0.0) * speed;
       const double reaction = -static_cast<int>(geometry.spin) * p.torque_ratio;
-      const Eigen::Vector3d force = thrust * (std::cos(tilt) * geometry.orientation.col(2) -
-                                              std::sin(tilt) * geometry.orientation.col(1));
-      sum.force += force;
-      sum.torque += geometry.position.cross(force) + reaction * force;
+      const auto arm = detail::square(geometry.orientation);
+      const Vector own = thrust * (std::cos(tilt) * arm.z - std::sin(tilt) * arm.y);
+      force += own;
+      torque += cross(detail::triple(geometry.position), own) + reaction * own;
     }
-    return sum;
+    return wrench_of(force, torque);
   }
   [[nodiscard]] PlantLoads loads(const PlantState<Rotors>& x) const noexcept {
     const Eigen::Matrix3d rotation = x.body.orientation.toRotationMatrix();
-    const Eigen::Vector3d& w = x.body.angular_velocity;
-    const Eigen::Vector3d axle = Eigen::Vector3d::UnitY();
+    const Vector w = detail::triple(x.body.angular_velocity);
+    const Vector drag =
+        scaled(transposed(detail::square(rotation)) * detail::triple(x.body.velocity),
+               detail::triple(parameters_.linear_drag));
     PlantLoads result;
     result.actuators = rotor_wrench(x.actuators);
-    Wrenchd& external = result.external;
-    external = disturbance_;
-    external.force -= parameters_.linear_drag.cwiseProduct(rotation.transpose() * x.body.velocity);
+    Vector force = detail::triple(disturbance_.force) - drag,
+           torque = detail::triple(disturbance_.torque), contact_force{}, contact_torque{};
     for (std::size_t i = 0; i < mounts_.size(); ++i) {
       double axle_rate = 0.0;
       if (axle_arms_[i]) axle_rate = axle_rate_of(x, i);
@@ -389,20 +398,27 @@ class Plant {
           wheel_contact(parameters_.contact, mounts_[i], x.body, rotation, x.wheels[i], axle_rate);
       const double momentum = mounts_[i].inertia * x.wheels[i].spin;
       if (axle_arms_[i]) result.servo_torque[i] = tilt_sign(i) * forces.bearing_torque;
-      result.contact.force += forces.ground.force;
-      result.contact.torque += forces.ground.torque;
-      external.torque += forces.bearing_torque * axle - w.cross(momentum * axle);
+      contact_force += detail::triple(forces.ground.force);
+      contact_torque += detail::triple(forces.ground.torque);
+      torque += Vector{0.0, forces.bearing_torque, 0.0} - cross(w, Vector{0.0, momentum, 0.0});
       result.wheels[i] = forces;
     }
     for (const detail::HullDisc& disc : hull_) {
       const detail::WallForce forces = detail::wall_force(wall_, disc, x.body, rotation);
-      external = external + forces.wrench;
+      force += detail::triple(forces.wrench.force);
+      torque += detail::triple(forces.wrench.torque);
       result.wall_force += forces.normal_force;
     }
-    external = external + result.contact;
-    result.specific_force = (result.actuators.force + external.force) / vehicle_.body.mass;
-    result.angular_acceleration = inertia_inverse_ * (result.actuators.torque + external.torque -
-                                                      w.cross(vehicle_.body.inertia * w));
+    force += contact_force;
+    torque += contact_torque;
+    result.contact = wrench_of(contact_force, contact_torque);
+    result.external = wrench_of(force, torque);
+    put((1.0 / vehicle_.body.mass) * (detail::triple(result.actuators.force) + force),
+        result.specific_force);
+    const Vector gyroscopic = cross(w, detail::square(vehicle_.body.inertia) * w);
+    put(detail::square(inertia_inverse_) *
+            (detail::triple(result.actuators.torque) + torque - gyroscopic),
+        result.angular_acceleration);
     return result;
   }
   [[nodiscard]] Rate rate(const PlantState<Rotors>& x, const PlantLoads& on_x) const noexcept {

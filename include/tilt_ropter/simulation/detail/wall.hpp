@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/validation.hpp>
 #include <tilt_ropter/model/state.hpp>
 #include <tilt_ropter/model/vehicle.hpp>
@@ -77,21 +78,28 @@ struct WallForce {
 [[nodiscard]] inline WallForce wall_force(const Wall& wall, const HullDisc& disc,
                                           const BodyStated& body,
                                           const Eigen::Matrix3d& rotation) noexcept {
-  const Eigen::Vector3d into = -(rotation.transpose() * wall.normal);
-  const Eigen::Vector3d across = into - disc.axis.dot(into) * disc.axis;
+  using Vector = Triple<double>;
+  const auto to_body = transposed(square(rotation));
+  const Vector normal_axis = triple(wall.normal), axis = triple(disc.axis);
+  const Vector into = to_body * (-1.0 * normal_axis), across = into - dot(axis, into) * axis;
+  const auto length = [](const Vector& a) { return std::sqrt(dot(a, a)); };
   // The foremost point of the rim, or the centre where the disc is parallel to the wall.
-  const Eigen::Vector3d at = disc.centre + disc.radius / std::max(across.norm(), 0.01) * across;
-  const double depth = wall.normal.dot(wall.point - body.position) + into.dot(at);
+  const Vector at = triple(disc.centre) + (disc.radius / std::max(length(across), 0.01)) * across;
+  const double depth = dot(normal_axis, triple(wall.point) - triple(body.position)) + dot(into, at);
   if (!(depth > 0.0)) return {};
-  const Eigen::Vector3d velocity =
-      rotation.transpose() * body.velocity + body.angular_velocity.cross(at);
-  const double closing = into.dot(velocity);
+  const Vector velocity =
+      to_body * triple(body.velocity) + cross(triple(body.angular_velocity), at);
+  const double closing = dot(into, velocity);
   const double normal = wall.stiffness * depth * std::max(0.0, 1.0 + Wall::dissipation * closing);
-  Eigen::Vector3d slip = velocity - closing * into;
-  if (disc.rolls) slip = disc.axis.dot(slip) * disc.axis;
+  Vector slip = velocity - closing * into;
+  if (disc.rolls) slip = dot(axis, slip) * axis;
   const double rubbing =
-      std::min(Wall::creep, wall.friction * normal / std::max(slip.norm(), 1e-9));
-  return {normal, transport(Wrenchd{-normal * into - rubbing * slip, Eigen::Vector3d::Zero()}, at)};
+      std::min(Wall::creep, wall.friction * normal / std::max(length(slip), 1e-9));
+  const Vector force = -normal * into - rubbing * slip;
+  WallForce result{normal, {}};
+  put(force, result.wrench.force);
+  put(cross(at, force), result.wrench.torque);
+  return result;
 }
 
 }  // namespace detail

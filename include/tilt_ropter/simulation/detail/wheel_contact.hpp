@@ -102,11 +102,12 @@ struct WheelForces {
 /// body.orientation. `axle_rate` is the rate of the axle relative to the body, about body y
 /// [rad/s]: zero for an axle on the base, the tilt rate for an axle that tilts. The forces are
 /// finite for every finite state, also for a wheel that lies flat. Does not throw or allocate.
-template <typename Rotation>
-[[nodiscard]] WheelForces wheel_contact(const WheelContactParameters& p, const WheelMount& mount,
-                                        const BodyStated& body,
-                                        const Eigen::MatrixBase<Rotation>& rotation,
-                                        const WheelState& state, double axle_rate = 0.0) noexcept {
+[[nodiscard]] inline WheelForces wheel_contact(const WheelContactParameters& p,
+                                               const WheelMount& mount, const BodyStated& body,
+                                               const Eigen::Matrix3d& rotation,
+                                               const WheelState& state,
+                                               double axle_rate = 0.0) noexcept {
+  using Vector = detail::Triple<double>;
   WheelForces result;
   const double relative_spin = mount.locked ? 0.0 : state.spin - body.angular_velocity.y();
   if (!mount.locked) result.bearing_torque = p.bearing_friction * (relative_spin - axle_rate);
@@ -116,38 +117,40 @@ template <typename Rotation>
   // lowest point is ill-conditioned. The contact point then moves to the centre instead. The depth
   // changes accordingly, so that the spring conserves energy: the derivative of the depth with
   // respect to the axle is the lever of the spoke.
-  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
-  const Eigen::Vector3d axle = rotation.col(1);
-  const double sine = std::hypot(axle.x(), axle.y()), upright = std::max(sine, 1e-3);
-  const Eigen::Vector3d centre = rotation * mount.centre;
-  const Eigen::Vector3d spoke = (mount.radius / upright) * (axle.z() * axle - up);
+  const auto to_world = detail::square(rotation);
+  const Vector axle = to_world.y, centre = to_world * detail::triple(mount.centre);
+  const double sine = std::sqrt(axle.x * axle.x + axle.y * axle.y), upright = std::max(sine, 1e-3);
   const double depth =
-      0.5 * mount.radius * (sine * sine / upright + upright) - body.position.z() - centre.z();
+      0.5 * mount.radius * (sine * sine / upright + upright) - body.position.z() - centre.z;
   if (!(depth > 0.0)) return result;
 
-  const Eigen::Vector3d spin_rate = rotation * body.angular_velocity;
-  const Eigen::Vector3d rim_velocity =
-      body.velocity + spin_rate.cross(centre) + (spin_rate + relative_spin * axle).cross(spoke);
-  const double normal = p.stiffness * depth * std::max(0.0, 1.0 - p.dissipation * rim_velocity.z());
+  const Vector spoke = (mount.radius / upright) * (axle.z * axle - Vector{0.0, 0.0, 1.0});
+  const Vector spin_rate = to_world * detail::triple(body.angular_velocity);
+  const Vector rim_velocity = detail::triple(body.velocity) + cross(spin_rate, centre) +
+                              cross(spin_rate + relative_spin * axle, spoke);
+  const double normal = p.stiffness * depth * std::max(0.0, 1.0 - p.dissipation * rim_velocity.z);
 
-  const Eigen::Vector3d rolling(axle.y() / upright, -axle.x() / upright, 0.0);
-  const Eigen::Vector3d sideways(-rolling.y(), rolling.x(), 0.0);
-  const auto cut = [](const Eigen::Vector2d& a, double limit) -> Eigen::Vector2d {
-    const double length = a.norm();
-    return length > limit ? Eigen::Vector2d(a * (limit / length)) : a;
+  const Vector rolling{axle.y / upright, -axle.x / upright, 0.0};
+  const Vector sideways{-rolling.y, rolling.x, 0.0};
+  const auto cut = [](Eigen::Vector2d a, double limit) {
+    const double length = std::sqrt(a.x() * a.x() + a.y() * a.y());
+    if (length > limit) a *= limit / length;
+    return a;
   };
   const double circle = p.friction * normal;
   result.normal_force = normal;
-  result.slip << rolling.dot(rim_velocity), sideways.dot(rim_velocity);
+  result.slip = {dot(rolling, rim_velocity), dot(sideways, rim_velocity)};
   result.bristle = cut(state.bristle, circle / p.bristle_stiffness);
-  const Eigen::Vector2d friction =
-      cut(-p.bristle_stiffness * result.bristle - p.bristle_damping * result.slip, circle);
+  const auto resistance = [&](int i) {
+    return -p.bristle_stiffness * result.bristle(i) - p.bristle_damping * result.slip(i);
+  };
+  const Eigen::Vector2d friction = cut({resistance(0), resistance(1)}, circle);
 
-  const Eigen::Vector3d force = normal * up + friction.x() * rolling + friction.y() * sideways;
-  const double drive = mount.locked ? 0.0 : axle.dot(spoke.cross(force));
-  result.ground.force = rotation.transpose() * force;
-  result.ground.torque =
-      rotation.transpose() * ((centre + spoke).cross(force) - drive * axle).eval();
+  const Vector force = Vector{0.0, 0.0, normal} + friction.x() * rolling + friction.y() * sideways;
+  const double drive = mount.locked ? 0.0 : dot(axle, cross(spoke, force));
+  const auto to_body = transposed(to_world);
+  put(to_body * force, result.ground.force);
+  put(to_body * (cross(centre + spoke, force) - drive * axle), result.ground.torque);
 
   if (mount.locked) return result;
   const double slow = p.rolling_regularisation / mount.radius;
