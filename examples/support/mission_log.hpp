@@ -1,8 +1,9 @@
 #pragma once
 
-#include <cmath>
+#include <charconv>
+#include <cstddef>
 #include <fstream>
-#include <iomanip>
+#include <iterator>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -17,13 +18,16 @@ class MissionLog {
   MissionLog(const std::string& path, std::vector<std::string> columns)
       : path_(path), columns_(std::move(columns)), file_(path) {
     if (!file_) throw std::runtime_error("cannot write " + path);
-    file_ << std::setprecision(8);
     for (std::size_t i = 0; i < columns_.size(); ++i) file_ << (i ? "," : "") << columns_[i];
     file_ << '\n';
   }
 
   MissionLog& add(double value) {
-    file_ << (count_++ ? "," : "") << value;
+    char digits[32];  // std::to_chars takes a third of the time of a stream
+    char* const end =
+        std::to_chars(digits, std::end(digits), value, std::chars_format::general, 8).ptr;
+    if (count_++ > 0) row_ += ',';
+    row_.append(digits, end);
     return *this;
   }
 
@@ -39,8 +43,10 @@ class MissionLog {
     if (count_ != columns_.size())
       throw std::logic_error(path_ + ": row of " + std::to_string(count_) + " values under " +
                              std::to_string(columns_.size()) + " columns");
-    file_ << '\n';
+    row_ += '\n';
+    file_ << row_;
     if (!file_) throw std::runtime_error("cannot write " + path_);
+    row_.clear();
     count_ = 0;
   }
 
@@ -48,6 +54,7 @@ class MissionLog {
   std::string path_;
   std::vector<std::string> columns_;
   std::ofstream file_;
+  std::string row_;
   std::size_t count_ = 0;
 };
 
