@@ -151,8 +151,9 @@ class FlightMessages {
     auto& ground = next(s, map_, contact_, 0, cylinder);  // a disc on the ground below the vehicle
     if (s.contact.on_ground && std::isfinite(s.contact.ground.height)) {
       const Eigen::Vector3d& p = s.body.position;
+      const Eigen::Vector3d n = s.contact.ground.normal();  // upwards: turns z by up to 90 degrees
       const Eigen::Quaterniond tilt =
-          Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), s.contact.ground.normal());
+          Eigen::Quaterniond(1.0 + n.z(), -n.y(), n.x(), 0.0).normalized();
       ground.pose = {{p.x(), p.y(), s.contact.ground.height_at(p)},
                      {tilt.x(), tilt.y(), tilt.z(), tilt.w()}};
       ground.scale = {0.6, 0.6, 0.01};

@@ -113,9 +113,8 @@ class MujocoPlant {
     Eigen::Map<Vector>(model_->geom_pos + 3 * tool_) = wall->hull_centre;
     model_->geom_sameframe[tool_] = 0;
     Eigen::Map<Vector>(model_->geom_pos + 3 * wall_) = wall->point;
-    const auto turned = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), wall->normal);
-    Eigen::Map<Eigen::Matrix<mjtNum, 4, 1>>(model_->geom_quat + 4 * wall_) << turned.w(),
-        turned.x(), turned.y(), turned.z();
+    const Vector normal = wall->normal;
+    mju_quatZ2Vec(model_->geom_quat + 4 * wall_, normal.data());
     model_->geom_sameframe[wall_] = 0;
     model_->geom_friction[3 * wall_] = wall->friction;
     // See solref and solimp of MuJoCo. At this impedance half of the forces are the wall's.
