@@ -11,6 +11,10 @@
 /// Problems whose initial state the solver chooses.
 namespace tilt_ropter::optimal_control {
 
+// A member of the user's problem may have the name of a variable below.
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
+
 /// A struct for AutoDiffProblem, made from another one, `User`: some states of its first node are
 /// free. This also makes parameters, which are states that never change: the time of a phase, for
 /// example, that the lengths of its intervals are multiples of.
@@ -97,5 +101,6 @@ struct FreeStart : User {
     return zeros;
   }
 };
+#pragma GCC diagnostic pop
 
 }  // namespace tilt_ropter::optimal_control

@@ -14,6 +14,10 @@
 
 namespace tilt_ropter::optimal_control {
 
+// A member of the user's problem may have the name of a variable below.
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
+
 /// The same problem with another unit of the cost and of each constraint, where its own is far from
 /// costs of 1 to 10^4 and constraints of 10^-3 to 10^3, for which the thresholds of the solver are
 /// made. The units are powers of two: scaling rounds nothing. States and inputs keep their units.
@@ -110,6 +114,7 @@ class ScaledProblem : public Problem {
   std::array<Rows, 2> row_units_;
   bool natural_rows_ = true;
 };
+#pragma GCC diagnostic pop
 
 /// The constraints in their new units.
 template <typename Problem>
