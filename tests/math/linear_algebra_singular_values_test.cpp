@@ -47,9 +47,11 @@ void expect_decomposition(const Eigen::Matrix<double, Rows, Columns>& A) {
     EXPECT_GE(svd.values(i), 0.0);
     EXPECT_LE(svd.values(i), svd.values(std::max(0, i - 1)));
   }
+#ifndef __ASSOCIATIVE_MATH__  // with -ffast-math of GCC, those of Eigen are NaN
   const Eigen::MatrixXd same = A;
   const Eigen::VectorXd values = Eigen::JacobiSVD<Eigen::MatrixXd>(same).singularValues();
   EXPECT_LE((svd.values - values).norm(), 1e-14 * A.norm());
+#endif
 }
 
 template <int Rows, int Columns>
@@ -112,7 +114,12 @@ TEST(SingularValues, SmallValuesAreAccurateForRowsOfVeryDifferentSize) {
 
 TEST(SingularValues, ScaleWithTheMatrix) {
   Random random(4);
-  for (const double scale : {1e-140, 1e-20, 1e20, 1e140})
+#ifdef __ASSOCIATIVE_MATH__
+  constexpr double large = 1e70;
+#else
+  constexpr double large = 1e140;
+#endif
+  for (const double scale : {1.0 / large, 1e-20, 1e20, large})
     for (int i = 0; i < 20; ++i) {
       const Eigen::Matrix<double, 6, 8> A = random_matrix<6, 8>(random), scaled = scale * A;
       const SingularValues<6, 8> svd(A), same(scaled);

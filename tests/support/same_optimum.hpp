@@ -41,7 +41,7 @@ SingleShooting<Problem> expect_same_optimum(const Problem& problem,
                                             const typename Problem::State& x0,
                                             double tolerance = 1e-8) {
   SolverSettings exact = patient();
-  exact.tolerance = 1e-10;
+  exact.tolerance = 1e-11;
   SingleShooting<Problem> oracle(problem, exact);
   oracle.reset(x0);
   const SolveReport truth = oracle.solve(x0);

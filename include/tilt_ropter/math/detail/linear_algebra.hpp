@@ -213,7 +213,8 @@ struct SingularValues {
   /// Orthonormal rows. The rows of zero values are zero.
   Eigen::Matrix<double, Rows, Columns> right;
 
-  /// Decomposes `A`. Its entries must be finite, and their squares must not overflow or underflow.
+  /// Decomposes `A`. Its entries must be finite, and their squares must not overflow or underflow;
+  /// with -ffast-math their fourth powers.
   /// With a NaN, an infinite entry or an overflow, a value is not finite, and the rank is less than
   /// Rows. Does not allocate.
   explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
