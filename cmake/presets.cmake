@@ -18,7 +18,6 @@ set(programs TILT_ROPTER_BUILD_TESTS=OFF TILT_ROPTER_BUILD_EXAMPLES=ON)
 set(everything TILT_ROPTER_BUILD_TESTS=ON TILT_ROPTER_BUILD_EXAMPLES=ON)
 set(nothing TILT_ROPTER_BUILD_TESTS=OFF TILT_ROPTER_BUILD_EXAMPLES=OFF)
 set(debuggable "-O1 -gline-tables-only -fno-omit-frame-pointer -fno-sanitize-recover=all")
-set(variant ${quick} ${library} CMAKE_BUILD_TYPE=None)
 
 set(plain ${quick} ${everything})
 set(full ${plain} TILT_ROPTER_FULL_TESTS=ON)
@@ -38,7 +37,7 @@ set(tidy ${clang} ${everything} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_BUIL
 # GCC compiles neither faster with a precompiled header nor its code once.
 set(gcc_fast_math ${library} CMAKE_BUILD_TYPE=None CMAKE_CXX_COMPILER=g++ TILT_ROPTER_NATIVE=ON
   "CMAKE_CXX_FLAGS=-O1 -ffast-math -fno-finite-math-only")
-set(libcxx ${variant} "CMAKE_CXX_FLAGS=-O0 -stdlib=libc++"
+set(libcxx ${quick} ${library} CMAKE_BUILD_TYPE=None "CMAKE_CXX_FLAGS=-O1 -stdlib=libc++"
   TILT_ROPTER_GTEST_SOURCE=/usr/src/googletest)
 set(for_aarch64 CMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake
   CMAKE_PREFIX_PATH=${CMAKE_SOURCE_DIR}/build-aarch64/sysroot/usr)
