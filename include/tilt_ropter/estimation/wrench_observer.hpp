@@ -446,18 +446,18 @@ template <typename Scalar>
 void WrenchObserver<Scalar>::BlockAverage::add(const Wrench<Scalar>& sample,
                                                const Wrench<Scalar>& applied, double dt) noexcept {
   applied_sum += Scalar(dt) * applied.force;
-  Vector6 packed;
-  packed << sample.force, sample.torque;
-  block_sum += Scalar(dt) * packed;
+  for (int i = 0; i < 6; ++i)
+    block_sum(i) += Scalar(dt) * (i < 3 ? sample.force(i) : sample.torque(i - 3));
   block_time += dt;
   if (block_time < 0.1) return;
   // Recursive update after D. H. D. West, "Updating mean and variance estimates", 1979.
   time += block_time;
-  const Vector6 block = block_sum / Scalar(block_time), step = block - mean;
-  mean += Scalar(block_time / time) * step;
-  const Vector6 rest = block - mean;
-  for (int i = 0; i < 6; ++i) squares(i) += Scalar(block_time) * step(i) * rest(i);
-  block_sum.setZero();
+  for (int i = 0; i < 6; ++i) {
+    const Scalar block = block_sum(i) / Scalar(block_time), step = block - mean(i);
+    mean(i) += Scalar(block_time / time) * step;
+    squares(i) += Scalar(block_time) * step * (block - mean(i));
+    block_sum(i) = Scalar(0);
+  }
   block_time = 0.0;
 }
 

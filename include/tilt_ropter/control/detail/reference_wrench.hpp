@@ -72,13 +72,16 @@ class ReferenceWrench {
   [[nodiscard]] double ground_thrust(const Wrenchd& wrench, double lifted = 0.0) const noexcept {
     const GroundContactSettings& settings = ground_.settings();
     const double most = 0.5 * body_.mass * gravity;
-    Eigen::Matrix<double, 6, 1> level;
-    level << wrench.force.x(), wrench.force.y(), 0.0, wrench.torque;
+    const Eigen::Vector3d &f = wrench.force, &t = wrench.torque;
+    const auto for_level = [&](int i) {
+      return inverse_(i, 0) * f.x() + inverse_(i, 1) * f.y() +
+             (inverse_(i, 3) * t.x() + (inverse_(i, 4) * t.y() + inverse_(i, 5) * t.z()));
+    };
     double force = settings.down_force;
     for (int i = 0; i < Rotors; ++i) {
-      const double fraction = inverse_(2 * i + 1, 2), taken = -inverse_.row(2 * i + 1).dot(level);
+      const double fraction = inverse_(2 * i + 1, 2), taken = -for_level(2 * i + 1);
       if (!(fraction > 1e-6)) continue;
-      const double lateral = std::abs(inverse_.row(2 * i).dot(level)),
+      const double lateral = std::abs(for_level(2 * i)),
                    kept = std::max(std::min(2.0 * taken, settings.rotor_thrust),
                                    vertical_per_lateral_ * lateral);
       force = std::max(force, (taken + kept) / fraction);
