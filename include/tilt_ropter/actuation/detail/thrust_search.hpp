@@ -394,8 +394,8 @@ class ThrustChoice {
 
   template <typename Scalar>
   [[nodiscard]] static Vector3<Scalar> shortened(const Vector3<Scalar>& v, double limit) noexcept {
-    using std::hypot;  // unlike a square, it does not overflow
-    const Scalar factor = Scalar(limit) / hypot(v.x(), v.y(), v.z());
+    using std::hypot;  // of two numbers: that of three overflows in libc++ 14, as a square does
+    const Scalar factor = Scalar(limit) / hypot(v.x(), hypot(v.y(), v.z()));
     return factor < Scalar(1) ? Vector3<Scalar>(v * factor) : v;
   }
 
