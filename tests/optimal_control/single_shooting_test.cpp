@@ -108,7 +108,7 @@ TEST(SingleShooting, AgreesWithMultipleShootingOnTwoGroundNodes) {
 }
 
 TEST(SingleShooting, AgreesWithMultipleShootingOnGroundWithTheDefaultWeights) {
-  expect_same_optimum(short_landing(3, NmpcWeights{}.ground.x()), above_the_ground(), 1e-9);
+  expect_same_optimum(short_landing(3, NmpcWeights{}.ground.x()), above_the_ground(), 1e-9, 1e-11);
 }
 
 TEST(SingleShooting, ReportAgreesWithAnIndependentAudit) {
