@@ -11,7 +11,7 @@
 set -euo pipefail
 compiler=$1 include=$2 eigen=$3 form=${4-} flags=("${@:5}")
 most_times=15 most_megabytes=700 most_debug_megabytes=1200 most_compiled_times=4
-most_loop_times=30 most_loop_megabytes=1150
+most_loop_times=30 most_loop_megabytes=1080
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 
