@@ -55,7 +55,7 @@ bool is_subnormal(std::uint64_t word) {
   return std::any_of(bytes.begin(), bytes.end(), [](int byte) { return byte < -2 || byte > 2; });
 }
 
-int subnormal_numbers() {
+[[maybe_unused]] int subnormal_numbers() {
   int count = 0;
   for (std::size_t b = 0; b < block_count; ++b)
     for (std::size_t i = 0; i + 8 <= blocks[b].size; i += 8) {
@@ -101,11 +101,11 @@ int fly(const Scenario& scenario, int ticks, const Control& control) {
   return count;
 }
 
-void iterate(Solver& solver, const Stated& x) {
+[[maybe_unused]] void iterate(Solver& solver, const Stated& x) {
   (void)solver.prepare();
   (void)solver.feedback(x);
 }
-void converge(Solver& solver, const Stated& x) {
+[[maybe_unused]] void converge(Solver& solver, const Stated& x) {
   (void)solver.solve(x);
 }
 
