@@ -214,9 +214,8 @@ struct SingularValues {
   Eigen::Matrix<double, Rows, Columns> right;
 
   /// Decomposes `A`. Its entries must be finite, and their squares must not overflow or underflow;
-  /// with -ffast-math their fourth powers.
-  /// With a NaN, an infinite entry or an overflow, a value is not finite, and the rank is less than
-  /// Rows. Does not allocate.
+  /// with -ffast-math their fourth powers. With a NaN, an infinite entry or an overflow, a value is
+  /// not finite, and the rank is less than Rows. Does not allocate.
   explicit SingularValues(const Eigen::Matrix<double, Rows, Columns>& A) : right(A) {
     constexpr int max_sweeps = 60;  // 6 or 7 sweeps are usual
     for (int i = 0; i < Rows; ++i) left(i, i) = 1.0;
