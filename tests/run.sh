@@ -76,7 +76,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 install() {  # packages besides those of every build
   bash cmake/install_missing.sh g++ cmake make ninja-build libeigen3-dev libnlopt-dev \
-    libtcmalloc-minimal4 "$@"
+    libmimalloc2.0 "$@"
 }
 install_for_tests() {  # more packages
   install clang clang-format libgtest-dev libbenchmark-dev libcli11-dev nlohmann-json3-dev \
@@ -165,7 +165,7 @@ case $mode in
     configure tidy build-tidy
     cmake --build build-tidy --target ros2_messages  # generates headers
     echo "== Reading every source, and every header as it is included"
-    LD_PRELOAD=libtcmalloc_minimal.so.4 run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
+    LD_PRELOAD=libmimalloc.so.2 MIMALLOC_LARGE_OS_PAGES=1 run-clang-tidy -quiet -p build-tidy -j "$(nproc)"
     ;;
   variants)
     install clang libgtest-dev googletest libc++-dev libc++abi-dev

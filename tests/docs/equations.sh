@@ -12,12 +12,22 @@ cd "$1/tilt_ropter"
 # Lines like "model/frames.hpp|Sec. Frame Definition". A comment continues over all adjacent comment
 # lines, and a reference ends at the closing bracket or the next comma.
 references=$(
-  find . -name '*.hpp' -printf '%P\n' | while read -r header; do
-    awk '/^ *\/\/\// { sub(/^ *\/\/\/ ?/, ""); printf "%s ", $0; next } { print $0 ";" }' "$header" |
-      grep -oE "paper('s)?,? (Secs?|Eqs?|Tab)\. [^;)]*" |
-      grep -oE "(Secs?|Tab)\. [A-Z][A-Za-z -]*|Eqs?\. [A-Za-z0-9_-]+" |
-      sed -E "s/ +$//; s|^|$header\||" || true  # most headers have none
-  done | sort -u
+  paper="paper('s)?,? (Secs?|Eqs?|Tab)[.] [^;)]*"
+  find . -name '*.hpp' -printf '%P\n' | xargs awk -v paper="$paper" '
+    function refer(text, reference) {
+      while (match(text, paper)) {
+        reference = substr(text, RSTART, RLENGTH)
+        text = substr(text, RSTART + RLENGTH)
+        while (match(reference, /(Secs?|Tab)[.] [A-Z][A-Za-z -]*|Eqs?[.] [A-Za-z0-9_-]+/)) {
+          one = substr(reference, RSTART, RLENGTH)
+          reference = substr(reference, RSTART + RLENGTH)
+          sub(/ +$/, "", one)
+          print FILENAME "|" one
+        }
+      }
+    }
+    /^ *\/\/\// { sub(/^ *\/\/\/ ?/, ""); comment = comment " " $0; next }
+    { refer(comment " " $0); comment = "" }' | sort -u
 )
 # Lines like "model/frames.hpp|Sec. Frame Definition|body_in_world".
 rows=$(awk -F ' *\\| *' '$5 ~ /@ref/ { sub(/.*::/, "", $5); print $4 "|" $2 "|" $5 }' "$page")
@@ -25,13 +35,12 @@ rows=$(awk -F ' *\\| *' '$5 ~ /@ref/ { sub(/.*::/, "", $5); print $4 "|" $2 "|" 
   { echo "found next to nothing"; exit 1; }
 
 wrong=$(
-  while IFS= read -r reference; do
-    grep -qF "$reference|" <<< "$rows" || echo "no row in $(basename "$page") for $reference"
-  done <<< "$references"
+  comm -23 <(echo "$references") <(sed 's/|[^|]*$//' <<< "$rows" | sort -u) |
+    sed "s|^|no row in ${page##*/} for |"
   while IFS='|' read -r header _ name; do
     if [[ ! -f $header ]]; then
       echo "there is no $header"
-    elif ! grep -qw "$name" <<< "$(sed 's|//.*||' "$header")"; then
+    elif ! sed 's|//.*||' "$header" | grep -w "$name" > /dev/null; then
       echo "$header has no $name"
     fi
   done <<< "$rows"

@@ -14,16 +14,15 @@ cd "$include"
 
 bytes() {  # header
   "$compiler" -std=c++17 -M -I . -isystem "$eigen" -x c++ - <<< "#include <$1>" |
-    tr -d '\\\n' | tr -s ' ' '\n' | grep / | sort -u | xargs -d '\n' stat -L -c %s |
-    awk '{ sum += $1 } END { print sum }'
+    awk '{ for (i = 1; i <= NF; ++i) if ($i ~ "/" && !seen[$i]++) print $i }' |
+    xargs stat -L -c %s | awk '{ sum += $1 } END { print sum }'
 }
 
 unit=$(bytes Eigen/Dense)
 included=$(grep -rhoE '#include <tilt_ropter/[^>]+' --include='*.hpp' tilt_ropter/*/ |
   sed 's/.*<//' | sort -u)
 result=0 counted=0
-for header in $(find tilt_ropter -name '*.hpp' | LC_ALL=C sort); do
-  ! grep -qxF "$header" <<< "$included" || continue
+for header in $(comm -23 <(find tilt_ropter -name '*.hpp' | sort) <(echo "$included")); do
   most=1.15
   [[ $header == */*/* ]] || most=1.3
   awk -v header="$header" -v bytes="$(bytes "$header")" -v unit="$unit" -v most=$most 'BEGIN {

@@ -13,26 +13,49 @@ say() {
   echo "$1"
   result=1
 }
-for header in $(find include/tilt_ropter -mindepth 2 -name '*.hpp' | LC_ALL=C sort); do
-  name=$(basename "$header" .hpp)
-  own=$(find tests -name "${name}_test.cpp" -o -name "${name}_*_test.cpp")
-  folder=$(cut -d / -f 3 <<< "$header")
-  line=$(grep -cF "\`$folder/$name\`" <<< "$table" || true)
-  [[ $own || $line != 0 ]] || say "$header: no test of its name, and no line in CONTRIBUTING.md"
+tests=$(find tests -name '*_test.cpp' -printf '/%f/\n')
+for header in $(find include/tilt_ropter -mindepth 2 -name '*.hpp' -printf '%P\n' | LC_ALL=C sort); do
+  name=${header##*/}
+  name=${name%.hpp}
+  [[ $tests == *"/${name}_test.cpp/"* || $tests == *"/${name}_"* ||
+    $table == *"\`${header%%/*}/$name\`"* ]] ||
+    say "include/tilt_ropter/$header: no test of its name, and no line in CONTRIBUTING.md"
 done
 for name in $(cut -d '|' -f 2 <<< "$table" | grep -oE '[a-z_]+/[a-z_]+'); do
   [[ -e include/tilt_ropter/$name.hpp || -e include/tilt_ropter/${name/\//\/detail/}.hpp ]] ||
     say "CONTRIBUTING.md: no header $name.hpp"
 done
 for test in $(cut -d '|' -f 3 <<< "$table" | grep -oE '[a-z_/.]+'); do
-  [[ $test == *.sh && -e $test || -n $(find tests -name "$test.cpp") ]] ||
+  [[ $test == *.sh && -e $test || $tests == *"/$test.cpp/"* ]] ||
     say "CONTRIBUTING.md: no test $test"
 done
-for header in $(find include/tilt_ropter -name '*.hpp' ! -path '*/detail/*' | LC_ALL=C sort); do
-  nouns=$(sed -nE 's/^(class|struct|enum class) ([A-Za-z]+).*/\2/p
-    s/^\[\[nodiscard\]\].* ([a-z_]+)\(.*/\1/p' "$header" | paste -sd '|')
-  path=${header#include/}
-  grep -rqE "<$path>|\b(${nouns:-none})d?\b" README.md examples ||
-    say "$header: no program and no README of ours uses what it declares"
-done
+unused=$(
+  {
+    find README.md examples -type f -exec cat {} +
+    echo "== headers"
+    find include/tilt_ropter -name '*.hpp' ! -path '*/detail/*' | LC_ALL=C sort |
+      while read -r header; do
+        echo "== ${header#include/}"
+        cat "$header"
+      done
+  } | awk '
+    function report() { if (header && !used) print header }
+    $0 == "== headers" { declared = 1; next }
+    !declared {
+      if (match($0, /<tilt_ropter\/[a-z_\/.]+>/)) word[substr($0, RSTART + 1, RLENGTH - 2)]
+      n = split($0, words, /[^A-Za-z_0-9]+/)
+      for (i = 1; i <= n; ++i) word[words[i]]
+      next
+    }
+    /^== / { report(); header = $2; used = header in word; next }
+    {
+      noun = ""
+      if (/^(class|struct|enum class) [A-Za-z]/) noun = $1 == "enum" ? $3 : $2
+      else if (/^\[\[nodiscard\]\].* [a-z_]+\(/) { noun = $0; sub(/\(.*/, "", noun); sub(/.* /, "", noun) }
+      sub(/[^A-Za-z_].*/, "", noun)
+      if (noun && ((noun in word) || ((noun "d") in word))) used = 1
+    }
+    END { report() }'
+)
+[[ ! $unused ]] || say "no program and no README of ours uses what it declares: $unused"
 exit $result

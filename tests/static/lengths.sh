@@ -6,9 +6,8 @@ shopt -s inherit_errexit
 
 cd "$1"
 too_long=$(
-  find tests -name '*_test.cpp' | sort | while read -r test; do
-    ((lines = $(wc -l < "$test"))) && ((lines <= 400)) || echo "$test: $lines lines"
-  done
+  find tests -name '*_test.cpp' | sort | xargs wc -l |
+    awk '$1 > 400 && $2 != "total" { print $2 ": " $1 " lines" }'
 )
 if [[ $too_long ]]; then
   echo "$too_long"
