@@ -27,9 +27,10 @@ set(sanitize ${quick} ${library} CMAKE_CXX_FLAGS_RELEASE= "CMAKE_CXX_FLAGS=${deb
 set(sanitize_threads ${clang} ${programs} CMAKE_BUILD_TYPE=None
   "CMAKE_CXX_FLAGS=${debuggable} -fsanitize=thread")
 # Without the shared code of TILT_ROPTER_BUILD_QUICKLY, of which clang counts only a part of the
-# lines.
-set(coverage ${clang} ${library} CMAKE_BUILD_TYPE=None
-  "CMAKE_CXX_FLAGS=-O1 -fprofile-instr-generate -fcoverage-mapping")
+# lines. To count in our headers alone takes a quarter less time to compile and far less to run.
+set(coverage ${clang} ${library} CMAKE_BUILD_TYPE=None "CMAKE_CXX_FLAGS=-O1\
+ -fprofile-instr-generate -fcoverage-mapping\
+ -fprofile-list=${CMAKE_SOURCE_DIR}/tests/coverage.list")
 # Read as C++20; everything else is compiled as C++17. Without the precompiled header, so that
 # missing includes are found.
 set(tidy ${clang} ${everything} TILT_ROPTER_BUILD_BENCHMARKS=ON TILT_ROPTER_BUILD_FUZZERS=ON
