@@ -18,16 +18,15 @@ declare -A headers=(
 pieces='allocation observer servo solver filter controller'
 
 closure() {  # HEADER...: these and all that they include, one a line
-  local todo=("${@/#/tilt_ropter/}") done=' ' header
-  while ((${#todo[@]})); do
-    header=${todo[-1]}
-    unset 'todo[-1]'
-    [[ $done != *" $header "* ]] || continue
-    done+="$header "
-    mapfile -t -O ${#todo[@]} todo < <(
-      sed -nE 's/^#include <(tilt_ropter\/[^>]*)>.*/\1/p' "$include/$header")
-  done
-  tr ' ' '\n' <<< "$done" | sed '/^$/d' | sort
+  (cd "$include" && grep -r '^#include <tilt_ropter/' tilt_ropter) |
+    sed 's/:#include </ /; s/>.*//' | awk -v wanted="${*/#/tilt_ropter/}" '
+      { includes[$1] = includes[$1] " " $2 }
+      function reach(headers, i, n, header) {
+        n = split(headers, header, " ")
+        for (i = 1; i <= n; ++i)
+          if (!seen[header[i]]++) { print header[i]; reach(includes[header[i]]) }
+      }
+      END { reach(wanted) }' | sort
 }
 
 processor_time() {  # HEADER...: [s]
@@ -61,9 +60,8 @@ if (($# != 2)) || [[ -z ${headers[$1]:-} ]]; then
   [[ ${1:-} == --help ]] && exit 0 || exit 2
 fi
 read -ra own <<< "${headers[$1]}"
-for header in $(closure "${own[@]}"); do
-  mkdir -p "$2/$(dirname "$header")"
-  cp "$include/$header" "$2/$header"
-done
+mkdir -p "$2"
+to=$(realpath "$2")
+(cd "$include" && closure "${own[@]}" | xargs cp --parents --target-directory "$to")
 cp "$include/../LICENSE" "$2/tilt_ropter/LICENSE"
 echo "$1: include <tilt_ropter/${own[0]}>"

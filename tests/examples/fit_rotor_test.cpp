@@ -1,5 +1,6 @@
 // Runs the program fit_rotor as a user does.
 
+#include "support/full_run.hpp"
 #include "support/program.hpp"
 
 #include <gtest/gtest.h>
@@ -154,7 +155,7 @@ TEST_F(FitRotor, ConfidenceIntervalsContainTheTruthIn95Percent) {
                                                    {"power_coefficient", "_w_s3_per_rad3"}};
   for (const char* points : {"4", "40"}) {
     std::map<std::string, int> held;
-    const int seeds = 200;
+    const int seeds = test_support::full_run() ? 200 : 100;
     for (int seed = 1; seed <= seeds; ++seed) {
       const Outcome found =
           fit(generate("stand.csv", "--seed " + std::to_string(seed) + " --points " + points));

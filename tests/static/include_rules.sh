@@ -63,12 +63,10 @@ violations=$(
   pairs=$(sed -nE 's/ <(tilt_ropter\/.*)>/ \1/p' <<< "$includes")
   reached=$(awk -v umbrella=$umbrella '
     { includes[$1] = includes[$1] " " $2 }
-    function reach(header, n, i, parts) {
-      if (header in reached) return
-      reached[header]
-      print header
-      n = split(includes[header], parts, " ")
-      for (i = 1; i <= n; ++i) reach(parts[i])
+    function reach(headers, i, n, header) {
+      n = split(headers, header, " ")
+      for (i = 1; i <= n; ++i)
+        if (!seen[header[i]]++) { print header[i]; reach(includes[header[i]]) }
     }
     END { reach(umbrella) }' <<< "$pairs" | sort)
   comm -13 <(echo "$reached") <(grep -vxE "tilt_ropter/($not_in_umbrella)" <<< "$public") |
