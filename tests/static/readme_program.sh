@@ -2,9 +2,10 @@
 # readme_program.sh README                  print the C++ of the README as one source: its first
 #                                           program, and all pieces that are not programs in one
 #                                           function, where each piece can use the earlier ones
-# readme_program.sh README SOURCE PROGRAM   check that the README shows SOURCE, which the tests
-#                                           compile and run, line by line, and that PROGRAM, the
-#                                           first program, prints the output in the README
+# readme_program.sh README SOURCE PROGRAM   check that the excerpt in the README, a ```c++ block up
+#                                           to its line `// ...`, is in SOURCE, which the tests
+#                                           compile and run, and that PROGRAM, the first program,
+#                                           prints the output in the README
 set -euo pipefail
 readme=$1
 
@@ -21,12 +22,14 @@ if [[ $# -eq 1 ]]; then
   awk '/^```cpp$/ { code = 1; text = ""; next }
     /^```/ && code { code = 0; if (text !~ /int main/) { printf "%s", text; ++count }; next }
     code { text = text $0 "\n" }
-    END { exit count < 3 }' "$readme"
+    END { exit count < 2 }' "$readme"
   echo '}'
   exit 0
 fi
 source=$2
 program=$3
-block "$(head -n 1 "$source")" | diff - "$source"
+excerpt=$(awk '/^```c\+\+$/ { inside = 1; next } /^ *\/\/ \.\.\.$/ { inside = 0 } inside' "$readme")
+(($(wc -l <<< "$excerpt") > 30))
+[[ $(sed 's/^  //' "$source") == *"$excerpt"* ]] || { echo "not in $source: the excerpt" && exit 1; }
 printed=$("$program")
 block "$(head -n 1 <<< "$printed")" | diff <(echo "$printed") -
