@@ -34,7 +34,9 @@ struct Mass {  // state: position [m], speed [m/s]; input: force [N]
 
 template <template <typename> class Solver>
 bool solve(const char* name) {
-  Solver<AutoDiffProblem<Mass>> solver{AutoDiffProblem<Mass>()};
+  SolverSettings settings;
+  settings.max_time = 60.0;  // [s]: the same result on a computer with other work
+  Solver<AutoDiffProblem<Mass>> solver{AutoDiffProblem<Mass>(), settings};
   solver.reset({0.0, 2.0});
   const SolveReport report = solver.solve({0.0, 2.0});
   std::printf("%-18s %s, cost %.6f, first force %.4f N\n", name, to_string(report.status),
