@@ -318,14 +318,17 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
                                  at.by(I::velocity) * rotation * skew(motion.angular_velocity);
   }
   if (!at.valid || !at.is_usable()) return EkfStatus::rejected;
+  if constexpr (kind == MeasurementKind::heading) at.noise *= Scalar(guard_.heading().factor());
   const auto innovation = filter().innovation_of(at);
   const detail::Verdict verdict = guard_.judge(kind, part, at, innovation, filter_);
   if (verdict.action == Action::drop) return verdict.status;
   filter_.change([&](ErrorStateFilter<Scalar>& f) {
-    if (verdict.action == Action::use)
-      f.update(innovation, at);
-    else
-      detail::shift(f, part, at);
+    if (verdict.action == Action::restart) return detail::shift(f, part, at);
+    if (verdict.action != Action::use) {
+      const auto off = static_cast<double>(detail::displacement<Scalar>(part, at).norm());
+      f.widen(verdict.action == Action::widen_gyro, off);
+    }
+    f.update(verdict.action == Action::use ? innovation : f.innovation_of(at), at);
   });
   return verdict.status;
 }

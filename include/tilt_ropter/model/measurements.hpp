@@ -97,6 +97,7 @@ struct FlowMeasurement {
 };
 
 /// Heading of body x in the world's xy plane (yaw_of), such as a compass or two GPS antennas.
+/// Ekf counts it less while it contradicts gyroscope and positions.
 template <typename Scalar>
 struct HeadingMeasurement {
   static constexpr MeasurementKind kind = MeasurementKind::heading;

@@ -94,8 +94,9 @@ struct EstimateTrust {
   /// Restarted within the last second; within five if it was the second time in ten seconds.
   bool restarted = false;
   /// The measurements that were used deviate more than they should: their mean NIS is above three
-  /// times their number of rows, or poses contradict the IMU again and again, as with a wrong
-  /// heading of the marker frame. The predicted errors are then too small.
+  /// times their number of rows, poses contradict the IMU again and again, as with a wrong heading
+  /// of the marker frame, or a heading contradicts gyroscope and positions, such as that of a
+  /// compass that turns away: its weight is then small. The predicted errors are too small.
   bool inconsistent = false;
   /// A bias or the marker frame is more than five standard deviations from that of the settings, as
   /// with a wrong unit, sign or axis of the IMU.

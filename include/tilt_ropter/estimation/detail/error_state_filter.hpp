@@ -208,7 +208,8 @@ class ErrorStateFilter {
   }
 
   /// Widens the covariance and the noise of a sensor that is wrong. predict() forgets this slowly.
-  void widen(bool gyro) noexcept;
+  /// `off`: what it has done to position or velocity within a second or so [m], [m/s].
+  void widen(bool gyro, double off = 0.0) noexcept;
   void forget_wider_noise() noexcept { wider_.setOnes(); }
   /// True for some time after widen().
   [[nodiscard]] bool is_wider() const noexcept { return wider_.maxCoeff() > Scalar(1.2); }
@@ -317,7 +318,7 @@ void ErrorStateFilter<Scalar>::predict(const InertialSample<Scalar>& sample,
 }
 
 template <typename Scalar>
-void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
+void ErrorStateFilter<Scalar>::widen(bool gyro, double off) noexcept {
   using I = InertialIndex;
   // Steps of the bias that are followed at once, and what they have done since.
   constexpr double rate = 0.3, turn = 0.05, force = 2.0, velocity = 0.3;
@@ -327,6 +328,8 @@ void ErrorStateFilter<Scalar>::widen(bool gyro) noexcept {
   };
   add(gyro ? I::gyro_bias : I::accelerometer_bias, gyro ? rate : force);
   add(gyro ? I::orientation : I::velocity, gyro ? turn : velocity);
+  add(I::position, off);
+  add(I::velocity, 2.0 * off);
   wider_(gyro) = std::min(Scalar(growth) * wider_(gyro), Scalar(widest));
   updates_ = 0;
 }

@@ -6,6 +6,7 @@
 #include <tilt_ropter/estimation/detail/ekf_start.hpp>
 #include <tilt_ropter/estimation/detail/ekf_trust.hpp>
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/fix_witness.hpp>
 #include <tilt_ropter/estimation/detail/measurement_faults.hpp>
 #include <tilt_ropter/math/detail/finite.hpp>
 #include <tilt_ropter/math/detail/linear_algebra.hpp>
@@ -61,6 +62,7 @@ class MeasurementGuard {
   [[nodiscard]] const OrientationStep<Scalar>& turn() const noexcept { return turn_; }
   /// Poses by their noise among each other.
   [[nodiscard]] const PoseContinuity<Scalar>& continuity() const noexcept { return continuity_; }
+  [[nodiscard]] const HeadingNoise& heading() const noexcept { return heading_; }
   /// Too few poses have confirmed the start.
   [[nodiscard]] bool has_just_started() const noexcept { return used_since_start_ < 25; }
 
@@ -95,6 +97,7 @@ class MeasurementGuard {
       *last += step;
     compared_ = never;
     for (GateMonitor<Scalar>& gate : gates_) gate.clear();
+    fixes_ = {};
     constexpr bool clock_changed = true;
     return {Action::restart, EkfStatus::stopped, clock_changed};
   }
@@ -227,11 +230,18 @@ class MeasurementGuard {
                 const MeasurementInnovation<Scalar, Linear::rows>& innovation,
                 const Filter& filter) noexcept {
     const bool is_likely = passes(innovation);
+    if constexpr (Linear::rows == 1) {
+      using std::sqrt;
+      const Scalar noise = at.noise(0, 0), believed = noise / Scalar(heading_.factor());
+      if (kind == MeasurementKind::heading)
+        heading_.add(static_cast<double>(at.residual(0) /
+                                         sqrt(innovation.covariance(0, 0) - noise + believed)));
+    }
     if constexpr (Linear::rows == 3 || Linear::rows == 6) {
       constexpr bool is_pose = Linear::rows == 6;
       GateMonitor<Scalar>& gate = gates_[is_pose ? 3 : is_position(kind) ? 1 : 2];
       if (is_position(kind) || (kind == MeasurementKind::velocity && !is_pose))
-        return judge_series(filter.time(), kind, compare(part, at, filter), is_likely, gate);
+        return judge_series(kind, compare(part, at, filter), is_likely, filter, gate);
     }
     return is_likely ? use(filter.time(), kind) : Verdict{Action::drop, EkfStatus::gated};
   }
@@ -242,6 +252,8 @@ class MeasurementGuard {
   /// Processes a start at `time` by other means than a measurement.
   void on_start(double time) noexcept {
     gates_ = {};
+    heading_ = {};
+    fixes_ = {};
     last_pose_ = time;
     used_since_start_ = 0;
   }
@@ -251,7 +263,7 @@ class MeasurementGuard {
     EstimateTrust t = started ? faults_ : EstimateTrust();
     for (std::size_t i = 0; i < t.age.size(); ++i) t.age[i] = age(now, last_used_[i]);
     t.restarted = now < doubtful_until_;
-    t.inconsistent = mean_nis_ > inconsistent;
+    t.inconsistent = mean_nis_ > inconsistent || heading_.contradicts();
     for (const GateMonitor<Scalar>& gate : gates_) t.unconfirmed |= !gate.is_confirmed();
     t.latency = stamps_.latency();
     t.orientation_unused = turn_.is_open();
@@ -318,14 +330,27 @@ class MeasurementGuard {
   }
 
   /// Judges a position, velocity or pose after the series of gated ones before it.
-  Verdict judge_series(double time, MeasurementKind kind, const PoseComparison<Scalar>& c,
-                       bool is_likely, GateMonitor<Scalar>& gate) noexcept {
+  Verdict judge_series(MeasurementKind kind, const PoseComparison<Scalar>& c, bool is_likely,
+                       const Filter& filter, GateMonitor<Scalar>& gate) noexcept {
+    const double time = filter.time();
+    const bool is_place = is_position(kind);
+    const auto speed = static_cast<double>(filter.filter().state().velocity.norm());
     if (is_likely && gate.accepts(time, c.distance, 6.0 * c.noise, settings_.restart_time)) {
       gate.on_used(c.predicted.position);
+      fixes_.on_used(is_place, time, c, speed);
       return use(time, kind);
     }
     gate.on_gated(time, c);
-    faults_.poses_gated |= is_position(kind);
+    fixes_.on_gated(is_place, time, c);
+    faults_.poses_gated |= is_place;
+    if (fixes_.convicts_imu(is_place, heading_.contradicts()) && gate.is_confirmed() &&
+        !filter.filter().is_widest()) {
+      gate.on_used(c.predicted.position);
+      fixes_.on_used(is_place, time, c, speed);
+      use(time, kind);
+      const bool gyro = heading_.contradicts() || filter.filter().is_wider();
+      return {gyro ? Action::widen_gyro : Action::widen_accelerometer};
+    }
     if (!gate.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
         !(c.measured.orientation.angularDistance(c.predicted.orientation) < Scalar(0.1)))
       return {Action::drop, EkfStatus::gated};
@@ -501,7 +526,9 @@ class MeasurementGuard {
   EkfCounts counts_;
   RepetitionDetector<Scalar> repetitions_;
   StampMonitor stamps_;
-  PoseContinuity<Scalar> continuity_;         ///< of on_pose()
+  PoseContinuity<Scalar> continuity_;  ///< of on_pose()
+  HeadingNoise heading_;
+  FixWitness<Scalar> fixes_;
   OrientationStep<Scalar> turn_;              ///< of on_pose()
   std::array<GateMonitor<Scalar>, 4> gates_;  ///< of on_pose(), positions, velocities, poses
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_;
