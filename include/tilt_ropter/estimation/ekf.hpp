@@ -324,11 +324,15 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
   if (verdict.action == Action::drop) return verdict.status;
   filter_.change([&](ErrorStateFilter<Scalar>& f) {
     if (verdict.action == Action::restart) return detail::shift(f, part, at);
-    if (verdict.action != Action::use) {
-      const auto off = static_cast<double>(detail::displacement<Scalar>(part, at).norm());
+    if (verdict.action == Action::use) return (void)f.update(innovation, at);
+    double off = 0.0;
+    if constexpr (decltype(at)::rows >= 3)
+      off = static_cast<double>(detail::displacement<Scalar>(part, at).norm());
+    if (verdict.action == Action::forget_heading)
+      detail::forget_heading(f, off);
+    else
       f.widen(verdict.action == Action::widen_gyro, off);
-    }
-    f.update(verdict.action == Action::use ? innovation : f.innovation_of(at), at);
+    f.update(f.innovation_of(at), at);
   });
   return verdict.status;
 }

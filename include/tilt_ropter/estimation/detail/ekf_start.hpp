@@ -184,6 +184,22 @@ template <typename Scalar, typename Measurement>
   return displacement;
 }
 
+/// Makes the heading unknown, and position and velocity as unsure as `off` [m], which a wrong
+/// heading has caused within a second or so.
+template <typename Scalar>
+void forget_heading(ErrorStateFilter<Scalar>& filter, double off) noexcept {
+  using I = InertialIndex;
+  constexpr double any = 3.0;  // [rad]
+  auto p = filter.covariance();
+  const Vector3<Scalar> up = filter.state().orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k)
+      p(I::orientation + i, I::orientation + k) += Scalar(any * any) * up(i) * up(k);
+  add_variance(p, I::position, off);
+  add_variance(p, I::velocity, 2.0 * off);
+  filter.reset(filter.state(), p);
+}
+
 /// Moves one part of the state, position or velocity, to the measurement `at`.
 template <typename Scalar, typename Measurement>
 void shift(ErrorStateFilter<Scalar>& filter, int part, Measurement at) noexcept {

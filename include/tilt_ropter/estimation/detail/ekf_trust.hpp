@@ -20,6 +20,19 @@ template <typename Covariance>
       std::max(0.0, static_cast<double>(p.diagonal().template segment<3>(part).maxCoeff())));
 }
 
+/// Standard deviation of the heading, about the vertical [rad].
+template <typename Scalar>
+[[nodiscard]] double heading_stddev(const ErrorStateFilter<Scalar>& filter) noexcept {
+  const Vector3<Scalar> up = filter.state().orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  Scalar variance(0);
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k)
+      variance +=
+          up(i) * up(k) *
+          filter.covariance()(InertialIndex::orientation + i, InertialIndex::orientation + k);
+  return std::sqrt(std::max(0.0, static_cast<double>(variance)));
+}
+
 /// Time since `then` [s], at least zero; infinite if it is not a number.
 [[nodiscard]] inline double age(double now, double then) noexcept {
   if (std::isnan(now - then)) return std::numeric_limits<double>::infinity();

@@ -23,8 +23,9 @@
 /// allocates. Times are in the clock of the IMU [s].
 namespace tilt_ropter::detail {
 
-/// What Ekf does with a measurement or an IMU sample. The last two widen a noise and use a pose.
-enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro };
+/// What Ekf does with a measurement or an IMU sample. The last three use a measurement after they
+/// have widened a noise or forgotten the heading.
+enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro, forget_heading };
 
 /// Decision about a measurement or an IMU sample.
 struct Verdict {
@@ -233,9 +234,16 @@ class MeasurementGuard {
     if constexpr (Linear::rows == 1) {
       using std::sqrt;
       const Scalar noise = at.noise(0, 0), believed = noise / Scalar(heading_.factor());
-      if (kind == MeasurementKind::heading)
+      if (kind == MeasurementKind::heading) {
         heading_.add(static_cast<double>(at.residual(0) /
                                          sqrt(innovation.covariance(0, 0) - noise + believed)));
+        if (heading_.contradicts() && !heading_known_) {
+          heading_ = {};
+          heading_known_ = true;
+          use(filter.time(), kind);
+          return {Action::forget_heading};
+        }
+      }
     }
     if constexpr (Linear::rows == 3 || Linear::rows == 6) {
       constexpr bool is_pose = Linear::rows == 6;
@@ -254,6 +262,7 @@ class MeasurementGuard {
     gates_ = {};
     heading_ = {};
     fixes_ = {};
+    heading_known_ = false;
     last_pose_ = time;
     used_since_start_ = 0;
   }
@@ -338,16 +347,23 @@ class MeasurementGuard {
     if (is_likely && gate.accepts(time, c.distance, 6.0 * c.noise, settings_.restart_time)) {
       gate.on_used(c.predicted.position);
       fixes_.on_used(is_place, time, c, speed);
+      // Until a motion has shown it, the heading is what start() was told.
+      constexpr double known = 0.03;  // [rad]
+      heading_known_ |= heading_stddev(filter.filter()) < known;
       return use(time, kind);
     }
     gate.on_gated(time, c);
     fixes_.on_gated(is_place, time, c);
     faults_.poses_gated |= is_place;
-    if (fixes_.convicts_imu(is_place, heading_.contradicts()) && gate.is_confirmed() &&
-        !filter.filter().is_widest()) {
+    if (fixes_.convicts_imu(is_place, heading_.contradicts(), heading_known_) &&
+        gate.is_confirmed() && !filter.filter().is_widest()) {
       gate.on_used(c.predicted.position);
       fixes_.on_used(is_place, time, c, speed);
       use(time, kind);
+      if (!heading_known_) {
+        heading_known_ = true;
+        return {Action::forget_heading};
+      }
       const bool gyro = heading_.contradicts() || filter.filter().is_wider();
       return {gyro ? Action::widen_gyro : Action::widen_accelerometer};
     }
@@ -529,6 +545,7 @@ class MeasurementGuard {
   PoseContinuity<Scalar> continuity_;  ///< of on_pose()
   HeadingNoise heading_;
   FixWitness<Scalar> fixes_;
+  bool heading_known_ = true;                 ///< since start()
   OrientationStep<Scalar> turn_;              ///< of on_pose()
   std::array<GateMonitor<Scalar>, 4> gates_;  ///< of on_pose(), positions, velocities, poses
   std::array<double, static_cast<std::size_t>(measurement_kinds)> last_used_;
