@@ -39,6 +39,7 @@ struct Given {
   double noise = 0.02;  // of the receiver [m], [m/s]
   bool moves = true;
   double start_heading = 0.0;  // error [rad]
+  bool has_compass = true;
 };
 
 struct Outcome {
@@ -85,7 +86,7 @@ Outcome fly(const Fault& fault, const Given& given = {}) {
       ekf.on_measurement(t, PositionMeasurement<double>{position, covariance, Vector3d::Zero()});
       ekf.on_measurement(t,
                          WorldVelocityMeasurement<double>{velocity, covariance, Vector3d::Zero()});
-      ekf.on_measurement(t, HeadingMeasurement<double>{heading, 0.02});
+      if (given.has_compass) ekf.on_measurement(t, HeadingMeasurement<double>{heading, 0.02});
     }
     if (t < 10.0) continue;
     const BodyStated y = ekf.state();
@@ -131,8 +132,17 @@ TEST(FixWitness, CompassThatComesBackIsUsedAgain) {
   EXPECT_EQ(o.state, EstimateState::good);
 }
 
-// By the compass or, in motion, by the receiver alone. Start() is told 0.1 rad.
-TEST(FixWitness, WrongHeadingAtTheStartIsCorrected) {
+// start() is told 0.1 rad.
+TEST(FixWitness, ReceiverFindsAWrongHeadingInMotion) {
+  for (const double error : {0.5, -1.0, 1.6}) {
+    const Outcome o = fly([](const Words&) {}, {0.02, true, error, false});
+    EXPECT_LT(o.turned, 1.0 * degree) << error;
+    EXPECT_LT(o.position, 0.5) << error;
+    EXPECT_LE(o.state, EstimateState::degraded) << error;
+  }
+}
+
+TEST(FixWitness, CompassFindsAWrongHeading) {
   for (const bool moves : {true, false})
     for (const double error : {0.5, -1.0, 1.6, 3.1}) {
       const Outcome o = fly([](const Words&) {}, {0.02, moves, error});

@@ -75,6 +75,7 @@ class Ekf {
 
   /// Starts, or restarts, at a state known by other means than a pose, at time(). Returns false and
   /// changes nothing before the first IMU sample or if a number is not finite or not positive.
+  /// Until a motion has shown the heading, it is forgotten if compass or receiver contradict it.
   bool start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept;
 
   /// False before the first pose or start(), and after a gap of the IMU until a measurement is

@@ -112,6 +112,16 @@ struct KnownAtStart {
   bool all_but_place = false;        ///< all except position and heading
 };
 
+/// Adds to the variance of the heading, about the vertical [rad^2].
+template <typename Scalar, typename Covariance>
+void add_heading_variance(Covariance& p, const InertialState<Scalar>& x, double variance) noexcept {
+  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k)
+      p(InertialIndex::orientation + i, InertialIndex::orientation + k) +=
+          Scalar(variance) * up(i) * up(k);
+}
+
 /// Moves the estimate to a pose in another place, and turns it about the vertical.
 template <typename Scalar>
 void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) noexcept {
@@ -131,10 +141,7 @@ void relocate(ErrorStateFilter<Scalar>& filter, const MarkerPose<Scalar>& pose) 
     put(square(rotation) * triple(p, I::velocity, i), p, I::velocity, i);
   forget(p, I::position, 1.0);
   // The heading is as good as the pose says; the tilt is kept.
-  const Vector3<Scalar> up = x.orientation.conjugate() * Vector3<Scalar>::UnitZ();
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k)
-      p(I::orientation + i, I::orientation + k) += Scalar(0.01) * up(i) * up(k);
+  add_heading_variance(p, x, 0.01);
   filter.reset(x, p);
   filter.update(pose);
 }
@@ -191,10 +198,7 @@ void forget_heading(ErrorStateFilter<Scalar>& filter, double off) noexcept {
   using I = InertialIndex;
   constexpr double any = 3.0;  // [rad]
   auto p = filter.covariance();
-  const Vector3<Scalar> up = filter.state().orientation.conjugate() * Vector3<Scalar>::UnitZ();
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k)
-      p(I::orientation + i, I::orientation + k) += Scalar(any * any) * up(i) * up(k);
+  add_heading_variance(p, filter.state(), any * any);
   add_variance(p, I::position, off);
   add_variance(p, I::velocity, 2.0 * off);
   filter.reset(filter.state(), p);

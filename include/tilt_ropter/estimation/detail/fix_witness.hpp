@@ -93,7 +93,7 @@ class FixWitness {
 
  private:
   struct Series {
-    Vector3<Scalar> residual = Vector3<Scalar>::Zero(), mean = residual;  ///< of those used
+    Vector3<Scalar> residual = Vector3<Scalar>::Zero(), mean = residual;  ///< last; of those used
     double used = -std::numeric_limits<double>::infinity(), time = used, first = 0.0;
     int gated = 0;
     bool agrees = false, has_stepped = false, grows = false;
