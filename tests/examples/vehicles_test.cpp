@@ -38,7 +38,7 @@ const std::vector<Expected>& vehicles() {
       {"tilting_x_quadrotor", "wrench", 0.003, 0.012, 4},
       {"quadrotor", "actuator", 0.005, 0.03, 4, false},
       {"bicopter", "actuator", 0.005, 0.03, 4},
-      {"tricopter", "actuator", 0.005, 0.03, 4},
+      {"tricopter", "actuator", 0.005, 0.03, 4, false},
       {"quadrotor_with_pusher", "actuator", 0.005, 0.04, 4},
       {"hexacopter_with_pusher", "actuator", 0.005, 0.0, 2, false},
       {"coaxial_octocopter", "actuator", 0.005, 0.0, 2},
