@@ -364,11 +364,9 @@ template <typename Controller, int Rotors, typename... Arguments>
     throw std::invalid_argument("level = " + level + ": must be wrench or actuator");
   const std::string choice = examples::level_choice(level, file);
   if (!choice.empty()) std::cerr << choice << '\n';
-  if (examples::level_for(level, file) == "wrench")
-    return Controller(vehicle, as_the_node_says(file.settings(), parameters), arguments...);
-  return Controller(vehicle,
-                    as_the_node_says(examples::actuator_level_settings(file, vehicle), parameters),
-                    arguments...);
+  return examples::at_level(level, file, vehicle, [&](const auto& settings) {
+    return Controller(vehicle, as_the_node_says(settings, parameters), arguments...);
+  });
 }
 
 }  // namespace loops

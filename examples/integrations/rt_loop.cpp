@@ -1,5 +1,7 @@
 // A real-time loop: hovers at a fixed rate with real-time scheduling and reports the latencies.
 
+#include "../support/control_level.hpp"
+#include "../support/level_nmpc.hpp"
 #include "../support/run_program.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_check.hpp"
@@ -7,8 +9,7 @@
 #include "real_time.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
-#include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/nmpc.hpp>
+#include <tilt_ropter/control/nmpc_settings.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -27,6 +28,7 @@
 #include <iostream>
 #include <stdexcept>
 #include <string>
+#include <variant>
 
 using namespace tilt_ropter;
 
@@ -35,7 +37,7 @@ namespace {
 struct Options {
   double rate = 100.0, seconds = 10.0;
   int priority = 80, processor = -1;
-  std::string vehicle, csv, solver = "automatic";
+  std::string vehicle, level, csv, solver = "automatic";
 };
 
 volatile std::sig_atomic_t interrupted = 0;
@@ -50,18 +52,18 @@ void write_csv(const std::string& path, const loops::Latencies& wake_up,
   if (!file) throw std::runtime_error("cannot write " + path);
 }
 
-void run(const Options& options) {
-  const examples::VehicleFile file = examples::vehicle_to_fly(options.vehicle);
-  const Vehicle<4> vehicle = examples::quadrotor(file);
-  const Allocation<4> allocation(vehicle);
-  ActuatorModel<4> actuators(vehicle);
+template <int Rotors>
+void run(const Options& options, const examples::VehicleFile& file,
+         const Vehicle<Rotors>& vehicle) {
+  ActuatorModel<Rotors> actuators(vehicle);
   WrenchObserverd observer(vehicle.body);
   ContactEstimator contact(vehicle);
-  NmpcSettings settings = file.settings();
-  examples::set_solver(options.solver, settings.solver);
-  Nmpc<4> nmpc(vehicle, settings);
+  auto nmpc = examples::at_level(options.level, file, vehicle, [&](auto settings) {
+    examples::set_solver(options.solver, settings.solver);
+    return examples::LevelNmpc<Rotors>(vehicle, settings);
+  });
   examples::SolverTicks solver;
-  Plant<4> robot(vehicle);  // your robot goes here
+  Plant<Rotors> robot(vehicle);  // your robot goes here
   const auto reference = [](double) {
     ReferencePoint point;
     point.position << 0.0, 0.0, 1.5;
@@ -75,15 +77,14 @@ void run(const Options& options) {
   // NLopt allocates memory in the first ticks; later ticks should cause no page faults.
   constexpr std::size_t first_ticks = 10;
   std::int64_t skipped = 0, missed = 0, faults = 0;
-  AllocationResult<4> sent;
+  ActuatorState<Rotors> command;
   if (!undercarriage(vehicle)) {  // no undercarriage: starts in the air
-    Wrenchd weight;
-    weight.force.z() = vehicle.body.mass * gravity;
-    sent = allocation.allocate(weight, {});
+    nmpc.start_with_lift(vehicle.body.mass * gravity);
+    command = nmpc.command();
     BodyStated hovering;
     hovering.position = reference(0.0).position;
-    robot.reset(hovering, sent.command);
-    actuators.reset(sent.command, 0.0);
+    robot.reset(hovering, command);
+    actuators.reset(command, 0.0);
   }
   loops::ask_for_real_time(options.priority, options.processor, std::cout);
 
@@ -95,15 +96,14 @@ void run(const Options& options) {
     const std::int64_t woken = loops::now_ns();
 
     const double time = robot.time();
-    const ActuatorState<4>& applied =
-        actuators.update(time, sent.command, robot.actuators().rotor_speed);
+    const ActuatorState<Rotors> applied =
+        actuators.update(time, command, robot.actuators().rotor_speed);
     const ObservedWrenchd& observed =
-        observer.update(time, robot.inertial_sample(), allocation.wrench(applied));
-    (void)nmpc.prepare(time, reference, contact.update(time, robot.body(), observed));
-    const NmpcResult& result = nmpc.feedback(time, robot.body());
-    solver.add(result.status, result.report);
-    sent = allocation.allocate(time, result.wrench, result.rate, sent);
-    actuators.update(time, sent.command);  // the command acts from now on
+        observer.update(time, robot.inertial_sample(), nmpc.wrench_of(applied));
+    nmpc.prepare(time, reference, contact.update(time, robot.body(), observed));
+    command = nmpc.control(time, robot.body(), applied);
+    solver.add(nmpc.status(), nmpc.report());
+    actuators.update(time, command);  // the command acts from now on
 
     const std::int64_t done = loops::now_ns();
     if (wake_up.values().size() == first_ticks) faults = loops::page_faults();
@@ -116,7 +116,7 @@ void run(const Options& options) {
     skipped += next - (k + 1);
     missed += next - (k + 1);
     for (; k < next; ++k)
-      if (!robot.step(actuators.to_send(sent.command), {}, dt))
+      if (!robot.step(actuators.to_send(command), {}, dt))
         throw std::runtime_error("the plant rejected a step");
   }
 
@@ -147,7 +147,8 @@ int main(int argc, char** argv) {
       "refuses a request, the program prints this and continues."};
   Options options;
   app.add_option("--vehicle", options.vehicle,
-                 "JSON file of the vehicle (4 rotors); default: the Tilt-Ropter");
+                 "JSON file of the vehicle (2 to 8 rotors); default: the Tilt-Ropter");
+  examples::add_level(app, options.level);
   examples::add_solver_in_real_time(app, options.solver);
   app.add_option("--rate", options.rate, "rate of the controller [Hz]")
       ->check(CLI::Range(20.0, 1000.0))
@@ -165,7 +166,8 @@ int main(int argc, char** argv) {
                  "output file with wake-up latency and computing time of each tick");
   return examples::run_program(app, "rt_loop", argc, argv, [&options] {
     for (const int number : {SIGINT, SIGTERM}) std::signal(number, [](int) { interrupted = 1; });
-    run(options);
+    const examples::VehicleFile file = examples::vehicle_to_fly(options.vehicle);
+    std::visit([&](const auto& vehicle) { run(options, file, vehicle); }, file.vehicle);
     return 0;
   });
 }

@@ -50,4 +50,13 @@ template <int Rotors>
   return settings;
 }
 
+/// Returns make(settings) with the settings of level_for(wanted, file) for the `vehicle` of `file`.
+/// Throws VehicleFileError as that does.
+template <int Rotors, typename Make>
+[[nodiscard]] auto at_level(const std::string& wanted, const VehicleFile& file,
+                            const tilt_ropter::Vehicle<Rotors>& vehicle, const Make& make) {
+  if (level_for(wanted, file) == "wrench") return make(file.settings());
+  return make(actuator_level_settings(file, vehicle));
+}
+
 }  // namespace examples

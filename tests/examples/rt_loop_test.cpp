@@ -62,6 +62,20 @@ TEST(RtLoop, CountsEveryTick) {
   }
 }
 
+// By leaning, and without wheels: this vehicle starts in the air.
+TEST(RtLoop, HoversOtherVehicles) {
+  for (const std::string name : {"tricopter", "octocopter"}) {
+    const auto flown = test_support::run(
+        RT_LOOP_PROGRAM,
+        "--rate 50 --seconds 4 --priority 0 --vehicle '" VEHICLES_DIR "/" + name + ".json'");
+    ASSERT_EQ(flown.exit_code, 0) << flown.output;
+    EXPECT_EQ(flown["ticks"] + flown["skipped_ticks"], 200.0);
+    if (test_support::full_run() || flown["missed_deadlines"] == 0.0) {
+      EXPECT_LT(flown["position_error_m"], 0.02) << name;
+    }
+  }
+}
+
 TEST(RtLoop, HoversAndReportsRefusedRealTimeRequests) {
   const auto flown =
       test_support::run(RT_LOOP_PROGRAM, "--rate 50 --seconds 4 --priority 0 --processor 1023");
