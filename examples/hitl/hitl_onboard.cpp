@@ -1,19 +1,18 @@
 // Hardware in the loop, the companion computer: state estimator, wrench observer and NMPC. It
 // receives sensor data from the simulator and actuator commands from the flight controller. It
-// sends the commanded wrench to the flight controller.
+// sends the commanded wrench to the flight controller, or at the actuator level rotor speeds and
+// tilt angles.
 
+#include "../support/control_level.hpp"
+#include "../support/flight_controller.hpp"
 #include "../support/mission_sensors.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_check.hpp"
 #include "link.hpp"
 #include "options.hpp"
 
-#include <tilt_ropter/actuation/actuator_model.hpp>
-#include <tilt_ropter/actuation/allocation.hpp>
-#include <tilt_ropter/control/nmpc.hpp>
-#include <tilt_ropter/estimation/contact_estimator.hpp>
-#include <tilt_ropter/estimation/ekf.hpp>
-#include <tilt_ropter/estimation/wrench_observer.hpp>
+#include <tilt_ropter/model/state.hpp>
+#include <tilt_ropter/model/vehicle.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 
 #include <CLI/CLI.hpp>
@@ -23,9 +22,10 @@
 #include <deque>
 #include <exception>
 #include <iostream>
+#include <limits>
 #include <memory>
-#include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 using namespace tilt_ropter;
@@ -34,58 +34,50 @@ namespace {
 
 constexpr double tick = 0.01;  // period of the controller [s]
 
-/// The onboard control loop, from the sensors to the wrench.
+/// The control loop of one flight of the hybrid mission: that of the nodes and of hybrid_mission.
+template <int Rotors>
 class Onboard {
  public:
-  Onboard(const examples::VehicleFile& file, const NmpcSettings& settings)
-      : vehicle_(examples::quadrotor(file)),
-        allocation_(vehicle_),
-        actuators_(vehicle_),
-        ekf_(examples::MissionSensors<4>::estimation()),
-        observer_(vehicle_.body, observer_settings(20.0)),
-        contact_(vehicle_),
-        nmpc_(vehicle_, settings),
-        mission_(hybrid_mission(vehicle_)) {}
+  template <typename Settings>
+  Onboard(const Vehicle<Rotors>& vehicle, const Settings& settings)
+      : controller_(vehicle, settings, examples::MissionSensors<Rotors>::estimation()),
+        mission_(hybrid_mission(vehicle)) {}
 
-  /// Stores the actuator command of the flight controller.
-  void on_actuators(const ActuatorState<4>& command) { command_ = command; }
-  void on_pose(const hitl::Pose& m) { ekf_.on_pose(m.time, m.pose); }
-  void on_rotor_speeds(const Eigen::Vector4d& speed) { rotor_speed_ = speed; }
+  void on_pose(const hitl::Pose& m) { controller_.on_pose(m.time, m.pose); }
+  void on_rotor_speeds(const hitl::RotorSpeeds<Rotors>& m) { controller_.on_rotor_speeds(m.speed); }
+  void on_inertial(const hitl::Inertial& m) { controller_.on_imu(m.time, m.sample); }
 
-  void on_inertial(const hitl::Inertial& m) {
-    const ActuatorState<4>& applied = actuators_.update(m.time, command_, rotor_speed_);
-    ekf_.on_imu(m.time, m.sample);
-    observed_ = observer_.update(m.time, ekf_.corrected(m.sample), allocation_.wrench(applied));
-  }
-
-  /// Returns the wrench at `time` of the simulation, or nothing before the state is known.
-  std::optional<hitl::WrenchCommand> control(double time) {
-    if (!ekf_.running()) return std::nullopt;
-    const BodyStated state = ekf_.take_state();
-    contact_.update(time, state, observed_);
-    const auto reference = [this](double t) { return mission_(t - hitl::head_start); };
-    (void)nmpc_.prepare(time, reference, contact_.estimate());
-    const NmpcResult& result = nmpc_.feedback(time, state);
+  /// Plans at `time` of the simulation. False before the state is known.
+  bool control(double time) {
+    if (!controller_.started()) return false;
+    controller_.prepare(time, [this](double t) { return mission_(t - hitl::head_start); });
+    command_ = controller_.control(time);
+    const NmpcResult& result = controller_.result();
     if (!has_plan(result.status)) ++failures_;
     solver_.add(result.status, result.report);
-    return hitl::WrenchCommand{time, result.wrench, result.rate, contact_.estimate().on_ground};
+    return true;
+  }
+
+  /// False at the actuator level, and where the rotors stop after a landing without a state.
+  [[nodiscard]] bool commands_a_wrench() const {
+    return controller_.at_wrench_level() && controller_.mode() != examples::FlightMode::stopped;
+  }
+  /// Of the last control().
+  [[nodiscard]] hitl::WrenchCommand wrench(double time) const {
+    const NmpcResult& result = controller_.result();
+    return {time, result.wrench, result.rate, controller_.contact().estimate().on_ground};
+  }
+  [[nodiscard]] hitl::ActuatorCommand<Rotors> command(double time) const {
+    return {time, command_};
   }
 
   [[nodiscard]] long failures() const { return failures_; }
   [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
 
  private:
-  Vehicle<4> vehicle_;
-  Allocation<4> allocation_;
-  ActuatorModel<4> actuators_;
-  Ekfd ekf_;
-  WrenchObserverd observer_;
-  ObservedWrenchd observed_;
-  ContactEstimator contact_;
-  Nmpc<4> nmpc_;
+  examples::FlightController<Rotors> controller_;
   Mission mission_;
-  ActuatorState<4> command_;
-  Eigen::Vector4d rotor_speed_ = Eigen::Vector4d::Zero();
+  ActuatorState<Rotors> command_;
   long failures_ = 0;
   examples::SolverTicks solver_;
 };
@@ -94,8 +86,8 @@ class Onboard {
 class Silences {
  public:
   explicit Silences(const char* sender) : sender_(sender) {}
-  template <typename Message>
-  void watch(const hitl::Inbox<Message>& inbox) {
+  template <typename Message, int Rotors>
+  void watch(const hitl::Inbox<Message, Rotors>& inbox) {
     if (inbox.silent() && !silent_) {
       ++count_;
       std::cerr << "hitl_onboard: " << sender_
@@ -111,30 +103,39 @@ class Silences {
   long count_ = 0;
 };
 
-void run(const hitl::Line& line, const std::string& vehicle, const std::string& solver) {
-  const examples::VehicleFile file = examples::vehicle_to_fly(vehicle);
-  NmpcSettings settings =
-      line.lock_step > 0.0 ? examples::in_simulated_time(file.settings()) : file.settings();
-  examples::set_solver(solver, settings.solver);
+template <int Rotors>
+void run(const hitl::Line& line, const std::string& level, const std::string& solver,
+         const examples::VehicleFile& file, const Vehicle<Rotors>& vehicle) {
+  const auto start = [&] {
+    return examples::at_level(level, file, vehicle, [&](auto settings) {
+      if (line.lock_step > 0.0) settings.time_limit = std::numeric_limits<double>::infinity();
+      examples::set_solver(solver, settings.solver);
+      return std::make_unique<Onboard<Rotors>>(vehicle, settings);
+    });
+  };
+  auto onboard = start();
   examples::SolverTicks of_missions_before;
   const dds::Participant participant(loops::ros_domain());
+  // Published at both levels, so that one program of this kind finds the other.
   hitl::Rival<tilt_ropter_msgs::msg::WrenchCommand> rival(participant, hitl::wrench_command_topic);
   hitl::Inbox<sensor_msgs::msg::Imu> imu(participant, hitl::imu_topic, line);
-  hitl::Inbox<sensor_msgs::msg::JointState> speeds(participant, hitl::rotor_speeds_topic, line);
+  hitl::Inbox<sensor_msgs::msg::JointState, Rotors> speeds(participant, hitl::rotor_speeds_topic,
+                                                           line);
   hitl::Inbox<geometry_msgs::msg::PoseStamped> poses(participant, hitl::pose_topic, line);
-  hitl::Inbox<actuator_msgs::msg::Actuators> echo(participant, hitl::actuators_topic, line);
+  hitl::Inbox<actuator_msgs::msg::Actuators, Rotors> echo(participant, hitl::actuators_topic, line);
   hitl::FlightOver flight_over(participant);
   dds::WaitSet waiting(participant);
   waiting.add(imu.subscriber());
-  dds::Publisher<tilt_ropter_msgs::msg::WrenchCommand> commands(
+  dds::Publisher<tilt_ropter_msgs::msg::WrenchCommand> wrenches(
       participant, hitl::wrench_command_topic.name, hitl::wrench_command_topic.offered());
+  dds::Publisher<actuator_msgs::msg::Actuators> commands(
+      participant, hitl::actuator_command_topic.name, hitl::actuator_command_topic.offered());
   dds::Publisher<geometry_msgs::msg::WrenchStamped> shown(participant, hitl::shown_wrench_topic);
   hitl::Encoder encoder;
   hitl::Times durations;
-  auto onboard = std::make_unique<Onboard>(file, settings);
-  std::vector<hitl::Inertial> samples;         // new
-  hitl::Clock::time_point simulated;           // time of the newest sample
-  std::deque<hitl::RotorSpeeds> rotor_speeds;  // not older than the newest sample
+  std::vector<hitl::Inertial> samples;                 // new
+  hitl::Clock::time_point simulated;                   // time of the newest sample
+  std::deque<hitl::RotorSpeeds<Rotors>> rotor_speeds;  // not older than the newest sample
   Silences simulator("hitl_simulator"), flight_controller("hitl_flight_controller");
   double next = 0.0;
   long ticks = 0, misses = 0, failures = 0, missions = 0;
@@ -158,15 +159,15 @@ void run(const hitl::Line& line, const std::string& vehicle, const std::string& 
     if (line.lock_step > 0.0) now = simulated;
     if (new_vehicle) {
       of_missions_before.add(onboard->solver());
-      onboard = std::make_unique<Onboard>(file, settings);
+      onboard = start();
       next = std::ceil(samples.front().time / tick) * tick;
       rotor_speeds.clear();
     }
-    echo.take(now, [&](const hitl::ActuatorCommand& m) { onboard->on_actuators(m.command); });
-    speeds.take(now, [&](const hitl::RotorSpeeds& m) { rotor_speeds.push_back(m); });
+    echo.take(now, [](const hitl::ActuatorCommand<Rotors>&) {});
+    speeds.take(now, [&](const hitl::RotorSpeeds<Rotors>& m) { rotor_speeds.push_back(m); });
     for (const hitl::Inertial& m : samples) {
       for (; !rotor_speeds.empty() && rotor_speeds.front().time <= m.time; rotor_speeds.pop_front())
-        onboard->on_rotor_speeds(rotor_speeds.front().speed);
+        onboard->on_rotor_speeds(rotor_speeds.front());
       onboard->on_inertial(m);
     }
     while (rotor_speeds.size() > 1000) rotor_speeds.pop_front();  // the IMU is silent
@@ -181,15 +182,18 @@ void run(const hitl::Line& line, const std::string& vehicle, const std::string& 
     misses += behind;
     next += tick * static_cast<double>(behind + 1);
     const long failed_before = onboard->failures();
-    const auto wrench = onboard->control(time);
+    const bool controlled = onboard->control(time);
     failures += onboard->failures() - failed_before;
-    if (!wrench) continue;
-    commands.publish(encoder.encode(*wrench));
+    if (!controlled) continue;
+    if (onboard->commands_a_wrench())
+      wrenches.publish(encoder.encode(onboard->wrench(time)));
+    else
+      commands.publish(encoder.encode(onboard->command(time)));
     const std::chrono::duration<double, std::micro> taken = hitl::Clock::now() - woken;
     durations.add(taken.count());
     ++ticks;
     if (taken.count() > 1e6 * tick) ++misses;
-    shown.publish(encoder.shown(*wrench));
+    shown.publish(encoder.shown(onboard->wrench(time)));
   }
   of_missions_before.add(onboard->solver());
   of_missions_before.print(std::cout);
@@ -210,9 +214,9 @@ void run(const hitl::Line& line, const std::string& vehicle, const std::string& 
 constexpr const char* footer = R"(
 It uses the clock of the simulator: a tick is due when an inertial message with its time arrives.
 Without messages from the simulator it waits and sends nothing to the flight controller. If the
-simulator restarts, it starts a new mission. Without messages from the flight controller it
-continues with the last known actuator command. If restarted in flight, it continues the mission at
-the simulator's time, after the first pose. It ends when the simulator reports the end of the
+simulator restarts, it starts a new mission. If restarted in flight, it holds the position from the
+first pose on and flies back to the mission, which goes on at the simulator's time. It holds its
+position or lands if the estimate becomes bad. It ends when the simulator reports the end of the
 flight. The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.)";
 
 }  // namespace
@@ -220,12 +224,16 @@ flight. The DDS domain is that of ROS 2: the environment variable ROS_DOMAIN_ID.
 int main(int argc, char** argv) {
   CLI::App app{"Hardware in the loop: state estimator, wrench observer and NMPC at 100 Hz."};
   hitl::Line line;
-  std::string vehicle, solver = "automatic";
-  hitl::add_options(app, line, vehicle);
+  std::string path, level, solver = "automatic";
+  hitl::add_options(app, line, path);
+  examples::add_level(app, level);
   examples::add_solver_in_real_time(app, solver);
   app.footer(footer);
   return hitl::run_program(app, "hitl_onboard", argc, argv, [&] {
-    run(line, vehicle, solver);
+    const examples::VehicleFile file = examples::vehicle_to_fly(path);
+    const std::string choice = examples::level_choice(level, file);
+    if (!choice.empty()) std::cerr << choice << '\n';
+    std::visit([&](const auto& vehicle) { run(line, level, solver, file, vehicle); }, file.vehicle);
     return 0;
   });
 }

@@ -2,7 +2,9 @@
 // hitl_onboard and hitl_flight_controller, and applies the actuator commands of
 // hitl_flight_controller.
 
+#include "../support/control_level.hpp"
 #include "../support/flight_mcap.hpp"
+#include "../support/level_nmpc.hpp"
 #include "../support/loss_watch.hpp"
 #include "../support/mission_figures.hpp"
 #include "../support/mission_sensors.hpp"
@@ -14,7 +16,6 @@
 #include "../mujoco/plant.hpp"
 #endif
 
-#include <tilt_ropter/actuation/allocation.hpp>
 #include <tilt_ropter/actuation/power.hpp>
 #include <tilt_ropter/planning/mission.hpp>
 #include <tilt_ropter/simulation/plant.hpp>
@@ -33,6 +34,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <variant>
 #include <vector>
 
 using namespace tilt_ropter;
@@ -50,9 +52,10 @@ struct Options {
 constexpr double step = 1e-3;       // time step of the plant [s]
 constexpr long steps_of_tick = 10;  // of hitl_onboard
 
-template <typename SimulatedPlant>
+template <int Rotors, typename SimulatedPlant>
 examples::FlightSample flight_sample(const Mission& mission, const SimulatedPlant& plant,
-                                     const ActuatorState<4>& command, double power, bool silent) {
+                                     const ActuatorState<Rotors>& command, double power,
+                                     bool silent) {
   const double time = plant.time() - hitl::head_start;
   const ReferencePoint point = mission(time);
   examples::FlightSample s;
@@ -71,18 +74,18 @@ examples::FlightSample flight_sample(const Mission& mission, const SimulatedPlan
   return s;
 }
 
-/// Flies `plant`, which is a Plant<4> or a MujocoPlant of the vehicle `truth`.
-template <typename SimulatedPlant>
-int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& plant) {
-  ActuatorState<4> command;
+/// Flies `plant`, which is a Plant or a MujocoPlant of the vehicle `truth`, from the command
+/// `hover` on if it has no undercarriage.
+template <int Rotors, typename SimulatedPlant>
+int simulate(const Options& options, const Vehicle<Rotors>& truth,
+             const ActuatorState<Rotors>& hover, SimulatedPlant&& plant) {
+  ActuatorState<Rotors> command;
   const bool stands = undercarriage(truth).has_value();
-  examples::MissionSensors<4> sensors(static_cast<std::uint64_t>(options.seed));
+  examples::MissionSensors<Rotors> sensors(static_cast<std::uint64_t>(options.seed));
   const PowerModel power(truth);
   const Mission mission = hybrid_mission(truth);
   if (!stands) {  // in the air: hovers until the first command arrives
-    Wrenchd weight;
-    weight.force.z() = truth.body.mass * gravity;
-    command = Allocation<4>(truth).allocate(weight, {}).command;
+    command = hover;
     BodyStated start;
     start.position = mission(0.0).position;
     plant.reset(start, command);
@@ -100,8 +103,8 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
                                                         hitl::pose_topic.offered());
   dds::Publisher<rosgraph_msgs::msg::Clock> clock(participant, "/clock", {true, 1});
   dds::Publisher<std_msgs::msg::Bool> flight_over(participant, hitl::flight_over_topic, {true, 1});
-  hitl::Inbox<actuator_msgs::msg::Actuators> actuators(participant, hitl::actuators_topic,
-                                                       options.line);
+  hitl::Inbox<actuator_msgs::msg::Actuators, Rotors> actuators(participant, hitl::actuators_topic,
+                                                               options.line);
   dds::WaitSet waiting(participant);
   waiting.add(actuators.subscriber());
   hitl::Encoder encoder;
@@ -113,12 +116,13 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   examples::Progress progress;
   examples::LossWatch loss;
   std::optional<examples::FlightMcap> mcap;
-  if (!options.mcap.empty()) mcap.emplace(options.mcap, 4);
+  if (!options.mcap.empty()) mcap.emplace(options.mcap, Rotors);
   const bool lock_step = options.line.lock_step > 0.0;
   const auto take = [&] {
     const auto now = hitl::Clock::now();
     actuators.take(
-        lock_step ? hitl::time_point(plant.time()) : now, [&](const hitl::ActuatorCommand& m) {
+        lock_step ? hitl::time_point(plant.time()) : now,
+        [&](const hitl::ActuatorCommand<Rotors>& m) {
           command = m.command;
           const auto sample = static_cast<std::size_t>(std::max(0L, std::lround(m.time / step)));
           if (sample > answered && sample <= sent_at.size()) {
@@ -168,7 +172,7 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
     if (!plant.step(command, {}, step)) throw std::runtime_error("the plant rejected a step");
     time = plant.time() - hitl::head_start;
     if (const auto m = sensors.rotor_speeds.sample(plant.time(), plant.actuators().rotor_speed))
-      rotor_speeds.publish(encoder.encode(hitl::RotorSpeeds{m->time, m->rotor_speed}));
+      rotor_speeds.publish(encoder.encode(hitl::RotorSpeeds<Rotors>{m->time, m->rotor_speed}));
     if (const auto m = sensors.poses.sample(plant.time(), plant.body())) {
       const MarkerPosed pose{m->position, m->orientation};
       poses.publish(encoder.encode(hitl::Pose{m->time, pose}));
@@ -209,16 +213,20 @@ int simulate(const Options& options, const Vehicle<4>& truth, SimulatedPlant&& p
   return 1;
 }
 
-int simulate(const Options& options) {
-  const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
-  Vehicle<4> truth = examples::quadrotor(file);
+template <int Rotors>
+int simulate(const Options& options, const examples::VehicleFile& file, Vehicle<Rotors> truth) {
   truth.body.mass *= 1.0 + options.mass_error;
   truth.body.inertia *= 1.0 + options.inertia_error;
-  if (options.plant == "plant") return simulate(options, truth, Plant<4>(truth));
+  auto level = examples::at_level("", file, truth, [&](const auto& settings) {
+    return examples::LevelNmpc<Rotors>(truth, settings);
+  });
+  level.start_with_lift(truth.body.mass * gravity);
+  const ActuatorState<Rotors>& hover = level.command();
+  if (options.plant == "plant") return simulate(options, truth, hover, Plant<Rotors>(truth));
 #ifdef HITL_SIMULATOR_MUJOCO
   examples::MujocoParameters parameters;
   parameters.seen = false;
-  return simulate(options, truth, examples::MujocoPlant(truth, parameters));
+  return simulate(options, truth, hover, examples::MujocoPlant<Rotors>(truth, parameters));
 #else
   throw std::runtime_error("--plant mujoco: built without MuJoCo (Debian: libmujoco-dev)");
 #endif
@@ -267,5 +275,9 @@ int main(int argc, char** argv) {
       "for Foxglove, PlotJuggler and ros2 bag");
   hitl::add_options(app, options.line, options.vehicle);
   app.footer(footer);
-  return hitl::run_program(app, "hitl_simulator", argc, argv, [&] { return simulate(options); });
+  return hitl::run_program(app, "hitl_simulator", argc, argv, [&] {
+    const examples::VehicleFile file = examples::vehicle_or_default(options.vehicle);
+    return std::visit([&](const auto& vehicle) { return simulate(options, file, vehicle); },
+                      file.vehicle);
+  });
 }

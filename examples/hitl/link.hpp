@@ -47,11 +47,12 @@ struct ArrivalCounts {
   long rejected = 0;  ///< contents that decode() refuses
 };
 
-/// Receives the messages of one topic, and says when their sender is silent.
-template <typename Message>
+/// Receives the messages of one topic, and says when their sender is silent. `Rotors` of messages
+/// about rotors is their number.
+template <typename Message, int Rotors = 0>
 class Inbox {
  public:
-  using Content = typename decltype(decode(std::declval<const Message&>()))::value_type;
+  using Content = typename decltype(content_of<Rotors>(std::declval<const Message&>()))::value_type;
 
   /// Throws dds::Error.
   Inbox(const dds::Participant& participant, const Topic& topic, const Line& line)
@@ -74,7 +75,7 @@ class Inbox {
     for (; !held_back_.empty() && held_back_.front().due <= now; held_back_.pop_front())
       deliver(held_back_.front(), now, action);
     subscriber_.take([&](const Message& message, const dds_sample_info_t& info) {
-      const std::optional<Content> content = decode(message);
+      const std::optional<Content> content = content_of<Rotors>(message);
       if (content) count_gap(content->time, info.publication_handle);
       if (!content) {
         ++counts_.rejected;

@@ -10,6 +10,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -48,8 +49,9 @@ inline constexpr std::int64_t millisecond = 1000000;  // [ns]
 inline constexpr Topic imu_topic{"hitl/imu", 100 * millisecond, 200, 1e-3};
 inline constexpr Topic rotor_speeds_topic{"hitl/rotor_speeds", 100 * millisecond, 200, 1e-3};
 inline constexpr Topic pose_topic{"hitl/pose", 1000 * millisecond, 50, 1e-2};
-// From hitl_onboard, at 100 Hz.
+// From hitl_onboard, at 100 Hz: what it controls at the wrench level, and at the actuator level.
 inline constexpr Topic wrench_command_topic{"hitl/wrench_command", 50 * millisecond, 10};
+inline constexpr Topic actuator_command_topic{"hitl/actuator_command", 50 * millisecond, 10};
 // From hitl_flight_controller, at 500 Hz.
 inline constexpr Topic actuators_topic{"hitl/actuators", 1000 * millisecond, 50};
 // From hitl_simulator, true at the end of a flight; reliable.
@@ -62,9 +64,10 @@ struct Inertial {
   double time = 0.0;
   tilt_ropter::InertialSampled sample;
 };
+template <int Rotors>
 struct RotorSpeeds {
   double time = 0.0;
-  Eigen::Vector4d speed = Eigen::Vector4d::Zero();  ///< [rad/s]
+  Eigen::Matrix<double, Rotors, 1> speed = Eigen::Matrix<double, Rotors, 1>::Zero();  ///< [rad/s]
 };
 struct Pose {
   double time = 0.0;
@@ -76,9 +79,11 @@ struct WrenchCommand {
   tilt_ropter::Wrenchd wrench, rate;  ///< body frame
   bool on_ground = false;
 };
+/// The same for rotor speeds and tilt angles.
+template <int Rotors>
 struct ActuatorCommand {
-  double time = 0.0;  ///< of the WrenchCommand
-  tilt_ropter::ActuatorState<4> command;
+  double time = 0.0;
+  tilt_ropter::ActuatorState<Rotors> command;
 };
 
 namespace detail {
@@ -95,17 +100,18 @@ inline tilt_ropter::Wrenchd wrench(const geometry_msgs::msg::Wrench& m) {
 inline geometry_msgs::msg::Wrench message(const tilt_ropter::Wrenchd& w) {
   return {message(w.force), message(w.torque)};
 }
-template <typename Sequence>
-std::optional<Eigen::Vector4d> four(const Sequence& sequence) {
-  if (sequence._length != 4) return std::nullopt;
-  const Eigen::Vector4d values = Eigen::Map<const Eigen::Vector4d>(sequence._buffer);
+template <int Rotors, typename Sequence>
+std::optional<Eigen::Matrix<double, Rotors, 1>> of_rotors(const Sequence& sequence) {
+  if (sequence._length != Rotors) return std::nullopt;
+  const Eigen::Matrix<double, Rotors, 1> values =
+      Eigen::Map<const Eigen::Matrix<double, Rotors, 1>>(sequence._buffer);
   return tilt_ropter::all_finite(values) ? std::optional(values) : std::nullopt;
 }
 
 }  // namespace detail
 
 // decode() returns nothing for a message with a number that is not finite or for another number of
-// rotors than four.
+// rotors.
 
 [[nodiscard]] inline std::optional<Inertial> decode(const sensor_msgs::msg::Imu& m) {
   const Inertial i{loops::seconds(m.header.stamp),
@@ -115,10 +121,11 @@ std::optional<Eigen::Vector4d> four(const Sequence& sequence) {
   return i;
 }
 
-[[nodiscard]] inline std::optional<RotorSpeeds> decode(const sensor_msgs::msg::JointState& m) {
-  const auto speed = detail::four(m.velocity);
+template <int Rotors>
+[[nodiscard]] std::optional<RotorSpeeds<Rotors>> decode(const sensor_msgs::msg::JointState& m) {
+  const auto speed = detail::of_rotors<Rotors>(m.velocity);
   if (!speed) return std::nullopt;
-  return RotorSpeeds{loops::seconds(m.header.stamp), *speed};
+  return RotorSpeeds<Rotors>{loops::seconds(m.header.stamp), *speed};
 }
 
 [[nodiscard]] inline std::optional<Pose> decode(const geometry_msgs::msg::PoseStamped& m) {
@@ -138,10 +145,22 @@ std::optional<Eigen::Vector4d> four(const Sequence& sequence) {
   return c;
 }
 
-[[nodiscard]] inline std::optional<ActuatorCommand> decode(const actuator_msgs::msg::Actuators& m) {
-  const auto speed = detail::four(m.velocity), angle = detail::four(m.position);
+template <int Rotors>
+[[nodiscard]] std::optional<ActuatorCommand<Rotors>> decode(
+    const actuator_msgs::msg::Actuators& m) {
+  const auto speed = detail::of_rotors<Rotors>(m.velocity),
+             angle = detail::of_rotors<Rotors>(m.position);
   if (!speed || !angle) return std::nullopt;
-  return ActuatorCommand{loops::seconds(m.header.stamp), {*speed, *angle}};
+  return ActuatorCommand<Rotors>{loops::seconds(m.header.stamp), {*speed, *angle}};
+}
+
+/// The decode() of a message with or without a number of rotors, which is then above 0.
+template <int Rotors, typename Message>
+[[nodiscard]] auto content_of(const Message& m) {
+  if constexpr (Rotors > 0)
+    return decode<Rotors>(m);
+  else
+    return decode(m);
 }
 
 /// Makes messages. They refer to memory of this object and stay valid until the next call of the
@@ -155,8 +174,10 @@ class Encoder {
     imu_.linear_acceleration = detail::message(i.sample.specific_force);
     return imu_;
   }
-  [[nodiscard]] const sensor_msgs::msg::JointState& encode(const RotorSpeeds& r) {
+  template <int Rotors>
+  [[nodiscard]] const sensor_msgs::msg::JointState& encode(const RotorSpeeds<Rotors>& r) {
     joints_.header = header(r.time, base_link_);
+    while (names_.size() < Rotors) names_.push_back(loops::in_message(rotors_[names_.size()]));
     loops::refer_to(joints_.name, names_);
     fill(joints_.velocity, speeds_, r.speed);
     return joints_;
@@ -177,7 +198,8 @@ class Encoder {
     shown_ = {header(c.time, base_link_), detail::message(c.wrench)};
     return shown_;
   }
-  [[nodiscard]] const actuator_msgs::msg::Actuators& encode(const ActuatorCommand& c) {
+  template <int Rotors>
+  [[nodiscard]] const actuator_msgs::msg::Actuators& encode(const ActuatorCommand<Rotors>& c) {
     actuators_.header = header(c.time, base_link_);
     fill(actuators_.velocity, speeds_, c.command.rotor_speed);
     fill(actuators_.position, angles_, c.command.tilt_angle);
@@ -188,16 +210,17 @@ class Encoder {
   [[nodiscard]] static std_msgs::msg::Header header(double time, const std::string& frame) {
     return {loops::stamp(std::llround(1e9 * time)), loops::in_message(frame)};
   }
-  template <typename Sequence>
-  static void fill(Sequence& sequence, std::vector<double>& memory, const Eigen::Vector4d& values) {
+  template <typename Sequence, int Rotors>
+  static void fill(Sequence& sequence, std::vector<double>& memory,
+                   const Eigen::Matrix<double, Rotors, 1>& values) {
     memory.assign(values.data(), values.data() + values.size());
     loops::refer_to(sequence, memory);
   }
 
   const std::string base_link_ = "base_link", map_ = "map";
-  std::vector<std::string> rotors_{"rotor_1", "rotor_2", "rotor_3", "rotor_4"};
-  std::vector<char*> names_{loops::in_message(rotors_[0]), loops::in_message(rotors_[1]),
-                            loops::in_message(rotors_[2]), loops::in_message(rotors_[3])};
+  const std::array<std::string, 8> rotors_{"rotor_1", "rotor_2", "rotor_3", "rotor_4",
+                                           "rotor_5", "rotor_6", "rotor_7", "rotor_8"};
+  std::vector<char*> names_;  // of the rotors of the vehicle
   std::vector<double> speeds_, angles_;
   sensor_msgs::msg::Imu imu_{};
   sensor_msgs::msg::JointState joints_{};

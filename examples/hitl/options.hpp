@@ -12,7 +12,7 @@ namespace hitl {
 
 inline void add_options(CLI::App& app, Line& line, std::string& vehicle) {
   app.add_option("--vehicle", vehicle,
-                 "JSON file of a vehicle with 4 rotors; the same for all three programs");
+                 "JSON file of a vehicle with 2 to 8 rotors; the same for all three programs");
   const auto add = [&](const char* name, auto& value, const char* text) {
     return app.add_option(name, value, text)->capture_default_str()->group("A bad line");
   };

@@ -63,6 +63,16 @@ class LevelNmpc {
     return sent_.command;
   }
 
+  /// Returns the rotor speeds and tilt angles for a wrench of another controller, which changes at
+  /// `rate`.
+  const Actuators& give(double time, const tilt_ropter::Wrenchd& wrench,
+                        const tilt_ropter::Wrenchd& rate) {
+    if (actuator_) sent_.command = actuator_->command_for(wrench);
+    if constexpr (has_wrench_level<Rotors>)
+      if (wrench_) sent_ = wrench_->allocation.allocate(time, wrench, rate, sent_);
+    return sent_.command;
+  }
+
   /// The actuators stand still.
   void forget() { sent_ = {}; }
   /// The actuators give an upward `force` [N] and no torque.

@@ -10,14 +10,6 @@ namespace examples {
 
 using tilt_ropter::Vehicle;
 
-Vehicle<4> four_rotors(const VehicleFile& file) {
-  const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
-  if (vehicle == nullptr)
-    throw VehicleFileError(file.name +
-                           ": this program needs a vehicle of 4 rotors; hybrid_mission takes any");
-  return *vehicle;
-}
-
 std::string reason_against_wrench_level(const VehicleFile& file) {
   return std::visit(
       [](const auto& vehicle) -> std::string {
@@ -37,6 +29,15 @@ void require_wrench_level(const VehicleFile& file) {
   const std::string reason = reason_against_wrench_level(file);
   if (!reason.empty())
     throw VehicleFileError(file.name + ": the wrench level cannot control this vehicle: " + reason);
+}
+
+Vehicle<4> quadrotor(const VehicleFile& file) {
+  const auto* vehicle = std::get_if<Vehicle<4>>(&file.vehicle);
+  if (vehicle == nullptr)
+    throw VehicleFileError(file.name +
+                           ": this program needs a vehicle of 4 rotors; hybrid_mission takes any");
+  require_wrench_level(file);
+  return *vehicle;
 }
 
 }  // namespace examples

@@ -34,9 +34,6 @@ using tilt_ropter::write_vehicle;
   return path.empty() ? VehicleFile{} : read_vehicle(path);
 }
 
-/// For programs that need four rotors. Throws VehicleFileError for any other vehicle.
-[[nodiscard]] tilt_ropter::Vehicle<4> four_rotors(const VehicleFile& file);
-
 /// Returns why the wrench level cannot control this vehicle, or an empty text: the programs contain
 /// it for 4, 6 and 8 rotors, and the allocation must have rank 6.
 [[nodiscard]] std::string reason_against_wrench_level(const VehicleFile& file);
@@ -46,11 +43,7 @@ void require_wrench_level(const VehicleFile& file);
 
 /// For programs that need four rotors and the wrench level. Throws VehicleFileError for any other
 /// vehicle.
-[[nodiscard]] inline tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file) {
-  tilt_ropter::Vehicle<4> vehicle = four_rotors(file);
-  require_wrench_level(file);
-  return vehicle;
-}
+[[nodiscard]] tilt_ropter::Vehicle<4> quadrotor(const VehicleFile& file);
 
 /// For programs that need the wrench level: returns action(vehicle). Throws VehicleFileError if the
 /// wrench level cannot control this vehicle.
