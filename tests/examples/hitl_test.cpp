@@ -1,5 +1,6 @@
-// Hardware in the loop: flights of the three programs over DDS on the loopback interface. They fly
-// in lock step, and in a full run in real time. CTest: real_time dds
+// Hardware in the loop: flights of the three programs over DDS on the loopback interface, in lock
+// step, and in a full run in real time.
+// CTest: real_time dds
 
 #include "../../examples/integrations/dds.hpp"
 #include "../../examples/integrations/messages.hpp"
