@@ -9,6 +9,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include <algorithm>
 #include <cstdint>
 #include <iostream>
 #include <string>
@@ -78,7 +79,12 @@ void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
   node.subscribe<TrajectorySetpoint>(versions.topic("TrajectorySetpoint"), dds::sensor_data,
                                      [&](const TrajectorySetpoint& m) { pilot.on_set_point(m); });
   node.parameters().refuse_unknown();
+  const bool tilts = std::any_of(vehicle.rotors.begin(), vehicle.rotors.end(),
+                                 [](const auto& rotor) { return rotor.tilts; });
   node.spin(10000000, [&](std::int64_t now) {
+    const bool servos_heard =
+        std::visit([](const auto& publisher) { return publisher.subscribers() > 0; }, servos);
+    pilot.on_listeners(motors.subscribers() > 0 && (servos_heard || !tilts));
     const auto out = pilot.tick(now);
     if (out.mode) mode.publish(*out.mode);
     if (out.thrust) thrust.publish(*out.thrust);

@@ -146,12 +146,21 @@ class Px4Node {
     const double weight = vehicle_.body.mass * tilt_ropter::gravity;
     if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
         (is_killed_ || applied.force.norm() > 0.5 * weight)) {
-      // The rotors do not turn as commanded: a kill switch, of which PX4 tells nothing.
+      // The rotors do not turn as commanded: a kill switch. PX4's messages do not name it.
       actuators_.reset({Eigen::Matrix<double, Rotors, 1>::Zero(), nmpc_.command().tilt_angle});
       is_killed_ = true;
       killed_ = time;
     }
     is_killed_ = is_killed_ && time - killed_ < run_up;
+    // On the ground it feels its weight, whatever is commanded, and would leap when they turn
+    // again.
+    load_ += 0.1 * (specific_force.norm() - load_);
+    const bool feels_no_thrust =
+        time - killed_ < longest_kill && body_ && body_->velocity.norm() < 0.2 &&
+        std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
+        nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + 0.3 * weight;
+    if (!feels_no_thrust) thrust_felt_ = time;
+    if (time - thrust_felt_ > 0.3) fell_ = true;
     if (is_killed_) return;
     observed_ = observer_.update(
         time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force}, applied);
@@ -168,6 +177,8 @@ class Px4Node {
     heard_[3].on_message(seconds(m.timestamp));
     on_pilot(m.timestamp, m.flag_armed, m.flag_control_offboard_enabled);
   }
+  /// Whether PX4 hears what it must obey. Without, the node asks for no offboard mode.
+  void on_listeners(bool all) { is_heard_ = all; }
   /// Where to hover from now on.
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, time_))
@@ -209,7 +220,7 @@ class Px4Node {
     if (pilot_ == Pilot::nobody) reference_.restart();
     flying_ = goes_on;
     if (!body_ || silent_ || wrong_imu_) return out;
-    if (is_known) {
+    if (is_known && (is_heard_ || flying_)) {
       // PX4 requires this message for some time before it accepts offboard control, and leaves it
       // some time after the last one.
       out.mode = px4_msgs::msg::OffboardControlMode{};
@@ -218,6 +229,14 @@ class Px4Node {
     }
     if (pilot_ != Pilot::this_node) return out;
     if (takes_over_) take_over();
+    if (fell_) {
+      flying_ = false;
+      nmpc_.forget();
+      if (const auto outputs = scaling_.outputs(nmpc_.command()))
+        out.actuators = wiring_.controls(*outputs);
+      out.thrust = px4_thrust(Eigen::Vector3d::Zero(), largest_force(), out.now, out.sample);
+      return out;
+    }
     const auto& applied = actuators_.update(time, nmpc_.command());
     late_.on_wrench(time, nmpc_.wrench_of(applied));
     // Of now: at 1.5 m/s a state that is 60 ms old costs 60 mm.
@@ -247,10 +266,12 @@ class Px4Node {
     s.located = body_.has_value();
     if (body_) s.body = *body_;
     s.heard = heard_;
-    s.waits_for = !body_                           ? "vehicle_odometry"
-                  : untold()                       ? "vehicle_status or vehicle_control_mode"
-                  : wrong_imu_                     ? "disarming, to calibrate again"
-                  : silent_                        ? "vehicle_odometry"
+    s.waits_for = !body_       ? "vehicle_odometry"
+                  : untold()   ? "vehicle_status or vehicle_control_mode"
+                  : wrong_imu_ ? "disarming, to calibrate again"
+                  : silent_    ? "vehicle_odometry"
+                  : fell_      ? "disarming, after a kill"
+                  : !is_heard_ ? "PX4 to hear motors and servos: --px4-message-version?"
                   : pilot_ == Pilot::nobody        ? "arming"
                   : pilot_ == Pilot::somebody_else ? "offboard mode"
                                                    : "";
@@ -264,6 +285,7 @@ class Px4Node {
     s.mode = !body_                       ? "not located"
              : untold()                   ? "not told who flies"
              : wrong_imu_                 ? "refuses to fly"
+             : fell_                      ? "on the ground after a kill"
              : pilot_ == Pilot::this_node ? "offboard"
              : pilot_ == Pilot::nobody    ? "disarmed"
                                           : "flown by PX4";
@@ -301,6 +323,7 @@ class Px4Node {
   void decide(Pilot pilot) {
     const Pilot before = std::exchange(pilot_, pilot);
     if (pilot_ == before) return;
+    fell_ = false;
     if (pilot_ != Pilot::this_node) {
       nmpc_.forget();
       late_ = examples::LateState(vehicle_.body);
@@ -330,6 +353,7 @@ class Px4Node {
   static constexpr double free_fall = 3.0;  // largest specific force [m/s^2]
   static constexpr double run_up =
       0.2;  // of rotors that stood, when they do not match the model [s]
+  static constexpr double longest_kill = 10.0;  // PX4 disarms 5 s after its kill switch [s]
   // Without a reset of PX4's estimator, no vehicle is elsewhere by so much [m].
   static constexpr double farthest_jump = 0.5;
 
@@ -391,6 +415,8 @@ class Px4Node {
   double time_ = 0.0;                               // of the last tick [s]
   double arrived_ = -1e9, known_ = -1e9;            // last arrival, last time with a state [s]
   double killed_ = -1e9;                            // when the rotors last stood in flight [s]
+  double load_ = tilt_ropter::gravity;              // size of the specific force, smooth [m/s^2]
+  double thrust_felt_ = -1e9;                       // last time that it was as commanded [s]
   double home_ = 0.0;                               // height of the ground at the start [m]
   double told_ = -1e9;                              // when PX4 last said who flies [s]
   std::uint64_t told_stamp_ = 0;                    // the same, by its stamp [us]
@@ -401,7 +427,8 @@ class Px4Node {
                               Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
-       is_told_ = false, flying_ = false, is_killed_ = false, takes_over_ = false;
+       is_told_ = false, is_heard_ = true, flying_ = false, is_killed_ = false, fell_ = false,
+       takes_over_ = false;
 };
 
 }  // namespace loops
