@@ -53,9 +53,9 @@ bool turns(const Eigen::Matrix<double, 3, Rotors>& torques, int k) {
 }  // namespace detail
 
 /// Returns the parameters of PX4 for `vehicle`: geometry (CA_*), functions of the first outputs of
-/// the main port, and failsafe. Rotors are motors in the order of the vehicle, tilting rotors are
-/// servos in the same order. PX4's own modes keep all rotors upright, but for axes about which
-/// upright rotors do not turn the vehicle.
+/// the main port, thrust in hover, and failsafe. Rotors are motors in the order of the vehicle,
+/// tilting rotors are servos in the same order. PX4's own modes keep all rotors upright, but for
+/// axes about which upright rotors do not turn the vehicle.
 template <int Rotors>
 [[nodiscard]] Px4Parameters px4_parameters(const tilt_ropter::Vehicle<Rotors>& vehicle) {
   using namespace tilt_ropter;
@@ -71,6 +71,7 @@ template <int Rotors>
   set("CA_ROTOR_COUNT", Rotors);
   const Eigen::Vector3d frd(1.0, -1.0, -1.0);
   int servo = 0;
+  double lift = 0.0;  // of upright rotors [N]
   for (std::size_t i = 0; i < Rotors; ++i) {
     const RotorGeometry& rotor = vehicle.rotors[i];
     const RotorParameters& p = rotor_parameters(vehicle, i);
@@ -85,6 +86,7 @@ template <int Rotors>
     set(name + "CT", std::min(100.0, p.max_thrust * rotor.effectiveness));
     set(name + "KM", rotor.spin == Spin::counter_clockwise ? p.torque_ratio : -p.torque_ratio);
     set(name + "TILT", has_tilts && rotor.tilts ? ++servo : 0);
+    lift += p.max_thrust * rotor.effectiveness * std::max(0.0, rotor.orientation(2, 2));
   }
   if (tilts > most_tilts)
     result.warnings.push_back("PX4 knows " + std::to_string(most_tilts) +
@@ -119,6 +121,8 @@ template <int Rotors>
   if (Rotors + tilts > 8)
     result.warnings.push_back(std::to_string(Rotors + tilts) +
                               " outputs: a main port has 8 or more; move the rest to PWM_AUX_FUNC");
+  // PX4's own modes take over with this thrust.
+  if (lift > 0.0) set("MPC_THR_HOVER", std::clamp(vehicle.body.mass * gravity / lift, 0.1, 0.8));
   set("COM_OF_LOSS_T", 0.5);
   set("COM_OBL_RC_ACT", 4);
   set("NAV_RCL_ACT", 3);

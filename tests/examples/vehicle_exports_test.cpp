@@ -118,7 +118,11 @@ TEST(Px4Parameters, SayWhatPx4DoesNotKnow) {
   EXPECT_EQ(quadrotor.at("CA_AIRFRAME"), 0.0);
   EXPECT_EQ(quadrotor.at("PWM_MAIN_FUNC4"), 104.0);
   EXPECT_EQ(quadrotor.count("PWM_MAIN_FUNC5"), 0U);
-  EXPECT_EQ(printed("tilt_ropter").at("PWM_MAIN_FUNC5"), 201.0);
+  const auto tilt_ropter = printed("tilt_ropter");
+  EXPECT_EQ(tilt_ropter.at("PWM_MAIN_FUNC5"), 201.0);
+  EXPECT_NEAR(tilt_ropter.at("MPC_THR_HOVER"), 1.5 * 9.81 / 48.0, 1e-3);
+  // The pusher carries nothing.
+  EXPECT_NEAR(printed("quadrotor_with_pusher").at("MPC_THR_HOVER"), 1.5 * 9.81 / 44.0, 1e-3);
   EXPECT_EQ(run(PX4_PARAMETERS_PROGRAM, "nowhere.json").exit_code, 2);
 }
 
