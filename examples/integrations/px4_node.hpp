@@ -160,7 +160,7 @@ class Px4Node {
         std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
         nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + 0.3 * weight;
     if (!feels_no_thrust) thrust_felt_ = time;
-    if (time - thrust_felt_ > 0.3) fell_ = true;
+    if (time - thrust_felt_ > 0.3) stays_down_ = true;
     if (is_killed_) return;
     observed_ = observer_.update(
         time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force}, applied);
@@ -170,6 +170,9 @@ class Px4Node {
   template <typename Status>
   void on_status(const Status& m) {
     heard_[2].on_message(seconds(m.timestamp));
+    const bool armed = m.arming_state == arming_state_armed,
+               wants_offboard = m.nav_state_user_intention == nav_state_offboard;
+    has_failed_ = armed && wants_offboard && (has_failed_ || m.nav_state != nav_state_offboard);
     on_pilot(m.timestamp, m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
   }
   /// When who flies changes, this comes up to 0.2 s before VehicleStatus.
@@ -229,7 +232,7 @@ class Px4Node {
     }
     if (pilot_ != Pilot::this_node) return out;
     if (takes_over_) take_over();
-    if (fell_) {
+    if (stays_down_) {
       flying_ = false;
       nmpc_.forget();
       if (const auto outputs = scaling_.outputs(nmpc_.command()))
@@ -266,12 +269,12 @@ class Px4Node {
     s.located = body_.has_value();
     if (body_) s.body = *body_;
     s.heard = heard_;
-    s.waits_for = !body_       ? "vehicle_odometry"
-                  : untold()   ? "vehicle_status or vehicle_control_mode"
-                  : wrong_imu_ ? "disarming, to calibrate again"
-                  : silent_    ? "vehicle_odometry"
-                  : fell_      ? "disarming, after a kill"
-                  : !is_heard_ ? "PX4 to hear motors and servos: --px4-message-version?"
+    s.waits_for = !body_        ? "vehicle_odometry"
+                  : untold()    ? "vehicle_status or vehicle_control_mode"
+                  : wrong_imu_  ? "disarming, to calibrate again"
+                  : silent_     ? "vehicle_odometry"
+                  : stays_down_ ? "disarming or another mode"
+                  : !is_heard_  ? "PX4 to hear motors and servos: --px4-message-version?"
                   : pilot_ == Pilot::nobody        ? "arming"
                   : pilot_ == Pilot::somebody_else ? "offboard mode"
                                                    : "";
@@ -285,7 +288,7 @@ class Px4Node {
     s.mode = !body_                       ? "not located"
              : untold()                   ? "not told who flies"
              : wrong_imu_                 ? "refuses to fly"
-             : fell_                      ? "on the ground after a kill"
+             : stays_down_                ? "stays on the ground"
              : pilot_ == Pilot::this_node ? "offboard"
              : pilot_ == Pilot::nobody    ? "disarmed"
                                           : "flown by PX4";
@@ -323,7 +326,8 @@ class Px4Node {
   void decide(Pilot pilot) {
     const Pilot before = std::exchange(pilot_, pilot);
     if (pilot_ == before) return;
-    fell_ = false;
+    // PX4 returns to offboard mode by itself after a failsafe, in which it may have landed.
+    stays_down_ = pilot_ == Pilot::this_node && has_failed_ && stands();
     if (pilot_ != Pilot::this_node) {
       nmpc_.forget();
       late_ = examples::LateState(vehicle_.body);
@@ -353,6 +357,7 @@ class Px4Node {
   static constexpr double free_fall = 3.0;  // largest specific force [m/s^2]
   static constexpr double run_up =
       0.2;  // of rotors that stood, when they do not match the model [s]
+  static constexpr double in_the_air = 0.3;     // under the vehicle [m]
   static constexpr double longest_kill = 10.0;  // PX4 disarms 5 s after its kill switch [s]
   // Without a reset of PX4's estimator, no vehicle is elsewhere by so much [m].
   static constexpr double farthest_jump = 0.5;
@@ -377,24 +382,35 @@ class Px4Node {
     nmpc_.raise_ground(step.z());
   }
 
+  // The ground where it is. It may have been left long ago. To hold a flight for standing means a
+  // fall, the opposite a take-off: the lower ground counts.
+  [[nodiscard]] tilt_ropter::GroundPlane ground() const {
+    const tilt_ropter::ContactEstimate& last = contact_.estimate();
+    if (last.ground_known && last.ground.height_at(body_->position) < home_) return last.ground;
+    tilt_ropter::GroundPlane ground;
+    ground.height = home_;
+    return ground;
+  }
+  [[nodiscard]] double clearance() const {
+    const double standing =
+        undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height;
+    return body_->position.z() - standing - ground().height_at(body_->position);
+  }
+  [[nodiscard]] bool stands() const {
+    return body_ && clearance() < in_the_air && body_->velocity.norm() < 0.3;
+  }
+
   // Another controller has flown: what turns is not known, and what the observer knew is old. In
   // the air, about hover is the best guess.
   void take_over() {
     using namespace tilt_ropter;
-    // The ground may have been left long ago. To hold a flight for standing means a fall, the
-    // opposite a take-off: the lower ground counts.
-    const ContactEstimate& last = contact_.estimate();
-    GroundPlane ground;
-    ground.height = home_;
-    if (last.ground_known && last.ground.height_at(body_->position) < home_) ground = last.ground;
+    const GroundPlane below = ground();
+    const bool flies = clearance() > in_the_air;
     takes_over_ = false;
     observer_.reset();
     observed_ = observer_.observed();
-    contact_ = ContactEstimator(vehicle_, ground);
-    constexpr double in_the_air = 0.3;  // under the vehicle [m]
-    const double standing = undercarriage(vehicle_).value_or(Undercarriage{0.0}).height;
-    if (body_->position.z() - standing - ground.height_at(body_->position) > in_the_air)
-      nmpc_.start_with_lift(vehicle_.body.mass * gravity);
+    contact_ = ContactEstimator(vehicle_, below);
+    if (flies) nmpc_.start_with_lift(vehicle_.body.mass * gravity);
     actuators_.reset(nmpc_.command());
   }
 
@@ -427,8 +443,8 @@ class Px4Node {
                               Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
-       is_told_ = false, is_heard_ = true, flying_ = false, is_killed_ = false, fell_ = false,
-       takes_over_ = false;
+       is_told_ = false, is_heard_ = true, flying_ = false, is_killed_ = false, has_failed_ = false,
+       stays_down_ = false, takes_over_ = false;
 };
 
 }  // namespace loops

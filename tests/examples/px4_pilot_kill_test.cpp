@@ -42,6 +42,32 @@ TEST(Px4Kill, OnTheGroundIsNotTakenBack) {
     }
 }
 
+// PX4 has landed because the node was silent, is armed, and returns to offboard mode by itself.
+TEST(Px4Failsafe, LandingIsNotTakenBack) {
+  for (const bool restarts : {false, true}) {
+    Flight flight;
+    flight.take_off();
+    flight.hears = false;
+    flight.fly(0.6);
+    for (flight.px4.stick = flight.body().position; flight.px4.stick.z() > -0.5;
+         flight.px4.stick.z() -= 0.05)
+      flight.fly(0.1);
+    flight.fly(1.0);
+    ASSERT_LT(flight.body().position.z(), 0.12);
+    if (restarts) flight.start_node();
+    flight.hears = true;
+    flight.fly(1.5);
+    EXPECT_TRUE(flight.px4.is_offboard()) << restarts;
+    EXPECT_LT(flight.body().position.z(), 0.12) << restarts;
+    EXPECT_STREQ(flight.node->snapshot(0).waits_for, "disarming or another mode");
+    flight.px4.wants_offboard = false;
+    flight.fly(1.0);
+    flight.px4.wants_offboard = true;
+    flight.fly(8.0);
+    EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05) << restarts;
+  }
+}
+
 // As when ActuatorServos has another version: the rotors would turn, and the arms stay where they
 // are.
 TEST(Px4Listeners, AsksForNoOffboardModeWhilePx4DoesNotHearTheActuators) {

@@ -39,6 +39,7 @@ class AnyPx4Vehicle {
     m.timestamp = now_us();
     m.arming_state = armed ? loops::arming_state_armed : loops::arming_state_disarmed;
     m.nav_state = offboard ? loops::nav_state_offboard : loops::nav_state_manual;
+    m.nav_state_user_intention = m.nav_state;
     obeys_ = armed && offboard;
     return m;
   }
