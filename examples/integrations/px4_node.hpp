@@ -153,11 +153,10 @@ class Px4Node {
     }
     is_killed_ = is_killed_ && time - killed_ < run_up;
     // On the ground it feels its weight, whatever is commanded, and would leap when they turn
-    // again.
+    // again. In the air it feels as much where it pushes on a wall.
     load_ += 0.1 * (specific_force.norm() - load_);
     const bool feels_no_thrust =
-        time - killed_ < longest_kill && body_ && body_->velocity.norm() < 0.2 &&
-        std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
+        time - killed_ < longest_kill && stands() && std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
         nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + 0.3 * weight;
     if (!feels_no_thrust) thrust_felt_ = time;
     if (time - thrust_felt_ > 0.3) stays_down_ = true;
@@ -173,7 +172,7 @@ class Px4Node {
     const bool armed = m.arming_state == arming_state_armed,
                wants_offboard = m.nav_state_user_intention == nav_state_offboard;
     has_failed_ = armed && wants_offboard && (has_failed_ || m.nav_state != nav_state_offboard);
-    on_pilot(m.timestamp, m.arming_state == arming_state_armed, m.nav_state == nav_state_offboard);
+    on_pilot(m.timestamp, armed, m.nav_state == nav_state_offboard);
   }
   /// When who flies changes, this comes up to 0.2 s before VehicleStatus.
   void on_control_mode(const px4_msgs::msg::VehicleControlMode& m) {
@@ -224,8 +223,8 @@ class Px4Node {
     flying_ = goes_on;
     if (!body_ || silent_ || wrong_imu_) return out;
     if (is_known && (is_heard_ || flying_)) {
-      // PX4 requires this message for some time before it accepts offboard control, and leaves it
-      // some time after the last one.
+      // PX4 accepts offboard control only with this message, and leaves it some time after the
+      // last one.
       out.mode = px4_msgs::msg::OffboardControlMode{};
       out.mode->timestamp = out.now;
       out.mode->direct_actuator = true;
@@ -328,6 +327,7 @@ class Px4Node {
     if (pilot_ == before) return;
     // PX4 returns to offboard mode by itself after a failsafe, in which it may have landed.
     stays_down_ = pilot_ == Pilot::this_node && has_failed_ && stands();
+    thrust_felt_ = time_;
     if (pilot_ != Pilot::this_node) {
       nmpc_.forget();
       late_ = examples::LateState(vehicle_.body);
