@@ -29,17 +29,25 @@ class HitlFlight : public testing::Test {
   [[nodiscard]] std::string report(const std::string& name) const { return directory_.file(name); }
   void survive_restarts(const std::string& options);
 
+  struct Told {
+    test_support::Outcome vehicle, onboard, flight_controller;
+  };
+  /// Flies with `options` of all three programs and `more` of the simulator.
+  [[nodiscard]] Told fly(const std::string& options, const std::string& more = "") const {
+    Background onboard(HITL_ONBOARD_PROGRAM, options, report("onboard"));
+    Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, options, report("flight"));
+    Background vehicle(HITL_SIMULATOR_PROGRAM, options + more, report("vehicle"));
+    const auto flown = vehicle.wait();
+    return {flown, onboard.wait(), flight.wait()};
+  }
+
   const std::uint32_t domain_ = test_support::dds_on_loopback();  // also of the programs
   const bool full_ = test_support::full_run();
   test_support::Directory directory_{"hitl"};
 };
 
 TEST_F(HitlFlight, FliesInLockStep) {
-  Background onboard(HITL_ONBOARD_PROGRAM, "--lock-step 1", report("onboard"));
-  Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, "--lock-step 1", report("flight"));
-  Background vehicle(HITL_SIMULATOR_PROGRAM, "--lock-step 1 --until 20", report("vehicle"));
-  const auto flown = vehicle.wait();
-  const auto computed = onboard.wait(), commanded = flight.wait();
+  const auto [flown, computed, commanded] = fly("--lock-step 1", " --until 20");
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
   EXPECT_LT(flown["final_position_error_m"], 0.01);
   EXPECT_LT(flown["takeoff_overshoot_m"], 0.01);
@@ -60,13 +68,8 @@ TEST_F(HitlFlight, FliesEveryVehicleInLockStep) {
   }
   for (const std::string& name : names) {
     SCOPED_TRACE(name);
-    const std::string options = "--lock-step 1 --vehicle '" VEHICLES_DIR "/" + name + ".json'";
-    Background onboard(HITL_ONBOARD_PROGRAM, options, report("onboard"));
-    Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, options, report("flight"));
-    Background vehicle(HITL_SIMULATOR_PROGRAM, options + (full_ ? "" : " --until 15"),
-                       report("vehicle"));
-    const auto flown = vehicle.wait();
-    const auto computed = onboard.wait(), commanded = flight.wait();
+    const auto [flown, computed, commanded] = fly(
+        "--lock-step 1 --vehicle '" VEHICLES_DIR "/" + name + ".json'", full_ ? "" : " --until 15");
     ASSERT_EQ(flown.exit_code, 0) << flown.output;
     EXPECT_LT(flown["air_rmse_m"], 0.008);
     EXPECT_EQ(computed["onboard_missions"], 1);
@@ -78,11 +81,7 @@ TEST_F(HitlFlight, FliesEveryVehicleInLockStep) {
 
 TEST_F(HitlFlight, FliesOverLoopback) {
   if (!full_) GTEST_SKIP() << "in real time: only in the full run";
-  Background onboard(HITL_ONBOARD_PROGRAM, "", report("onboard"));
-  Background flight(HITL_FLIGHT_CONTROLLER_PROGRAM, "", report("flight"));
-  Background vehicle(HITL_SIMULATOR_PROGRAM, "", report("vehicle"));
-  const auto flown = vehicle.wait();
-  const auto computed = onboard.wait(), commanded = flight.wait();
+  const auto [flown, computed, commanded] = fly("");
   ASSERT_EQ(flown.exit_code, 0) << flown.output;
   EXPECT_LT(flown["final_position_error_m"], 0.03);
   EXPECT_LT(flown["takeoff_overshoot_m"], 0.05);
