@@ -249,6 +249,18 @@ const Event events[] = {
        f.heading_error = heading;
        f.fly(seconds);
      }},
+    {"the estimate slides", 2.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.slide = somewhere(0.5, 0.1, random);
+       f.fly(seconds);
+       f.px4.vehicle.slide.setZero();
+     }},
+    {"the clocks drift", 3.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.clock_drift = between(-0.03, 0.03, random);
+       f.fly(seconds);
+       f.px4.vehicle.clock_drift = f.px4.vehicle.stamps_late = 0.0;
+     }},
     {"old stamps", 2.0,
      [](Flight& f, double seconds, std::mt19937& random) {
        f.px4.vehicle.stamps_late = between(-0.2, 1.0, random);

@@ -41,7 +41,8 @@ struct Px4Flight {
       const auto out = node->tick(px4.vehicle.now());
       px4.take(out, hears);
       if (const auto shown = node->snapshot(0); out.actuators && px4.time() - killed_ > 3.0)
-        sag = std::max(sag, shown.reference.position.z() - body().position.z());
+        sag = std::max(sag, shown.reference.position.z() - body().position.z() -
+                                px4.vehicle.position_error().z());
     }
   }
 

@@ -92,6 +92,10 @@ class AnyPx4Vehicle {
 
   /// One millisecond.
   [[nodiscard]] bool step() {
+    constexpr double most = 5e-4;  // of change: an accelerometer is wrong by 0.5 m/s^2
+    velocity_error_ += (slide - velocity_error_).cwiseMax(-most).cwiseMin(most);
+    estimate_step_ += 1e-3 * velocity_error_;
+    stamps_late += 1e-3 * clock_drift;
     tilt_ropter::Wrenchd wind;
     if (obeys_) wind.force << 0.3, 0.6, 0.0;  // on the ground the wind would roll it away
     return plant.step(obeys_ ? command_ : by_another, wind, 1e-3);
@@ -107,6 +111,7 @@ class AnyPx4Vehicle {
     m.reset_counter = resets_;
     tilt_ropter::BodyStated body = plant.body();
     body.position += estimate_step_;
+    body.velocity += velocity_error_;
     body.orientation = tilt_ropter::quaternion_from_yaw(estimate_turn_) * body.orientation;
     const Eigen::Matrix3d to_ned = enu_to_ned_ * body.orientation.toRotationMatrix() * flu_to_frd_;
     const Eigen::Quaterniond q(to_ned);
@@ -131,8 +136,14 @@ class AnyPx4Vehicle {
     ++resets_;
   }
 
+  /// How far the estimated position is from the true one.
+  [[nodiscard]] const Eigen::Vector3d& position_error() const { return estimate_step_; }
+
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
+  double clock_drift = 0.0;  ///< by how much they get later [s/s]
+  /// PX4 believes its inertial sensors, or its barometer, alone: soon its positions slide [m/s].
+  Eigen::Vector3d slide = Eigen::Vector3d::Zero();
   double delay = 0.0;        ///< until odometry and sensors arrive [s]
   tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
@@ -170,7 +181,8 @@ class AnyPx4Vehicle {
   tilt_ropter::ActuatorState<Rotors> command_;
   std::deque<std::pair<double, px4_msgs::msg::SensorCombined>> sensors_;  // on their way
   std::deque<std::pair<double, px4_msgs::msg::VehicleOdometry>> odometry_;
-  Eigen::Vector3d estimate_step_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d estimate_step_ = Eigen::Vector3d::Zero(),
+                  velocity_error_ = Eigen::Vector3d::Zero();
   double estimate_turn_ = 0.0;
   std::uint8_t resets_ = 0;
   bool obeys_ = false;
