@@ -153,13 +153,19 @@ class Px4Node {
     }
     is_killed_ = is_killed_ && time - killed_ < run_up;
     // On the ground it feels its weight, whatever is commanded, and would leap when they turn
-    // again. In the air it feels as much where it pushes on a wall.
+    // again. In the air it feels as much where it pushes on a wall. Without a fall before, it may
+    // be as heavy, or its rotors as weak.
     load_ += 0.1 * (specific_force.norm() - load_);
+    const double excess = time - killed_ < longest_kill ? 0.3 * weight : 0.5 * weight;
     const bool feels_no_thrust =
-        time - killed_ < longest_kill && stands() && std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
-        nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + 0.3 * weight;
+        stands() && std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
+        nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + excess;
     if (!feels_no_thrust) thrust_felt_ = time;
-    if (time - thrust_felt_ > 0.3) stays_down_ = true;
+    if (!stays_down_ && time - thrust_felt_ > 0.3) {
+      std::cerr << "px4_node: stays on the ground: what it commands does not lift it. A kill "
+                   "switch, or a motor that does not turn?\n";
+      stays_down_ = true;
+    }
     if (is_killed_) return;
     observed_ = observer_.update(
         time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force}, applied);

@@ -42,6 +42,26 @@ TEST(Px4Kill, OnTheGroundIsNotTakenBack) {
     }
 }
 
+// The observer takes what the rotors do not lift for a load of twice the weight: they would leap.
+TEST(Px4Kill, BeforeTakeOffIsNoTakeOff) {
+  for (const char* level : {"wrench", "actuator"})
+    for (const double seconds : {0.5, 2.0, 4.0}) {
+      Flight flight("", level);
+      flight.fly(1.5);
+      flight.px4.wants_offboard = flight.px4.kills = true;
+      ASSERT_TRUE(flight.px4.arm());
+      flight.fly(seconds);
+      flight.px4.kills = false;
+      double fastest = 0.0;
+      for (int i = 0; i < 500; ++i) {
+        flight.fly(0.01);
+        fastest = std::max(fastest, flight.body().velocity.z());
+      }
+      EXPECT_LT(fastest, seconds < 1.0 ? 1.2 : 0.2) << level << ' ' << seconds;
+      EXPECT_EQ(flight.body().position.z() > 1.4, seconds < 1.0) << level << ' ' << seconds;
+    }
+}
+
 // PX4 has landed because the node was silent, is armed, and returns to offboard mode by itself.
 TEST(Px4Failsafe, LandingIsNotTakenBack) {
   for (const bool restarts : {false, true}) {

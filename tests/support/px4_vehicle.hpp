@@ -144,7 +144,7 @@ class AnyPx4Vehicle {
   double clock_drift = 0.0;  ///< by how much they get later [s/s]
   /// PX4 believes its inertial sensors, or its barometer, alone: soon its positions slide [m/s].
   Eigen::Vector3d slide = Eigen::Vector3d::Zero();
-  double delay = 0.0;        ///< until odometry and sensors arrive [s]
+  double delay = 0.0;  ///< until odometry and sensors arrive [s]
   tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
   double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
