@@ -40,6 +40,7 @@ struct Given {
   bool moves = true;
   double start_heading = 0.0;  // error [rad]
   bool has_compass = true;
+  bool has_velocity = true;
 };
 
 struct Outcome {
@@ -84,8 +85,9 @@ Outcome fly(const Fault& fault, const Given& given = {}) {
     if (i % 10 == 5) {
       const Matrix3d covariance = given.noise * given.noise * Matrix3d::Identity();
       ekf.on_measurement(t, PositionMeasurement<double>{position, covariance, Vector3d::Zero()});
-      ekf.on_measurement(t,
-                         WorldVelocityMeasurement<double>{velocity, covariance, Vector3d::Zero()});
+      if (given.has_velocity)
+        ekf.on_measurement(
+            t, WorldVelocityMeasurement<double>{velocity, covariance, Vector3d::Zero()});
       if (given.has_compass) ekf.on_measurement(t, HeadingMeasurement<double>{heading, 0.02});
     }
     if (t < 10.0) continue;
@@ -133,13 +135,21 @@ TEST(FixWitness, CompassThatComesBackIsUsedAgain) {
 }
 
 // start() is told 0.1 rad.
-TEST(FixWitness, ReceiverFindsAWrongHeadingInMotion) {
-  for (const double error : {0.5, -1.0, 1.6}) {
-    const Outcome o = fly([](const Words&) {}, {0.02, true, error, false});
-    EXPECT_LT(o.turned, 1.0 * degree) << error;
-    EXPECT_LT(o.position, 0.5) << error;
-    EXPECT_LE(o.state, EstimateState::degraded) << error;
-  }
+TEST(FixWitness, ReceiverFindsAnyWrongHeadingInMotion) {
+  for (const double error : {0.5, -1.0, 1.6, -2.4, 3.1})
+    for (const double noise : {0.02, 0.3})
+      for (const bool has_velocity : {true, false}) {
+        const Outcome o = fly([](const Words&) {}, {noise, true, error, false, has_velocity});
+        EXPECT_LT(o.turned, (noise < 0.1    ? 1.0
+                             : has_velocity ? 5.0
+                                            : 12.0) *
+                                degree)
+            << error << ' ' << noise;
+        EXPECT_LT(o.position, noise < 0.1 ? 0.5 : 2.0) << error << ' ' << noise << has_velocity;
+        if (noise < 0.1 || has_velocity) {
+          EXPECT_LE(o.state, EstimateState::degraded) << error << ' ' << noise;
+        }
+      }
 }
 
 TEST(FixWitness, CompassFindsAWrongHeading) {

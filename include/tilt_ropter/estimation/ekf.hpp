@@ -75,7 +75,8 @@ class Ekf {
 
   /// Starts, or restarts, at a state known by other means than a pose, at time(). Returns false and
   /// changes nothing before the first IMU sample or if a number is not finite or not positive.
-  /// Until a motion has shown the heading, it is forgotten if compass or receiver contradict it.
+  /// The heading may be wrong by any angle: compass, or positions and velocities of a receiver in
+  /// motion, correct it (detail::HeadingFromMotion), by a restart.
   bool start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept;
 
   /// False before the first pose or start(), and after a gap of the IMU until a measurement is
@@ -149,7 +150,10 @@ class Ekf {
     return {imu_rotation_ * s.angular_velocity, imu_rotation_ * s.specific_force};
   }
   [[nodiscard]] BodyState<Scalar> body_of(const Vector3<Scalar>& rate) const noexcept {
-    const InertialState<Scalar>& x = filter_.ahead();
+    return body_at(filter_.ahead(), rate);
+  }
+  [[nodiscard]] BodyState<Scalar> body_at(const InertialState<Scalar>& x,
+                                          const Vector3<Scalar>& rate) const noexcept {
     BodyState<Scalar> body{x.position, x.velocity, x.orientation, rate};
     if (!has_lever()) return body;
     const Vector3<Scalar> place = imu_position();
@@ -157,6 +161,10 @@ class Ekf {
     body.velocity -= x.orientation * rate.cross(place);
     return body;
   }
+
+  /// Restarts with another heading if motion shows that it is wrong since start(). `value`: a
+  /// position or velocity of the IMU, with its standard deviation.
+  bool find_heading(bool is_position, const Vector3<Scalar>& value, double stddev) noexcept;
 
   /// Uses, stores or drops a measurement that arrives.
   template <typename Measurement>
@@ -283,6 +291,7 @@ EkfStatus Ekf<Scalar>::apply(double time, const ArrivedPose& arrived) noexcept {
     f.update(is_same ? innovation : f.innovation_of(at), at);
     if (verdict.latency != 0.0) f.correct_latency(Scalar(verdict.latency));
   });
+  filter_.heading().end();
   filter_.set_running();
   guard_.on_used(verdict, filter().state().position);
   // The stamp of this pose was that of the wrong clock: the next one starts the filter.
@@ -320,6 +329,16 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
   }
   if (!at.valid || !at.is_usable()) return EkfStatus::rejected;
   if constexpr (kind == MeasurementKind::heading) at.noise *= Scalar(guard_.heading().factor());
+  if constexpr (decltype(at)::rows == 3 &&
+                (kind == MeasurementKind::position || kind == MeasurementKind::velocity)) {
+    const InertialState<Scalar>& x = filter().state();
+    const bool in_world = at.by(part).isIdentity();
+    if (in_world && find_heading(part == InertialIndex::position,
+                                 (part == InertialIndex::position ? x.position : x.velocity) +
+                                     detail::displacement<Scalar>(part, at),
+                                 std::sqrt(static_cast<double>(at.noise.diagonal().maxCoeff()))))
+      return EkfStatus::restarted;
+  }
   const auto innovation = filter().innovation_of(at);
   const detail::Verdict verdict = guard_.judge(kind, part, at, innovation, filter_);
   if (verdict.action == Action::drop) return verdict.status;
@@ -339,6 +358,27 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
 }
 
 template <typename Scalar>
+bool Ekf<Scalar>::find_heading(bool is_position, const Vector3<Scalar>& value,
+                               double stddev) noexcept {
+  detail::HeadingFromMotion<Scalar>& heading = filter_.heading();
+  const InertialState<Scalar>& x = filter().state();
+  if (!heading.finds_error(is_position, value, stddev, x)) {
+    if (heading.is_stale()) heading.begin(x);
+    return false;
+  }
+  filter_.change([&](ErrorStateFilter<Scalar>& f) {
+    f.reset(heading.state(x), f.covariance());
+    constexpr double tilt = 0.1;  // [rad]
+    detail::start_at_state(f, body_at(f.state(), filter_.rate()),
+                           {1.0, 1.0, std::max(tilt, heading.stddev())}, imu_position(),
+                           filter_.started(), settings_);
+  });
+  heading.begin(filter().state());
+  guard_.on_heading(filter_time());
+  return true;
+}
+
+template <typename Scalar>
 bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev) noexcept {
   if (!filter_.has_imu() || !is_finite(body) || !(body.orientation.norm() > Scalar(0.1)) ||
       !(stddev.position > 0.0 && stddev.velocity > 0.0 && stddev.orientation > 0.0) ||
@@ -349,6 +389,7 @@ bool Ekf<Scalar>::start(const BodyState<Scalar>& body, const StartStddev& stddev
     detail::start_at_state(f, body, stddev, imu_position(), filter_.started(), settings_);
   });
   filter_.set_running();
+  filter_.heading().begin(filter().state());
   guard_.on_start(filter_time());
   return true;
 }

@@ -3,6 +3,7 @@
 
 #include <tilt_ropter/estimation/detail/ekf_start.hpp>
 #include <tilt_ropter/estimation/detail/error_state_filter.hpp>
+#include <tilt_ropter/estimation/detail/heading_from_motion.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
 #include <algorithm>
@@ -36,6 +37,7 @@ class DelayedFilter {
     filter_.reset(x, ErrorStateFilter<Scalar>::Covariance::Zero());
     filter_.forget_wider_noise();
     ahead_ = x;
+    heading_.end();
     begin({});
   }
 
@@ -74,6 +76,7 @@ class DelayedFilter {
       constexpr double span = 0.02;  // [s]
       const double dt = to.time - from_.time;
       if (running()) filter_.predict(mean(from_, to), Scalar(dt));
+      heading_.predict(mean(from_, to), Scalar(dt));
       mean_rate_ += Scalar(std::min(1.0, dt / span)) * (to.value.angular_velocity - mean_rate_);
       from_ = to;
     };
@@ -108,13 +111,17 @@ class DelayedFilter {
       phase_ = sample.time - first <= max_gap ? Phase::bridged : Phase::stopped;
       if (running()) ahead_ = step(ahead_, {first, newest_.value}, sample);
       filter_.reset(ahead_, filter_.covariance());
+      begin_heading_again();
     }
     begin(sample);
   }
 
   /// Bridges a short gap, for measurements other than poses. Returns true if the filter runs.
   bool resume() noexcept {
-    if (started() && detail::resume(filter_, time() - stopped_at_, rate())) phase_ = Phase::bridged;
+    if (started() && detail::resume(filter_, time() - stopped_at_, rate())) {
+      phase_ = Phase::bridged;
+      begin_heading_again();
+    }
     return running();
   }
 
@@ -126,6 +133,8 @@ class DelayedFilter {
   }
   /// The filter runs after a start, and nothing is bridged after a pose was used.
   void set_running() noexcept { phase_ = Phase::running; }
+  /// Whether the heading of a start is right.
+  [[nodiscard]] HeadingFromMotion<Scalar>& heading() noexcept { return heading_; }
   /// Stops until the next pose, which knows nothing of the time before.
   void stop() noexcept {
     phase_ = Phase::stopped;
@@ -139,6 +148,10 @@ class DelayedFilter {
     count_ = 0;
     from_ = newest_ = sample;
     mean_rate_ = sample.value.angular_velocity;
+  }
+  /// Over a gap the attitude is not that of the gyroscope alone.
+  void begin_heading_again() noexcept {
+    if (heading_.is_open()) heading_.begin(filter_.state());
   }
 
   /// Propagates the filter's state to the newest sample.
@@ -172,6 +185,7 @@ class DelayedFilter {
   }
 
   ErrorStateFilter<Scalar> filter_;
+  HeadingFromMotion<Scalar> heading_;
   InertialState<Scalar> ahead_;
   Vector3<Scalar> mean_rate_ = Vector3<Scalar>::Zero();
   Sample from_ = {}, newest_ = {};

@@ -75,15 +75,12 @@ class FixWitness {
     s.residual = residual;
   }
 
-  /// True if the IMU is wrong, after a measurement of this sensor above the gate. Beside a heading
-  /// that is not known, residuals may grow fast.
-  [[nodiscard]] bool convicts_imu(bool is_position, bool heading_contradicts,
-                                  bool heading_known) const noexcept {
+  /// True if the IMU is wrong, after a measurement of this sensor above the gate.
+  [[nodiscard]] bool convicts_imu(bool is_position, bool heading_contradicts) const noexcept {
     const Series &own = series_[is_position], &other = series_[!is_position];
     constexpr double rest = 0.3;  // [m/s]
     const bool other_agrees = other.agrees && other.used > own.used,
-               other_contradicts = own.time - other.time < 1.0 &&
-                                   !(other.has_stepped && heading_known) &&
+               other_contradicts = own.time - other.time < 1.0 && !other.has_stepped &&
                                    (other.gated > 0 || !other.agrees);
     const bool stands_still =
         speed_ > rest && static_cast<double>(velocity_.norm()) <= 1.5 * velocity_noise_;

@@ -267,6 +267,13 @@ class MeasurementGuard {
     used_since_start_ = 0;
   }
 
+  /// Processes a restart with the heading that a motion has shown.
+  void on_heading(double time) noexcept {
+    on_start(time);
+    on_restart(time);
+    heading_known_ = true;
+  }
+
   /// Ages of the measurements at `now`, and the faults of poses if the filter has `started`.
   [[nodiscard]] EstimateTrust report(double now, bool started) const noexcept {
     EstimateTrust t = started ? faults_ : EstimateTrust();
@@ -355,15 +362,11 @@ class MeasurementGuard {
     gate.on_gated(time, c);
     fixes_.on_gated(is_place, time, c);
     faults_.poses_gated |= is_place;
-    if (fixes_.convicts_imu(is_place, heading_.contradicts(), heading_known_) &&
-        gate.is_confirmed() && !filter.filter().is_widest()) {
+    if (fixes_.convicts_imu(is_place, heading_.contradicts()) && gate.is_confirmed() &&
+        !filter.filter().is_widest()) {
       gate.on_used(c.predicted.position);
       fixes_.on_used(is_place, time, c, speed);
       use(time, kind);
-      if (!heading_known_) {
-        heading_known_ = true;
-        return {Action::forget_heading};
-      }
       const bool gyro = heading_.contradicts() || filter.filter().is_wider();
       return {gyro ? Action::widen_gyro : Action::widen_accelerometer};
     }
