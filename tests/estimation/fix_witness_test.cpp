@@ -45,7 +45,7 @@ struct Given {
 
 struct Outcome {
   double position = 0.0, orientation = 0.0;  // largest errors from 10 s on
-  double turned = 0.0;                       // orientation error at the end
+  double off = 0.0, turned = 0.0;            // position and orientation error at the end
   EstimateState state;
   bool contradicted;
 };
@@ -92,7 +92,8 @@ Outcome fly(const Fault& fault, const Given& given = {}) {
     }
     if (t < 10.0) continue;
     const BodyStated y = ekf.state();
-    o.position = std::max(o.position, (y.position - x.position).norm());
+    o.off = (y.position - x.position).norm();
+    o.position = std::max(o.position, o.off);
     o.turned = y.orientation.angularDistance(x.orientation);
     o.orientation = std::max(o.orientation, o.turned);
   }
@@ -193,6 +194,19 @@ TEST(FixWitness, ReceiverThatStandsStillDoesNotConvictTheImu) {
     EXPECT_FALSE(o.contradicted) << holds_velocity;
     EXPECT_EQ(o.state, EstimateState::position_lost) << holds_velocity;
   }
+}
+
+// Six seconds later: without positions, the estimate errs without limit.
+TEST(FixWitness, PositionsAloneOverruleTheEstimateInMotion) {
+  for (const bool has_compass : {true, false})
+    for (const double size : {0.5, 1.0, 3.0}) {
+      const Outcome o = fly([&](const Words& w) { w.imu.specific_force.x() += size; },
+                            {0.02, true, 0.0, has_compass, false});
+      EXPECT_LT(o.off, 0.1) << size;
+      EXPECT_LT(o.turned, 1.0 * degree) << size;
+      EXPECT_LT(o.position, 20.0 * size) << size;
+      EXPECT_LE(o.state, EstimateState::degraded) << size;
+    }
 }
 
 // The other one tells.

@@ -344,6 +344,8 @@ EkfStatus Ekf<Scalar>::apply(double time, const Measurement& measurement) noexce
   if (verdict.action == Action::drop) return verdict.status;
   filter_.change([&](ErrorStateFilter<Scalar>& f) {
     if (verdict.action == Action::restart) return detail::shift(f, part, at);
+    if constexpr (decltype(at)::rows >= 3)
+      if (verdict.action == Action::start_over) return detail::start_at_position(f, at, settings_);
     if (verdict.action == Action::use) return (void)f.update(innovation, at);
     double off = 0.0;
     if constexpr (decltype(at)::rows >= 3)

@@ -185,7 +185,8 @@ struct EkfSettings {
   double restart_distance = 0.6;
   /// Time without a used pose after which the filter restarts at poses that move smoothly, along a
   /// path of at least 0.3 m, although they do not move like the IMU: the estimate itself may be
-  /// wrong. It does not restart like this at poses of an object at rest.
+  /// wrong. It does not restart like this at poses of an object at rest. Positions of a receiver
+  /// count, too, along a path of eight of their standard deviations more.
   double full_restart_time = 6.0;
   /// Largest time between the arrivals of a measurement and of the IMU sample of the same time.
   double max_delay = 0.2;

@@ -204,6 +204,26 @@ void forget_heading(ErrorStateFilter<Scalar>& filter, double off) noexcept {
   filter.reset(filter.state(), p);
 }
 
+/// Restarts at a position. Velocity, tilt and biases may be wrong.
+template <typename Scalar, typename Measurement>
+void start_at_position(ErrorStateFilter<Scalar>& filter, Measurement at,
+                       const EkfSettings& settings) noexcept {
+  using I = InertialIndex;
+  constexpr double tilt = 0.3, force = 2.0;  // [rad], [m/s^2]
+  InertialState<Scalar> x = filter.state();
+  x.position += displacement<Scalar>(I::position, at);
+  x.velocity.setZero();
+  auto p = filter.covariance();
+  forget(p, I::position, 1.0);
+  forget(p, I::velocity, settings.velocity_stddev);
+  forget(p, I::orientation, tilt);
+  forget(p, I::gyro_bias, settings.gyro_bias_stddev);
+  forget(p, I::accelerometer_bias, force);
+  filter.reset(x, p);
+  at.residual.setZero();
+  (void)filter.update(filter.innovation_of(at), at);
+}
+
 /// Moves one part of the state, position or velocity, to the measurement `at`.
 template <typename Scalar, typename Measurement>
 void shift(ErrorStateFilter<Scalar>& filter, int part, Measurement at) noexcept {

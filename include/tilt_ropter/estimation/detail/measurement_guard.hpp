@@ -24,8 +24,18 @@
 namespace tilt_ropter::detail {
 
 /// What Ekf does with a measurement or an IMU sample. The last three use a measurement after they
-/// have widened a noise or forgotten the heading.
-enum class Action { use, wait, drop, restart, widen_accelerometer, widen_gyro, forget_heading };
+/// have widened a noise or forgotten the heading. `start_over` restarts at a position although it
+/// does not move like the IMU.
+enum class Action {
+  use,
+  wait,
+  drop,
+  restart,
+  start_over,
+  widen_accelerometer,
+  widen_gyro,
+  forget_heading
+};
 
 /// Decision about a measurement or an IMU sample.
 struct Verdict {
@@ -369,6 +379,19 @@ class MeasurementGuard {
       use(time, kind);
       const bool gyro = heading_.contradicts() || filter.filter().is_wider();
       return {gyro ? Action::widen_gyro : Action::widen_accelerometer};
+    }
+    // An estimate without positions errs without limit. A receiver that has lost its satellites may
+    // stand still.
+    const bool is_lost =
+        is_place &&
+        time - last_used_[static_cast<std::size_t>(kind)] >= settings_.full_restart_time &&
+        gate.smooth() >= settings_.max_rejections && gate.extent() > 0.3 + 8.0 * c.noise;
+    if (is_lost) {
+      gates_ = {};
+      fixes_ = {};
+      on_restart(time);
+      use(time, kind);
+      return {Action::start_over, EkfStatus::restarted};
     }
     if (!gate.moves_like_imu(time, std::min(5, settings_.max_rejections), settings_) ||
         !(c.measured.orientation.angularDistance(c.predicted.orientation) < Scalar(0.1)))
