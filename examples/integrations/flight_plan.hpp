@@ -109,10 +109,12 @@ class FlightPlan {
   /// for a point below the ground.
   FlightPlan(Parameters& parameters, const examples::VehicleFile& file)
       : undercarriage_(std::visit([](const auto& v) { return undercarriage(v); }, file.vehicle)) {
-    point_.position << parameters.number("hover_x", 0.0), parameters.number("hover_y", 0.0),
-        parameters.number("hover_z", 1.5);
-    point_.yaw = parameters.number("hover_yaw", 0.0);
-    validate(point_, "hover_x, hover_y, hover_z, hover_yaw");
+    const auto coordinate = [&](const char* name, double otherwise) {
+      return parameters.number(name, otherwise, -farthest, farthest);
+    };
+    point_.position << coordinate("hover_x", 0.0), coordinate("hover_y", 0.0),
+        coordinate("hover_z", 1.5);
+    point_.yaw = parameters.number("hover_yaw", 0.0, -2.0 * tilt_ropter::pi, 2.0 * tilt_ropter::pi);
     if (is_below_ground(point_.position))
       throw std::invalid_argument("hover_z = " + parameters.text("hover_z") +
                                   ": must be above the ground, at 0; z points up");

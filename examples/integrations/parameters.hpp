@@ -81,14 +81,18 @@ class Parameters {
     const auto found = values_.find(name);
     return found == values_.end() ? otherwise : found->second;
   }
-  /// The same for a number. Throws std::invalid_argument if it is none.
-  [[nodiscard]] double number(const std::string& name, double otherwise) {
+  /// The same for a number in [least, most]. Throws std::invalid_argument if it is none.
+  [[nodiscard]] double number(const std::string& name, double otherwise, double least,
+                              double most) {
     const std::string value = text(name);
     if (value.empty()) return otherwise;
     std::istringstream in(value);
     double result = 0.0;
-    if (!(in >> result) || !in.eof())
-      throw std::invalid_argument(name + " = " + value + ": must be a number");
+    if (!(in >> result) || !in.eof() || !(result >= least && result <= most)) {
+      std::ostringstream range;
+      range << name << " = " << value << ": must be a number from " << least << " to " << most;
+      throw std::invalid_argument(range.str());
+    }
     return result;
   }
   /// The same for numbers with commas; none if it is not set.

@@ -116,7 +116,7 @@ template <int Rotors>
 [[nodiscard]] Px4Wiring<Rotors> px4_wiring(const tilt_ropter::Vehicle<Rotors>& vehicle,
                                            Parameters& parameters) {
   Px4Wiring<Rotors> wiring;
-  wiring.outputs.thrust_model_factor = parameters.number("thrust_model_factor", 0.0);
+  wiring.outputs.thrust_model_factor = parameters.number("thrust_model_factor", 0.0, 0.0, 1.0);
   std::vector<std::size_t> tilting;  // rotors, in the order of the servos
   for (std::size_t i = 0; i < Rotors; ++i)
     if (vehicle.rotors[i].tilts) tilting.push_back(i);

@@ -71,7 +71,8 @@ heading, the hover point or the mission moves along.)";
 template <int Rotors>
 class Px4Node {
  public:
-  static constexpr double longest_hold = 0.3;  ///< without a state; then nothing is sent [s]
+  static constexpr double longest_silence = 1.0;  ///< of the parameter max_silence [s]
+  static constexpr double longest_hold = 0.3;     ///< without a state; then nothing is sent [s]
   /// Since PX4 last said who flies, which it does at 2 Hz and when it changes [s].
   static constexpr double longest_untold = 1.2;
 
@@ -98,8 +99,9 @@ class Px4Node {
         reference_(parameters, file),
         origin_height_(parameters.number(
             "origin_height",
-            undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height)),
-        max_silence_(parameters.number("max_silence", 0.1)) {}
+            undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height, -100.0,
+            100.0)),
+        max_silence_(parameters.number("max_silence", 0.1, 0.02, longest_silence)) {}
 
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
     heard_[0].on_message(seconds(m.timestamp_sample));

@@ -64,6 +64,7 @@ template <int Rotors>
 class Ros2Node {
  public:
   static constexpr double max_clock_difference = 1.0;  ///< [s]
+  static constexpr double longest_silence = 1.0;       ///< of the parameter max_silence [s]
 
   /// For the `vehicle` of `file`. Throws std::invalid_argument for parameters out of range,
   /// examples::VehicleFileError if the level cannot control it.
@@ -74,7 +75,7 @@ class Ros2Node {
                                                                  estimation(parameters))),
         reference_(parameters, file),
         rotor_joints_(joints(parameters)),
-        max_silence_(parameters.number("max_silence", 0.1)) {}
+        max_silence_(parameters.number("max_silence", 0.1, 0.02, longest_silence)) {}
 
   /// Ignores a sample whose stamp is more than `max_clock_difference` from the last tick.
   void on_imu(const sensor_msgs::msg::Imu& m) {
@@ -241,9 +242,9 @@ class Ros2Node {
 
   static tilt_ropter::EkfSettings estimation(Parameters& parameters) {
     tilt_ropter::EkfSettings s;
-    s.pose_noise = {parameters.number("position_noise", 1e-3),
-                    parameters.number("orientation_noise", 3e-3)};
-    s.clock_offset = parameters.number("pose_clock_offset", 0.0);
+    s.pose_noise = {parameters.number("position_noise", 1e-3, 1e-6, 1.0),
+                    parameters.number("orientation_noise", 3e-3, 1e-6, 1.0)};
+    s.clock_offset = parameters.number("pose_clock_offset", 0.0, -1e10, 1e10);
     return s;
   }
 

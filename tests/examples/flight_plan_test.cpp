@@ -276,6 +276,8 @@ TEST(FlightPlan, IgnoresSetPointsThatAreNone) {
 // A point with z down, as of NED, would be a dive into the ground.
 TEST(FlightPlan, KnowsTheGround) {
   EXPECT_THROW(plan_of({{"hover_z", "-1.5"}}), std::invalid_argument);
+  EXPECT_THROW(plan_of({{"hover_x", "48100"}}), std::invalid_argument);  // [mm]
+  EXPECT_THROW(plan_of({{"hover_yaw", "90"}}), std::invalid_argument);   // [deg]
   FlightPlan plan = plan_of({});
   const double stands = tilt_ropter::tilt_ropter_vehicle().wheels->radius;
   const Vector3d zero = Vector3d::Zero();

@@ -336,6 +336,8 @@ TEST(Px4Node, RejectsParametersOutOfRange) {
   };
   EXPECT_THROW(node({{"level", "thrust"}}), std::invalid_argument);
   EXPECT_THROW(node({{"thrust_model_factor", "2.0"}}), std::invalid_argument);
+  EXPECT_THROW(node({{"max_silence", "100"}}), std::invalid_argument);  // [ms]
+  EXPECT_THROW(node({{"origin_height", "nan"}}), std::invalid_argument);
 }
 
 TEST(Px4Versions, NamesTopicsAfterTheVersionsOfTheFirmware) {

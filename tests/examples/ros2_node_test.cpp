@@ -346,6 +346,7 @@ TEST(Ros2Node, RejectsParametersOutOfRange) {
   EXPECT_THROW(node({{"level", "thrust"}}), std::invalid_argument);
   EXPECT_THROW(node({{"position_noise", "-1.0"}}), std::invalid_argument);
   EXPECT_THROW(node({{"max_silence", "0.1s"}}), std::invalid_argument);
+  EXPECT_THROW(node({{"max_silence", "0"}}), std::invalid_argument);
 }
 
 TEST(ControllerSettings, HaveNoTimeLimitOnASimulatedClock) {
