@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # fast_math.sh INCLUDE_DIR COMPILER EIGEN_DIR
-# The library refuses C++14 in the first line of the compiler. Every header that tests whether a
-# number is finite includes math/detail/finite.hpp, which refuses -ffast-math with a message and
+# Every header that tests whether a number is finite includes math/detail/finite.hpp, which refuses -ffast-math with a message and
 # accepts it with -fno-finite-math-only. No header and no test uses Eigen's test, which that flag
 # does not save, or multiplies by zero. The check of packets is run.
 set -euo pipefail
@@ -26,11 +25,6 @@ for header in $headers; do
     echo "$header does not include $finite: it does not refuse -ffast-math"
     exit 1
   fi
-done
-for header in tilt_ropter actuation/allocation estimation/ekf control/nmpc; do
-  first=$("$2" -std=c++14 -I "$1" -isystem "$3" -x c++ -fsyntax-only - 2>&1 \
-    <<< "#include <tilt_ropter/$header.hpp>" | grep -m1 'error:' || true)
-  [[ $first == *"tilt_ropter needs C++17"* ]] || { echo "$header.hpp in C++14: $first" && exit 1; }
 done
 if output=$("${compile[@]}" -E -o /dev/null - <<< "#include <$finite>" 2>&1) ||
   [[ $output != *"add -fno-finite-math-only"* ]]; then

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/standard.hpp>
+
 /// Time that goes back.
 namespace tilt_ropter {
 

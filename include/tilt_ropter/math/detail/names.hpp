@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <tilt_ropter/math/detail/standard.hpp>
+
 #include <cstddef>
 
 namespace tilt_ropter::detail {

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#if (defined(_MSVC_LANG) ? _MSVC_LANG : __cplusplus) < 201703L
-#error \
-    "tilt_ropter needs C++17: compile with -std=c++17, or target_compile_features(... cxx_std_17)"
-#endif
+#include <tilt_ropter/math/detail/standard.hpp>
 
 #include <Eigen/Core>
 
