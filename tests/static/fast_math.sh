@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # fast_math.sh INCLUDE_DIR COMPILER EIGEN_DIR
-# Every header that tests whether a number is finite includes math/detail/finite.hpp, which refuses -ffast-math with a message and
-# accepts it with -fno-finite-math-only. No header and no test uses Eigen's test, which that flag
-# does not save, or multiplies by zero. The check of packets is run.
+# Every header that tests whether a number is finite includes math/detail/finite.hpp, which refuses
+# -ffast-math with a message and accepts it with -fno-finite-math-only. No header and no test uses
+# Eigen's test, which that flag does not save, or multiplies by zero. The check of packets is run.
 set -euo pipefail
 
 tests=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
