@@ -82,7 +82,7 @@ TEST(ActuatorFailure, SlowServosAreFoundAndTheMissionGoesOn) {
 
 TEST(ActuatorFailure, IsFoundAndTheVehicleLandsSoftAndLevel) {
   std::vector<Failure> failures;
-  const int seeds = test_support::quick_or_full(1, 3);
+  const int seeds = test_support::quick_or_full(1, 2);
   for (int seed = 1; seed <= seeds; ++seed)
     for (const int rotor : {1, 2, 3, 4})
       for (const double start : {2.0, 4.0 + 0.7 * ((7 * seed + 3 * rotor) % 11)}) {
@@ -100,7 +100,7 @@ TEST(ActuatorFailure, IsFoundAndTheVehicleLandsSoftAndLevel) {
 
 // In hover and in the figure eight, with telemetry that shows it and with telemetry that does not.
 TEST(ActuatorFailure, AMotorThatStopsIsFoundAndTheVehicleLands) {
-  const int seeds = test_support::quick_or_full(1, 20);
+  const int seeds = test_support::quick_or_full(1, 10);
   for (int seed = 1; seed <= seeds; ++seed)
     for (const int rotor : {1, 2, 3, 4}) {
       const std::string level = (rotor + seed) % 2 == 0 ? "wrench" : "actuator";

@@ -1,6 +1,6 @@
 #!/bin/bash
 # ros2_package.sh ROOT [build]: examples/integrations is a package of ROS 2: it configures alone, has
-# the version of the library, and installs its nodes. Builds and installs them only with "build".
+# the version of the library, and installs its nodes. Builds one of them, only with "build".
 set -euo pipefail
 root=$1
 source=$root/examples/integrations
@@ -14,17 +14,18 @@ grep -q "<version>$version</version>" "$source/package.xml" ||
 name=$(sed -n 's/.*<name>\(.*\)<\/name>.*/\1/p' "$source/package.xml")
 
 cmake -S "$source" -B "$directory/build" -DCMAKE_INSTALL_PREFIX="$directory/prefix" > /dev/null
-if [ "${2:-}" != build ]; then
-  # What would be installed, with programs that do nothing in place of the nodes.
-  for node in ros2_node px4_node; do
-    mkdir -p "$directory/build/tilt_ropter/examples/integrations"
-    for folder in "" integrations/; do
-      printf '#!/bin/sh\n' > "$directory/build/tilt_ropter/examples/$folder$node"
-    done
-  done
-else
-  cmake --build "$directory/build" --parallel "$(nproc)" > /dev/null
+# What would be installed, with programs that do nothing in place of the nodes.
+nodes="ros2_node px4_node"
+if [ "${2:-}" = build ]; then
+  cmake --build "$directory/build" --parallel "$(nproc)" --target px4_node > /dev/null
+  nodes=ros2_node
 fi
+for node in $nodes; do
+  mkdir -p "$directory/build/tilt_ropter/examples/integrations"
+  for folder in "" integrations/; do
+    printf '#!/bin/sh\n' > "$directory/build/tilt_ropter/examples/$folder$node"
+  done
+done
 cmake --install "$directory/build" > /dev/null
 for file in lib/$name/ros2_node lib/$name/px4_node share/$name/package.xml \
   share/$name/integrations.launch.py share/ament_index/resource_index/packages/$name; do
