@@ -153,7 +153,7 @@ TEST(NodeFlights, Px4NodeSaysWhatItWaitsFor) {
   EXPECT_EQ(waits_for(500, false, false, false), "vehicle_status or vehicle_control_mode");
   EXPECT_EQ(waits_for(3000, true, false, false), "arming");
   EXPECT_EQ(waits_for(3600, true, true, false), "offboard mode");
-  EXPECT_EQ(waits_for(5501, true, true, true), "");
+  EXPECT_EQ(waits_for(4201, true, true, true), "");  // its rotors stand still
   const Snapshot s = node.snapshot(0);
   EXPECT_NEAR(s.heard[0].rate(), 100.0, 2.0);
   EXPECT_NEAR(s.heard[0].age(), 0.002, 0.002);

@@ -94,8 +94,8 @@ TEST(Parameters, AreTakenOutOfTheArguments) {
                      "--",  "b",          "--c", "--ros-args", "-p", "y:=text"};
   Parameters parameters = Parameters::from(arguments);
   EXPECT_EQ(arguments, (Words{"--a", "b", "--c"}));
-  EXPECT_EQ(parameters.number("x", 1.0), 2.5);
-  EXPECT_EQ(parameters.number("z", 1.0), 1.0);
+  EXPECT_EQ(parameters.number("x", 1.0, 0.0, 3.0), 2.5);
+  EXPECT_EQ(parameters.number("z", 1.0, 0.0, 3.0), 1.0);
   EXPECT_THROW(parameters.refuse_unknown(), std::invalid_argument);
   EXPECT_EQ(parameters.text("y"), "text");
   EXPECT_EQ(parameters.topic("pose"), "/pose");
@@ -132,8 +132,8 @@ TEST(Parameters, PutTopicsIntoTheNamespace) {
   EXPECT_EQ(parameters.topic("~/x"), "/a/b/y");
   EXPECT_EQ(parameters.topic("c"), "/a/b/c");  // of another node
   EXPECT_TRUE(parameters.choice("sim", false));
-  EXPECT_EQ(parameters.number("k", 0.0), 1.0);
-  EXPECT_EQ(parameters.number("l", 0.0), 0.0);
+  EXPECT_EQ(parameters.number("k", 0.0, 0.0, 1.0), 1.0);
+  EXPECT_EQ(parameters.number("l", 0.0, 0.0, 1.0), 0.0);
   EXPECT_NO_THROW(parameters.refuse_unknown());
 }
 

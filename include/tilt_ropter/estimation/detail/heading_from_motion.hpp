@@ -2,14 +2,16 @@
 #pragma once
 
 #include <tilt_ropter/estimation/detail/inertial_state.hpp>
-#include <tilt_ropter/math/detail/linear_algebra.hpp>
 #include <tilt_ropter/math/rotation.hpp>
 #include <tilt_ropter/model/measurements.hpp>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstddef>
 
 namespace tilt_ropter::detail {
 
@@ -47,7 +49,7 @@ class HeadingFromMotion {
   [[nodiscard]] bool finds_error(bool is_position, const Vector3<Scalar>& value, double stddev,
                                  const InertialState<Scalar>& x) noexcept {
     if (!is_open_) return false;
-    add(is_position, value.template head<2>().template cast<double>(), stddev);
+    add(is_position, static_cast<double>(value.x()), static_cast<double>(value.y()), stddev);
     if (!solve()) return false;
     // While nothing moves, the attitude of the filter is better than that of the gyroscope alone.
     constexpr double long_enough = 10.0, too_long = 30.0, unknown = 1.0;  // [s], of c
@@ -71,29 +73,40 @@ class HeadingFromMotion {
   /// The state with the heading that was found; its height and vertical velocity are the filter's.
   [[nodiscard]] InertialState<Scalar> state(const InertialState<Scalar>& filter) const noexcept {
     InertialState<Scalar> x = alone_;
-    const auto turned = [this](double re, double im) {
-      return Eigen::Vector2d(turn_(0) * re - turn_(1) * im, turn_(0) * im + turn_(1) * re);
+    const Eigen::Quaternion<Scalar> turn =
+        quaternion_from_yaw(static_cast<Scalar>(std::atan2(turn_[1], turn_[0])));
+    const auto moved = [this](const Vector3<Scalar>& own, const Basis& by, std::size_t i) {
+      const auto x0 = static_cast<double>(own.x()), y0 = static_cast<double>(own.y());
+      double sum = i == 0 ? turn_[0] * x0 - turn_[1] * y0 : turn_[0] * y0 + turn_[1] * x0;
+      for (std::size_t k = 0; k < rests; ++k) sum += by[k] * rest_[i][k];
+      return static_cast<Scalar>(sum);
     };
-    const Vector3<Scalar> w = alone_.position, u = alone_.velocity;
-    const Eigen::Vector2d way = turned(double(w.x()), double(w.y())),
-                          rate = turned(double(u.x()), double(u.y()));
-    const Basis by = basis(true), by_rate = basis(false);
-    for (int i = 0; i < 2; ++i) {
-      x.position(i) =
-          !has_origin_ ? filter.position(i) : Scalar(origin_(i) + way(i) + by.dot(rest_.col(i)));
-      x.velocity(i) = Scalar(rate(i) + by_rate.dot(rest_.col(i)));
-    }
-    x.position.z() = filter.position.z();
-    x.velocity.z() = filter.velocity.z();
-    x.orientation =
-        (quaternion_from_yaw(Scalar(heading_error())) * alone_.orientation).normalized();
+    const Basis place = basis(true), rate = basis(false);
+    x.position << moved(alone_.position, place, 0), moved(alone_.position, place, 1),
+        filter.position.z();
+    x.velocity << moved(alone_.velocity, rate, 0), moved(alone_.velocity, rate, 1),
+        filter.velocity.z();
+    if (has_origin_)
+      x.position += Vector3<Scalar>(Scalar(origin_[0]), Scalar(origin_[1]), Scalar(0));
+    else
+      x.position = filter.position;
+    x.orientation = (turn * alone_.orientation).normalized();
     return x;
   }
   /// Standard deviation of the heading of state() [rad].
   [[nodiscard]] double stddev() const noexcept { return stddev_; }
 
  private:
-  [[nodiscard]] double heading_error() const noexcept { return std::atan2(turn_(1), turn_(0)); }
+  static constexpr std::size_t rests = 4;  ///< p0, v0, a0 and j0, of one axis
+  static constexpr std::size_t way = rests, fix = way + 2, size = fix + 2;
+  using Basis = std::array<double, rests>;
+  using Gram = std::array<std::array<double, size>, size>;
+
+  /// Derivatives of a position or velocity of now by the rest.
+  [[nodiscard]] Basis basis(bool is_position) const noexcept {
+    const double t = time_, square = 0.5 * t * t;
+    return is_position ? Basis{1.0, t, square, square * t / 3.0} : Basis{0.0, 1.0, t, square};
+  }
 
   /// The way of the IMU is as long as that of the receiver, and as high.
   [[nodiscard]] bool is_credible(bool is_position, const Vector3<Scalar>& value,
@@ -102,88 +115,78 @@ class HeadingFromMotion {
     constexpr double acceleration = 2.0;                        // error by tilt and bias [m/s^2]
     const double growth = is_position ? 0.5 * time_ * time_ : time_;
     const Scalar own = is_position ? alone_.position.z() : alone_.velocity.z();
-    const double length = turn_.norm();
+    const double length = std::hypot(turn_[0], turn_[1]);
     return time_ > shortest && stddev_ < fair * length &&
            std::abs(length - 1.0) < unit + 2.0 * stddev_ &&
            std::abs(static_cast<double>(value.z() - own)) <
                5.0 * stddev + 1.0 + acceleration * growth;
   }
 
-  void add(bool is_position, const Eigen::Vector2d& value, double stddev) noexcept {
+  void add(bool is_position, double x, double y, double stddev) noexcept {
     constexpr double memory = 5.0;  // [s]
-    const double kept = std::exp((last_ - time_) / memory);
+    const double kept = std::exp((last_ - time_) / memory), weight = 1.0 / (stddev * stddev);
     last_ = time_;
-    for (double* sum : {&ways_, &fixes_, &count_}) *sum *= kept;
-    rests_ *= kept;
-    rest_by_way_ *= kept;
-    rest_by_fix_ *= kept;
-    fix_by_way_ *= kept;
     if (is_position && !has_origin_) {
-      origin_ = value;
+      origin_ = {x, y};
       has_origin_ = true;
     }
-    const double weight = 1.0 / (stddev * stddev);
     const Basis by = basis(is_position);
     const Vector3<Scalar>& own = is_position ? alone_.position : alone_.velocity;
-    const Eigen::Vector2d way(double(own.x()), double(own.y())),
-        fix = is_position ? Eigen::Vector2d(value - origin_) : value;
-    rests_ += weight * by * by.transpose();
-    rest_by_way_ += weight * by * way.transpose();
-    rest_by_fix_ += weight * by * fix.transpose();
-    fix_by_way_ += weight * Eigen::Vector2d(way.dot(fix), way.x() * fix.y() - way.y() * fix.x());
-    ways_ += weight * way.squaredNorm();
-    fixes_ += weight * fix.squaredNorm();
-    count_ += 2.0;
+    std::array<double, size> all = {
+        by[0], by[1], by[2], by[3], static_cast<double>(own.x()), static_cast<double>(own.y()),
+        x,     y};
+    if (is_position) {
+      all[fix] -= origin_[0];
+      all[fix + 1] -= origin_[1];
+    }
+    for (std::size_t i = 0; i < size; ++i)
+      for (std::size_t k = 0; k < size; ++k)
+        gram_[i][k] = kept * gram_[i][k] + weight * all[i] * all[k];
+    count_ = kept * count_ + 2.0;
   }
 
-  /// Solves for c by the Schur complement of the rest. Returns false if there is too little.
+  /// Eliminates the rest, which leaves the sums of way and fix beside it, and solves for c. Returns
+  /// false if there is too little.
   [[nodiscard]] bool solve() noexcept {
-    constexpr double few = 20.0;  // numbers, for 10 unknown ones
-    // What is known of the rest without any fix.
-    const Basis known(1e-6, 1e-4, 1.0, 10.0);
-    const Cholesky factor(Eigen::Matrix4d(rests_ + known.asDiagonal().toDenseMatrix()));
-    if (!(count_ > few) || !factor.is_definite) return false;
-    const auto solved = [&](const Rest& of) {
-      Rest result;
-      for (int i = 0; i < 2; ++i) result.col(i) = factor.solve(Basis(of.col(i)));
-      return result;
-    };
-    const Rest by_way = solved(rest_by_way_), by_fix = solved(rest_by_fix_);
-    const auto product = [](const Rest& a, const Rest& b) {  // of conj(a) and b
-      return Eigen::Vector2d(a.col(0).dot(b.col(0)) + a.col(1).dot(b.col(1)),
-                             a.col(0).dot(b.col(1)) - a.col(1).dot(b.col(0)));
-    };
-    const double information = ways_ - product(rest_by_way_, by_way).x();
+    constexpr double few = 20.0, unknown = 10.0;      // numbers
+    constexpr Basis known = {1e-6, 1e-4, 1.0, 10.0};  // of the rest without any fix, 1 / variance
+    if (!(count_ > few)) return false;
+    Gram g = gram_;
+    for (std::size_t k = 0; k < rests; ++k) {
+      g[k][k] += known[k];
+      if (!(g[k][k] > 0.0)) return false;
+      for (std::size_t i = k + 1; i < size; ++i) {
+        const double factor = g[i][k] / g[k][k];
+        for (std::size_t j = k + 1; j < size; ++j) g[i][j] -= factor * g[k][j];
+      }
+    }
+    const double information = g[way][way] + g[way + 1][way + 1];
     if (!(information > 0.0)) return false;
-    const Eigen::Vector2d score = fix_by_way_ - product(rest_by_way_, by_fix);
-    turn_ = score / information;
-    const double left =
-        fixes_ - product(rest_by_fix_, by_fix).x() - score.squaredNorm() / information;
-    stddev_ = std::sqrt(std::max(1.0, left / (count_ - 10.0)) / information);
-    rest_.col(0) = by_fix.col(0) - turn_(0) * by_way.col(0) + turn_(1) * by_way.col(1);
-    rest_.col(1) = by_fix.col(1) - turn_(0) * by_way.col(1) - turn_(1) * by_way.col(0);
+    turn_ = {(g[way][fix] + g[way + 1][fix + 1]) / information,
+             (g[way][fix + 1] - g[way + 1][fix]) / information};
+    const double explained = information * (turn_[0] * turn_[0] + turn_[1] * turn_[1]),
+                 left = g[fix][fix] + g[fix + 1][fix + 1] - explained;
+    stddev_ = std::sqrt(std::max(1.0, left / (count_ - unknown)) / information);
+    for (std::size_t k = rests; k-- > 0;) {
+      rest_[0][k] = g[k][fix] - turn_[0] * g[k][way] + turn_[1] * g[k][way + 1];
+      rest_[1][k] = g[k][fix + 1] - turn_[0] * g[k][way + 1] - turn_[1] * g[k][way];
+      for (Basis& rest : rest_) {
+        for (std::size_t j = k + 1; j < rests; ++j) rest[k] -= g[k][j] * rest[j];
+        rest[k] /= g[k][k];
+      }
+    }
     return true;
   }
 
-  using Basis = Eigen::Vector4d;
-  using Rest = Eigen::Matrix<double, 4, 2>;  ///< p0, v0, a0, j0 along x and y
-
-  /// Derivatives of a position or velocity of now by the rest.
-  [[nodiscard]] Basis basis(bool is_position) const noexcept {
-    const double t = time_, square = 0.5 * t * t;
-    return is_position ? Basis(1.0, t, square, square * t / 3.0) : Basis(0.0, 1.0, t, square);
-  }
-
+  // Numbers, not matrices: each type of Eigen's costs every user of Ekf time to compile.
   InertialState<Scalar> alone_;     ///< by the IMU alone
   double time_ = 0.0, last_ = 0.0;  ///< since begin(), of the last fix [s]
-  // Sums over the fixes, by their variances.
-  Eigen::Matrix4d rests_ = Eigen::Matrix4d::Zero();
-  Rest rest_by_way_ = Rest::Zero(), rest_by_fix_ = Rest::Zero();
-  Eigen::Vector2d fix_by_way_ = Eigen::Vector2d::Zero();
-  double ways_ = 0.0, fixes_ = 0.0, count_ = 0.0;
+  Gram gram_ = {};                  ///< sums over the fixes of basis, way and fix, by variances
+  double count_ = 0.0;
+  std::array<double, 2> origin_ = {};  ///< first position [m]
   // The solution.
-  Eigen::Vector2d origin_ = Eigen::Vector2d::Zero(), turn_ = origin_;  ///< c
-  Rest rest_ = Rest::Zero();
+  std::array<double, 2> turn_ = {};  ///< c
+  std::array<Basis, 2> rest_ = {};
   double stddev_ = 0.0;  ///< of c
   bool is_open_ = false, has_origin_ = false, is_stale_ = false;
 };
