@@ -21,7 +21,9 @@ struct Given {
   double error = 0.0;  // of the heading [rad]
   double noise = 0.1;  // of the receiver [m], [m/s]
   bool has_velocity = true;
-  double scale = 1.0;  // of the accelerometer
+  double scale = 1.0;       // of the accelerometer
+  bool overflows = false;   // one position does
+  bool of_another = false;  // the fixes are those of another vehicle
 };
 
 struct Found {
@@ -33,7 +35,7 @@ struct Found {
 
 // For 20 s with fixes at 10 Hz.
 std::optional<Found> fly(unsigned seed, const Given& given) {
-  const test_support::Flight flight(seed);
+  const test_support::Flight flight(seed), another(given.of_another ? seed + 1000 : seed);
   test_support::NoisyImu imu(flight, {}, 0.01, seed + 1);
   test_support::Random random(seed + 2);
   InertialStated start = flight.state(0.0);
@@ -46,15 +48,18 @@ std::optional<Found> fly(unsigned seed, const Given& given) {
     sample.specific_force *= given.scale;
     if (i > 0) heading.predict(sample, 0.01);
     if (i % 10 != 5) continue;
-    const InertialStated x = flight.state(t);
+    const InertialStated x = flight.state(t), seen = another.state(t);
     const auto noisy = [&](const Vector3d& v) {
       return Vector3d(v + test_support::normal_vector(random, given.noise));
     };
     InertialStated believed = x;
     believed.orientation = quaternion_from_yaw(given.error) * x.orientation;
-    if (!heading.finds_error(true, noisy(x.position), given.noise, believed) &&
+    if (given.overflows && i == 25) {
+      EXPECT_FALSE(heading.finds_error(true, Vector3d::Constant(1e300), given.noise, believed));
+    }
+    if (!heading.finds_error(true, noisy(seen.position), given.noise, believed) &&
         !(given.has_velocity &&
-          heading.finds_error(false, noisy(x.velocity), given.noise, believed)))
+          heading.finds_error(false, noisy(seen.velocity), given.noise, believed)))
       continue;
     const InertialStated found = heading.state(x);
     Found result{t,
@@ -93,6 +98,22 @@ TEST(HeadingFromMotion, ChangesNoRightHeading) {
     for (const double noise : {0.02, 0.3, 1.0})
       for (unsigned seed = 0; seed < 100; ++seed)
         EXPECT_FALSE(fly(seed, {error, noise})) << error << ' ' << noise << ' ' << seed;
+}
+
+TEST(HeadingFromMotion, SurvivesAPositionThatOverflows) {
+  for (unsigned seed = 0; seed < 10; ++seed) {
+    const auto found = fly(seed, {2.5, 0.1, true, 1.0, true});
+    ASSERT_TRUE(found) << seed;
+    EXPECT_LT(std::abs(found->error), 4.0 * found->stddev) << seed;
+  }
+}
+
+// Two of a hundred; without the limits of |c| and of what is left, nearly all.
+TEST(HeadingFromMotion, HardlyBelievesTheFixesOfAnotherVehicle) {
+  int believed = 0;
+  for (unsigned seed = 0; seed < 100; ++seed)
+    believed += fly(seed, {0.0, 0.05, true, 1.0, false, true}).has_value();
+  EXPECT_LE(believed, 4);
 }
 
 // The way of the IMU must be as long as that of the receiver.

@@ -23,12 +23,12 @@ build() {  # compiler, flags
 warnings="-Wall -Wextra -Wconversion -Werror"
 for compiler in g++ clang++; do
   command -v $compiler > "$away/log" || { echo "$compiler: not installed, left out" && continue; }
-  native="-march=native -O1"  # clang warns as much without optimisation
+  tuning="-march=native -O1"  # clang warns as much without optimisation
   if [[ $compiler == g++ ]]; then  # warns of its own AVX-512 intrinsics: cmake/README.md
-    native="-march=native -O2 -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
+    tuning="-march=native -O2 -Wno-uninitialized -Wno-maybe-uninitialized -Wno-array-bounds"
   fi
   # As C++17 and without optimisation, consumer.sh builds; with -O3, examples/run.sh.
-  build $compiler "$native -std=c++20 -fno-exceptions -fno-rtti $warnings"
+  build $compiler "$tuning -std=c++20 -fno-exceptions -fno-rtti $warnings"
   for program in header_only with_compiled; do
     "$away/program/$program" | tail -1
   done

@@ -22,8 +22,8 @@ namespace tilt_ropter::detail {
 /// recursive least squares for p0, v0, a0, j0 and c. Does not allocate or throw.
 ///
 /// A filter cannot find an error above about 60 degrees: it linearises at the wrong heading, and
-/// takes the difference for tilt and biases. Here |c| = 1 is the witness that nothing else errs,
-/// and the vertical that the accelerometer has the right sign.
+/// takes the difference for tilt and biases. Here |c| = 1, and that only noise is left, are the
+/// witnesses that nothing else errs, and the vertical that the accelerometer has the right sign.
 template <typename Scalar>
 class HeadingFromMotion {
  public:
@@ -48,7 +48,8 @@ class HeadingFromMotion {
   /// one has led it far away: then state() is right, from which to begin() again.
   [[nodiscard]] bool finds_error(bool is_position, const Vector3<Scalar>& value, double stddev,
                                  const InertialState<Scalar>& x) noexcept {
-    if (!is_open_) return false;
+    constexpr double farthest = 1e8;  // a sum that overflows would not recover
+    if (!is_open_ || !(static_cast<double>(value.cwiseAbs().maxCoeff()) < farthest)) return false;
     add(is_position, static_cast<double>(value.x()), static_cast<double>(value.y()), stddev);
     if (!solve()) return false;
     // While nothing moves, the attitude of the filter is better than that of the gyroscope alone.
@@ -108,15 +109,16 @@ class HeadingFromMotion {
     return is_position ? Basis{1.0, t, square, square * t / 3.0} : Basis{0.0, 1.0, t, square};
   }
 
-  /// The way of the IMU is as long as that of the receiver, and as high.
+  /// The way of the IMU explains that of the receiver, and is as long and as high.
   [[nodiscard]] bool is_credible(bool is_position, const Vector3<Scalar>& value,
                                  double stddev) const noexcept {
-    constexpr double shortest = 1.0, fair = 0.25, unit = 0.25;  // [s], of c, of |c| - 1
+    constexpr double shortest = 1.5, fair = 0.25, unit = 0.25;  // [s], of c, of |c| - 1
     constexpr double acceleration = 2.0;                        // error by tilt and bias [m/s^2]
     const double growth = is_position ? 0.5 * time_ * time_ : time_;
     const Scalar own = is_position ? alone_.position.z() : alone_.velocity.z();
     const double length = std::hypot(turn_[0], turn_[1]);
-    return time_ > shortest && stddev_ < fair * length &&
+    constexpr double most = 4.0;  // a receiver is twice as noisy as it says
+    return time_ > shortest && excess_ < most && stddev_ < fair * length &&
            std::abs(length - 1.0) < unit + 2.0 * stddev_ &&
            std::abs(static_cast<double>(value.z() - own)) <
                5.0 * stddev + 1.0 + acceleration * growth;
@@ -166,7 +168,8 @@ class HeadingFromMotion {
              (g[way][fix + 1] - g[way + 1][fix]) / information};
     const double explained = information * (turn_[0] * turn_[0] + turn_[1] * turn_[1]),
                  left = g[fix][fix] + g[fix + 1][fix + 1] - explained;
-    stddev_ = std::sqrt(std::max(1.0, left / (count_ - unknown)) / information);
+    excess_ = left / (count_ - unknown);
+    stddev_ = std::sqrt(std::max(1.0, excess_) / information);
     for (std::size_t k = rests; k-- > 0;) {
       rest_[0][k] = g[k][fix] - turn_[0] * g[k][way] + turn_[1] * g[k][way + 1];
       rest_[1][k] = g[k][fix + 1] - turn_[0] * g[k][way + 1] - turn_[1] * g[k][way];
@@ -188,6 +191,7 @@ class HeadingFromMotion {
   std::array<double, 2> turn_ = {};  ///< c
   std::array<Basis, 2> rest_ = {};
   double stddev_ = 0.0;  ///< of c
+  double excess_ = 0.0;  ///< what is left unexplained, over what the noise explains
   bool is_open_ = false, has_origin_ = false, is_stale_ = false;
 };
 
