@@ -2,6 +2,7 @@
 #include <tilt_ropter/math/rotation.hpp>
 
 #include "support/flights.hpp"
+#include "support/full_run.hpp"
 #include "support/random.hpp"
 
 #include <gtest/gtest.h>
@@ -94,9 +95,10 @@ TEST(HeadingFromMotion, FindsAnyErrorWithinItsUncertainty) {
 }
 
 TEST(HeadingFromMotion, ChangesNoRightHeading) {
+  const unsigned seeds = test_support::full_run() ? 100 : 20;
   for (const double error : {0.0, 0.2, -0.2})
     for (const double noise : {0.02, 0.3, 1.0})
-      for (unsigned seed = 0; seed < 100; ++seed)
+      for (unsigned seed = 0; seed < seeds; ++seed)
         EXPECT_FALSE(fly(seed, {error, noise})) << error << ' ' << noise << ' ' << seed;
 }
 

@@ -100,7 +100,7 @@ TEST(MissionMujoco, InspectsAWall) {
 
 // Flies seven rotors that do not tilt; every vehicle file in a full run.
 TEST(MissionMujoco, FliesVehiclesOfAnyNumberOfRotors) {
-  std::vector<std::string> names = {"hexacopter_with_pusher"};
+  std::vector<std::string> names = {"coaxial_octocopter"};
   if (test_support::full_run()) {
     names.clear();
     for (const auto& entry : fs::directory_iterator(VEHICLES_DIR))

@@ -39,9 +39,9 @@ const std::vector<Expected>& vehicles() {
       {"quadrotor", "actuator", 0.005, 0.03, 4, false},
       {"bicopter", "actuator", 0.005, 0.03, 4},
       {"tricopter", "actuator", 0.005, 0.03, 4, false},
-      {"quadrotor_with_pusher", "actuator", 0.005, 0.04, 4},
+      {"quadrotor_with_pusher", "actuator", 0.005, 0.04, 4, false},
       {"hexacopter_with_pusher", "actuator", 0.005, 0.0, 2, false},
-      {"coaxial_octocopter", "actuator", 0.005, 0.0, 2},
+      {"coaxial_octocopter", "actuator", 0.005, 0.0, 2, false},
   };
   return all;
 }

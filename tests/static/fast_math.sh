@@ -31,7 +31,7 @@ if output=$("${compile[@]}" -E -o /dev/null - <<< "#include <$finite>" 2>&1) ||
   echo "$finite does not refuse -ffast-math"
   exit 1
 fi
-"${compile[@]}" -w -fsyntax-only -fno-finite-math-only - <<< '#include <tilt_ropter/tilt_ropter.hpp>'
+"${compile[@]}" -E -o /dev/null -fno-finite-math-only - <<< "#include <$finite>"
 
 program=$(mktemp)
 trap 'rm -f "$program"' EXIT
