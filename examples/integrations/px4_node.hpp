@@ -1,7 +1,6 @@
 #pragma once
 
-#include "../support/late_state.hpp"
-#include "../support/level_nmpc.hpp"
+#include "../support/flight_controller.hpp"
 #include "../support/solver_choice.hpp"
 #include "../support/vehicle_choice.hpp"
 #include "flight_plan.hpp"
@@ -9,9 +8,9 @@
 #include "px4_messages.hpp"
 #include "telemetry.hpp"
 
-#include <tilt_ropter/actuation/actuator_model.hpp>
 #include <tilt_ropter/actuation/actuator_outputs.hpp>
 #include <tilt_ropter/estimation/contact_estimator.hpp>
+#include <tilt_ropter/estimation/ekf.hpp>
 #include <tilt_ropter/estimation/wrench_observer.hpp>
 #include <tilt_ropter/model/frames.hpp>
 #include <tilt_ropter/model/state.hpp>
@@ -91,11 +90,8 @@ class Px4Node {
       : vehicle_(vehicle),
         wiring_(px4_wiring(vehicle_, parameters)),
         scaling_(vehicle_, wiring_.outputs),
-        actuators_(vehicle_),
-        observer_(vehicle_.body),
-        contact_(vehicle_),
-        late_(vehicle_.body),
-        nmpc_(at_level<examples::LevelNmpc<Rotors>>(vehicle_, file, parameters)),
+        controller_(at_level<examples::FlightController<Rotors>>(vehicle_, file, parameters,
+                                                                 tilt_ropter::EkfSettings{})),
         reference_(parameters, file),
         origin_height_(parameters.number(
             "origin_height",
@@ -141,36 +137,32 @@ class Px4Node {
     } else if (clips) {
       return;
     }
-    tilt_ropter::Wrenchd applied = time < late_.last_time()
-                                       ? late_.applied(time)
-                                       : nmpc_.wrench_of(actuators_.update(time, nmpc_.command()));
-    if (pilot_ == Pilot::nobody) applied = {};  // disarmed motors do not turn, not even slowly
+    // Disarmed motors do not turn, not even slowly.
+    tilt_ropter::Wrenchd applied;
+    if (pilot_ == Pilot::this_node) applied = controller_.applied_at(time);
     const double weight = vehicle_.body.mass * tilt_ropter::gravity;
     if (pilot_ == Pilot::this_node && specific_force.norm() < free_fall &&
-        (is_killed_ || applied.force.norm() > 0.5 * weight)) {
+        (controller_.is_killed(time) || applied.force.norm() > 0.5 * weight)) {
       // The rotors do not turn as commanded: a kill switch. PX4's messages do not name it.
-      actuators_.reset({Eigen::Matrix<double, Rotors, 1>::Zero(), nmpc_.command().tilt_angle});
-      is_killed_ = true;
+      controller_.on_kill(time);
       killed_ = time;
     }
-    is_killed_ = is_killed_ && time - killed_ < run_up;
     // On the ground it feels its weight, whatever is commanded, and would leap when they turn
     // again. In the air it feels as much where it pushes on a wall. Without a fall before, it may
     // be as heavy, or its rotors as weak.
     load_ += 0.1 * (specific_force.norm() - load_);
     const double excess = time - killed_ < longest_kill ? 0.3 * weight : 0.5 * weight;
-    const bool feels_no_thrust =
-        stands() && std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
-        nmpc_.wrench_of(nmpc_.command()).force.norm() > vehicle_.body.mass * load_ + excess;
+    const bool feels_no_thrust = stands() && std::abs(load_ - tilt_ropter::gravity) < 1.5 &&
+                                 controller_.wrench_of(controller_.command()).force.norm() >
+                                     vehicle_.body.mass * load_ + excess;
     if (!feels_no_thrust) thrust_felt_ = time;
     if (!stays_down_ && time - thrust_felt_ > 0.3) {
       std::cerr << "px4_node: stays on the ground: what it commands does not lift it. A kill "
                    "switch, or a motor that does not turn?\n";
       stays_down_ = true;
     }
-    if (is_killed_) return;
-    observed_ = observer_.update(
-        time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force}, applied);
+    controller_.on_imu(time, {tilt_ropter::flu_from_frd(vector(m.gyro_rad)), specific_force},
+                       applied);
   }
 
   /// For any version of VehicleStatus.
@@ -238,39 +230,36 @@ class Px4Node {
       out.mode->direct_actuator = true;
     }
     if (pilot_ != Pilot::this_node) return out;
-    if (takes_over_) take_over();
+    if (std::exchange(takes_over_, false))
+      controller_.take_over(time, ground(), clearance() > in_the_air);
     if (stays_down_) {
       flying_ = false;
-      nmpc_.forget();
-      if (const auto outputs = scaling_.outputs(nmpc_.command()))
-        out.actuators = wiring_.controls(*outputs);
-      out.thrust = px4_thrust(Eigen::Vector3d::Zero(), largest_force(), out.now, out.sample);
-      return out;
+      controller_.let_go();
+    } else {
+      std::optional<examples::GivenState> given;
+      if (is_known) given = {*body_, seconds(sample_)};
+      controller_.on_state(time, given);
+      if (!flying_) reference_.start(controller_.state(), time);
+      controller_.prepare(time, [this](double t) { return reference_(t); });
+      (void)controller_.control(time);
+      planned_ = has_plan(controller_.result().status);
+      solver_.add(controller_.result().status, controller_.result().report);
+      flying_ = true;
     }
-    const auto& applied = actuators_.update(time, nmpc_.command());
-    late_.on_wrench(time, nmpc_.wrench_of(applied));
-    // Of now: at 1.5 m/s a state that is 60 ms old costs 60 mm.
-    std::optional<tilt_ropter::BodyStated> body_now;
-    if (is_known) body_now = late_.at(time, *body_, seconds(sample_), observer_.external());
-    if (!flying_) reference_.start(body_now.value_or(*body_), time);
-
-    const tilt_ropter::ReferencePoint wanted = reference_(time);
-    if (is_known && !is_killed_)
-      contact_.update(time, *body_now, observed_,
-                      wanted.push ? std::optional(wanted) : std::nullopt);
-    nmpc_.prepare(time, reference_, contact_.estimate());
-    const auto& command = nmpc_.control(time, body_now, applied);
-    planned_ = has_plan(nmpc_.status());
-    solver_.add(nmpc_.status(), nmpc_.report());
-    flying_ = true;
-    actuators_.update(time, command);  // takes effect now
-    if (const auto outputs = scaling_.outputs(command)) out.actuators = wiring_.controls(*outputs);
-    out.thrust = px4_thrust(nmpc_.wrench().force, largest_force(), out.now, out.sample);
+    const bool rests = stays_down_ || controller_.mode() == examples::FlightMode::stopped;
+    if (const auto outputs = scaling_.outputs(controller_.command()))
+      out.actuators = wiring_.controls(*outputs);
+    out.thrust = px4_thrust(rests ? Eigen::Vector3d::Zero() : controller_.result().wrench.force,
+                            largest_force(), out.now, out.sample);
     return out;
   }
 
   /// What the last tick() did, except the counts.
   [[nodiscard]] Snapshot snapshot(std::int64_t now) const {
+    using examples::FlightMode;
+    const bool flies_mission = controller_.mode() == FlightMode::mission,
+               is_broken = controller_.mode() == FlightMode::stopped,
+               is_failing = is_broken || controller_.mode() == FlightMode::emergency;
     Snapshot s;
     s.time = now;
     s.located = body_.has_value();
@@ -281,31 +270,34 @@ class Px4Node {
                   : wrong_imu_  ? "disarming, to calibrate again"
                   : silent_     ? "vehicle_odometry"
                   : stays_down_ ? "disarming or another mode"
+                  : is_broken   ? "a repair; start the node again then"
                   : !is_heard_  ? "PX4 to hear motors and servos: --px4-message-version?"
                   : pilot_ == Pilot::nobody        ? "arming"
                   : pilot_ == Pilot::somebody_else ? "offboard mode"
                                                    : "";
     s.reference = reference_(time_);
+    s.failure = controller_.failure();
     s.activity = reference_.activity(time_);
-    s.rotor_speed = nmpc_.command().rotor_speed;
-    s.tilt_angle = nmpc_.command().tilt_angle;
-    s.contact = contact_.estimate();
+    s.rotor_speed = controller_.command().rotor_speed;
+    s.tilt_angle = controller_.command().tilt_angle;
+    s.contact = controller_.contact().estimate();
     s.estimate = silent_ ? "silent" : "of PX4";
     s.planned = planned_ && pilot_ == Pilot::this_node;
-    s.mode = !body_                       ? "not located"
-             : untold()                   ? "not told who flies"
-             : wrong_imu_                 ? "refuses to fly"
-             : stays_down_                ? "stays on the ground"
-             : pilot_ == Pilot::this_node ? "offboard"
-             : pilot_ == Pilot::nobody    ? "disarmed"
-                                          : "flown by PX4";
-    s.level = silent_ || wrong_imu_                     ? Level::error
-              : pilot_ == Pilot::this_node && !planned_ ? Level::warning
-                                                        : Level::ok;
+    s.mode = !body_                           ? "not located"
+             : untold()                       ? "not told who flies"
+             : wrong_imu_                     ? "refuses to fly"
+             : stays_down_                    ? "stays on the ground"
+             : pilot_ == Pilot::nobody        ? "disarmed"
+             : pilot_ == Pilot::somebody_else ? "flown by PX4"
+             : flies_mission                  ? "offboard"
+                                              : examples::to_string(controller_.mode());
+    s.level = silent_ || wrong_imu_ || is_failing                          ? Level::error
+              : pilot_ == Pilot::this_node && !(planned_ && flies_mission) ? Level::warning
+                                                                           : Level::ok;
     return s;
   }
 
-  [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
+  [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return controller_.external(); }
   [[nodiscard]] const examples::SolverTicks& solver() const { return solver_; }
   [[nodiscard]] const tilt_ropter::Vehicle<Rotors>& vehicle() const { return vehicle_; }
 
@@ -337,20 +329,15 @@ class Px4Node {
     stays_down_ = pilot_ == Pilot::this_node && has_failed_ && stands();
     thrust_felt_ = time_;
     if (pilot_ != Pilot::this_node) {
-      nmpc_.forget();
-      late_ = examples::LateState(vehicle_.body);
+      controller_.let_go();
     }
     takes_over_ = pilot_ == Pilot::this_node && before == Pilot::somebody_else;
     if (pilot_ == Pilot::nobody) {
-      observer_.begin_calibration();
+      controller_.begin_calibration();
       wrong_imu_ = false;
     }
     if (before == Pilot::nobody && body_) {
-      // The vehicle stands on the ground, which carries its weight.
-      tilt_ropter::Wrenchd ground;
-      ground.force.z() = vehicle_.body.mass * tilt_ropter::gravity;
-      const auto status =
-          observer_.end_calibration(tilt_ropter::wrench_in_body(ground, body_->orientation));
+      const auto status = controller_.end_calibration(*body_);
       wrong_imu_ = contradicts_weight(status);
       if (status != tilt_ropter::CalibrationStatus::calibrated)
         std::cerr << (wrong_imu_
@@ -362,9 +349,7 @@ class Px4Node {
 
   // Largest difference between accelerometer and odometry [m/s^2]; then the odometry counts.
   static constexpr double contradiction = 3.0;
-  static constexpr double free_fall = 3.0;  // largest specific force [m/s^2]
-  static constexpr double run_up =
-      0.2;  // of rotors that stood, when they do not match the model [s]
+  static constexpr double free_fall = 3.0;      // largest specific force [m/s^2]
   static constexpr double in_the_air = 0.3;     // under the vehicle [m]
   static constexpr double longest_kill = 10.0;  // PX4 disarms 5 s after its kill switch [s]
   // Without a reset of PX4's estimator, no vehicle is elsewhere by so much [m].
@@ -382,18 +367,17 @@ class Px4Node {
     // Before a flight the places of the mission are those of the frame of now.
     const bool may_fly = pilot_ != Pilot::nobody;
     reference_.move(may_fly ? step : Eigen::Vector3d(0.0, 0.0, step.z()), may_fly ? turn : 0.0);
-    const ContactEstimate& last = contact_.estimate();
+    const ContactEstimate& last = controller_.contact().estimate();
     GroundPlane ground = last.ground_known ? last.ground : GroundPlane{};
     ground.height += step.z() - ground.rise(step);
-    contact_ = ContactEstimator(vehicle_, ground);
     home_ += step.z();
-    nmpc_.raise_ground(step.z());
+    controller_.move_frame(step, turn, ground);
   }
 
   // The ground where it is. It may have been left long ago. To hold a flight for standing means a
   // fall, the opposite a take-off: the lower ground counts.
   [[nodiscard]] tilt_ropter::GroundPlane ground() const {
-    const tilt_ropter::ContactEstimate& last = contact_.estimate();
+    const tilt_ropter::ContactEstimate& last = controller_.contact().estimate();
     if (last.ground_known && last.ground.height_at(body_->position) < home_) return last.ground;
     tilt_ropter::GroundPlane ground;
     ground.height = home_;
@@ -408,29 +392,10 @@ class Px4Node {
     return body_ && clearance() < in_the_air && body_->velocity.norm() < 0.3;
   }
 
-  // Another controller has flown: what turns is not known, and what the observer knew is old. In
-  // the air, about hover is the best guess.
-  void take_over() {
-    using namespace tilt_ropter;
-    const GroundPlane below = ground();
-    const bool flies = clearance() > in_the_air;
-    takes_over_ = false;
-    observer_.reset();
-    observed_ = observer_.observed();
-    contact_ = ContactEstimator(vehicle_, below);
-    if (flies) nmpc_.start_with_lift(vehicle_.body.mass * gravity);
-    actuators_.reset(nmpc_.command());
-  }
-
   tilt_ropter::Vehicle<Rotors> vehicle_;
   Px4Wiring<Rotors> wiring_;
   tilt_ropter::OutputScaling<Rotors> scaling_;
-  tilt_ropter::ActuatorModel<Rotors> actuators_;
-  tilt_ropter::WrenchObserverd observer_;
-  tilt_ropter::ObservedWrenchd observed_;
-  tilt_ropter::ContactEstimator contact_;
-  examples::LateState late_;
-  examples::LevelNmpc<Rotors> nmpc_;
+  examples::FlightController<Rotors> controller_;
   examples::SolverTicks solver_;
   FlightPlan reference_;
   double origin_height_, max_silence_;
@@ -451,7 +416,7 @@ class Px4Node {
                               Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,
-       is_told_ = false, is_heard_ = true, flying_ = false, is_killed_ = false, has_failed_ = false,
+       is_told_ = false, is_heard_ = true, flying_ = false, has_failed_ = false,
        stays_down_ = false, takes_over_ = false;
 };
 

@@ -176,6 +176,7 @@ class Ros2Node {
                                               : "";
     s.body = controller_.ekf().state();
     s.reference = reference_(now_.value_or(0.0));
+    s.failure = controller_.failure();
     s.activity = reference_.activity(now_.value_or(0.0));
     s.rotor_speed = controller_.applied().rotor_speed;
     s.tilt_angle = controller_.applied().tilt_angle;

@@ -1,11 +1,13 @@
 #pragma once
 
+#include "../support/flight_controller.hpp"
 #include "heard.hpp"
 #include "messages.hpp"
 #include "node.hpp"
 #include "tick_timer.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
+#include <tilt_ropter/actuation/failure_detector.hpp>
 #include <tilt_ropter/actuation/rotor.hpp>
 #include <tilt_ropter/model/contact.hpp>
 #include <tilt_ropter/model/frames.hpp>
@@ -46,6 +48,7 @@ struct Snapshot {
   tilt_ropter::ReferencePoint reference;
   Numbers rotor_speed, tilt_angle;  ///< [rad/s], [rad]
   tilt_ropter::ContactEstimate contact;
+  tilt_ropter::ActuatorFailure failure;
   Level level = Level::ok;
   const char* mode = "";      ///< what the node does
   const char* estimate = "";  ///< how good the estimated state is
@@ -62,6 +65,7 @@ struct Snapshot {
     if (located) text += std::string(", ") + activity + ", estimate " + estimate;
     for (const Heard& topic : heard)
       if (*topic.topic() != 0) text += "; " + topic.text();
+    if (failure.kind != tilt_ropter::FailureKind::none) text += "; " + examples::describe(failure);
     if (counts.late > 0)
       text += "; late ticks " + std::to_string(counts.late) + " of " + std::to_string(counts.ticks);
     if (*waits_for != 0) text += std::string("; waits for ") + waits_for;
@@ -180,7 +184,8 @@ class FlightMessages {
               {"late_ticks", std::to_string(s.counts.late)},
               {"worst_tick_ms", number(1e3 * s.counts.worst, 2)},
               {"activity", s.activity},
-              {"waits_for", s.waits_for}};
+              {"waits_for", s.waits_for},
+              {"actuators", examples::describe(s.failure)}};
     for (const Heard& topic : s.heard) {
       if (*topic.topic() == 0) continue;
       texts_.emplace_back(topic.topic() + std::string("_hz"), number(topic.rate(), 0));

@@ -3,6 +3,7 @@
 #include "actuator_instances.hpp"
 #include "body_by_poses.hpp"
 #include "imu_clock.hpp"
+#include "late_state.hpp"
 #include "nmpc_by_nlopt.hpp"
 
 #include <tilt_ropter/actuation/actuator_model.hpp>
@@ -19,6 +20,7 @@
 #include <functional>
 #include <optional>
 #include <stdexcept>
+#include <string>
 #include <type_traits>
 #include <utility>
 
@@ -55,6 +57,15 @@ enum class FlightMode {
   return names[static_cast<int>(mode)];
 }
 
+/// What has failed, in words: "rotor 3 gives 0 % of its thrust".
+[[nodiscard]] std::string describe(const tilt_ropter::ActuatorFailure& failure);
+
+/// The state by another estimator, such as that of an autopilot.
+struct GivenState {
+  tilt_ropter::BodyStated body;
+  double time = 0.0;  ///< of the state; it may arrive late [s]
+};
+
 /// For 2 to 8 rotors; compiled once, in flight_controller.cpp. With 2, 3, 5 and 7 rotors there is
 /// no wrench level, see has_wrench_level.
 template <int Rotors>
@@ -88,6 +99,10 @@ class FlightController {
   /// Returns rotor speeds and tilt angles for an upward `force` [N] and zero torque.
   [[nodiscard]] tilt_ropter::ActuatorState<Rotors> lift(double force) const;
 
+  /// The wrench of rotor speeds and tilt angles (body frame).
+  [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
+      const tilt_ropter::ActuatorState<Rotors>& actuators) const;
+
   /// Speeds reported by the motor controllers [rad/s]. Without them the modelled speeds are used.
   void on_rotor_speeds(const Eigen::Matrix<double, Rotors, 1>& speeds) {
     rotor_speeds_ = speeds;
@@ -117,6 +132,39 @@ class FlightController {
     ekf_.start(body, stddev);
   }
 
+  // ---- For an autopilot that estimates the state: in place of on_imu() to start_estimate()
+
+  /// The last state, before each prepare(). Without one, which is for a few ticks only, the last
+  /// plan goes on.
+  void on_state(double time, const std::optional<GivenState>& given);
+
+  /// A sample of the IMU, in the clock of the states, and what was applied to the body then: what
+  /// applied_at() says where this controller flies.
+  void on_imu(double time, const tilt_ropter::InertialSampled& sample,
+              const tilt_ropter::Wrenchd& applied);
+
+  /// The wrench of the actuators, which have followed the commands (body frame).
+  [[nodiscard]] tilt_ropter::Wrenchd applied_at(double time);
+
+  /// The rotors do not turn, whatever is commanded: a kill switch. What the vehicle feels counts
+  /// again when they have had the time to run up.
+  void on_kill(double time);
+
+  /// Somebody else flies from now on, or nobody. With a failed actuator this controller flies again
+  /// only if it takes over in the air.
+  void let_go();
+
+  /// Another controller has flown until now. The ground is known; `flies` is above it.
+  void take_over(double time, const tilt_ropter::GroundPlane& ground, bool flies);
+
+  /// The frame of positions and headings has moved: `step` [m], `turn` [rad]. `ground` is now here.
+  void move_frame(const Eigen::Vector3d& step, double turn, const tilt_ropter::GroundPlane& ground);
+
+  /// The vehicle stands, disarmed, from now on. See WrenchObserver.
+  void begin_calibration() { observer_.begin_calibration(); }
+  /// It has stood as `body` says, and the ground has carried its weight.
+  tilt_ropter::CalibrationStatus end_calibration(const tilt_ropter::BodyStated& body);
+
   /// For a tick in which prepare() is not called, such as while the IMU is silent: the stamps of
   /// the IMU are judged by the time of the ticks.
   void on_tick(double time) { imu_clock_.on_tick(time); }
@@ -132,8 +180,9 @@ class FlightController {
 
   /// True after the first state with a known velocity.
   [[nodiscard]] bool started() const {
-    return started_ || (ekf_.running() && !contradicts_weight(imu_check()) &&
-                        ekf_.trust(ekf_.time()).state != tilt_ropter::EstimateState::starting);
+    return started_ || given_ ||
+           (ekf_.running() && !contradicts_weight(imu_check()) &&
+            ekf_.trust(ekf_.time()).state != tilt_ropter::EstimateState::starting);
   }
   /// What the accelerometer said of the weight before the start, while the vehicle stood. The
   /// controller does not start on the ground while it contradicts the weight.
@@ -155,6 +204,12 @@ class FlightController {
   [[nodiscard]] const tilt_ropter::NmpcResult& result() const { return result_; }
   /// Largest planned tilt rate, over all arms [rad/s].
   [[nodiscard]] double planned_tilt_rate() const;
+  /// True while the rotors stand by a kill switch or run up after it.
+  [[nodiscard]] bool is_killed(double time) const { return time < killed_until_; }
+  /// Where the vehicle is and how it moves.
+  [[nodiscard]] tilt_ropter::BodyStated state() const {
+    return given_ ? given_->body : by_poses_flies_ ? by_poses_.body() : ekf_.state();
+  }
   [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
   [[nodiscard]] const tilt_ropter::Ekfd& ekf() const { return ekf_; }
   [[nodiscard]] const tilt_ropter::WrenchObserverd& observer() const { return observer_; }
@@ -171,8 +226,6 @@ class FlightController {
                    const tilt_ropter::EkfSettings& estimation,
                    const tilt_ropter::WrenchObserverSettings& observer, ExternalWrench external,
                    const tilt_ropter::ActuatorNmpcSettings& after_failure);
-  [[nodiscard]] tilt_ropter::Wrenchd wrench_of(
-      const tilt_ropter::ActuatorState<Rotors>& actuators) const;
   void control_actuators(double time, bool measured);
 
   // Calls action(nmpc) for the controller of the wrench level, if it is the one that controls.
@@ -218,6 +271,10 @@ class FlightController {
   tilt_ropter::AllocationResult<Rotors> sent_;
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
+  LateState late_;
+  std::optional<GivenState> given_;  ///< by on_state(), of now or the last
+  bool is_given_now_ = false;
+  double killed_until_ = -1e9;  ///< [s]
   bool started_ = false, measures_speeds_ = false;
   Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< mean specific force before the start
   int felt_samples_ = 0;
@@ -230,13 +287,15 @@ class FlightController {
   void limit_speeds();
   void observe(double time, const tilt_ropter::InertialSampled& sample,
                const tilt_ropter::Wrenchd& applied);
+  void watch_actuators(double time, const tilt_ropter::InertialSampled& sample);
+  void forget_flight(const tilt_ropter::GroundPlane& ground);
   /// True if by_poses_ replaces the IMU: filter and actuators have convicted it, or it swings
   /// against poses and actuators without a failure.
   [[nodiscard]] bool flies_by_poses() const { return by_poses_flies_; }
-  [[nodiscard]] tilt_ropter::BodyStated state() const {
-    return flies_by_poses() ? by_poses_.body() : ekf_.state();
-  }
+  [[nodiscard]] bool is_located() const { return given_ ? is_given_now_ : ekf_.running(); }
+  [[nodiscard]] tilt_ropter::EstimateTrust trust_at(double time) const;
   [[nodiscard]] tilt_ropter::BodyStated take_state() {
+    if (given_) return given_->body;
     const tilt_ropter::BodyStated taken = ekf_.take_state();
     return flies_by_poses() ? by_poses_.body() : taken;
   }

@@ -84,15 +84,6 @@ class LevelNmpc {
       if (wrench_) sent_ = wrench_->allocation.allocate(wrench, {});
   }
 
-  /// The plans of wheels on the ground move with the frame of positions, by `step` [m] upward.
-  void raise_ground(double step) {
-    with_nmpc([&](auto& nmpc) {
-      auto settings = nmpc.settings();
-      settings.ground.planned_height += step;
-      nmpc.set_settings(settings);
-    });
-  }
-
   /// The wrench of rotor speeds and tilt angles (body frame).
   [[nodiscard]] tilt_ropter::Wrenchd wrench_of(const Actuators& actuators) const {
     return body_.wrench(actuators);

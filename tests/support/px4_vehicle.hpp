@@ -98,7 +98,11 @@ class AnyPx4Vehicle {
     stamps_late += 1e-3 * clock_drift;
     tilt_ropter::Wrenchd wind;
     if (obeys_) wind.force << 0.3, 0.6, 0.0;  // on the ground the wind would roll it away
-    return plant.step(obeys_ ? command_ : by_another, wind, 1e-3);
+    tilt_ropter::ActuatorState<Rotors> command = obeys_ ? command_ : by_another;
+    if (stopped_rotor >= 0) command.rotor_speed(stopped_rotor) = 0.0;
+    if (stuck_servo >= 0)
+      command.tilt_angle(stuck_servo) = plant.actuators().tilt_angle(stuck_servo);
+    return plant.step(command, wind, 1e-3);
   }
   [[nodiscard]] std::int64_t now() const {
     return start + static_cast<std::int64_t>(std::llround(1e9 * plant.time()));
@@ -148,6 +152,7 @@ class AnyPx4Vehicle {
   tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
   double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
+  int stopped_rotor = -1, stuck_servo = -1;  ///< that have failed, from 0 on
   bool estimating = true, velocity_in_body = false;
   int commands = 0, servo_commands = 0, heartbeats = 0, wrong_modes = 0, wrong_outputs = 0;
   px4_msgs::msg::ActuatorMotors last_motors{};
