@@ -210,13 +210,14 @@ template <int Rotors>
 void FlightController<Rotors>::let_go() {
   sent_ = {};
   late_ = LateState(vehicle_.body);
+  airborne_ = is_given_now_ = false;
   mode_ = has_lost_actuator() ? FlightMode::stopped : FlightMode::mission;
 }
 
 // What the observer and the contact estimate knew is old.
 template <int Rotors>
-void FlightController<Rotors>::forget_flight(const GroundPlane& ground) {
-  actuators_.reset(sent_.command);
+void FlightController<Rotors>::forget_flight(double time, const GroundPlane& ground) {
+  actuators_.reset(sent_.command, time);
   observer_.reset();
   observed_ = observer_.observed();
   contact_ = ContactEstimator(vehicle_, ground);
@@ -225,7 +226,7 @@ void FlightController<Rotors>::forget_flight(const GroundPlane& ground) {
 template <int Rotors>
 void FlightController<Rotors>::take_over(double time, const GroundPlane& ground, bool flies) {
   if (flies) sent_.command = lift(vehicle_.body.mass * gravity);
-  forget_flight(ground);
+  forget_flight(time, ground);
   if (has_lost_actuator() && flies) begin(FlightMode::emergency, time);
 }
 
@@ -344,7 +345,7 @@ template <int Rotors>
 void FlightController<Rotors>::start_in_the_air(double time) {
   sent_ = {};
   sent_.command = lift(vehicle_.body.mass * gravity);
-  forget_flight({});
+  forget_flight(time, {});
   contact_.update(time, state(), observed_);
   starts_in_air_ = true;
   begin(FlightMode::hold, time);

@@ -288,7 +288,7 @@ class FlightController {
   void observe(double time, const tilt_ropter::InertialSampled& sample,
                const tilt_ropter::Wrenchd& applied);
   void watch_actuators(double time, const tilt_ropter::InertialSampled& sample);
-  void forget_flight(const tilt_ropter::GroundPlane& ground);
+  void forget_flight(double time, const tilt_ropter::GroundPlane& ground);
   /// True if by_poses_ replaces the IMU: filter and actuators have convicted it, or it swings
   /// against poses and actuators without a failure.
   [[nodiscard]] bool flies_by_poses() const { return by_poses_flies_; }
