@@ -184,14 +184,14 @@ class FlightMessages {
               {"late_ticks", std::to_string(s.counts.late)},
               {"worst_tick_ms", number(1e3 * s.counts.worst, 2)},
               {"activity", s.activity},
-              {"waits_for", s.waits_for},
-              {"actuators", examples::describe(s.failure)}};
+              {"waits_for", s.waits_for}};
     for (const Heard& topic : s.heard) {
       if (*topic.topic() == 0) continue;
       texts_.emplace_back(topic.topic() + std::string("_hz"), number(topic.rate(), 0));
       texts_.emplace_back(topic.topic() + std::string("_age_ms"),
                           topic.ever() ? number(1e3 * topic.age(), 1) : "never");
     }
+    texts_.emplace_back("actuators", examples::describe(s.failure));
     values_.clear();
     for (const auto& [key, value] : texts_) values_.push_back({in_message(key), in_message(value)});
     message_ = std::string(s.mode) + ", estimate " + s.estimate;

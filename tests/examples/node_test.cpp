@@ -308,12 +308,19 @@ TEST(Snapshot, IsALineForTheOperator) {
   s.waits_for = "arming";
   s.located = false;
   EXPECT_EQ(s.line(), "offboard; odometry 0 Hz 3 ms; late ticks 2 of 300; waits for arming");
+  s.failure.kind = tilt_ropter::FailureKind::rotor;
+  s.failure.rotor = 1;
+  s.failure.effectiveness = 0.3;
+  EXPECT_NE(s.line().find("; rotor 2 gives 30 % of its thrust; late"), std::string::npos)
+      << s.line();
   FlightMessages messages(tilt_ropter::tilt_ropter_vehicle());
   const auto& values = messages.diagnostics(s).status._buffer[0].values;
   EXPECT_STREQ(values._buffer[9].key, "waits_for");
   EXPECT_STREQ(values._buffer[10].key, "odometry_hz");
   EXPECT_STREQ(values._buffer[11].key, "odometry_age_ms");
   EXPECT_STREQ(values._buffer[11].value, "3.0");
+  EXPECT_STREQ(values._buffer[12].key, "actuators");
+  EXPECT_STREQ(values._buffer[12].value, "rotor 2 gives 30 % of its thrust");
 }
 
 TEST(FlightMessages, HaveTheNamespaceInTheFrameOfTheVehicle) {
