@@ -77,11 +77,12 @@ Outcome fly(const Fault& fault, const Given& given = {}) {
     double heading = yaw_of(x.orientation) + random.normal(0.02);
     if (t > 15.0) fault({t - 15.0, sample, position, velocity, heading});
     ekf.on_imu(t, sample);
-    if (i == 0)
+    if (i == 0) {
       EXPECT_TRUE(
           ekf.start({x.position, x.velocity,
                      quaternion_from_yaw(given.start_heading) * x.orientation, Vector3d::Zero()},
                     {0.1, 0.1, 0.1}));
+    }
     if (i % 10 == 5) {
       const Matrix3d covariance = given.noise * given.noise * Matrix3d::Identity();
       ekf.on_measurement(t, PositionMeasurement<double>{position, covariance, Vector3d::Zero()});
