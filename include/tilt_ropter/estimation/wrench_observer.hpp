@@ -468,8 +468,8 @@ void WrenchObserver<Scalar>::shape() noexcept {
                              const Eigen::Vector3d& limit) {
     Vector3<Scalar> cut;
     for (int i = 0; i < 3; ++i) {
-      const Scalar value = filtered(i), band = static_cast<Scalar>(dead_band(i)),
-                   bound = static_cast<Scalar>(limit(i));
+      const Scalar& value = filtered(i);
+      const Scalar band = static_cast<Scalar>(dead_band(i)), bound = static_cast<Scalar>(limit(i));
       const Scalar rest = value >= band    ? Scalar(value - band)
                           : value <= -band ? Scalar(value + band)
                                            : Scalar(0);
