@@ -188,6 +188,7 @@ class Ros2Node {
              : !started() ? "not located"
                           : examples::to_string(controller_.mode());
     s.level = silent_ || wrong_imu_ || controller_.mode() == FlightMode::landing ||
+                      controller_.mode() == FlightMode::emergency ||
                       controller_.mode() == FlightMode::stopped
                   ? Level::error
               : controller_.mode() != FlightMode::mission || !s.planned ? Level::warning
