@@ -135,7 +135,8 @@ double circle(const Term& term, bool observer_knows) {
     const double error = (plant.body().position - reference(plant.time()).position).norm();
     if (i >= ticks / 2) sum += error * error;
   }
-  return std::sqrt(sum / (ticks - ticks / 2));
+  const int counted = ticks - ticks / 2;
+  return std::sqrt(sum / counted);
 }
 
 TEST(OwnTerm, DragInThePredictionReducesTheTrackingError) {
