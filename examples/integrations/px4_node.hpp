@@ -62,7 +62,8 @@ While the odometry is older than max_silence, by its stamp or its arrival, the n
 OffboardControlMode, so that PX4 leaves offboard mode, and follows its last plan, for 0.3 s. Then it
 publishes nothing. Nor does it 1.2 s after PX4 last said who flies. An accelerometer that clips, or
 differs from the odometry by 3 m/s^2, is replaced by the odometry. Where PX4 resets its position or
-heading, the hover point or the mission moves along.)";
+heading, the hover point or the mission moves along. When an actuator fails it lands, and does not
+take off again.)";
 
 /// The control loop for messages of PX4, which estimates the state; this loop estimates the
 /// external wrench. PX4 does not report the rotor speeds, so speeds and angles come from the
