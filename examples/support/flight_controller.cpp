@@ -181,7 +181,7 @@ void FlightController<Rotors>::on_state(double time, const std::optional<GivenSt
   // Of now: at 1.5 m/s a state that is 60 ms old costs 60 mm.
   late_.on_wrench(time, wrench_of(actuators_.update(time, sent_.command)));
   is_given_now_ = given.has_value();
-  if (given) given_ = {late_.at(time, given->body, given->time, observer_.external()), time};
+  if (given) given_ = late_.at(time, given->body, given->time, observer_.external());
 }
 
 template <int Rotors>
@@ -201,9 +201,8 @@ Wrenchd FlightController<Rotors>::applied_at(double time) {
 
 template <int Rotors>
 void FlightController<Rotors>::on_kill(double time) {
-  constexpr double run_up = 0.2;  // when they do not match the model [s]
   actuators_.reset({Eigen::Matrix<double, Rotors, 1>::Zero(), sent_.command.tilt_angle});
-  killed_until_ = time + run_up;
+  killed_at_ = time;
 }
 
 template <int Rotors>

@@ -17,6 +17,7 @@
 
 #include <Eigen/Core>
 
+#include <cmath>
 #include <functional>
 #include <optional>
 #include <stdexcept>
@@ -75,6 +76,8 @@ class FlightController {
   static constexpr double sink_speed = 0.4, fastest_sink = 0.8;
   static constexpr double longest_hold = 10.0;  ///< then the vehicle lands [s]
   static constexpr double good_for = 1.0;       ///< then the vehicle returns from a hold [s]
+  /// Of rotors that stood by a kill switch, when they do not match the model [s].
+  static constexpr double run_up = 0.2;
 
   /// Controls at the wrench level, with `solved_by_nlopt_alone` much slower than in real time.
   /// Throws std::invalid_argument if the vehicle does not give every wrench or has less than 4
@@ -205,10 +208,10 @@ class FlightController {
   /// Largest planned tilt rate, over all arms [rad/s].
   [[nodiscard]] double planned_tilt_rate() const;
   /// True while the rotors stand by a kill switch or run up after it.
-  [[nodiscard]] bool is_killed(double time) const { return time < killed_until_; }
+  [[nodiscard]] bool is_killed(double time) const { return std::abs(time - killed_at_) < run_up; }
   /// Where the vehicle is and how it moves.
   [[nodiscard]] tilt_ropter::BodyStated state() const {
-    return given_ ? given_->body : by_poses_flies_ ? by_poses_.body() : ekf_.state();
+    return given_ ? *given_ : by_poses_flies_ ? by_poses_.body() : ekf_.state();
   }
   [[nodiscard]] const tilt_ropter::Wrenchd& external() const { return observer_.external(); }
   [[nodiscard]] const tilt_ropter::Ekfd& ekf() const { return ekf_; }
@@ -272,9 +275,9 @@ class FlightController {
   tilt_ropter::ActuatorState<Rotors> applied_;
   Eigen::Matrix<double, Rotors, 1> rotor_speeds_ = Eigen::Matrix<double, Rotors, 1>::Zero();
   LateState late_;
-  std::optional<GivenState> given_;  ///< by on_state(), of now or the last
+  std::optional<tilt_ropter::BodyStated> given_;  ///< by on_state(), of now or the last
   bool is_given_now_ = false;
-  double killed_until_ = -1e9;  ///< [s]
+  double killed_at_ = -1e9;  ///< [s]
   bool started_ = false, measures_speeds_ = false;
   Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< mean specific force before the start
   int felt_samples_ = 0;
@@ -295,7 +298,7 @@ class FlightController {
   [[nodiscard]] bool is_located() const { return given_ ? is_given_now_ : ekf_.running(); }
   [[nodiscard]] tilt_ropter::EstimateTrust trust_at(double time) const;
   [[nodiscard]] tilt_ropter::BodyStated take_state() {
-    if (given_) return given_->body;
+    if (given_) return *given_;
     const tilt_ropter::BodyStated taken = ekf_.take_state();
     return flies_by_poses() ? by_poses_.body() : taken;
   }
