@@ -82,6 +82,8 @@ namespace px4_msgs::msg {
 using ActuatorMotors = px4_msgs_msg_dds__ActuatorMotors_;
 using ActuatorServos = px4_msgs_msg_dds__ActuatorServos_;
 using ActuatorServosV0 = px4_msgs_msg_older_ActuatorServosV0_;
+using BatteryStatus = px4_msgs_msg_dds__BatteryStatus_;
+using BatteryStatusV0 = px4_msgs_msg_older_BatteryStatusV0_;
 using OffboardControlMode = px4_msgs_msg_dds__OffboardControlMode_;
 using SensorCombined = px4_msgs_msg_dds__SensorCombined_;
 using TrajectorySetpoint = px4_msgs_msg_dds__TrajectorySetpoint_;
@@ -160,6 +162,8 @@ TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorMotors,
                   "78573ab1d26b08f3f494a16476cc896af5f8dceb64f6f723b4a2533ff2fbd321")
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__ActuatorServos,
                   "431f2a0cd9896b6ada972929941caa21e50d8abeeb8d8d7c8cbd94f616e46ada")
+TILT_ROPTER_TOPIC(px4_msgs_msg_dds__BatteryStatus,
+                  "92fd1f3af4149312736945b5a3537b61e5268fca090d27abbb3b8ba243a5df8e")
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__OffboardControlMode,
                   "e87463f252f320d2f197d1feadd643b8645e5ef53a2b158dccfdf11372e00f9f")
 TILT_ROPTER_TOPIC(px4_msgs_msg_dds__SensorCombined,
@@ -178,6 +182,8 @@ TILT_ROPTER_OLDER_TOPIC(rmw_dds_common_msg_older_ParticipantEntitiesInfo,
                         rmw_dds_common_msg_dds__ParticipantEntitiesInfo, "")
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_ActuatorServosV0, px4_msgs_msg_dds__ActuatorServos,
                         "cdc6b628a688d3de85daa4a5a6f4b5d17264a076e477dc5968f65b8279972985")
+TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_BatteryStatusV0, px4_msgs_msg_dds__BatteryStatus,
+                        "6e223662be66b8bc7f04a210f1c38c23206062125588a6dd74189d4975d8b28f")
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_VehicleStatusV0, px4_msgs_msg_dds__VehicleStatus,
                         "cea1c125c9ecf78934ef9829ab070231fb3cd1b7cc502abcb66740363d1426c0")
 TILT_ROPTER_OLDER_TOPIC(px4_msgs_msg_older_VehicleStatusV1, px4_msgs_msg_dds__VehicleStatus,

@@ -44,12 +44,17 @@ inline constexpr std::uint8_t nav_state_manual = 0, nav_state_offboard = 14;
 /// Returns the state of the body; `origin_height` [m] is the height of the PX4 origin above the
 /// ground. Returns nothing if the pose is not in NED, or if the velocity is neither in NED nor in
 /// the body frame. Returns nothing also if a number is NaN, which means that PX4 does not know it,
-/// or if a position has a standard deviation above 1 m.
+/// if a standard deviation is above 1 m, 1 m/s or 30 degrees (that of an unknown heading), or if
+/// the quality is that of a failure (-1).
 [[nodiscard]] inline std::optional<tilt_ropter::BodyStated> body_state(
     const px4_msgs::msg::VehicleOdometry& m, double origin_height) {
   if (m.pose_frame != pose_frame_ned) return std::nullopt;
-  for (const float variance : m.position_variance)
-    if (variance > 1.0F) return std::nullopt;
+  const auto unsure = [](const float(&variance)[3], float most) {  // NaN: it is not told
+    return std::any_of(variance, variance + 3, [most](float v) { return v > most; });
+  };
+  if (m.quality < 0 || unsure(m.position_variance, 1.0F) || unsure(m.velocity_variance, 1.0F) ||
+      unsure(m.orientation_variance, 0.27F))
+    return std::nullopt;
   tilt_ropter::NedBodyStated ned;
   ned.position = vector(m.position);
   ned.orientation = {double(m.q[0]), double(m.q[1]), double(m.q[2]), double(m.q[3])};

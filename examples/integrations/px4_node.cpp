@@ -52,6 +52,19 @@ void subscribe_to_status(loops::Node& node, loops::Px4Node<Rotors>& pilot,
 }
 
 template <int Rotors>
+void subscribe_to_battery(loops::Node& node, loops::Px4Node<Rotors>& pilot,
+                          const loops::Px4Versions& versions) {
+  const auto subscribe = [&](auto message) {
+    node.subscribe<decltype(message)>(versions.topic("BatteryStatus"), dds::sensor_data,
+                                      [&pilot](const auto& m) { pilot.on_battery(m); });
+  };
+  if (versions.of("BatteryStatus") == 0)
+    subscribe(BatteryStatusV0{});
+  else
+    subscribe(BatteryStatus{});
+}
+
+template <int Rotors>
 void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
          const examples::VehicleFile& file, const std::vector<std::string>& choices) {
   const loops::Px4Versions versions(choices);
@@ -67,6 +80,7 @@ void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
   node.subscribe<SensorCombined>(versions.topic("SensorCombined"), dds::sensor_data,
                                  [&](const SensorCombined& m) { pilot.on_sensors(m); });
   subscribe_to_status(node, pilot, versions);
+  subscribe_to_battery(node, pilot, versions);
   node.subscribe<VehicleControlMode>(
       versions.topic("VehicleControlMode"), dds::sensor_data,
       [&](const VehicleControlMode& m) { pilot.on_control_mode(m); });
@@ -113,7 +127,8 @@ int main(int argc, char** argv) {
   std::vector<std::string> versions;
   app.add_option("--px4-message-version", versions,
                  "version of a message in older firmware, as MESSAGE=VERSION: VehicleStatus=1 "
-                 "ActuatorServos=0 for PX4 1.16 and 1.17; may be given several times")
+                 "ActuatorServos=0 for PX4 1.17, BatteryStatus=0 too for 1.16; may be given "
+                 "several times")
       ->take_all();
   return loops::run_node(app, argc, argv, [&](auto&... arguments) { fly(arguments..., versions); });
 }

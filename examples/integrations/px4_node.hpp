@@ -33,7 +33,7 @@ inline constexpr const char* px4_help =
 its motors and servos.
 
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
-               fmu/out/vehicle_control_mode
+               fmu/out/vehicle_control_mode, fmu/out/battery_status_v1 (not needed)
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
                trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
                              ends a mission. One of a single point is valid for 0.5 s
@@ -47,7 +47,9 @@ level, wrench or actuator, without it wrench if the rotors give every wrench; mi
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height [m] of PX4's
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
-THR_MDL_FAC is set for the motors; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
+THR_MDL_FAC is set for the motors; voltage_compensation, true if the motors are driven by duty cycle
+(most are; those of simulations are not): their outputs rise while the battery's voltage falls, which
+needs battery_nominal_v in the vehicle file; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
 of those that tilt, servo_trims in [-1, 1] and reversed_servos (such as 2,4); max_silence [s],
 telemetry_rate [Hz], status_line (false: none), use_sim_time (true: the time is that of /clock),
 solver (automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
@@ -98,12 +100,18 @@ class Px4Node {
             "origin_height",
             undercarriage(vehicle_).value_or(tilt_ropter::Undercarriage{0.0}).height, -100.0,
             100.0)),
+        compensates_voltage_(parameters.choice("voltage_compensation", false)),
         max_silence_(parameters.number("max_silence", 0.1, 0.02, longest_silence)) {}
 
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) {
     heard_[0].on_message(seconds(m.timestamp_sample));
     const auto body = body_state(m, origin_height_);
     if (!body) return;
+    const bool agrees = tried_ && (body->position - *tried_).norm() < farthest_jump;
+    tried_ = body->position;
+    agreeing_ = agrees ? agreeing_ + 1 : 0;
+    // The first after a silence may be of another sender: two that alternate do not agree.
+    if ((!body_ || silent_) && agreeing_ < 5) return;
     if (body_ && !silent_) {
       const double dt = seconds(m.timestamp_sample) - seconds(sample_);
       const Eigen::Vector3d jump =
@@ -180,6 +188,18 @@ class Px4Node {
     heard_[3].on_message(seconds(m.timestamp));
     on_pilot(m.timestamp, m.flag_armed, m.flag_control_offboard_enabled);
   }
+  /// For any version of BatteryStatus. PX4 sends it at 1 Hz.
+  template <typename Battery>
+  void on_battery(const Battery& m) {
+    const auto voltage = static_cast<double>(m.voltage_v);
+    if (!m.connected || !voltage_ratio(vehicle_.battery, voltage)) return;
+    if (!heard_[4].ever()) {
+      heard_[4] = Heard("battery");
+      voltage_ = flying_ ? vehicle_.battery.nominal_voltage : voltage;  // as the outputs until now
+    }
+    heard_[4].on_message(seconds(m.timestamp));
+    told_voltage_ = voltage;
+  }
   /// Whether PX4 hears what it must obey. Without, the node asks for no offboard mode.
   void on_listeners(bool all) { is_heard_ = all; }
   /// Where to hover from now on.
@@ -205,6 +225,12 @@ class Px4Node {
     out.sample = sample_;
     const double time = time_ = seconds(out.now), age = time - seconds(sample_);
     for (Heard& topic : heard_) topic.on_tick(time);
+    if (told_voltage_ > 0.0) {
+      // In steps of a second the thrust would leap, by twice as many per cent as the voltage.
+      voltage_ += 0.01 * (told_voltage_ - voltage_);
+      controller_.on_voltage(voltage_);
+      if (compensates_voltage_) (void)scaling_.set_voltage(voltage_);
+    }
     if (std::exchange(is_new_, false)) arrived_ = time;
     if (std::exchange(is_told_, false)) told_ = time;
     if (untold()) decide(Pilot::somebody_else);
@@ -399,8 +425,13 @@ class Px4Node {
   examples::FlightController<Rotors> controller_;
   examples::SolverTicks solver_;
   FlightPlan reference_;
-  double origin_height_, max_silence_;
+  double origin_height_;
+  bool compensates_voltage_;
+  double max_silence_;
+  double told_voltage_ = 0.0, voltage_ = 0.0;       // newest, and smooth [V]
   std::optional<tilt_ropter::BodyStated> body_;     // last known state
+  std::optional<Eigen::Vector3d> tried_;            // position of the newest odometry, of anybody
+  int agreeing_ = 0;                                // messages since it has last leapt
   std::uint64_t sample_ = 0;                        // time of this state [us]
   double time_ = 0.0;                               // of the last tick [s]
   double arrived_ = -1e9, known_ = -1e9;            // last arrival, last time with a state [s]
@@ -413,7 +444,7 @@ class Px4Node {
   Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  // specific force by the odometry [m/s^2]
   double felt_at_ = -1e9;                           // its time [s]
   std::uint8_t resets_ = 0;                         // of PX4's estimator
-  std::array<Heard, 4> heard_{Heard("odometry"), Heard("sensors"), Heard("status"),
+  std::array<Heard, 5> heard_{Heard("odometry"), Heard("sensors"), Heard("status"),
                               Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;
   bool silent_ = false, planned_ = false, warned_ = false, wrong_imu_ = false, is_new_ = false,

@@ -19,12 +19,14 @@ struct Px4Topic {
 
 /// The topics that px4_node uses. The fields of every version are in idl/px4_msgs.idl.
 /// VehicleStatus: PX4 1.15 has version 0, PX4 1.16 and 1.17 have version 1. ActuatorServos: all of
-/// them have version 0, with 8 instead of 15 controls.
-inline constexpr std::array<Px4Topic, 9> px4_topics = {{
+/// them have version 0, with 8 instead of 15 controls. BatteryStatus: PX4 1.16 has version 0, and
+/// so has PX4 1.15, with other fields after the current.
+inline constexpr std::array<Px4Topic, 10> px4_topics = {{
     {"VehicleOdometry", "fmu/out/vehicle_odometry", 0, 0},
     {"SensorCombined", "fmu/out/sensor_combined", 0, 0},
     {"VehicleStatus", "fmu/out/vehicle_status", 4, 0},
     {"VehicleControlMode", "fmu/out/vehicle_control_mode", 0, 0},
+    {"BatteryStatus", "fmu/out/battery_status", 1, 0},
     {"OffboardControlMode", "fmu/in/offboard_control_mode", 0, 0},
     {"ActuatorMotors", "fmu/in/actuator_motors", 0, 0},
     {"ActuatorServos", "fmu/in/actuator_servos", 1, 0},

@@ -256,7 +256,7 @@ class Ros2Node {
   FlightPlan reference_;
   std::vector<std::string> rotor_joints_;
   double max_silence_;
-  std::array<Heard, 4> heard_{Heard("imu"), Heard("pose"), Heard("rotor_speeds")};
+  std::array<Heard, 5> heard_{Heard("imu"), Heard("pose"), Heard("rotor_speeds")};
   bool silent_ = false, wrong_imu_ = false;
   bool follows_ = false;       // the reference has begun
   std::optional<double> now_;  // of the last tick [s]

@@ -56,7 +56,7 @@ struct Snapshot {
   bool planned = false;       ///< the last command comes from a plan for its measurement
   TickCounts counts;
   bool located = true;  ///< false: the body is not known yet
-  std::array<Heard, 4> heard;
+  std::array<Heard, 5> heard;
   const char* waits_for = "";  ///< what the node needs to fly; "" if nothing
 
   /// What an operator looks at, in one line.

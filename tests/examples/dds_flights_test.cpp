@@ -255,7 +255,7 @@ TEST_F(DdsFlight, Ros2NodeHoversInRealTime) {
 }
 
 /// The topics of px4_node with the messages of a firmware, seen from the vehicle.
-template <typename Status, typename Servos>
+template <typename Status, typename Servos, typename Battery>
 class Px4Line {
  public:
   Px4Line(const dds::Participant& participant, const loops::Px4Versions& versions,
@@ -263,17 +263,25 @@ class Px4Line {
       : sensors_(participant, space + versions.topic("SensorCombined"), dds::sensor_data),
         odometry_(participant, space + versions.topic("VehicleOdometry"), dds::sensor_data),
         status_(participant, space + versions.topic("VehicleStatus"), dds::sensor_data),
+        battery_(participant, space + versions.topic("BatteryStatus"), dds::sensor_data),
         mode_(participant, space + versions.topic("OffboardControlMode"), dds::sensor_data),
         motors_(participant, space + versions.topic("ActuatorMotors"), dds::sensor_data),
         servos_(participant, space + versions.topic("ActuatorServos"), dds::sensor_data) {}
 
   [[nodiscard]] bool connected() const {
     return sensors_.subscribers() == 1 && odometry_.subscribers() == 1 &&
-           status_.subscribers() == 1 && mode_.publishers() == 1 && motors_.publishers() == 1 &&
-           servos_.publishers() == 1;
+           status_.subscribers() == 1 && battery_.subscribers() == 1 && mode_.publishers() == 1 &&
+           motors_.publishers() == 1 && servos_.publishers() == 1;
   }
   void on_sensors(const px4_msgs::msg::SensorCombined& m) { sensors_.publish(m); }
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) { odometry_.publish(m); }
+  void on_battery(const px4_msgs::msg::BatteryStatus& m) {
+    Battery sent{};
+    sent.timestamp = m.timestamp;
+    sent.connected = m.connected;
+    sent.voltage_v = m.voltage_v;
+    battery_.publish(sent);
+  }
 
   /// Publishes the measurements of this millisecond; PX4 repeats its status.
   void sense() {
@@ -308,6 +316,7 @@ class Px4Line {
   dds::Publisher<px4_msgs::msg::SensorCombined> sensors_;
   dds::Publisher<px4_msgs::msg::VehicleOdometry> odometry_;
   dds::Publisher<Status> status_;
+  dds::Publisher<Battery> battery_;
   dds::Subscriber<px4_msgs::msg::OffboardControlMode> mode_;
   dds::Subscriber<px4_msgs::msg::ActuatorMotors> motors_;
   dds::Subscriber<Servos> servos_;
@@ -315,7 +324,8 @@ class Px4Line {
   bool offboard_ = false;
   std::uint64_t mode_stamp_ = 0, servos_stamp_ = 0;
 };
-using CurrentPx4Line = Px4Line<px4_msgs::msg::VehicleStatus, px4_msgs::msg::ActuatorServos>;
+using CurrentPx4Line = Px4Line<px4_msgs::msg::VehicleStatus, px4_msgs::msg::ActuatorServos,
+                               px4_msgs::msg::BatteryStatus>;
 
 const std::string px4_parameters =
     "--ros-args -p origin_height:=0.07 -p thrust_model_factor:=0.3 -p hover_z:=0.5 ";
@@ -364,15 +374,18 @@ TEST_F(DdsFlight, Px4NodeHoversInRealTime) {
 }
 
 TEST_F(DdsFlight, Px4NodeSpeaksToOlderFirmwareOnTheSystemClock) {
-  const loops::Px4Versions versions({"VehicleStatus=1", "ActuatorServos=0"});
-  Px4Line<px4_msgs::msg::VehicleStatusV1, px4_msgs::msg::ActuatorServosV0> line(participant_,
-                                                                                versions, "px4_1/");
+  const loops::Px4Versions versions({"VehicleStatus=1", "ActuatorServos=0", "BatteryStatus=0"});
+  Px4Line<px4_msgs::msg::VehicleStatusV1, px4_msgs::msg::ActuatorServosV0,
+          px4_msgs::msg::BatteryStatusV0>
+      line(participant_, versions, "px4_1/");
+  line.vehicle.voltage = 14.0;
   // As a launch file starts it.
   const std::string file = directory_.file("parameters.yaml");
   std::ofstream(file) << "/px4_1/pilot:\n  ros__parameters:\n    hover_z: 0.5\n";
   const std::string options =
-      "--px4-message-version VehicleStatus=1 --px4-message-version ActuatorServos=0 --ros-args "
-      "--log-level info -r __node:=pilot -r __ns:=/px4_1 -p use_sim_time:=False --params-file '" +
+      "--px4-message-version VehicleStatus=1 --px4-message-version ActuatorServos=0 "
+      "--px4-message-version BatteryStatus=0 --ros-args --log-level info -r __node:=pilot -r "
+      "__ns:=/px4_1 -p use_sim_time:=False --params-file '" +
       file + "'";
   Background node(PX4_NODE_PROGRAM, options, directory_.file("node"));
   ASSERT_TRUE(wait_until([&] { return line.connected(); }));

@@ -149,6 +149,7 @@ struct Liar {
   Px4Node<4>& node;
   Eigen::Matrix3f lie;
   void on_odometry(const px4_msgs::msg::VehicleOdometry& m) { node.on_odometry(m); }
+  void on_battery(const px4_msgs::msg::BatteryStatus& m) { node.on_battery(m); }
   void on_sensors(px4_msgs::msg::SensorCombined m) {
     Eigen::Map<Eigen::Vector3f> force(m.accelerometer_m_s2);
     force = (lie * force).eval();
@@ -379,6 +380,11 @@ TEST(Px4Messages, RejectsInvalidOdometry) {
   EXPECT_TRUE(refused([](Odometry& m) { m.q[0] = 0.0F; }));
   EXPECT_TRUE(refused([](Odometry& m) { m.velocity[2] = nan_f; }));
   EXPECT_TRUE(refused([](Odometry& m) { m.angular_velocity[0] = nan_f; }));
+  EXPECT_TRUE(refused([](Odometry& m) { m.position_variance[2] = 1.1F; }));
+  EXPECT_TRUE(refused([](Odometry& m) { m.velocity_variance[0] = 1.1F; }));
+  EXPECT_TRUE(refused([](Odometry& m) { m.orientation_variance[2] = 0.3F; }));
+  EXPECT_TRUE(refused([](Odometry& m) { m.quality = -1; }));
+  EXPECT_FALSE(refused([](Odometry& m) { m.velocity_variance[0] = nan_f; }));  // it is not told
 }
 
 }  // namespace px4_node_test

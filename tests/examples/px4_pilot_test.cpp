@@ -171,6 +171,29 @@ TEST(Px4Pilot, ClippedAccelerometerDoesNotMoveTheVehicle) {
   }
 }
 
+// When the node hears again, the newest odometry is of a sender that is on the ground, and PX4
+// returns from its failsafe: a node that believed it would stop the rotors.
+TEST(Px4Pilot, ASecondSenderAfterASilenceIsNotBelieved) {
+  Flight flight;
+  flight.take_off();
+  flight.heard = false;
+  flight.fly(1.5);
+  EXPECT_FALSE(flight.px4.is_offboard());
+  flight.heard = true;
+  for (int i = 0; i < 50; ++i) {
+    px4_msgs::msg::VehicleOdometry other = flight.px4.vehicle.odometry();
+    other.position[2] += 1.4F;
+    flight.fly(0.009);
+    flight.node->on_odometry(other);  // after that of PX4, before the tick
+    flight.fly(0.001);
+  }
+  flight.fly(3.0);
+  EXPECT_TRUE(flight.px4.is_offboard());
+  EXPECT_LT((flight.body().position - Vector3d(0.3, 0.6, 1.5)).norm(), 0.05);
+  EXPECT_LT(flight.tilt, 15.0);
+  EXPECT_LT(flight.sag, 0.15);
+}
+
 /// What can happen, for a random time.
 struct Event {
   const char* name;
@@ -255,6 +278,20 @@ const Event events[] = {
        f.fly(seconds);
        f.px4.vehicle.slide.setZero();
      }},
+    {"PX4 loses its receiver", 3.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.deviation_rate = between(0.0, 2.0, random);
+       f.px4.vehicle.slide = somewhere(0.3, 0.1, random);
+       f.fly(seconds);
+       f.px4.vehicle.slide.setZero();
+       f.px4.vehicle.deviation_rate = f.px4.vehicle.deviation = 0.0;
+     }},
+    {"the voltage falls or rises", 3.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.voltage =
+           std::clamp(f.px4.vehicle.voltage + between(-0.5, 0.5, random), 12.0, 16.8);
+       f.fly(seconds);
+     }},
     {"the clocks drift", 3.0,
      [](Flight& f, double seconds, std::mt19937& random) {
        f.px4.vehicle.clock_drift = between(-0.03, 0.03, random);
@@ -305,6 +342,7 @@ const Event events[] = {
 void fly_sequence(unsigned seed, const char* level, std::array<double, 3>& worst) {
   std::mt19937 random(seed);
   Flight flight("", level);
+  flight.px4.vehicle.voltage = between(13.0, 16.0, random);
   std::string story;
   ASSERT_NO_FATAL_FAILURE(flight.take_off());
   for (const double end = flight.px4.time() + 10.0; flight.px4.time() < end;) {

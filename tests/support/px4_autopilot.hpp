@@ -20,6 +20,8 @@ class Px4Autopilot {
  public:
   /// COM_OF_LOSS_T: how old the last OffboardControlMode may be in offboard mode [s].
   static constexpr double offboard_loss = 0.5;
+  /// Of odometry and node: it sees an age that differs by so much [s].
+  static constexpr double period = 0.012;
 
   explicit Px4Autopilot(std::int64_t start) : vehicle(start) {}
 
@@ -51,8 +53,8 @@ class Px4Autopilot {
     decide();
     if (!connected) return;
     const double now = time();
-    if (vehicle.estimating && std::abs(vehicle.stamps_late + vehicle.delay) <= 0.1 &&
-        tick() % 10 == 8)
+    if (vehicle.estimating && vehicle.deviation < 1.0 &&
+        std::abs(vehicle.stamps_late + vehicle.delay) <= 0.1 + period && tick() % 10 == 8)
       located_ = now;
     vehicle.sense(node);
     if (!tells) return;

@@ -28,7 +28,7 @@ struct Px4Flight {
     parameters = loops::Parameters{
         {"use_sim_time", "true"}, {"origin_height", "0.07"}, {"thrust_model_factor", "0.3"},
         {"hover_x", "0.3"},       {"hover_y", "0.6"},        {"hover_z", "1.5"},
-        {"mission", mission},     {"level", level}};
+        {"mission", mission},     {"level", level},          {"voltage_compensation", "true"}};
     node.emplace(tilt_ropter::tilt_ropter_vehicle(), examples::VehicleFile{}, parameters);
   }
 

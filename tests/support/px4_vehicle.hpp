@@ -51,6 +51,13 @@ class AnyPx4Vehicle {
     const long tick = std::lround(1000.0 * plant.time());
     if (tick % 10 == 5) sensors_.emplace_back(plant.time() + delay, sensors());
     if (tick % 10 == 8 && estimating) odometry_.emplace_back(plant.time() + delay, odometry());
+    if (tick % 1000 == 3 && voltage > 0.0) {
+      px4_msgs::msg::BatteryStatus m{};
+      m.timestamp = now_us();
+      m.connected = true;
+      m.voltage_v = static_cast<float>(voltage);
+      node.on_battery(m);
+    }
     for (; !sensors_.empty() && sensors_.front().first <= plant.time(); sensors_.pop_front())
       node.on_sensors(sensors_.front().second);
     for (; !odometry_.empty() && odometry_.front().first <= plant.time(); odometry_.pop_front())
@@ -70,7 +77,9 @@ class AnyPx4Vehicle {
       const tilt_ropter::RotorParameters& rotor = rotor_parameters(vehicle_, i);
       const double u = double(m.control[i]);
       if (!(u >= 0.0 && u <= 1.0)) ++wrong_outputs;
-      const double share = thrust_model_factor * u * u + (1.0 - thrust_model_factor) * u;
+      const double ratio = voltage > 0.0 ? voltage / vehicle_.battery.nominal_voltage : 1.0,
+                   duty = ratio * u;
+      const double share = thrust_model_factor * duty * duty + (1.0 - thrust_model_factor) * duty;
       command_.rotor_speed(static_cast<int>(i)) =
           tilt_ropter::speed_from_thrust(rotor.max_thrust * share, rotor);
     }
@@ -96,6 +105,7 @@ class AnyPx4Vehicle {
     velocity_error_ += (slide - velocity_error_).cwiseMax(-most).cwiseMin(most);
     estimate_step_ += 1e-3 * velocity_error_;
     stamps_late += 1e-3 * clock_drift;
+    deviation += 1e-3 * deviation_rate;
     tilt_ropter::Wrenchd wind;
     if (obeys_) wind.force << 0.3, 0.6, 0.0;  // on the ground the wind would roll it away
     tilt_ropter::ActuatorState<Rotors> command = obeys_ ? command_ : by_another;
@@ -130,6 +140,10 @@ class AnyPx4Vehicle {
         velocity_in_body ? loops::velocity_frame_body_frd : loops::velocity_frame_ned;
     set(m.velocity, velocity_in_body ? Eigen::Vector3d(to_ned.transpose() * velocity) : velocity);
     set(m.angular_velocity, flu_to_frd_ * body.angular_velocity);
+    // Of PX4's estimator with a receiver, in hover; its quality is always zero.
+    set(m.position_variance, Eigen::Vector3d::Constant(0.01 + deviation * deviation));
+    set(m.velocity_variance, Eigen::Vector3d::Constant(0.01));
+    set(m.orientation_variance, Eigen::Vector3d(1e-4, 1e-4, 1e-3));
     return m;
   }
 
@@ -148,7 +162,10 @@ class AnyPx4Vehicle {
   double clock_drift = 0.0;  ///< by how much they get later [s/s]
   /// PX4 believes its inertial sensors, or its barometer, alone: soon its positions slide [m/s].
   Eigen::Vector3d slide = Eigen::Vector3d::Zero();
-  double delay = 0.0;  ///< until odometry and sensors arrive [s]
+  double deviation = 0.0;       ///< PX4 says that its positions have it [m]; without: 0.1 m
+  double deviation_rate = 0.0;  ///< by how much it grows without a receiver [m/s]
+  double voltage = 0.0;  ///< of a battery that PX4 reports and that drives the motors [V]; 0: none
+  double delay = 0.0;    ///< until odometry and sensors arrive [s]
   tilt_ropter::Plant<Rotors> plant;
   double clipping = 0.0;   ///< the accelerometer clips and reads so much along z [m/s^2]
   double vibration = 0.0;  ///< amplitude of the accelerometer's z at 97.3 Hz [m/s^2]
