@@ -107,12 +107,10 @@ class Px4Node {
     heard_[0].on_message(seconds(m.timestamp_sample));
     const auto body = body_state(m, origin_height_);
     if (!body) return;
-    const bool agrees = tried_ && (body->position - *tried_).norm() < farthest_jump;
-    tried_ = body->position;
-    agreeing_ = agrees ? agreeing_ + 1 : 0;
-    // The first after a silence may be of another sender: two that alternate do not agree.
-    if ((!body_ || silent_) && agreeing_ < 5) return;
-    if (body_ && !silent_) {
+    const bool goes_on = agrees(*body, seconds(m.timestamp_sample));
+    if (!body_ || silent_) {
+      if (!goes_on) return;
+    } else {
       const double dt = seconds(m.timestamp_sample) - seconds(sample_);
       const Eigen::Vector3d jump =
           body->position - body_->position - std::clamp(dt, 0.0, 0.5) * body_->velocity;
@@ -139,12 +137,14 @@ class Px4Node {
     if (pilot_ == Pilot::somebody_else) return;  // the state of the actuators is unknown
     const double time = seconds(m.timestamp);
     Eigen::Vector3d specific_force = tilt_ropter::flu_from_frd(vector(m.accelerometer_m_s2));
-    const bool clips = m.accelerometer_clipping != 0;
-    if (pilot_ == Pilot::this_node && std::abs(time - felt_at_) < 0.05) {
-      // Vibration, and what clips, is not in the motion.
-      if (clips || !((specific_force - felt_).norm() < contradiction)) specific_force = felt_;
-    } else if (clips) {
-      return;
+    const bool clips = m.accelerometer_clipping != 0,
+               is_felt =
+                   pilot_ == Pilot::this_node && std::abs(time - felt_at_) < max_silence_ + 0.05;
+    if (clips || (is_felt && !((specific_force - felt_).norm() < contradiction))) shaken_ = time;
+    // Vibration, and what clips, is not in the motion. Without odometry, what was felt last counts.
+    if (std::abs(time - shaken_) < (is_felt ? 1e-6 : 1.0)) {
+      if (pilot_ != Pilot::this_node || !(std::abs(time - felt_at_) < 1.0)) return;
+      specific_force = felt_;
     }
     // Disarmed motors do not turn, not even slowly.
     tilt_ropter::Wrenchd applied;
@@ -231,10 +231,14 @@ class Px4Node {
       controller_.on_voltage(voltage_);
       if (compensates_voltage_) (void)scaling_.set_voltage(voltage_);
     }
-    if (std::exchange(is_new_, false)) arrived_ = time;
+    if (std::exchange(is_new_, false)) {
+      arrived_ = time;
+      arrived_age_ = age;
+    }
     if (std::exchange(is_told_, false)) told_ = time;
     if (untold()) decide(Pilot::somebody_else);
-    const bool is_known = std::abs(age) <= max_silence_ && time - arrived_ <= max_silence_;
+    const bool is_known = std::max(std::abs(age), std::abs(arrived_age_)) <= max_silence_ &&
+                          time - arrived_ <= max_silence_;
     if (is_known) known_ = time;
     const bool holds = flying_ && time >= known_ && time - known_ <= longest_hold;
     silent_ = untold() || (!is_known && !holds);
@@ -330,6 +334,21 @@ class Px4Node {
 
  private:
   enum class Pilot { somebody_else, nobody, this_node };
+
+  // Whether the odometry after a silence has agreed with itself for long enough. It may be that of
+  // another sender: two that alternate do not agree, and one that is where the vehicle cannot have
+  // flown to has to for a second.
+  [[nodiscard]] bool agrees(const tilt_ropter::BodyStated& body, double stamp) {
+    const double passed = stamp - tried_at_;
+    if (!(passed > 0.0 && passed < 0.3 && (body.position - tried_).norm() < farthest_jump))
+      agrees_from_ = stamp;
+    tried_ = body.position;
+    tried_at_ = stamp;
+    constexpr double fast = 1.0;  // of PX4 that brings it down or holds it [m/s]
+    const bool is_near = !body_ || (body.position - body_->position).norm() <
+                                       farthest_jump + fast * (stamp - seconds(sample_));
+    return stamp - agrees_from_ > (is_near ? 0.035 : 1.0);
+  }
 
   void follow(const char* topic, std::vector<SetPoint> points) {
     if (!reference_.follow(std::move(points), time_))
@@ -428,22 +447,23 @@ class Px4Node {
   double origin_height_;
   bool compensates_voltage_;
   double max_silence_;
-  double told_voltage_ = 0.0, voltage_ = 0.0;       // newest, and smooth [V]
-  std::optional<tilt_ropter::BodyStated> body_;     // last known state
-  std::optional<Eigen::Vector3d> tried_;            // position of the newest odometry, of anybody
-  int agreeing_ = 0;                                // messages since it has last leapt
-  std::uint64_t sample_ = 0;                        // time of this state [us]
-  double time_ = 0.0;                               // of the last tick [s]
-  double arrived_ = -1e9, known_ = -1e9;            // last arrival, last time with a state [s]
-  double killed_ = -1e9;                            // when the rotors last stood in flight [s]
-  double load_ = tilt_ropter::gravity;              // size of the specific force, smooth [m/s^2]
-  double thrust_felt_ = -1e9;                       // last time that it was as commanded [s]
-  double home_ = 0.0;                               // height of the ground at the start [m]
-  double told_ = -1e9;                              // when PX4 last said who flies [s]
-  std::uint64_t told_stamp_ = 0;                    // the same, by its stamp [us]
-  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  // specific force by the odometry [m/s^2]
-  double felt_at_ = -1e9;                           // its time [s]
-  std::uint8_t resets_ = 0;                         // of PX4's estimator
+  double told_voltage_ = 0.0, voltage_ = 0.0;        // newest, and smooth [V]
+  std::optional<tilt_ropter::BodyStated> body_;      // last known state
+  Eigen::Vector3d tried_ = Eigen::Vector3d::Zero();  // position of the newest odometry, of anybody
+  double tried_at_ = -1e9, agrees_from_ = -1e9;      // its time, and when it last leapt [s]
+  std::uint64_t sample_ = 0;                         // time of this state [us]
+  double time_ = 0.0;                                // of the last tick [s]
+  double arrived_ = -1e9, known_ = -1e9;             // last arrival, last time with a state [s]
+  double arrived_age_ = 1e9;                         // by its stamp [s]
+  double killed_ = -1e9;                             // when the rotors last stood in flight [s]
+  double load_ = tilt_ropter::gravity;               // size of the specific force, smooth [m/s^2]
+  double thrust_felt_ = -1e9;                        // last time that it was as commanded [s]
+  double home_ = 0.0;                                // height of the ground at the start [m]
+  double told_ = -1e9;                               // when PX4 last said who flies [s]
+  std::uint64_t told_stamp_ = 0;                     // the same, by its stamp [us]
+  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();   // specific force by the odometry [m/s^2]
+  double felt_at_ = -1e9, shaken_ = -1e9;            // its time; when the sensor last differed [s]
+  std::uint8_t resets_ = 0;                          // of PX4's estimator
   std::array<Heard, 5> heard_{Heard("odometry"), Heard("sensors"), Heard("status"),
                               Heard("control_mode")};
   Pilot pilot_ = Pilot::somebody_else;

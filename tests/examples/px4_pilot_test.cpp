@@ -199,6 +199,7 @@ struct Event {
   const char* name;
   double longest;  ///< [s]
   std::function<void(Flight&, double seconds, std::mt19937&)> happen;
+  bool alone = false;  ///< the pilot lets it fall or land: not beside another one
 };
 
 double between(double low, double high, std::mt19937& random) {
@@ -232,14 +233,16 @@ const Event events[] = {
        f.fly(0.5);
        ASSERT_TRUE(f.px4.arm());
        f.fly(2.0);
-     }},
+     },
+     true},
     {"kill switch", 0.25,
      [](Flight& f, double seconds, std::mt19937&) {
        f.px4.kills = true;
        f.fly(seconds);
        f.px4.kills = false;
        f.fly(2.0);
-     }},
+     },
+     true},
     {"PX4 does not estimate", 1.0,
      [](Flight& f, double seconds, std::mt19937&) {
        f.px4.vehicle.estimating = false;
@@ -349,9 +352,15 @@ void fly_sequence(unsigned seed, const char* level, std::array<double, 3>& worst
     flight.fly(between(0.0, 1.5, random));
     const Event& event = events[random() % std::size(events)];
     const double seconds = between(0.02, event.longest, random);
-    char line[100];
-    std::snprintf(line, sizeof line, "\n%.2f s: %s for %.2f s", flight.px4.time(), event.name,
-                  seconds);
+    const Event& other = events[random() % std::size(events)];
+    const bool overlap = random() % 2 == 0 && !event.alone && !other.alone;
+    if (overlap)
+      flight.meanwhile = [&flight, &random, &other] {
+        other.happen(flight, between(0.02, other.longest, random), random);
+      };
+    char line[200];
+    std::snprintf(line, sizeof line, "\n%.2f s: %s for %.2f s, meanwhile %s", flight.px4.time(),
+                  event.name, seconds, overlap ? other.name : "nothing");
     story += line;
     SCOPED_TRACE(story);
     ASSERT_NO_FATAL_FAILURE(event.happen(flight, seconds, random));

@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
@@ -33,6 +34,12 @@ struct Px4Flight {
   }
 
   void fly(double seconds) {
+    if (meanwhile) {
+      const auto event = std::exchange(meanwhile, nullptr);
+      fly(0.5 * seconds);
+      event();
+      return fly(0.5 * seconds);
+    }
     for (int i = 0; i < std::lround(1000.0 * seconds); ++i) {
       px4.sense(*node, heard);
       ASSERT_TRUE(px4.step());
@@ -70,6 +77,7 @@ struct Px4Flight {
   Px4Autopilot px4{5000000000LL};
   loops::Parameters parameters;
   std::optional<loops::Px4Node<4>> node;
+  std::function<void()> meanwhile;  ///< happens in the middle of the next fly()
   bool heard = true, hears = true;  ///< the two directions of the line
   double heading_error = 0.0;       ///< of PX4's estimate [rad]
   double tilt = 0.0;                ///< largest [deg]
