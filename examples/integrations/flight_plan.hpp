@@ -145,6 +145,7 @@ class FlightPlan {
     if (const auto* paced = now.motion<PacedMission>())
       return is_over ? "mission is over"
                      : to_string(paced->mission->phase(paced->progress(time - now.start_time())));
+    if (is_over && rests_ != nullptr) return rests_;
     if (now.motion<SetPoints>()) return "set points";
     return is_over ? "hover point" : "way";
   }
@@ -153,10 +154,38 @@ class FlightPlan {
   void start(const tilt_ropter::BodyStated& body, double time) {
     constexpr double braking = 2.0;  // [m/s^2]
     const Eigen::Vector3d stop = body.velocity.norm() / (2.0 * braking) * body.velocity;
-    std::vector<tilt_ropter::MissionSegment> pieces =
-        way({body.position + stop - step_, tilt_ropter::yaw_of(body.orientation) - turn_});
-    if (mission_) pieces.push_back(paced({mission_, progress_, 0.0, 1.0}));
-    fly_pieces(std::move(pieces), time);
+    const tilt_ropter::Waypoint here{body.position + stop - step_,
+                                     tilt_ropter::yaw_of(body.orientation) - turn_};
+    if (rests_ != nullptr)
+      rest({}, here, time);
+    else
+      go_on({}, here, time);
+  }
+
+  /// The motion of `time` [s] ends within a second, and the vehicle hovers, or stands, until
+  /// resume(), or until it is sent elsewhere.
+  void pause(double time) {
+    Pieces pieces = ending(time);
+    const tilt_ropter::Waypoint here = place(at_rest(pieces, time));
+    rest(std::move(pieces), here, time);
+  }
+  /// The same, and then it lands, straight down.
+  void land(double time) {
+    Pieces pieces = ending(time);
+    tilt_ropter::Waypoint here = place(at_rest(pieces, time));
+    if (here.position.z() > lowest() + 1e-3) {
+      pieces.push_back({tilt_ropter::MissionPhase::landing, landing(here, lowest())});
+      here.position.z() = lowest();
+    }
+    rest(std::move(pieces), here, time);
+    rests_ = "landed";
+  }
+  /// Goes on where pause() or land() has ended it, at `time` [s].
+  void resume(double time) {
+    if (std::exchange(rests_, nullptr) == nullptr) return;
+    Pieces pieces = ending(time);
+    const tilt_ropter::Waypoint here = place(at_rest(pieces, time));
+    go_on(std::move(pieces), here, time);
   }
 
   /// The vehicle does not follow from `time` [s] on. A mission waits for start().
@@ -166,7 +195,10 @@ class FlightPlan {
       progress_ = paced->progress(std::clamp(time - now.start_time(), 0.0, now.duration()));
   }
   /// The mission begins anew with the next start().
-  void restart() { progress_ = mission_ ? mission_->start_time() : 0.0; }
+  void restart() {
+    progress_ = mission_ ? mission_->start_time() : 0.0;
+    rests_ = nullptr;
+  }
 
   /// Flies to another point, at `time` [s]: the position and the heading of `pose`. This ends a
   /// mission. Returns false, and flies on, if it is no pose, farther away than `farthest` or below
@@ -181,11 +213,12 @@ class FlightPlan {
     const tilt_ropter::Waypoint to{position - step_,
                                    tilt_ropter::yaw_of(orientation.normalized()) - turn_};
     if (is_below_ground(to.position)) return false;
-    if (!mission_ && to.position == point_.position && to.yaw == point_.yaw)
+    if (!mission_ && to.position == point_.position && to.yaw == point_.yaw && rests_ == nullptr)
       return true;  // a stream of the same point does not hold the vehicle back
     Pieces pieces = ending(time);
     const tilt_ropter::ReferencePoint from = at_rest(pieces, time);
     mission_.reset();
+    rests_ = nullptr;
     point_ = to;
     for (auto& part : way({from.position, tilt_ropter::yaw_of(from.orientation)}))
       pieces.push_back(std::move(part));
@@ -230,6 +263,7 @@ class FlightPlan {
         pieces.push_back(std::move(part));
     }
     mission_.reset();
+    rests_ = nullptr;
     const Braking braking{(*motion)(motion->duration())};
     tilt_ropter::ReferencePoint end = braking(Braking::duration);
     end.position.z() = std::max(end.position.z(), floor);
@@ -269,6 +303,30 @@ class FlightPlan {
     if (!(point.velocity.norm() > 0.01)) return {};
     return {{tilt_ropter::MissionPhase::air, Braking{point}, 0.0, Braking::duration}};
   }
+  static tilt_ropter::Waypoint place(const tilt_ropter::ReferencePoint& point) {
+    return {point.position, tilt_ropter::yaw_of(point.orientation)};
+  }
+
+  // A mission goes on later from where its `ending` leads.
+  void keep_progress(const Pieces& ending) {
+    if (ending.empty()) return;
+    if (const auto* paced = ending.front().motion<PacedMission>())
+      progress_ = paced->progress(PacedMission::ramp);
+  }
+  void rest(Pieces ending, const tilt_ropter::Waypoint& here, double time) {
+    keep_progress(ending);
+    ending.push_back({tilt_ropter::MissionPhase::hover, tilt_ropter::Hold(here, 1e-3)});
+    fly_pieces(std::move(ending), time);
+    rests_ = "paused";
+  }
+  // After `ending`, from `here`.
+  void go_on(Pieces ending, const tilt_ropter::Waypoint& here, double time) {
+    keep_progress(ending);
+    for (auto& part : way(here)) ending.push_back(std::move(part));
+    if (mission_) ending.push_back(paced({mission_, progress_, 0.0, 1.0}));
+    fly_pieces(std::move(ending), time);
+  }
+
   // Where ending() leads.
   [[nodiscard]] tilt_ropter::ReferencePoint at_rest(const Pieces& ending, double time) const {
     return ending.empty() ? piece(time)(time) : ending.back()(ending.back().end_time());
@@ -337,6 +395,7 @@ class FlightPlan {
   Pieces pieces_;                                   // one after another
   Eigen::Vector3d step_ = Eigen::Vector3d::Zero();  // of the frame, see move() [m]
   double turn_ = 0.0;                               // [rad]
+  const char* rests_ = nullptr;                     // its activity after pause() or land()
   bool follows_set_points_ = false;
   double floor_ = 0.0;  // lowest reference of set points [m]
 };

@@ -87,6 +87,10 @@ void fly(loops::Node& node, const tilt_ropter::Vehicle<Rotors>& vehicle,
   node.subscribe<geometry_msgs::msg::PoseStamped>(
       "hover_point", dds::default_quality,
       [&](const geometry_msgs::msg::PoseStamped& m) { pilot.on_hover_point(m); });
+  node.subscribe<std_msgs::msg::Bool>("pause", dds::default_quality,
+                                      [&](const std_msgs::msg::Bool& m) { pilot.on_pause(m); });
+  node.subscribe<std_msgs::msg::Bool>("land", dds::default_quality,
+                                      [&](const std_msgs::msg::Bool& m) { pilot.on_land(m); });
   node.subscribe<trajectory_msgs::msg::MultiDOFJointTrajectory>(
       "trajectory", dds::default_quality,
       [&](const trajectory_msgs::msg::MultiDOFJointTrajectory& m) { pilot.on_trajectory(m); });

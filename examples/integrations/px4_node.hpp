@@ -35,6 +35,8 @@ its motors and servos.
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
                fmu/out/vehicle_control_mode, fmu/out/battery_status_v1 (not needed)
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
+               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands; false on
+                             pause: it goes on
                trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
                              ends a mission. One of a single point is valid for 0.5 s
                fmu/in/trajectory_setpoint   a set point with a position in NED, the same
@@ -206,6 +208,18 @@ class Px4Node {
   void on_hover_point(const geometry_msgs::msg::PoseStamped& m) {
     if (!reference_.fly_to(m.pose, time_))
       std::cerr << "px4_node: hover_point is ignored: no pose, too far away, or below the ground\n";
+  }
+
+  /// `true`: the motion ends within a second. `false`: it goes on, also after a landing.
+  void on_pause(const std_msgs::msg::Bool& m) {
+    if (m.data)
+      reference_.pause(time_);
+    else
+      reference_.resume(time_);
+  }
+  /// `true`: the motion ends, and the vehicle lands where it is.
+  void on_land(const std_msgs::msg::Bool& m) {
+    if (m.data) reference_.land(time_);
   }
 
   /// Set points of another program, which end a mission.

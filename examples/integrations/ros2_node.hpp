@@ -37,6 +37,8 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
                              rotor_joints names; without names, of all rotors in order
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
+               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands; false on
+                             pause: it goes on
                trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
                              ends a mission. One of a single point is valid for 0.5 s
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
@@ -119,6 +121,18 @@ class Ros2Node {
     if (!reference_.fly_to(m.pose, now_.value_or(0.0)))
       std::cerr
           << "ros2_node: hover_point is ignored: no pose, too far away, or below the ground\n";
+  }
+
+  /// `true`: the motion ends within a second. `false`: it goes on, also after a landing.
+  void on_pause(const std_msgs::msg::Bool& m) {
+    if (m.data)
+      reference_.pause(now_.value_or(0.0));
+    else
+      reference_.resume(now_.value_or(0.0));
+  }
+  /// `true`: the motion ends, and the vehicle lands where it is.
+  void on_land(const std_msgs::msg::Bool& m) {
+    if (m.data) reference_.land(now_.value_or(0.0));
   }
 
   /// Set points of another program, which end a mission.

@@ -4,6 +4,7 @@
 
 #include "../../examples/integrations/px4_node.hpp"
 #include "../../examples/integrations/ros2_node.hpp"
+#include "support/px4_flight.hpp"
 #include "support/px4_vehicle.hpp"
 #include "support/ros2_vehicle.hpp"
 
@@ -294,6 +295,50 @@ TEST(NodeFlights, Ros2NodeFollowsATrajectoryOfATopic) {
   m.points._length = 0;
   flight.node.on_trajectory(m);  // ignored
   EXPECT_STREQ(flight.node.snapshot(0).activity, "set points");
+}
+
+// PX4 disarms a vehicle that has landed.
+TEST(NodeFlights, Px4NodePausesAndLandsWhenToldTo) {
+  for (const char* level : {"wrench", "actuator"}) {
+    SCOPED_TRACE(level);
+    test_support::Px4Flight flight("air", level);
+    flight.fly(1.5);
+    flight.px4.wants_offboard = true;
+    ASSERT_TRUE(flight.px4.arm());
+    flight.fly(12.0);
+    ASSERT_GT(flight.body().velocity.norm(), 0.3);
+    flight.node->on_pause({true});
+    flight.fly(2.0);
+    const Vector3d there = flight.body().position;
+    flight.fly(2.0);
+    EXPECT_LT((flight.body().position - there).norm(), 0.02);
+    EXPECT_NE(flight.node->snapshot(0).line().find("offboard, paused"), std::string::npos);
+    flight.node->on_pause({false});
+    flight.fly(4.0);
+    EXPECT_GT(flight.body().velocity.norm(), 0.1);
+    flight.node->on_land({true});
+    for (int i = 0; i < 20 && flight.px4.armed(); ++i) flight.fly(1.0);
+    EXPECT_TRUE(flight.px4.disarmed_by_land_detector());
+    EXPECT_LT(flight.body().position.z(), 0.12);
+    EXPECT_LT(flight.fastest_fall, 1.0);
+    EXPECT_LT(flight.sag, 0.05);
+  }
+}
+
+TEST(NodeFlights, Ros2NodeLandsWhenToldToAndTakesOffAgain) {
+  Ros2Flight flight(vehicle_of_paper, {}, hover(""));
+  for (long ms = 1; ms <= 24000; ++ms) {
+    ASSERT_NO_FATAL_FAILURE(flight.step(ms));
+    if (ms == 6000) flight.node.on_land({true});
+    if (ms == 15000) {
+      EXPECT_STREQ(flight.node.snapshot(0).activity, "landed");
+      EXPECT_LT(flight.vehicle.plant.body().position.z(), 0.12);
+      EXPECT_LT(flight.node.snapshot(0).rotor_speed[0], 500.0);  // of 1600 in hover
+      flight.node.on_pause({false});
+    }
+  }
+  EXPECT_STREQ(flight.node.snapshot(0).activity, "hover point");
+  EXPECT_GT(flight.vehicle.plant.body().position.z(), 0.9);
 }
 
 }  // namespace node_flights_test

@@ -280,6 +280,7 @@ const Event events[] = {
        f.px4.vehicle.slide = somewhere(0.5, 0.1, random);
        f.fly(seconds);
        f.px4.vehicle.slide.setZero();
+       if (random() % 2 == 0) f.px4.vehicle.reset_velocity();
      }},
     {"PX4 loses its receiver", 3.0,
      [](Flight& f, double seconds, std::mt19937& random) {

@@ -154,6 +154,12 @@ class AnyPx4Vehicle {
     ++resets_;
   }
 
+  /// PX4's estimator finds its velocity again.
+  void reset_velocity() {
+    velocity_error_.setZero();
+    ++resets_;
+  }
+
   /// How far the estimated position is from the true one.
   [[nodiscard]] const Eigen::Vector3d& position_error() const { return estimate_step_; }
 
