@@ -145,7 +145,7 @@ class FlightPlan {
     if (const auto* paced = now.motion<PacedMission>())
       return is_over ? "mission is over"
                      : to_string(paced->mission->phase(paced->progress(time - now.start_time())));
-    if (is_over && rests_ != nullptr) return rests_;
+    if (is_over && rests_ != Rest::none) return rests_ == Rest::paused ? "paused" : "landed";
     if (now.motion<SetPoints>()) return "set points";
     return is_over ? "hover point" : "way";
   }
@@ -156,33 +156,20 @@ class FlightPlan {
     const Eigen::Vector3d stop = body.velocity.norm() / (2.0 * braking) * body.velocity;
     const tilt_ropter::Waypoint here{body.position + stop - step_,
                                      tilt_ropter::yaw_of(body.orientation) - turn_};
-    if (rests_ != nullptr)
-      rest({}, here, time);
+    if (rests_ != Rest::none)
+      rest({}, here, rests_, time);
     else
       go_on({}, here, time);
   }
 
   /// The motion of `time` [s] ends within a second, and the vehicle hovers, or stands, until
   /// resume(), or until it is sent elsewhere.
-  void pause(double time) {
-    Pieces pieces = ending(time);
-    const tilt_ropter::Waypoint here = place(at_rest(pieces, time));
-    rest(std::move(pieces), here, time);
-  }
-  /// The same, and then it lands, straight down.
-  void land(double time) {
-    Pieces pieces = ending(time);
-    tilt_ropter::Waypoint here = place(at_rest(pieces, time));
-    if (here.position.z() > lowest() + 1e-3) {
-      pieces.push_back({tilt_ropter::MissionPhase::landing, landing(here, lowest())});
-      here.position.z() = lowest();
-    }
-    rest(std::move(pieces), here, time);
-    rests_ = "landed";
-  }
+  void pause(double time) { end(Rest::paused, time); }
+  /// The same, and then it lands, straight down, also if stop() comes in between.
+  void land(double time) { end(Rest::landed, time); }
   /// Goes on where pause() or land() has ended it, at `time` [s].
   void resume(double time) {
-    if (std::exchange(rests_, nullptr) == nullptr) return;
+    if (std::exchange(rests_, Rest::none) == Rest::none) return;
     Pieces pieces = ending(time);
     const tilt_ropter::Waypoint here = place(at_rest(pieces, time));
     go_on(std::move(pieces), here, time);
@@ -193,11 +180,12 @@ class FlightPlan {
     const tilt_ropter::MissionSegment& now = piece(time);
     if (const auto* paced = now.motion<PacedMission>())
       progress_ = paced->progress(std::clamp(time - now.start_time(), 0.0, now.duration()));
+    if (rests_ == Rest::landed && &now == &pieces_.back()) rests_ = Rest::paused;  // it has landed
   }
   /// The mission begins anew with the next start().
   void restart() {
     progress_ = mission_ ? mission_->start_time() : 0.0;
-    rests_ = nullptr;
+    rests_ = Rest::none;
   }
 
   /// Flies to another point, at `time` [s]: the position and the heading of `pose`. This ends a
@@ -213,12 +201,12 @@ class FlightPlan {
     const tilt_ropter::Waypoint to{position - step_,
                                    tilt_ropter::yaw_of(orientation.normalized()) - turn_};
     if (is_below_ground(to.position)) return false;
-    if (!mission_ && to.position == point_.position && to.yaw == point_.yaw && rests_ == nullptr)
+    if (!mission_ && to.position == point_.position && to.yaw == point_.yaw && rests_ == Rest::none)
       return true;  // a stream of the same point does not hold the vehicle back
     Pieces pieces = ending(time);
     const tilt_ropter::ReferencePoint from = at_rest(pieces, time);
     mission_.reset();
-    rests_ = nullptr;
+    rests_ = Rest::none;
     point_ = to;
     for (auto& part : way({from.position, tilt_ropter::yaw_of(from.orientation)}))
       pieces.push_back(std::move(part));
@@ -263,7 +251,7 @@ class FlightPlan {
         pieces.push_back(std::move(part));
     }
     mission_.reset();
-    rests_ = nullptr;
+    rests_ = Rest::none;
     const Braking braking{(*motion)(motion->duration())};
     tilt_ropter::ReferencePoint end = braking(Braking::duration);
     end.position.z() = std::max(end.position.z(), floor);
@@ -285,6 +273,7 @@ class FlightPlan {
 
  private:
   using Pieces = std::vector<tilt_ropter::MissionSegment>;
+  enum class Rest { none, paused, landed };  // after pause() or land()
 
   // Height of the CoM on the ground [m].
   [[nodiscard]] double lowest() const { return undercarriage_ ? undercarriage_->height : 0.0; }
@@ -313,11 +302,20 @@ class FlightPlan {
     if (const auto* paced = ending.front().motion<PacedMission>())
       progress_ = paced->progress(PacedMission::ramp);
   }
-  void rest(Pieces ending, const tilt_ropter::Waypoint& here, double time) {
+  void rest(Pieces ending, tilt_ropter::Waypoint here, Rest how, double time) {
     keep_progress(ending);
+    if (how == Rest::landed && here.position.z() > lowest() + 1e-3) {
+      ending.push_back({tilt_ropter::MissionPhase::landing, landing(here, lowest())});
+      here.position.z() = lowest();
+    }
     ending.push_back({tilt_ropter::MissionPhase::hover, tilt_ropter::Hold(here, 1e-3)});
     fly_pieces(std::move(ending), time);
-    rests_ = "paused";
+    rests_ = how;
+  }
+  void end(Rest how, double time) {
+    Pieces pieces = ending(time);
+    const tilt_ropter::Waypoint here = place(at_rest(pieces, time));
+    rest(std::move(pieces), here, how, time);
   }
   // After `ending`, from `here`.
   void go_on(Pieces ending, const tilt_ropter::Waypoint& here, double time) {
@@ -395,7 +393,7 @@ class FlightPlan {
   Pieces pieces_;                                   // one after another
   Eigen::Vector3d step_ = Eigen::Vector3d::Zero();  // of the frame, see move() [m]
   double turn_ = 0.0;                               // [rad]
-  const char* rests_ = nullptr;                     // its activity after pause() or land()
+  Rest rests_ = Rest::none;
   bool follows_set_points_ = false;
   double floor_ = 0.0;  // lowest reference of set points [m]
 };
