@@ -51,7 +51,7 @@ without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
 THR_MDL_FAC is set for the motors; voltage_compensation, true if the motors are driven by duty cycle
 (most are; those of simulations are not): their outputs rise while the battery's voltage falls, which
-needs battery_nominal_v in the vehicle file; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
+needs battery_nominal_v in the vehicle file and PX4's battery_status; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
 of those that tilt, servo_trims in [-1, 1] and reversed_servos (such as 2,4); max_silence [s],
 telemetry_rate [Hz], status_line (false: none), use_sim_time (true: the time is that of /clock),
 solver (automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
@@ -197,7 +197,7 @@ class Px4Node {
     if (!m.connected || !voltage_ratio(vehicle_.battery, voltage)) return;
     if (!heard_[4].ever()) {
       heard_[4] = Heard("battery");
-      voltage_ = flying_ ? vehicle_.battery.nominal_voltage : voltage;  // as the outputs until now
+      voltage_ = voltage;
     }
     heard_[4].on_message(seconds(m.timestamp));
     told_voltage_ = voltage;
@@ -266,7 +266,7 @@ class Px4Node {
     if (flying_ && !goes_on) reference_.stop(time);
     if (pilot_ == Pilot::nobody) reference_.restart();
     flying_ = goes_on;
-    if (!body_ || silent_ || wrong_imu_) return out;
+    if (!body_ || silent_ || wrong_imu_ || lacks_voltage()) return out;
     if (is_known && (is_heard_ || flying_)) {
       // PX4 accepts offboard control only with this message, and leaves it some time after the
       // last one.
@@ -310,13 +310,14 @@ class Px4Node {
     s.located = body_.has_value();
     if (body_) s.body = *body_;
     s.heard = heard_;
-    s.waits_for = !body_        ? "vehicle_odometry"
-                  : untold()    ? "vehicle_status or vehicle_control_mode"
-                  : wrong_imu_  ? "disarming, to calibrate again"
-                  : silent_     ? "vehicle_odometry"
-                  : stays_down_ ? "disarming or another mode"
-                  : is_broken   ? "a repair; start the node again then"
-                  : !is_heard_  ? "PX4 to hear motors and servos: --px4-message-version?"
+    s.waits_for = !body_            ? "vehicle_odometry"
+                  : untold()        ? "vehicle_status or vehicle_control_mode"
+                  : wrong_imu_      ? "disarming, to calibrate again"
+                  : silent_         ? "vehicle_odometry"
+                  : stays_down_     ? "disarming or another mode"
+                  : is_broken       ? "a repair; start the node again then"
+                  : lacks_voltage() ? "battery_status, for voltage_compensation"
+                  : !is_heard_      ? "PX4 to hear motors and servos: --px4-message-version?"
                   : pilot_ == Pilot::nobody        ? "arming"
                   : pilot_ == Pilot::somebody_else ? "offboard mode"
                                                    : "";
@@ -350,18 +351,17 @@ class Px4Node {
   enum class Pilot { somebody_else, nobody, this_node };
 
   // Whether the odometry after a silence has agreed with itself for long enough. It may be that of
-  // another sender: two that alternate do not agree, and one that is where the vehicle cannot have
-  // flown to has to for a second.
+  // another sender: two that alternate do not agree, and one that is not near where the vehicle was
+  // has to for a second.
   [[nodiscard]] bool agrees(const tilt_ropter::BodyStated& body, double stamp) {
     const double passed = stamp - tried_at_;
     if (!(passed > 0.0 && passed < 0.3 && (body.position - tried_).norm() < farthest_jump))
       agrees_from_ = stamp;
     tried_ = body.position;
     tried_at_ = stamp;
-    constexpr double fast = 1.0;  // of PX4 that brings it down or holds it [m/s]
-    const bool is_near = !body_ || (body.position - body_->position).norm() <
-                                       farthest_jump + fast * (stamp - seconds(sample_));
-    return stamp - agrees_from_ > (is_near ? 0.035 : 1.0);
+    const bool is_near =
+        !body_ || (body.position - body_->position).norm() < 0.3 + 0.5 * (stamp - seconds(sample_));
+    return stamp - agrees_from_ > (is_near ? 0.2 : 1.0);
   }
 
   void follow(const char* topic, std::vector<SetPoint> points) {
@@ -370,6 +370,10 @@ class Px4Node {
                 << " is ignored: no set points, too far away, or below the ground\n";
   }
 
+  // Thrusts would be wrong by as much as the battery is full.
+  [[nodiscard]] bool lacks_voltage() const {
+    return compensates_voltage_ && vehicle_.battery.nominal_voltage > 0.0 && !heard_[4].ever();
+  }
   [[nodiscard]] bool untold() const { return !(std::abs(time_ - told_) <= longest_untold); }
 
   // `stamp` [us]: the two topics that say it are not of one speed. What PX4 said before does not

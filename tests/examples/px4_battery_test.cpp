@@ -39,8 +39,10 @@ TEST(Px4Battery, HoversWhileTheVoltageFalls) {
   }
 }
 
-TEST(Px4Battery, IgnoresWhatIsNoVoltage) {
+// Outputs for a wrong voltage would be wrong by as much as the battery is full.
+TEST(Px4Battery, DoesNotFlyBeforeItKnowsTheVoltage) {
   Flight flight;
+  flight.px4.vehicle.voltage = 0.0;
   const auto say = [&](bool connected, float voltage) {
     px4_msgs::msg::BatteryStatus m{};
     m.connected = connected;
@@ -50,8 +52,13 @@ TEST(Px4Battery, IgnoresWhatIsNoVoltage) {
   say(false, 14.0F);
   for (const float wrong : {0.0F, -1.0F, 1000.0F, std::numeric_limits<float>::quiet_NaN()})
     say(true, wrong);
-  ASSERT_NO_FATAL_FAILURE(flight.take_off());
-  EXPECT_EQ(flight.node->snapshot(0).line().find("battery"), std::string::npos);
+  flight.px4.wants_offboard = true;
+  flight.fly(2.0);
+  EXPECT_EQ(flight.px4.vehicle.heartbeats, 0);
+  EXPECT_STREQ(flight.node->snapshot(0).waits_for, "battery_status, for voltage_compensation");
+  say(true, 13.2F);
+  flight.fly(1.0);
+  EXPECT_GT(flight.px4.vehicle.heartbeats, 90);
 }
 
 }  // namespace px4_battery_test

@@ -22,6 +22,7 @@ namespace test_support {
 struct Px4Flight {
   explicit Px4Flight(std::string mission_file = "", std::string of_control = "")
       : mission(std::move(mission_file)), level(std::move(of_control)) {
+    px4.vehicle.voltage = tilt_ropter::tilt_ropter_vehicle().battery.nominal_voltage;
     start_node();
   }
 
