@@ -359,9 +359,11 @@ class Px4Node {
       agrees_from_ = stamp;
     tried_ = body.position;
     tried_at_ = stamp;
+    const double agreed = stamp - agrees_from_;
+    if (!body_) return agreed > 0.035;
     const bool is_near =
-        !body_ || (body.position - body_->position).norm() < 0.3 + 0.5 * (stamp - seconds(sample_));
-    return stamp - agrees_from_ > (is_near ? 0.2 : 1.0);
+        (body.position - body_->position).norm() < 0.3 + 0.5 * (stamp - seconds(sample_));
+    return agreed > (is_near ? 0.2 : 1.0);
   }
 
   void follow(const char* topic, std::vector<SetPoint> points) {
