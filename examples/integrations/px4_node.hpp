@@ -35,8 +35,8 @@ its motors and servos.
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
                fmu/out/vehicle_control_mode, fmu/out/battery_status_v1 (not needed)
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
-               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands; false on
-                             pause: it goes on
+               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands;
+                             pause false: it goes on
                trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
                              ends a mission. One of a single point is valid for 0.5 s
                fmu/in/trajectory_setpoint   a set point with a position in NED, the same
@@ -50,13 +50,13 @@ JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the pat
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; origin_height [m] of PX4's
 origin, which is where its estimator started, above the ground; thrust_model_factor, 0 if PX4's
 THR_MDL_FAC is set for the motors; voltage_compensation, true if the motors are driven by duty cycle
-(most are; those of simulations are not): their outputs rise while the battery's voltage falls, which
-needs battery_nominal_v in the vehicle file and PX4's battery_status; motor_channels (1,2,...) of the rotors, servo_channels (1,2,...)
-of those that tilt, servo_trims in [-1, 1] and reversed_servos (such as 2,4); max_silence [s],
-telemetry_rate [Hz], status_line (false: none), use_sim_time (true: the time is that of /clock),
-solver (automatic, nlopt, structured). From a file: --ros-args --params-file FILE.yaml. Topics: --ros-args -r
-TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS domain: the
-environment variable ROS_DOMAIN_ID.
+(most are; those of simulations are not): their outputs rise while the battery's voltage falls,
+which needs battery_nominal_v in the vehicle file and PX4's battery_status; motor_channels (1,2,...)
+of the rotors, servo_channels (1,2,...) of those that tilt, servo_trims in [-1, 1] and
+reversed_servos (such as 2,4); max_silence [s], telemetry_rate [Hz], status_line (false: none),
+use_sim_time (true: the time is that of /clock), solver (automatic, nlopt, structured). From a file:
+--ros-args --params-file FILE.yaml. Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r
+__ns:=/NAMESPACE -r __node:=NAME. DDS domain: the environment variable ROS_DOMAIN_ID.
 
 Place the vehicle level and disarmed: the observer is calibrated until the vehicle is armed. Then arm
 and switch to offboard mode, on the ground or in the air. The vehicle flies with at most 1 m/s to

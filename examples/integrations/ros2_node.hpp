@@ -37,8 +37,8 @@ Subscribes to  imu           sensor_msgs/Imu, in the body frame (FLU), any rate
                rotor_speeds  sensor_msgs/JointState, velocity [rad/s]: of the joints that
                              rotor_joints names; without names, of all rotors in order
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
-               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands; false on
-                             pause: it goes on
+               pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands;
+                             pause false: it goes on
                trajectory    trajectory_msgs/MultiDOFJointTrajectory, the set points of a planner;
                              ends a mission. One of a single point is valid for 0.5 s
 Publishes      actuators     actuator_msgs/Actuators, velocity [rad/s] and position [rad] of
@@ -50,10 +50,10 @@ level, wrench or actuator, without it wrench if the rotors give every wrench; mi
 JSON file, or hybrid, air, ground, rolling, excite, inspect; trajectory, the path of a CSV file;
 without these two, hover_x, hover_y, hover_z [m], hover_yaw [rad]; position_noise [m],
 orientation_noise [rad], pose_clock_offset [s], max_silence [s], telemetry_rate [Hz], status_line
-(false: none), use_sim_time (true: the time is that of /clock), solver (automatic, nlopt, structured), rotor_joints
-(rotor_1,rotor_2,...). From a file: --ros-args --params-file FILE.yaml. Topics:
---ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME. DDS
-domain: the environment variable ROS_DOMAIN_ID.
+(false: none), use_sim_time (true: the time is that of /clock), solver (automatic, nlopt,
+structured), rotor_joints (rotor_1,rotor_2,...). From a file: --ros-args --params-file FILE.yaml.
+Topics: --ros-args -r TOPIC:=OTHER_TOPIC. Namespace and name: -r __ns:=/NAMESPACE -r __node:=NAME.
+DDS domain: the environment variable ROS_DOMAIN_ID.
 
 The node flies as soon as it has a pose, with at most 1 m/s to where it hovers or to where the
 mission begins. It holds its position or lands if the estimate becomes bad.
