@@ -381,7 +381,7 @@ class Px4Node {
   // `stamp` [us]: the two topics that say it are not of one speed. What PX4 said before does not
   // count, unless its clock has gone back.
   void on_pilot(std::uint64_t stamp, bool armed, bool offboard) {
-    constexpr std::uint64_t most = 1000000;
+    constexpr std::uint64_t most = 20000;
     if (stamp < told_stamp_ && told_stamp_ - stamp < most) return;
     told_stamp_ = stamp;
     is_told_ = true;

@@ -269,8 +269,7 @@ const Event events[] = {
      }},
     {"reset of the estimate", 0.5,
      [](Flight& f, double seconds, std::mt19937& random) {
-       // A heading that is wrong for good turns every vehicle over: PX4 mends it by its reset.
-       const double heading = between(-0.4, 0.4, random);
+       const double heading = between(-0.4, 0.4, random);  // PX4 mends it by its next reset
        f.px4.vehicle.reset_estimate(somewhere(5.0, 0.0, random), heading - f.heading_error);
        f.heading_error = heading;
        f.fly(seconds);
@@ -301,6 +300,12 @@ const Event events[] = {
        f.px4.vehicle.clock_drift = between(-0.03, 0.03, random);
        f.fly(seconds);
        f.px4.vehicle.clock_drift = f.px4.vehicle.stamps_late = 0.0;
+     }},
+    {"PX4's clock steps", 2.0,
+     [](Flight& f, double seconds, std::mt19937& random) {
+       f.px4.vehicle.clock_step = between(-1.0, 1.0, random);
+       f.fly(seconds);
+       f.px4.vehicle.clock_step = 0.0;
      }},
     {"old stamps", 2.0,
      [](Flight& f, double seconds, std::mt19937& random) {

@@ -54,7 +54,8 @@ class Px4Autopilot {
     if (!connected) return;
     const double now = time();
     if (vehicle.estimating && vehicle.deviation < 1.0 &&
-        std::abs(vehicle.stamps_late + vehicle.delay) <= 0.1 + period && tick() % 10 == 8)
+        std::abs(vehicle.stamps_late + vehicle.delay - vehicle.clock_step) <= 0.1 + period &&
+        tick() % 10 == 8)
       located_ = now;
     vehicle.sense(node);
     if (!tells) return;

@@ -165,6 +165,7 @@ class AnyPx4Vehicle {
 
   std::int64_t start;
   double stamps_late = 0.0;  ///< of the odometry [s]
+  double clock_step = 0.0;   ///< of all stamps [s]
   double clock_drift = 0.0;  ///< by how much they get later [s/s]
   /// PX4 believes its inertial sensors, or its barometer, alone: soon its positions slide [m/s].
   Eigen::Vector3d slide = Eigen::Vector3d::Zero();
@@ -182,7 +183,9 @@ class AnyPx4Vehicle {
   tilt_ropter::ActuatorState<Rotors> by_another;  ///< while the node does not fly
 
  private:
-  [[nodiscard]] std::uint64_t now_us() const { return static_cast<std::uint64_t>(now() / 1000); }
+  [[nodiscard]] std::uint64_t now_us() const {
+    return static_cast<std::uint64_t>(now() / 1000 + std::llround(1e6 * clock_step));
+  }
   static void set(float (&field)[3], const Eigen::Vector3d& v) {
     for (std::size_t i = 0; i < 3; ++i)
       field[i] = static_cast<float>(v(static_cast<Eigen::Index>(i)));
