@@ -1,5 +1,4 @@
-// The PX4 node with a pilot and with faults, in simulated time, against a strict stand-in for
-// PX4. A full run flies 200 random sequences.
+// The PX4 node with a pilot and faults against a strict stand-in. A full run flies 200 sequences.
 // CTest: dds flight optimised
 
 #include "../../examples/integrations/px4_node.hpp"
@@ -171,8 +170,7 @@ TEST(Px4Pilot, ClippedAccelerometerDoesNotMoveTheVehicle) {
   }
 }
 
-// When the node hears again, the newest odometry is of a sender that is on the ground, and PX4
-// returns from its failsafe: a node that believed it would stop the rotors.
+// That sender is on the ground: a node that believed it would stop the rotors after the failsafe.
 TEST(Px4Pilot, ASecondSenderAfterASilenceIsNotBelieved) {
   Flight flight;
   flight.take_off();
