@@ -33,7 +33,7 @@ inline constexpr const char* px4_help =
 its motors and servos.
 
 Subscribes to  fmu/out/vehicle_odometry, fmu/out/sensor_combined, fmu/out/vehicle_status_v4,
-               fmu/out/vehicle_control_mode, fmu/out/battery_status_v1 (not needed)
+               fmu/out/vehicle_control_mode, fmu/out/battery_status_v1 (for voltage_compensation)
                hover_point   geometry_msgs/PoseStamped, where to hover (ENU); ends a mission
                pause, land   std_msgs/Bool, true: the motion ends, and the vehicle hovers or lands;
                              pause false: it goes on
