@@ -65,7 +65,7 @@ struct ClockCalibration {
 
 namespace detail {
 
-/// Rotation of the IMU from the start of a log to any time within the log.
+/// Rotations of the IMU from the start of a log to times within the log.
 template <typename Scalar>
 class GyroIntegral {
  public:
@@ -80,9 +80,19 @@ class GyroIntegral {
     return time >= imu_.front().time && time < imu_.back().time;
   }
 
-  [[nodiscard]] Eigen::Quaterniond operator()(double time) const {
-    const std::size_t i = index_before(imu_, time);
-    return turned_[i] * part(i, time);
+  /// The rotations until `times` + `offset`, where the times increase. The identity outside the
+  /// log.
+  [[nodiscard]] std::vector<Eigen::Quaterniond> at(const std::vector<double>& times,
+                                                   double offset) const {
+    std::vector<Eigen::Quaterniond> result(times.size(), Eigen::Quaterniond::Identity());
+    std::size_t i = 0;
+    for (std::size_t k = 0; k < times.size(); ++k) {
+      const double time = times[k] + offset;
+      if (!covers(time)) continue;
+      while (imu_[i + 1].time <= time) ++i;
+      result[k] = turned_[i] * part(i, time);
+    }
+    return result;
   }
 
  private:
@@ -99,10 +109,10 @@ class GyroIntegral {
   std::vector<Eigen::Quaterniond> turned_;
 };
 
-/// Rotation of the marker frame between two poses, in motion capture's clock.
+/// Rotation of the marker frame between two poses.
 struct MarkerTurn {
-  double start, end;
-  Eigen::Vector3d turn;  ///< rotation vector in M [rad]
+  std::size_t start, end;  ///< numbers of the poses
+  Eigen::Vector3d turn;    ///< rotation vector in M [rad]
 };
 
 /// Best rotation M -> body and best constant difference (the gyro's bias) between rotations of the
@@ -133,15 +143,22 @@ TurnFit fit_rotation(Turns body, Turns marker) {
   return fit;
 }
 
+/// Rotation vector of the IMU during a turn of the marker. `turned`: GyroIntegral::at() of the
+/// poses
+inline Eigen::Vector3d turn_in(const std::vector<Eigen::Quaterniond>& turned, const MarkerTurn& t) {
+  return quaternion_log(Eigen::Quaterniond(turned[t.start].conjugate() * turned[t.end]));
+}
+
+/// `times`: of the poses, in motion capture's clock
 template <typename Scalar>
-TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& gyro,
-                  double offset) {
+TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const std::vector<double>& times,
+                  const GyroIntegral<Scalar>& gyro, double offset) {
+  const std::vector<Eigen::Quaterniond> turned = gyro.at(times, offset);
   const auto count = static_cast<Eigen::Index>(turns.size());
   Eigen::Matrix3Xd body(3, count), marker(3, count);
   for (Eigen::Index i = 0; i < count; ++i) {
     const MarkerTurn& t = turns[static_cast<std::size_t>(i)];
-    body.col(i) = quaternion_log(
-        Eigen::Quaterniond(gyro(t.start + offset).conjugate() * gyro(t.end + offset)));
+    body.col(i) = turn_in(turned, t);
     marker.col(i) = t.turn;
   }
   return fit_rotation(std::move(body), std::move(marker));
@@ -151,21 +168,19 @@ TurnFit fit_turns(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scala
 /// themselves after a time of up to `range` [s], so well that the difference is comparable with the
 /// `cost` of the calibration. Then another offset, searched or not, fits as well.
 template <typename Scalar>
-bool repeats(const std::vector<MarkerTurn>& turns, const GyroIntegral<Scalar>& gyro, double offset,
-             double range, double step, double cost) {
+bool repeats(const std::vector<MarkerTurn>& turns, const std::vector<double>& times,
+             const GyroIntegral<Scalar>& gyro, double offset, double range, double step,
+             double cost) {
   constexpr double comparable = 4.0;  // twice the residual
-  const auto turn = [&gyro](double from, double to) {
-    return quaternion_log(Eigen::Quaterniond(gyro(from).conjugate() * gyro(to)));
-  };
+  const std::vector<Eigen::Quaterniond> before = gyro.at(times, offset);
   const auto difference = [&](double shift) {
+    const std::vector<Eigen::Quaterniond> after = gyro.at(times, offset + shift);
     double sum = 0.0;
     int count = 0;
     for (const MarkerTurn& t : turns) {
-      const double start = t.start + offset, end = t.end + offset;
-      if (!gyro.covers(start) || !gyro.covers(end) || !gyro.covers(start + shift) ||
-          !gyro.covers(end + shift))
+      if (!gyro.covers(times[t.start] + offset) || !gyro.covers(times[t.end] + offset + shift))
         continue;
-      sum += (turn(start, end) - turn(start + shift, end + shift)).squaredNorm();
+      sum += (turn_in(before, t) - turn_in(after, t)).squaredNorm();
       ++count;
     }
     return count < 100 ? std::numeric_limits<double>::infinity() : sum / count;
@@ -214,22 +229,25 @@ template <typename Scalar = double>
   const double reach = settings.max_offset + 2.0 * coarse;  // the last steps may exceed the range
   const detail::GyroIntegral<Scalar> gyro(imu);
   std::vector<detail::MarkerTurn> turns;
+  std::vector<double> times(poses.size());
+  std::transform(poses.begin(), poses.end(), times.begin(), [](const auto& p) { return p.time; });
   double total = 0.0;
   for (std::size_t i = 0, j = 0; i < poses.size(); ++i) {
-    const double start = poses[i].time;
-    while (j < poses.size() && poses[j].time < start + settings.window) ++j;
+    const double start = times[i];
+    while (j < poses.size() && times[j] < start + settings.window) ++j;
     if (j == poses.size()) break;
-    const double end = poses[j].time;
+    const double end = times[j];
     if (end > start + 2.0 * settings.window || !gyro.covers(start - reach) ||
         !gyro.covers(end + reach))
       continue;
     turns.push_back(
-        {start, end,
+        {i, j,
          quaternion_log((orientation(poses[i]).conjugate() * orientation(poses[j])).normalized())});
     total += end - start;
   }
   if (turns.size() < 100) return result;
-  const double overlap = std::max(1.0, total / (turns.back().end - turns.front().start));
+  const double overlap =
+      std::max(1.0, total / (times[turns.back().end] - times[turns.front().start]));
 
   // Coarse search over the whole range. Wrong poses would disturb the fit. Rotations with a
   // residual above five times the median are dropped. The search is then repeated, because these
@@ -240,14 +258,14 @@ template <typename Scalar = double>
     double lowest = std::numeric_limits<double>::infinity();
     for (int i = -steps; i <= steps; ++i) {
       const double tried = std::clamp(coarse * i, -settings.max_offset, settings.max_offset);
-      const double cost = detail::fit_turns(turns, gyro, tried).cost;
+      const double cost = detail::fit_turns(turns, times, gyro, tried).cost;
       if (cost < lowest) {
         lowest = cost;
         offset = tried;
         best = i;
       }
     }
-    const std::vector<double> squares = detail::fit_turns(turns, gyro, offset).squares;
+    const std::vector<double> squares = detail::fit_turns(turns, times, gyro, offset).squares;
     std::vector<double> sorted = squares;
     const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
     std::nth_element(sorted.begin(), middle, sorted.end());
@@ -264,15 +282,15 @@ template <typename Scalar = double>
   // Fine search with parabolas through neighbours at decreasing distance.
   double curvature = 0.0;
   for (double step = coarse; step > 1e-4; step /= 4.0) {
-    const double before = detail::fit_turns(turns, gyro, offset - step).cost;
-    const double here = detail::fit_turns(turns, gyro, offset).cost;
-    const double after = detail::fit_turns(turns, gyro, offset + step).cost;
+    const double before = detail::fit_turns(turns, times, gyro, offset - step).cost;
+    const double here = detail::fit_turns(turns, times, gyro, offset).cost;
+    const double after = detail::fit_turns(turns, times, gyro, offset + step).cost;
     curvature = (before - 2.0 * here + after) / (step * step);
     if (!(curvature > 0.0)) break;
     offset += std::clamp((before - after) / (2.0 * step * curvature), -step, step);
   }
   if (std::abs(offset) > settings.max_offset) return result;
-  const detail::TurnFit fit = detail::fit_turns(turns, gyro, offset);
+  const detail::TurnFit fit = detail::fit_turns(turns, times, gyro, offset);
   result.offset = offset;
   const double count = static_cast<double>(turns.size());
   result.marker_orientation = Eigen::Quaterniond(fit.rotation);
@@ -284,7 +302,7 @@ template <typename Scalar = double>
     result.status = ClockCalibrationStatus::uncertain;
   else
     result.status =
-        detail::repeats(turns, gyro, offset, 2.0 * settings.max_offset, coarse, fit.cost)
+        detail::repeats(turns, times, gyro, offset, 2.0 * settings.max_offset, coarse, fit.cost)
             ? ClockCalibrationStatus::ambiguous
             : ClockCalibrationStatus::calibrated;
   return result;
