@@ -133,8 +133,9 @@ void write_envelope(const Vehicle<Rotors>& vehicle, const NmpcBounds& limits,
       Wrenchd force, torque;
       force.force(a) = torque.torque(a) = std::cos(angle);
       force.force(b) = torque.torque(b) = std::sin(angle);
-      const double f = reach(allocation, hover, force, most),
-                   m = reach(allocation, hover, torque, most * size_of(vehicle));
+      constexpr double accuracy = 1e-5;  // a picture shows no more
+      const double f = reach(allocation, hover, force, most, accuracy),
+                   m = reach(allocation, hover, torque, most * size_of(vehicle), accuracy);
       log.add(plane).add(angle);
       log.add(hover.force(a) + f * force.force(a)).add(hover.force(b) + f * force.force(b));
       log.add(m * torque.torque(a)).add(m * torque.torque(b));

@@ -399,14 +399,14 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
 }
 
 /// Largest s in [0, most] up to which `allocation` gives the wrench from + s along with a status
-/// other than limited. Computed by bisection to 1e-12 of `most`. Returns zero if `allocation` does
-/// not give `from`. If the set of reachable wrenches is not convex, as with servos of a short
-/// range, there may be a gap below the result.
+/// other than limited. Computed by bisection to `accuracy` of `most`. Returns zero if
+/// `allocation` does not give `from`. If the set of reachable wrenches is not convex, as with
+/// servos of a short range, there may be a gap below the result.
 template <int Rotors>
 [[nodiscard]] double reach(const Allocation<Rotors>& allocation, const Wrenchd& from,
-                           const Wrenchd& along, double most) {
+                           const Wrenchd& along, double most, double accuracy = 1e-12) {
   double within = 0.0, beyond = most;
-  for (int i = 0; i < 40; ++i) {
+  for (double width = 1.0; width > std::max(1e-12, accuracy); width /= 2.0) {
     const double middle = 0.5 * (within + beyond);
     const Wrenchd wrench{from.force + middle * along.force, from.torque + middle * along.torque};
     const bool reached = allocation.allocate(wrench, {}).status != AllocationStatus::limited;
