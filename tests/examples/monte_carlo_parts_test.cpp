@@ -236,7 +236,7 @@ TEST(MonteCarloParts, PrintedCommandRepeatsAnyVehicleToTheBit) {
        {"bicopter", "coaxial_octocopter", "hexacopter", "octocopter", "quadrotor", "tricopter",
         "five_kilograms", "quadrotor_with_pusher", "hexacopter_with_pusher"})
     if (full || name == "bicopter" || name == "octocopter") {
-      const int count = full ? 3 : 1;
+      const int count = full ? 2 : 1;
       const Outcome flown =
           fly(name, "--vehicle '" + shipped(name) + "' --count " + std::to_string(count));
       expect_same_replay(name, flown);

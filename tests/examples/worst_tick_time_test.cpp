@@ -1,5 +1,5 @@
 // The longest tick of the controller in the hardest flights, without and with a time limit (checks
-// 19 and 20), measured. The counted form is in worst_tick_test.cpp.
+// 19 and 20), measured. The counted form, with more flights, is in worst_tick_test.cpp.
 // CTest: long real_time
 
 #include "../../examples/support/statistics.hpp"
@@ -45,14 +45,14 @@ double worst_ratio(const Vehicle<4>& vehicle, const StressStart& start, const St
 TEST(WorstTickTime, NoTickIsLongerThanFifteenMedians) {
   const Vehicle<4> vehicle = tilt_ropter_vehicle();
   double worst = 0.0;
-  const Totals t = fly_all(quick_or_full(5, 1000), [&](const StressStart& start) {
+  const Totals t = fly_all(quick_or_full(5, 250), [&](const StressStart& start) {
     StressRecord r = examples::fly_stress(vehicle, stress_settings(vehicle), start, 15.0);
     if (r.worst_us() > worst * examples::percentile(r.hover_us, 0.5))
       worst = std::max(worst, worst_ratio(vehicle, start, r));
     return r;
   });
   check_at_most(19, "worst tick over the median in hover", worst, 15.0);
-  test_support::check_worst_tick(t, 300);  // 275, of at most 16 multipliers each
+  EXPECT_EQ(t.recovered, t.flights);
 }
 
 // The wrench level, with a second controller for comparison, which hovers without a limit. After
@@ -141,7 +141,7 @@ TEST(WorstTickTime, EveryFlightRecoversWithATimeLimitOfThreeMedians) {
       return r;
     }
   };
-  const Totals t = fly_all(quick_or_full(3, 200), fly);
+  const Totals t = fly_all(quick_or_full(3, 100), fly);
   check_at_least(20, "flights that recovered, fraction", 1.0 * t.recovered / t.flights, 1.0);
   check_at_most(20, "largest command or rate over its bound", t.worst_bound_ratio, 1.0);
   // The bound is not zero because both counts vary by chance.

@@ -1,5 +1,5 @@
-// solve() and IPOPT from 1000 random guesses of problems that are not convex. Each finds a local
-// optimum; which one is chance.
+// solve() from 1000 random guesses of problems that are not convex, and IPOPT from every fourth of
+// them. Each finds a local optimum; which one is chance.
 // CTest: long ipopt one_process
 
 #include "support/guessed_problems.hpp"
@@ -20,7 +20,8 @@ using test_support::PlanValue;
 
 struct Totals {
   int solves = 0, converged = 0, worse_than_guess = 0, lies = 0;
-  int by_ipopt = 0, better = 0, equal = 0;  // of IPOPT: converged; our cost against its
+  // Of those that IPOPT also solves: our cost against its.
+  int compared = 0, only_by_ipopt = 0, better = 0, equal = 0;
 };
 
 template <typename User>
@@ -36,23 +37,25 @@ void compare(const char* name, const User& user, int count, Totals& all) {
     const SolveReport report = solver.solve(User::start());
     const PlanValue before = test_support::value_of(user, guess),
                     after = test_support::value_of(user, test_support::plan_of<User>(solver));
-    const auto ipopt = test_support::solve_by_ipopt(user, guess);
-    const PlanValue other = test_support::value_of(user, ipopt.plan);
     const bool converged = report.status == SolveStatus::converged;
     ++totals.solves;
     totals.converged += converged;
     totals.worse_than_guess += !(after.merit() <= before.merit() * (1.0 + 1e-6));
     totals.lies += converged && !(after.largest < 1e-4);
-    totals.by_ipopt += ipopt.converged;
+    if (seed % 4 != 0) continue;  // IPOPT takes most of the time
+    const auto ipopt = test_support::solve_by_ipopt(user, guess);
+    const PlanValue other = test_support::value_of(user, ipopt.plan);
+    ++totals.compared;
+    totals.only_by_ipopt += ipopt.converged && !converged;
     if (!converged || !ipopt.converged) continue;
     totals.equal += std::abs(after.cost - other.cost) <= 1e-3 * other.cost;
     totals.better += after.cost < other.cost * (1.0 - 1e-3);
   }
   std::cout << name << ": of " << totals.solves << " guesses converged " << totals.converged
-            << ", IPOPT " << totals.by_ipopt << "; same cost " << totals.equal << ", lower "
-            << totals.better << '\n';
+            << "; of " << totals.compared << " by IPOPT too: only there " << totals.only_by_ipopt
+            << ", same cost " << totals.equal << ", lower " << totals.better << '\n';
   EXPECT_GE(totals.converged, 0.99 * totals.solves) << name;
-  EXPECT_GE(totals.converged, totals.by_ipopt - totals.solves / 100) << name;
+  EXPECT_LE(totals.only_by_ipopt, 1) << name;
   all.worse_than_guess += totals.worse_than_guess;
   all.lies += totals.lies;
   all.solves += totals.solves;
