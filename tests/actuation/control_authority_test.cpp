@@ -40,6 +40,22 @@ TEST(ControlAuthority, MatchesClosedFormsForIntactVehicle) {
   EXPECT_LT((a.backward - backward).cwiseAbs().maxCoeff(), 1e-5) << a.backward.transpose();
 }
 
+TEST(ControlAuthority, ReachIsAsExactAsAsked) {
+  const Allocation<4> allocation(plain_vehicle());
+  const Wrenchd hover{Eigen::Vector3d(0.0, 0.0, weight), Eigen::Vector3d::Zero()},
+      up{Eigen::Vector3d::UnitZ(), Eigen::Vector3d::Zero()};
+  const double end = 96.0, largest = 4.0 * most - weight;
+  for (const double accuracy : {0.1, 1e-3, 1e-7}) {
+    const double found = reach(allocation, hover, up, end, accuracy);
+    EXPECT_LE(found, largest + 1e-9);
+    EXPECT_GE(found, largest - accuracy * end) << accuracy;
+    EXPECT_LT(found, largest - 1e-3 * accuracy * end) << accuracy;  // and no more exact
+  }
+  const double exact = reach(allocation, hover, up, end);
+  for (const double none : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()})
+    EXPECT_EQ(reach(allocation, hover, up, end, none), exact);
+}
+
 TEST(ControlAuthority, ReactionTorqueReducesSideForce) {
   // Arms that push along x also exert a reaction torque about x. To balance it, they need a
   // vertical thrust of torque_ratio / arm of their lateral thrust, one up and one down.

@@ -67,14 +67,14 @@ TEST(TuneWeights, ResumedRunIsTheSameAsOneRun) {
   const Directory directory("tune_weights");
   const std::string options =
       "--level actuator --limit flight_power_w=600 --algorithm sbplx --vehicles 2 --no-mujoco ";
-  ASSERT_EQ(tune(directory, "parts", options + "--evaluations 1").exit_code, 0);
+  ASSERT_EQ(tune(directory, "parts", options + "--evaluations 2").exit_code, 0);
   const std::string first = read_file(directory.file("parts/tune_weights.csv"));
   // A killed run leaves a line without an end.
   (void)directory.write("parts/tune_weights.csv", first + "0.1,0.2");
-  const Outcome parts = tune(directory, "parts", options + "--evaluations 2 --resume"),
-                whole = tune(directory, "whole", options + "--evaluations 2");
+  const Outcome parts = tune(directory, "parts", options + "--evaluations 4 --resume"),
+                whole = tune(directory, "whole", options + "--evaluations 4");
   ASSERT_EQ(parts.exit_code, 0) << parts.output;
-  EXPECT_EQ(parts["flights"], 2 + 4);
+  EXPECT_EQ(parts["flights"], 2 * 2 + 4);
   EXPECT_EQ(read_file(directory.file("parts/tune_weights.csv")),
             read_file(directory.file("whole/tune_weights.csv")));
   for (const char* key : {"objective_after", "best_position_m", "best_tilt_rate_radps"})

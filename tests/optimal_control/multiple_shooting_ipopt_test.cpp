@@ -20,8 +20,8 @@ using test_support::PlanValue;
 
 struct Totals {
   int solves = 0, converged = 0, worse_than_guess = 0, lies = 0;
-  // Of those that IPOPT also solves: our cost against its.
-  int compared = 0, only_by_ipopt = 0, better = 0, equal = 0;
+  int compared = 0, only_by_ipopt = 0;  // guesses from which IPOPT starts, too
+  int better = 0, equal = 0;            // where both converge: our cost against its
 };
 
 template <typename User>

@@ -2,7 +2,7 @@
 # flags.sh SOURCE_DIR
 # Checks the compiler flags of users. A user project finds the installed library. Both compilers
 # build its program, a complete control loop. The program must fly, header-only and, by GCC, with the
-# compiled instances: clang builds those with most of these flags for the tests.
+# compiled instances. Clang builds those for the tests, without these flags.
 set -euo pipefail
 
 source=$1
@@ -17,7 +17,8 @@ build() {  # compiler, flags, programs
   cmake -S "$source/tests/packaging/flags" -B "$away/program" -DCMAKE_PREFIX_PATH="$away/prefix" \
     -DCMAKE_CXX_COMPILER="$1" -DCMAKE_CXX_FLAGS="$2" -DCMAKE_BUILD_TYPE=None \
     -DPROGRAM="$source/examples/getting_started/own_loop.cpp" > "$away/log"
-  cmake --build "$away/program" --parallel "$(nproc)" --target "${@:3}" > "$away/log" 2>&1 || { cat "$away/log"; exit 1; }
+  cmake --build "$away/program" --parallel "$(nproc)" --target "${@:3}" > "$away/log" 2>&1 ||
+    { cat "$away/log"; exit 1; }
 }
 
 warnings="-Wall -Wextra -Wconversion -Werror"

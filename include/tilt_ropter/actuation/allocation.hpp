@@ -399,8 +399,8 @@ ActuatorState<Rotors, Scalar> Allocation<Rotors, Scalar>::within_limits(
 }
 
 /// Largest s in [0, most] up to which `allocation` gives the wrench from + s along with a status
-/// other than limited. Computed by bisection to `accuracy` of `most`. Returns zero if
-/// `allocation` does not give `from`. If the set of reachable wrenches is not convex, as with
+/// other than limited. Computed by bisection to `accuracy` of `most`, at least 1e-12. Returns zero
+/// if `allocation` does not give `from`. If the set of reachable wrenches is not convex, as with
 /// servos of a short range, there may be a gap below the result.
 template <int Rotors>
 [[nodiscard]] double reach(const Allocation<Rotors>& allocation, const Wrenchd& from,
