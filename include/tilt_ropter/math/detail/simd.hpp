@@ -69,6 +69,22 @@ template <int Width, std::size_t Count>
     add_product<Width>(sums[t], from + Width * t, factor);
 }
 
+/// Returns a' b for vectors of `Count` entries, a multiple of the width.
+template <int Width, int Count>
+[[nodiscard, gnu::always_inline]] inline double dot(const double* a, const double* b) {
+  Packet<Width> products{};
+#pragma GCC unroll 16
+  for (int i = 0; i < Count; i += Width) {
+    Packet<Width> factor;
+    load<Width>(b + i, factor);
+    products += *reinterpret_cast<const typename PacketType<Width>::anywhere*>(a + i) * factor;
+  }
+  double sum = 0.0;
+#pragma GCC unroll 8
+  for (int j = 0; j < Width; ++j) sum += products[j];
+  return sum;
+}
+
 /// Transposes a square matrix in place. Its columns are packets.
 [[gnu::always_inline]] inline void transpose(Packet<4> (&c)[4]) {
 #if defined(__clang__)

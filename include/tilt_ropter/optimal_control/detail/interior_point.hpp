@@ -12,6 +12,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <type_traits>
 #include <vector>
 
 namespace tilt_ropter::optimal_control {
@@ -46,31 +47,33 @@ class BoundedSides {
       const auto& n = program.node(k);
       Node& node = nodes_[detail::size(k)];
       node.single = node.dense = node.columns = 0;
+      std::array<int, detail::size(Constraints)> entries{}, last{};
+      for (int j = 0; j < (k < program.horizon() ? width : States); ++j) {
+        const double* column =
+            j < States ? n.C.data() + Constraints * j : n.E.data() + Constraints * (j - States);
+        for (int i = 0; i < Constraints; ++i)
+          if (column[i] != 0.0) {
+            ++entries[detail::size(i)];
+            last[detail::size(i)] = j;
+          }
+      }
       std::array<bool, detail::size(width)> reached{};
       for (int i = 0; i < Constraints; ++i) {
         const bool above = std::isfinite(n.upper(i)), below = std::isfinite(n.lower(i));
         if (!above && !below) continue;
-        Vector& gradient = node.gradient[detail::size(node.dense)];
-        gradient = program.constraint_gradient(k, i);
-        int entries = 0, last = 0;
-        for (int j = 0; j < width; ++j)
-          if (gradient(j) != 0.0) {
-            ++entries;
-            last = j;
-          }
-        if (entries == 0) {
+        if (entries[detail::size(i)] == 0) {
           immovable_.push_back({k, i});
           continue;
         }
-        if (entries == 1) {
-          const auto b = detail::size(node.single++);
-          node.single_constraint[b] = i;
-          node.entry[b] = last;
-          node.square[b] = gradient(last) * gradient(last);
+        if (entries[detail::size(i)] == 1) {
+          const int j = last[detail::size(i)];
+          node.singles[detail::size(node.single++)] = {i, j,
+                                                       j < States ? n.C(i, j) : n.E(i, j - States)};
         } else {
-          node.row[detail::size(node.dense++)] = i;
-          for (int j = 0; j < width; ++j)
-            if (gradient(j) != 0.0) reached[detail::size(j)] = true;
+          const auto d = detail::size(node.dense++);
+          node.row[d] = i;
+          node.gradient[d] = program.constraint_gradient(k, i);
+          for (int j = 0; j < width; ++j) reached[detail::size(j)] |= node.gradient[d](j) != 0.0;
         }
         for (const double sign : {1.0, -1.0})
           if (sign > 0.0 ? above : below) sides_.push_back({k, i, Constraints * k + i, sign});
@@ -92,41 +95,94 @@ class BoundedSides {
   template <int W>
   [[gnu::always_inline]] inline void add_weights(int k, const double* weights,
                                                  double* hessian) const {
-    constexpr int rows = Program::rows, packets = rows / W;
     const Node& node = nodes_[detail::size(k)];
     for (int b = 0; b < node.single; ++b) {
-      const auto i = detail::size(b);
-      hessian[(rows + 1) * node.entry[i]] += weights[node.single_constraint[i]] * node.square[i];
+      const Single& s = node.singles[detail::size(b)];
+      hessian[(Program::rows + 1) * s.entry] += weights[s.row] * s.slope * s.slope;
     }
-    if (node.dense == 0) return;
-    for (int c = 0; c < node.columns; ++c) {
-      const int j = node.column[detail::size(c)];
-      double* column = hessian + rows * j;
-      detail::Packet<W> sum[detail::size(packets)];
-      detail::load<W>(column, sum);
-      for (int d = 0; d < node.dense; ++d) {
-        const auto i = detail::size(d);
-        const double factor = weights[node.row[i]] * node.gradient[i](j);
-        detail::add_product<W>(sum, node.gradient[i].data(), factor);
-      }
-      detail::store<W>(column, sum);
+    with_packets<W>(
+        node, [&](auto first, auto count) __attribute__((always_inline)) {
+          for (int c = 0; c < node.columns; ++c) {
+            const int j = node.column[detail::size(c)];
+            double* column = hessian + Program::rows * j + W * first();
+            detail::Packet<W> sum[detail::size(count())];
+            detail::load<W>(column, sum);
+            for (int d = 0; d < node.dense; ++d) {
+              const double* gradient = node.gradient[detail::size(d)].data();
+              const double factor = weights[node.row[detail::size(d)]] * gradient[j];
+              detail::add_product<W>(sum, gradient + W * first(), factor);
+            }
+            detail::store<W>(column, sum);
+          }
+        });
+  }
+
+  /// Sets values[i] to C dx + E du of each bounded constraint i of node k, for w = (dx, du).
+  template <int W>
+  [[gnu::always_inline]] inline void multiply(int k, const Vector& w, double* values) const {
+    const Node& node = nodes_[detail::size(k)];
+    for (int b = 0; b < node.single; ++b) {
+      const Single& s = node.singles[detail::size(b)];
+      values[s.row] = s.slope * w(s.entry);
     }
+    with_packets<W>(
+        node, [&](auto first, auto count) __attribute__((always_inline)) {
+          for (int d = 0; d < node.dense; ++d)
+            values[node.row[detail::size(d)]] = detail::dot<W, W * count()>(
+                node.gradient[detail::size(d)].data() + W * first(), w.data() + W * first());
+        });
+  }
+
+  /// Adds C' m and E' m of node k to the gradient g, for the multipliers m of the bounded
+  /// constraints.
+  template <int W>
+  [[gnu::always_inline]] inline void add_gradients(int k, const double* m, Vector& g) const {
+    const Node& node = nodes_[detail::size(k)];
+    for (int b = 0; b < node.single; ++b) {
+      const Single& s = node.singles[detail::size(b)];
+      g(s.entry) += m[s.row] * s.slope;
+    }
+    with_packets<W>(
+        node, [&](auto first, auto count) __attribute__((always_inline)) {
+          detail::Packet<W> sum[detail::size(count())];
+          detail::load<W>(g.data() + W * first(), sum);
+          for (int d = 0; d < node.dense; ++d)
+            detail::add_product<W>(sum, node.gradient[detail::size(d)].data() + W * first(),
+                                   m[node.row[detail::size(d)]]);
+          detail::store<W>(g.data() + W * first(), sum);
+        });
   }
 
  private:
   static constexpr int width = Program::width;
 
+  // A constraint with one non-zero entry in its gradient.
+  struct Single {
+    int row = 0, entry = 0;
+    double slope = 0.0;
+  };
   // The bounded constraints of a node, grouped by the number of entries of their gradients.
   struct Node {
-    int single = 0;  // constraints with one non-zero entry
-    std::array<int, detail::size(Constraints)> single_constraint{}, entry{};
-    std::array<double, detail::size(Constraints)> square{};
+    int single = 0;
+    std::array<Single, detail::size(Constraints)> singles;
     int dense = 0;  // constraints with several non-zero entries
     std::array<int, detail::size(Constraints)> row{};
     std::array<Vector, detail::size(Constraints)> gradient;
     int columns = 0;  // columns with a non-zero entry in a gradient of this group
     std::array<int, detail::size(width)> column{};
   };
+
+  // Calls body(first, count), constants, with the packets of a gradient that are not always zero:
+  // often only the last states and the inputs matter.
+  template <int W, typename Body>
+  [[gnu::always_inline]] static inline void with_packets(const Node& node, const Body& body) {
+    constexpr int packets = Program::rows / W, half = packets / 2;
+    if (node.dense == 0) return;
+    if (node.column[0] >= W * half)
+      body(std::integral_constant<int, half>(), std::integral_constant<int, packets - half>());
+    else
+      body(std::integral_constant<int, 0>(), std::integral_constant<int, packets>());
+  }
 
   std::vector<Node> nodes_;
   std::vector<Side> sides_;
@@ -212,7 +268,7 @@ class InteriorPoint {
     for (int i = 0; i < States; ++i) change_[0](i) = dx0(i) - here_[0](i);
     program.riccati.sweep_deviation(change_);
     if (!(largest(change_) < detail::infinity)) return false;
-    multiply_constraints(program, change_);
+    multiply_constraints(change_);
     add_change(1.0);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
@@ -228,7 +284,7 @@ class InteriorPoint {
     const double mu = set_weights() / (2.0 * static_cast<double>(count()));
     const auto weights = [this](int k, double* hessian, double*) {
       detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-        sides_.template add_weights<packet()>(k, of_constraints_.data() + Constraints * k, hessian);
+        sides_.template add_weights<packet()>(k, of_node(detail::size(k)), hessian);
       });
     };
     if (!program.riccati.factorise(damping_, weights)) return false;
@@ -309,6 +365,9 @@ class InteriorPoint {
     return std::isfinite(sum) ? most : detail::infinity;
   }
   [[nodiscard]] Eigen::Index count() const { return sides_.count(); }
+  [[nodiscard]] double* of_node(std::size_t k) {
+    return of_constraints_.data() + Constraints * static_cast<Eigen::Index>(k);
+  }
 
   // here_ += length change_.
   void add_change(double length) {
@@ -331,7 +390,7 @@ class InteriorPoint {
 
   // Sets the values of all bounds at here_.
   void set_values(const Program& program) {
-    multiply_constraints(program, here_);
+    multiply_constraints(here_);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       const auto& n = program.node(side.k);
@@ -372,6 +431,10 @@ class InteriorPoint {
       const Side& side = sides_[i];
       auto& n = program.node(side.k);
       if (!n.hard[detail::size(side.row)]) continue;
+      if (i > 0 && sides_[i - 1].at == side.at) {  // the other side of the same constraint
+        penalty_(i) = penalty_(i - 1);
+        continue;
+      }
       const Vector row = program.constraint_gradient(side.k, side.row);
       double push = 1.0 + gain / std::max(unit_[detail::size(side.row)], 1e-100);
       for (int j = 0; j < Program::width; ++j)
@@ -477,14 +540,11 @@ class InteriorPoint {
     return sum;
   }
 
-  // Sets of_constraints_ to C dx + E du of every node, for w = (dx, du).
-  void multiply_constraints(const Program& program, const std::vector<Vector>& w) {
+  // Sets of_constraints_ to C dx + E du of the bounded constraints, for w = (dx, du).
+  void multiply_constraints(const std::vector<Vector>& w) {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
-      for (int k = 0; k <= program.horizon(); ++k) {
-        double* result = of_constraints_.data() + Constraints * k;
-        std::fill(result, result + Constraints, 0.0);
-        program.template add_constraint_values<packet()>(k, w[detail::size(k)], result);
-      }
+      for (std::size_t k = 0; k < w.size(); ++k)
+        sides_.template multiply<packet()>(static_cast<int>(k), w[k], of_node(k));
     });
   }
 
@@ -535,15 +595,13 @@ class InteriorPoint {
     detail::vectorised([&](auto packet) __attribute__((always_inline)) {
       for (std::size_t k = 0; k < here_.size(); ++k) {
         gradients_[k] = cost_gradients_[k];
-        program.template add_constraint_gradients<packet()>(
-            static_cast<int>(k),
-            of_constraints_.data() + Constraints * static_cast<Eigen::Index>(k), gradients_[k]);
+        sides_.template add_gradients<packet()>(static_cast<int>(k), of_node(k), gradients_[k]);
       }
     });
     program.riccati.solve(gradients_);
     std::fill_n(change_[0].data(), States, 0.0);
     program.riccati.sweep_change(change_);
-    multiply_constraints(program, change_);
+    multiply_constraints(change_);
     for (Eigen::Index i = 0; i < count(); ++i) {
       const Side& side = sides_[i];
       value_change_(i) = side.sign * of_constraints_(side.at);

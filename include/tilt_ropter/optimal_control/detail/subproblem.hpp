@@ -328,63 +328,33 @@ class Subproblem {
     }
   }
 
-  /// Adds C' m and E' m of node k to the gradient g.
-  template <int Width>
-  [[gnu::always_inline]] inline void add_constraint_gradients(int k, const double* m,
-                                                              Vector& g) const {
-    const Node& n = node(k);
-    const int columns = k < horizon() ? width : States;
-    if constexpr (Constraints >= Width) {
-      // If the number of constraints is not a multiple of Width, the last two packets overlap. Only
-      // the last entries of the second packet then count.
-      detail::Packet<Width> factor[detail::size(row_packets<Width>)];
-#pragma GCC unroll 16
-      for (int t = 0; t < row_packets<Width>; ++t) {
-        detail::load<Width>(m + row_packet<Width>(t), factor[t]);
-        for (int i = 0; i < Width * t - row_packet<Width>(t); ++i) factor[t][i] = 0.0;
-      }
-      for (int j = 0; j < columns; ++j) {
-        const double* column =
-            j < States ? n.C.data() + Constraints * j : n.E.data() + Constraints * (j - States);
-        detail::Packet<Width> sum{};
-#pragma GCC unroll 16
-        for (int t = 0; t < row_packets<Width>; ++t) {
-          detail::Packet<Width> numbers;
-          detail::load<Width>(column + row_packet<Width>(t), numbers);
-          sum += numbers * factor[t];
-        }
-#pragma GCC unroll 4
-        for (int i = 0; i < Width; ++i) g(j) += sum[i];
-      }
-    } else {
-      for (int i = 0; i < Constraints; ++i) {
-        for (int j = 0; j < States; ++j) g(j) += m[i] * n.C(i, j);
-        for (int j = States; j < columns; ++j) g(j) += m[i] * n.E(i, j - States);
-      }
-    }
-  }
-
   /// Computes the gradient of the cost of node k at w = (dx, du), without continuity and
   /// constraints. `damping` is added to the diagonal of the Hessian.
   template <int Width>
   [[gnu::always_inline]] inline void cost_gradient(int k, const Vector& at, double damping,
                                                    Vector& g) const {
-    using Stage = typename Factorisation::Stage;
-    constexpr int packets = rows / Width;
-    const Stage& s = riccati.stage(k);
+    constexpr int packets = rows / Width, state_packets = (States + Width - 1) / Width;
+    const auto& cost = riccati.stage(k).cost;
     const double* w = at.data();
-    detail::Packet<Width> sum[detail::size(packets)];
 #pragma GCC unroll 16
     for (int t = 0; t < packets; ++t) {
-      detail::load<Width>(s.cost.gradient.data() + Width * t, sum[t]);
-      detail::add_product<Width>(sum[t], w + Width * t, damping);
+      detail::Packet<Width> sum;
+      detail::load<Width>(cost.gradient.data() + Width * t, sum);
+      detail::add_product<Width>(sum, w + Width * t, damping);
+      detail::store<Width>(g.data() + Width * t, sum);
     }
+    double of_inputs[detail::size(Inputs)];  // because the last packet of dx can reach into du
+    for (int j = 0; j < Inputs; ++j) {
+      of_inputs[j] = g(States + j);
+      if (k < horizon())
+        of_inputs[j] += detail::dot<Width, rows>(cost.hessian.data() + rows * (States + j), w);
+    }
+    detail::Packet<Width> sum[detail::size(state_packets)];
+    detail::load<Width>(g.data(), sum);
     for (int j = 0; j < (k < horizon() ? width : States); ++j)
-      detail::add_product<Width>(sum, s.cost.hessian.data() + rows * j, w[j]);
+      detail::add_product<Width>(sum, cost.hessian.data() + rows * j, w[j]);
     detail::store<Width>(g.data(), sum);
-    if (k == horizon()) return;
-    for (int j = 0; j < Inputs; ++j)
-      for (int i = 0; i < States; ++i) g(States + j) += s.cost.hessian(i, States + j) * w[i];
+    for (int j = 0; j < Inputs; ++j) g(States + j) = of_inputs[j];
   }
 
   /// Change of the cost by the step, including the penalty of every violation. Requires predict().
