@@ -136,8 +136,8 @@ struct QuadraticProgramSettings {
   /// more constraints join, the time spent in NLopt is lost.
   int max_dual_constraints = 16;
   /// Riccati passes in one solve, without the pass of prepare(). With the method `automatic`, the
-  /// last one is left to NLopt if few constraints are active, and rounds in which NLopt found no
-  /// solution count as passes, up to half of the limit.
+  /// last one is left to NLopt if few constraints are active, and a long attempt of NLopt before
+  /// them counts as passes, up to half of the limit.
   int max_passes = 100;
   DualAlgorithm algorithm = DualAlgorithm::truncated_newton;  ///< of NLopt
 };

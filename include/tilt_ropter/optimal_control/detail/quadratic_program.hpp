@@ -127,7 +127,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
     dual_.begin(settings_.method == ProgramMethod::automatic ? enough
                                                              : std::numeric_limits<int>::max());
     if (!interrupted_) {
-      passes_ = failed_rounds_ = 0;
+      passes_ = passes_of_nlopt_ = 0;
       solve_by_method(dx0);
     } else if (!go_on(dx0)) {
       return ProgramStatus::failed;
@@ -219,7 +219,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
       late_ = true;
       needed -= needed / 8;
     }
-    return late_ || passes_ + failed_rounds_ >= settings_.max_passes;
+    return late_ || passes_ + passes_of_nlopt_ >= settings_.max_passes;
   }
   [[nodiscard]] bool solved() {
     const ProgramResidual residual = Program::residual(damping_);
@@ -231,7 +231,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   void solve_by_method(const Tangent& dx0) {
     if (by_dual_) {
       if (solve_by_nlopt(dx0)) return;
-      failed_rounds_ = std::min(rounds_, settings_.max_passes / 2);
+      passes_of_nlopt_ = std::min(evaluations() / evaluations_per_pass, settings_.max_passes / 2);
       if (settings_.method == ProgramMethod::nlopt) {
         late_ = dual_.late();
         return fallback_step(dx0);
@@ -260,7 +260,7 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   }
   // True if one pass is left, and so few constraints are assumed active that NLopt gets it.
   [[nodiscard]] bool last_is_for_nlopt() const {
-    return passes_ + failed_rounds_ + 1 == settings_.max_passes &&
+    return passes_ + passes_of_nlopt_ + 1 == settings_.max_passes &&
            few_for_nlopt(active_set_.assumed());
   }
 
@@ -467,9 +467,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0, rounds_ = 0;
-  // Rounds of NLopt before the passes, without a solution. Each takes about as long as a pass, and
-  // counts as one towards the limit.
-  int failed_rounds_ = 0;
+  // NLopt was tried before the passes, and found no solution in about the time of so many passes.
+  // They count towards the limit.
+  int passes_of_nlopt_ = 0;
+  static constexpr int evaluations_per_pass = 40;
   ProgramSolver solved_by_ = ProgramSolver::riccati;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
