@@ -450,7 +450,8 @@ void FlightController<Rotors>::choose_mode(double time, const Reference& referen
     vehicle_ = with_failure(vehicle_, failure_);
     detector_ = FailureDetector<Rotors>(vehicle_);
   } else if (failed && mode_ != FlightMode::stopped &&
-             (!has_lost_actuator() || detector_.failure().limp != failure_.limp)) {
+             (!has_lost_actuator() || detector_.failure().limp != failure_.limp ||
+              detector_.failure().effectiveness != failure_.effectiveness)) {
     const bool is_first = !has_lost_actuator();
     go_on_without(detector_.failure(), time);
     if (is_first) begin(FlightMode::emergency, time);

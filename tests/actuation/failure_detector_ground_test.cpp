@@ -38,6 +38,18 @@ TEST(FailureDetectorOnGround, ARotorInFrontOrBehindIsFoundBeforeTheTakeOff) {
     }
 }
 
+// Rotors that push a tenth of a second after the start leave little time to learn what is normal.
+TEST(FailureDetectorOnGround, ARotorThatIsDeadFromTheStartIsFound) {
+  for (const std::size_t rotor : {2U, 3U}) {
+    FailingFlight flight;
+    flight.body.fail({FailureKind::rotor, rotor, 0.0, 0.0, 0.0});
+    drive(flight, 0.05, 0.2);
+    drive(flight, 0.4, 0.4);
+    EXPECT_EQ(flight.detector.failure().kind, FailureKind::rotor);
+    EXPECT_EQ(flight.detector.failure().rotor, rotor);
+  }
+}
+
 // The body leans then, and feels a part of the load along x.
 TEST(FailureDetectorOnGround, ARotorIsMissedByABodyThatLeans) {
   const double load = 0.4 * tilt_ropter_vehicle().body.mass * gravity;

@@ -273,6 +273,26 @@ TEST(FailureDetector, AnArmThatMovesOnIsLimp) {
   }
 }
 
+// A blade that loses more of itself, or a rotor that only seemed weak while a wheel stood.
+TEST(FailureDetector, AWeakRotorMayGetWeaker) {
+  for (std::size_t rotor = 0; rotor < 4; ++rotor) {
+    auto [detector, body] = FailingFlight();
+    body.run(detector, 2.0);
+    body.fail({FailureKind::rotor, rotor, 0.0, 0.5, 0.0});
+    body.run(detector, 2.0);
+    const ActuatorFailure& found = detector.failure();
+    EXPECT_TRUE(found.kind == FailureKind::rotor && found.rotor == rotor);
+    EXPECT_NEAR(found.effectiveness, 0.5, 0.05);
+    const ActuatorFailure other{FailureKind::rotor, (rotor + 1) % 4, 0.0, 0.0, 0.0};
+    body.fail({FailureKind::rotor, rotor, 0.0, 0.5, 0.0}, other);
+    body.run(detector, 0.3);
+    EXPECT_NEAR(found.effectiveness, 0.5, 0.05);  // another rotor fails as well
+    body.fail({FailureKind::rotor, rotor, 0.0, 0.0, 0.0});
+    body.run(detector, 0.3);
+    EXPECT_TRUE(found.rotor == rotor && found.effectiveness == 0.0);
+  }
+}
+
 // Neither a mass nor a centre of mass that is a little wrong is a rotor.
 TEST(FailureDetector, WrongMassAndWindAreNoFailureAtTheStart) {
   test_support::Random random(3);

@@ -110,6 +110,25 @@ TEST(ActuatorFailure, AMotorThatStopsIsFoundAndTheVehicleLands) {
     }
 }
 
+// Without telemetry. A rotor in front or behind is missed before the take-off, one on the axle as
+// soon as its wheel should leave the ground.
+TEST(ActuatorFailure, ARotorThatIsDeadBeforeTheTakeOffIsFound) {
+  for (const int rotor : {1, 2, 3, 4})
+    for (const std::string level : {"wrench", "actuator"}) {
+      if (!test_support::full_run() && rotor % 2 == (level == "wrench")) continue;
+      const test_support::Directory directory("dead_rotor");
+      const test_support::Outcome flown =
+          test_support::run(HYBRID_MISSION_PROGRAM,
+                            "--no-pictures --output '" + directory.file("") + "' --level " + level +
+                                " --failure motor_silent:start=0,rotor=" + std::to_string(rotor));
+      ASSERT_EQ(flown.exit_code, 0) << rotor << level << flown.output;
+      EXPECT_EQ(flown["failed_rotor"], rotor) << level;
+      EXPECT_EQ(flown["thrust_left"], 0.0) << rotor << level;
+      EXPECT_LE(flown["touchdown_speed_mps"], 0.2) << rotor << level;
+      EXPECT_LE(flown["failure_found_at_s"], rotor > 2 ? 1.0 : 2.5) << rotor << level;
+    }
+}
+
 TEST(ActuatorFailure, OptionNamesWhatIsWrong) {
   const auto expect_refused = [](const std::string& option, const std::string& reason) {
     const auto refused =

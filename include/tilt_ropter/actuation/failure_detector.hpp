@@ -90,13 +90,15 @@ template <int Rotors>
 /// a rotor that stands still for 0.4 s is lost, too, if the telemetry of other rotors changes.
 /// Rotors that stop together were switched off.
 ///
-/// A servo that is found at an angle is watched further. If its arm moves on, it is limp.
+/// A failed actuator is watched further. A servo whose arm moves on from the angle that was found
+/// is limp. A weak rotor may get weaker, or be weaker than it seemed while the ground held a part
+/// of the vehicle.
 ///
 /// A failure that changes nothing is not found, such as a servo that sticks at the angle at which
 /// it is commanded, or in the first 0.1 s of a flight, or with less than 20 ticks per second. On
 /// wheels a rotor is missed only where the vehicle is free: along x, and turning about y and z.
-/// That takes a fifth of its thrust in hover, 0.2 s, and half a second before, in which the rotors
-/// hardly pushed.
+/// That takes a fifth of its thrust in hover, 0.2 s, and a tenth of a second before, in which the
+/// rotors hardly pushed.
 ///
 /// Only the constructor throws. Nothing allocates.
 template <int Rotors>
@@ -110,8 +112,9 @@ class FailureDetector {
   /// [rad/s] is that of ActuatorModel. It replaces a measured speed that is more than 30 % off, as
   /// it is not finite or not measured. Set `airborne` to false if the vehicle touches the ground or
   /// may touch it, and `touches` to true if it touches an obstacle: then only the measured speeds
-  /// show a failure. Returns the first failure that was found; reset() forgets it. Only `limp` may
-  /// change later. Ignores ticks with other numbers that are not finite or above 1e6.
+  /// show a failure. Returns the first failure that was found; reset() forgets it. Later only
+  /// `limp` may become true, and `effectiveness` smaller. Ignores ticks with other numbers that are
+  /// not finite or above 1e6.
   const ActuatorFailure& update(double time, const InertialSampled& sample,
                                 const ActuatorState<Rotors>& measured,
                                 const Eigen::Matrix<double, Rotors, 1>& modelled_speed,
@@ -148,7 +151,7 @@ class FailureDetector {
   // On the ground: the smallest change that is a failure, and the largest thrust at which none
   // shows, as fractions of the thrust in hover. It has to last this long [s].
   static constexpr double min_change_on_ground = 0.2, without_thrust = 0.1,
-                          confirmation_on_ground = 0.2;
+                          confirmation_on_ground = 0.2, known_on_ground = 0.1;
   // A rotor whose force is smaller than this fraction of its model is lost.
   static constexpr double lost_fraction = 0.25;
   // The servo is all right if the force keeps its direction within this angle [rad].
@@ -217,6 +220,28 @@ class FailureDetector {
     return w.cross(parameters_.inertia * w);
   }
 
+  // True if nothing more can be found out about the failure.
+  [[nodiscard]] bool is_final() const noexcept {
+    switch (failure_.kind) {
+      case FailureKind::none:
+        break;
+      case FailureKind::servo:
+        return failure_.limp;
+      case FailureKind::rotor:
+        return failure_.effectiveness == 0.0;
+      case FailureKind::slow_servos:
+        return true;
+    }
+    return false;
+  }
+  // The failed actuator misses another force than was found: its rotor pushes with `fraction` of
+  // the force that it still should have.
+  void worsen(double fraction) noexcept;
+  // From now on with the failure that was found.
+  void start_window() noexcept {
+    filled_ = next_ = 0;
+    suspect_ = -1;
+  }
   void forget() noexcept;
   void watch_speeds(double time, double dt, const Eigen::Matrix<double, Rotors, 1>& measured,
                     const Eigen::Matrix<double, Rotors, 1>& modelled, bool airborne) noexcept;
@@ -308,8 +333,7 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
                      plausible(sample.angular_velocity) && plausible(measured.tilt_angle) &&
                      plausible(modelled_speed);
   const bool is_found = failure_.kind != FailureKind::none;
-  if (!valid || (is_found && (failure_.kind != FailureKind::servo || failure_.limp)))
-    return failure_;
+  if (!valid || is_final()) return failure_;
   const bool in_time = started_ && dt > 0.0 && dt <= longest_gap;
   if (in_time && !is_found)
     watch_speeds(time, dt, measured.rotor_speed, modelled_speed, airborne);
@@ -327,7 +351,8 @@ const ActuatorFailure& FailureDetector<Rotors>::update(
       if (std::abs(measured.rotor_speed(i) - modelled_speed(i)) <
           (1.0 - min_speed_fraction) * modelled_speed(i))
         actuators.rotor_speed(i) = measured.rotor_speed(i);
-    if (is_found) actuators.tilt_angle(static_cast<int>(failure_.rotor)) = failure_.angle;
+    if (failure_.kind == FailureKind::servo)
+      actuators.tilt_angle(static_cast<int>(failure_.rotor)) = failure_.angle;
     add(dt, sample, actuators);
     if (block_.duration >= window / blocks - 1e-6) end_block(time, sample);
   }
@@ -391,7 +416,8 @@ void FailureDetector<Rotors>::add(double dt, const InertialSampled& sample,
                                   const ActuatorState<Rotors>& actuators) noexcept {
   ActuatedState<Rotors> x;
   for (int i = 0; i < Rotors; ++i) {
-    x.thrust(i) = body_.thrust(i, actuators.rotor_speed(i));
+    x.thrust(i) = (index(i) == failure_.rotor ? failure_.effectiveness : 1.0) *
+                  body_.thrust(i, actuators.rotor_speed(i));
     x.tilt_angle(i) = tilts_[index(i)] ? actuators.tilt_angle(i) : 0.0;
     block_.thrust(i) += dt * x.thrust(i);
     block_.lateral(i) += dt * x.thrust(i) * std::sin(x.tilt_angle(i));
@@ -480,7 +506,7 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   Vector6 change = freely(per_second, sum.residual);
   if (per_second * sum.thrust.maxCoeff() < without_thrust * hover_thrust_ && load > 0.5)
     learn(dt, change / load);
-  if (learnt_for_ < known_after) return;
+  if (learnt_for_ < known_on_ground) return;
   change -= std::max(load, 0.0) * baseline_;
   const double leaning = 0.2 * std::max(load, 0.0) * weight;
   int best = -1;
@@ -514,8 +540,7 @@ void FailureDetector<Rotors>::judge_on_ground(double time, double dt) noexcept {
   const int i = best % Rotors;
   failure_.angle = std::atan2(per_second * sum.lateral(i) + push, per_second * sum.vertical(i));
   failure_.stddev = std::atan2(unexplained, per_second * sum.thrust(i));
-  filled_ = next_ = 0;  // from now on with this angle
-  suspect_ = -1;
+  start_window();
 }
 
 template <int Rotors>
@@ -609,8 +634,8 @@ void FailureDetector<Rotors>::judge(double time, double dt) noexcept {
   // By then nothing before the failure is left in the window.
   const double needed_time = std::max(confirmation, sum.duration - dt) - 1e-6;
   if (best < 0 || suspected_for_ < needed_time) return;
-  if (failure_.kind == FailureKind::servo) {
-    failure_.limp = index(best) == failure_.rotor;
+  if (failure_.kind != FailureKind::none) {
+    if (index(best) == failure_.rotor) worsen(force.norm() / (per_second * sum.thrust(best)));
     return;
   }
   report(time, best, force, per_second * sum.thrust(best),
@@ -645,11 +670,21 @@ void FailureDetector<Rotors>::report(double time, int rotor, const Eigen::Vector
     // What is normal may be wrong by all of it.
     const double uncertain = learnt_for_ >= known_after ? fit(rotor, baseline_).norm() : 0.0;
     failure_.stddev = std::atan2(std::hypot(rest, uncertain), size);
-    filled_ = next_ = 0;  // from now on with this angle
-    suspect_ = -1;
   } else {
     failure_.kind = FailureKind::rotor;
     failure_.effectiveness = is_lost ? 0.0 : fraction;
+  }
+  start_window();
+}
+
+template <int Rotors>
+void FailureDetector<Rotors>::worsen(double fraction) noexcept {
+  if (failure_.kind == FailureKind::servo) {
+    failure_.limp = true;
+  } else if (fraction < 1.0) {
+    const double left = fraction * failure_.effectiveness;
+    failure_.effectiveness = left < lost_fraction ? 0.0 : left;
+    start_window();
   }
 }
 
