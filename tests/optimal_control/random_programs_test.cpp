@@ -14,6 +14,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -136,6 +137,33 @@ TEST(RandomPrograms, SolvesByTheDualAlone) {
   EXPECT_GT(t.solved, 0.1 * t.programs);
   EXPECT_LE(t.worst_difference, 1e-6);
   EXPECT_LE(t.worst_residual, 1e-5);
+}
+
+// NLopt gets few assumed constraints only. A program that ends with many had it before the passes
+// or not at all, and then its evaluations and the passes together stay within the limit.
+TEST(RandomPrograms, ALongAttemptOfNloptCountsAsPasses) {
+  using Problem = RandomProgram<2, 1, 3>;
+  constexpr int limit = 10, evaluations_per_pass = 40;
+  int long_attempts = 0;
+  for (unsigned seed = 0; seed < 150; ++seed) {
+    SCOPED_TRACE("program " + std::to_string(seed));
+    test_support::Random random(seed);
+    const Problem problem(random, 10 + static_cast<int>(seed % 30),
+                          static_cast<Feasibility>(seed % 3),
+                          std::numeric_limits<double>::infinity());
+    SolverSettings settings;
+    settings.program.max_passes = limit;
+    MultipleShooting<Problem> solver(problem, settings);
+    solver.reset(problem.start());
+    ASSERT_EQ(solver.prepare(), PrepareStatus::prepared);
+    const SolveReport report = solver.feedback(problem.start());
+    if (report.solved_by != ProgramSolver::interior_point || report.active_constraints <= 16)
+      continue;
+    const int of_nlopt = std::min(report.evaluations / evaluations_per_pass, limit / 2);
+    EXPECT_LE(report.passes + of_nlopt, limit);
+    long_attempts += of_nlopt > 0;
+  }
+  EXPECT_GT(long_attempts, 5);
 }
 
 }  // namespace random_programs_test

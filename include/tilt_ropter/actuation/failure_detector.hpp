@@ -149,7 +149,8 @@ class FailureDetector {
   // Largest residual that the failure may leave unexplained, as a fraction of the residual.
   static constexpr double max_unexplained = 0.35;
   // On the ground: the smallest change that is a failure, and the largest thrust at which none
-  // shows, as fractions of the thrust in hover. It has to last this long [s].
+  // shows, as fractions of the thrust in hover. It has to last this long, and what is normal is
+  // known after this time with so little thrust [s].
   static constexpr double min_change_on_ground = 0.2, without_thrust = 0.1,
                           confirmation_on_ground = 0.2, known_on_ground = 0.1;
   // A rotor whose force is smaller than this fraction of its model is lost.
@@ -222,17 +223,9 @@ class FailureDetector {
 
   // True if nothing more can be found out about the failure.
   [[nodiscard]] bool is_final() const noexcept {
-    switch (failure_.kind) {
-      case FailureKind::none:
-        break;
-      case FailureKind::servo:
-        return failure_.limp;
-      case FailureKind::rotor:
-        return failure_.effectiveness == 0.0;
-      case FailureKind::slow_servos:
-        return true;
-    }
-    return false;
+    if (failure_.kind == FailureKind::servo) return failure_.limp;
+    if (failure_.kind == FailureKind::rotor) return failure_.effectiveness == 0.0;
+    return failure_.kind == FailureKind::slow_servos;
   }
   // The failed actuator misses another force than was found: its rotor pushes with `fraction` of
   // the force that it still should have.

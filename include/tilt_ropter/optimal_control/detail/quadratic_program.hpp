@@ -467,10 +467,10 @@ class QuadraticProgram : public Subproblem<States, Inputs, Constraints, Pattern>
   SolverClock::duration pass_time_{}, interior_time_{}, gradients_time_{};
   double damping_ = 0.0, residual_ = 0.0;
   int passes_ = 0, rounds_ = 0;
-  // NLopt was tried before the passes, and found no solution in about the time of so many passes.
-  // They count towards the limit.
-  int passes_of_nlopt_ = 0;
+  // An attempt of NLopt before the passes that found no solution counts towards their limit: so
+  // many gradient evaluations take about as long as a pass.
   static constexpr int evaluations_per_pass = 40;
+  int passes_of_nlopt_ = 0;
   ProgramSolver solved_by_ = ProgramSolver::riccati;
   bool by_dual_ = true, late_ = false;
   bool assumes_ = false;   // the last factorisation includes the constraints that had a multiplier
