@@ -13,6 +13,7 @@
 #include <Eigen/Core>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <exception>
@@ -129,11 +130,39 @@ class Reader {
     const std::string type = fields.text("type", types);
     try {
       std::vector<MissionSegment> segments = build(i, type, fields, place);
+      const auto inside = kept_off(fields);
+      for (MissionSegment& segment : segments) segment.inside = inside;
       fields.refuse_unknown();
       return segments;
     } catch (const std::invalid_argument& error) {
       throw tilt_ropter::json_fields::Error(path(i) + " (" + type + "): " + error.what());
     }
+  }
+
+  /// Reads the surfaces that the CoM keeps off.
+  static std::array<HalfSpace, 4> kept_off(Fields& fields) {
+    std::array<HalfSpace, 4> inside;
+    const Json* list = fields.find("keep_off");
+    if (list == nullptr) return inside;
+    const std::string name = fields.name("keep_off");
+    if (!list->is_array() || list->size() > inside.size())
+      refuse(name, shown(*list), "a list of up to 4 surfaces");
+    for (std::size_t k = 0; k < list->size(); ++k) {
+      Fields inner((*list)[k], name + '[' + std::to_string(k) + ']');
+      Surface surface;
+      surface.point = inner.vector("surface_point_m", metres);
+      surface.normal = direction(inner);
+      inside[k] = in_front_of(surface, inner.number("distance_m", {0.0, 1e3, "m"}));
+      inner.refuse_unknown();
+    }
+    return inside;
+  }
+
+  /// Reads the outward normal of a surface.
+  static Eigen::Vector3d direction(Fields& fields) {
+    const Eigen::Vector3d normal = fields.vector("normal", {-1e3, 1e3, ""});
+    if (!(normal.norm() > 1e-3)) refuse(fields.name("normal"), shown(0.0), "a direction");
+    return normal.normalized();
   }
 
   std::vector<MissionSegment> build(std::size_t i, const std::string& type, Fields& fields,
@@ -313,9 +342,7 @@ class Reader {
     s.from = place.waypoint();
     Surface& surface = s.push.surface;
     surface.point = fields.vector("surface_point_m", metres);
-    const Eigen::Vector3d normal = fields.vector("normal", {-1e3, 1e3, ""});
-    if (!(normal.norm() > 1e-3)) refuse(fields.name("normal"), shown(0.0), "a direction");
-    surface.normal = normal.normalized();
+    surface.normal = direction(fields);
     surface.tool = fields.vector("tool_m", metres);
     surface.friction = fields.number("friction", {0.0, 2.0, ""}, surface.friction);
     s.push.force = fields.number("force_n", {0.1, 1e4, "N"});
@@ -448,6 +475,11 @@ class Writer {
     const bool has_phase =
         object["type"] == "turn" || object["type"] == "go_to" || object["type"] == "way_points";
     if (has_phase && s.phase != usual) object["phase"] = to_string(s.phase);
+    for (const HalfSpace& h : s.inside)
+      if (!h.normal.isZero(0.0))
+        object["keep_off"].push_back({{"surface_point_m", list_of(h.least * h.normal)},
+                                      {"normal", list_of(h.normal)},
+                                      {"distance_m", 0.0}});
     return object;
   }
 

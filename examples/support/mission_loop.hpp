@@ -381,6 +381,7 @@ struct FlownMission {
   ResidualFigures residuals;
   WallFigures wall;
   std::optional<PushFigures> push;
+  std::optional<double> outside;  ///< largest distance of the CoM outside a half-space [m]
   SolverTicks solver;
   tilt_ropter::EkfCounts counts;  ///< of the filter, at the end
   int contact_mode_changes = 0;
@@ -598,7 +599,11 @@ FlownMission fly(const MissionOptions& options, const VehicleFile& file,
                           plant.body().position);
     flown.trust.on_plant(plant.body(), plant.normal_forces().sum() > 0.0);
     const MissionPhase phase = mission.phase(plant.time());
-    const Eigen::Vector3d wanted = mission(plant.time()).position;
+    const ReferencePoint planned = mission(plant.time());
+    const Eigen::Vector3d& wanted = planned.position;
+    for (const HalfSpace& h : planned.inside)
+      if (!h.normal.isZero(0.0))
+        flown.outside = std::max(flown.outside.value_or(0.0), h.beyond(plant.body().position));
     Eigen::Vector3d seen = plant.body().position;
     seen.z() += height_error_at(plant.time());
     if (height_is_off && phase == MissionPhase::ground) seen.z() = wanted.z();
@@ -692,6 +697,8 @@ FlightReport report_flight(const MissionOptions& options, const VehicleFile& fil
             << "\ntake_over_lean_deg: " << flown.take_over_lean * 180.0 / tilt_ropter::pi << '\n';
   if (options.wall.x) flown.wall.print(printed, options.wall.until);
   if (flown.push) flown.push->print(printed);
+  if (flown.outside)
+    printed << std::fixed << std::setprecision(4) << "outside_max_m: " << *flown.outside << '\n';
   flown.rotor_speeds.print(printed);
   flown.residuals.print(printed);
   printed << std::setprecision(1) << "mission_duration_s: " << flown.duration << '\n'

@@ -307,7 +307,7 @@ TEST(MissionFile, ErrorsNameSegmentFieldValueAndRange) {
       {R"({"type": "rest", "duration_s": "1"})", {"duration_s = \"1\"", "a number in"}},
       {R"({"type": "rest", "duration": 1})", {"segments[0].duration_s is missing"}},
       {R"({"type": "rest", "duration_s": 1, "x": 2})",
-       {"segments[0].x = 2", "no such field", "duration_s, type"}},
+       {"segments[0].x = 2", "no such field", "duration_s, keep_off, type"}},
       {R"({"type": "fly"})", {"segments[0].type = \"fly\"", "\"way_points\""}},
       {R"({"duration_s": 1})", {"segments[0].type is missing", "one of \"rest\""}},
       {"7", {"segments[0] = 7", "an object"}},

@@ -69,5 +69,30 @@ TEST(State, IsFiniteChecksEveryNumber) {
   EXPECT_FALSE(is_finite(wrench));
 }
 
+TEST(HalfSpace, HoldsAReferenceInFrontOfASurface) {
+  Surface ceiling;
+  ceiling.point << 1.0, 2.0, 3.0;
+  ceiling.normal << 0.6, 0.0, -0.8;
+  const HalfSpace h = in_front_of(ceiling, 0.5);
+  const Eigen::Vector3d touches = ceiling.point + 0.5 * ceiling.normal;
+  EXPECT_NEAR(h.beyond(touches), 0.0, 1e-12);
+  ReferencePoint point;
+  point.position = touches - 0.2 * ceiling.normal + Eigen::Vector3d(0.8, 0.0, 0.6);
+  point.velocity << 1.0, 2.0, 3.0;
+  point.acceleration << -1.0, 0.5, 2.0;
+  point.inside[0] = h;
+  const ReferencePoint held = held_inside(h, point);
+  EXPECT_NEAR(h.beyond(point.position), 0.2, 1e-12);
+  EXPECT_LT((held.position - touches - Eigen::Vector3d(0.8, 0.0, 0.6)).norm(), 1e-12);
+  EXPECT_NEAR(held.velocity.dot(ceiling.normal), 0.0, 1e-12);
+  EXPECT_NEAR(held.acceleration.dot(ceiling.normal), 0.0, 1e-12);
+  EXPECT_NEAR(held.velocity.y(), 2.0, 1e-12);
+  point.position = touches + 0.1 * ceiling.normal;
+  EXPECT_EQ(held_inside(h, point).velocity, point.velocity);
+  EXPECT_EQ(held_inside({}, point).position, point.position);
+  EXPECT_TRUE(is_usable(h));
+  EXPECT_TRUE(is_usable(HalfSpace{}));
+}
+
 }  // namespace state_test
 }  // namespace tilt_ropter

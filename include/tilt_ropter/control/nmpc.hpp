@@ -39,8 +39,9 @@ namespace tilt_ropter {
 ///   caller detects and reports by hold()). The last plan continues. Status bad_state.
 /// - The quadratic program is not solved within the time limit or the limit on passes. The best
 ///   plan so far is used, and the next tick continues from there. Status approximate.
-/// - The reference is not finite from some node on, or its quaternion has no length. It goes on
-///   straight from the node before. Status approximate.
+/// - The reference is not finite from some node on, its quaternion has no length, or one of its
+///   half-spaces has a normal that is not of length one. It goes on straight from the node before.
+///   Status approximate.
 /// - There is no solution, for example because the reference is not finite now. The last plan
 ///   continues. Status solver_failed.
 /// - The plan is not credible, for example after a measurement or a reference from far away. It is
@@ -181,7 +182,9 @@ class RecedingHorizonController {
       const double length = point.orientation.norm();
       if (!inputs_.reference_ends && all_finite(point.position) && all_finite(point.velocity) &&
           all_finite(point.acceleration) && all_finite(point.angular_velocity) &&
-          all_finite(point.angular_acceleration) && length > 0.1 && length < 10.0)
+          all_finite(point.angular_acceleration) && length > 0.1 && length < 10.0 &&
+          std::all_of(point.inside.begin(), point.inside.end(),
+                      [](const HalfSpace& h) { return is_usable(h); }))
         continue;
       if (k == 0) return false;
       inputs_.reference_ends = true;
@@ -299,6 +302,8 @@ bool RecedingHorizonController<Level>::begin(double time, const ContactEstimate&
 template <typename Level>
 optimal_control::PrepareStatus RecedingHorizonController<Level>::finish(double time) {
   if (!continue_reference()) return optimal_control::PrepareStatus::failed;
+  for (ReferencePoint& point : inputs_.points)
+    for (const HalfSpace& h : point.inside) point = held_inside(h, point);
   if (inputs_.contact.blocked)
     for (ReferencePoint& point : inputs_.points)
       point = inputs_.contact.on_ground ? standing_at(inputs_.body, point)

@@ -53,14 +53,8 @@ struct Obstacle {
 
 /// Returns the reference of a vehicle that does not get past `obstacle`.
 [[nodiscard]] inline ReferencePoint in_front_of(const Obstacle& obstacle,
-                                                ReferencePoint point) noexcept {
-  const Eigen::Vector3d& n = obstacle.direction;
-  const double beyond = n.dot(point.position) - obstacle.reach;
-  if (!(beyond > 0.0)) return point;
-  point.position -= beyond * n;
-  point.velocity -= n.dot(point.velocity) * n;
-  point.acceleration -= n.dot(point.acceleration) * n;
-  return point;
+                                                const ReferencePoint& point) noexcept {
+  return held_inside({-obstacle.direction, -obstacle.reach}, point);
 }
 
 /// The same for a vehicle on wheels, which cannot move along an obstacle: it stays where `body` is,

@@ -7,6 +7,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -203,6 +204,34 @@ struct SurfacePush {
   return along;
 }
 
+/// A half-space that the CoM stays in: normal . position >= least.
+struct HalfSpace {
+  /// Unit vector into the half-space, world frame. Zero: the whole space, if `least` is zero.
+  Eigen::Vector3d normal = Eigen::Vector3d::Zero();
+  double least = 0.0;  ///< [m]
+
+  /// Returns how far `position` (world frame) is outside [m], negative inside.
+  [[nodiscard]] double beyond(const Eigen::Vector3d& position) const noexcept {
+    double inside = 0.0;
+    for (int i = 0; i < 3; ++i) inside += normal(i) * position(i);
+    return least - inside;
+  }
+};
+
+/// Returns true if all numbers are finite and the normal has length one, or all numbers are zero.
+[[nodiscard]] inline bool is_usable(const HalfSpace& h) noexcept {
+  double length = 0.0;  // squared
+  for (int i = 0; i < 3; ++i) length += h.normal(i) * h.normal(i);
+  return std::isfinite(h.least) &&
+         (std::abs(length - 1.0) < 1e-6 || (length == 0.0 && h.least == 0.0));
+}
+
+/// Returns the half-space in which a vehicle of this radius about its CoM [m] does not reach
+/// `surface`.
+[[nodiscard]] inline HalfSpace in_front_of(const Surface& surface, double radius) noexcept {
+  return {surface.normal, radius - HalfSpace{surface.normal, 0.0}.beyond(surface.point)};
+}
+
 /// One point of a time-parametrised reference. A reference is any callable that returns a point:
 /// `ReferencePoint reference(double time)`. It must be defined for every time: it holds the first
 /// point before its start and the last point after its end. It must be smooth enough that velocity
@@ -220,6 +249,23 @@ struct ReferencePoint {
   /// force. The rest of the point is followed as ever, for example to slide along the surface.
   /// ContactEstimator has to know the reference. In the air only.
   std::optional<SurfacePush> push;
+  /// Half-spaces in which the CoM stays at this time, also if the reference or the way to it is
+  /// outside. They may differ from time to time, as those of a corridor do. See in_front_of().
+  std::array<HalfSpace, 4> inside;
 };
+
+/// Returns `point`, or if it is outside `h` the nearest point inside, which only moves along the
+/// boundary.
+[[nodiscard]] inline ReferencePoint held_inside(const HalfSpace& h, ReferencePoint point) noexcept {
+  const double beyond = h.beyond(point.position);
+  if (!(beyond > 0.0)) return point;
+  const double v = h.normal.dot(point.velocity), a = h.normal.dot(point.acceleration);
+  for (int i = 0; i < 3; ++i) {
+    point.position(i) += beyond * h.normal(i);
+    point.velocity(i) -= v * h.normal(i);
+    point.acceleration(i) -= a * h.normal(i);
+  }
+  return point;
+}
 
 }  // namespace tilt_ropter

@@ -14,6 +14,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <functional>
@@ -71,7 +72,10 @@ class MissionSegment : public detail::Timing {
   }
 
   [[nodiscard]] ReferencePoint operator()(double time) const noexcept {
-    return curve_(from_ + elapsed(time));
+    ReferencePoint point = curve_(from_ + elapsed(time));
+    for (std::size_t i = 0; i < inside.size(); ++i)
+      if (!inside[i].normal.isZero(0.0)) point.inside[i] = inside[i];
+    return point;
   }
   /// The motion, if it is one of this type, else nullptr. Its own times are those that it had.
   template <typename Motion>
@@ -80,6 +84,9 @@ class MissionSegment : public detail::Timing {
   }
 
   MissionPhase phase;
+  /// Half-spaces in which the CoM stays during this motion, see ReferencePoint. Those that are set
+  /// replace those of the curve.
+  std::array<HalfSpace, 4> inside;
 
  private:
   Curve curve_;

@@ -188,14 +188,17 @@ class ActuatorLevelProblem
       inputs_sum += settings_.weights.thrust_rate * u(i) * u(i) +
                     settings_.weights.tilt_rate * u(Rotors + i) * u(Rotors + i);
     }
+    states_sum += weight_outside() * detail::squares_outside(n, x.body);
     return factor * states_sum + (k < horizon() ? inputs_sum : 0.0);
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
-    for (int i = 0; i < 3; ++i)  // entries of add_curvature()
+    for (int i = 0; i < 3; ++i) {  // entries of add_curvature() and of half-spaces
+      for (int j = 0; j < 3; ++j) model.hessian(I::position + i, I::position + j) = 0.0;
       for (int j = 0; j < Rotors; ++j)
         model.hessian(I::orientation + i, I::tilt_angle + j) =
             model.hessian(I::tilt_angle + j, I::orientation + i) = 0.0;
+    }
     const Node& n = node(k);
     const double factor = k == horizon() ? settings_.weights.terminal : 1.0;
     const BodyVector q = body_weights(n);
@@ -207,6 +210,7 @@ class ActuatorLevelProblem
       model.gradient(I::position + i) = 2.0 * factor * q(i) * e(i);
       model.hessian(I::position + i, I::position + i) = 2.0 * factor * q(i);
     }
+    detail::add_squares_outside(n, x.body, factor * weight_outside(), model, I::position);
     const detail::Square<double> weighted =
         transposed(scaled(by_angle, 2.0 * factor * detail::triple(q, orientation_error)));
     detail::put(weighted * detail::triple(e, orientation_error), model.gradient, I::orientation, 0);
@@ -284,6 +288,9 @@ class ActuatorLevelProblem
   static constexpr int orientation_error = 6;
   using Base::lower_, Base::settings_, Base::upper_;
 
+  [[nodiscard]] double weight_outside() const {
+    return detail::weight_outside * settings_.weights.position.maxCoeff();
+  }
   [[nodiscard]] double thrust_weight(const Node& n) const {
     return n.stays_on_ground ? settings_.weights.thrust_on_ground : settings_.weights.thrust;
   }

@@ -65,6 +65,7 @@ class GroundContact {
     const bool meant = is_ground_reference(contact, measured.position, point);
     node.reference = {point.position, point.velocity, point.orientation, point.angular_velocity};
     const bool stands = is_on_ground(contact, measured.position);
+    node.inside = point.inside;
     node.on_ground = stands && meant;
     node.touches = false;
     node.freedom = {};

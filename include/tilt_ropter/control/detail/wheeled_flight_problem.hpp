@@ -163,9 +163,10 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   /// For the last node see TerminalCost.
   [[nodiscard]] double cost(int k, const State& x, const Input& u) const {
     const Tangent e = error(k, x);
-    if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e);
+    const double outside = weight_outside(k) * detail::squares_outside(node(k), x.body);
+    if (ends_with_riccati(k)) return after_horizon_.front().value(heading_of_end(), e) + outside;
     const Tangent& q = state_weights(k);
-    double sum = ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
+    double sum = outside + ground_thrust_weight(k) * e(I::force + 2) * e(I::force + 2);
     for (int i = 0; i < states; ++i) sum += e(i) * q(i) * e(i);
     if (node(k).touches) {
       const double along = dot(detail::triple(node(k).normal), detail::triple(e, I::force));
@@ -176,17 +177,20 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   }
 
   void cost_model(int k, const State& x, const Input& u, Model& model) const {
-    // Entries that add_curvature() changes and that are not set below.
+    // Entries that add_curvature() or half-spaces change and that are not set below.
     model.hessian.template topLeftCorner<6, 6>().setZero();
     for (int j = 0; j < 3; ++j)
       for (int i = 0; i < 3; ++i)
         model.hessian(I::force + i, I::orientation + j) =
-            model.hessian(I::orientation + i, I::force + j) = 0.0;
+            model.hessian(I::orientation + i, I::force + j) =
+                model.hessian(I::position + i, I::position + j) = 0.0;
     const Tangent e = error(k, x);
     const Square by_angle =
         detail::attitude_error_derivative(detail::attitude_error(node(k), x.body), x.body);
-    if (ends_with_riccati(k))
-      return after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
+    if (ends_with_riccati(k)) {
+      after_horizon_.front().set_model(heading_of_end(), e, by_angle, model);
+      return add_outside(k, x, model);
+    }
     const Tangent& q = state_weights(k);
     for (int i = 0; i < states; ++i) {
       model.gradient(i) = 2.0 * q(i) * e(i);
@@ -208,6 +212,7 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
     const Square weighted = transposed(scaled(by_angle, 2.0 * detail::triple(q, I::orientation)));
     detail::put(weighted * detail::triple(e, I::orientation), model.gradient, I::orientation);
     detail::put(weighted * by_angle, model.hessian, I::orientation, I::orientation);
+    add_outside(k, x, model);
     for (int i = 0; k < horizon() && i < inputs; ++i) {
       model.gradient(states + i) = 2.0 * input_weights_(i) * u(i);
       model.hessian(states + i, states + i) = 2.0 * input_weights_(i);
@@ -357,6 +362,13 @@ class WheeledFlightProblem : public FlightProblem<Stated, WheeledFlightNode, Whe
   [[nodiscard]] double push_weight() const {
     constexpr double time_constant = 0.15;  // of the force [s]
     return settings_.weights.force_rate.maxCoeff() / (time_constant * time_constant);
+  }
+  [[nodiscard]] double weight_outside(int k) const {
+    return detail::weight_outside * settings_.weights.position.maxCoeff() *
+           (k == horizon() ? settings_.weights.terminal : 1.0);
+  }
+  void add_outside(int k, const State& x, Model& model) const {
+    detail::add_squares_outside(node(k), x.body, weight_outside(k), model, I::position);
   }
   [[nodiscard]] const Tangent& state_weights(int k) const {
     return state_weights_[k == horizon()][node(k).touches];
