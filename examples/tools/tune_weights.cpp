@@ -148,27 +148,18 @@ class Search {
     open_table();
   }
 
-  /// Searches until NLopt has converged, or the time or the number of points is used up.
+  /// Searches until the time or the number of points is used up, or NLopt finds nothing better.
+  /// The figures are not smooth, and the model of bobyqa may end early for that: it starts again
+  /// from the best point, with smaller steps where the last ones found nothing better.
   void run() {
-    const std::size_t n = errors_.size();
-    (void)at(std::vector<double>(n, 1.0));
+    asked_ = std::vector<double>(errors_.size(), 1.0);
+    asked_cost_ = at(asked_).cost;
     nlopt_srand(static_cast<unsigned long>(options_.seed));
-    const std::unique_ptr<nlopt_opt_s, decltype(&nlopt_destroy)> opt(
-        nlopt_create(algorithms().at(options_.algorithm), static_cast<unsigned>(n)), nlopt_destroy);
-    opt_ = opt.get();
-    nlopt_set_lower_bounds1(opt_, -std::log(options_.range));
-    nlopt_set_upper_bounds1(opt_, std::log(options_.range));
-    // A first step to twice the error; the end when all errors are known to 2 %.
-    nlopt_set_initial_step1(opt_, std::log(2.0));
-    nlopt_set_xtol_abs1(opt_, 0.02);
-    // Of crs2, which by default has 10 (n + 1): more than fly in ten minutes.
-    nlopt_set_population(opt_, static_cast<unsigned>(3 * (n + 1)));
-    nlopt_set_min_objective(opt_, cost, this);
-    std::vector<double> x(n, 0.0);
-    double value = 0.0;
-    (void)nlopt_optimize(opt_, x.data(), &value);
-    opt_ = nullptr;
-    if (error_) std::rethrow_exception(error_);
+    for (double step = std::log(2.0); step > 0.1;) {  // first to twice the error
+      const double last = asked_cost_;
+      if (!search(step)) break;
+      if (!(asked_cost_ < last)) step *= 0.5;
+    }
     progress_.finish();
   }
 
@@ -220,6 +211,31 @@ class Search {
   }
 
  private:
+  /// Searches from the best point, with first steps of a factor of exp(step). Returns false if it
+  /// was ended before NLopt has converged.
+  bool search(double step) {
+    const auto n = static_cast<unsigned>(asked_.size());
+    const double limit = std::log(options_.range);
+    const std::unique_ptr<nlopt_opt_s, decltype(&nlopt_destroy)> opt(
+        nlopt_create(algorithms().at(options_.algorithm), n), nlopt_destroy);
+    opt_ = opt.get();
+    nlopt_set_lower_bounds1(opt_, -limit);
+    nlopt_set_upper_bounds1(opt_, limit);
+    nlopt_set_initial_step1(opt_, step);
+    nlopt_set_xtol_abs1(opt_, 0.02);  // all errors are known to 2 %
+    // Of crs2, which by default has 10 (n + 1): more than fly in ten minutes.
+    nlopt_set_population(opt_, 3 * (n + 1));
+    nlopt_set_min_objective(opt_, cost, this);
+    std::vector<double> x(n);
+    std::transform(asked_.begin(), asked_.end(), x.begin(),
+                   [limit](double v) { return std::clamp(std::log(v), -limit, limit); });
+    double value = 0.0;
+    const nlopt_result result = nlopt_optimize(opt_, x.data(), &value);
+    opt_ = nullptr;
+    if (error_) std::rethrow_exception(error_);
+    return result != NLOPT_FORCED_STOP;
+  }
+
   void add_column(const std::string& key) {
     if (std::find(columns_.begin(), columns_.end(), key) == columns_.end()) columns_.push_back(key);
   }
@@ -279,7 +295,14 @@ class Search {
     std::transform(x, x + n, factors.begin(), [](double value) { return std::exp(value); });
     try {
       const bool is_new = search.tried_.count(factors) == 0;
-      if (!is_new || search.goes_on()) return search.at(factors).cost;
+      if (!is_new || search.goes_on()) {
+        const double found = search.at(factors).cost;
+        if (found < search.asked_cost_) {
+          search.asked_ = factors;
+          search.asked_cost_ = found;
+        }
+        return found;
+      }
     } catch (...) {
       if (interrupted == 0) search.error_ = std::current_exception();
     }
@@ -369,6 +392,8 @@ class Search {
   std::vector<Limit> limits_;
   std::vector<std::string> columns_, errors_;
   std::map<std::vector<double>, Tried> tried_;
+  std::vector<double> asked_;  // best point that NLopt asked for: not one that --resume has read
+  double asked_cost_ = 0.0;
   std::ofstream table_;
   nlopt_opt opt_ = nullptr;
   std::exception_ptr error_;

@@ -87,6 +87,30 @@ TEST(TuneWeights, ResumedRunIsTheSameAsOneRun) {
   EXPECT_TRUE(other.says("is of another run")) << other.output;
 }
 
+// One search of bobyqa ends after 40 points here. A run that goes on in the second search is the
+// same as one run.
+TEST(TuneWeights, SearchesAgainFromTheBestPoint) {
+  const Directory directory("tune_weights");
+  const std::string mission = directory.write("short.json", R"({"name": "short",
+      "start": {"position_m": [0, 0, 1]},
+      "segments": [{"type": "hover", "duration_s": 1}, {"type": "go_to", "position_m": [0.1, 0, 1]}]})");
+  const auto tune_short = [&](const std::string& output, const std::string& options) {
+    return test_support::run(TUNE_WEIGHTS_PROGRAM,
+                             "--mission-file '" + mission +
+                                 "' --minimise mission_rmse_m --spread 0.2 --vehicles 1 " +
+                                 "--range 1.2 --no-mujoco --no-pictures --output '" +
+                                 directory.file(output) + "' " + options);
+  };
+  const Outcome whole = tune_short("whole", "");
+  ASSERT_EQ(whole.exit_code, 0) << whole.output;
+  EXPECT_GT(whole["evaluations"], 60);
+  EXPECT_LT(whole["objective_after"], whole["objective_before"]);
+  ASSERT_EQ(tune_short("parts", "--evaluations 50").exit_code, 0);
+  ASSERT_EQ(tune_short("parts", "--resume").exit_code, 0);
+  EXPECT_EQ(read_file(directory.file("parts/tune_weights.csv")),
+            read_file(directory.file("whole/tune_weights.csv")));
+}
+
 TEST(TuneWeights, RefusesWrongOptions) {
   const Directory directory("tune_weights");
   const std::vector<std::vector<std::string>> wrong = {
